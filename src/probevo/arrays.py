@@ -1,0 +1,15 @@
+"""Names for the array types that appear in signatures. Shapes and units stand in each docstring."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+Image = NDArray[np.uint8]
+"""Grayscale image, [height, width], uint8."""
+AnyArray = NDArray[Any]

@@ -1,0 +1,28 @@
+"""The one exception family: what is wrong, where, and how to mend it.
+
+Library code raises these; the command line catches them once, prints one message and exits with code 2.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class ProbevoError(Exception):
+    """Base of every error that probevo raises on purpose."""
+
+
+class InputError(ProbevoError):
+    """Something that a user gave us is wrong: a file, a field of it, an option.
+
+    Args:
+        where: the file or option at fault, as the user would name it.
+        what: what is wrong, naming the field and the value found.
+        cure: how to mend it; one sentence.
+    """
+
+    def __init__(self, where: str | Path, what: str, cure: str = "") -> None:
+        self.where = str(where)
+        self.what = what
+        self.cure = cure
+        super().__init__(f"{self.where}: {what}" + (f"\n         {cure}" if cure else ""))

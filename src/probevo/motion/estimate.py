@@ -1,0 +1,40 @@
+"""The result of one step: a relative motion, how sure it is, and how it came about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from probevo.arrays import FloatArray
+
+
+class Status(IntEnum):
+    """How a motion came about. In all but FIRST and OK it is carried on from gyro and last velocity, covariance inflated."""
+
+    FIRST = 0
+    """The first frame: identity, zero covariance."""
+    OK = 1
+    DEGENERATE = 2
+    """The features do not fix all six degrees of freedom."""
+    TOO_FEW_TRACKS = 3
+    NOT_CONVERGED = 4
+    GAP = 5
+    """Frames are missing before this one."""
+
+
+@dataclass(frozen=True)
+class MotionEstimate:
+    """Motion of the camera from the previous frame to this one."""
+
+    T_curr_prev: FloatArray
+    """p_curr = T_curr_prev p_prev, [4, 4], m."""
+    cov: FloatArray
+    """Covariance of the left perturbation ξ = [ρ; φ], T = Exp(ξ) T_curr_prev, [6, 6], m and rad."""
+    status: Status
+    num_tracks: int
+    num_inliers: int = 0
+    """Tracks whose robust weight is at least one half of a perfect feature's."""
+    iterations: int = 0
+    stage_ms: Mapping[str, float] = field(default_factory=dict)
+    """Wall time of each stage of this step, ms."""

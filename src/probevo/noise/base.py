@@ -1,0 +1,51 @@
+"""What every noise model promises, and the noise of N features as a value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from scipy.special import gammaln
+
+from probevo.arrays import FloatArray
+
+Refers = Literal["observation", "residual"]
+
+
+@dataclass(frozen=True)
+class StereoNoise:
+    """Noise of N stereo features: each is Student-t with the given scale, dof and bias (PROBE-GK eq. 12)."""
+
+    scale: FloatArray
+    """Scale matrix, [N, 4, 4], px²; the covariance is dof/(dof − 2) times this."""
+    dof: FloatArray
+    """Degrees of freedom, [N]; np.inf is Gaussian."""
+    bias: FloatArray
+    """Expected error, [N, 4], px."""
+    refers_to: Refers = "residual"
+    """What the scale describes: the residual y' − f(T g(y)) as a whole (learned models), or each single observation y
+    and y' (classical models), from which the solver derives the residual's, the triangulated point's noise included."""
+
+    def log_likelihood(self, residuals: FloatArray) -> FloatArray:
+        """Log density of residuals [N, 4], px, in nats, [N]."""
+        d = residuals.shape[-1]
+        lower = np.linalg.cholesky(self.scale)
+        white = np.linalg.solve(lower, (residuals - self.bias)[..., None])[..., 0]
+        squared = np.sum(white**2, axis=-1)
+        log_det = 2.0 * np.sum(np.log(np.diagonal(lower, axis1=-2, axis2=-1)), axis=-1)
+        gaussian = -0.5 * (squared + d * np.log(2.0 * np.pi) + log_det)
+        dof = np.where(np.isinf(self.dof), 1.0, self.dof)
+        student = (
+            gammaln(0.5 * (dof + d))
+            - gammaln(0.5 * dof)
+            - 0.5 * (d * np.log(np.pi * dof) + log_det + (dof + d) * np.log1p(squared / dof))
+        )
+        return np.where(np.isinf(self.dof), gaussian, student)
+
+
+class NoiseModel(Protocol):
+    """Predictors in, the noise of each feature out. ``predict`` is pure."""
+
+    def predict(self, predictors: FloatArray) -> StereoNoise:
+        """Noise of N features from their place φ in the prediction space, [N, M]."""

@@ -1,0 +1,78 @@
+"""What a sequence yields: one stereo frame with the IMU samples of the interval that led to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from probevo.arrays import FloatArray, Image, IntArray
+
+
+@dataclass(frozen=True)
+class ImuSamples:
+    """Samples that cover one frame interval: the last at or before its start to the first at or after its end."""
+
+    stamps_ns: IntArray
+    """Time of each sample on the clock of the images (offsets already applied), [J], ascending."""
+    gyro_rad_s: FloatArray
+    """Angular rate of the IMU frame, in the IMU frame, [J, 3]."""
+    accel_m_s2: FloatArray
+    """Specific force (gravity included) in the IMU frame, [J, 3]; NaN where not recorded."""
+
+
+@dataclass(frozen=True)
+class ImuCalibration:
+    """How the IMU sits on the camera and how far its gyro can be trusted."""
+
+    C_cam_imu: FloatArray
+    """Rotation taking IMU coordinates to those of the (rectified) left camera, [3, 3]."""
+    gyro_noise_rad_s_sqrt_hz: float
+    """White noise density of the gyro, rad/s/√Hz."""
+    gyro_bias_sigma_rad_s: float
+    """Standard deviation of the unknown constant gyro bias at start, rad/s."""
+    gyro_bias_walk_rad_s2_sqrt_hz: float = 0.0
+    """Density of the bias random walk, rad/s²/√Hz."""
+
+
+@dataclass(frozen=True)
+class StereoFeatures:
+    """Points seen in one stereo frame."""
+
+    ids: IntArray
+    """Identity of each point, [N], unique in the frame, the same in every frame that sees the point."""
+    pixels: FloatArray
+    """(u_l, v_l, u_r, v_r) of each point, [N, 4], px."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One instant of a stereo recording: either two rectified images, or features already tracked."""
+
+    index: int
+    """Position in the sequence, from 0."""
+    stamp_ns: int
+    left: Image | None = None
+    """Rectified left image, [height, width], uint8."""
+    right: Image | None = None
+    features: StereoFeatures | None = None
+    """Given instead of images by a tracks file."""
+    imu: ImuSamples | None = None
+    """IMU samples over the interval from the previous frame to this one; None at the first frame and without an IMU."""
+    decode_ms: float = field(default=0.0, compare=False)
+    """Time that a worker thread spent to read, decode and rectify the pair."""
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """Poses of the left camera in the frame of its first pose."""
+
+    stamps_ns: IntArray
+    """[K]; those of the frames."""
+    T_world_cam: FloatArray
+    """[K, 4, 4]; NaN matrices where the truth is unknown."""
+
+    @property
+    def known(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which frames have a pose, [K]."""
+        return np.isfinite(self.T_world_cam).all(axis=(1, 2))

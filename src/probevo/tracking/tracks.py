@@ -1,0 +1,30 @@
+"""The waist of the design: stereo observations of the same points in two frames.
+
+Everything left of it may be absent (a tracks file has no images); everything right of it never sees an image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from probevo.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """N points, each observed by both cameras in the previous and in the current frame."""
+
+    prev_px: FloatArray
+    """(u_l, v_l, u_r, v_r) in the previous frame, [N, 4], px."""
+    curr_px: FloatArray
+    """The same points in the current frame, [N, 4], px."""
+    ids: IntArray
+    """Identity of each point, [N]."""
+    age: IntArray
+    """Number of frames, the current one included, that have seen the point in a row, [N]; at least 2."""
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    """How many candidate points each consistency check turned away on this step, by the check's name."""
+
+    def __len__(self) -> int:
+        return len(self.ids)
