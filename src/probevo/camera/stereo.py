@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,53 @@ class StereoCamera:
         disparity = u_l - u_r
         point = self.triangulate(pixels)
         z = point[..., 2]
-        jacobian = -point[..., :, None] / disparity[..., None, None] * np.array([1.0, 0.0, -1.0, 0.0])
+        jacobian: FloatArray = -point[..., :, None] / disparity[..., None, None] * np.array([1.0, 0.0, -1.0, 0.0])
         jacobian[..., 0, 0] += z / self.fu_px
         jacobian[..., 1, 1] += 0.5 * z / self.fv_px
         jacobian[..., 1, 3] += 0.5 * z / self.fv_px
         return jacobian
+
+
+def check_camera(camera: StereoCamera, where: str | Path) -> None:
+    """Refuse a calibration that no stereo camera can have.
+
+    Args:
+        camera: as read from a file or an option.
+        where: that file or option, for the message.
+
+    Raises:
+        InputError: as ``check_intrinsics`` does, or the baseline is not finite and positive.
+    """
+    check_intrinsics(camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.size_px, where)
+    if not math.isfinite(camera.baseline_m):
+        raise InputError(where, f"baseline_m is {camera.baseline_m}.", "It must be a finite number.")
+    if camera.baseline_m == 0:
+        raise InputError(where, "baseline_m is 0 m.", "Are the left and right calibration the same file?")
+    if camera.baseline_m < 0:
+        raise InputError(where, f"baseline_m is {camera.baseline_m:g} m.", "Are the left and right cameras swapped?")
+
+
+def check_intrinsics(
+    fu_px: float, fv_px: float, cu_px: float, cv_px: float, size_px: tuple[int, int] | None, where: str | Path
+) -> None:
+    """Refuse intrinsics that no pinhole camera can have.
+
+    Raises:
+        InputError: a value is not finite, a focal length or the image size is not positive, or the principal point is
+            more than half an image outside the image.
+    """
+    for name, value in {"fu_px": fu_px, "fv_px": fv_px, "cu_px": cu_px, "cv_px": cv_px}.items():
+        if not math.isfinite(value):
+            raise InputError(where, f"{name} is {value}.", "It must be a finite number.")
+    for name, focal_px in {"fu_px": fu_px, "fv_px": fv_px}.items():
+        if focal_px <= 0:
+            raise InputError(where, f"{name} is {focal_px:g} px.", "A focal length is positive.")
+    if size_px is None:
+        return
+    size = f"{size_px[0]} × {size_px[1]}"
+    if min(size_px) <= 0:
+        raise InputError(where, f"size_px is {size}.", "It is (width, height), both positive.")
+    for name, center_px, length_px in (("cu_px", cu_px, size_px[0]), ("cv_px", cv_px, size_px[1])):
+        if not -0.5 * length_px <= center_px <= 1.5 * length_px:
+            what = f"{name} is {center_px:g} px, far outside the image of {size} px."
+            raise InputError(where, what, "Was the camera calibrated at another resolution?")

@@ -1,0 +1,1 @@
+"""Trajectory errors and the consistency of covariances, free of files."""

@@ -1,0 +1,1 @@
+"""Files, drawings and the report that a run leaves behind."""

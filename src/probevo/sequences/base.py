@@ -38,6 +38,8 @@ class Sequence(Protocol):
     def truth(self) -> GroundTruth | None:
         """Ground truth at the frames; None if the recording has none."""
 
-    def __len__(self) -> int: ...
+    def __len__(self) -> int:
+        """Number of frames, K."""
 
-    def __iter__(self) -> Iterator[Frame]: ...
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames, from the first; an InputError comes up at the frame whose files are at fault."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from probevo.arrays import FloatArray, Image, IntArray
+from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class Frame:
     features: StereoFeatures | None = None
     """Given instead of images by a tracks file."""
     imu: ImuSamples | None = None
-    """IMU samples over the interval from the previous frame to this one; None at the first frame and without an IMU."""
+    """IMU samples over the interval from the previous frame to this one; None at the first frame, without an IMU, and
+    where its samples leave a part of the interval uncovered."""
     decode_ms: float = field(default=0.0, compare=False)
     """Time that a worker thread spent to read, decode and rectify the pair."""
 
@@ -73,6 +74,6 @@ class GroundTruth:
     """[K, 4, 4]; NaN matrices where the truth is unknown."""
 
     @property
-    def known(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    def known(self) -> BoolArray:
         """Which frames have a pose, [K]."""
-        return np.isfinite(self.T_world_cam).all(axis=(1, 2))
+        return np.asarray(np.isfinite(self.T_world_cam).all(axis=(1, 2)))

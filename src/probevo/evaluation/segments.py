@@ -1,0 +1,76 @@
+"""Drift over segments of given length, as the KITTI odometry devkit measures it (evaluate_odometry.cpp)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.evaluation.trajectory_errors import distance_along_path
+from probevo.geometry import se3, so3
+
+KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
+"""The devkit's lengths; its segments start at every tenth frame."""
+SHORT_LENGTHS_M = (10.0, 20.0, 30.0, 40.0, 50.0)
+"""For pieces too short for the official ones; segments start at every frame."""
+
+
+@dataclass(frozen=True)
+class SegmentErrors:
+    """Drift over S segments."""
+
+    first: IntArray
+    """Index of the frame at which each segment starts, [S]."""
+    length_m: FloatArray
+    """Nominal length, [S]."""
+    translation: FloatArray
+    """Error of the end position over the nominal length, [S], m/m."""
+    rotation_rad_m: FloatArray
+    """Angle of the rotation error at the end over the nominal length, [S]."""
+
+    @property
+    def mean_translation_percent(self) -> float | None:
+        """Average over all segments; None without one."""
+        return float(100.0 * self.translation.mean()) if len(self.first) else None
+
+    @property
+    def mean_rotation_deg_per_m(self) -> float | None:
+        """Average over all segments; None without one."""
+        return float(np.rad2deg(self.rotation_rad_m.mean())) if len(self.first) else None
+
+
+def segment_errors(
+    T_world_cam_est: FloatArray,
+    T_world_cam_true: FloatArray,
+    lengths_m: tuple[float, ...] = KITTI_LENGTHS_M,
+    starts: IntArray | None = None,
+) -> SegmentErrors:
+    """Errors of all segments that fit into the true path of K frames.
+
+    A segment ends at the first frame whose distance along the true path exceeds that of its start by more than its
+    length, as in the devkit.
+
+    Args:
+        T_world_cam_est: estimated poses, [K, 4, 4], m.
+        T_world_cam_true: true poses, [K, 4, 4], m, all known.
+        lengths_m: nominal lengths.
+        starts: index of each frame at which segments start; every tenth by default, as in the devkit.
+    """
+    distance = distance_along_path(T_world_cam_true)
+    starts = np.arange(0, len(distance), 10) if starts is None else starts
+    first = np.repeat(starts, len(lengths_m))
+    length = np.tile(np.asarray(lengths_m, dtype=np.float64), len(starts))
+    last = np.searchsorted(distance, distance[first] + length, side="right")
+    fits = last < len(distance)
+    first, last, length = first[fits], last[fits], length[fits]
+
+    T_first_last_true = se3.inverse(T_world_cam_true[first]) @ T_world_cam_true[last]
+    T_first_last_est = se3.inverse(T_world_cam_est[first]) @ T_world_cam_est[last]
+    error = se3.inverse(T_first_last_est) @ T_first_last_true
+    return SegmentErrors(
+        first=first,
+        length_m=length,
+        translation=np.linalg.norm(error[:, :3, 3], axis=1) / length,
+        rotation_rad_m=np.linalg.norm(so3.log(error[:, :3, :3]), axis=1) / length,
+    )

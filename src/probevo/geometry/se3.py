@@ -1,0 +1,107 @@
+"""Poses SE(3) and their tangent vectors ξ = [ρ; φ], translation first (thesis section 2.3).
+
+Functions are batched over leading dimensions; poses compose with ``@``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.geometry import so3
+from probevo.geometry.stumpff import stumpff
+
+
+def from_parts(C_b_a: FloatArray, t_b: FloatArray) -> FloatArray:
+    """T_b_a with p_b = C_b_a p_a + t_b: rotations [..., 3, 3] and translations [..., 3], m, to poses [..., 4, 4]."""
+    batch = np.broadcast_shapes(C_b_a.shape[:-2], t_b.shape[:-1])
+    T_b_a = np.zeros((*batch, 4, 4))
+    T_b_a[..., :3, :3] = C_b_a
+    T_b_a[..., :3, 3] = t_b
+    T_b_a[..., 3, 3] = 1.0
+    return T_b_a
+
+
+def transform(T_b_a: FloatArray, points_a: FloatArray) -> FloatArray:
+    """p_b = T_b_a p_a: points [..., 3], m (thesis eq. 2.18). One pose moves all points, or each pose its own point."""
+    return (T_b_a[..., :3, :3] @ points_a[..., None])[..., 0] + T_b_a[..., :3, 3]
+
+
+def inverse(T_b_a: FloatArray) -> FloatArray:
+    """T_a_b, [..., 4, 4]."""
+    C_a_b = T_b_a[..., :3, :3].mT
+    return from_parts(C_a_b, -(C_a_b @ T_b_a[..., :3, 3:])[..., 0])
+
+
+def wedge(xi: FloatArray) -> FloatArray:
+    """ξ^, the matrix [[φ^, ρ], [0, 0]]: [..., 6] to [..., 4, 4] (thesis eq. 2.13)."""
+    matrix = np.zeros((*xi.shape[:-1], 4, 4))
+    matrix[..., :3, :3] = so3.wedge(xi[..., 3:])
+    matrix[..., :3, 3] = xi[..., :3]
+    return matrix
+
+
+def vee(matrix: FloatArray) -> FloatArray:
+    """The inverse of ``wedge``: [..., 4, 4] to [..., 6]."""
+    return np.concatenate([matrix[..., :3, 3], so3.vee(matrix[..., :3, :3])], axis=-1)
+
+
+def curly_wedge(xi: FloatArray) -> FloatArray:
+    """ξ⋏ = [[φ^, ρ^], [0, φ^]], the adjoint of the Lie algebra: [..., 6] to [..., 6, 6] (Barfoot 2017 sec. 7.1.4)."""
+    return _block_triangular(so3.wedge(xi[..., 3:]), so3.wedge(xi[..., :3]))
+
+
+def exp(xi: FloatArray) -> FloatArray:
+    """T = Exp(ξ): tangent vectors [..., 6], m and rad, to poses [..., 4, 4] (thesis eq. 2.14)."""
+    rho, phi = xi[..., :3], xi[..., 3:]
+    return from_parts(so3.exp(phi), (so3.left_jacobian(phi) @ rho[..., None])[..., 0])
+
+
+def log(T: FloatArray) -> FloatArray:
+    """ξ = Log(T): poses [..., 4, 4] to tangent vectors [..., 6], m and rad, with an angle of at most π."""
+    phi = so3.log(T[..., :3, :3])
+    rho = (so3.left_jacobian_inverse(phi) @ T[..., :3, 3:])[..., 0]
+    return np.concatenate([rho, phi], axis=-1)
+
+
+def adjoint(T: FloatArray) -> FloatArray:
+    """Ad(T) = [[C, t^ C], [0, C]], with Exp(Ad(T) ξ) = T Exp(ξ) T⁻¹: [..., 4, 4] to [..., 6, 6]."""
+    C, t = T[..., :3, :3], T[..., :3, 3]
+    return _block_triangular(C, so3.wedge(t) @ C)
+
+
+def left_jacobian(xi: FloatArray) -> FloatArray:
+    """𝒥(ξ), with Exp(ξ + δ) ≈ Exp(𝒥 δ) Exp(ξ): [..., 6] to [..., 6, 6] (thesis eqs. 2.23, 2.24)."""
+    return _block_triangular(so3.left_jacobian(xi[..., 3:]), _q_matrix(xi))
+
+
+def left_jacobian_inverse(xi: FloatArray) -> FloatArray:
+    """𝒥(ξ)⁻¹, with Log(Exp(δ) Exp(ξ)) ≈ ξ + 𝒥⁻¹ δ: [..., 6] to [..., 6, 6]; singular at an angle of 2π."""
+    J_inverse = so3.left_jacobian_inverse(xi[..., 3:])
+    return _block_triangular(J_inverse, -J_inverse @ _q_matrix(xi) @ J_inverse)
+
+
+def _q_matrix(xi: FloatArray) -> FloatArray:
+    """Q(ξ), the upper right block of 𝒥(ξ): [..., 6] to [..., 3, 3].
+
+    Barfoot (2017) eq. (7.86b), its coefficients written as Stumpff functions, which need no special case at θ = 0.
+    """
+    angle_sq = np.sum(xi[..., 3:] ** 2, axis=-1)[..., None, None]
+    c_3, c_4, c_5 = (stumpff(order, angle_sq) for order in (3, 4, 5))
+    rho, phi = so3.wedge(xi[..., :3]), so3.wedge(xi[..., 3:])
+    phi_rho, rho_phi = phi @ rho, rho @ phi
+    phi_rho_phi = phi_rho @ phi
+    return (
+        0.5 * rho
+        + c_3 * (phi_rho + rho_phi + phi_rho_phi)
+        + c_4 * (phi @ phi_rho + rho_phi @ phi - 3.0 * phi_rho_phi)
+        + 0.5 * (c_4 - 3.0 * c_5) * (phi_rho_phi @ phi + phi @ phi_rho_phi)
+    )
+
+
+def _block_triangular(diagonal: FloatArray, upper_right: FloatArray) -> FloatArray:
+    """[[D, U], [0, D]] of [..., 3, 3] blocks."""
+    matrix = np.zeros((*diagonal.shape[:-2], 6, 6))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = diagonal
+    matrix[..., :3, 3:] = upper_right
+    return matrix

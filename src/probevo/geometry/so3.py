@@ -1,0 +1,59 @@
+"""Rotations SO(3) and their tangent vectors φ (thesis section 2.2).
+
+Functions are batched over leading dimensions. The adjoint of a rotation is the matrix itself: Exp(Cφ) = C Exp(φ) Cᵀ.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from probevo.arrays import FloatArray
+from probevo.geometry.stumpff import stumpff
+
+
+def wedge(phi: FloatArray) -> FloatArray:
+    """φ^, the skew-symmetric matrix with φ^ p = φ × p: [..., 3] to [..., 3, 3] (thesis eq. 2.4)."""
+    matrix = np.zeros((*phi.shape, 3))
+    matrix[..., 2, 1] = phi[..., 0]
+    matrix[..., 0, 2] = phi[..., 1]
+    matrix[..., 1, 0] = phi[..., 2]
+    return matrix - matrix.mT
+
+
+def vee(matrix: FloatArray) -> FloatArray:
+    """The inverse of ``wedge``: skew-symmetric [..., 3, 3] to [..., 3]."""
+    return np.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], axis=-1)
+
+
+def exp(phi: FloatArray) -> FloatArray:
+    """C = Exp(φ): rotation vectors [..., 3], rad, to rotations [..., 3, 3] (thesis eq. 2.3)."""
+    return Rotation.from_rotvec(phi).as_matrix()
+
+
+def log(C: FloatArray) -> FloatArray:
+    """φ = Log(C): rotations [..., 3, 3] to rotation vectors [..., 3], rad, of length at most π (thesis eq. 2.5).
+
+    It goes through the quaternion and is accurate to rounding at every angle, 0 and π among them; at π itself, where φ
+    and −φ are the same rotation, it returns either. A NaN matrix, an unknown rotation, gives a NaN vector.
+    """
+    return Rotation.from_matrix(C, assume_valid=True).as_rotvec()
+
+
+def left_jacobian(phi: FloatArray) -> FloatArray:
+    """J(φ), with Exp(φ + δ) ≈ Exp(J δ) Exp(φ): [..., 3] to [..., 3, 3] (thesis eqs. 2.15, 2.20)."""
+    angle_sq = np.sum(phi**2, axis=-1)[..., None, None]
+    phi_wedge = wedge(phi)
+    return np.eye(3) + stumpff(2, angle_sq) * phi_wedge + stumpff(3, angle_sq) * phi_wedge @ phi_wedge
+
+
+def left_jacobian_inverse(phi: FloatArray) -> FloatArray:
+    """J(φ)⁻¹, with Log(Exp(δ) Exp(φ)) ≈ φ + J⁻¹ δ: [..., 3] to [..., 3, 3]; singular at an angle of 2π.
+
+    Barfoot (2017) section 7.1.5: 1 − φ^/2 + (1/θ² − (1 + cos θ) / (2θ sin θ)) φ^φ^, whose last coefficient, 0/0 at both
+    0 and π as it stands, equals (c_3 − 2c_4) / (2c_2).
+    """
+    angle_sq = np.sum(phi**2, axis=-1)[..., None, None]
+    phi_wedge = wedge(phi)
+    coefficient = (stumpff(3, angle_sq) - 2.0 * stumpff(4, angle_sq)) / (2.0 * stumpff(2, angle_sq))
+    return np.eye(3) - 0.5 * phi_wedge + coefficient * phi_wedge @ phi_wedge

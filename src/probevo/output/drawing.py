@@ -1,0 +1,67 @@
+"""Tracks drawn on the image, coloured by how far each is trusted."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from probevo.arrays import AnyArray, FloatArray, Image, IntArray
+
+_COLORS_BGR = np.array([[60, 60, 225], [50, 130, 245], [70, 205, 245], [140, 205, 110], [200, 170, 40]])
+"""From distrusted (red) to trusted (blue-green), one a class of weights; apart also for the colour-blind."""
+_SHIFT = 4
+"""Fractional bits of the coordinates that OpenCV draws at."""
+
+
+def draw_tracks(
+    left: Image, prev_px: FloatArray, curr_px: FloatArray, weights: FloatArray, *, max_width_px: int = 960
+) -> bytes:
+    """The left image with a line from the previous to the current place of each point and a dot at the current one.
+
+    Args:
+        left: current left image, [height, width], uint8.
+        prev_px: (u_l, v_l, u_r, v_r) of each point in the previous frame, [N, 4], px.
+        curr_px: the same points in the current frame, [N, 4], px.
+        weights: how far the solver trusted each, 0 (not at all) … 1, [N].
+        max_width_px: the picture is scaled to this width.
+
+    Returns:
+        A JPEG file.
+    """
+    scale = max_width_px / left.shape[1]
+    picture = cv2.cvtColor(cv2.resize(left, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
+    picture = cv2.convertScaleAbs(picture, alpha=0.8)
+    ends = np.stack([prev_px[:, :2], curr_px[:, :2]], axis=1)
+    ends = np.round(((ends + 0.5) * scale - 0.5) * 2**_SHIFT).astype(np.int32)
+    classes = np.clip(weights * len(_COLORS_BGR), 0, len(_COLORS_BGR) - 1).astype(np.int64)
+    for k, color in enumerate(_COLORS_BGR.tolist()):
+        chosen = ends[classes == k]
+        cv2.polylines(picture, list(chosen), False, color, 1, cv2.LINE_AA, _SHIFT)
+        for u, v in chosen[:, 1].tolist():
+            cv2.circle(picture, (u, v), int(2.2 * 2**_SHIFT), color, cv2.FILLED, cv2.LINE_AA, _SHIFT)
+    _draw_legend(picture, np.bincount(classes, minlength=len(_COLORS_BGR)))
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 82])[1].tobytes()
+
+
+def _draw_legend(picture: AnyArray, counts: IntArray) -> None:
+    """Lower left: one box a class, with the number of tracks in it, between "distrusted" and "trusted"."""
+    box_w, box_h, margin = 34, 16, 8
+    top = picture.shape[0] - margin - box_h
+    x = _put_text(picture, "distrusted", margin + 4, top, box_h)
+    for color, count in zip(_COLORS_BGR.tolist(), counts.tolist(), strict=True):
+        cv2.rectangle(picture, (x, top), (x + box_w, top + box_h), color, cv2.FILLED)
+        _write(picture, str(count), x + 4, top + box_h - 4, (20, 20, 20))
+        x += box_w
+    _put_text(picture, "trusted", x + 6, top, box_h)
+
+
+def _put_text(picture: AnyArray, text: str, x: int, top: int, height: int) -> int:
+    """Write on a dark ground; returns where it ends."""
+    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)
+    cv2.rectangle(picture, (x - 4, top), (x + width + 4, top + height), (30, 30, 30), cv2.FILLED)
+    _write(picture, text, x, top + height - 4, (240, 240, 240))
+    return x + width + 6
+
+
+def _write(picture: AnyArray, text: str, x: int, y: int, color: tuple[int, int, int]) -> None:
+    cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, 1, cv2.LINE_AA)

@@ -1,0 +1,78 @@
+"""``motions.npz``: the relative motions of a run, all that its trajectory, evaluation and report follow from."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from probevo.arrays import AnyArray
+from probevo.errors import InputError
+from probevo.output.files import write_atomically
+from probevo.output.run_result import RunResult, chain_motions
+
+_STAGE, _REJECTED = "ms_", "rejected_"
+_CURE = "Expected a motions.npz written by `probevo run`."
+
+
+def write_motions(path: Path, result: RunResult) -> None:
+    """Write a run. The same run gives the same bytes but for its times: ``ms_<stage>`` and ``total_ms``."""
+    arrays: dict[str, AnyArray] = {
+        "stamps_ns": result.stamps_ns,
+        "T_curr_prev": result.T_curr_prev,
+        "cov": result.cov,
+        "status": result.status,
+        "num_tracks": result.num_tracks,
+        "total_ms": result.total_ms,
+    }
+    arrays |= {_STAGE + name: ms for name, ms in result.stage_ms.items()}
+    arrays |= {_REJECTED + name: np.array(count, dtype=np.int64) for name, count in result.rejected.items()}
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    write_atomically(path, buffer.getvalue())
+
+
+def read_motions(path: Path) -> RunResult:
+    """Read a run back as it was.
+
+    Raises:
+        InputError: the file cannot be read, an array is missing, or its shape does not fit the number of stamps.
+    """
+    try:
+        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise InputError(path, f"cannot be read: {error}", _CURE) from error
+    n = len(_take(path, arrays, "stamps_ns", None))
+    steps = max(n - 1, 0)
+    T_curr_prev = _take(path, arrays, "T_curr_prev", (steps, 4, 4))
+    stages = [name for name in arrays if name.startswith(_STAGE)]
+    reasons = [name for name in arrays if name.startswith(_REJECTED)]
+    cov = _take(path, arrays, "cov", (steps, 6, 6))
+    for k in np.flatnonzero(np.linalg.eigvalsh(cov).min(axis=1, initial=np.inf) <= 0.0)[:1]:
+        raise InputError(path, f"cov of motion {k} is not positive definite", _CURE)
+    return RunResult(
+        stamps_ns=arrays["stamps_ns"],
+        T_world_cam=chain_motions(T_curr_prev)[:n],
+        T_curr_prev=T_curr_prev,
+        cov=cov,
+        status=_take(path, arrays, "status", (steps,)),
+        num_tracks=_take(path, arrays, "num_tracks", (steps,)),
+        stage_ms={name.removeprefix(_STAGE): _take(path, arrays, name, (steps,)) for name in stages},
+        total_ms=_take(path, arrays, "total_ms", (steps,)),
+        rejected={name.removeprefix(_REJECTED): int(_take(path, arrays, name, ())) for name in reasons},
+    )
+
+
+def _take(path: Path, arrays: dict[str, AnyArray], name: str, shape: tuple[int, ...] | None) -> AnyArray:
+    """The array of that name; its shape must be the given one, or any with one axis."""
+    if name not in arrays:
+        raise InputError(path, f"{name} is missing", _CURE)
+    array = arrays[name]
+    if array.shape != shape and not (shape is None and array.ndim == 1):
+        raise InputError(path, f"{name} has shape {array.shape}, expected {shape or '[N]'}", _CURE)
+    if array.dtype.kind not in "if" or not np.isfinite(array).all():
+        raise InputError(path, f"{name} holds something that is no finite number", _CURE)
+    return array

@@ -1,0 +1,113 @@
+"""Figures of the report that show how the run went: tracks, status, times, and points turned away."""
+
+from __future__ import annotations
+
+from itertools import cycle, pairwise
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.motion.estimate import Status
+from probevo.output.run_result import RunResult
+from probevo.output.svg import BLUE, CYCLE, INK, LEGEND_ABOVE, WIDTH_IN
+
+_MOST_PLACES = 500
+STATUS_COLORS = {
+    Status.FIRST: "#8a949e",
+    Status.OK: "#2a9d8f",
+    Status.DEGENERATE: "#e9b949",
+    Status.TOO_FEW_TRACKS: "#e0651f",
+    Status.NOT_CONVERGED: "#b5446e",
+    Status.GAP: "#5b4b8a",
+}
+
+
+def status_label(status: Status) -> str:
+    """For people: "too few tracks"."""
+    return "OK" if status is Status.OK else status.name.replace("_", " ").lower()
+
+
+def group_size(result: RunResult) -> int:
+    """How many steps share one place on the time axis, so that a long run stays readable."""
+    return -(-len(result.status) // _MOST_PLACES)
+
+
+def tracks_figure(result: RunResult) -> Figure:
+    """Number of tracks of each step over time, and its status as a strip of colour below."""
+    starts, edges_s = _groups(result)
+    time_s = _seconds(result)
+    figure = Figure(figsize=(WIDTH_IN, 2.9))
+    tracks, strip = figure.subplots(2, 1, sharex=True, height_ratios=[8, 1])
+    fewest = np.minimum.reduceat(result.num_tracks, starts)
+    most = np.maximum.reduceat(result.num_tracks, starts)
+    tracks.stairs(most, edges_s, color=BLUE, alpha=0.15, fill=True)
+    tracks.stairs(fewest, edges_s, baseline=None, color=BLUE, lw=1.1)
+    tracks.set(ylabel="tracks", ylim=(0, 1.1 * max(int(most.max()), 1)), xlim=(edges_s[0], edges_s[-1]))
+    for start, end in _stretches(result.status):
+        strip.axvspan(time_s[start], time_s[end], color=STATUS_COLORS[Status(result.status[start])], lw=0.8)
+    strip.set(yticks=[], xlabel="time, s")
+    strip.grid(False)
+    strip.spines["left"].set_visible(False)
+    handles = [
+        Patch(color=STATUS_COLORS[Status(status)], label=f"{status_label(Status(status))}: {count:,}")
+        for status, count in zip(*np.unique(result.status, return_counts=True), strict=True)
+    ]
+    tracks.legend(handles=handles, ncols=3, **LEGEND_ABOVE)
+    return figure
+
+
+def stages_figure(result: RunResult) -> Figure:
+    """Wall time of each step, its stages stacked, and the total as a line; in groups, means and the slowest step."""
+    starts, edges_s = _groups(result)
+    sizes = np.diff([*starts, len(result.status)])
+    figure = Figure(figsize=(WIDTH_IN, 2.9))
+    axes = figure.add_subplot(xlabel="time, s", ylabel="ms a frame")
+    base_ms = np.zeros(len(starts))
+    for (name, ms), color in zip(result.stage_ms.items(), cycle(CYCLE), strict=False):
+        top_ms = base_ms + np.add.reduceat(ms, starts) / sizes
+        label = f"{name.replace('_', ' ')} {np.median(ms):.3g}"
+        axes.stairs(top_ms, edges_s, baseline=base_ms, fill=True, color=color, label=label)
+        base_ms = top_ms
+    slowest_ms = np.maximum.reduceat(result.total_ms, starts)
+    label = f"total {np.median(result.total_ms):.3g} (medians, ms)"
+    axes.stairs(slowest_ms, edges_s, baseline=None, color=INK, lw=0.7, label=label)
+    axes.set(ylim=(0, _readable_top(slowest_ms)), xlim=(edges_s[0], edges_s[-1]))
+    axes.legend(ncols=3, **LEGEND_ABOVE)
+    return figure
+
+
+def rejected_figure(rejected: dict[str, int]) -> Figure:
+    """How many candidate points each check turned away."""
+    ranked = sorted(rejected.items(), key=lambda reason: (reason[1], reason[0]))
+    total = max(sum(rejected.values()), 1)
+    figure = Figure(figsize=(WIDTH_IN, 0.8 + 0.32 * len(ranked)))
+    axes = figure.add_subplot(xlabel="points")
+    names, counts = [name.replace("_", " ") for name, _ in ranked], [count for _, count in ranked]
+    bars = axes.barh(names, counts, color=BLUE, height=0.65)
+    axes.bar_label(bars, [f"{count:,} ({100 * count / total:.0f} %)" for count in counts], padding=4, fontsize=8.5)
+    axes.set_xlim(0, 1.3 * max([*counts, 1]))
+    axes.grid(False, axis="y")
+    return figure
+
+
+def _seconds(result: RunResult) -> FloatArray:
+    return np.asarray((result.stamps_ns - result.stamps_ns[0]) * 1e-9)
+
+
+def _groups(result: RunResult) -> tuple[IntArray, FloatArray]:
+    """First step of each of G groups of steps, [G], and the times, s, between which they lie, [G+1]."""
+    starts = np.arange(0, len(result.status), group_size(result))
+    return starts, _seconds(result)[[*starts, len(result.status)]]
+
+
+def _stretches(values: IntArray) -> list[tuple[int, int]]:
+    """Start and end (exclusive) of each run of equal values."""
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return list(pairwise(edges))
+
+
+def _readable_top(slowest_ms: FloatArray) -> float:
+    """Upper limit that a single hiccup does not spoil."""
+    return 1.1 * max(min(float(slowest_ms.max()), 2.0 * float(np.percentile(slowest_ms, 95.0))), 1e-3)

@@ -1,0 +1,97 @@
+"""Image files: lists of stereo pairs, and a decoder that refuses a damaged picture."""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from probevo.arrays import Image
+from probevo.errors import InputError
+
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+JPEG_MAGIC, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+
+
+def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
+    """Image files of two folders, paired by name, in the order of their names.
+
+    Raises:
+        InputError: a folder is missing or holds no image, or an image lacks its partner.
+    """
+    left_files, right_files = _list_images(left), _list_images(right)
+    lonely = sorted(left_files.keys() ^ right_files.keys())
+    if lonely:
+        folder, other = (left, right) if lonely[0] in left_files else (right, left)
+        what = f"the partner of {folder.name}/{lonely[0]} is missing"
+        counts = f"{left.name} has {len(left_files)} images, {right.name} {len(right_files)}"
+        raise InputError(other / lonely[0], f"{what} ({counts}).", "Left and right images must bear the same names.")
+    return list(left_files.values()), list(right_files.values())
+
+
+def _list_images(folder: Path) -> dict[str, Path]:
+    if not folder.is_dir():
+        raise InputError(folder, "this image folder is missing.", "Left and right images lie in one folder each.")
+    files = {path.name: path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES}
+    if not files:
+        raise InputError(folder, "this folder holds no image.", f"Looked for {', '.join(sorted(SUFFIXES))}.")
+    return files
+
+
+def read_gray(path: Path, size_px: tuple[int, int] | None = None) -> Image:
+    """Decode one image to grayscale, [height, width], uint8.
+
+    Colour is turned to gray (Rec. 601 luma, as OpenCV does): everything downstream looks at gray values only, and many
+    cameras record nothing else. Sixteen bits are refused: how to squeeze them into eight decides which features appear.
+
+    Args:
+        path: PNG or JPEG file.
+        size_px: (width, height) that the image must have; None accepts any.
+
+    Raises:
+        InputError: missing, damaged (OpenCV itself may hand out the part that is left), not 8 bits, or of another size.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"this image cannot be read ({error.strerror}).") from error
+    damage = _damage(data)
+    image = None if damage else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise InputError(path, f"this image is damaged: {damage or 'it cannot be decoded'}.", "Copy the file anew.")
+    if image.dtype != np.uint8:
+        raise InputError(path, f"this image is {image.dtype}; expected 8 bits.", "Convert the images to 8 bits.")
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
+    height, width = image.shape
+    if size_px is not None and (width, height) != size_px:
+        what = f"this image has {width}×{height} px; expected {size_px[0]}×{size_px[1]} px."
+        raise InputError(path, what, "All images must have the size that the calibration was made for.")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _damage(data: bytes) -> str | None:
+    """What is wrong with the bytes of an image file; None if nothing is. Costs 2 % of the decoding."""
+    if data.startswith(PNG_MAGIC):
+        return _png_damage(data)
+    if data.startswith(JPEG_MAGIC):
+        return None if data.rstrip(b"\0").endswith(JPEG_END) else "its end is missing"
+    return "it is neither PNG nor JPEG" if data else "it is empty"
+
+
+def _png_damage(data: bytes) -> str | None:
+    """Walk the chunks (length, type, body, CRC) up to IEND."""
+    start = len(PNG_MAGIC)
+    while start + 12 <= len(data):
+        end = start + 12 + int.from_bytes(data[start : start + 4], "big")
+        if end > len(data):
+            break
+        if zlib.crc32(data[start + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            return f"the checksum of the chunk at byte {start} is wrong"
+        if data[start + 4 : start + 8] == b"IEND":
+            return None
+        start = end
+    return "its end is missing"

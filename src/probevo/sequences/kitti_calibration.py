@@ -1,0 +1,57 @@
+"""Calibration files of KITTI: one ``NAME: numbers`` a line, with the projections of the rectified cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.errors import InputError
+from probevo.geometry import se3
+from probevo.sequences.poses import check_rotation
+from probevo.sequences.text import parse_floats, read_lines
+
+
+class KittiCalibration:
+    """The fields of one calibration file, parsed when asked for: some hold dates."""
+
+    def __init__(self, path: Path, cure: str = "") -> None:
+        """Raises InputError where the file is missing or empty; ``cure`` says where to get it."""
+        self.path = path
+        self._texts = dict(line.partition(":")[::2] for _, line in read_lines(path, cure))
+
+    def array(self, field: str, *shape: int) -> FloatArray:
+        """Numbers of one field, in ``shape``. Raises InputError if it is missing or has another count of numbers."""
+        if field not in self._texts:
+            raise InputError(self.path, f"the field {field} is missing.", f"Found: {', '.join(self._texts)}.")
+        numbers = np.array(parse_floats(self._texts[field].split(), f"{self.path}: {field}"))
+        if numbers.size != np.prod(shape):
+            raise InputError(f"{self.path}: {field}", f"{numbers.size} numbers; expected {np.prod(shape)}.")
+        return numbers.reshape(shape)
+
+    def rotation(self, field: str) -> FloatArray:
+        """A rotation matrix, [3, 3]."""
+        return check_rotation(self.array(field, 3, 3), f"{self.path}: {field}")
+
+    def rigid_transform(self) -> FloatArray:
+        """The transform that the fields R and T make up, [4, 4]."""
+        return se3.from_parts(self.rotation("R"), self.array("T", 3))
+
+    def stereo_camera(self, left: str, right: str, size_px: tuple[int, int]) -> StereoCamera:
+        """The stereo camera of two projection fields, P = K [1 | −b e_x].
+
+        Raises:
+            InputError: the two disagree in more than the baseline, or that is not positive.
+        """
+        P_left, P_right = self.array(left, 3, 4), self.array(right, 3, 4)
+        if not np.allclose(P_left[:, :3], P_right[:, :3]):
+            what = f"{left} and {right} differ in focal length or principal point."
+            raise InputError(self.path, what, "The images must be rectified to one common camera.")
+        shift_px_m = float(P_left[0, 3] - P_right[0, 3])
+        fu, fv = float(P_left[0, 0]), float(P_left[1, 1])
+        baseline_m = shift_px_m / fu if fu else float("nan")
+        camera = StereoCamera(fu, fv, float(P_left[0, 2]), float(P_left[1, 2]), baseline_m, size_px)
+        check_camera(camera, f"{self.path}: {right}")
+        return camera

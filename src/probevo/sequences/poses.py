@@ -1,0 +1,87 @@
+"""Ground-truth poses: reading, checking, and carrying them over to the times of the frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.errors import InputError
+from probevo.geometry import se3, so3
+from probevo.sequences.frame import GroundTruth
+from probevo.sequences.text import read_table
+
+ROTATION_TOLERANCE = 1e-3
+"""Largest entry of C Cᵀ − 1 that rounding in a text file may explain."""
+LONGEST_GAP_NS = 500_000_000
+"""Truth is not interpolated over longer gaps; the slowest common source (OXTS in sync drives) comes every 0.1 s."""
+LONGEST_EXTRAPOLATION_NS = 50_000_000
+"""Nor carried further beyond its ends: half a period of that source."""
+
+
+def check_rotation(C: FloatArray, where: str | Path) -> FloatArray:
+    """The orthonormal matrices nearest to C, [..., 3, 3].
+
+    Raises:
+        InputError: one of them is no rotation, beyond rounding.
+    """
+    deviation = np.abs(C @ C.mT - np.eye(3)).max(axis=(-2, -1))
+    bad = np.flatnonzero(~(deviation < ROTATION_TOLERANCE) | ~(np.linalg.det(C) > 0))
+    if len(bad):
+        what = "this is not a rotation matrix" if C.ndim == 2 else f"pose {bad[0]} (from 0) holds no rotation matrix"
+        raise InputError(where, f"{what}: its columns must be orthonormal and right-handed.")
+    return Rotation.from_matrix(C).as_matrix()
+
+
+def read_kitti_poses(path: Path, stamps_ns: IntArray) -> GroundTruth:
+    """Poses in KITTI's text form: the first three rows of T_world_cam, 12 numbers a line, one line a frame.
+
+    A line of twelve ``nan`` marks a frame whose truth is unknown.
+
+    Raises:
+        InputError: the counts of poses and frames differ, or a line holds no pose.
+    """
+    rows = read_table(path, 12, nan_allowed=True)
+    if len(rows) != len(stamps_ns):
+        what = f"{len(rows)} poses for {len(stamps_ns)} frames."
+        raise InputError(path, what, "Each frame needs one line; write twelve nan where the pose is unknown.")
+    T = rows.reshape(-1, 3, 4)
+    return ground_truth(stamps_ns, se3.from_parts(T[:, :, :3], T[:, :, 3]), path)
+
+
+def ground_truth(stamps_ns: IntArray, T: FloatArray, where: str | Path) -> GroundTruth:
+    """Truth relative to the first known pose, from T_anyworld_cam [K, 4, 4], NaN where unknown.
+
+    Raises:
+        InputError: no pose is known, one is neither finite nor wholly NaN, or its rotation is none.
+    """
+    unknown = np.all(np.isnan(T[:, :3]), axis=(1, 2), keepdims=True)
+    broken = np.flatnonzero(~np.isfinite(np.where(unknown, 0.0, T)).reshape(len(T), 16).all(axis=1))
+    if len(broken):
+        raise InputError(where, f"pose {broken[0]} (from 0) is partly not finite.", "Use NaN throughout for unknown.")
+    if unknown.all():
+        what = f"it gives no pose between {stamps_ns[0]} and {stamps_ns[-1]} ns, the times of the frames."
+        raise InputError(where, what, "Remove it to go without ground truth.")
+    C = check_rotation(np.where(unknown, np.eye(3), T[:, :3, :3]), where)
+    T_any_cam = np.where(unknown, np.nan, se3.from_parts(C, T[:, :3, 3]))
+    return GroundTruth(stamps_ns, se3.inverse(T_any_cam[np.argmin(unknown)]) @ T_any_cam)
+
+
+def interpolate_poses(stamps_ns: IntArray, T: FloatArray, at_ns: IntArray) -> FloatArray:
+    """Poses T [M, 4, 4] at M ≥ 2 stamps, carried to the times ``at_ns`` [K]: [K, 4, 4].
+
+    Rotations turn at a constant rate between neighbours, positions move linearly. NaN in gaps over 0.5 s and further
+    than 50 ms beyond the ends; up to there the last motion goes on.
+    """
+    before = np.clip(np.searchsorted(stamps_ns, at_ns, side="right") - 1, 0, len(stamps_ns) - 2)
+    gap = stamps_ns[before + 1] - stamps_ns[before]
+    fraction = ((at_ns - stamps_ns[before]) / gap)[:, None]
+    start, end = T[before], T[before + 1]
+    turn = so3.log(start[:, :3, :3].mT @ end[:, :3, :3])
+    C = start[:, :3, :3] @ so3.exp(fraction * turn)
+    poses = se3.from_parts(C, start[:, :3, 3] + fraction * (end[:, :3, 3] - start[:, :3, 3]))
+    outside = np.maximum(stamps_ns[0] - at_ns, at_ns - stamps_ns[-1]) > LONGEST_EXTRAPOLATION_NS
+    poses[outside | (gap > LONGEST_GAP_NS)] = np.nan
+    return poses

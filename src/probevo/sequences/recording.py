@@ -1,0 +1,53 @@
+"""The recording of image files that every image format opens to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from probevo.arrays import IntArray
+from probevo.camera.rectification import Rectification
+from probevo.camera.stereo import StereoCamera
+from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration
+from probevo.sequences.images import read_gray
+from probevo.sequences.imu import ImuStream
+from probevo.sequences.read_ahead import read_ahead
+
+
+@dataclass(frozen=True, eq=False)
+class StereoRecording:
+    """A ``Sequence`` of stereo image files; the images are read while it is walked through."""
+
+    path: Path
+    format: str
+    camera: StereoCamera
+    stamps_ns: IntArray
+    left_files: list[Path]
+    right_files: list[Path]
+    imu: ImuCalibration | None = None
+    imu_stream: ImuStream | None = None
+    truth: GroundTruth | None = None
+    rectification: Rectification | None = None
+    """None where the files hold rectified images."""
+
+    def __len__(self) -> int:
+        """Number of frames, K."""
+        return len(self.stamps_ns)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames, from the first."""
+        return read_ahead(self._read_frame, range(len(self)))
+
+    def _read_frame(self, index: int) -> Frame:
+        start = time.perf_counter()
+        left = read_gray(self.left_files[index], self.camera.size_px)
+        right = read_gray(self.right_files[index], self.camera.size_px)
+        if self.rectification is not None:
+            left, right = self.rectification.rectify(left, right)
+        imu = None
+        if self.imu_stream is not None and index > 0:
+            imu = self.imu_stream.between(int(self.stamps_ns[index - 1]), int(self.stamps_ns[index]))
+        elapsed_ms = 1e3 * (time.perf_counter() - start)
+        return Frame(index, int(self.stamps_ns[index]), left, right, imu=imu, decode_ms=elapsed_ms)

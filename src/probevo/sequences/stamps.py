@@ -1,0 +1,76 @@
+"""Times of frames and samples: text in several notations to int64 ns, and the checks that all of them share."""
+
+from __future__ import annotations
+
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from probevo.arrays import IntArray
+from probevo.errors import InputError
+from probevo.sequences.text import INT64_LIMIT, parse_stamp_ns, read_lines
+
+NS_PER_S = 1_000_000_000
+
+
+def read_times(path: Path, count: int) -> IntArray:
+    """Times of ``count`` frames, one a line: seconds, or nanoseconds where every line is a whole number.
+
+    Seconds are read as decimals, so that Unix times keep their nanoseconds, which a float64 would lose.
+
+    Raises:
+        InputError: not numbers, not strictly ascending, or not ``count`` of them.
+    """
+    lines = read_lines(path, "It gives the time of each frame, in seconds, one a line.")
+    if all(line.lstrip("-").isdigit() for _, line in lines):
+        stamps = [parse_stamp_ns(line, where) for where, line in lines]
+    else:
+        stamps = [_seconds_to_ns(line, where) for where, line in lines]
+    return check_stamps(np.array(stamps, dtype=np.int64), path, count)
+
+
+def read_datetimes(path: Path, count: int) -> IntArray:
+    """Times of ``count`` frames, one a line, written as KITTI's ``2011-09-26 13:04:32.351950336``."""
+    lines = read_lines(path, "It gives the time of each frame.")
+    return check_stamps(np.array([_datetime_to_ns(line, where) for where, line in lines]), path, count)
+
+
+def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = None) -> IntArray:
+    """The same stamps, [K], if they ascend strictly and are ``count``.
+
+    Raises:
+        InputError: names the first pair out of order, or both counts.
+    """
+    if count is not None and len(stamps_ns) != count:
+        raise InputError(where, f"{len(stamps_ns)} stamps for {count} files.", "Each file needs exactly one.")
+    backwards = np.flatnonzero(np.diff(stamps_ns) <= 0)
+    if len(backwards):
+        at = int(backwards[0])
+        problem = "is a duplicate of" if stamps_ns[at + 1] == stamps_ns[at] else "is earlier than"
+        what = f"stamp {at + 1} ({stamps_ns[at + 1]} ns) {problem} stamp {at} ({stamps_ns[at]} ns)."
+        raise InputError(where, what, "Stamps must ascend strictly; stamps are counted from 0.")
+    if len(stamps_ns) > 1 and int(stamps_ns[-1]) - int(stamps_ns[0]) < 1_000 * (len(stamps_ns) - 1):
+        what = f"the stamps lie less than 1 µs apart ({stamps_ns[0]} to {stamps_ns[-1]} ns)."
+        raise InputError(where, what, "Whole numbers are read as nanoseconds; write seconds with a decimal point.")
+    return stamps_ns
+
+
+def _seconds_to_ns(text: str, where: str) -> int:
+    try:
+        stamp = Decimal(text) * NS_PER_S
+    except InvalidOperation:
+        raise InputError(where, f"the time {text!r} is not a number of seconds.") from None
+    if not stamp.is_finite() or abs(stamp) >= INT64_LIMIT:
+        raise InputError(where, f"the time {text!r} is not a finite number of seconds.")
+    return round(stamp)
+
+
+def _datetime_to_ns(text: str, where: str) -> int:
+    try:
+        moment: np.datetime64 = np.datetime64(text, "ns")
+    except ValueError:
+        moment = np.datetime64("NaT", "ns")
+    if np.isnat(moment):
+        raise InputError(where, f"the time {text!r} is not a date and time.", "Expected YYYY-MM-DD hh:mm:ss.nnnnnnnnn.")
+    return int(moment.astype(np.int64))

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.errors import InputError
+
+CAMERA = StereoCamera(fu_px=718.9, fv_px=720.1, cu_px=607.2, cv_px=185.2, baseline_m=0.54, size_px=(1241, 376))
+
+
+@pytest.fixture
+def points() -> FloatArray:
+    """1,000 points in view, from 2 to 80 m away, [1000, 3]."""
+    rng = np.random.default_rng(0)
+    z = np.geomspace(2.0, 80.0, 1000)
+    return np.stack([rng.uniform(-0.8, 0.8, 1000) * z, rng.uniform(-0.25, 0.25, 1000) * z, z], axis=1)
+
+
+@pytest.fixture
+def pixels(points: FloatArray) -> FloatArray:
+    """What the camera sees of them, with a pixel or so of noise that keeps the disparity positive, [1000, 4]."""
+    return CAMERA.project(points) + np.random.default_rng(1).uniform(-1.0, 1.0, (1000, 4))
+
+
+def relative_error(actual: FloatArray, expected: FloatArray) -> float:
+    return float(np.max(np.linalg.norm(actual - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))))
+
+
+def test_triangulate_inverts_project(points: FloatArray) -> None:
+    np.testing.assert_allclose(CAMERA.triangulate(CAMERA.project(points)), points, rtol=1e-11)
+
+
+def test_project_inverts_triangulate_where_rows_agree(pixels: FloatArray) -> None:
+    pixels[:, 3] = pixels[:, 1]
+    np.testing.assert_allclose(CAMERA.project(CAMERA.triangulate(pixels)), pixels, rtol=1e-12)
+
+
+def test_triangulate_is_the_least_squares_inverse(pixels: FloatArray) -> None:
+    """Where the rows differ, each is off by half their difference."""
+    residual = pixels - CAMERA.project(CAMERA.triangulate(pixels))
+    half = 0.5 * (pixels[:, 1] - pixels[:, 3])
+    np.testing.assert_allclose(residual, np.stack([0 * half, half, 0 * half, -half], axis=1), atol=1e-10)
+
+
+def test_the_right_camera_sees_what_a_camera_moved_by_the_baseline_sees(points: FloatArray) -> None:
+    moved = CAMERA.project(points - [CAMERA.baseline_m, 0.0, 0.0])
+    np.testing.assert_allclose(CAMERA.project(points)[:, 2:], moved[:, :2], rtol=1e-13)
+
+
+def test_project_jacobian_against_central_differences(points: FloatArray) -> None:
+    steps = 1e-5 * np.eye(3)
+    p = points[:, None, :]
+    differences = (CAMERA.project(p + steps) - CAMERA.project(p - steps)) / 2e-5
+    assert relative_error(CAMERA.project_jacobian(points), differences.mT) < 1e-6
+
+
+def test_triangulate_jacobian_against_central_differences(pixels: FloatArray) -> None:
+    steps = 1e-4 * np.eye(4)
+    y = pixels[:, None, :]
+    differences = (CAMERA.triangulate(y + steps) - CAMERA.triangulate(y - steps)) / 2e-4
+    assert relative_error(CAMERA.triangulate_jacobian(pixels), differences.mT) < 1e-6
+
+
+def test_the_jacobians_are_inverse(points: FloatArray) -> None:
+    """G F = 1, as g ∘ f is the identity."""
+    product = CAMERA.triangulate_jacobian(CAMERA.project(points)) @ CAMERA.project_jacobian(points)
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-11)
+
+
+def test_check_accepts_a_sound_camera() -> None:
+    check_camera(CAMERA, "calib.txt")
+    check_camera(dataclasses.replace(CAMERA, size_px=None), "calib.txt")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("fu_px", np.nan, "fu_px is nan"),
+        ("cv_px", np.inf, "cv_px is inf"),
+        ("baseline_m", np.nan, "baseline_m is nan"),
+        ("fu_px", 0.0, "fu_px is 0 px"),
+        ("fv_px", -718.9, r"fv_px is -718\.9 px"),
+        ("baseline_m", 0.0, "Are the left and right calibration the same file"),
+        ("baseline_m", -0.54, "Are the left and right cameras swapped"),
+        ("cu_px", 5000.0, "cu_px is 5000 px, far outside the image of 1241 × 376 px"),
+        ("cv_px", -300.0, "cv_px is -300 px, far outside"),
+        ("size_px", (1241, 0), "size_px is 1241 × 0"),
+    ],
+)
+def test_check_refuses_an_impossible_camera(field: str, value: object, message: str) -> None:
+    with pytest.raises(InputError, match=rf"calib\.txt: (.|\n)*{message}"):
+        check_camera(dataclasses.replace(CAMERA, **{field: value}), "calib.txt")  # type: ignore[arg-type]

@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray
+from probevo.evaluation.consistency import Consistency, drift_covariances, drift_errors, motion_consistency
+from probevo.geometry import se3
+
+COV = np.diag([0.02, 0.01, 0.05, 0.002, 0.003, 0.001]) ** 2
+COV[0, 4] = COV[4, 0] = 0.5 * 0.02 * 0.003
+
+
+def noisy_motions(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
+    """True motions and estimates of them with T_true = Exp(ξ) T_est, ξ ~ N(0, COV)."""
+    est = se3.exp(rng.normal([0, 0, 1, 0, 0.02, 0], 0.05, (count, 6)))
+    return se3.exp(rng.multivariate_normal(np.zeros(6), COV, count)) @ est, est
+
+
+def test_honest_covariance_has_anees_6_and_nominal_coverage() -> None:
+    true, est = noisy_motions(np.random.default_rng(0), 4000)
+    consistency = motion_consistency(est, np.tile(COV, (4000, 1, 1)), true)
+    assert consistency is not None
+    low, high = consistency.anees_interval(0.99)
+    assert low < consistency.anees < high
+    for percent, share in consistency.coverage.items():
+        assert share == pytest.approx(int(percent) / 100.0, abs=0.025)
+
+
+@pytest.mark.parametrize("factor", [0.25, 4.0])
+def test_anees_scales_with_dishonesty(factor: float) -> None:
+    true, est = noisy_motions(np.random.default_rng(1), 2000)
+    consistency = motion_consistency(est, np.tile(factor * COV, (2000, 1, 1)), true)
+    assert consistency is not None
+    assert consistency.anees == pytest.approx(6.0 / factor, rel=0.05)
+
+
+def test_only_steps_with_truth_count() -> None:
+    true, est = noisy_motions(np.random.default_rng(2), 10)
+    cov = np.tile(COV, (10, 1, 1))
+    half = motion_consistency(est[:5], cov[:5], true[:5])
+    true[5:] = np.nan
+    assert half is not None
+    np.testing.assert_array_equal(motion_consistency(est, cov, true).nees, half.nees)
+    assert motion_consistency(est, cov, np.full_like(true, np.nan)) is None
+
+
+def test_interval_of_anees_closes_in_on_6() -> None:
+    low, high = Consistency(np.full(100_000, 6.0)).anees_interval()
+    assert 5.9 < low < 6.0 < high < 6.1
+
+
+def test_drift_of_many_runs_fits_its_covariance() -> None:
+    """Average NEES of the pose after 20 noisy steps, over 300 runs, lies in the 99 % interval of χ²(6)/300."""
+    rng = np.random.default_rng(3)
+    nees = []
+    for _ in range(300):
+        true, est = noisy_motions(rng, 20)
+        error = drift_errors(_trajectory(est), _trajectory(true))[-1]
+        cov = drift_covariances(est, np.tile(COV, (20, 1, 1)))[-1]
+        nees.append(error @ np.linalg.solve(cov, error))
+    consistency = Consistency(np.array(nees))
+    low, high = consistency.anees_interval(0.99)
+    assert low < consistency.anees < high
+
+
+def test_drift_starts_certain() -> None:
+    np.testing.assert_array_equal(drift_covariances(np.tile(np.eye(4), (3, 1, 1)), np.tile(COV, (3, 1, 1)))[0], 0.0)
+    assert drift_covariances(np.empty((0, 4, 4)), np.empty((0, 6, 6))).shape == (1, 6, 6)
+
+
+def _trajectory(T_curr_prev: FloatArray) -> FloatArray:
+    poses = [np.eye(4)]
+    for motion in T_curr_prev:
+        poses.append(poses[-1] @ se3.inverse(motion))
+    return np.array(poses)

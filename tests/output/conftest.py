@@ -1,0 +1,35 @@
+"""Fabricated runs, shared by the tests of output."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from probevo.geometry import se3
+from probevo.motion.estimate import MotionEstimate, Status
+from probevo.output.run_result import RunRecorder, RunResult
+
+STEP_NS = 103_500_000
+
+
+@pytest.fixture(scope="session")
+def make_run() -> Callable[..., RunResult]:
+    """Makes a run of that many frames along a gentle curve; the same but for its times, whatever ``hurry``."""
+
+    def make(count: int, speed: float = 1.0, hurry: float = 1.0) -> RunResult:
+        rng = np.random.default_rng(0)
+        recorder = RunRecorder()
+        first = MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, num_tracks=0)
+        for k in range(count):
+            xi = speed * np.array([0.0, 0.0, -1.0, 0.0, 0.02, 0.0]) + rng.normal(0.0, 0.001, 6)
+            stages = {"track": hurry * rng.uniform(4, 6), "solve": hurry * rng.uniform(0.5, 1)}
+            status = Status.GAP if k % 40 == 39 else Status.OK
+            motion = MotionEstimate(se3.exp(xi), 1e-5 * np.eye(6), status, int(rng.integers(200, 300)), stage_ms=stages)
+            recorder.add(
+                10**18 + k * STEP_NS, motion if k else first, rejected={"row_offset": 3, "flow": 5} if k else {}
+            )
+        return recorder.result()
+
+    return make

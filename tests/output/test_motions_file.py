@@ -1,0 +1,90 @@
+import zipfile
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo.errors import InputError
+from probevo.output.motions_file import read_motions, write_motions
+from probevo.output.run_result import RunResult
+
+
+@pytest.mark.parametrize("count", [1, 2, 30])
+def test_a_run_comes_back_as_it_was(make_run: Callable[..., RunResult], tmp_path: Path, count: int) -> None:
+    run = make_run(count)
+    write_motions(tmp_path / "motions.npz", run)
+    back = read_motions(tmp_path / "motions.npz")
+    for field in fields(RunResult):
+        np.testing.assert_equal(getattr(back, field.name), getattr(run, field.name))
+
+
+def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    write_motions(tmp_path / "motions.npz", make_run(5))
+    with np.load(tmp_path / "motions.npz") as archive:
+        found = {name: (archive[name].shape, archive[name].dtype.str) for name in archive.files}
+    assert found == {
+        "stamps_ns": ((5,), "<i8"),
+        "T_curr_prev": ((4, 4, 4), "<f8"),
+        "cov": ((4, 6, 6), "<f8"),
+        "status": ((4,), "<i8"),
+        "num_tracks": ((4,), "<i8"),
+        "total_ms": ((4,), "<f8"),
+        "ms_track": ((4,), "<f8"),
+        "ms_solve": ((4,), "<f8"),
+        "rejected_row_offset": ((), "<i8"),
+        "rejected_flow": ((), "<i8"),
+    }
+
+
+def test_only_times_differ_between_runs(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    write_motions(tmp_path / "a.npz", make_run(20))
+    write_motions(tmp_path / "b.npz", make_run(20, hurry=1.5))
+    with zipfile.ZipFile(tmp_path / "a.npz") as a, zipfile.ZipFile(tmp_path / "b.npz") as b:
+        assert a.namelist() == b.namelist()
+        differing = {name for name in a.namelist() if a.read(name) != b.read(name)}
+        assert {info.date_time for info in a.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+    assert differing == {"ms_track.npy", "ms_solve.npy", "total_ms.npy"}
+
+
+def test_the_same_run_gives_the_same_bytes(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_motions(tmp_path / name, make_run(20))
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"cov": None}, "cov is missing"),
+        ({"stamps_ns": None}, "stamps_ns is missing"),
+        ({"T_curr_prev": np.zeros((3, 4, 4))}, r"T_curr_prev has shape \(3, 4, 4\)"),
+        ({"cov": np.zeros((4, 6, 6))}, "cov of motion 0 is not positive definite"),
+        ({"cov": np.full((4, 6, 6), np.nan)}, "cov holds something that is no finite number"),
+        ({"status": np.array(["a"] * 4)}, "status holds something"),
+        ({"rejected_flow": np.zeros(2)}, "rejected_flow has shape"),
+    ],
+)
+def test_malformed_contents(
+    make_run: Callable[..., RunResult], tmp_path: Path, change: dict[str, np.ndarray | None], complaint: str
+) -> None:
+    write_motions(tmp_path / "good.npz", make_run(5))
+    with np.load(tmp_path / "good.npz") as archive:
+        arrays = dict(archive) | change
+    np.savez(tmp_path / "bad.npz", **{name: array for name, array in arrays.items() if array is not None})
+    with pytest.raises(InputError, match=complaint):
+        read_motions(tmp_path / "bad.npz")
+
+
+def test_unreadable_files(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    write_motions(tmp_path / "good.npz", make_run(5))
+    whole = (tmp_path / "good.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.npz").write_text("not a zip")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    np.save(tmp_path / "single.npy", np.eye(3))
+    (tmp_path / "flipped.npz").write_bytes(whole.replace(b"\x00\x00\xf0\x3f", b"\x00\x00\xf0\x3e"))
+    for name in ("absent.npz", "cut.npz", "text.npz", "empty.npz", "single.npy", "flipped.npz", "."):
+        with pytest.raises(InputError, match="cannot be read"):
+            read_motions(tmp_path / name)

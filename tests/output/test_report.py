@@ -1,0 +1,128 @@
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+from probevo.evaluation.metrics import evaluate
+from probevo.output.drawing import draw_tracks
+from probevo.output.metrics_table import readable
+from probevo.output.report import write_report
+from probevo.output.run_result import RunResult
+
+
+def page_of(run: RunResult, folder: Path, truth: np.ndarray | None = None, **options: object) -> str:
+    metrics = None if truth is None else evaluate(run.T_world_cam, truth, run.T_curr_prev, run.cov)
+    write_report(folder / "report.html", run, "A <run>", {"noise": "student-t & co"}, truth, metrics, **options)
+    assert [path.name for path in folder.iterdir()] == ["report.html"]
+    return (folder / "report.html").read_text()
+
+
+class Balance(HTMLParser):
+    """Collects ids and links, and checks that elements close in the order in which they opened."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in {"meta", "img"}:
+            self.open.append(tag)
+        self.handle_startendtag(tag, attrs)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+        self.links += [value or "" for name, value in attrs if name in {"href", "src", "xlink:href"}]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.mark.parametrize("count", [2, 3, 60])
+@pytest.mark.parametrize("known", ["all", "none", "some", "one"])
+def test_page_is_whole_and_self_contained(
+    make_run: Callable[..., RunResult], tmp_path: Path, count: int, known: str
+) -> None:
+    run = make_run(count)
+    truth = run.T_world_cam.copy()
+    truth[{"all": 0, "none": count, "some": count // 3, "one": 1}[known] :: 2 if known == "some" else 1] = np.nan
+    if known == "all":
+        truth = run.T_world_cam
+    jpeg = draw_tracks(np.zeros((60, 200), dtype=np.uint8), np.empty((0, 4)), np.empty((0, 4)), np.empty(0))
+    page = page_of(run, tmp_path, None if known == "none" else truth, thumbnails=[("Frame 1", jpeg)], config="a: <1>")
+
+    parsed = Balance()
+    parsed.feed(page)
+    assert not parsed.open
+    assert len(parsed.ids) == len(set(parsed.ids))
+    assert all(link.startswith(("data:", "#")) for link in parsed.links)
+    assert {link[1:] for link in parsed.links if link.startswith("#")} <= set(parsed.ids)
+    assert {*re.findall(r"url\(#(.*?)\)", page)} <= set(parsed.ids)
+    assert "http" not in page
+    assert "<script" not in page
+    assert "@import" not in page
+    assert "A &lt;run&gt;" in page
+    assert "student-t &amp; co" in page
+    assert "a: &lt;1&gt;" in page
+    assert not re.search(r"\bnan\b", page)
+
+
+def test_at_rest_lengths_are_in_mm(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    run = make_run(30, speed=0.0)
+    page = page_of(run, tmp_path, np.tile(np.eye(4), (30, 1, 1)))
+    assert "forward z, mm" in page
+    assert "time, s" in page
+    assert "distance travelled" not in page
+
+
+def test_long_run_stays_small(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    run = make_run(5000)
+    assert len(page_of(run, tmp_path, run.T_world_cam)) < 3_000_000
+
+
+def test_same_run_gives_the_same_bytes(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    pages = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        pages.append(page_of(make_run(20), tmp_path / name))
+    assert pages[0] == pages[1]
+
+
+def test_matplotlib_is_left_as_it_was(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    # Merely reading "backend" resolves it.
+    before = {key: matplotlib.rcParams[key] for key in matplotlib.rcParams if key != "backend"}
+    page_of(make_run(5), tmp_path)
+    assert {key: matplotlib.rcParams[key] for key in before} == before
+
+
+def test_pyplot_is_never_imported() -> None:
+    code = "import sys, probevo.output.report; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_one_frame_is_no_run(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="two frames"):
+        page_of(make_run(1), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (51, "51"),
+        (4999.0, "4,999"),
+        (9.756, "9.76"),
+        (0.00586, "0.00586"),
+        (-123.4, "-123"),
+        (99.96, "100"),
+    ],
+)
+def test_readable_numbers(value: float, text: str) -> None:
+    assert readable(value) == text

@@ -1,0 +1,45 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from probevo.geometry import se3
+from probevo.motion.estimate import MotionEstimate, Status
+from probevo.output.run_result import RunRecorder, RunResult, chain_motions
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 30])
+def test_shapes_hold_for_any_number_of_frames(make_run: Callable[..., RunResult], count: int) -> None:
+    run = make_run(count)
+    steps = max(count - 1, 0)
+    assert len(run) == count
+    assert run.T_world_cam.shape == (count, 4, 4)
+    assert run.T_curr_prev.shape == (steps, 4, 4)
+    assert run.cov.shape == (steps, 6, 6)
+    assert run.status.shape == run.num_tracks.shape == run.total_ms.shape == (steps,)
+    assert all(ms.shape == (steps,) for ms in run.stage_ms.values())
+
+
+def test_trajectory_chains_the_motions(make_run: Callable[..., RunResult]) -> None:
+    run = make_run(10)
+    np.testing.assert_array_equal(run.T_world_cam[0], np.eye(4))
+    for k, T_curr_prev in enumerate(run.T_curr_prev):
+        np.testing.assert_allclose(se3.inverse(run.T_world_cam[k + 1]) @ run.T_world_cam[k], T_curr_prev, atol=1e-12)
+
+
+def test_moving_forward_moves_the_camera_forward() -> None:
+    """Points come closer by 1 m a step: p_curr = p_prev − z."""
+    T_curr_prev = np.tile(np.eye(4), (3, 1, 1))
+    T_curr_prev[:, 2, 3] = -1.0
+    np.testing.assert_array_equal(chain_motions(T_curr_prev)[:, :3, 3], [[0, 0, 0], [0, 0, 1], [0, 0, 2], [0, 0, 3]])
+
+
+def test_totals_and_stages_that_come_and_go() -> None:
+    recorder = RunRecorder()
+    for k, stages in enumerate([{}, {"track": 5.0}, {"track": 4.0, "solve": 1.0}]):
+        motion = MotionEstimate(np.eye(4), np.eye(6), Status.OK, 10, stage_ms=stages)
+        recorder.add(k, motion, total_ms=7.5 if k == 2 else None, rejected={"flow": k})
+    run = recorder.result()
+    assert {name: ms.tolist() for name, ms in run.stage_ms.items()} == {"track": [5.0, 4.0], "solve": [0.0, 1.0]}
+    assert run.total_ms.tolist() == [5.0, 7.5]
+    assert run.rejected == {"flow": 3}

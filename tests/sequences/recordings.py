@@ -1,0 +1,173 @@
+"""Writes tiny recordings, one function a format. Each returns the path to open; the vehicle drives 1 m along z a frame.
+
+Other tests use them too: ``from sequences.recordings import write_folder_sequence``.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from probevo.arrays import AnyArray, Image, IntArray
+
+WIDTH_PX, HEIGHT_PX = 64, 48
+FU_PX, CU_PX, CV_PX, BASELINE_M = 50.0, 31.5, 23.5, 0.5
+C_CAM_IMU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""IMU axes forward, left, up to camera axes right, down, forward."""
+START_NS = 1_400_000_000_123_456_789
+FRAME_NS = 100_000_000
+LATITUDE_DEG, LONGITUDE_DEG = 49.0, 8.0
+EARTH_RADIUS_M = 6378137.0
+
+
+def stamps_ns(frames: int) -> IntArray:
+    return START_NS + FRAME_NS * np.arange(frames)
+
+
+def image(index: int, right: bool = False) -> Image:
+    """A random picture that tells frames and sides apart."""
+    return np.random.default_rng([index, right]).integers(0, 256, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8)
+
+
+def write_image(path: Path, pixels: AnyArray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(path.suffix, pixels)[1].tobytes())
+
+
+def write_lines(path: Path, lines: list[str]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def numbers(values: AnyArray | list[float], separator: str = " ") -> str:
+    return separator.join(repr(float(value)) for value in np.ravel(values))
+
+
+def poses(frames: int) -> AnyArray:
+    T_world_cam = np.tile(np.eye(4), (frames, 1, 1))
+    T_world_cam[:, 2, 3] = np.arange(frames)
+    return T_world_cam
+
+
+def write_folder_sequence(root: Path, frames: int = 4, *, imu: bool = True, truth: bool = True) -> Path:
+    """The layout of ``open_folder``; the IMU turns at 0.1 rad/s around the up axis and is sampled every 10 ms."""
+    for index in range(frames):
+        write_image(root / "left" / f"{index:06d}.png", image(index))
+        write_image(root / "right" / f"{index:06d}.png", image(index, right=True))
+    calibration = [f"fu_px: {FU_PX}", f"fv_px: {FU_PX}", f"cu_px: {CU_PX}", f"cv_px: {CV_PX}"]
+    calibration += [f"baseline_m: {BASELINE_M}", f"width_px: {WIDTH_PX}", f"height_px: {HEIGHT_PX}"]
+    if imu:
+        calibration += ["imu:", f"  C_cam_imu: {C_CAM_IMU.tolist()}", "  gyro_noise_rad_s_sqrt_hz: 1.0e-4"]
+        calibration += ["  gyro_bias_sigma_rad_s: 0.01"]
+        samples = np.arange(START_NS - 5_000_000, START_NS + frames * FRAME_NS, 10_000_000)
+        rows = [f"{stamp},0,0,0.1,0,0,9.81" for stamp in samples]
+        write_lines(root / "imu.csv", ["stamp_ns,wx,wy,wz,ax,ay,az", *rows])
+    write_lines(root / "calib.yaml", calibration)
+    write_lines(root / "times.txt", [f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in stamps_ns(frames)])
+    if truth:
+        write_lines(root / "poses.txt", [numbers(T[:3]) for T in poses(frames)])
+    return root
+
+
+def projection(shift_px_m: float = 0.0) -> str:
+    return numbers([FU_PX, 0.0, CU_PX, shift_px_m, 0.0, FU_PX, CV_PX, 0.0, 0.0, 0.0, 1.0, 0.0])
+
+
+def write_kitti_odometry(root: Path, frames: int = 4, *, truth: bool = True) -> Path:
+    """``sequences/07`` and ``poses/07.txt``."""
+    sequence = root / "sequences" / "07"
+    for index in range(frames):
+        write_image(sequence / "image_0" / f"{index:06d}.png", image(index))
+        write_image(sequence / "image_1" / f"{index:06d}.png", image(index, right=True))
+    write_lines(sequence / "calib.txt", [f"P0: {projection()}", f"P1: {projection(-FU_PX * BASELINE_M)}"])
+    write_lines(sequence / "times.txt", [f"{0.1 * index:.6e}" for index in range(frames)])
+    if truth:
+        write_lines(root / "poses" / "07.txt", [numbers(T[:3]) for T in poses(frames)])
+    return sequence
+
+
+def kitti_time(stamp_ns: int) -> str:
+    return str(np.datetime64(int(stamp_ns), "ns")).replace("T", " ")
+
+
+def write_kitti_raw(root: Path, frames: int = 4, *, oxts: bool = True, packet_delay_ns: int = 0) -> Path:
+    """A drive to the east, and the calibration of its date. The packets lag the images by ``packet_delay_ns``."""
+    date = root / "2011_09_26"
+    drive = date / "2011_09_26_drive_0099_sync"
+    for index in range(frames):
+        write_image(drive / "image_00" / "data" / f"{index:010d}.png", image(index))
+        write_image(drive / "image_01" / "data" / f"{index:010d}.png", image(index, right=True))
+    times = [kitti_time(stamp) for stamp in stamps_ns(frames)]
+    write_lines(drive / "image_00" / "timestamps.txt", times)
+    write_lines(drive / "image_01" / "timestamps.txt", times)
+    rectified = [f"S_rect_00: {WIDTH_PX} {HEIGHT_PX}", f"R_rect_00: {numbers(np.eye(3))}", f"P_rect_00: {projection()}"]
+    rectified += [f"P_rect_01: {projection(-FU_PX * BASELINE_M)}"]
+    write_lines(date / "calib_cam_to_cam.txt", ["calib_time: 09-Jan-2012 13:57:47", *rectified])
+    write_lines(date / "calib_velo_to_cam.txt", [f"R: {numbers(C_CAM_IMU)}", "T: 0 0 0"])
+    write_lines(date / "calib_imu_to_velo.txt", [f"R: {numbers(np.eye(3))}", "T: 0 0 0"])
+    if oxts:
+        metre_deg = np.degrees(1 / (EARTH_RADIUS_M * np.cos(np.radians(LATITUDE_DEG))))
+        for index in range(frames):
+            packet = np.zeros(30)
+            packet[:3] = LATITUDE_DEG, LONGITUDE_DEG + index * metre_deg, 100.0
+            packet[11:14], packet[17:20] = (0.0, 0.0, 9.81), (0.01, 0.02, 0.03 + index)
+            write_lines(drive / "oxts" / "data" / f"{index:010d}.txt", [numbers(packet)])
+        times = [kitti_time(stamp + packet_delay_ns) for stamp in stamps_ns(frames)]
+        write_lines(drive / "oxts" / "timestamps.txt", times)
+    return drive
+
+
+def sensor_yaml(T_body_sensor: AnyArray, *more: str) -> list[str]:
+    matrix = f"  data: [{numbers(T_body_sensor, ', ')}]"
+    return ["%YAML:1.0", "# comment", "T_BS:", "  cols: 4", "  rows: 4", matrix, *more]
+
+
+def write_euroc(root: Path, frames: int = 4) -> Path:
+    """``mav0`` with ideal cameras side by side, a body that looks along +z and truth every 50 ms."""
+    mav = root / "mav0"
+    stamps = stamps_ns(frames)
+    for side, camera in enumerate(("cam0", "cam1")):
+        for index, stamp in enumerate(stamps):
+            write_image(mav / camera / "data" / f"{stamp}.png", image(index, right=bool(side)))
+        T_body_cam = np.eye(4)
+        T_body_cam[0, 3] = side * BASELINE_M
+        intrinsics = f"intrinsics: [{FU_PX}, {FU_PX}, {CU_PX}, {CV_PX}] #fu, fv, cu, cv"
+        model = ["distortion_model: radial-tangential", "distortion_coefficients: [0.0, 0.0, 0.0, 0.0]"]
+        more = ["camera_model: pinhole", f"resolution: [{WIDTH_PX}, {HEIGHT_PX}]", intrinsics, *model]
+        write_lines(mav / camera / "sensor.yaml", sensor_yaml(T_body_cam, *more))
+        write_lines(mav / camera / "data.csv", ["#timestamp [ns],filename", *(f"{s},{s}.png" for s in stamps)])
+    T_body_imu = np.eye(4)
+    T_body_imu[:3, :3] = C_CAM_IMU
+    noise = ["gyroscope_noise_density: 1.7e-04", "gyroscope_random_walk: 1.9e-05"]
+    write_lines(mav / "imu0" / "sensor.yaml", sensor_yaml(T_body_imu, *noise))
+    samples = np.arange(START_NS - 5_000_000, stamps[-1] + 5_000_001, 5_000_000)
+    write_lines(mav / "imu0" / "data.csv", ["#timestamp [ns],w,a", *(f"{s},0,0,0.1,0,0,9.81" for s in samples)])
+    truth = np.arange(START_NS - 30_000_000, stamps[-1] + FRAME_NS, 50_000_000)
+    rows = [f"{s},0,0,{float((s - START_NS) / FRAME_NS)!r},1,0,0,0,0,0,10" for s in truth]
+    write_lines(mav / "state_groundtruth_estimate0" / "data.csv", ["#time(ns),px,py,pz,qw,qx,qy,qz,v", *rows])
+    return root
+
+
+def tracks_arrays(frames: int = 4, points: int = 6) -> dict[str, AnyArray]:
+    """The arrays of a tracks file; every point is seen in every frame."""
+    uv = np.random.default_rng(0).uniform(0.0, 40.0, (frames * points, 4))
+    uv[:, 2] = uv[:, 0] - 5.0
+    return {
+        "frame": np.repeat(np.arange(frames, dtype=np.int32), points),
+        "track": np.tile(np.arange(points, dtype=np.int32), frames),
+        "uv": uv.astype(np.float32),
+        "t": 1_400_000_000.0 + 0.1 * np.arange(frames),
+        "omega": np.arange(frames)[:, None] * [0.0, 0.0, 0.1],
+        "velocity": np.tile([10.0, 0.0, 0.0], (frames, 1)),
+        "C_cam_imu": C_CAM_IMU,
+        "p_imu_cam": np.zeros(3),
+        "T_world_cam": poses(frames),
+        "camera": np.array([FU_PX, FU_PX, CU_PX, CV_PX, BASELINE_M]),
+    }
+
+
+def write_tracks(root: Path, frames: int = 4, **changes: AnyArray | None) -> Path:
+    """``tracks.npz``; ``changes`` replaces arrays, None leaves one out."""
+    arrays = tracks_arrays(frames) | changes
+    np.savez(root / "tracks.npz", **{name: array for name, array in arrays.items() if array is not None})
+    return root / "tracks.npz"

@@ -1,0 +1,161 @@
+"""Every format: what was written comes back, with the same meaning."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo.camera.stereo import StereoCamera
+from probevo.sequences import open_sequence
+from sequences.recordings import (
+    BASELINE_M,
+    C_CAM_IMU,
+    CU_PX,
+    CV_PX,
+    FU_PX,
+    HEIGHT_PX,
+    WIDTH_PX,
+    image,
+    poses,
+    stamps_ns,
+    write_euroc,
+    write_folder_sequence,
+    write_kitti_odometry,
+    write_kitti_raw,
+    write_tracks,
+)
+
+WRITERS: dict[str, Callable[[Path], Path]] = {
+    "folder": write_folder_sequence,
+    "kitti-odometry": write_kitti_odometry,
+    "kitti-raw": write_kitti_raw,
+    "euroc": write_euroc,
+    "tracks": write_tracks,
+}
+RECTIFIED = ("folder", "kitti-odometry", "kitti-raw")
+
+
+@pytest.mark.parametrize("format", WRITERS)
+def test_format_is_detected_and_can_be_named(format: str, tmp_path: Path) -> None:
+    path = WRITERS[format](tmp_path)
+    assert open_sequence(path).format == format
+    assert open_sequence(str(path), format).path == path
+
+
+@pytest.mark.parametrize("format", WRITERS)
+def test_frames_are_numbered_and_carry_the_stamps(format: str, tmp_path: Path) -> None:
+    sequence = open_sequence(WRITERS[format](tmp_path))
+    frames = list(sequence)
+    assert len(frames) == len(sequence) == 4
+    assert [frame.index for frame in frames] == [0, 1, 2, 3]
+    assert [frame.stamp_ns for frame in frames] == sequence.stamps_ns.tolist()
+
+
+@pytest.mark.parametrize("format", WRITERS)
+def test_truth_advances_one_metre_a_frame(format: str, tmp_path: Path) -> None:
+    truth = open_sequence(WRITERS[format](tmp_path)).truth
+    assert truth is not None
+    assert truth.known.all()
+    np.testing.assert_allclose(truth.T_world_cam, poses(4), atol=1e-6)
+
+
+@pytest.mark.parametrize("format", WRITERS)
+def test_a_sequence_can_be_walked_twice(format: str, tmp_path: Path) -> None:
+    sequence = open_sequence(WRITERS[format](tmp_path))
+    for first, second in zip(sequence, sequence, strict=True):
+        np.testing.assert_equal(first.left, second.left)
+        np.testing.assert_equal(first.features and first.features.pixels, second.features and second.features.pixels)
+
+
+@pytest.mark.parametrize("format", RECTIFIED)
+def test_images_come_back(format: str, tmp_path: Path) -> None:
+    sequence = open_sequence(WRITERS[format](tmp_path))
+    assert sequence.camera == StereoCamera(FU_PX, FU_PX, CU_PX, CV_PX, BASELINE_M, (WIDTH_PX, HEIGHT_PX))
+    for frame in sequence:
+        np.testing.assert_array_equal(frame.left, image(frame.index))
+        np.testing.assert_array_equal(frame.right, image(frame.index, right=True))
+        assert frame.decode_ms > 0
+
+
+@pytest.mark.parametrize("format", ["folder", "kitti-raw", "euroc", "tracks"])
+def test_imu_covers_every_interval(format: str, tmp_path: Path) -> None:
+    sequence = open_sequence(WRITERS[format](tmp_path))
+    first, *others = sequence
+    assert first.imu is None
+    for frame in others:
+        assert frame.imu is not None
+        assert frame.imu.stamps_ns[0] <= sequence.stamps_ns[frame.index - 1]
+        assert frame.imu.stamps_ns[-1] >= frame.stamp_ns
+    assert sequence.imu is not None
+    np.testing.assert_allclose(sequence.imu.C_cam_imu, C_CAM_IMU, atol=1e-12)
+
+
+@pytest.mark.parametrize("format", ["folder", "euroc", "kitti-raw"])
+def test_stamps_keep_their_nanoseconds(format: str, tmp_path: Path) -> None:
+    np.testing.assert_array_equal(open_sequence(WRITERS[format](tmp_path)).stamps_ns, stamps_ns(4))
+
+
+def test_folder_without_imu_and_truth(tmp_path: Path) -> None:
+    sequence = open_sequence(write_folder_sequence(tmp_path, imu=False, truth=False))
+    assert sequence.imu is None
+    assert sequence.truth is None
+    assert all(frame.imu is None for frame in sequence)
+
+
+def test_folder_accepts_nanoseconds_and_sparse_truth(tmp_path: Path) -> None:
+    write_folder_sequence(tmp_path)
+    (tmp_path / "times.txt").write_text("\n".join(map(str, stamps_ns(4))))
+    lines = (tmp_path / "poses.txt").read_text().splitlines()
+    (tmp_path / "poses.txt").write_text("\n".join(["nan " * 12, lines[1], "nan " * 12, lines[3]]))
+    sequence = open_sequence(tmp_path)
+    np.testing.assert_array_equal(sequence.stamps_ns, stamps_ns(4))
+    assert sequence.truth is not None
+    np.testing.assert_array_equal(sequence.truth.known, [False, True, False, True])
+    np.testing.assert_allclose(sequence.truth.T_world_cam[[1, 3]], poses(3)[[0, 2]], atol=1e-12)
+
+
+def test_folder_time_offset_moves_the_imu_to_the_clock_of_the_images(tmp_path: Path) -> None:
+    write_folder_sequence(tmp_path)
+    with (tmp_path / "calib.yaml").open("a") as file:
+        file.write("  time_offset_s: 0.003\n")
+    _, second, *_ = open_sequence(tmp_path)
+    assert second.imu is not None
+    assert second.imu.stamps_ns[0] == stamps_ns(4)[0] - 2_000_000
+
+
+def test_euroc_drops_images_without_a_partner(tmp_path: Path) -> None:
+    path = write_euroc(tmp_path)
+    lines = (path / "mav0" / "cam0" / "data.csv").read_text().splitlines()
+    (path / "mav0" / "cam0" / "data.csv").write_text("\n".join([*lines[:2], *lines[3:]]))
+    np.testing.assert_array_equal(open_sequence(path).stamps_ns, stamps_ns(4)[[0, 2, 3]])
+
+
+def test_euroc_opens_from_within_mav0(tmp_path: Path) -> None:
+    sequence = open_sequence(write_euroc(tmp_path) / "mav0")
+    assert sequence.camera.baseline_m == pytest.approx(BASELINE_M)
+
+
+def test_kitti_raw_without_oxts(tmp_path: Path) -> None:
+    sequence = open_sequence(write_kitti_raw(tmp_path, oxts=False))
+    assert sequence.imu is None
+    assert sequence.truth is None
+
+
+def test_tracks_come_back_frame_by_frame(tmp_path: Path) -> None:
+    kept = np.r_[0:6, 12:24]  # frame 1 has no features
+    with np.load(write_tracks(tmp_path)) as archive:
+        arrays = {name: archive[name][kept] for name in ("frame", "track", "uv")}
+    for frame in open_sequence(write_tracks(tmp_path, **arrays)):
+        assert frame.left is None
+        assert frame.features is not None
+        rows = arrays["frame"] == frame.index
+        np.testing.assert_array_equal(frame.features.ids, arrays["track"][rows])
+        np.testing.assert_array_equal(frame.features.pixels, arrays["uv"][rows])
+
+
+def test_tracks_gyro_sample_holds_over_the_interval_that_it_ends(tmp_path: Path) -> None:
+    for frame in list(open_sequence(write_tracks(tmp_path)))[1:]:
+        assert frame.imu is not None
+        np.testing.assert_allclose(frame.imu.gyro_rad_s[-2:, 2], 0.1 * frame.index)
+        assert np.isnan(frame.imu.accel_m_s2).all()

@@ -1,0 +1,59 @@
+"""Malformed tracks files: each is refused with the array and what is wrong with it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from probevo.arrays import AnyArray
+from sequences.damage import assert_refused, cut
+from sequences.recordings import tracks_arrays, write_tracks
+
+
+def changed(name: str, index: Any, value: float) -> dict[str, AnyArray]:
+    array = tracks_arrays()[name].astype(float if np.isnan(value) else tracks_arrays()[name].dtype)
+    array[index] = value
+    return {name: array}
+
+
+TRACKS: dict[str, tuple[dict[str, AnyArray | None], list[str]]] = {
+    "array missing": ({"uv": None}, ["the array uv is missing"]),
+    "gyro without its place": ({"C_cam_imu": None}, ["omega", "C_cam_imu"]),
+    "wrong shape": ({"uv": np.zeros((24, 3))}, [": uv", "(24, 3)", "[n, 4]"]),
+    "lengths differ": ({"track": np.arange(23)}, [": track", "(23,)"]),
+    "scalar": ({"frame": np.array(3)}, [": frame", "()"]),
+    "no times": ({"t": np.zeros(0)}, [": t", "empty"]),
+    "times duplicate": ({"t": np.array([1.0, 2.0, 2.0, 3.0])}, [": t", "stamp 2", "duplicate"]),
+    "times in ns": ({"t": 1.4e18 + 1e8 * np.arange(4)}, [": t", "seconds"]),
+    "NaN pixel": (changed("uv", (5, 1), np.nan), [": uv", "row 5", "not finite"]),
+    "NaN rate": (changed("omega", (2, 0), np.nan), [": omega", "row 2"]),
+    "fractional frames": ({"frame": tracks_arrays()["frame"] + 0.5}, [": frame", "whole numbers"]),
+    "words": ({"t": np.array(["a", "b", "c", "d"])}, [": t", "numbers"]),
+    "pickled objects": ({"uv": np.array([None] * 24)}, ["plain arrays"]),
+    "frames unsorted": ({"frame": tracks_arrays()["frame"][::-1]}, [": frame", "Sort"]),
+    "frame beyond the times": (changed("frame", -1, 4), [": frame", "4 times"]),
+    "track twice in a frame": (changed("track", 1, 0), [": track", "track 0", "twice", "frame 0"]),
+    "baseline negative": (changed("camera", 4, -0.5), [": camera", "baseline_m"]),
+    "C_cam_imu no rotation": ({"C_cam_imu": np.ones((3, 3))}, [": C_cam_imu", "rotation"]),
+    "truth infinite": (changed("T_world_cam", (1, 0, 3), np.inf), [": T_world_cam", "pose 1"]),
+}
+
+
+@pytest.mark.parametrize("case", TRACKS)
+def test_malformed_tracks(case: str, tmp_path: Path) -> None:
+    changes, fragments = TRACKS[case]
+    assert_refused(write_tracks(tmp_path, **changes), ["tracks.npz", *fragments])
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.9])
+def test_cut_tracks_file(kept: float, tmp_path: Path) -> None:
+    write_tracks(tmp_path)
+    cut("tracks.npz", kept)(tmp_path)
+    assert_refused(tmp_path / "tracks.npz", ["tracks.npz", "not a readable .npz"])
+
+
+def test_a_single_array_is_no_tracks_file(tmp_path: Path) -> None:
+    with (tmp_path / "tracks.npz").open("wb") as file:
+        np.save(file, np.zeros(3))
+    assert_refused(tmp_path / "tracks.npz", ["tracks.npz", "not a readable .npz"])
