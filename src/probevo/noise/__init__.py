@@ -1,0 +1,7 @@
+"""Noise models: predictors φ in, the noise of each stereo feature out."""
+
+from probevo.noise.base import NoiseModel, StereoNoise
+from probevo.noise.fixed import Fixed
+from probevo.noise.student_t import StudentT
+
+__all__ = ["Fixed", "NoiseModel", "StereoNoise", "StudentT"]

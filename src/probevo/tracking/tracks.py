@@ -6,9 +6,11 @@ Everything left of it may be absent (a tracks file has no images); everything ri
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from probevo.arrays import FloatArray, IntArray
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -27,4 +29,16 @@ class Tracks:
     """How many candidate points each consistency check turned away on this step, by the check's name."""
 
     def __len__(self) -> int:
+        """Number of points, N."""
         return len(self.ids)
+
+    @staticmethod
+    def none() -> Tracks:
+        """No tracks at all."""
+        return Tracks(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+    def kept(self, keep: BoolArray) -> Tracks:
+        """Only those points, [N]."""
+        return replace(
+            self, prev_px=self.prev_px[keep], curr_px=self.curr_px[keep], ids=self.ids[keep], age=self.age[keep]
+        )

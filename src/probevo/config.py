@@ -1,0 +1,114 @@
+"""Every setting of the odometry, with its bounds and its why. Defaults < file < flags."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class TrackingConfig(_Settings):
+    """Detection and Lucas–Kanade tracking."""
+
+    num_features: int = Field(
+        600, ge=8, le=20_000, description="Features wanted a frame; more cost time, few gain beyond 600."
+    )
+    cell_px: int = Field(40, ge=8, le=400, description="Side of the grid cells over which features are spread.")
+    fast_threshold: int = Field(
+        10, ge=1, le=100, description="Contrast of a FAST corner; low, as the grid ranks them anyway."
+    )
+    window_px: int = Field(
+        11, ge=5, le=51, description="Side of the Lucas–Kanade window; 11 tracks as well as 21 at a third of the time."
+    )
+    pyramid_levels: int = Field(
+        4, ge=0, le=8, description="Pyramid levels above the image; 4 reach 100 px on a fast road."
+    )
+    high_pass_px: int = Field(
+        21,
+        ge=0,
+        le=201,
+        description="Side of the box whose mean is taken off the image before tracking, against changes of exposure and vignetting; 0 is off.",
+    )
+    max_row_offset_px: float = Field(
+        2.5,
+        gt=0,
+        le=50,
+        description="Stereo matches further apart in rows are wrong; real rectification errors reach 2 px.",
+    )
+    min_disparity_px: float = Field(
+        0.0, ge=-5, le=50, description="Stereo matches with less disparity are wrong; far points carry rotation, so 0."
+    )
+
+
+class RansacConfig(_Settings):
+    """Random sample consensus for the first guess, and to reject outliers."""
+
+    threshold_px: float = Field(
+        3.0, gt=0, le=100, description="Reprojection error within which a feature agrees with a motion."
+    )
+    confidence: float = Field(
+        0.99,
+        gt=0,
+        lt=1,
+        description="Probability of an outlier-free sample: 0.99 is PROBE's nominal, 0.9999 its aggressive setting.",
+    )
+    rotation_from: Literal["points", "gyro"] = Field(
+        "points", description="Three points fix a motion; with the gyro's rotation one does."
+    )
+    reject: bool = Field(
+        True, description="Keep outliers from the solve altogether, rather than leave them to the robust loss."
+    )
+
+
+class SolverConfig(_Settings):
+    """Reprojection solve and what counts as a result."""
+
+    loss: Literal["noise", "l2", "huber", "cauchy", "tukey"] = Field(
+        "noise", description="Robust loss; `noise` takes the likelihood of the noise model itself."
+    )
+    max_iterations: int = Field(20, ge=1, le=1000, description="Of Levenberg–Marquardt; it takes 5 to 10.")
+    min_tracks: int = Field(6, ge=3, le=1000, description="With fewer features a motion is not worth its covariance.")
+    max_translation_sigma_m: float = Field(
+        0.25, gt=0, description="A solve less sure of any direction than this is degenerate."
+    )
+    max_rotation_sigma_rad: float = Field(
+        0.02, gt=0, description="A solve less sure of any axis than this is degenerate."
+    )
+
+
+class MotionModelConfig(_Settings):
+    """What is known of the vehicle: carries motion on where the camera is blind, and exposes impossible results."""
+
+    acceleration_m_s2: float = Field(
+        5.0, gt=0, description="Standard deviation of the acceleration; a car brakes with 3 to 10."
+    )
+    angular_acceleration_rad_s2: float = Field(2.0, gt=0, description="Standard deviation of the angular acceleration.")
+    start_speed_m_s: float = Field(20.0, gt=0, description="Standard deviation of the unknown speed at start.")
+    start_turn_rate_rad_s: float = Field(1.0, gt=0, description="Standard deviation of the unknown turn rate at start.")
+    gap_factor: float = Field(2.5, gt=1, description="A step longer than this many usual ones misses frames.")
+
+
+class GyroConfig(_Settings):
+    """Use of the gyro, where there is one."""
+
+    prior: bool = Field(
+        False, description="Let the gyro's rotation, with its noise and the estimated bias, enter the solve."
+    )
+
+
+class OdometryConfig(_Settings):
+    """All settings of ``StereoOdometry``."""
+
+    seed: int = Field(0, ge=0, description="Of every random choice: the same seed gives the same bytes.")
+    self_calibration: bool = Field(
+        True, description="Learn the row and disparity errors of the rectification on the way."
+    )
+    tracking: TrackingConfig = TrackingConfig()
+    ransac: RansacConfig = RansacConfig()
+    solver: SolverConfig = SolverConfig()
+    motion_model: MotionModelConfig = MotionModelConfig()
+    gyro: GyroConfig = GyroConfig()

@@ -1,0 +1,80 @@
+"""What the last motion lets one expect of the next: where tracking starts, what is carried on when it fails, what is absurd."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.config import MotionModelConfig
+from probevo.geometry import se3
+from probevo.motion.reprojection import RotationPrior
+
+ABSURD = 60.0
+"""Squared Mahalanobis length of a motion's surprise, six degrees of freedom, beyond which it is not believed: about 7σ."""
+
+
+@dataclass(frozen=True)
+class ExpectedMotion:
+    """Motion over the coming step, before its images are looked at."""
+
+    T_curr_prev: FloatArray
+    """[4, 4]."""
+    cov: FloatArray
+    """Covariance of its left perturbation, [6, 6]."""
+
+    def is_absurd(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
+        """Whether a solved motion and its covariance cannot come from what was expected."""
+        surprise = se3.log(T_curr_prev @ se3.inverse(self.T_curr_prev))
+        return bool(surprise @ np.linalg.solve(self.cov + cov, surprise) > ABSURD)
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """Constant velocity in the camera's own frame, disturbed by white acceleration."""
+
+    config: MotionModelConfig
+    twist_s: FloatArray
+    """Log(T_curr_prev) a second, [6], of the last motion that was solved."""
+    twist_sigma_s: FloatArray
+    """Its standard deviation, [6], m/s and rad/s."""
+    usual_step_s: float = 0.0
+    """Running mean of the time between frames; 0 before the second."""
+
+    @staticmethod
+    def at_start(config: MotionModelConfig) -> MotionModel:
+        """Nothing is known: any speed that the configuration holds possible."""
+        sigma = np.repeat([config.start_speed_m_s, config.start_turn_rate_rad_s], 3)
+        return MotionModel(config, np.zeros(6), sigma)
+
+    def expected(self, duration_s: float, gyro: RotationPrior | None) -> ExpectedMotion:
+        """Motion over the coming step; the rotation is the gyro's where there is one."""
+        T_curr_prev = se3.exp(self.twist_s * duration_s)
+        cov = np.diag((self._drifted_sigma(duration_s) * duration_s) ** 2)
+        if gyro is not None:
+            T_curr_prev[:3, :3] = gyro.C_curr_prev
+            cov[3:, 3:] = gyro.cov
+        return ExpectedMotion(T_curr_prev, cov)
+
+    def is_gap(self, duration_s: float) -> bool:
+        """Whether frames are missing in a step that long."""
+        return self.usual_step_s > 0.0 and duration_s > self.config.gap_factor * self.usual_step_s
+
+    def after(self, duration_s: float, solved: tuple[FloatArray, FloatArray] | None) -> MotionModel:
+        """The belief after a step: of the solved T_curr_prev [4, 4] and its cov [6, 6], or older by one step for None."""
+        model = self
+        if not self.is_gap(duration_s):
+            usual = duration_s if self.usual_step_s == 0.0 else 0.9 * self.usual_step_s + 0.1 * duration_s
+            model = replace(model, usual_step_s=usual)
+        if solved is None:
+            return replace(model, twist_sigma_s=self._drifted_sigma(duration_s))
+        T_curr_prev, cov = solved
+        sigma = np.sqrt(np.diagonal(cov)) / duration_s
+        return replace(model, twist_s=se3.log(T_curr_prev) / duration_s, twist_sigma_s=sigma)
+
+    def _drifted_sigma(self, duration_s: float) -> FloatArray:
+        """Standard deviation of the twist after so much more time, [6]."""
+        acceleration = np.repeat([self.config.acceleration_m_s2, self.config.angular_acceleration_rad_s2], 3)
+        drifted: FloatArray = np.hypot(self.twist_sigma_s, acceleration * duration_s)
+        return drifted

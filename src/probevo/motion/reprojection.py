@@ -1,0 +1,177 @@
+"""The reprojection solve on SE(3) (PROBE-GK eq. 14), with the noise of the triangulated points folded in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.motion.kernels import minimize, observation_to_point, residual_jacobians
+from probevo.motion.robust import RobustLoss
+from probevo.noise.base import StereoNoise
+
+CONVERGED_BELOW = 1e-6
+"""Length of the last step ξ (m and rad together) below which the solve has converged."""
+EXPECTED_FEATURES = 20.0
+"""How many features the noise model's own word counts for, against the residuals seen, in the scale of the covariance."""
+
+
+@dataclass(frozen=True)
+class RotationPrior:
+    """What a gyro knows of the rotation: C_curr_prev, [3, 3], and the covariance of its left perturbation, [3, 3], rad²."""
+
+    C_curr_prev: FloatArray
+    cov: FloatArray
+
+
+@dataclass(frozen=True)
+class ReprojectionSolution:
+    """A motion, and everything about the features at it that others need."""
+
+    T_curr_prev: FloatArray
+    """[4, 4]."""
+    cov: FloatArray
+    """Covariance of the left perturbation ξ = [ρ; φ] of it, [6, 6]; NaN where the features do not fix all of ξ."""
+    squared: FloatArray
+    """eᵀ Σ⁻¹ e of each feature, [N]; Σ is the scale of its residual."""
+    weight: FloatArray
+    """Robust weight of each feature against that of a perfect one, [N], in [0, 1]."""
+    refined: FloatArray
+    """Most likely (u, v, disparity) of each feature in the previous frame given both observations, [N, 3], px."""
+    residuals: FloatArray
+    """y' − f(T g(y)), bias removed, to first order around the refined points, [N, 4], px."""
+    jacobian: FloatArray
+    """How ξ moves the prediction f(T g(y)), [N, 4, 6], px/m and px/rad."""
+    disparity_jacobian: FloatArray
+    """How the disparity in the previous frame moves it, [N, 4]."""
+    curvature: FloatArray
+    """Σ w Jᵀ Σ⁻¹ J and the prior's information: the Hessian of the last step, [6, 6]."""
+    information: FloatArray
+    """Σ⁻¹ of each feature, [N, 4, 4], px⁻²."""
+    iterations: int
+    converged: bool
+
+
+def solve_reprojection(
+    prev_px: FloatArray,
+    curr_px: FloatArray,
+    noise: StereoNoise,
+    guess: FloatArray,
+    camera: StereoCamera,
+    *,
+    loss: RobustLoss | None = None,
+    prior: RotationPrior | None = None,
+    max_iterations: int = 20,
+) -> ReprojectionSolution:
+    """Most likely motion T_curr_prev given N features in two frames.
+
+    Minimises Σ ρ(eᵀ Σ⁻¹ e) over T, where e = y' − f(T g(y)) is the residual. If the noise refers to single observations,
+    R, then Σ = R + A S Aᵀ with S the noise of the triangulated point and A = ∂(f ∘ T)/∂(u, v, d); if it refers to the
+    residual, Σ is the scale itself.
+
+    Args:
+        prev_px, curr_px: observations y and y', [N, 4], px. The disparity may be zero or slightly negative: a point at
+            infinity still speaks of rotation.
+        noise: noise of the N features.
+        guess: where to start, T_curr_prev, [4, 4]; within the basin of convergence, e.g. from RANSAC.
+        camera: the rectified camera.
+        loss: robust loss; by default that of the noise's own Student-t.
+        prior: rotation known from elsewhere.
+        max_iterations: of Levenberg–Marquardt.
+    """
+    loss = RobustLoss.student_t() if loss is None else loss
+    count = len(prev_px)
+    fb = camera.fu_px * camera.baseline_m
+    intrinsics = np.array([camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, fb])
+    propagate = noise.refers_to == "observation"
+    bias = np.broadcast_to(noise.bias, (count, 4))
+    scale = np.ascontiguousarray(np.broadcast_to(noise.scale, (count, 4, 4)))
+    dof = np.ascontiguousarray(np.broadcast_to(noise.dof, (count,)))
+    parameter = loss.parameters(dof)
+
+    seen, point_cov = np.empty((count, 3)), np.zeros((count, 3, 3))
+    observed = np.ascontiguousarray(prev_px - bias) if propagate else np.ascontiguousarray(prev_px)
+    observation_to_point(observed, scale, propagate, seen, point_cov)
+    curr = np.ascontiguousarray(curr_px - bias)
+
+    C, t = np.array(guess[:3, :3]), np.array(guess[:3, 3])
+    refined, offset, information = seen.copy(), np.zeros((count, 4)), np.zeros((count, 4, 4))
+    squared = np.zeros(count)
+    C_prior, prior_information = np.eye(3), np.zeros((3, 3))
+    if prior is not None:
+        C_prior, prior_information = np.ascontiguousarray(prior.C_curr_prev), np.linalg.inv(prior.cov)
+    iterations, converged, _ = minimize(
+        C, t, intrinsics, seen, point_cov, curr, scale, int(loss.kind), parameter, C_prior, prior_information,
+        max_iterations, CONVERGED_BELOW, refined, offset, information, squared,
+    )  # fmt: skip
+    residuals, jacobian, disparity_jacobian = np.empty((count, 4)), np.empty((count, 4, 6)), np.empty((count, 4))
+    residual_jacobians(C, t, intrinsics, refined, offset, curr, residuals, jacobian, disparity_jacobian)
+    weight = loss.weight(squared, dof)
+    white = np.einsum("nij,njk->nik", information, jacobian)
+    features_information = _information(jacobian, white, squared, weight, loss, dof)
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = C, t
+    prior_block = np.zeros((6, 6))
+    prior_block[3:, 3:] = prior_information
+    return ReprojectionSolution(
+        T_curr_prev=motion,
+        cov=_inverse_or_nan(features_information + prior_block),
+        squared=squared,
+        weight=weight / np.maximum(loss.weight(np.zeros(count), dof), 1e-12),
+        refined=refined,
+        residuals=residuals,
+        jacobian=jacobian,
+        disparity_jacobian=disparity_jacobian,
+        curvature=_sum_products(jacobian, white * weight[:, None, None]) + prior_block,
+        information=information,
+        iterations=iterations,
+        converged=converged,
+    )
+
+
+def _information(
+    jacobian: FloatArray,
+    white: FloatArray,
+    squared: FloatArray,
+    weight: FloatArray,
+    loss: RobustLoss,
+    dof: FloatArray,
+) -> FloatArray:
+    """Information of the features about ξ, [6, 6]: the sandwich A B⁻¹ A of the M-estimate, with B taken as A times a scalar.
+
+    A = Σ a Jᵀ Σ⁻¹ J with a = w + (2/d) w' s, the curvature of the loss, whose mean over a Student-t is (ν+d)/(ν+d+2) and which
+    vanishes for outliers; B = Σ b Jᵀ Σ⁻¹ J with b = w² s/d, the scatter of its gradient. The ratio of their sums is a variance
+    factor: one if the noise is as the model says, larger if the residuals are. It starts from the model's own a and b
+    (``RobustLoss.moments``) as if a few features had shown them.
+    """
+    count, dim = squared.shape[0], 4
+    log_step = 1e-4
+    slope = loss.weight(squared * np.exp(log_step), dof) - loss.weight(squared * np.exp(-log_step), dof)
+    curvature = weight + slope / (dim * log_step)
+    scatter = weight**2 * squared / dim
+    expected_curvature, expected_scatter = (moment.mean() for moment in loss.moments(dof))
+    spent = count * dim / max(count * dim - 6.0, 1.0)
+    factor = (EXPECTED_FEATURES * expected_scatter + spent * scatter.sum()) / (
+        EXPECTED_FEATURES * expected_curvature + curvature.sum()
+    )
+    return _sum_products(jacobian, white * curvature[:, None, None]) / factor
+
+
+def _sum_products(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Σ_n left_nᵀ right_n of [N, 4, 6] each: [6, 6], made symmetric."""
+    total = left.reshape(-1, 6).T @ right.reshape(-1, 6)
+    return 0.5 * (total + total.T)
+
+
+def _inverse_or_nan(information: FloatArray) -> FloatArray:
+    """Its inverse, or NaN where the information is not positive definite to working precision, [6, 6]."""
+    scale = np.sqrt(np.diagonal(information))
+    if not (np.isfinite(information).all() and (scale > 0.0).all()):
+        return np.full((6, 6), np.nan)
+    eigenvalues, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    if eigenvalues[0] < 1e-12:
+        return np.full((6, 6), np.nan)
+    covariance: FloatArray = (vectors / eigenvalues) @ vectors.T / np.outer(scale, scale)
+    return covariance

@@ -1,0 +1,163 @@
+"""Stereo images → tracks: persistent corners followed by Lucas–Kanade, in time and from left to right (thesis 3.2.2)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, Image, IntArray
+from probevo.camera.stereo import StereoCamera
+from probevo.config import TrackingConfig
+from probevo.sequences.frame import Frame
+from probevo.tracking.detection import detect_corners
+from probevo.tracking.tracks import Tracks
+
+MIN_EIGENVALUE = 1e-4
+"""Smallest eigenvalue of the window's gradient matrix (over its area, in OpenCV's scaling) that can be tracked."""
+MAX_ITERATIONS, MAX_STEP_PX = 20, 0.01
+"""Lucas–Kanade stops here on each pyramid level."""
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """Features alive in the last frame."""
+
+    image: Image
+    pixels: FloatArray  # [N, 4]
+    ids: IntArray
+    age: IntArray
+
+    def kept(self, keep: BoolArray | IntArray) -> _Followed:
+        return _Followed(self.image, self.pixels[keep], self.ids[keep], self.age[keep])
+
+
+class ImageTracker:
+    """Follows corners through a stereo recording.
+
+    Args:
+        camera: the rectified camera.
+        config: settings of detection and tracking.
+    """
+
+    def __init__(self, camera: StereoCamera, config: TrackingConfig) -> None:
+        self._camera = camera
+        self._config = config
+        self._followed: _Followed | None = None
+        self._next_id = 0
+
+    def track(self, frame: Frame, expected: FloatArray) -> Tracks:
+        """The features of the previous frame that are found in this one.
+
+        Args:
+            frame: with both images.
+            expected: T_curr_prev that the search starts from, [4, 4].
+        """
+        if frame.left is None or frame.right is None:
+            raise ValueError(f"frame {frame.index} has no images")
+        left, right = _high_pass(frame.left, self._config), _high_pass(frame.right, self._config)
+        rejected: Counter[str] = Counter()
+        before = self._followed or _Followed(left, np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64))
+        before, left_px, disparity = self._follow_in_time(before, left, expected, rejected)
+        corners = detect_corners(left, left_px, self._config)
+        right_px, matched = self._match_right(
+            left, right, np.vstack([left_px, corners]), np.r_[disparity, np.zeros(len(corners))], rejected
+        )
+        survived, born = matched[: len(left_px)], matched[len(left_px) :]
+        pixels = np.hstack([np.vstack([left_px, corners]), right_px])
+        num_born = int(born.sum())
+        now = _Followed(
+            left,
+            pixels[matched],
+            np.r_[before.ids[survived], self._next_id + np.arange(num_born)],
+            np.r_[before.age[survived] + 1, np.ones(num_born, np.int64)],
+        )
+        self._next_id += num_born
+        self._followed = now
+        num = int(survived.sum())
+        return Tracks(before.pixels[survived], now.pixels[:num], now.ids[:num], now.age[:num], dict(rejected))
+
+    def drop(self, ids: IntArray) -> None:
+        """Stop following these features: they turned out to be outliers."""
+        if self._followed is not None and len(ids):
+            self._followed = self._followed.kept(~np.isin(self._followed.ids, ids))
+
+    def _follow_in_time(
+        self, before: _Followed, left: Image, expected: FloatArray, rejected: Counter[str]
+    ) -> tuple[_Followed, FloatArray, FloatArray]:
+        """Features found again: what they were, (u, v) now [N, 2], and the disparity expected now [N]."""
+        start, disparity = before.pixels[:, :2], before.pixels[:, 0] - before.pixels[:, 2]
+        if len(start):
+            predicted, disparity, ahead = _predict(before.pixels, expected, self._camera)
+            visible = ahead & _inside(predicted, left)
+            rejected["left the view"] += int((~visible).sum())
+            before, start, disparity = before.kept(visible), predicted[visible], disparity[visible]
+        found_px, found = _lucas_kanade(before.image, left, before.pixels[:, :2], start, self._config)
+        inside = _inside(found_px, left)
+        rejected["lost in time"] += int((~found & inside).sum())
+        rejected["left the view"] += int((~inside).sum())
+        found &= inside
+        return before.kept(found), found_px[found], disparity[found]
+
+    def _match_right(
+        self, left: Image, right: Image, left_px: FloatArray, disparity: FloatArray, rejected: Counter[str]
+    ) -> tuple[FloatArray, BoolArray]:
+        """(u, v) in the right image of points in the left, [N, 2], and which of them pass the checks, [N]."""
+        start = left_px - np.column_stack([disparity, np.zeros(len(disparity))])
+        right_px, found = _lucas_kanade(left, right, left_px, start, self._config)
+        rejected["no stereo match"] += int((~found).sum())
+        level = np.abs(right_px[:, 1] - left_px[:, 1]) <= self._config.max_row_offset_px
+        rejected["rows differ"] += int((found & ~level).sum())
+        before_us = left_px[:, 0] - right_px[:, 0] >= self._config.min_disparity_px
+        rejected["no disparity"] += int((found & level & ~before_us).sum())
+        return right_px, found & level & before_us
+
+
+def _high_pass(image: Image, config: TrackingConfig) -> Image:
+    """The image less its local mean, around 128: exposure and vignetting drop out of the brightness constancy."""
+    if config.high_pass_px == 0:
+        return image
+    mean = cv2.blur(image, (config.high_pass_px, config.high_pass_px))
+    return np.asarray(cv2.addWeighted(image, 1.0, mean, -1.0, 128.0), dtype=np.uint8)
+
+
+def _predict(
+    pixels: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Where a motion takes features [N, 4]: (u, v) [N, 2], disparity [N], and whether they stay ahead of the camera [N]."""
+    rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (camera.fu_px * camera.baseline_m)
+    x, y = (pixels[:, 0] - camera.cu_px) / camera.fu_px, (pixels[:, 1] - camera.cv_px) / camera.fv_px
+    q = np.column_stack([x, y, np.ones_like(x)]) @ T_curr_prev[:3, :3].T + rho[:, None] * T_curr_prev[:3, 3]
+    ahead = q[:, 2] > 0.05
+    depth = np.where(ahead, q[:, 2], 1.0)
+    u = camera.fu_px * q[:, 0] / depth + camera.cu_px
+    v = camera.fv_px * q[:, 1] / depth + camera.cv_px
+    return np.column_stack([u, v]), camera.fu_px * camera.baseline_m * rho / depth, ahead
+
+
+def _lucas_kanade(
+    template: Image, image: Image, template_px: FloatArray, start_px: FloatArray, config: TrackingConfig
+) -> tuple[FloatArray, BoolArray]:
+    """Pyramidal Lucas–Kanade of points [N, 2] from the given starts; where they are found [N, 2], and whether [N]."""
+    if len(template_px) == 0:
+        return np.zeros((0, 2)), np.zeros(0, np.bool_)
+    found_px, status, _ = cv2.calcOpticalFlowPyrLK(
+        template,
+        image,
+        template_px.astype(np.float32),
+        start_px.astype(np.float32),
+        winSize=(config.window_px, config.window_px),
+        maxLevel=config.pyramid_levels,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, MAX_ITERATIONS, MAX_STEP_PX),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=MIN_EIGENVALUE,
+    )
+    return found_px.astype(np.float64), status[:, 0] > 0
+
+
+def _inside(pixels: FloatArray, image: Image, border_px: float = 5.0) -> BoolArray:
+    height, width = image.shape
+    inside: BoolArray = (pixels >= border_px).all(axis=1) & (pixels < np.array([width, height]) - border_px).all(axis=1)
+    return inside
