@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numba import njit
 
 from probevo.arrays import FloatArray
 
-COMPILED = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
+COMPILED: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
+"""Options of every kernel: kept on disk, divisions unchecked, sums free to be reordered but NaN and inf still honoured."""
 NEAREST = 1e-3
 """A point whose scaled depth q_z falls below this is behind the camera or in it, and has no say."""
-BEHIND = 1e12
-"""Squared Mahalanobis length that such a point is given."""
-"""Options of every kernel: kept on disk, divisions unchecked, sums free to be reordered but NaN and inf still honoured."""
+BEHIND = 1e4
+"""Squared Mahalanobis length given to a point that has no say: far enough for any loss, near enough to add up with others."""
 
 
 class LossKind(IntEnum):
@@ -32,7 +33,7 @@ class LossKind(IntEnum):
     STUDENT_T = 4
 
 
-@njit(inline="always", **COMPILED)
+@njit(**COMPILED)
 def robust_weight(kind: int, parameter: float, dim: int, squared: float) -> float:
     """IRLS weight 2 dρ/ds, one for a perfect residual of every loss but Student-t, where it is (ν + d)/(ν + s)."""
     if kind == 4:
@@ -47,7 +48,41 @@ def robust_weight(kind: int, parameter: float, dim: int, squared: float) -> floa
     return 1.0
 
 
-@njit(inline="always", **COMPILED)
+@njit(**COMPILED)
+def robust_curvature(kind: int, parameter: float, dim: int, squared: float) -> float:
+    """w + (2/d) w' s: the second derivative of the loss, averaged over the directions of the residual.
+
+    At least a quarter of the weight, so that it can stand in a Hessian (Tukey's goes negative).
+    """
+    weight = robust_weight(kind, parameter, dim, squared)
+    share = 0.0  # −w' s / w
+    if kind == 4:
+        share = squared / (parameter + squared) if parameter < 1e300 else 0.0
+    elif kind == 1:
+        share = 0.5 if squared > parameter * parameter else 0.0
+    elif kind == 2:
+        share = squared / (parameter * parameter + squared)
+    elif kind == 3:
+        share = 2.0 * squared / max(parameter * parameter - squared, 1e-12)
+    return weight * max(0.25, 1.0 - 2.0 / dim * share)
+
+
+@njit(**COMPILED)
+def robust_bend(kind: int, parameter: float, squared: float) -> float:
+    """−2 w'/w²: how much of the outer product of a residual's weighted gradient the exact Hessian of its loss is less by."""
+    if kind == 4:
+        return 2.0 / (parameter + 4.0)
+    if kind == 1:
+        return 1.0 / (parameter * math.sqrt(squared)) if squared > parameter * parameter else 0.0
+    if kind == 2:
+        return 2.0 / (parameter * parameter)
+    if kind == 3:
+        inside = max(0.1, 1.0 - squared / (parameter * parameter))
+        return 4.0 / (parameter * parameter * inside * inside * inside)
+    return 0.0
+
+
+@njit(**COMPILED)
 def robust_cost(kind: int, parameter: float, dim: int, squared: float) -> float:
     """ρ(s), scaled such that L2 is s/2."""
     if kind == 4:
@@ -194,13 +229,16 @@ def normal_equations(
     information: FloatArray,
     kind: int,
     parameter: FloatArray,
+    near: bool,
     hessian: FloatArray,
     gradient: FloatArray,
     squared: FloatArray,
 ) -> float:
-    """One pass over the features: Gauss–Newton system of Σ ρ(eᵀ Σ⁻¹ e) for a left perturbation ξ = [ρ; φ] of T.
+    """One pass over the features: normal equations of Σ ρ(eᵀ Σ⁻¹ e) for a left perturbation ξ = [ρ; φ] of T.
 
-    Fills hessian [6, 6] (Σ w Jᵀ Σ⁻¹ J), gradient [6] (Σ w Jᵀ Σ⁻¹ e, J = ∂h/∂ξ) and squared [N] (eᵀ Σ⁻¹ e). Returns the cost.
+    Fills hessian [6, 6], gradient [6] (Σ w Jᵀ Σ⁻¹ e with J = ∂h/∂ξ) and squared [N] (eᵀ Σ⁻¹ e), and returns the cost. The
+    Hessian is that of IRLS, Σ w Jᵀ Σ⁻¹ J, which never overshoots; ``near`` the optimum it is Newton's, with
+    2 w' (Jᵀ Σ⁻¹ e)(Jᵀ Σ⁻¹ e)ᵀ added: where two groups of features pull apart, IRLS needs 40 steps and Newton 4.
     """
     fu, fv, cu, cv, fb = camera
     cost = 0.0
@@ -228,7 +266,7 @@ def normal_equations(
         g1 = W[1, 0] * e0 + W[1, 1] * e1 + W[1, 2] * e2 + W[1, 3] * e3
         g2 = W[2, 0] * e0 + W[2, 1] * e1 + W[2, 2] * e2 + W[2, 3] * e3
         g3 = W[3, 0] * e0 + W[3, 1] * e1 + W[3, 2] * e2 + W[3, 3] * e3
-        s = e0 * g0 + e1 * g1 + e2 * g2 + e3 * g3
+        s = e0 * g0 + e1 * g1 + e2 * g2 + e3 * g3 if W[0, 0] > 0.0 else BEHIND
         squared[n] = s
         cost += robust_cost(kind, parameter[n], 4, s)
         w = robust_weight(kind, parameter[n], 4, s)
@@ -242,6 +280,10 @@ def normal_equations(
         H00, H01, H02 = a * a * (w00 + 2.0 * w02 + w22), a * c * (w01 + w12), a * (k0 + k2)
         H11, H12, H22 = c * c * w11, c * k1, b * k0 + e * k1 + f * k2
         q0, q1, q2 = a * (g0 + g2), c * g1, b * g0 + e * g1 + f * g2
+        if near:
+            bend = robust_bend(kind, parameter[n], s)
+            H00, H01, H02 = H00 - bend * q0 * q0, H01 - bend * q0 * q1, H02 - bend * q0 * q2
+            H11, H12, H22 = H11 - bend * q1 * q1, H12 - bend * q1 * q2, H22 - bend * q2 * q2
         # q moves by ρ δt + φ × q: M = H (−q^), then the rotation block (−q^)ᵀ M
         M00, M01, M02 = Y * H02 - Z * H01, Z * H00 - X * H02, X * H01 - Y * H00
         M10, M11, M12 = Y * H12 - Z * H11, Z * H01 - X * H12, X * H11 - Y * H01
@@ -395,40 +437,47 @@ def minimize(
 
     C and t are the guess on entry and the solution on return; refined, offset, information and squared are those of
     ``linearize_noise`` and ``normal_equations`` there. Σ is renewed after the 1st and the 3rd step and then kept, so that
-    the cost is one function near the optimum. Returns the iterations, whether the last step was below the tolerance, and
-    the cost.
+    the cost is one function near the optimum. Returns the iterations, whether the last
+    step was shorter than the tolerance times its own standard deviation, and the cost.
     """
     hessian, gradient = np.empty((6, 6)), np.empty(6)
     trial_hessian, trial_gradient, trial_squared = np.empty((6, 6)), np.empty(6), np.empty(len(squared))
     lower, step, damped = np.zeros((6, 6)), np.zeros(6), np.empty((6, 6))
     trial_C, trial_t, phi = np.empty((3, 3)), np.empty(3), np.empty(3)
-    damping, accepted, cost, stale = 1e-6, 0, 0.0, True
+    damping, accepted, cost, stale, near = 1e-6, 0, 0.0, True, False
     for iteration in range(max_iterations):
         if stale:
-            linearize_noise(C, t, camera, seen, point_cov, curr, scale, refined, offset, information)
+            if accepted == 0 or accepted == 1 or accepted == 3:
+                linearize_noise(C, t, camera, seen, point_cov, curr, scale, refined, offset, information)
             cost = normal_equations(
-                C, t, camera, refined, offset, curr, information, kind, parameter, hessian, gradient, squared
+                C, t, camera, refined, offset, curr, information, kind, parameter, near, hessian, gradient, squared
             ) + _add_rotation_prior(C, C_prior, prior_information, hessian, gradient, phi)
             stale = False
         damped[:] = hessian
         for i in range(6):
             damped[i, i] += damping * hessian[i, i]
         if not solve_positive_definite(damped, gradient, lower, step):
-            return iteration + 1, False, cost
+            if not near:
+                return iteration + 1, False, cost
+            near, stale = False, True
+            continue
         perturb(step, C, t, trial_C, trial_t)
         trial_cost = normal_equations(
-            trial_C, trial_t, camera, refined, offset, curr, information, kind, parameter,
+            trial_C, trial_t, camera, refined, offset, curr, information, kind, parameter, accepted > 1 and damping < 1e-3,
             trial_hessian, trial_gradient, trial_squared,
         ) + _add_rotation_prior(trial_C, C_prior, prior_information, trial_hessian, trial_gradient, phi)  # fmt: skip
         if not trial_cost <= cost * (1.0 + 1e-12):
-            damping = max(1e-3, 10.0 * damping)
+            if near:
+                near, stale = False, True
+            else:
+                damping = max(1e-3, 10.0 * damping)
             continue
+        decrement = np.sum(step * gradient)
         C[:], t[:] = trial_C, trial_t
         hessian[:], gradient[:], squared[:] = trial_hessian, trial_gradient, trial_squared
-        cost, damping, accepted = trial_cost, 0.1 * damping, accepted + 1
-        length = math.sqrt(np.sum(step * step))
+        cost, damping, accepted, near = trial_cost, 0.1 * damping, accepted + 1, accepted > 1 and damping < 1e-3
         stale = accepted == 1 or accepted == 3
-        if length < tolerance and accepted > 1:
+        if decrement < tolerance * tolerance and accepted > 1:
             return iteration + 1, True, cost
     return max_iterations, False, cost
 

@@ -109,7 +109,7 @@ def _best_sample(
         solvable = True
         for _ in range(6):
             normal_equations(
-                C, t, camera, seen, offset, observed, information, 0, parameter, hessian, gradient, squared
+                C, t, camera, seen, offset, observed, information, 0, parameter, False, hessian, gradient, squared
             )
             solvable = solve_positive_definite(hessian[:free, :free], gradient[:free], lower, step)
             if not solvable:

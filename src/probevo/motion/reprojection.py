@@ -8,12 +8,12 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.motion.kernels import minimize, observation_to_point, residual_jacobians
+from probevo.motion.kernels import BEHIND, minimize, observation_to_point, residual_jacobians
 from probevo.motion.robust import RobustLoss
 from probevo.noise.base import StereoNoise
 
-CONVERGED_BELOW = 1e-6
-"""Length of the last step ξ (m and rad together) below which the solve has converged."""
+CONVERGED_BELOW = 1e-3
+"""The solve has converged once a step is shorter than this many standard deviations of the motion."""
 EXPECTED_FEATURES = 20.0
 """How many features the noise model's own word counts for, against the residuals seen, in the scale of the covariance."""
 
@@ -46,8 +46,8 @@ class ReprojectionSolution:
     """How ξ moves the prediction f(T g(y)), [N, 4, 6], px/m and px/rad."""
     disparity_jacobian: FloatArray
     """How the disparity in the previous frame moves it, [N, 4]."""
-    curvature: FloatArray
-    """Σ w Jᵀ Σ⁻¹ J and the prior's information: the Hessian of the last step, [6, 6]."""
+    hessian: FloatArray
+    """Σ c Jᵀ Σ⁻¹ J plus the prior's information, with c the curvature of the loss, [6, 6]."""
     information: FloatArray
     """Σ⁻¹ of each feature, [N, 4, 4], px⁻²."""
     iterations: int
@@ -108,55 +108,48 @@ def solve_reprojection(
     )  # fmt: skip
     residuals, jacobian, disparity_jacobian = np.empty((count, 4)), np.empty((count, 4, 6)), np.empty((count, 4))
     residual_jacobians(C, t, intrinsics, refined, offset, curr, residuals, jacobian, disparity_jacobian)
-    weight = loss.weight(squared, dof)
+    has_say = squared < BEHIND
+    weight = np.where(has_say, loss.weight(squared, dof), 0.0)
+    curvature = np.where(has_say, loss.curvature(squared, dof), 0.0)
     white = np.einsum("nij,njk->nik", information, jacobian)
-    features_information = _information(jacobian, white, squared, weight, loss, dof)
+    hessian = _sum_products(jacobian, white * curvature[:, None, None])
+    variance_factor = _variance_factor(squared, weight, curvature, loss, dof)
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = C, t
     prior_block = np.zeros((6, 6))
     prior_block[3:, 3:] = prior_information
     return ReprojectionSolution(
         T_curr_prev=motion,
-        cov=_inverse_or_nan(features_information + prior_block),
+        cov=_inverse_or_nan(hessian / variance_factor + prior_block),
         squared=squared,
         weight=weight / np.maximum(loss.weight(np.zeros(count), dof), 1e-12),
         refined=refined,
         residuals=residuals,
         jacobian=jacobian,
         disparity_jacobian=disparity_jacobian,
-        curvature=_sum_products(jacobian, white * weight[:, None, None]) + prior_block,
+        hessian=hessian + prior_block,
         information=information,
         iterations=iterations,
         converged=converged,
     )
 
 
-def _information(
-    jacobian: FloatArray,
-    white: FloatArray,
-    squared: FloatArray,
-    weight: FloatArray,
-    loss: RobustLoss,
-    dof: FloatArray,
-) -> FloatArray:
-    """Information of the features about ξ, [6, 6]: the sandwich A B⁻¹ A of the M-estimate, with B taken as A times a scalar.
+def _variance_factor(
+    squared: FloatArray, weight: FloatArray, curvature: FloatArray, loss: RobustLoss, dof: FloatArray
+) -> float:
+    """How much larger the covariance of the motion is than the inverse of A = Σ a Jᵀ Σ⁻¹ J.
 
-    A = Σ a Jᵀ Σ⁻¹ J with a = w + (2/d) w' s, the curvature of the loss, whose mean over a Student-t is (ν+d)/(ν+d+2) and which
-    vanishes for outliers; B = Σ b Jᵀ Σ⁻¹ J with b = w² s/d, the scatter of its gradient. The ratio of their sums is a variance
-    factor: one if the noise is as the model says, larger if the residuals are. It starts from the model's own a and b
-    (``RobustLoss.moments``) as if a few features had shown them.
+    The covariance of an M-estimate is A⁻¹ B A⁻¹, with a = w + (2/d) w' s, the curvature of the loss (over a Student-t its mean is
+    (ν+d)/(ν+d+2); for an outlier it vanishes), and B = Σ b Jᵀ Σ⁻¹ J, b = w² s/d, the scatter of its gradient. B is taken as A
+    times the ratio of the sums of b and a: one if the noise is as the model says, larger if the residuals are. The sums
+    start with the model's own a and b (``RobustLoss.moments``), as if a few features had shown them.
     """
-    count, dim = squared.shape[0], 4
-    log_step = 1e-4
-    slope = loss.weight(squared * np.exp(log_step), dof) - loss.weight(squared * np.exp(-log_step), dof)
-    curvature = weight + slope / (dim * log_step)
+    count, dim = len(squared), 4
     scatter = weight**2 * squared / dim
-    expected_curvature, expected_scatter = (moment.mean() for moment in loss.moments(dof))
+    expected_curvature, expected_scatter = (float(np.mean(moment)) for moment in loss.moments(dof))
     spent = count * dim / max(count * dim - 6.0, 1.0)
-    factor = (EXPECTED_FEATURES * expected_scatter + spent * scatter.sum()) / (
-        EXPECTED_FEATURES * expected_curvature + curvature.sum()
-    )
-    return _sum_products(jacobian, white * curvature[:, None, None]) / factor
+    shown = EXPECTED_FEATURES * expected_scatter + spent * float(scatter.sum())
+    return shown / (EXPECTED_FEATURES * expected_curvature + float(curvature.sum()))
 
 
 def _sum_products(left: FloatArray, right: FloatArray) -> FloatArray:

@@ -89,7 +89,7 @@ class SelfCalibration:
         cross = np.einsum("nij,nik->jk", motion, weighted)
         hessian = np.einsum("nij,nik->jk", sensitivity, weighted)
         gradient = -np.einsum("nij,ni->j", weighted, solution.residuals)
-        learned = (hessian - cross.T @ np.linalg.solve(solution.curvature, cross)) / CORRELATED_FEATURES
+        learned = (hessian - cross.T @ np.linalg.solve(solution.hessian, cross)) / CORRELATED_FEATURES
         information = self.disparity_information + learned
         step = np.linalg.solve(information, gradient / CORRELATED_FEATURES)
         return replace(self, disparity=self.disparity + step, disparity_information=information)

@@ -18,6 +18,9 @@ from probevo.noise.base import NoiseModel
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
+FEWEST_INLIERS = 0.25
+"""Share of the tracks that has to agree with a motion before the threshold is widened."""
+
 
 @dataclass(frozen=True)
 class VisualMotion:
@@ -56,16 +59,20 @@ def estimate_motion(
         rng: source of the samples.
         clock: takes the times of the stages ``consensus`` and ``solve``.
     """
-    consensus = find_consensus(
-        tracks.prev_px,
-        tracks.curr_px,
-        camera,
-        rng,
-        guess=expected.T_curr_prev,
-        C_curr_prev=rotation.C_curr_prev if rotation and config.ransac.rotation_from == "gyro" else None,
-        threshold_px=config.ransac.threshold_px,
-        confidence=config.ransac.confidence,
-    )
+    rotation_from_gyro = rotation.C_curr_prev if rotation and config.ransac.rotation_from == "gyro" else None
+    for widening in (1.0, 2.0, 4.0):  # where hardly anything agrees, the tracks are noisier than the threshold assumes
+        consensus = find_consensus(
+            tracks.prev_px,
+            tracks.curr_px,
+            camera,
+            rng,
+            guess=expected.T_curr_prev,
+            C_curr_prev=rotation_from_gyro,
+            threshold_px=widening * config.ransac.threshold_px,
+            confidence=config.ransac.confidence,
+        )
+        if consensus.inliers.sum() >= max(config.solver.min_tracks, FEWEST_INLIERS * len(tracks)):
+            break
     clock.lap("consensus")
     weights = np.zeros(len(tracks))
     if consensus.inliers.sum() < config.solver.min_tracks:

@@ -33,6 +33,14 @@ def write_atomically(path: Path, content: bytes | str) -> None:
         raise InputError(path, f"cannot be written: {error.strerror}", "Choose another output folder.") from error
 
 
+def remove_stale(path: Path) -> None:
+    """Remove what an earlier run left and this one does not write, lest it pass for a result of this one."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(path, f"cannot be removed: {error.strerror}", "Choose another output folder.") from error
+
+
 def write_json(path: Path, values: Mapping[str, object]) -> None:
     """Write e.g. ``metrics.json``: keys in the given order, numbers at full precision, None as null."""
     write_atomically(path, json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False) + "\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import njit
 
 from probevo.arrays import FloatArray, Image, IntArray
 from probevo.config import TrackingConfig
@@ -26,23 +27,43 @@ def detect_corners(image: Image, occupied_px: FloatArray, config: TrackingConfig
     height, width = image.shape
     columns, rows = -(-width // config.cell_px), -(-height // config.cell_px)
     share = max(1, round(config.num_features / (columns * rows)))
-    room = share - np.bincount(_cell_of(occupied_px, config.cell_px, columns, rows), minlength=columns * rows)
+    room = np.full(columns * rows, share, np.int64)
+    occupied = np.clip(occupied_px // config.cell_px, 0, [columns - 1, rows - 1]).astype(np.int64)
+    np.subtract.at(room, occupied[:, 1] * columns + occupied[:, 0], 1)
     keypoints = cv2.FastFeatureDetector.create(config.fast_threshold).detect(image)
     if not keypoints:
         return np.zeros((0, 2))
-    corners = cv2.KeyPoint.convert(keypoints).astype(np.float64)
-    strength = np.array([keypoint.response for keypoint in keypoints])
-    inside = (corners > BORDER_PX).all(axis=1) & (corners < np.array([width, height]) - BORDER_PX - 1).all(axis=1)
-    corners, strength = corners[inside], strength[inside]
-    cell = _cell_of(corners, config.cell_px, columns, rows)
-    best_first = np.lexsort((corners[:, 0], corners[:, 1], -strength, cell))
-    cell = cell[best_first]
-    starts = np.flatnonzero(np.r_[True, cell[1:] != cell[:-1]]) if len(cell) else np.zeros(0, np.int64)
-    rank = np.arange(len(cell)) - np.repeat(starts, np.diff(np.r_[starts, len(cell)]))
-    return corners[best_first[rank < room[cell]]]
+    corners = cv2.KeyPoint.convert(keypoints)
+    strength = np.array([keypoint.response for keypoint in keypoints], np.float32)
+    chosen = _strongest_per_cell(corners, strength, room, config.cell_px, columns, share, width, height)
+    return corners[chosen].astype(np.float64)
 
 
-def _cell_of(pixels: FloatArray, cell_px: int, columns: int, rows: int) -> IntArray:
-    column = np.clip(pixels[:, 0] // cell_px, 0, columns - 1).astype(np.int64)
-    row = np.clip(pixels[:, 1] // cell_px, 0, rows - 1).astype(np.int64)
-    return row * columns + column
+@njit(cache=True)
+def _strongest_per_cell(
+    corners: FloatArray,
+    strength: FloatArray,
+    room: IntArray,
+    cell_px: int,
+    columns: int,
+    share: int,
+    width: int,
+    height: int,
+) -> IntArray:
+    """Indices of the corners that fill each cell's room, strongest first; ties go to the earlier corner."""
+    best = np.full((len(room), share), -1)
+    for n in range(len(corners)):
+        u, v = corners[n, 0], corners[n, 1]
+        if u < BORDER_PX or v < BORDER_PX or u >= width - BORDER_PX or v >= height - BORDER_PX:
+            continue
+        cell = int(v // cell_px) * columns + int(u // cell_px)
+        candidate = n
+        for place in range(room[cell]):
+            holder = best[cell, place]
+            if holder < 0 or strength[candidate] > strength[holder]:
+                best[cell, place] = candidate
+                if holder < 0:
+                    break
+                candidate = holder
+    chosen: IntArray = best.ravel()[best.ravel() >= 0]
+    return chosen

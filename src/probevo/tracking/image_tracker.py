@@ -17,7 +17,7 @@ from probevo.tracking.tracks import Tracks
 
 MIN_EIGENVALUE = 1e-4
 """Smallest eigenvalue of the window's gradient matrix (over its area, in OpenCV's scaling) that can be tracked."""
-MAX_ITERATIONS, MAX_STEP_PX = 20, 0.01
+MAX_ITERATIONS, MAX_STEP_PX = 10, 0.03
 """Lucas–Kanade stops here on each pyramid level."""
 
 

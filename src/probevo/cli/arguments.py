@@ -1,0 +1,56 @@
+"""Words of the command line → a dataclass, or the settings of a run."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import tyro
+from pydantic import BaseModel, ValidationError
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
+
+from probevo.run_config import RunConfig, setting_error
+
+Arguments = TypeVar("Arguments")
+NOT_FLAGS = ("sequence",)
+"""Settings that are given by position."""
+_registry = ConstructorRegistry()
+
+
+def parse(kind: type[Arguments], words: list[str], command: str, default: Arguments | None = None) -> Arguments:
+    """The words as a ``kind``; its docstrings are the help. Exits with code 2 and a hint if they do not fit."""
+    with _registry:
+        return tyro.cli(
+            kind, args=words, prog=f"probevo {command}", default=default, config=(tyro.conf.DisallowNone,)
+        )  # fmt: skip
+
+
+def checked(settings: RunConfig) -> RunConfig:
+    """Settings that came as flags, once more with the checks that ``parse`` leaves out.
+
+    Raises:
+        InputError: names the flag out of bounds.
+    """
+    try:
+        return RunConfig.model_validate(settings.model_dump())
+    except ValidationError as error:
+        raise setting_error(error, "flags", spelled=lambda key: f"--{key.replace('_', '-')}") from error
+
+
+@_registry.struct_rule
+def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
+    # tyro would report a value out of bounds in pydantic's words, and name the section instead of the flag.
+    if not (isinstance(info.type, type) and issubclass(info.type, BaseModel)):
+        return None
+    model: type[BaseModel] = info.type
+    ordered = sorted(model.model_fields.items(), key=lambda item: item[0] not in model.__annotations__)
+    fields = [
+        StructFieldSpec(name, field.annotation, getattr(info.default, name), field.description)  # type: ignore[arg-type]
+        for name, field in ordered
+        if name not in NOT_FLAGS
+    ]
+
+    def build(**values: object) -> BaseModel:
+        return model.model_construct(**values)
+
+    build.__doc__ = model.__doc__
+    return StructConstructorSpec(build, tuple(fields))

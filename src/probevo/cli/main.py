@@ -1,0 +1,65 @@
+"""``probevo``: picks the command by the first word, and turns errors into one message."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from difflib import get_close_matches
+from importlib import import_module
+
+from probevo import __version__
+from probevo.errors import InputError, ProbevoError
+
+COMMANDS = {"run": "probevo.cli.run", "eval": "probevo.cli.eval", "info": "probevo.cli.info", "demo": "probevo.cli.demo"}
+"""Module of each command, imported only if it is called: `probevo --help` should not wait for SciPy."""
+HELP = f"""\
+probevo {__version__}: stereo odometry that learns how far to trust each feature, and says how sure it is of its motion.
+
+  probevo run SEQUENCE --out DIR    from a recording to a trajectory, a covariance for every step, and a report
+  probevo eval RUN --gt POSES       compare a run, or a trajectory file, with true poses
+  probevo info SEQUENCE             what a recording is, whether its calibration is sane, what will be used
+  probevo demo --out DIR            all of it on the recordings at hand, with each noise model
+
+`probevo COMMAND --help` shows the options of a command; `probevo --version` the version."""
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code: 0, 2 for a mistake in the input, 130 for Ctrl-C."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return _dispatch(words)
+    except ProbevoError as error:
+        _complain(str(error), error)
+        return 2
+    except KeyboardInterrupt as stop:
+        _complain("stopped.", stop)
+        return INTERRUPTED
+
+
+def _dispatch(words: list[str]) -> int:
+    first = words[0] if words else ""
+    if first in ("-h", "--help", "help"):
+        print(HELP)
+        return 0
+    if first == "--version":
+        print(f"probevo {__version__}")
+        return 0
+    if not first:
+        print(HELP, file=sys.stderr)
+        return 2
+    if first not in COMMANDS:
+        close = get_close_matches(first, COMMANDS, n=1)
+        cure = f"Did you mean {close[0]}?" if close else f"Commands are {', '.join(COMMANDS)}; see `probevo --help`."
+        raise InputError(first, "this is not a command.", cure)
+    import_module(COMMANDS[first]).main(words[1:])
+    return 0
+
+
+def _complain(message: str, error: BaseException) -> None:
+    notes = "".join(f"\n         {note}" for note in getattr(error, "__notes__", []))
+    print(f"probevo: {message}{notes}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

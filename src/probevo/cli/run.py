@@ -1,0 +1,104 @@
+"""``probevo run``: from a recording to a trajectory, a covariance for every step, and a report."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from probevo.cli.arguments import checked, parse
+from probevo.errors import InputError
+from probevo.run_config import RunConfig, read_config
+
+if TYPE_CHECKING:
+    from probevo.runner import Run
+
+
+@dataclass(frozen=True)
+class RunArguments:
+    """Stereo odometry over a recording.
+
+    Writes trajectory.tum, trajectory.kitti.txt, motions.npz, config.yaml, report.html and, where truth is known,
+    metrics.json. Settings: defaults < the file of --config < flags.
+    """
+
+    sequence: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="SEQUENCE", help_behavior_hint="")]
+    """Folder of the recording, or a tracks file (.npz). It may be left out where --config names it."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results. What an earlier run left there is replaced."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Settings as YAML, such as the config.yaml of an earlier run."""
+    threads: int = 1
+    """Threads of OpenCV. Two save a tenth of the time, no more; the results are the same."""
+    settings: Annotated[RunConfig, tyro.conf.arg(name="")] = RunConfig()
+
+
+def main(words: list[str]) -> None:
+    """Parse and run."""
+    arguments = parse(RunArguments, words, "run", default=_defaults(words))
+    settings = checked(arguments.settings)
+    if arguments.sequence is None:
+        raise InputError("SEQUENCE", "no recording is named.", "Give its folder: `probevo run SEQUENCE --out DIR`.")
+    if arguments.threads < 1:
+        raise InputError("--threads", f"is {arguments.threads}.", "It must be at least 1.")
+    run = run_with_progress(settings.model_copy(update={"sequence": arguments.sequence}), arguments.out, arguments.threads)
+    print("\n".join(summary(run, arguments.out)))
+
+
+def _defaults(words: list[str]) -> RunArguments:
+    """What holds where no flag is given; it may come from the file, so that --config is looked for first."""
+    finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--config", type=Path)
+    path = finder.parse_known_args(words)[0].config
+    settings = RunConfig() if path is None else read_config(path)
+    return RunArguments(sequence=settings.sequence, out=tyro.MISSING, settings=settings)
+
+
+def run_with_progress(config: RunConfig, out: Path, threads: int) -> Run:
+    """Open the recording that the settings name, run over it, and show how far it is on stderr."""
+    import cv2
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from probevo.runner import run_sequence
+    from probevo.sequences import open_sequence
+
+    cv2.setNumThreads(threads)
+    sequence = open_sequence(config.sequence or "", config.format)
+    console = Console(stderr=True)
+    speed = TextColumn("{task.speed:.1f} frames/s")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), speed, TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        total = min(len(sequence), config.max_frames or len(sequence))
+        task = progress.add_task("starting (the first run of all compiles for 15 s)", total=total)
+
+        def show(_: object) -> None:
+            progress.update(task, advance=1)
+            if progress.tasks[0].completed == 2:
+                progress.update(task, description=sequence.path.name)
+
+        return run_sequence(sequence, config, out, show)
+
+
+def summary(run: Run, out: Path) -> list[str]:
+    """A few lines on how a run went."""
+    import numpy as np
+
+    from probevo.motion.estimate import Status
+    from probevo.output.metrics_table import readable
+
+    result, metrics = run.result, run.metrics
+    steps = Counter(Status(status).name.lower().replace("_", " ") for status in result.status)
+    lines = [f"{len(result)} frames; steps: {', '.join(f'{count} {name}' for name, count in steps.most_common())}"]
+    if len(result.total_ms):
+        lines.append(f"{readable(float(np.median(result.total_ms)))} ms a frame (median, without decoding)")
+    if metrics and metrics.short_t_percent is not None and metrics.short_r_deg_per_m is not None:
+        drift = f"{readable(metrics.short_t_percent)} %, {readable(metrics.short_r_deg_per_m)} °/m"
+        lines.append(f"drift {drift} over pieces of 10 to 50 m")
+    if metrics and metrics.final_error_m is not None and metrics.path_length_m is not None:
+        lines.append(f"end error {readable(metrics.final_error_m)} m after {readable(metrics.path_length_m)} m")
+    return [*lines, f"report: {out / 'report.html'}" if len(result) > 1 else f"results: {out}"]

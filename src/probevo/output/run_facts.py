@@ -1,0 +1,71 @@
+"""A recording in words: for the head of the report and for ``probevo info``."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from probevo import __version__
+from probevo.arrays import IntArray
+from probevo.camera.stereo import StereoCamera
+from probevo.evaluation.trajectory_errors import path_length
+from probevo.run_config import RunConfig
+from probevo.sequences import GroundTruth, Sequence
+
+
+def run_facts(sequence: Sequence, config: RunConfig) -> dict[str, str]:
+    """What a reader of the report should know about a run, by name."""
+    return {
+        "Recording": str(sequence.path),
+        "Format": sequence.format,
+        "Frames": frames_text(sequence.stamps_ns[: config.max_frames]),
+        "Camera": camera_text(sequence.camera),
+        "IMU": imu_use_text(sequence, config),
+        "Truth": truth_text(sequence.truth),
+        "Noise model": config.noise,
+        "OpenCV threads": str(cv2.getNumThreads()),
+        "probevo": __version__,
+    }
+
+
+def frames_text(stamps_ns: IntArray) -> str:
+    """Number of frames, duration and rate."""
+    seconds = float(stamps_ns[-1] - stamps_ns[0]) * 1e-9
+    if len(stamps_ns) < 2:
+        return "1"
+    return f"{len(stamps_ns):,} in {seconds:.1f} s ({1e9 / float(np.median(np.diff(stamps_ns))):.2f} Hz)"
+
+
+def camera_text(camera: StereoCamera) -> str:
+    """Resolution, focal length, field of view and baseline."""
+    text = f"f {camera.fu_px:.1f} px, baseline {camera.baseline_m:.4f} m"
+    if camera.size_px is None:
+        return text
+    width, height = camera.size_px
+    return f"{width}×{height} px, {text}, {field_of_view_deg(camera):.0f}° wide"
+
+
+def field_of_view_deg(camera: StereoCamera) -> float:
+    """Horizontal field of view; NaN where the image size is not known."""
+    width_px = camera.size_px[0] if camera.size_px else math.nan
+    return math.degrees(math.atan(camera.cu_px / camera.fu_px) + math.atan((width_px - camera.cu_px) / camera.fu_px))
+
+
+def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
+    """Whether there is an IMU, and what its gyro is used for."""
+    if sequence.imu is None:
+        return "none"
+    uses = ["where tracking starts", "steps that the camera loses"]
+    uses += ["the sampling of RANSAC"] if config.ransac.rotation_from == "gyro" else []
+    uses += ["the solve"] if config.gyro.prior else []
+    return f"gyro, for {', '.join(uses[:-1])} and {uses[-1]}"
+
+
+def truth_text(truth: GroundTruth | None) -> str:
+    """How many frames have a true pose, and how far they lead."""
+    if truth is None:
+        return "none"
+    known = truth.T_world_cam[truth.known]
+    return f"{len(known):,} of {len(truth.stamps_ns):,} frames, {path_length(known):.1f} m"

@@ -1,0 +1,98 @@
+"""Everything that decides what a run does, as one value and one file. Defaults < file < flags."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import BaseModel, Field, ValidationError
+
+from probevo.config import OdometryConfig
+from probevo.errors import InputError
+
+FormatName = Literal["kitti-raw", "kitti-odometry", "euroc", "folder", "tracks"]
+NoiseName = Literal["fixed", "student-t"]
+
+
+class RunConfig(OdometryConfig):
+    """All settings of ``probevo run``: those of the odometry, and what it runs on."""
+
+    sequence: Path | None = Field(None, description="The recording: a folder, or a tracks file (.npz).")
+    format: FormatName | None = Field(None, description="Layout of the recording; found out where it is not named.")
+    noise: NoiseName = Field(
+        "student-t", description="Noise of the features: fixed is one Gaussian, student-t forgives outliers."
+    )
+    max_frames: int | None = Field(None, ge=2, description="Stop after so many frames.")
+
+
+def read_config(path: Path) -> RunConfig:
+    """The settings of a YAML file, such as the ``config.yaml`` of an earlier run; what it leaves out has its default.
+
+    Raises:
+        InputError: the file is missing, is not YAML, or has an unknown key or a value out of bounds.
+    """
+    cure = "Take the config.yaml of a run as a pattern."
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(path, "this file is missing.", cure) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, f"cannot be read as text ({error}).", cure) from error
+    except yaml.YAMLError as error:
+        raise InputError(path, f"this is not YAML: {' '.join(str(error).split())}.", cure) from error
+    if content is not None and not isinstance(content, dict):
+        raise InputError(path, f"holds a {type(content).__name__}; expected `key: value` lines.", cure)
+    try:
+        return RunConfig.model_validate(content or {})
+    except ValidationError as error:
+        raise setting_error(error, path) from error
+
+
+def config_text(config: RunConfig) -> str:
+    """The settings as YAML that ``read_config`` reads back as they are."""
+    values = config.model_dump(mode="json")
+    own_first = {name: values.pop(name) for name in RunConfig.__annotations__} | values
+    return yaml.safe_dump(own_first, sort_keys=False, allow_unicode=True)
+
+
+def setting_error(
+    error: ValidationError, where: str | Path, spelled: Callable[[str], str] = lambda key: key
+) -> InputError:
+    """What pydantic found wrong, in our words: each key at fault with its value, and how to mend the first one.
+
+    Args:
+        error: of validating a ``RunConfig``.
+        where: the file, or the kind of input.
+        spelled: how the user writes a key, if not as ``section.key``.
+    """
+    faults = [(".".join(map(str, fault["loc"])), fault) for fault in error.errors()]
+    texts = [
+        f"the key {spelled(key)} is not known"
+        if fault["type"] == "extra_forbidden"
+        else f"{spelled(key)} is {fault['input']!r}; {fault['msg'].replace('Input should', 'it should')}"
+        for key, fault in faults
+    ]
+    first, fault = faults[0]
+    cure = _nearest_keys(first) if fault["type"] == "extra_forbidden" else dict(_known_keys(RunConfig)).get(first, "")
+    return InputError(where, "; ".join(texts) + ".", cure)
+
+
+def _nearest_keys(key: str) -> str:
+    known = dict(_known_keys(RunConfig))
+    key = key.replace("-", "_")
+    last = key.rpartition(".")[2]
+    # The right key without its section, or in a wrong one, is nearer than any other spelling.
+    near = [name for name in known if name.rpartition(".")[2] == last] or get_close_matches(key, known, cutoff=0.6)
+    return f"Did you mean {' or '.join(near)}?" if near else f"Known are {', '.join(known)}."
+
+
+def _known_keys(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Dotted name and description of each setting."""
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from _known_keys(field.annotation, f"{prefix}{name}.")
+        else:
+            yield prefix + name, field.description or ""

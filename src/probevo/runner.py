@@ -1,0 +1,126 @@
+"""A whole run: sequence → odometry → recorder → files. ``probevo run`` is this and a progress bar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.motion.estimate import MotionEstimate
+from probevo.noise import Fixed, NoiseModel, StudentT
+from probevo.odometry import StereoOdometry
+from probevo.output.drawing import draw_tracks
+from probevo.output.files import remove_stale, write_atomically, write_json, write_kitti_poses, write_tum
+from probevo.output.motions_file import write_motions
+from probevo.output.report import write_report
+from probevo.output.run_facts import run_facts
+from probevo.output.run_result import RunRecorder, RunResult
+from probevo.run_config import NoiseName, RunConfig, config_text
+from probevo.sequences import Frame, Sequence
+from probevo.sequences.left_right import FRAMES_TO_SEE, check_left_right, count_matches
+
+NOISE_MODELS: dict[NoiseName, Callable[[], NoiseModel]] = {"fixed": Fixed, "student-t": StudentT}
+NUM_PICTURES = 4
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run came to."""
+
+    result: RunResult
+    metrics: Metrics | None
+    """None where the recording has no truth."""
+
+
+def run_sequence(
+    sequence: Sequence,
+    config: RunConfig,
+    out: Path,
+    on_step: Callable[[MotionEstimate], None] | None = None,
+) -> Run:
+    """Run the odometry over a recording and write everything that follows from it.
+
+    Into ``out`` go ``config.yaml`` (first, so that a place that cannot be written to shows at once), and at the end
+    ``trajectory.tum``, ``trajectory.kitti.txt``, ``motions.npz``, ``metrics.json`` (if truth is known) and
+    ``report.html``; files of an earlier run are replaced. Whatever stops the run midway, a damaged image or Ctrl-C,
+    the same files are written for the frames before, and the exception goes on with a note that says so.
+
+    Args:
+        sequence: the recording.
+        config: all settings.
+        out: folder for the files; made if it is missing.
+        on_step: called with the estimate of each frame, the first included.
+
+    Raises:
+        InputError: a file of the recording is at fault, its left and right images are swapped, or ``out`` cannot be
+            written to.
+    """
+    write_atomically(out / "config.yaml", config_text(config))
+    num_frames = min(len(sequence), config.max_frames or len(sequence))
+    odometry = StereoOdometry(sequence.camera, NOISE_MODELS[config.noise](), sequence.imu, config)
+    recorder, pictures = RunRecorder(), _Pictures.spread_over(num_frames)
+    matches = np.zeros(2, np.int64)
+    try:
+        for frame in islice(sequence, num_frames):
+            start = perf_counter()
+            motion = odometry.step(frame)
+            total_ms = 1e3 * (perf_counter() - start)
+            recorder.add(frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected)
+            pictures.add(frame, odometry)
+            matches += count_matches(odometry.tracks)
+            if frame.index == min(FRAMES_TO_SEE, num_frames - 1):
+                check_left_right(*matches, where=sequence.path)
+            if on_step is not None:
+                on_step(motion)
+    except BaseException as stop:  # whatever it is, it goes on; but not without what was computed
+        if len(recorder.result()) > 0:
+            _write(out, sequence, config, recorder.result(), pictures)
+            stop.add_note(f"What was computed before, {len(recorder.result())} frames, lies in {out}.")
+        raise
+    return _write(out, sequence, config, recorder.result(), pictures)
+
+
+def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures) -> Run:
+    write_tum(out / "trajectory.tum", result.stamps_ns, result.T_world_cam)
+    write_kitti_poses(out / "trajectory.kitti.txt", result.T_world_cam)
+    write_motions(out / "motions.npz", result)
+    truth = None if sequence.truth is None else sequence.truth.T_world_cam[: len(result)]
+    metrics = None if truth is None else evaluate(result.T_world_cam, truth, result.T_curr_prev, result.cov)
+    if metrics is not None:
+        write_json(out / "metrics.json", metrics.as_dict())
+    else:
+        remove_stale(out / "metrics.json")
+    if len(result) >= 2:
+        facts = run_facts(sequence, config)
+        title, settings = sequence.path.resolve().name, config_text(config)
+        write_report(out / "report.html", result, title, facts, truth, metrics, pictures.drawn, settings)
+    else:
+        remove_stale(out / "report.html")
+    return Run(result, metrics)
+
+
+@dataclass(frozen=True)
+class _Pictures:
+    """A few frames with their tracks, for the report."""
+
+    chosen: frozenset[int]
+    """Indices of the frames to draw."""
+    drawn: list[tuple[str, bytes]] = field(default_factory=list)
+    """Caption and JPEG file of those that have come."""
+
+    @staticmethod
+    def spread_over(num_frames: int) -> _Pictures:
+        indices = np.linspace(1, num_frames - 1, 2 * NUM_PICTURES + 1)[1::2]
+        return _Pictures(frozenset(np.round(indices).astype(int).tolist()))
+
+    def add(self, frame: Frame, odometry: StereoOdometry) -> None:
+        if frame.index not in self.chosen or frame.left is None:
+            return
+        tracks = odometry.tracks
+        caption = f"Frame {frame.index}: {len(tracks)} tracks"
+        self.drawn.append((caption, draw_tracks(frame.left, tracks.prev_px, tracks.curr_px, odometry.weights)))
