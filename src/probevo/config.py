@@ -96,7 +96,7 @@ class GyroConfig(_Settings):
     """Use of the gyro, where there is one."""
 
     prior: bool = Field(
-        True, description="Let the gyro's rotation, with its noise and the estimated bias, enter the solve."
+        False, description="Let the gyro's rotation, with its noise and the estimated bias, enter the solve."
     )
 
 

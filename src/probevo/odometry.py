@@ -72,14 +72,16 @@ class StereoOdometry:
         clock.lap("track")
         self.tracks = self._correct(tracks)
         clock.lap("calibrate")
-        predictors = np.zeros((len(tracks), 0))  # the prediction space has no columns yet
+        predictors = np.zeros((len(self.tracks), 0))  # the prediction space has no columns yet
         rng = np.random.default_rng([self.config.seed, frame.index])
         visual = estimate_motion(
             self.tracks, predictors, self.noise, self.camera, expected, rotation, self.config, rng, clock
         )
         self.weights = visual.weights
         if visual.status is Status.OK and visual.solution is not None:
-            T_curr_prev, cov, status = visual.solution.T_curr_prev, visual.solution.cov, visual.status
+            T_curr_prev, cov, status = visual.solution.T_curr_prev, visual.solution.cov, Status.OK
+            if self.config.self_calibration:
+                cov = cov + self.calibration.motion_covariance(visual.solved, visual.solution, self.camera)
             self._model = self._model.after(duration_s, (T_curr_prev, cov))
             self._learn(visual, gyro)
         else:

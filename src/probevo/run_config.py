@@ -28,6 +28,10 @@ class RunConfig(OdometryConfig):
     max_frames: int | None = Field(None, ge=2, description="Stop after so many frames.")
 
 
+OWN_KEYS = tuple(name for name in RunConfig.model_fields if name not in OdometryConfig.model_fields)
+"""Settings of the run that are none of the odometry's."""
+
+
 def read_config(path: Path) -> RunConfig:
     """The settings of a YAML file, such as the ``config.yaml`` of an earlier run; what it leaves out has its default.
 
@@ -54,7 +58,7 @@ def read_config(path: Path) -> RunConfig:
 def config_text(config: RunConfig) -> str:
     """The settings as YAML that ``read_config`` reads back as they are."""
     values = config.model_dump(mode="json")
-    own_first = {name: values.pop(name) for name in RunConfig.__annotations__} | values
+    own_first = {name: values.pop(name) for name in OWN_KEYS} | values
     return yaml.safe_dump(own_first, sort_keys=False, allow_unicode=True)
 
 
@@ -68,7 +72,8 @@ def setting_error(
         where: the file, or the kind of input.
         spelled: how the user writes a key, if not as ``section.key``.
     """
-    faults = [(".".join(map(str, fault["loc"])), fault) for fault in error.errors()]
+    unknown_first = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
+    faults = [(".".join(map(str, fault["loc"])), fault) for fault in unknown_first]
     texts = [
         f"the key {spelled(key)} is not known"
         if fault["type"] == "extra_forbidden"

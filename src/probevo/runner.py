@@ -74,7 +74,7 @@ def run_sequence(
             pictures.add(frame, odometry)
             matches += count_matches(odometry.tracks)
             if frame.index == min(FRAMES_TO_SEE, num_frames - 1):
-                check_left_right(*matches, where=sequence.path)
+                check_left_right(int(matches[0]), int(matches[1]), sequence.path)
             if on_step is not None:
                 on_step(motion)
     except BaseException as stop:  # whatever it is, it goes on; but not without what was computed

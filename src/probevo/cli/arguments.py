@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import tyro
 from pydantic import BaseModel, ValidationError
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
-from probevo.run_config import RunConfig, setting_error
+from probevo.run_config import OWN_KEYS, RunConfig, setting_error
 
 Arguments = TypeVar("Arguments")
 NOT_FLAGS = ("sequence",)
@@ -18,10 +18,12 @@ _registry = ConstructorRegistry()
 
 def parse(kind: type[Arguments], words: list[str], command: str, default: Arguments | None = None) -> Arguments:
     """The words as a ``kind``; its docstrings are the help. Exits with code 2 and a hint if they do not fit."""
+    given: dict[str, Any] = {} if default is None else {"default": default}
     with _registry:
-        return tyro.cli(
-            kind, args=words, prog=f"probevo {command}", default=default, config=(tyro.conf.DisallowNone,)
-        )  # fmt: skip
+        parsed: Arguments = tyro.cli(
+            kind, args=words, prog=f"probevo {command}", config=(tyro.conf.DisallowNone,), **given
+        )
+    return parsed
 
 
 def checked(settings: RunConfig) -> RunConfig:
@@ -42,14 +44,14 @@ def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
     if not (isinstance(info.type, type) and issubclass(info.type, BaseModel)):
         return None
     model: type[BaseModel] = info.type
-    ordered = sorted(model.model_fields.items(), key=lambda item: item[0] not in model.__annotations__)
+    ordered = sorted(model.model_fields.items(), key=lambda item: item[0] not in OWN_KEYS)
     fields = [
         StructFieldSpec(name, field.annotation, getattr(info.default, name), field.description)  # type: ignore[arg-type]
         for name, field in ordered
         if name not in NOT_FLAGS
     ]
 
-    def build(**values: object) -> BaseModel:
+    def build(**values: Any) -> BaseModel:
         return model.model_construct(**values)
 
     build.__doc__ = model.__doc__

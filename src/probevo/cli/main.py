@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -10,8 +11,8 @@ from importlib import import_module
 from probevo import __version__
 from probevo.errors import InputError, ProbevoError
 
-COMMANDS = {"run": "probevo.cli.run", "eval": "probevo.cli.eval", "info": "probevo.cli.info", "demo": "probevo.cli.demo"}
-"""Module of each command, imported only if it is called: `probevo --help` should not wait for SciPy."""
+COMMANDS = ("run", "eval", "info", "demo")
+"""Each is a module of its own, imported only if it is called: `probevo --help` should not wait for SciPy."""
 HELP = f"""\
 probevo {__version__}: stereo odometry that learns how far to trust each feature, and says how sure it is of its motion.
 
@@ -35,6 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as stop:
         _complain("stopped.", stop)
         return INTERRUPTED
+    except BrokenPipeError:  # whoever read our output, such as `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
 
 
 def _dispatch(words: list[str]) -> int:
@@ -52,7 +56,7 @@ def _dispatch(words: list[str]) -> int:
         close = get_close_matches(first, COMMANDS, n=1)
         cure = f"Did you mean {close[0]}?" if close else f"Commands are {', '.join(COMMANDS)}; see `probevo --help`."
         raise InputError(first, "this is not a command.", cure)
-    import_module(COMMANDS[first]).main(words[1:])
+    import_module(f"probevo.cli.{first}").main(words[1:])
     return 0
 
 

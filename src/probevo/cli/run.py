@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,7 +34,7 @@ class RunArguments:
     """Settings as YAML, such as the config.yaml of an earlier run."""
     threads: int = 1
     """Threads of OpenCV. Two save a tenth of the time, no more; the results are the same."""
-    settings: Annotated[RunConfig, tyro.conf.arg(name="")] = RunConfig()
+    settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
 
 def main(words: list[str]) -> None:
@@ -45,16 +45,17 @@ def main(words: list[str]) -> None:
         raise InputError("SEQUENCE", "no recording is named.", "Give its folder: `probevo run SEQUENCE --out DIR`.")
     if arguments.threads < 1:
         raise InputError("--threads", f"is {arguments.threads}.", "It must be at least 1.")
-    run = run_with_progress(settings.model_copy(update={"sequence": arguments.sequence}), arguments.out, arguments.threads)
+    settings = settings.model_copy(update={"sequence": arguments.sequence})
+    run = run_with_progress(settings, arguments.out, arguments.threads)
     print("\n".join(summary(run, arguments.out)))
 
 
 def _defaults(words: list[str]) -> RunArguments:
     """What holds where no flag is given; it may come from the file, so that --config is looked for first."""
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    finder.add_argument("--config", type=Path)
+    finder.add_argument("--config", nargs="?")
     path = finder.parse_known_args(words)[0].config
-    settings = RunConfig() if path is None else read_config(path)
+    settings = RunConfig() if path is None else read_config(Path(path))
     return RunArguments(sequence=settings.sequence, out=tyro.MISSING, settings=settings)
 
 

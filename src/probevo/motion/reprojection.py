@@ -38,6 +38,8 @@ class ReprojectionSolution:
     """eᵀ Σ⁻¹ e of each feature, [N]; Σ is the scale of its residual."""
     weight: FloatArray
     """Robust weight of each feature against that of a perfect one, [N], in [0, 1]."""
+    irls_weight: FloatArray
+    """Robust weight w itself, [N]; 0 for a feature without a say."""
     refined: FloatArray
     """Most likely (u, v, disparity) of each feature in the previous frame given both observations, [N, 3], px."""
     residuals: FloatArray
@@ -47,11 +49,16 @@ class ReprojectionSolution:
     disparity_jacobian: FloatArray
     """How the disparity in the previous frame moves it, [N, 4]."""
     hessian: FloatArray
-    """Σ c Jᵀ Σ⁻¹ J plus the prior's information, with c the curvature of the loss, [6, 6]."""
+    """Σ w Jᵀ Σ⁻¹ J plus the prior's information, w the IRLS weight, [6, 6]. Its inverse is not the covariance."""
     information: FloatArray
     """Σ⁻¹ of each feature, [N, 4, 4], px⁻²."""
     iterations: int
     converged: bool
+
+    def whitened(self, columns: FloatArray) -> FloatArray:
+        """w Σ⁻¹ times columns of each feature, [N, 4, K] to [N, 4, K], with w the IRLS weight of the solution."""
+        product: FloatArray = np.matmul(self.information, columns) * self.irls_weight[:, None, None]
+        return product
 
 
 def solve_reprojection(
@@ -112,7 +119,7 @@ def solve_reprojection(
     weight = np.where(has_say, loss.weight(squared, dof), 0.0)
     curvature = np.where(has_say, loss.curvature(squared, dof), 0.0)
     white = np.einsum("nij,njk->nik", information, jacobian)
-    hessian = _sum_products(jacobian, white * curvature[:, None, None])
+    information_sum = _sum_products(jacobian, white * curvature[:, None, None])
     variance_factor = _variance_factor(squared, weight, curvature, loss, dof)
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = C, t
@@ -120,14 +127,15 @@ def solve_reprojection(
     prior_block[3:, 3:] = prior_information
     return ReprojectionSolution(
         T_curr_prev=motion,
-        cov=_inverse_or_nan(hessian / variance_factor + prior_block),
+        cov=_inverse_or_nan(information_sum / variance_factor + prior_block),
         squared=squared,
         weight=weight / np.maximum(loss.weight(np.zeros(count), dof), 1e-12),
+        irls_weight=weight,
         refined=refined,
         residuals=residuals,
         jacobian=jacobian,
         disparity_jacobian=disparity_jacobian,
-        hessian=hessian + prior_block,
+        hessian=_sum_products(jacobian, white * weight[:, None, None]) + prior_block,
         information=information,
         iterations=iterations,
         converged=converged,

@@ -29,9 +29,11 @@ ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0])
 """Prior standard deviation of a₀ … a₅."""
 DISPARITY_SIGMA_PX = np.array([1.0, 1.0])
 """Prior standard deviation of b₁, b₂."""
+CONSTANT_SIGMA_PX = 0.1
+"""Standard deviation of the constant b₀ that is not estimated, but whose doubt the covariance of the motion carries."""
 ROW_SCATTER_PX = 0.2
 """Scale of v_r − v_l around its model; its tails are those of a Student-t with 5 degrees of freedom."""
-CORRELATED_FEATURES = 10.0
+CORRELATED_FEATURES = 20.0
 """How many features count as one: neighbours share their errors, and the same points come back frame after frame."""
 
 
@@ -56,7 +58,7 @@ class SelfCalibration:
     def corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
         """Observations [N, 4], px, with u_r and v_r as a flawless rectification would have them."""
         corrected: FloatArray = pixels.copy()
-        corrected[:, 2] -= disparity_basis(pixels, camera) @ self.disparity
+        corrected[:, 2] -= disparity_basis(pixels, camera)[:, 1:] @ self.disparity
         corrected[:, 3] -= row_basis(pixels, camera) @ self.rows
         return corrected
 
@@ -81,18 +83,30 @@ class SelfCalibration:
     def with_motion(self, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera) -> SelfCalibration:
         """The belief after a solve on the corrected tracks: the part of the residuals that a change of b explains.
 
-        With D = ∂e/∂b and J = ∂e/∂ξ, the motion is eliminated from the joint normal equations (Schur complement).
+        With D = ∂e/∂b and J = −∂e/∂ξ, the motion is eliminated from the joint normal equations (Schur complement).
         """
-        sensitivity = disparity_sensitivity(tracks, solution, camera)
-        weighted = np.einsum("nij,njk->nik", solution.information, sensitivity) * solution.weight[:, None, None]
-        motion = solution.jacobian
-        cross = np.einsum("nij,nik->jk", motion, weighted)
+        sensitivity = disparity_sensitivity(tracks, solution, camera)[:, :, 1:]
+        weighted = solution.whitened(sensitivity)
+        cross = np.einsum("nij,nik->jk", solution.jacobian, weighted)
         hessian = np.einsum("nij,nik->jk", sensitivity, weighted)
         gradient = -np.einsum("nij,ni->j", weighted, solution.residuals)
         learned = (hessian - cross.T @ np.linalg.solve(solution.hessian, cross)) / CORRELATED_FEATURES
         information = self.disparity_information + learned
         step = np.linalg.solve(information, gradient / CORRELATED_FEATURES)
         return replace(self, disparity=self.disparity + step, disparity_information=information)
+
+    def motion_covariance(self, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera) -> FloatArray:
+        """What the doubt about the disparities adds to the covariance of a solved motion, [6, 6] (Schmidt's consider term).
+
+        An error of the calibration moves all features together, so that no number of them averages it out.
+        """
+        weighted = solution.whitened(disparity_sensitivity(tracks, solution, camera))
+        gain = np.linalg.solve(solution.hessian, np.einsum("nij,nik->jk", solution.jacobian, weighted))
+        doubt = np.zeros((3, 3))
+        doubt[0, 0] = CONSTANT_SIGMA_PX**2
+        doubt[1:, 1:] = np.linalg.inv(self.disparity_information)
+        added: FloatArray = gain @ doubt @ gain.T
+        return added
 
 
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
@@ -102,17 +116,16 @@ def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
 
 
 def disparity_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-    """(x, x²) at the left observations of N features, [N, 2]."""
+    """(1, x, x²) at the left observations of N features, [N, 3]."""
     x, _ = _normalized(pixels, camera)
-    return np.column_stack([x, x * x])
+    return np.column_stack([np.ones_like(x), x, x * x])
 
 
 def disparity_sensitivity(tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera) -> FloatArray:
-    """∂e/∂b, [N, 4, 2]: a larger disparity moves u_r' by itself, and the prediction h(u, v, d) by its depth."""
-    sensitivity: FloatArray = (
-        -solution.disparity_jacobian[:, :, None] * disparity_basis(tracks.prev_px, camera)[:, None]
-    )
-    sensitivity[:, 2] -= disparity_basis(tracks.curr_px, camera)
+    """∂e/∂(b₀, b₁, b₂), [N, 4, 3]: more disparity moves u_r' by itself, and the prediction f(T g(y)) by its depth."""
+    before, now = disparity_basis(tracks.prev_px, camera), disparity_basis(tracks.curr_px, camera)
+    sensitivity: FloatArray = -solution.disparity_jacobian[:, :, None] * before[:, None]
+    sensitivity[:, 2] -= now
     return sensitivity
 
 

@@ -45,10 +45,10 @@ def metrics_rows(metrics: Metrics) -> list[tuple[str, str, str]]:
         if value is not None:
             rows.append((name, f"{readable(value)} {unit}".strip(), text))
     if metrics.nees_coverage:
-        shares = ", ".join(f"{100 * share:.0f} % ({percent})" for percent, share in metrics.nees_coverage.items())
-        rows.append(
-            ("Coverage", shares, "Share of single steps inside the ellipsoid that should hold the share in brackets.")
-        )
+        shares = " / ".join(f"{100 * share:.0f}" for share in metrics.nees_coverage.values())
+        promised = " / ".join(metrics.nees_coverage)
+        text = f"Share of single steps inside the ellipsoids that should hold {promised} % of them."
+        rows.append(("Coverage", f"{shares} %", text))
     return rows
 
 

@@ -138,7 +138,9 @@ def _status_note(result: RunResult) -> str:
 
 def _stages_note(result: RunResult) -> str:
     size = group_size(result)
-    return "Wall time of each step." if size == 1 else f"Areas: means over {size} steps. Line: the slowest of them."
+    decoding = " Images are decoded ahead, in threads of their own." if "decode" in result.stage_ms else ""
+    shown = "Wall time of each step." if size == 1 else f"Areas: means over {size} steps. Line: the slowest of them."
+    return shown + decoding
 
 
 def _card(name: str, value: str, unit: str, aside: str) -> str:

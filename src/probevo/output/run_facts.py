@@ -57,10 +57,10 @@ def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
     """Whether there is an IMU, and what its gyro is used for."""
     if sequence.imu is None:
         return "none"
-    uses = ["where tracking starts", "steps that the camera loses"]
-    uses += ["the sampling of RANSAC"] if config.ransac.rotation_from == "gyro" else []
-    uses += ["the solve"] if config.gyro.prior else []
-    return f"gyro, for {', '.join(uses[:-1])} and {uses[-1]}"
+    uses = ["to start the tracking", "to carry on where the camera is blind"]
+    uses += ["in RANSAC"] if config.ransac.rotation_from == "gyro" else []
+    uses += ["in the solve"] if config.gyro.prior else []
+    return f"gyro {', '.join(uses)}"
 
 
 def truth_text(truth: GroundTruth | None) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.camera.stereo import StereoCamera
@@ -63,7 +64,7 @@ class ImageTracker:
         before, left_px, disparity = self._follow_in_time(before, left, expected, rejected)
         corners = detect_corners(left, left_px, self._config)
         right_px, matched = self._match_right(
-            left, right, np.vstack([left_px, corners]), np.r_[disparity, np.zeros(len(corners))], rejected
+            left, right, np.vstack([left_px, corners]), np.r_[disparity, _of_nearest(corners, left_px, disparity)], rejected
         )
         survived, born = matched[: len(left_px)], matched[len(left_px) :]
         pixels = np.hstack([np.vstack([left_px, corners]), right_px])
@@ -135,6 +136,14 @@ def _predict(
     u = camera.fu_px * q[:, 0] / depth + camera.cu_px
     v = camera.fv_px * q[:, 1] / depth + camera.cv_px
     return np.column_stack([u, v]), camera.fu_px * camera.baseline_m * rho / depth, ahead
+
+
+def _of_nearest(corners: FloatArray, left_px: FloatArray, disparity: FloatArray) -> FloatArray:
+    """Disparity [M] to start with at new corners [M, 2]: that of the nearest feature [N, 2] whose disparity [N] is expected."""
+    if len(left_px) == 0 or len(corners) == 0:
+        return np.zeros(len(corners))
+    nearest: FloatArray = disparity[cKDTree(left_px).query(corners)[1]]
+    return nearest
 
 
 def _lucas_kanade(

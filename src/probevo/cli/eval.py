@@ -1,0 +1,141 @@
+"""``probevo eval``: compares a run, or a trajectory file, with true poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from probevo.cli.arguments import parse
+from probevo.cli.text import columns
+from probevo.errors import InputError
+
+if TYPE_CHECKING:
+    from probevo.arrays import FloatArray, IntArray
+
+PoseFormat = Literal["kitti", "tum"]
+COLUMNS: dict[int, PoseFormat] = {12: "kitti", 8: "tum"}
+
+
+@dataclass(frozen=True)
+class EvalArguments:
+    """Figures of merit of a run against true poses of the left camera.
+
+    TUM poses are matched by time, to the nearest within half a frame. KITTI poses have no time and are matched by
+    number: the first belongs to the first frame, and those beyond the last frame are left out.
+    """
+
+    run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """Folder of a run (metrics.json is written into it), or a trajectory in TUM or KITTI form."""
+    gt: Annotated[Path, tyro.conf.arg(metavar="POSES")]
+    """True poses T_world_cam, in TUM or KITTI form."""
+    gt_format: Annotated[PoseFormat | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Form of the true poses; found out by the number of columns where it is not named."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses as a file or a run has them."""
+
+    where: Path
+    T_world_cam: FloatArray
+    """[N, 4, 4], m."""
+    stamps_ns: IntArray | None = None
+    """[N]; None where the file has no times."""
+    T_curr_prev: FloatArray | None = None
+    """Relative motions of a run, [N-1, 4, 4], m."""
+    cov: FloatArray | None = None
+    """Their covariances, [N-1, 6, 6]."""
+
+
+def main(words: list[str]) -> None:
+    """Parse and compare."""
+    arguments = parse(EvalArguments, words, "eval")
+    from probevo.evaluation.metrics import evaluate
+    from probevo.output.files import write_json
+    from probevo.output.metrics_table import metrics_rows
+
+    estimate = read_run(arguments.run) if arguments.run.is_dir() else read_trajectory(arguments.run)
+    truth = read_trajectory(arguments.gt, arguments.gt_format)
+    T_world_cam_true, remark = match_truth(estimate, truth)
+    metrics = evaluate(estimate.T_world_cam, T_world_cam_true, estimate.T_curr_prev, estimate.cov)
+    rows = metrics_rows(metrics)
+    width = max(len(name) for name, _, _ in rows)
+    print(columns((f"{name:<{width}}  {value}", text) for name, value, text in rows))
+    if remark:
+        print(remark)
+    if arguments.run.is_dir():
+        write_json(arguments.run / "metrics.json", metrics.as_dict())
+        print(f"written: {arguments.run / 'metrics.json'}")
+
+
+def read_run(folder: Path) -> Trajectory:
+    """The motions that ``probevo run`` left in a folder."""
+    from probevo.output.motions_file import read_motions
+
+    path = folder / "motions.npz"
+    if not path.exists():
+        raise InputError(path, "this file is missing.", "Give the --out folder of `probevo run`, or a trajectory file.")
+    result = read_motions(path)
+    return Trajectory(path, result.T_world_cam, result.stamps_ns, result.T_curr_prev, result.cov)
+
+
+def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:
+    """Poses in TUM or KITTI form, told apart by their number of columns.
+
+    Raises:
+        InputError: the file cannot be read, or has neither form.
+    """
+    from probevo.output.files import read_kitti_poses, read_tum
+    from probevo.sequences.text import read_lines
+
+    if form is None:
+        where, line = read_lines(path, "Give a file of poses, one a line.")[0]
+        if len(line.split()) not in COLUMNS:
+            what = f"this line has {len(line.split())} columns."
+            raise InputError(where, what, "Poses have 12 columns in KITTI's form and 8 in TUM's (stamp, t, q).")
+        form = COLUMNS[len(line.split())]
+    if form == "kitti":
+        return Trajectory(path, read_kitti_poses(path))
+    stamps_ns, T_world_cam = read_tum(path)
+    return Trajectory(path, T_world_cam, stamps_ns)
+
+
+def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, str]:
+    """True pose of each estimated frame, [N, 4, 4], NaN where unknown; and a remark for the user, or nothing.
+
+    Raises:
+        InputError: the truth is too short, or no true pose is near a frame in time.
+    """
+    if estimate.stamps_ns is not None and truth.stamps_ns is not None:
+        return _match_by_time(estimate, truth, estimate.stamps_ns, truth.stamps_ns)
+    frames, poses = len(estimate.T_world_cam), len(truth.T_world_cam)
+    if poses < frames:
+        what = f"{poses} poses for the {frames} frames of {estimate.where}."
+        raise InputError(truth.where, what, "Without times they are matched by number: give one for each frame.")
+    if poses > frames and truth.stamps_ns is not None:
+        what = f"{poses} poses for the {frames} frames of {estimate.where}, which has no times to match them by."
+        raise InputError(truth.where, what, "Give the run's folder or its trajectory.tum instead.")
+    remark = f"Compared with the first {frames} of {poses} true poses: the run has no more." if poses > frames else ""
+    return truth.T_world_cam[:frames], remark
+
+
+def _match_by_time(
+    estimate: Trajectory, truth: Trajectory, frames_ns: IntArray, poses_ns: IntArray
+) -> tuple[FloatArray, str]:
+    import numpy as np
+
+    after = np.clip(np.searchsorted(poses_ns, frames_ns), 1, max(len(poses_ns) - 1, 1))
+    pair = np.minimum(np.stack([after - 1, after]), len(poses_ns) - 1)
+    nearest = pair[np.abs(poses_ns[pair] - frames_ns).argmin(axis=0), np.arange(len(frames_ns))]
+    half_frame_ns = np.median(np.diff(frames_ns)) / 2 if len(frames_ns) > 1 else 0
+    known = np.abs(poses_ns[nearest] - frames_ns) <= half_frame_ns
+    if known.sum() < 2:
+        spans = [f"{s[0] * 1e-9:.3f} to {s[-1] * 1e-9:.3f} s" for s in (poses_ns, frames_ns)]
+        what = f"its poses ({spans[0]}) are not within half a frame of the frames ({spans[1]})."
+        raise InputError(truth.where, what, "Both need the same clock.")
+    matched = np.where(known[:, None, None], truth.T_world_cam[nearest], np.nan)
+    missing = int((~known).sum())
+    return matched, f"{missing} of {len(known)} frames have no true pose within half a frame." if missing else ""
