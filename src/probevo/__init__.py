@@ -22,7 +22,7 @@ _HOMES = {
     "StereoOdometry": "probevo.odometry",
     "open_sequence": "probevo.sequences",
 }
-__all__ = [*_HOMES, "noise"]  # noqa: PLE0604
+__all__ = [*_HOMES, "noise"]
 
 
 def __getattr__(name: str) -> Any:

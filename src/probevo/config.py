@@ -31,7 +31,7 @@ class TrackingConfig(_Settings):
         41,
         ge=0,
         le=201,
-        description="Side of the box whose mean is taken off the image before tracking, against changes of exposure and vignetting; 0 is off.",
+        description="Side of the box whose mean is taken off the image, against vignetting and exposure; 0 is off.",
     )
     max_row_offset_px: float = Field(
         2.5,

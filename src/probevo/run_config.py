@@ -90,7 +90,7 @@ def _nearest_keys(key: str) -> str:
     key = key.replace("-", "_")
     last = key.rpartition(".")[2]
     # The right key without its section, or in a wrong one, is nearer than any other spelling.
-    near = [name for name in known if name.rpartition(".")[2] == last] or get_close_matches(key, known, cutoff=0.6)
+    near = [name for name in known if name.rpartition(".")[2] == last] or get_close_matches(key, known, n=1)
     return f"Did you mean {' or '.join(near)}?" if near else f"Known are {', '.join(known)}."
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.motion.kernels import LossKind
 from probevo.motion.robust import RESIDUAL_DIM, RobustLoss
+from probevo.motion.robust_kernels import LossKind
 
 LOSSES = [
     RobustLoss.l2(),

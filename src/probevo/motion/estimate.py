@@ -10,7 +10,7 @@ from probevo.arrays import FloatArray
 
 
 class Status(IntEnum):
-    """How a motion came about. In all but FIRST and OK it is carried on from gyro and last velocity, covariance inflated."""
+    """How a motion came about. In all but FIRST and OK it is carried on from gyro and last velocity, much less sure."""
 
     FIRST = 0
     """The first frame: identity, zero covariance."""

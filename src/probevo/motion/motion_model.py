@@ -1,4 +1,4 @@
-"""What the last motion lets one expect of the next: where tracking starts, what is carried on when it fails, what is absurd."""
+"""What the last motion lets one expect of the next: where to look, what to carry on with, what not to believe."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from probevo.geometry import se3
 from probevo.motion.reprojection import RotationPrior
 
 ABSURD = 60.0
-"""Squared Mahalanobis length of a motion's surprise, six degrees of freedom, beyond which it is not believed: about 7σ."""
+"""Squared Mahalanobis length of a motion's surprise (six dimensions) beyond which it is not believed: about 7σ."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class MotionModel:
         return self.usual_step_s > 0.0 and duration_s > self.config.gap_factor * self.usual_step_s
 
     def after(self, duration_s: float, solved: tuple[FloatArray, FloatArray] | None) -> MotionModel:
-        """The belief after a step: of the solved T_curr_prev [4, 4] and its cov [6, 6], or older by one step for None."""
+        """The belief after a step: that of the solved T_curr_prev [4, 4] and cov [6, 6], or one step older for None."""
         model = self
         if not self.is_gap(duration_s):
             usual = duration_s if self.usual_step_s == 0.0 else 0.9 * self.usual_step_s + 0.1 * duration_s

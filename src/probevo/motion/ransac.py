@@ -1,4 +1,4 @@
-"""Random sample consensus over minimal motions: three points, or one point where a gyro gives the rotation (PROBE V)."""
+"""Random sample consensus over minimal motions: three points, or one where a gyro gives the rotation (PROBE V)."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.motion.kernels import COMPILED, NEAREST, normal_equations, perturb, solve_positive_definite
+from probevo.compiled import compiled, perturb, solve_positive_definite
+from probevo.motion.normal_equations import normal_equations
+from probevo.motion.reprojection_kernels import NEAREST
 
 
 @dataclass(frozen=True)
@@ -24,9 +25,9 @@ class Consensus:
 
 
 def num_hypotheses(confidence: float, inlier_ratio: float, sample_size: int) -> int:
-    """Samples needed to draw one without outliers with the given confidence: 35 at 99 % and 69 at 99.99 % for three points.
+    """Samples needed for one without outliers (Fischler & Bolles 1981).
 
-    (Fischler & Bolles 1981; PROBE V uses 50 % inliers.)
+    For three points and PROBE's 50 % inliers: 35 at 99 % confidence, 69 at 99.99 %.
     """
     return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - inlier_ratio**sample_size))
 
@@ -45,8 +46,8 @@ def find_consensus(
 ) -> Consensus:
     """The best of the motions of random minimal samples, by the truncated squared reprojection error of all features.
 
-    The minimal motions minimise the reprojection error in (u_l, v_l, u_r) by Gauss–Newton from the guess, which, other than
-    aligning triangulated points, does not suffer from the depth noise of far ones. The guess itself competes too.
+    The minimal motions minimise the reprojection error in (u_l, v_l, u_r) by Gauss–Newton from the guess, which, other
+    than aligning triangulated points, does not suffer from the depth noise of far ones. The guess itself competes too.
 
     Args:
         prev_px, curr_px: observations of N features, [N, 4], px.
@@ -76,7 +77,7 @@ def find_consensus(
     return Consensus(motion, inliers)
 
 
-@njit(**COMPILED)
+@compiled
 def _best_sample(
     points: FloatArray,
     curr: FloatArray,
@@ -126,7 +127,7 @@ def _best_sample(
     _truncated_cost(best_C, best_t, points, curr, camera, threshold, np.inf, inliers)
 
 
-@njit(**COMPILED)
+@compiled
 def _truncated_cost(
     C: FloatArray,
     t: FloatArray,
@@ -137,7 +138,7 @@ def _truncated_cost(
     give_up_at: float,
     inliers: BoolArray,
 ) -> float:
-    """Σ min(error², threshold²) over the features, the error being the largest of u_l, v_l, u_r; stops at ``give_up_at``."""
+    """Σ min(error², threshold²), the error being the largest of u_l, v_l, u_r; stops at ``give_up_at``."""
     fu, fv, cu, cv, fb = camera
     limit = threshold * threshold
     total = 0.0

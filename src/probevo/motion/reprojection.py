@@ -8,19 +8,21 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.motion.kernels import BEHIND, minimize, observation_to_point, residual_jacobians
+from probevo.motion.minimize import minimize
+from probevo.motion.normal_equations import BEHIND
+from probevo.motion.reprojection_kernels import observation_to_point, residual_jacobians
 from probevo.motion.robust import RobustLoss
 from probevo.noise.base import StereoNoise
 
 CONVERGED_BELOW = 1e-3
 """The solve has converged once a step is shorter than this many standard deviations of the motion."""
 EXPECTED_FEATURES = 20.0
-"""How many features the noise model's own word counts for, against the residuals seen, in the scale of the covariance."""
+"""How many features the noise model's own word counts for in the scale of the covariance, against those seen."""
 
 
 @dataclass(frozen=True)
 class RotationPrior:
-    """What a gyro knows of the rotation: C_curr_prev, [3, 3], and the covariance of its left perturbation, [3, 3], rad²."""
+    """What a gyro knows of the rotation: C_curr_prev, [3, 3], and the cov of its left perturbation, [3, 3], rad²."""
 
     C_curr_prev: FloatArray
     cov: FloatArray
@@ -74,9 +76,9 @@ def solve_reprojection(
 ) -> ReprojectionSolution:
     """Most likely motion T_curr_prev given N features in two frames.
 
-    Minimises Σ ρ(eᵀ Σ⁻¹ e) over T, where e = y' − f(T g(y)) is the residual. If the noise refers to single observations,
-    R, then Σ = R + A S Aᵀ with S the noise of the triangulated point and A = ∂(f ∘ T)/∂(u, v, d); if it refers to the
-    residual, Σ is the scale itself.
+    Minimises Σ ρ(eᵀ Σ⁻¹ e) over T, where e = y' − f(T g(y)) is the residual. If the noise refers to single
+    observations, R, then Σ = R + A S Aᵀ with S the noise of the triangulated point and A = ∂(f ∘ T)/∂(u, v, d); if it
+    refers to the residual, Σ is the scale itself.
 
     Args:
         prev_px, curr_px: observations y and y', [N, 4], px. The disparity may be zero or slightly negative: a point at
@@ -106,9 +108,8 @@ def solve_reprojection(
     C, t = np.array(guess[:3, :3]), np.array(guess[:3, 3])
     refined, offset, information = seen.copy(), np.zeros((count, 4)), np.zeros((count, 4, 4))
     squared = np.zeros(count)
-    C_prior, prior_information = np.eye(3), np.zeros((3, 3))
-    if prior is not None:
-        C_prior, prior_information = np.ascontiguousarray(prior.C_curr_prev), np.linalg.inv(prior.cov)
+    C_prior = np.eye(3) if prior is None else np.ascontiguousarray(prior.C_curr_prev)
+    prior_information: FloatArray = np.zeros((3, 3)) if prior is None else np.asarray(np.linalg.inv(prior.cov), float)
     iterations, converged, _ = minimize(
         C, t, intrinsics, seen, point_cov, curr, scale, int(loss.kind), parameter, C_prior, prior_information,
         max_iterations, CONVERGED_BELOW, refined, offset, information, squared,
@@ -147,14 +148,15 @@ def _variance_factor(
 ) -> float:
     """How much larger the covariance of the motion is than the inverse of A = Σ a Jᵀ Σ⁻¹ J.
 
-    The covariance of an M-estimate is A⁻¹ B A⁻¹, with a = w + (2/d) w' s, the curvature of the loss (over a Student-t its mean is
-    (ν+d)/(ν+d+2); for an outlier it vanishes), and B = Σ b Jᵀ Σ⁻¹ J, b = w² s/d, the scatter of its gradient. B is taken as A
-    times the ratio of the sums of b and a: one if the noise is as the model says, larger if the residuals are. The sums
-    start with the model's own a and b (``RobustLoss.moments``), as if a few features had shown them.
+    The covariance of an M-estimate is A⁻¹ B A⁻¹, with a = w + (2/d) w' s, the curvature of the loss (over a Student-t
+    its mean is (ν+d)/(ν+d+2); for an outlier it vanishes), and B = Σ b Jᵀ Σ⁻¹ J, b = w² s/d, the scatter of its
+    gradient. B is taken as A times the ratio of the sums of b and a: one if the noise is as the model says, larger if
+    the residuals are. The sums start with the model's own a and b (``RobustLoss.moments``), as if a few features had
+    shown them.
     """
     count, dim = len(squared), 4
     scatter = weight**2 * squared / dim
-    expected_curvature, expected_scatter = (float(np.mean(moment)) for moment in loss.moments(dof))
+    expected_curvature, expected_scatter = (float(np.mean(moment)) if count else 1.0 for moment in loss.moments(dof))
     spent = count * dim / max(count * dim - 6.0, 1.0)
     shown = EXPECTED_FEATURES * expected_scatter + spent * float(scatter.sum())
     return shown / (EXPECTED_FEATURES * expected_curvature + float(curvature.sum()))

@@ -7,12 +7,12 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from probevo.arrays import FloatArray
+from probevo.compiled import compiled
 from probevo.errors import InputError
-from probevo.motion.kernels import LossKind, robust_cost, robust_curvature, robust_weight
+from probevo.motion.robust_kernels import LossKind, robust_cost, robust_curvature, robust_weight
 
 LossName = Literal["noise", "l2", "huber", "cauchy", "tukey"]
 
@@ -168,19 +168,19 @@ def _moments(loss: RobustLoss, dof: float) -> tuple[float, float]:
     return float(density @ (w * w_nu * s)) / RESIDUAL_DIM, float(density @ (w * w * s)) / RESIDUAL_DIM
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _fill_weights(kind: int, parameters: FloatArray, squared: FloatArray, weights: FloatArray) -> None:
     for n in range(len(squared)):
         weights[n] = robust_weight(kind, parameters[n], RESIDUAL_DIM, squared[n])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _fill_costs(kind: int, parameters: FloatArray, squared: FloatArray, costs: FloatArray) -> None:
     for n in range(len(squared)):
         costs[n] = robust_cost(kind, parameters[n], RESIDUAL_DIM, squared[n])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _fill_curvatures(kind: int, parameters: FloatArray, squared: FloatArray, curvatures: FloatArray) -> None:
     for n in range(len(squared)):
         curvatures[n] = robust_curvature(kind, parameters[n], RESIDUAL_DIM, squared[n])

@@ -1,15 +1,17 @@
 """What is left of the rectification's errors, learned on the way: the right image against the left.
 
-A rectified pair should show a point in the same row of both images, and its disparity should be that of the baseline alone.
-Real pairs do neither. The correction is a smooth function of the place (x, y) = ((u − cu)/fu, (v − cv)/fv) in the left image:
+A rectified pair should show a point in the same row of both images, and its disparity should be that of the baseline
+alone. Real pairs do neither. The correction is a smooth function of the place (x, y) = ((u − cu)/fu, (v − cv)/fv) in
+the left image:
 
 - rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y², learned from every stereo match, no motion needed. On
-  KITTI a₄ is 6.7 px on two calibrations of different days, and modelling it takes the scatter of v_r − v_l from 0.39 to 0.15 px.
+  KITTI a₄ is 6.7 px on two calibrations of different days, and modelling it takes the scatter of v_r − v_l from 0.39 to
+  0.15 px.
 - disparity: true minus measured = b₁ x + b₂ x², learned from how well the features agree on one motion. On KITTI b₂ is
   1.8 px: points at the sides seem too far, which on a motorway, where the useful points are at the sides, lengthens
   every step. A constant b₀ is left out on purpose: noise in the disparity makes near points look like a mix of near and
-  far ones, which mimics b₀ (regression dilution), so an estimated b₀ runs away on noisy tracks. The place in the image is
-  known without noise, so b₁ and b₂ do not suffer from that.
+  far ones, which mimics b₀ (regression dilution), so an estimated b₀ runs away on noisy tracks. The place in the image
+  is known without noise, so b₁ and b₂ do not suffer from that.
 
 Both are Gaussian beliefs that start at zero with the prior below and are renewed by recursive robust least squares.
 """
@@ -73,11 +75,12 @@ class SelfCalibration:
         basis = row_basis(pixels, camera)
         offsets = pixels[:, 3] - pixels[:, 1]
         rows = self.rows
+        information = self.rows_information
         for _ in range(3):  # IRLS: the weights of the first frame depend on the model that it teaches
             weight = 6.0 / (5.0 + ((offsets - basis @ rows) / ROW_SCATTER_PX) ** 2)
             weighted = basis * (weight / (ROW_SCATTER_PX**2 * CORRELATED_FEATURES))[:, None]
             information = self.rows_information + weighted.T @ basis
-            rows = np.linalg.solve(information, self.rows_information @ self.rows + weighted.T @ offsets)
+            rows = np.linalg.solve(information, self.rows_information @ self.rows + weighted.T @ offsets).astype(float)
         return replace(self, rows=rows, rows_information=information)
 
     def with_motion(self, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera) -> SelfCalibration:
@@ -96,7 +99,7 @@ class SelfCalibration:
         return replace(self, disparity=self.disparity + step, disparity_information=information)
 
     def motion_covariance(self, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera) -> FloatArray:
-        """What the doubt about the disparities adds to the covariance of a solved motion, [6, 6] (Schmidt's consider term).
+        """What the doubt about the disparities adds to the covariance of a motion, [6, 6] (Schmidt's consider term).
 
         An error of the calibration moves all features together, so that no number of them averages it out.
         """

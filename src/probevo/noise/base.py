@@ -41,7 +41,8 @@ class StereoNoise:
             - gammaln(0.5 * dof)
             - 0.5 * (d * np.log(np.pi * dof) + log_det + (dof + d) * np.log1p(squared / dof))
         )
-        return np.where(np.isinf(self.dof), gaussian, student)
+        likelihood: FloatArray = np.where(np.isinf(self.dof), gaussian, student)
+        return likelihood
 
 
 class NoiseModel(Protocol):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 
 from probevo.arrays import FloatArray, Image, IntArray
+from probevo.compiled import compiled
 from probevo.config import TrackingConfig
 
 BORDER_PX = 8
@@ -33,13 +33,14 @@ def detect_corners(image: Image, occupied_px: FloatArray, config: TrackingConfig
     keypoints = cv2.FastFeatureDetector.create(config.fast_threshold).detect(image)
     if not keypoints:
         return np.zeros((0, 2))
-    corners = cv2.KeyPoint.convert(keypoints)
-    strength = np.array([keypoint.response for keypoint in keypoints], np.float32)
+    corners = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
+    strength = np.array([keypoint.response for keypoint in keypoints])
     chosen = _strongest_per_cell(corners, strength, room, config.cell_px, columns, share, width, height)
-    return corners[chosen].astype(np.float64)
+    found: FloatArray = corners[chosen]
+    return found
 
 
-@njit(cache=True)
+@compiled
 def _strongest_per_cell(
     corners: FloatArray,
     strength: FloatArray,

@@ -1,4 +1,4 @@
-"""Stereo images → tracks: persistent corners followed by Lucas–Kanade, in time and from left to right (thesis 3.2.2)."""
+"""Stereo images → tracks: corners followed by Lucas–Kanade, in time and from left to right (thesis 3.2.2)."""
 
 from __future__ import annotations
 
@@ -64,7 +64,11 @@ class ImageTracker:
         before, left_px, disparity = self._follow_in_time(before, left, expected, rejected)
         corners = detect_corners(left, left_px, self._config)
         right_px, matched = self._match_right(
-            left, right, np.vstack([left_px, corners]), np.r_[disparity, _of_nearest(corners, left_px, disparity)], rejected
+            left,
+            right,
+            np.vstack([left_px, corners]),
+            np.r_[disparity, _of_nearest(corners, left_px, disparity)],
+            rejected,
         )
         survived, born = matched[: len(left_px)], matched[len(left_px) :]
         pixels = np.hstack([np.vstack([left_px, corners]), right_px])
@@ -127,7 +131,7 @@ def _high_pass(image: Image, config: TrackingConfig) -> Image:
 def _predict(
     pixels: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Where a motion takes features [N, 4]: (u, v) [N, 2], disparity [N], and whether they stay ahead of the camera [N]."""
+    """Where a motion takes features [N, 4]: (u, v) [N, 2], disparity [N], and whether ahead of the camera [N]."""
     rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (camera.fu_px * camera.baseline_m)
     x, y = (pixels[:, 0] - camera.cu_px) / camera.fu_px, (pixels[:, 1] - camera.cv_px) / camera.fv_px
     q = np.column_stack([x, y, np.ones_like(x)]) @ T_curr_prev[:3, :3].T + rho[:, None] * T_curr_prev[:3, 3]
@@ -139,7 +143,7 @@ def _predict(
 
 
 def _of_nearest(corners: FloatArray, left_px: FloatArray, disparity: FloatArray) -> FloatArray:
-    """Disparity [M] to start with at new corners [M, 2]: that of the nearest feature [N, 2] whose disparity [N] is expected."""
+    """Disparity [M] to start with at new corners [M, 2]: the one [N] expected of the nearest feature [N, 2]."""
     if len(left_px) == 0 or len(corners) == 0:
         return np.zeros(len(corners))
     nearest: FloatArray = disparity[cKDTree(left_px).query(corners)[1]]
@@ -168,5 +172,6 @@ def _lucas_kanade(
 
 def _inside(pixels: FloatArray, image: Image, border_px: float = 5.0) -> BoolArray:
     height, width = image.shape
-    inside: BoolArray = (pixels >= border_px).all(axis=1) & (pixels < np.array([width, height]) - border_px).all(axis=1)
+    far_corner = np.array([width, height]) - border_px
+    inside: BoolArray = np.all((pixels >= border_px) & (pixels < far_corner), axis=1)
     return inside

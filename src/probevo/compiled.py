@@ -1,0 +1,123 @@
+"""How the inner loops are compiled, and the small dense algebra that they share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit
+
+from probevo.arrays import FloatArray
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Compile an inner loop on its first call and keep the result on disk.
+
+    Divisions are unchecked and sums may be reordered, but NaN and infinity are honoured.
+    """
+    compile_ = njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+    return cast(Function, compile_(function))
+
+
+@compiled
+def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArray) -> bool:
+    """Inverse of a 4×4 symmetric positive definite matrix by Cholesky; False if it is not one."""
+    for i in range(4):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                lower[i, i] = math.sqrt(total)
+            else:
+                lower[i, j] = total / lower[j, j]
+    for column in range(4):  # lower ← its own inverse, column by column
+        lower[column, column] = 1.0 / lower[column, column]
+        for i in range(column + 1, 4):
+            total = 0.0
+            for k in range(column, i):
+                total -= lower[i, k] * lower[k, column]
+            lower[i, column] = total / lower[i, i]
+    for i in range(4):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, 4):
+                total += lower[k, i] * lower[k, j]
+            inverse[i, j] = inverse[j, i] = total
+    return True
+
+
+@compiled
+def solve_positive_definite(matrix: FloatArray, vector: FloatArray, lower: FloatArray, solution: FloatArray) -> bool:
+    """Solve matrix · solution = vector by Cholesky in the given work space; False if it is not positive definite."""
+    n = len(vector)
+    for i in range(n):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not total > 1e-13 * matrix[i, i]:
+                    return False
+                lower[i, i] = math.sqrt(total)
+            else:
+                lower[i, j] = total / lower[j, j]
+    for i in range(n):
+        total = vector[i]
+        for k in range(i):
+            total -= lower[i, k] * solution[k]
+        solution[i] = total / lower[i, i]
+    for i in range(n - 1, -1, -1):
+        total = solution[i]
+        for k in range(i + 1, n):
+            total -= lower[k, i] * solution[k]
+        solution[i] = total / lower[i, i]
+    return True
+
+
+@compiled
+def perturb(xi: FloatArray, C: FloatArray, t: FloatArray, C_out: FloatArray, t_out: FloatArray) -> None:
+    """(C_out, t_out) = Exp(ξ) (C, t), for ξ = [ρ; φ] (thesis eqs. 2.3, 2.14, 2.15)."""
+    x, y, z = xi[3], xi[4], xi[5]
+    squared = x * x + y * y + z * z
+    if squared < 1e-6:  # series: the next terms are below the last bit
+        a, b, c = 1.0 - squared / 6.0, 0.5 - squared / 24.0, 1.0 / 6.0 - squared / 120.0
+    else:
+        angle = math.sqrt(squared)
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / squared
+        c = (1.0 - a) / squared
+    wedge = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    wedge_2 = np.array(
+        [[x * x - squared, x * y, x * z], [x * y, y * y - squared, y * z], [x * z, y * z, z * z - squared]]
+    )
+    for i in range(3):
+        moved = 0.0
+        for k in range(3):
+            turn = a * wedge[i, k] + b * wedge_2[i, k]
+            left_jacobian = b * wedge[i, k] + c * wedge_2[i, k]
+            if i == k:
+                turn += 1.0
+                left_jacobian += 1.0
+            moved += turn * t[k] + left_jacobian * xi[k]
+        t_out[i] = moved
+        for j in range(3):
+            total = C[i, j]
+            for k in range(3):
+                total += (a * wedge[i, k] + b * wedge_2[i, k]) * C[k, j]
+            C_out[i, j] = total
+
+
+@compiled
+def rotation_error(C: FloatArray, C_prior: FloatArray, error: FloatArray) -> None:
+    """Error φ = Log(C C_priorᵀ), the angle from both sine and cosine; C must not be half a turn from C_prior."""
+    D = C @ C_prior.T
+    x, y, z = 0.5 * (D[2, 1] - D[1, 2]), 0.5 * (D[0, 2] - D[2, 0]), 0.5 * (D[1, 0] - D[0, 1])
+    sine, cosine = math.sqrt(x * x + y * y + z * z), 0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0)
+    ratio = math.atan2(sine, cosine) / sine if sine > 1e-9 else 1.0
+    error[0], error[1], error[2] = ratio * x, ratio * y, ratio * z

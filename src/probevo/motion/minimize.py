@@ -1,0 +1,99 @@
+"""Levenberg–Marquardt over SE(3), from the normal equations to the optimum."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.compiled import compiled, perturb, rotation_error, solve_positive_definite
+from probevo.motion.normal_equations import normal_equations
+from probevo.motion.reprojection_kernels import linearize_noise
+
+
+@compiled
+def minimize(
+    C: FloatArray,
+    t: FloatArray,
+    camera: FloatArray,
+    seen: FloatArray,
+    point_cov: FloatArray,
+    curr: FloatArray,
+    scale: FloatArray,
+    kind: int,
+    parameter: FloatArray,
+    C_prior: FloatArray,
+    prior_information: FloatArray,
+    max_iterations: int,
+    tolerance: float,
+    refined: FloatArray,
+    offset: FloatArray,
+    information: FloatArray,
+    squared: FloatArray,
+) -> tuple[int, bool, float]:
+    """Levenberg–Marquardt on SE(3) over Σ ρ(eᵀ Σ⁻¹ e) + ½ φᵀ Λ φ, with φ = Log(C C_priorᵀ).
+
+    C and t are the guess on entry and the solution on return; refined, offset, information and squared are those of
+    ``linearize_noise`` and ``normal_equations`` there. Σ is renewed after the 1st and the 3rd step and then kept, so
+    that the cost is one function near the optimum. Returns the iterations, whether the last
+    step was shorter than the tolerance times its own standard deviation, and the cost.
+    """
+    hessian, gradient = np.empty((6, 6)), np.empty(6)
+    trial_hessian, trial_gradient, trial_squared = np.empty((6, 6)), np.empty(6), np.empty(len(squared))
+    lower, step, damped = np.zeros((6, 6)), np.zeros(6), np.empty((6, 6))
+    trial_C, trial_t, phi = np.empty((3, 3)), np.empty(3), np.empty(3)
+    damping, accepted, cost, stale, near = 1e-6, 0, 0.0, True, False
+    for iteration in range(max_iterations):
+        if stale:
+            if accepted == 0 or accepted == 1 or accepted == 3:
+                linearize_noise(C, t, camera, seen, point_cov, curr, scale, refined, offset, information)
+            cost = normal_equations(
+                C, t, camera, refined, offset, curr, information, kind, parameter, near, hessian, gradient, squared
+            ) + _add_rotation_prior(C, C_prior, prior_information, hessian, gradient, phi)
+            stale = False
+        damped[:] = hessian
+        for i in range(6):
+            damped[i, i] += damping * hessian[i, i]
+        if not solve_positive_definite(damped, gradient, lower, step):
+            if not near:
+                return iteration + 1, False, cost
+            near, stale = False, True
+            continue
+        perturb(step, C, t, trial_C, trial_t)
+        trial_cost = normal_equations(
+            trial_C, trial_t, camera, refined, offset, curr, information, kind, parameter,
+            accepted > 1 and damping < 1e-3, trial_hessian, trial_gradient, trial_squared,
+        ) + _add_rotation_prior(trial_C, C_prior, prior_information, trial_hessian, trial_gradient, phi)  # fmt: skip
+        if not trial_cost <= cost * (1.0 + 1e-12):
+            if near:
+                near, stale = False, True
+            else:
+                damping = max(1e-3, 10.0 * damping)
+            continue
+        decrement = np.sum(step * gradient)
+        C[:], t[:] = trial_C, trial_t
+        hessian[:], gradient[:], squared[:] = trial_hessian, trial_gradient, trial_squared
+        cost, damping, accepted, near = trial_cost, 0.1 * damping, accepted + 1, accepted > 1 and damping < 1e-3
+        stale = accepted == 1 or accepted == 3
+        if decrement < tolerance * tolerance and accepted > 1:
+            return iteration + 1, True, cost
+    return max_iterations, False, cost
+
+
+@compiled
+def _add_rotation_prior(
+    C: FloatArray,
+    C_prior: FloatArray,
+    prior_information: FloatArray,
+    hessian: FloatArray,
+    gradient: FloatArray,
+    phi: FloatArray,
+) -> float:
+    """Add ½ φᵀ Λ φ to the normal equations; returns its cost. The Jacobian of Log is taken as 1: φ is small."""
+    rotation_error(C, C_prior, phi)
+    cost = 0.0
+    for i in range(3):
+        for j in range(3):
+            hessian[3 + i, 3 + j] += prior_information[i, j]
+            gradient[3 + i] -= prior_information[i, j] * phi[j]
+            cost += 0.5 * phi[i] * prior_information[i, j] * phi[j]
+    return cost

@@ -1,0 +1,192 @@
+"""Compiled inner loops of the reprojection solve.
+
+A point is carried as its ray m and inverse depth ρ = d/(f_u b) rather than as p = m/ρ, so that T acts as
+q = C m + ρ t and nothing is singular for a point at infinity: far features keep their say about rotation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.compiled import compiled, invert_symmetric_4, solve_positive_definite
+
+NEAREST = 1e-3
+"""A point whose scaled depth q_z falls below this is behind the camera or in it, and has no say."""
+
+
+@compiled
+def observation_to_point(
+    observed: FloatArray, scale: FloatArray, propagate: bool, seen: FloatArray, point_cov: FloatArray
+) -> None:
+    """The point s = (u, v, d) behind each stereo observation y, and its scale matrix S.
+
+    With ``propagate``, s is the generalised least-squares estimate of y = H s under the scale R: the two rows are
+    averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the rows plainly, as g does, and S stays
+    zero. Fills seen [N, 3] from observed [N, 4], px, and point_cov [N, 3, 3] from scale [N, 4, 4], px².
+    """
+    inverse, lower = np.empty((4, 4)), np.zeros((4, 4))
+    right, lower_3, column = np.empty(3), np.zeros((3, 3)), np.zeros(3)
+    normal, unit = np.empty((3, 3)), np.zeros(3)
+    for n in range(len(observed)):
+        seen[n, 0] = observed[n, 0]
+        seen[n, 1] = 0.5 * (observed[n, 1] + observed[n, 3])
+        seen[n, 2] = observed[n, 0] - observed[n, 2]
+        if not propagate or not invert_symmetric_4(scale[n], inverse, lower):
+            continue
+        # H maps (u, v, d) to (u, v, u − d, v)
+        normal[0, 0] = inverse[0, 0] + 2.0 * inverse[0, 2] + inverse[2, 2]
+        normal[1, 1] = inverse[1, 1] + 2.0 * inverse[1, 3] + inverse[3, 3]
+        normal[2, 2] = inverse[2, 2]
+        normal[0, 1] = normal[1, 0] = inverse[0, 1] + inverse[0, 3] + inverse[2, 1] + inverse[2, 3]
+        normal[0, 2] = normal[2, 0] = -inverse[0, 2] - inverse[2, 2]
+        normal[1, 2] = normal[2, 1] = -inverse[1, 2] - inverse[3, 2]
+        for k in range(4):
+            column_k = 0.0
+            for j in range(4):
+                column_k += inverse[k, j] * observed[n, j]
+            if k == 0:
+                right[0] = column_k
+            elif k == 1:
+                right[1] = column_k
+            elif k == 2:
+                right[0] += column_k
+                right[2] = -column_k
+            else:
+                right[1] += column_k
+        solve_positive_definite(normal, right, lower_3, seen[n])
+        for j in range(3):
+            unit[:] = 0.0
+            unit[j] = 1.0
+            solve_positive_definite(normal, unit, lower_3, column)
+            for i in range(3):
+                point_cov[n, i, j] = column[i]
+
+
+@compiled
+def linearize_noise(
+    C: FloatArray,
+    t: FloatArray,
+    camera: FloatArray,
+    seen: FloatArray,
+    point_cov: FloatArray,
+    curr: FloatArray,
+    scale: FloatArray,
+    refined: FloatArray,
+    offset: FloatArray,
+    information: FloatArray,
+) -> None:
+    """Fold the noise of the triangulated points into that of the residuals, at the motion (C, t).
+
+    With h the map from s = (u, v, d) in the previous frame to y' in the current one and A = ∂h/∂s, the residual
+    e = y' − h(s) has the scale Σ = R' + A S Aᵀ. The most likely true s given both observations, ŝ = s + S Aᵀ Σ⁻¹ e, is
+    where the solver then linearises: at the noisy s itself the Jacobian would correlate with the residual, which
+    shortens the motion estimated from small disparities (errors-in-variables attenuation). For points whose noise is
+    not propagated, S = 0 and nothing changes.
+
+    Args:
+        C, t: current estimate of the motion, [3, 3], [3].
+        camera: (fu, fv, cu, cv, fu b).
+        seen: s of each point, [N, 3], px.
+        point_cov: S, [N, 3, 3], px².
+        curr: y', bias removed, [N, 4], px.
+        scale: R', [N, 4, 4], px².
+        refined: in and out, ŝ, [N, 3], px.
+        offset: out, A (s − ŝ), by which the residual at ŝ differs from the one at s, [N, 4], px.
+        information: out, Σ⁻¹, [N, 4, 4]; zero where the point is behind the camera.
+    """
+    fu, fv, cu, cv, fb = camera
+    A = np.zeros((4, 3))
+    AS = np.empty((4, 3))
+    sigma = np.empty((4, 4))
+    lower = np.zeros((4, 4))
+    e = np.empty(4)
+    for n in range(len(seen)):
+        mx, my, rho = (refined[n, 0] - cu) / fu, (refined[n, 1] - cv) / fv, refined[n, 2] / fb
+        X = C[0, 0] * mx + C[0, 1] * my + C[0, 2] + rho * t[0]
+        Y = C[1, 0] * mx + C[1, 1] * my + C[1, 2] + rho * t[1]
+        Z = C[2, 0] * mx + C[2, 1] * my + C[2, 2] + rho * t[2]
+        if Z < NEAREST:
+            information[n] = 0.0
+            continue
+        iz = 1.0 / Z
+        u, v, d = fu * X * iz, fv * Y * iz, fb * rho * iz
+        for k in range(3):  # columns: ∂/∂u, ∂/∂v, ∂/∂d of the previous frame
+            if k == 0:
+                gx, gy, gz, grho = C[0, 0] / fu, C[1, 0] / fu, C[2, 0] / fu, 0.0
+            elif k == 1:
+                gx, gy, gz, grho = C[0, 1] / fv, C[1, 1] / fv, C[2, 1] / fv, 0.0
+            else:
+                gx, gy, gz, grho = t[0] / fb, t[1] / fb, t[2] / fb, 1.0
+            A[0, k] = (fu * gx - u * gz) * iz
+            A[1, k] = A[3, k] = (fv * gy - v * gz) * iz
+            A[2, k] = A[0, k] - (grho - d * gz) * iz
+        for i in range(4):
+            offset[n, i] = 0.0
+            for j in range(3):
+                offset[n, i] += A[i, j] * (seen[n, j] - refined[n, j])
+                AS[i, j] = 0.0
+                for k in range(3):
+                    AS[i, j] += A[i, k] * point_cov[n, k, j]
+        for i in range(4):
+            for j in range(4):
+                sigma[i, j] = scale[n, i, j]
+                for k in range(3):
+                    sigma[i, j] += AS[i, k] * A[j, k]
+        if not invert_symmetric_4(sigma, information[n], lower):
+            information[n] = 0.0
+            continue
+        e[0] = curr[n, 0] - (u + cu) - offset[n, 0]
+        e[1] = curr[n, 1] - (v + cv) - offset[n, 1]
+        e[2] = curr[n, 2] - (u - d + cu) - offset[n, 2]
+        e[3] = curr[n, 3] - (v + cv) - offset[n, 3]
+        for j in range(3):
+            step = 0.0
+            for i in range(4):
+                for k in range(4):
+                    step += AS[i, j] * information[n, i, k] * e[k]
+            refined[n, j] = seen[n, j] + step
+        for i in range(4):
+            offset[n, i] = 0.0
+            for j in range(3):
+                offset[n, i] += A[i, j] * (seen[n, j] - refined[n, j])
+
+
+@compiled
+def residual_jacobians(
+    C: FloatArray,
+    t: FloatArray,
+    camera: FloatArray,
+    refined: FloatArray,
+    offset: FloatArray,
+    curr: FloatArray,
+    residual: FloatArray,
+    motion: FloatArray,
+    disparity: FloatArray,
+) -> None:
+    """Residuals e [N, 4] and what moves h: motion ∂h/∂ξ [N, 4, 6], disparity ∂h/∂d [N, 4]; zero behind the camera."""
+    fu, fv, cu, cv, fb = camera
+    F = np.zeros((4, 3))
+    for n in range(len(refined)):
+        mx, my, rho = (refined[n, 0] - cu) / fu, (refined[n, 1] - cv) / fv, refined[n, 2] / fb
+        X = C[0, 0] * mx + C[0, 1] * my + C[0, 2] + rho * t[0]
+        Y = C[1, 0] * mx + C[1, 1] * my + C[1, 2] + rho * t[1]
+        Z = C[2, 0] * mx + C[2, 1] * my + C[2, 2] + rho * t[2]
+        if Z < NEAREST:
+            residual[n], motion[n], disparity[n] = 0.0, 0.0, 0.0
+            continue
+        u, v, d = fu * X / Z, fv * Y / Z, fb * rho / Z
+        residual[n, 0] = curr[n, 0] - (u + cu) - offset[n, 0]
+        residual[n, 1] = curr[n, 1] - (v + cv) - offset[n, 1]
+        residual[n, 2] = curr[n, 2] - (u - d + cu) - offset[n, 2]
+        residual[n, 3] = curr[n, 3] - (v + cv) - offset[n, 3]
+        F[0, 0] = F[2, 0] = fu / Z
+        F[1, 1] = F[3, 1] = fv / Z
+        F[0, 2], F[1, 2], F[2, 2], F[3, 2] = -u / Z, -v / Z, -(u - d) / Z, -v / Z
+        for i in range(4):
+            motion[n, i, 0], motion[n, i, 1], motion[n, i, 2] = rho * F[i, 0], rho * F[i, 1], rho * F[i, 2]
+            motion[n, i, 3] = Y * F[i, 2] - Z * F[i, 1]
+            motion[n, i, 4] = Z * F[i, 0] - X * F[i, 2]
+            motion[n, i, 5] = X * F[i, 1] - Y * F[i, 0]
+            disparity[n, i] = (F[i, 0] * t[0] + F[i, 1] * t[1] + F[i, 2] * t[2]) / fb
+        disparity[n, 2] -= 1.0 / Z

@@ -1,0 +1,64 @@
+"""The settings of a run as a file: round trip, and messages that name file, key, value and cure."""
+
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from probevo.config import TrackingConfig
+from probevo.errors import InputError
+from probevo.run_config import FormatName, NoiseName, RunConfig, config_text, read_config
+from probevo.runner import NOISE_MODELS
+from probevo.sequences import FORMAT_NAMES
+
+
+def test_names_are_those_that_exist() -> None:
+    assert set(get_args(FormatName)) == set(FORMAT_NAMES)
+    assert set(get_args(NoiseName)) == set(NOISE_MODELS)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [RunConfig(), RunConfig(sequence=Path("a/ü b"), noise="fixed", max_frames=9, tracking=TrackingConfig(cell_px=30))],
+)
+def test_round_trip(config: RunConfig, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(config_text(config), encoding="utf-8")
+    assert read_config(tmp_path / "config.yaml") == config
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "{}\n"])
+def test_an_empty_file_means_the_defaults(text: str, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(text)
+    assert read_config(tmp_path / "config.yaml") == RunConfig()
+
+
+@pytest.mark.parametrize(
+    ("text", "what", "cure"),
+    [
+        ("tracking: {num_feature: 9}", "the key tracking.num_feature is not known.", "mean tracking.num_features?"),
+        ("num_features: 9", "the key num_features is not known.", "Did you mean tracking.num_features?"),
+        ("tracking: {num-features: 9}", "the key tracking.num-features", "Did you mean tracking.num_features?"),
+        ("qwertz: 9", "the key qwertz is not known.", "Known are seed,"),
+        ("tracking: {cell_px: 3}", "tracking.cell_px is 3; it should be greater than or equal to 8.", "Side of the"),
+        ("noise: gauss", "noise is 'gauss'; it should be 'fixed' or 'student-t'.", "Noise of the features"),
+        ("ransac: {threshold_px: .nan}", "ransac.threshold_px is nan; it should be a finite number.", "Reprojection"),
+        ("seed: many", "seed is 'many'; it should be a valid integer", "Of every random choice"),
+        ("solver: 3", "solver is 3; it should be a valid dictionary", ""),
+        ("[seed, 3]", "holds a list; expected `key: value` lines.", "pattern"),
+        ("seed: [", "this is not YAML", "pattern"),
+    ],
+)
+def test_faults_are_named(text: str, what: str, cure: str, tmp_path: Path) -> None:
+    path = tmp_path / "settings.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_config(path)
+    assert caught.value.where == str(path)
+    assert what in caught.value.what
+    assert cure in caught.value.cure
+
+
+@pytest.mark.parametrize("name", ["missing.yaml", "."])
+def test_a_file_that_cannot_be_read(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"missing|cannot be read"):
+        read_config(tmp_path / name)

@@ -1,0 +1,84 @@
+"""``probevo eval``: the same figures as the run's own, and how poses find their frames."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.rendering import true_poses
+from probevo.cli.main import main
+from probevo.output.files import read_tum, write_kitti_poses, write_tum
+
+
+def eval_exit(*words: object) -> int:
+    return main(["eval", *map(str, words)])
+
+
+@pytest.mark.parametrize("form", ["kitti", "tum"])
+def test_a_run_evaluates_to_its_own_metrics(form: str, wall_run: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(wall_run, tmp_path / "run")
+    (run / "metrics.json").unlink()
+    if form == "kitti":
+        write_kitti_poses(tmp_path / "gt.txt", true_poses(8))
+    else:
+        write_tum(tmp_path / "gt.txt", read_tum(run / "trajectory.tum")[0], true_poses(8))
+    assert eval_exit(run, "--gt", tmp_path / "gt.txt") == 0
+    ours, theirs = (json.loads((folder / "metrics.json").read_text()) for folder in (run, wall_run))
+    assert ours.pop("nees_coverage") == theirs.pop("nees_coverage")
+    assert ours == pytest.approx(theirs, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["trajectory.tum", "trajectory.kitti.txt"])
+def test_a_trajectory_against_itself_has_no_error(
+    name: str, wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = shutil.copy(wall_run / name, tmp_path)
+    assert eval_exit(path, "--gt", wall_run / "trajectory.kitti.txt") == 0
+    assert "End error" in capsys.readouterr().out
+    assert {entry.name for entry in tmp_path.iterdir()} == {name}
+
+
+def test_poses_beyond_the_run_are_left_out_and_that_is_said(
+    wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(wall_run, tmp_path / "run")
+    write_kitti_poses(tmp_path / "gt.txt", true_poses(12))
+    assert eval_exit(run, "--gt", tmp_path / "gt.txt") == 0
+    assert "first 8 of 12 true poses" in capsys.readouterr().out
+
+
+def test_tum_poses_are_matched_by_time(wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Ten times as many poses, 2 ms off, over the first five frames."""
+    run = shutil.copytree(wall_run, tmp_path / "run")
+    stamps_ns, T_world_cam = read_tum(run / "trajectory.tum")
+    dense_ns = np.arange(stamps_ns[0], stamps_ns[4] + 1, 10_000_000) + 2_000_000
+    write_tum(tmp_path / "gt.tum", dense_ns, np.repeat(T_world_cam[:5], 10, axis=0)[: len(dense_ns)])
+    assert eval_exit(run, "--gt", tmp_path / "gt.tum") == 0
+    assert "3 of 8 frames have no true pose" in capsys.readouterr().out
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert metrics["num_frames"] == 5
+    assert metrics["armse_m"] < 1e-9
+
+
+def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stamps_ns, T_world_cam = read_tum(wall_run / "trajectory.tum")
+    write_kitti_poses(tmp_path / "short.txt", true_poses(5))
+    write_tum(tmp_path / "late.tum", stamps_ns + 10**12, T_world_cam)
+    write_tum(tmp_path / "long.tum", np.arange(20) * 10**8, true_poses(20))
+    (tmp_path / "text.txt").write_text("three words here\n")
+    (tmp_path / "empty").mkdir()
+    kitti = wall_run / "trajectory.kitti.txt"
+    for run, gt, fragments in [
+        (wall_run, "short.txt", ["short.txt: 5 poses for the 8 frames", "motions.npz"]),
+        (wall_run, "late.tum", ["late.tum: its poses", "not within half a frame", "same clock"]),
+        (kitti, "long.tum", ["long.tum: 20 poses for the 8 frames", "trajectory.tum"]),
+        (wall_run, "text.txt", ["text.txt:1: this line has 3 columns", "12 columns in KITTI's form"]),
+        (wall_run, "none.txt", ["none.txt: this file is missing"]),
+        (tmp_path / "empty", "short.txt", ["empty/motions.npz: this file is missing"]),
+    ]:
+        assert eval_exit(run, "--gt", tmp_path / gt) == 2
+        shown = capsys.readouterr().err
+        for fragment in fragments:
+            assert fragment in shown

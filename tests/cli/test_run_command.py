@@ -1,0 +1,147 @@
+"""``probevo run``: its files, that they agree with each other, and what is left when it is stopped."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.rendering import true_poses, write_wall
+from probevo.cli.main import main
+from probevo.evaluation.metrics import evaluate
+from probevo.output.files import read_kitti_poses, read_tum
+from probevo.output.motions_file import read_motions
+from probevo.run_config import RunConfig, read_config
+from probevo.runner import run_sequence
+from probevo.sequences import open_sequence
+from sequences.damage import cut
+from sequences.recordings import write_folder_sequence, write_tracks
+
+FILES = {"config.yaml", "metrics.json", "motions.npz", "report.html", "trajectory.kitti.txt", "trajectory.tum"}
+
+
+def test_all_files_are_there_and_agree(wall: Path, wall_run: Path) -> None:
+    assert {path.name for path in wall_run.iterdir()} == FILES
+    result = read_motions(wall_run / "motions.npz")
+    stamps_ns, T_world_cam = read_tum(wall_run / "trajectory.tum")
+    np.testing.assert_array_equal(stamps_ns, open_sequence(wall).stamps_ns)
+    np.testing.assert_allclose(T_world_cam, result.T_world_cam, atol=1e-14)
+    np.testing.assert_array_equal(read_kitti_poses(wall_run / "trajectory.kitti.txt"), result.T_world_cam)
+    metrics = evaluate(result.T_world_cam, true_poses(8), result.T_curr_prev, result.cov).as_dict()
+    written = json.loads((wall_run / "metrics.json").read_text())
+    assert written.pop("nees_coverage") == metrics.pop("nees_coverage")
+    assert written == pytest.approx(metrics, abs=1e-9)
+
+
+def test_the_motion_is_right(wall_run: Path) -> None:
+    """A wall seen from 8 m with disparities of 6 px: a few percent of the path."""
+    metrics = json.loads((wall_run / "metrics.json").read_text())
+    assert metrics["final_error_m"] < 0.05 * metrics["path_length_m"]
+
+
+def test_the_same_run_gives_the_same_bytes(wall: Path, wall_run: Path, tmp_path: Path) -> None:
+    assert main(["run", str(wall), "--out", str(tmp_path), "--threads", "2"]) == 0
+    for name in FILES - {"motions.npz", "report.html"}:  # these two hold times
+        assert (tmp_path / name).read_bytes() == (wall_run / name).read_bytes(), name
+    with np.load(tmp_path / "motions.npz") as ours, np.load(wall_run / "motions.npz") as theirs:
+        assert ours.files == theirs.files
+        for name in ours.files:
+            if not name.startswith("ms_") and name != "total_ms":
+                assert ours[name].tobytes() == theirs[name].tobytes(), name
+
+
+def test_the_effective_config_repeats_the_run(wall_run: Path, tmp_path: Path) -> None:
+    assert main(["run", "--config", str(wall_run / "config.yaml"), "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "trajectory.tum").read_bytes() == (wall_run / "trajectory.tum").read_bytes()
+
+
+def test_defaults_yield_to_the_file_and_the_file_to_flags(wall: Path, tmp_path: Path) -> None:
+    file = tmp_path / "settings.yaml"
+    file.write_text("noise: fixed\ntracking: {num_features: 300, cell_px: 32}\n")
+    flags = ["--tracking.num-features", "200", "--no-self-calibration", "--max-frames", "3"]
+    assert main(["run", str(wall), "--out", str(tmp_path / "out"), "--config", str(file), *flags]) == 0
+    config = read_config(tmp_path / "out" / "config.yaml")
+    assert (config.noise, config.tracking.num_features, config.tracking.cell_px) == ("fixed", 200, 32)
+    assert (config.self_calibration, config.max_frames, config.sequence) == (False, 3, wall)
+    assert len(read_motions(tmp_path / "out" / "motions.npz")) == 3
+
+
+def test_a_damaged_image_leaves_what_came_before(
+    wall: Path, wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording, out = shutil.copytree(wall, tmp_path / "wall"), tmp_path / "out"
+    cut("right/000005.png", 0.5)(recording)
+    assert main(["run", str(recording), "--out", str(out)]) == 2
+    shown = capsys.readouterr().err
+    assert "right/000005.png: this image is damaged" in shown
+    assert f"What was computed before, 5 frames, lies in {out}." in shown
+    assert {path.name for path in out.iterdir()} == FILES
+    before, whole = read_motions(out / "motions.npz"), read_motions(wall_run / "motions.npz")
+    np.testing.assert_array_equal(before.T_curr_prev, whole.T_curr_prev[:4])
+
+
+def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
+    def press_ctrl_c(_: object) -> None:
+        steps.append(None)
+        if len(steps) == 4:
+            raise KeyboardInterrupt
+
+    steps: list[None] = []
+    with pytest.raises(KeyboardInterrupt) as caught:
+        run_sequence(open_sequence(wall), RunConfig(), tmp_path, press_ctrl_c)
+    assert caught.value.__notes__ == [f"What was computed before, 4 frames, lies in {tmp_path}."]
+    assert {path.name for path in tmp_path.iterdir()} == FILES
+
+
+def test_stale_results_of_an_earlier_run_go(wall: Path, wall_run: Path, tmp_path: Path) -> None:
+    out, recording = shutil.copytree(wall_run, tmp_path / "out"), shutil.copytree(wall, tmp_path / "wall")
+    (recording / "poses.txt").unlink()
+    assert main(["run", str(recording), "--out", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == FILES - {"metrics.json"}
+
+
+@pytest.mark.parametrize("frames", [2, 8])
+def test_swapped_images_are_refused(tmp_path: Path, frames: int, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = write_wall(tmp_path / "wall", frames, swapped=True)
+    assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 2
+    assert "negative disparity.\n         Are left and right swapped?" in capsys.readouterr().err
+
+
+def test_frames_without_texture_or_features_end_well(tmp_path: Path) -> None:
+    """Random pictures have no tracks, and a tracks file no pictures."""
+    noise, tracks = write_folder_sequence(tmp_path / "noise"), write_tracks(tmp_path)
+    for path in (noise, tracks):
+        assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
+        cov = read_motions(tmp_path / "out" / "motions.npz").cov
+        assert np.isfinite(cov).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "fragments"),
+    [
+        (["nowhere", "--out", "OUT"], ["nowhere: nothing is there."]),
+        (["--out", "OUT"], ["SEQUENCE: no recording is named."]),
+        (["WALL", "--out", "WALL/calib.yaml"], ["calib.yaml/config.yaml: cannot be written"]),
+        (["WALL", "--out", "OUT", "--format", "euroc"], ["sensor.yaml", "missing"]),
+        (["WALL", "--out", "OUT", "--threads", "0"], ["--threads", "at least 1"]),
+        (["WALL", "--out", "OUT", "--tracking.num-features", "3"], ["--tracking.num-features is 3;", "equal to 8"]),
+        (["WALL", "--out", "OUT", "--max-frames", "1"], ["--max-frames is 1;", "equal to 2"]),
+    ],
+)
+def test_mistakes_exit_with_2_and_name_the_fault(
+    words: list[str], fragments: list[str], wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [word.replace("WALL", str(wall)).replace("OUT", str(tmp_path / "out")) for word in words]
+    assert main(["run", *words]) == 2
+    shown = capsys.readouterr().err
+    assert shown.startswith("probevo: ")
+    for fragment in fragments:
+        assert fragment in shown
+
+
+@pytest.mark.parametrize("words", [["WALL"], ["WALL", "--out"], ["WALL", "--out", "x", "--tracking.num-feature", "9"]])
+def test_flags_that_cannot_be_read_exit_with_2(words: list[str], wall: Path) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["run", *(word.replace("WALL", str(wall)) for word in words)])
+    assert caught.value.code == 2

@@ -1,0 +1,91 @@
+"""The classical noise models, and the likelihood of residuals under the noise that they predict."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, multivariate_t
+
+from probevo.arrays import FloatArray
+from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
+from probevo.noise.fixed import OBSERVATION_SIGMA_PX
+
+COUNT = 6
+
+
+def random_noise(rng: np.random.Generator, dof: FloatArray) -> StereoNoise:
+    """A different scale matrix and bias for each feature."""
+    factor = rng.normal(size=(len(dof), 4, 4))
+    return StereoNoise(factor @ factor.mT + 0.1 * np.eye(4), dof, rng.normal(size=(len(dof), 4)))
+
+
+def residuals_around(rng: np.random.Generator, noise: StereoNoise) -> FloatArray:
+    """From well inside to far out: up to some 30 standard deviations."""
+    return noise.bias + np.geomspace(0.01, 100.0, len(noise.dof))[:, None] * rng.normal(size=noise.bias.shape)
+
+
+@pytest.mark.parametrize("dof", [1.0, 3.0, 5.0, 30.0])
+def test_log_likelihood_is_that_of_scipy_student_t(dof: float) -> None:
+    rng = np.random.default_rng(0)
+    noise = random_noise(rng, np.full(COUNT, dof))
+    residuals = residuals_around(rng, noise)
+    expected = [
+        multivariate_t(b, S, df=dof).logpdf(e) for b, S, e in zip(noise.bias, noise.scale, residuals, strict=True)
+    ]
+    np.testing.assert_allclose(noise.log_likelihood(residuals), expected, rtol=1e-10)
+
+
+def test_log_likelihood_without_dof_is_that_of_scipy_normal() -> None:
+    rng = np.random.default_rng(1)
+    noise = random_noise(rng, np.full(COUNT, np.inf))
+    residuals = residuals_around(rng, noise)
+    expected = [multivariate_normal(b, S).logpdf(e) for b, S, e in zip(noise.bias, noise.scale, residuals, strict=True)]
+    np.testing.assert_allclose(noise.log_likelihood(residuals), expected, rtol=1e-10)
+
+
+def test_each_feature_has_its_own_dof() -> None:
+    rng = np.random.default_rng(2)
+    dof = np.array([3.0, np.inf, 5.0])
+    mixed = random_noise(rng, dof)
+    residuals = residuals_around(rng, mixed)
+    alone = [
+        StereoNoise(mixed.scale[[n]], dof[[n]], mixed.bias[[n]]).log_likelihood(residuals[[n]])[0] for n in range(3)
+    ]
+    np.testing.assert_allclose(mixed.log_likelihood(residuals), alone, rtol=1e-14)
+
+
+def test_student_t_tends_to_the_normal() -> None:
+    rng = np.random.default_rng(3)
+    normal = random_noise(rng, np.full(COUNT, np.inf))
+    residuals = normal.bias + rng.normal(size=(COUNT, 4))
+    student = StereoNoise(normal.scale, np.full(COUNT, 1e7), normal.bias)
+    np.testing.assert_allclose(student.log_likelihood(residuals), normal.log_likelihood(residuals), rtol=1e-5)
+
+
+def test_no_features_have_no_likelihood() -> None:
+    assert StudentT().predict(np.zeros((0, 0))).log_likelihood(np.zeros((0, 4))).shape == (0,)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+@pytest.mark.parametrize(("model", "dof"), [(Fixed(), np.inf), (StudentT(), 5.0), (StudentT(dof=3.0), 3.0)])
+def test_classical_models_say_the_same_of_every_feature(model: NoiseModel, dof: float, count: int) -> None:
+    noise = model.predict(np.random.default_rng(4).normal(size=(count, 2)))
+    expected = np.diag(np.square(OBSERVATION_SIGMA_PX))
+    np.testing.assert_array_equal(noise.scale, np.broadcast_to(expected, (count, 4, 4)))
+    np.testing.assert_array_equal(noise.dof, np.full(count, dof))
+    np.testing.assert_array_equal(noise.bias, np.zeros((count, 4)))
+    assert noise.refers_to == "observation"
+
+
+@pytest.mark.parametrize("make", [lambda scale: Fixed(covariance=scale), lambda scale: StudentT(scale=scale)])
+def test_a_given_matrix_is_used(make: type[NoiseModel]) -> None:
+    scale = np.diag([0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_array_equal(make(scale).predict(np.zeros((2, 0))).scale, [scale, scale])  # type: ignore[call-arg]
+
+
+def test_predicting_leaves_the_model_as_it_was() -> None:
+    """The same input gives the same noise, before and after other input."""
+    model = StudentT()
+    first = model.predict(np.zeros((3, 0)))
+    model.predict(np.ones((50, 0)))
+    again = model.predict(np.zeros((3, 0)))
+    np.testing.assert_array_equal(first.scale, again.scale)
+    np.testing.assert_array_equal(first.dof, again.dof)

@@ -1,0 +1,101 @@
+"""Corners are spread over the grid: each cell gets the strongest of its own, up to its share."""
+
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray, Image, IntArray
+from probevo.config import TrackingConfig
+from probevo.tracking.detection import BORDER_PX, detect_corners
+
+HEIGHT_PX, WIDTH_PX, CELL_PX = 120, 160, 40
+COLUMNS, ROWS = 4, 3
+NOBODY = np.zeros((0, 2))
+
+
+def config(share: int) -> TrackingConfig:
+    return TrackingConfig(num_features=share * COLUMNS * ROWS, cell_px=CELL_PX)
+
+
+def noise_image() -> Image:
+    """White noise: more FAST corners in each cell than any share used here."""
+    return np.random.default_rng(0).integers(0, 256, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8)
+
+
+def dots(*centers_and_contrast: tuple[int, int, int]) -> Image:
+    """Bright dots of one pixel at (u, v) on grey: each is one FAST corner, and its strength grows with its contrast."""
+    image = np.full((HEIGHT_PX, WIDTH_PX), 100, np.uint8)
+    for u, v, contrast in centers_and_contrast:
+        image[v, u] += contrast
+    return image
+
+
+def count_per_cell(corners: FloatArray) -> IntArray:
+    column, row = (corners // CELL_PX).astype(int).T
+    return np.bincount(row * COLUMNS + column, minlength=COLUMNS * ROWS)
+
+
+def as_set(corners: FloatArray) -> set[tuple[float, float]]:
+    return {(float(u), float(v)) for u, v in corners}
+
+
+@pytest.mark.parametrize("share", [1, 3, 7])
+def test_every_cell_gets_its_share_and_no_more(share: int) -> None:
+    np.testing.assert_array_equal(count_per_cell(detect_corners(noise_image(), NOBODY, config(share))), share)
+
+
+def test_a_cell_gets_only_what_its_features_leave() -> None:
+    """Shares of 3, with 0, 1, 3 and 5 features already in the four cells of the middle row."""
+    already = np.array([0, 1, 3, 5])
+    occupied = np.vstack([np.tile([40.0 * column + 20.0, 60.0], (n, 1)) for column, n in enumerate(already)])
+    found = count_per_cell(detect_corners(noise_image(), occupied, config(3)))
+    np.testing.assert_array_equal(found, [3, 3, 3, 3, 3, 2, 0, 0, 3, 3, 3, 3])
+
+
+def test_features_outside_the_image_count_for_the_nearest_cell() -> None:
+    """A tracked feature may lie a fraction of a pixel beyond the border: no index error, no other cell robbed."""
+    occupied = np.array([[-0.5, -3.0], [WIDTH_PX + 0.5, HEIGHT_PX + 2.0]])
+    found = count_per_cell(detect_corners(noise_image(), occupied, config(1)))
+    np.testing.assert_array_equal(found, [0, *[1] * 10, 0])
+
+
+def test_the_strongest_are_chosen() -> None:
+    image = dots((52, 50, 30), (60, 50, 120), (68, 50, 60), (52, 65, 90), (60, 65, 40))
+    assert as_set(detect_corners(image, NOBODY, config(2))) == {(60, 50), (52, 65)}
+
+
+def test_strength_is_compared_within_a_cell_only() -> None:
+    image = dots((60, 60, 150), (68, 60, 140), (100, 60, 20))
+    assert as_set(detect_corners(image, NOBODY, config(1))) == {(60, 60), (100, 60)}
+
+
+def test_contrast_below_the_threshold_is_no_corner() -> None:
+    image = dots((60, 60, 15), (100, 60, 25))
+    found = detect_corners(image, NOBODY, TrackingConfig(fast_threshold=20))
+    assert as_set(found) == {(100, 60)}
+
+
+def test_nothing_is_found_where_a_window_would_leave_the_image() -> None:
+    last_u, last_v = WIDTH_PX - BORDER_PX - 1, HEIGHT_PX - BORDER_PX - 1
+    inside = [(BORDER_PX, 60), (last_u, 60), (80, BORDER_PX), (80, last_v)]
+    outside = [(BORDER_PX - 1, 20), (last_u + 1, 20), (20, BORDER_PX - 1), (20, last_v + 1)]
+    image = dots(*[(u, v, 100) for u, v in inside + outside])
+    assert as_set(detect_corners(image, NOBODY, config(50))) == set(inside)
+
+
+def test_an_even_image_has_no_corners() -> None:
+    found = detect_corners(np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8), NOBODY, config(3))
+    assert found.shape == (0, 2)
+
+
+def test_a_size_that_is_no_multiple_of_the_cell_is_covered_to_its_edges() -> None:
+    """170×130 px has five columns and four rows, the last ones narrow: 10 px, of which the border takes 8."""
+    image = np.random.default_rng(1).integers(0, 256, (130, 170), dtype=np.uint8)
+    found = detect_corners(image, NOBODY, TrackingConfig(num_features=20 * 400, cell_px=CELL_PX))
+    assert found[:, 0].max() >= 160
+    assert found[:, 1].max() >= 120
+    assert (found < [170 - BORDER_PX, 130 - BORDER_PX]).all()
+
+
+def test_the_same_image_gives_the_same_corners() -> None:
+    first, second = (detect_corners(noise_image(), NOBODY, config(3)) for _ in range(2))
+    np.testing.assert_array_equal(first, second)

@@ -1,0 +1,110 @@
+"""Random points seen by a stereo camera along a known motion, with known noise.
+
+Other tests use them: ``from worlds import CAMERA, seen_twice``.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.geometry import se3
+from probevo.sequences.frame import Frame, StereoFeatures
+from probevo.tracking.tracks import Tracks
+
+WIDTH_PX, HEIGHT_PX = 1226, 370
+CAMERA = StereoCamera(
+    fu_px=707.0, fv_px=709.0, cu_px=601.0, cv_px=183.0, baseline_m=0.537, size_px=(WIDTH_PX, HEIGHT_PX)
+)
+FORWARD = se3.exp(np.array([0.02, 0.01, -1.2, 0.003, 0.01, -0.002]))
+"""T_curr_prev of a car at 12 m/s and ten frames a second."""
+FRAME_NS = 100_000_000
+START_NS = 1_400_000_000_123_456_789
+
+
+def random_pixels(rng: np.random.Generator, count: int, depth_m: tuple[float, float] = (5.0, 60.0)) -> FloatArray:
+    """Observations of points spread over the image, uniform in inverse depth, [N, 4], px; without noise."""
+    rho = rng.uniform(1.0 / depth_m[1], 1.0 / depth_m[0], count)
+    u, v = rng.uniform(0.0, WIDTH_PX, count), rng.uniform(0.0, HEIGHT_PX, count)
+    return np.column_stack([u, v, u - CAMERA.fu_px * CAMERA.baseline_m * rho, v])
+
+
+def moved(pixels: FloatArray, T_curr_prev: FloatArray) -> FloatArray:
+    """The same points after a motion, [N, 4], px."""
+    return CAMERA.project(se3.transform(T_curr_prev, CAMERA.triangulate(pixels)))
+
+
+def tracks_of(prev_px: FloatArray, curr_px: FloatArray) -> Tracks:
+    count = len(prev_px)
+    return Tracks(prev_px, curr_px, np.arange(count), np.full(count, 2))
+
+
+def seen_twice(
+    rng: np.random.Generator,
+    count: int,
+    T_curr_prev: FloatArray = FORWARD,
+    *,
+    sigma_px: float = 0.0,
+    depth_m: tuple[float, float] = (5.0, 60.0),
+) -> Tracks:
+    """Points before and after a motion, with white Gaussian noise on all eight numbers."""
+    prev_px = random_pixels(rng, count, depth_m)
+    curr_px = moved(prev_px, T_curr_prev)
+    prev_noise, curr_noise = sigma_px * rng.normal(size=(2, count, 4))
+    return tracks_of(prev_px + prev_noise, curr_px + curr_noise)
+
+
+def at_infinity(rng: np.random.Generator, count: int, T_curr_prev: FloatArray = FORWARD) -> Tracks:
+    """Points without disparity: only the rotation moves them. Their rays stay ahead of the camera."""
+    prev_px = random_pixels(rng, count)
+    prev_px[:, 2] = prev_px[:, 0]
+    x = (prev_px[:, 0] - CAMERA.cu_px) / CAMERA.fu_px
+    y = (prev_px[:, 1] - CAMERA.cv_px) / CAMERA.fv_px
+    ray = np.column_stack([x, y, np.ones(count)]) @ T_curr_prev[:3, :3].T
+    u = CAMERA.fu_px * ray[:, 0] / ray[:, 2] + CAMERA.cu_px
+    v = CAMERA.fv_px * ray[:, 1] / ray[:, 2] + CAMERA.cv_px
+    return tracks_of(prev_px, np.column_stack([u, v, u, v]))
+
+
+def both(first: Tracks, second: Tracks) -> Tracks:
+    """The points of the first, then those of the second."""
+    return tracks_of(np.vstack([first.prev_px, second.prev_px]), np.vstack([first.curr_px, second.curr_px]))
+
+
+def motion_error(T_estimated: FloatArray, T_true: FloatArray = FORWARD) -> FloatArray:
+    """ξ = Log(T_true T_estimated⁻¹), [6], m and rad."""
+    return se3.log(T_true @ se3.inverse(T_estimated))
+
+
+def drive(
+    rng: np.random.Generator,
+    frames: int,
+    T_curr_prev: FloatArray = FORWARD,
+    *,
+    points: int = 150,
+    sigma_px: float = 0.2,
+) -> list[Frame]:
+    """Features of a drive whose every step is the same motion: a circle, or rather a screw.
+
+    A point is followed until it leaves the image or comes nearer than 3 m; a new one, 5 to 60 m away, takes its place.
+    """
+    ids, pixels, next_id, sequence = np.zeros(0, np.int64), np.zeros((0, 4)), 0, []
+    for index in range(frames):
+        points_m = se3.transform(T_curr_prev, CAMERA.triangulate(pixels))
+        ahead = points_m[:, 2] > 3.0
+        pixels, ids = CAMERA.project(points_m[ahead]), ids[ahead]
+        inside = np.all((pixels[:, :2] >= 0.0) & (pixels[:, :2] < [WIDTH_PX, HEIGHT_PX]), axis=1)
+        missing = points - int(inside.sum())
+        pixels = np.vstack([pixels[inside], random_pixels(rng, missing)])
+        ids = np.r_[ids[inside], next_id + np.arange(missing)]
+        next_id += missing
+        noisy = pixels + sigma_px * rng.normal(size=pixels.shape)
+        sequence.append(Frame(index, START_NS + index * FRAME_NS, features=StereoFeatures(ids, noisy)))
+    return sequence
+
+
+def with_features(frame: Frame, count: int) -> Frame:
+    """The frame with only its first features."""
+    assert frame.features is not None
+    return replace(frame, features=StereoFeatures(frame.features.ids[:count], frame.features.pixels[:count]))
