@@ -94,6 +94,18 @@ def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
+def test_a_terminal_shows_frames_per_second(
+    wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    assert main(["run", str(wall), "--out", str(tmp_path)]) == 0
+    shown = capsys.readouterr()
+    assert "8/8" in shown.err
+    assert "frames/s" in shown.err
+    assert shown.out.startswith("8 frames")
+
+
 def test_stale_results_of_an_earlier_run_go(wall: Path, wall_run: Path, tmp_path: Path) -> None:
     out, recording = shutil.copytree(wall_run, tmp_path / "out"), shutil.copytree(wall, tmp_path / "wall")
     (recording / "poses.txt").unlink()

@@ -126,7 +126,7 @@ def test_points_at_infinity_fix_the_rotation_but_not_the_translation() -> None:
     back = se3.from_parts(C, T_CURR_PREV[:3, 3])
     near_curr = CAMERA.project(se3.transform(back, CAMERA.triangulate(mixed.prev_px)))
     both = Scene(np.vstack([far.prev_px, mixed.prev_px]), np.vstack([far.curr_px, near_curr]))
-    assert np.abs(se3.log(solve(both, Fixed()).T_curr_prev @ se3.inverse(back))).max() < 1e-6
+    assert np.abs(se3.log(solve(both, Fixed()).T_curr_prev @ se3.inverse(back))).max() < 1e-5
 
 
 def test_residual_noise_is_taken_as_it_is() -> None:

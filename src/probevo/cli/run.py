@@ -71,16 +71,17 @@ def run_with_progress(config: RunConfig, out: Path, threads: int) -> Run:
     cv2.setNumThreads(threads)
     sequence = open_sequence(config.sequence or "", config.format)
     console = Console(stderr=True)
-    speed = TextColumn("{task.speed:.1f} frames/s")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), speed, TimeRemainingColumn())
+    rate = TextColumn("{task.fields[rate]}")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         total = min(len(sequence), config.max_frames or len(sequence))
-        task = progress.add_task("starting (the first run of all compiles for 15 s)", total=total)
+        task = progress.add_task("starting (the first run of all compiles for 15 s)", total=total, rate="")
 
         def show(_: object) -> None:
             progress.update(task, advance=1)
-            if progress.tasks[0].completed == 2:
-                progress.update(task, description=sequence.path.name)
+            speed = progress.tasks[0].speed
+            if speed is not None:  # not before the second frame
+                progress.update(task, description=sequence.path.name, rate=f"{speed:.1f} frames/s")
 
         return run_sequence(sequence, config, out, show)
 

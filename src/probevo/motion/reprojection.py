@@ -120,7 +120,7 @@ def solve_reprojection(
     weight = np.where(has_say, loss.weight(squared, dof), 0.0)
     curvature = np.where(has_say, loss.curvature(squared, dof), 0.0)
     white = np.einsum("nij,njk->nik", information, jacobian)
-    information_sum = _sum_products(jacobian, white * curvature[:, None, None])
+    information_sum = _information(jacobian, white * curvature[:, None, None], refined, seen, point_cov)
     variance_factor = _variance_factor(squared, weight, curvature, loss, dof)
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = C, t
@@ -141,6 +141,24 @@ def solve_reprojection(
         iterations=iterations,
         converged=converged,
     )
+
+
+def _information(
+    jacobian: FloatArray, white: FloatArray, refined: FloatArray, seen: FloatArray, point_cov: FloatArray
+) -> FloatArray:
+    """Σ Jᵀ (white)ₙ, [6, 6], without what the noise of the disparities alone would lend to the translation.
+
+    The translation's columns are proportional to the disparity d. Refined, it leans towards the solution, so it is set back
+    to the one seen; squared, its noise σ² has a mean of its own: E[d²] − σ² is what the truth contributes. Only where
+    all disparities are mostly noise does that matter, and there it tells a blind translation from a known one.
+    """
+    disparity = np.where(np.abs(refined[:, 2]) > 1e-9, refined[:, 2], np.inf)
+    share = np.ones((len(refined), 1, 6))
+    share[:, 0, :3] = (seen[:, 2] / disparity)[:, None]
+    total = _sum_products(jacobian * share, white * share)
+    lent = (point_cov[:, 2, 2] / disparity**2)[:, None, None]
+    total[:3, :3] -= np.einsum("nij,nik->jk", jacobian[:, :, :3] * lent, white[:, :, :3])
+    return total
 
 
 def _variance_factor(
@@ -170,9 +188,10 @@ def _sum_products(left: FloatArray, right: FloatArray) -> FloatArray:
 
 def _inverse_or_nan(information: FloatArray) -> FloatArray:
     """Its inverse, or NaN where the information is not positive definite to working precision, [6, 6]."""
-    scale = np.sqrt(np.diagonal(information))
-    if not (np.isfinite(information).all() and (scale > 0.0).all()):
+    diagonal = np.diagonal(information)
+    if not (np.isfinite(information).all() and (diagonal > 0.0).all()):
         return np.full((6, 6), np.nan)
+    scale = np.sqrt(diagonal)
     eigenvalues, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     if eigenvalues[0] < 1e-12:
         return np.full((6, 6), np.nan)
