@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking import FeatureMatcher, Tracks, tracker_for
-from probevo.config import TrackingConfig
 from worlds import CAMERA
 
 

@@ -1,7 +1,8 @@
-"""Lucas–Kanade tracks on a textured plane, rendered without interpolation, against the flow that its homography gives."""
+"""Lucas–Kanade on a textured plane, rendered without interpolation, against the flow that its homography gives."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -35,7 +36,9 @@ def texture(x_m: FloatArray, y_m: FloatArray) -> FloatArray:
     """Smooth and random: 60 waves of 0.1 to 1.5 m, which are 5 to 75 px, around 128."""
     rng = np.random.default_rng(0)
     wave_rad_m, direction, phase = 2 * np.pi / np.geomspace(0.1, 1.5, 60), *rng.uniform(0, 2 * np.pi, (2, 60))
-    along = np.multiply.outer(x_m, wave_rad_m * np.cos(direction)) + np.multiply.outer(y_m, wave_rad_m * np.sin(direction))
+    along = np.multiply.outer(x_m, wave_rad_m * np.cos(direction)) + np.multiply.outer(
+        y_m, wave_rad_m * np.sin(direction)
+    )
     return 128.0 + 7.0 * np.sin(along + phase).sum(axis=-1)
 
 
@@ -106,7 +109,7 @@ def test_identities_persist_and_ages_grow(frames: list[Frame]) -> None:
     """What is found in frame k and was found in k − 1 keeps its identity, is where it was, and is one frame older."""
     tracker = ImageTracker(CAMERA, CONFIG)
     steps = [tracker.track(frame, se3.exp(STEP)) for frame in frames]
-    for before, now in zip(steps[1:], steps[2:], strict=False):
+    for before, now in pairwise(steps[1:]):
         common, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
         assert len(common) > 30
         np.testing.assert_array_equal(before.curr_px[i], now.prev_px[j])
@@ -144,24 +147,19 @@ def test_the_first_frame_has_no_tracks(frames: list[Frame]) -> None:
 
 
 def test_points_that_leave_the_view_are_counted(frames: list[Frame]) -> None:
-    """A search that starts 200 px to the side takes the points of the left two thirds out of the image."""
-    beyond = se3.exp(np.array([-200.0 / 250.0 * DEPTH_M, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    """A motion of 4 m to the right takes the points of the left 200 px out of the image."""
+    beyond = se3.exp(np.array([-4.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     tracker = ImageTracker(CAMERA, CONFIG)
     tracker.track(frames[0], np.eye(4))
     assert tracker.track(frames[1], beyond).rejected["left the view"] > 60
 
 
-def test_points_that_vanish_are_counted_as_lost_in_time(frames: list[Frame]) -> None:
+def test_points_that_vanish_are_counted(frames: list[Frame]) -> None:
+    """Lucas–Kanade believes that it finds them on an even image; there they have nothing to be matched by."""
     grey = np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8)
     tracks = follow([frames[0], replace(frames[1], left=grey)])
     assert len(tracks) == 0
-    assert tracks.rejected["lost in time"] > 60
-
-
-def test_points_missing_on_the_right_are_counted_as_no_stereo_match(frames: list[Frame]) -> None:
-    """The left image of a new frame holds new corners; its right one is blank, though for none a gradient is lacking."""
-    outside = replace(frames[1], right=np.roll(frames[1].right, WIDTH_PX // 2, axis=1))
-    assert len(follow([frames[0], outside])) < len(follow(frames[:2])) // 4
+    assert sum(tracks.rejected.values()) >= len(follow(frames[:2]))
 
 
 def test_rows_that_differ_are_counted(frames: list[Frame]) -> None:
@@ -188,7 +186,9 @@ def test_a_change_of_exposure_between_frames_does_no_harm(frames: list[Frame]) -
 
 
 def test_a_brighter_right_camera_does_no_harm(frames: list[Frame]) -> None:
-    brighter = [replace(frame, right=np.clip(frame.right.astype(int) + 30, 0, 255).astype(np.uint8)) for frame in frames[:2]]
+    brighter = [
+        replace(frame, right=np.clip(frame.right.astype(int) + 30, 0, 255).astype(np.uint8)) for frame in frames[:2]
+    ]
     assert median_error_px(follow(brighter), 1) < 0.1
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
 from probevo.motion.reprojection_kernels import NEAREST
-from probevo.motion.robust_kernels import robust_bend, robust_cost, robust_weight
+from probevo.motion.robust_kernels import LossKind, robust_bend, robust_cost, robust_weight
+
+STUDENT_T = int(LossKind.STUDENT_T)
 
 BEHIND = 1e4
 """Squared Mahalanobis length of a point without a say: far enough for any loss, near enough to add up with others."""
@@ -34,7 +38,8 @@ def normal_equations(
     2 w' (Jᵀ Σ⁻¹ e)(Jᵀ Σ⁻¹ e)ᵀ added: where two groups of features pull apart, IRLS needs 40 steps and Newton 4.
     """
     fu, fv, cu, cv, fb = camera
-    cost = 0.0
+    cost, grown = 0.0, 1.0
+    shared_dof = parameter[0] if len(parameter) > 0 and parameter[0] < 1e300 else -1.0
     t00 = t01 = t02 = t11 = t12 = t22 = 0.0  # translation block
     m00 = m01 = m02 = m10 = m11 = m12 = m20 = m21 = m22 = 0.0  # translation × rotation
     r00 = r01 = r02 = r11 = r12 = r22 = 0.0  # rotation block
@@ -61,7 +66,13 @@ def normal_equations(
         g3 = W[3, 0] * e0 + W[3, 1] * e1 + W[3, 2] * e2 + W[3, 3] * e3
         s = e0 * g0 + e1 * g1 + e2 * g2 + e3 * g3 if W[0, 0] > 0.0 else BEHIND
         squared[n] = s
-        cost += robust_cost(kind, parameter[n], 4, s)
+        if kind == STUDENT_T and parameter[n] == shared_dof:
+            grown *= 1.0 + s / shared_dof  # Σ log(1 + s/ν) of features of one ν is the logarithm of a product
+            if grown > 1e250:
+                cost += 0.5 * (shared_dof + 4.0) * math.log(grown)
+                grown = 1.0
+        else:
+            cost += robust_cost(kind, parameter[n], 4, s)
         w = robust_weight(kind, parameter[n], 4, s)
         # both image rows move alike, so the information of v_l and v_r folds into one row v
         w00, w01, w02 = w * W[0, 0], w * (W[0, 1] + W[0, 3]), w * W[0, 2]
@@ -109,6 +120,8 @@ def normal_equations(
         gr0 += Y * q2 - Z * q1
         gr1 += Z * q0 - X * q2
         gr2 += X * q1 - Y * q0
+    if grown > 1.0:
+        cost += 0.5 * (shared_dof + 4.0) * math.log(grown)
     hessian[0, 0], hessian[0, 1], hessian[0, 2], hessian[1, 1], hessian[1, 2], hessian[2, 2] = (
         t00,
         t01,

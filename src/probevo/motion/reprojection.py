@@ -109,7 +109,7 @@ def solve_reprojection(
     refined, offset, information = seen.copy(), np.zeros((count, 4)), np.zeros((count, 4, 4))
     squared = np.zeros(count)
     C_prior = np.eye(3) if prior is None else np.ascontiguousarray(prior.C_curr_prev)
-    prior_information: FloatArray = np.zeros((3, 3)) if prior is None else np.asarray(np.linalg.inv(prior.cov), float)
+    prior_information = np.zeros((3, 3)) if prior is None else np.linalg.inv(prior.cov).astype(float)
     iterations, converged, _ = minimize(
         C, t, intrinsics, seen, point_cov, curr, scale, int(loss.kind), parameter, C_prior, prior_information,
         max_iterations, CONVERGED_BELOW, refined, offset, information, squared,
@@ -148,7 +148,7 @@ def _information(
 ) -> FloatArray:
     """Σ Jᵀ (white)ₙ, [6, 6], without what the noise of the disparities alone would lend to the translation.
 
-    The translation's columns are proportional to the disparity d. Refined, it leans towards the solution, so it is set back
+    The translation's columns are proportional to the disparity d. Refined, d leans towards the solution, so it is set back
     to the one seen; squared, its noise σ² has a mean of its own: E[d²] − σ² is what the truth contributes. Only where
     all disparities are mostly noise does that matter, and there it tells a blind translation from a known one.
     """

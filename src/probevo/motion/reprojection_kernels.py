@@ -96,11 +96,12 @@ def linearize_noise(
         information: out, Σ⁻¹, [N, 4, 4]; zero where the point is behind the camera.
     """
     fu, fv, cu, cv, fb = camera
-    A = np.zeros((4, 3))
-    AS = np.empty((4, 3))
-    sigma = np.empty((4, 4))
-    lower = np.zeros((4, 4))
-    e = np.empty(4)
+    A, AS, point = (
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+    )  # rows u_l, v, u_r: the rows v_l and v_r are alike
+    sigma, lower, e, g = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4), np.empty(4)
     for n in range(len(seen)):
         mx, my, rho = (refined[n, 0] - cu) / fu, (refined[n, 1] - cv) / fv, refined[n, 2] / fb
         X = C[0, 0] * mx + C[0, 1] * my + C[0, 2] + rho * t[0]
@@ -111,28 +112,33 @@ def linearize_noise(
             continue
         iz = 1.0 / Z
         u, v, d = fu * X * iz, fv * Y * iz, fb * rho * iz
-        for k in range(3):  # columns: ∂/∂u, ∂/∂v, ∂/∂d of the previous frame
-            if k == 0:
-                gx, gy, gz, grho = C[0, 0] / fu, C[1, 0] / fu, C[2, 0] / fu, 0.0
-            elif k == 1:
-                gx, gy, gz, grho = C[0, 1] / fv, C[1, 1] / fv, C[2, 1] / fv, 0.0
-            else:
-                gx, gy, gz, grho = t[0] / fb, t[1] / fb, t[2] / fb, 1.0
-            A[0, k] = (fu * gx - u * gz) * iz
-            A[1, k] = A[3, k] = (fv * gy - v * gz) * iz
-            A[2, k] = A[0, k] - (grho - d * gz) * iz
-        for i in range(4):
-            offset[n, i] = 0.0
+        a, b, c = fu * iz, fv * iz, iz / fb  # columns of A: a change of u, v, d moves q along C's columns and t
+        A[0, 0], A[0, 1], A[0, 2] = (
+            (a * C[0, 0] - u * iz * C[2, 0]) / fu,
+            (a * C[0, 1] - u * iz * C[2, 1]) / fv,
+            (fu * t[0] - u * t[2]) * c,
+        )
+        A[1, 0], A[1, 1], A[1, 2] = (
+            (b * C[1, 0] - v * iz * C[2, 0]) / fu,
+            (b * C[1, 1] - v * iz * C[2, 1]) / fv,
+            (fv * t[1] - v * t[2]) * c,
+        )
+        A[2, 0], A[2, 1], A[2, 2] = (
+            A[0, 0] + d * iz * C[2, 0] / fu,
+            A[0, 1] + d * iz * C[2, 1] / fv,
+            A[0, 2] - iz + d * t[2] * c,
+        )
+        S = point_cov[n]
+        for i in range(3):
             for j in range(3):
-                offset[n, i] += A[i, j] * (seen[n, j] - refined[n, j])
-                AS[i, j] = 0.0
-                for k in range(3):
-                    AS[i, j] += A[i, k] * point_cov[n, k, j]
+                AS[i, j] = A[i, 0] * S[0, j] + A[i, 1] * S[1, j] + A[i, 2] * S[2, j]
+        for i in range(3):
+            for j in range(i + 1):
+                point[i, j] = point[j, i] = AS[i, 0] * A[j, 0] + AS[i, 1] * A[j, 1] + AS[i, 2] * A[j, 2]
         for i in range(4):
-            for j in range(4):
-                sigma[i, j] = scale[n, i, j]
-                for k in range(3):
-                    sigma[i, j] += AS[i, k] * A[j, k]
+            for j in range(i + 1):
+                sigma[i, j] = scale[n, i, j] + point[i if i < 3 else 1, j if j < 3 else 1]
+        _set_offset(A, seen[n], refined[n], offset[n])
         if not invert_symmetric_4(sigma, information[n], lower):
             information[n] = 0.0
             continue
@@ -140,16 +146,21 @@ def linearize_noise(
         e[1] = curr[n, 1] - (v + cv) - offset[n, 1]
         e[2] = curr[n, 2] - (u - d + cu) - offset[n, 2]
         e[3] = curr[n, 3] - (v + cv) - offset[n, 3]
-        for j in range(3):
-            step = 0.0
-            for i in range(4):
-                for k in range(4):
-                    step += AS[i, j] * information[n, i, k] * e[k]
-            refined[n, j] = seen[n, j] + step
+        W = information[n]
         for i in range(4):
-            offset[n, i] = 0.0
-            for j in range(3):
-                offset[n, i] += A[i, j] * (seen[n, j] - refined[n, j])
+            g[i] = W[i, 0] * e[0] + W[i, 1] * e[1] + W[i, 2] * e[2] + W[i, 3] * e[3]
+        for j in range(3):
+            refined[n, j] = seen[n, j] + AS[0, j] * g[0] + AS[1, j] * (g[1] + g[3]) + AS[2, j] * g[2]
+        _set_offset(A, seen[n], refined[n], offset[n])
+
+
+@compiled
+def _set_offset(A: FloatArray, seen: FloatArray, refined: FloatArray, offset: FloatArray) -> None:
+    """offset [4] = A (s − ŝ), the rows v_l and v_r alike."""
+    x, y, z = seen[0] - refined[0], seen[1] - refined[1], seen[2] - refined[2]
+    offset[0] = A[0, 0] * x + A[0, 1] * y + A[0, 2] * z
+    offset[1] = offset[3] = A[1, 0] * x + A[1, 1] * y + A[1, 2] * z
+    offset[2] = A[2, 0] * x + A[2, 1] * y + A[2, 2] * z
 
 
 @compiled

@@ -1,0 +1,142 @@
+"""Constant velocity: what it expects, how sure it is, and what it refuses to believe."""
+
+import numpy as np
+import pytest
+
+from probevo.config import MotionModelConfig
+from probevo.geometry import se3, so3
+from probevo.motion.motion_model import MotionModel
+from probevo.motion.reprojection import RotationPrior
+
+CONFIG = MotionModelConfig()
+STEP_S = 0.1
+TWIST_S = np.array([0.2, 0.1, -12.0, 0.03, 0.1, -0.02])
+"""Twelve metres a second ahead, in a slight bend."""
+COV = np.diag([1e-4, 1e-4, 4e-4, 1e-8, 1e-8, 1e-8])
+
+
+def driving(steps: int = 5) -> MotionModel:
+    """After some steps of constant velocity."""
+    model = MotionModel.at_start(CONFIG)
+    for _ in range(steps):
+        model = model.after(STEP_S, (se3.exp(STEP_S * TWIST_S), COV))
+    return model
+
+
+@pytest.mark.parametrize("duration_s", [0.02, 0.1, 0.13, 1.0])
+def test_velocity_is_carried_over_any_duration(duration_s: float) -> None:
+    expected = driving().expected(duration_s, None)
+    np.testing.assert_allclose(expected.T_curr_prev, se3.exp(duration_s * TWIST_S), atol=1e-12)
+
+
+def test_two_half_steps_make_a_whole_one() -> None:
+    half, whole = driving().expected(0.05, None).T_curr_prev, driving().expected(0.1, None).T_curr_prev
+    np.testing.assert_allclose(half @ half, whole, atol=1e-12)
+
+
+def test_nothing_is_expected_at_start_and_any_speed_is_possible() -> None:
+    expected = MotionModel.at_start(CONFIG).expected(STEP_S, None)
+    np.testing.assert_array_equal(expected.T_curr_prev, np.eye(4))
+    sigma = np.sqrt(np.diagonal(expected.cov))
+    assert (sigma >= STEP_S * np.repeat([CONFIG.start_speed_m_s, CONFIG.start_turn_rate_rad_s], 3)).all()
+
+
+def test_covariance_is_that_of_the_last_motion_and_of_the_acceleration() -> None:
+    """(σ_v² + (a T)²) T², with σ_v from the solve."""
+    acceleration = np.repeat([CONFIG.acceleration_m_s2, CONFIG.angular_acceleration_rad_s2], 3)
+    variance = np.diagonal(COV) / STEP_S**2 + (acceleration * 0.2) ** 2
+    np.testing.assert_allclose(driving().expected(0.2, None).cov, np.diag(variance * 0.2**2), rtol=1e-12)
+
+
+def test_covariance_grows_while_blind() -> None:
+    model, sigmas = driving(), []
+    for _ in range(6):
+        sigmas.append(np.sqrt(np.diagonal(model.expected(STEP_S, None).cov)))
+        model = model.after(STEP_S, None)
+    assert (np.diff(sigmas, axis=0) > 0.0).all()
+
+
+def test_motion_is_carried_on_while_blind() -> None:
+    model = driving().after(STEP_S, None).after(STEP_S, None)
+    np.testing.assert_allclose(model.expected(STEP_S, None).T_curr_prev, se3.exp(STEP_S * TWIST_S), atol=1e-12)
+
+
+def test_seeing_again_restores_the_certainty() -> None:
+    blind = driving()
+    for _ in range(5):
+        blind = blind.after(STEP_S, None)
+    seen = blind.after(STEP_S, (se3.exp(STEP_S * TWIST_S), COV))
+    np.testing.assert_allclose(seen.expected(STEP_S, None).cov, driving().expected(STEP_S, None).cov, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("duration_s", "is_gap"), [(0.1, False), (0.2, False), (0.24, False), (0.26, True), (5, True)])
+def test_a_step_of_more_than_two_and_a_half_usual_ones_is_a_gap(duration_s: float, is_gap: bool) -> None:
+    assert driving().is_gap(duration_s) is is_gap
+
+
+def test_the_second_frame_is_never_a_gap() -> None:
+    assert not MotionModel.at_start(CONFIG).is_gap(100.0)
+
+
+def test_a_gap_does_not_change_what_is_usual() -> None:
+    model = driving().after(5.0, None)
+    assert model.usual_step_s == pytest.approx(STEP_S)
+
+
+def test_what_is_usual_follows_a_slower_recording() -> None:
+    model = driving()
+    for _ in range(50):
+        model = model.after(0.2, None)
+    assert not model.is_gap(0.4)
+
+
+@pytest.mark.parametrize(
+    "surprise",
+    [[0.0, 0.0, 0.1, 0.0, 0.0, 0.0], [0.0, 0.0, -0.15, 0.0, 0.0, 0.01], [0.05, 0.05, 0.0, 0.02, -0.02, 0.02]],
+    ids=["brakes with 10 m/s²", "accelerates with 15 m/s²", "turns in"],
+)
+def test_sensible_motions_are_accepted(surprise: list[float]) -> None:
+    expected = driving().expected(STEP_S, None)
+    assert not expected.is_absurd(se3.exp(np.array(surprise)) @ expected.T_curr_prev, COV)
+
+
+@pytest.mark.parametrize(
+    "surprise",
+    [[0.0, 0.0, 1.2, 0.0, 0.0, 0.0], [0.0, 0.5, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.25, 0.0]],
+    ids=["stops at once", "jumps up by half a metre", "turns by 14°"],
+)
+def test_absurd_motions_are_refused(surprise: list[float]) -> None:
+    expected = driving().expected(STEP_S, None)
+    assert expected.is_absurd(se3.exp(np.array(surprise)) @ expected.T_curr_prev, COV)
+
+
+def test_what_is_absurd_by_sight_is_not_if_the_sight_was_poor() -> None:
+    expected = driving().expected(STEP_S, None)
+    jump = se3.exp(np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])) @ expected.T_curr_prev
+    assert not expected.is_absurd(jump, np.diag([1.0, 1.0, 1.0, 1e-4, 1e-4, 1e-4]))
+
+
+def test_after_long_blindness_a_stop_is_believed() -> None:
+    model = driving()
+    for _ in range(100):
+        model = model.after(STEP_S, None)
+    assert not model.expected(STEP_S, None).is_absurd(np.eye(4), COV)
+
+
+def test_the_gyro_gives_the_rotation_and_its_certainty() -> None:
+    gyro = RotationPrior(so3.exp(np.array([0.05, -0.2, 0.01])), 1e-6 * np.diag([1.0, 2.0, 3.0]))
+    alone, aided = driving().expected(STEP_S, None), driving().expected(STEP_S, gyro)
+    np.testing.assert_array_equal(aided.T_curr_prev[:3, :3], gyro.C_curr_prev)
+    np.testing.assert_array_equal(aided.cov[3:, 3:], gyro.cov)
+    np.testing.assert_array_equal(aided.cov[:3, :3], alone.cov[:3, :3])
+    np.testing.assert_array_equal(aided.T_curr_prev[:3, 3], alone.T_curr_prev[:3, 3])
+
+
+def test_the_model_itself_is_never_changed() -> None:
+    """Each step yields a new belief."""
+    model = driving()
+    before = model.twist_s.copy(), model.twist_sigma_s.copy()
+    model.after(STEP_S, (np.eye(4), COV))
+    model.expected(STEP_S, None).T_curr_prev[:] = 0.0
+    np.testing.assert_array_equal(model.twist_s, before[0])
+    np.testing.assert_array_equal(model.twist_sigma_s, before[1])
