@@ -108,3 +108,9 @@ def with_features(frame: Frame, count: int) -> Frame:
     """The frame with only its first features."""
     assert frame.features is not None
     return replace(frame, features=StereoFeatures(frame.features.ids[:count], frame.features.pixels[:count]))
+
+
+def blind_frame(index: int) -> Frame:
+    """A frame of the drive that shows nothing at all."""
+    nothing = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
+    return Frame(index, START_NS + index * FRAME_NS, features=nothing)

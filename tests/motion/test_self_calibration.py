@@ -47,9 +47,9 @@ def with_noise(rng: np.random.Generator, tracks: Tracks, sigma_px: float | Float
     return replace(tracks, prev_px=tracks.prev_px + prev_noise, curr_px=tracks.curr_px + curr_noise)
 
 
-def solve(tracks: Tracks, noise: Fixed | StudentT) -> ReprojectionSolution:
+def solve(tracks: Tracks, noise: Fixed | StudentT, guess: FloatArray = FORWARD) -> ReprojectionSolution:
     predicted = noise.predict(np.zeros((len(tracks), 0)))
-    return solve_reprojection(tracks.prev_px, tracks.curr_px, predicted, FORWARD, CAMERA)
+    return solve_reprojection(tracks.prev_px, tracks.curr_px, predicted, guess, CAMERA)
 
 
 def learn(
@@ -58,19 +58,18 @@ def learn(
     *,
     disparity_px: FloatArray = DISPARITY_PX,
     sigma_px: float | FloatArray = 0.2,
-    T_curr_prev: FloatArray = FORWARD,
     depth_m: tuple[float, float] = (5.0, 60.0),
 ) -> tuple[SelfCalibration, FloatArray]:
     """The belief after a drive, and the motion's error ξ of each frame, [frames, 6]."""
     belief, errors = SelfCalibration.initial(), []
     for _ in range(frames):
-        clean = seen_twice(rng, 200, T_curr_prev, depth_m=depth_m)
+        clean = seen_twice(rng, 200, depth_m=depth_m)
         tracks = with_noise(rng, misrectified_tracks(clean, ROWS_PX, disparity_px), sigma_px)
         belief = belief.with_rows(tracks.curr_px, CAMERA)
         corrected = belief.corrected_tracks(tracks, CAMERA)
         solution = solve(corrected, StudentT())
         belief = belief.with_motion(corrected, solution, CAMERA)
-        errors.append(motion_error(solution.T_curr_prev, T_curr_prev))
+        errors.append(motion_error(solution.T_curr_prev))
     return belief, np.array(errors)
 
 
@@ -83,7 +82,7 @@ def test_rows_converge_to_the_truth(seed: int) -> None:
     belief, _ = learn(np.random.default_rng(seed))
     sigma = sigma_of(belief.rows_information)
     assert (np.abs(belief.rows - ROWS_PX) < 3.0 * sigma).all()
-    assert (sigma < 0.1 * ROW_SIGMA_PX).all()
+    assert (sigma < 0.35 * ROW_SIGMA_PX).all()  # y² is known least: the image is low
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -111,13 +110,14 @@ def test_correction_undoes_the_error() -> None:
 
 
 def test_rows_of_one_frame_are_least_squares_under_the_prior() -> None:
-    """Without noise and outliers the closed form holds: the weights of Student-t all equal 6/5."""
-    pixels = seen_twice(np.random.default_rng(5), 3000).curr_px
-    belief = SelfCalibration.initial().with_rows(misrectified(pixels), CAMERA)
-    basis = row_basis(pixels, CAMERA)
-    information = np.diag(ROW_SIGMA_PX**-2.0) + basis.T @ basis * 1.2 / (0.2**2 * 20.0)
+    """Ridge regression in closed form: without noise the weights of the Student-t all tend to 6/5."""
+    pixels = misrectified(seen_twice(np.random.default_rng(5), 3000).curr_px)
+    belief = SelfCalibration.initial().with_rows(pixels, CAMERA)
+    basis, weight = row_basis(pixels, CAMERA), 1.2 / (0.2**2 * 20.0)
+    information = np.diag(ROW_SIGMA_PX**-2.0) + weight * basis.T @ basis
+    rows = np.linalg.solve(information, weight * basis.T @ (pixels[:, 3] - pixels[:, 1]))
     np.testing.assert_allclose(belief.rows_information, information, rtol=0.02)
-    np.testing.assert_allclose(belief.rows, ROWS_PX, atol=0.1)
+    np.testing.assert_allclose(belief.rows, rows, atol=0.005)
 
 
 def test_wrong_matches_hardly_move_the_rows() -> None:
@@ -135,21 +135,31 @@ def test_a_flawless_pair_stays_uncorrected() -> None:
 
 
 def test_disparity_noise_alone_does_not_make_it_run_away() -> None:
-    """1 px on disparities of 4 to 13 px, five times what the model says: a constant offset would be taken for +1 px."""
+    """1 px on disparities of 4 to 13 px, five times what the model says, and no error of the rectification."""
     sigma_px = np.array([0.2, 0.2, 1.0, 0.2])
     belief, _ = learn(np.random.default_rng(8), disparity_px=np.zeros(2), sigma_px=sigma_px, depth_m=(30.0, 100.0))
     assert np.abs(belief.disparity).max() < 0.25
 
 
 def test_at_rest_nothing_is_learned() -> None:
-    """Both views move alike with the disparity's error: the information stays the prior's to one part in 10⁴."""
+    """Both views move alike with the disparity's error: the information stays the prior's."""
     tracks = misrectified_tracks(seen_twice(np.random.default_rng(9), 300, np.eye(4)))
     belief = SelfCalibration.initial()
     for _ in range(20):
-        solution = solve(tracks, StudentT())
+        solution = solve(tracks, StudentT(), np.eye(4))
         belief = belief.with_motion(tracks, solution, CAMERA)
-    np.testing.assert_allclose(belief.disparity_information, np.diag(DISPARITY_SIGMA_PX**-2.0), atol=1e-4)
-    np.testing.assert_allclose(belief.disparity, 0.0, atol=1e-4)
+    np.testing.assert_allclose(belief.disparity_information, np.diag(DISPARITY_SIGMA_PX**-2.0), atol=1e-9)
+    np.testing.assert_allclose(belief.disparity, 0.0, atol=1e-9)
+
+
+def test_noise_at_rest_teaches_hardly_anything() -> None:
+    """200 pairs of frames, in which the noise passes for a motion of millimetres."""
+    rng, belief = np.random.default_rng(13), SelfCalibration.initial()
+    for _ in range(200):
+        tracks = seen_twice(rng, 200, np.eye(4), sigma_px=0.2)
+        belief = belief.with_motion(tracks, solve(tracks, StudentT(), np.eye(4)), CAMERA)
+    assert (sigma_of(belief.disparity_information) > 0.95 * DISPARITY_SIGMA_PX).all()
+    assert np.abs(belief.disparity).max() < 0.15
 
 
 def test_sensitivity_is_the_derivative_of_the_residuals() -> None:

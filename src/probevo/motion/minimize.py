@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled, perturb, rotation_error, solve_positive_definite
 from probevo.motion.normal_equations import normal_equations
 from probevo.motion.reprojection_kernels import linearize_noise
+
+RENEW_AFTER = 0.1
+"""Squared length of the way since Σ was last renewed, in standard deviations of the motion, that makes it stale."""
+MAX_RENEWALS = 3
+"""How often Σ is computed at most."""
 
 
 @compiled
@@ -33,18 +40,20 @@ def minimize(
     """Levenberg–Marquardt on SE(3) over Σ ρ(eᵀ Σ⁻¹ e) + ½ φᵀ Λ φ, with φ = Log(C C_priorᵀ).
 
     C and t are the guess on entry and the solution on return; refined, offset, information and squared are those of
-    ``linearize_noise`` and ``normal_equations`` there. Σ is renewed after the 1st and the 3rd step and then kept, so
-    that the cost is one function near the optimum. Returns the iterations, whether the last
-    step was shorter than the tolerance times its own standard deviation, and the cost.
+    ``linearize_noise`` and ``normal_equations`` there. Σ is renewed when the motion has moved by a good part of its own
+    standard deviation, a few times at most, so that the cost is one function near the optimum. Returns the iterations,
+    whether the last step was shorter than the tolerance times its own standard deviation, and the cost.
     """
     hessian, gradient = np.empty((6, 6)), np.empty(6)
     trial_hessian, trial_gradient, trial_squared = np.empty((6, 6)), np.empty(6), np.empty(len(squared))
     lower, step, damped = np.zeros((6, 6)), np.zeros(6), np.empty((6, 6))
     trial_C, trial_t, phi = np.empty((3, 3)), np.empty(3), np.empty(3)
     damping, accepted, cost, stale, near = 1e-6, 0, 0.0, True, False
+    renewals, moved = 0, math.inf
     for iteration in range(max_iterations):
         if stale:
-            if accepted == 0 or accepted == 1 or accepted == 3:
+            if moved > RENEW_AFTER and renewals < MAX_RENEWALS:
+                renewals, moved = renewals + 1, 0.0
                 linearize_noise(C, t, camera, seen, point_cov, curr, scale, refined, offset, information)
             cost = normal_equations(
                 C, t, camera, refined, offset, curr, information, kind, parameter, near, hessian, gradient, squared
@@ -69,12 +78,13 @@ def minimize(
             else:
                 damping = max(1e-3, 10.0 * damping)
             continue
-        decrement = np.sum(step * gradient)
+        decrement = float(np.sum(step * gradient))
         C[:], t[:] = trial_C, trial_t
         hessian[:], gradient[:], squared[:] = trial_hessian, trial_gradient, trial_squared
         cost, damping, accepted, near = trial_cost, 0.1 * damping, accepted + 1, accepted > 1 and damping < 1e-3
-        stale = accepted == 1 or accepted == 3
-        if decrement < tolerance * tolerance and accepted > 1:
+        moved += decrement
+        stale = moved > RENEW_AFTER and renewals < MAX_RENEWALS
+        if decrement < tolerance * tolerance and not stale:
             return iteration + 1, True, cost
     return max_iterations, False, cost
 

@@ -114,12 +114,14 @@ def solve_reprojection(
         C, t, intrinsics, seen, point_cov, curr, scale, int(loss.kind), parameter, C_prior, prior_information,
         max_iterations, CONVERGED_BELOW, refined, offset, information, squared,
     )  # fmt: skip
-    residuals, jacobian, disparity_jacobian = np.empty((count, 4)), np.empty((count, 4, 6)), np.empty((count, 4))
-    residual_jacobians(C, t, intrinsics, refined, offset, curr, residuals, jacobian, disparity_jacobian)
+    residuals, disparity_jacobian = np.empty((count, 4)), np.empty((count, 4))
+    jacobian, white = np.empty((count, 4, 6)), np.empty((count, 4, 6))
+    residual_jacobians(
+        C, t, intrinsics, refined, offset, curr, information, residuals, jacobian, white, disparity_jacobian
+    )
     has_say = squared < BEHIND
     weight = np.where(has_say, loss.weight(squared, dof), 0.0)
     curvature = np.where(has_say, loss.curvature(squared, dof), 0.0)
-    white = np.einsum("nij,njk->nik", information, jacobian)
     information_sum = _information(jacobian, white * curvature[:, None, None], refined, seen, point_cov)
     variance_factor = _variance_factor(squared, weight, curvature, loss, dof)
     motion = np.eye(4)
@@ -136,7 +138,7 @@ def solve_reprojection(
         residuals=residuals,
         jacobian=jacobian,
         disparity_jacobian=disparity_jacobian,
-        hessian=_sum_products(jacobian, white * weight[:, None, None]) + prior_block,
+        hessian=sum_products(jacobian, white * weight[:, None, None]) + prior_block,
         information=information,
         iterations=iterations,
         converged=converged,
@@ -148,16 +150,16 @@ def _information(
 ) -> FloatArray:
     """Σ Jᵀ (white)ₙ, [6, 6], without what the noise of the disparities alone would lend to the translation.
 
-    The translation's columns are proportional to the disparity d. Refined, d leans towards the solution, so it is set back
-    to the one seen; squared, its noise σ² has a mean of its own: E[d²] − σ² is what the truth contributes. Only where
+    The translation's columns go with the disparity d. Refined, d leans towards the solution, so it is set
+    back to the one seen; squared, its noise σ² has a mean of its own: E[d²] − σ² is what the truth contributes. Only where
     all disparities are mostly noise does that matter, and there it tells a blind translation from a known one.
     """
     disparity = np.where(np.abs(refined[:, 2]) > 1e-9, refined[:, 2], np.inf)
     share = np.ones((len(refined), 1, 6))
     share[:, 0, :3] = (seen[:, 2] / disparity)[:, None]
-    total = _sum_products(jacobian * share, white * share)
+    total = sum_products(jacobian * share, white * share)
     lent = (point_cov[:, 2, 2] / disparity**2)[:, None, None]
-    total[:3, :3] -= np.einsum("nij,nik->jk", jacobian[:, :, :3] * lent, white[:, :, :3])
+    total[:3, :3] -= sum_products(jacobian[:, :, :3] * lent, white[:, :, :3])
     return total
 
 
@@ -180,10 +182,10 @@ def _variance_factor(
     return shown / (EXPECTED_FEATURES * expected_curvature + float(curvature.sum()))
 
 
-def _sum_products(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Σ_n left_nᵀ right_n of [N, 4, 6] each: [6, 6], made symmetric."""
-    total = left.reshape(-1, 6).T @ right.reshape(-1, 6)
-    return 0.5 * (total + total.T)
+def sum_products(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Σ_n left_nᵀ right_n of [N, 4, K] and [N, 4, L]: [K, L]."""
+    total: FloatArray = left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
+    return total
 
 
 def _inverse_or_nan(information: FloatArray) -> FloatArray:

@@ -21,46 +21,49 @@ def observation_to_point(
 ) -> None:
     """The point s = (u, v, d) behind each stereo observation y, and its scale matrix S.
 
-    With ``propagate``, s is the generalised least-squares estimate of y = H s under the scale R: the two rows are
-    averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the rows plainly, as g does, and S stays
-    zero. Fills seen [N, 3] from observed [N, 4], px, and point_cov [N, 3, 3] from scale [N, 4, 4], px².
+    With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale R: the two rows are
+    averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the rows plainly, as g does, and S is 0.
+    Fills seen [N, 3] from observed [N, 4], px, and point_cov [N, 3, 3] from scale [N, 4, 4], px².
     """
     inverse, lower = np.empty((4, 4)), np.zeros((4, 4))
-    right, lower_3, column = np.empty(3), np.zeros((3, 3)), np.zeros(3)
-    normal, unit = np.empty((3, 3)), np.zeros(3)
+    normal, lower_3, unit, column = np.empty((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    K = np.zeros((3, 4))
+    K[0, 0] = K[2, 0] = 1.0
+    K[2, 2] = -1.0
+    K[1, 1] = K[1, 3] = 0.5
     for n in range(len(observed)):
-        seen[n, 0] = observed[n, 0]
-        seen[n, 1] = 0.5 * (observed[n, 1] + observed[n, 3])
-        seen[n, 2] = observed[n, 0] - observed[n, 2]
-        if not propagate or not invert_symmetric_4(scale[n], inverse, lower):
-            continue
-        # H maps (u, v, d) to (u, v, u − d, v)
-        normal[0, 0] = inverse[0, 0] + 2.0 * inverse[0, 2] + inverse[2, 2]
-        normal[1, 1] = inverse[1, 1] + 2.0 * inverse[1, 3] + inverse[3, 3]
-        normal[2, 2] = inverse[2, 2]
-        normal[0, 1] = normal[1, 0] = inverse[0, 1] + inverse[0, 3] + inverse[2, 1] + inverse[2, 3]
-        normal[0, 2] = normal[2, 0] = -inverse[0, 2] - inverse[2, 2]
-        normal[1, 2] = normal[2, 1] = -inverse[1, 2] - inverse[3, 2]
-        for k in range(4):
-            column_k = 0.0
-            for j in range(4):
-                column_k += inverse[k, j] * observed[n, j]
-            if k == 0:
-                right[0] = column_k
-            elif k == 1:
-                right[1] = column_k
-            elif k == 2:
-                right[0] += column_k
-                right[2] = -column_k
-            else:
-                right[1] += column_k
-        solve_positive_definite(normal, right, lower_3, seen[n])
-        for j in range(3):
-            unit[:] = 0.0
-            unit[j] = 1.0
-            solve_positive_definite(normal, unit, lower_3, column)
-            for i in range(3):
-                point_cov[n, i, j] = column[i]
+        if propagate and (n == 0 or np.any(scale[n] != scale[n - 1])):  # most models give all features one scale
+            if not invert_symmetric_4(scale[n], inverse, lower):
+                inverse[:] = 0.0
+            # H maps (u, v, d) to (u, v, u − d, v)
+            normal[0, 0] = inverse[0, 0] + 2.0 * inverse[0, 2] + inverse[2, 2]
+            normal[1, 1] = inverse[1, 1] + 2.0 * inverse[1, 3] + inverse[3, 3]
+            normal[2, 2] = inverse[2, 2]
+            normal[0, 1] = normal[1, 0] = inverse[0, 1] + inverse[0, 3] + inverse[2, 1] + inverse[2, 3]
+            normal[0, 2] = normal[2, 0] = -inverse[0, 2] - inverse[2, 2]
+            normal[1, 2] = normal[2, 1] = -inverse[1, 2] - inverse[3, 2]
+            for k in range(4):  # K = (Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹, column by column
+                unit[0], unit[1], unit[2] = (
+                    inverse[0, k] + inverse[2, k],
+                    inverse[1, k] + inverse[3, k],
+                    -inverse[2, k],
+                )
+                if solve_positive_definite(normal, unit, lower_3, column):
+                    K[:, k] = column
+            for k in range(3):
+                unit[:] = 0.0
+                unit[k] = 1.0
+                if solve_positive_definite(normal, unit, lower_3, column):
+                    point_cov[n, :, k] = column
+        elif propagate:
+            point_cov[n] = point_cov[n - 1]
+        for i in range(3):
+            seen[n, i] = (
+                K[i, 0] * observed[n, 0]
+                + K[i, 1] * observed[n, 1]
+                + K[i, 2] * observed[n, 2]
+                + K[i, 3] * observed[n, 3]
+            )
 
 
 @compiled
@@ -171,11 +174,16 @@ def residual_jacobians(
     refined: FloatArray,
     offset: FloatArray,
     curr: FloatArray,
+    information: FloatArray,
     residual: FloatArray,
     motion: FloatArray,
+    white: FloatArray,
     disparity: FloatArray,
 ) -> None:
-    """Residuals e [N, 4] and what moves h: motion ∂h/∂ξ [N, 4, 6], disparity ∂h/∂d [N, 4]; zero behind the camera."""
+    """Residuals e [N, 4] and what moves h: J = ∂h/∂ξ (motion, [N, 4, 6]), Σ⁻¹ J (white), ∂h/∂d (disparity, [N, 4]).
+
+    All are zero behind the camera.
+    """
     fu, fv, cu, cv, fb = camera
     F = np.zeros((4, 3))
     for n in range(len(refined)):
@@ -184,7 +192,7 @@ def residual_jacobians(
         Y = C[1, 0] * mx + C[1, 1] * my + C[1, 2] + rho * t[1]
         Z = C[2, 0] * mx + C[2, 1] * my + C[2, 2] + rho * t[2]
         if Z < NEAREST:
-            residual[n], motion[n], disparity[n] = 0.0, 0.0, 0.0
+            residual[n], motion[n], white[n], disparity[n] = 0.0, 0.0, 0.0, 0.0
             continue
         u, v, d = fu * X / Z, fv * Y / Z, fb * rho / Z
         residual[n, 0] = curr[n, 0] - (u + cu) - offset[n, 0]
@@ -201,3 +209,9 @@ def residual_jacobians(
             motion[n, i, 5] = X * F[i, 1] - Y * F[i, 0]
             disparity[n, i] = (F[i, 0] * t[0] + F[i, 1] * t[1] + F[i, 2] * t[2]) / fb
         disparity[n, 2] -= 1.0 / Z
+        for i in range(4):
+            for j in range(6):
+                total = 0.0
+                for k in range(4):
+                    total += information[n, i, k] * motion[n, k, j]
+                white[n, i, j] = total

@@ -7,11 +7,11 @@ the left image:
 - rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y², learned from every stereo match, no motion needed. On
   KITTI a₄ is 6.7 px on two calibrations of different days, and modelling it takes the scatter of v_r − v_l from 0.39 to
   0.15 px.
-- disparity: true minus measured = b₁ x + b₂ x², learned from how well the features agree on one motion. On KITTI b₂ is
-  1.8 px: points at the sides seem too far, which on a motorway, where the useful points are at the sides, lengthens
-  every step. A constant b₀ is left out on purpose: noise in the disparity makes near points look like a mix of near and
-  far ones, which mimics b₀ (regression dilution), so an estimated b₀ runs away on noisy tracks. The place in the image
-  is known without noise, so b₁ and b₂ do not suffer from that.
+- disparity: true minus measured = b₀ + b₁ x + b₂ x², learned from how well the features agree on one motion. On KITTI b₂
+  is 1.8 px: points at the sides seem too far, which on a motorway, where the useful points are at the sides, lengthens
+  every step. b₀ is held at zero on purpose: noise in the disparity makes near points look like a mix of near and far
+  ones, which mimics b₀ (regression dilution), so that an estimated b₀ runs away on noisy tracks. The place in the image
+  is known without noise, so b₁ and b₂ do not suffer from that. The doubt about all three enters the motion's covariance.
 
 Both are Gaussian beliefs that start at zero with the prior below and are renewed by recursive robust least squares.
 """
@@ -24,7 +24,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.motion.reprojection import ReprojectionSolution
+from probevo.motion.reprojection import ReprojectionSolution, sum_products
 from probevo.tracking.tracks import Tracks
 
 ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0])
@@ -90,8 +90,8 @@ class SelfCalibration:
         """
         sensitivity = disparity_sensitivity(tracks, solution, camera)[:, :, 1:]
         weighted = solution.whitened(sensitivity)
-        cross = np.einsum("nij,nik->jk", solution.jacobian, weighted)
-        hessian = np.einsum("nij,nik->jk", sensitivity, weighted)
+        cross = sum_products(solution.jacobian, weighted)
+        hessian = sum_products(sensitivity, weighted)
         gradient = -np.einsum("nij,ni->j", weighted, solution.residuals)
         learned = (hessian - cross.T @ np.linalg.solve(solution.hessian, cross)) / CORRELATED_FEATURES
         information = self.disparity_information + learned
@@ -104,7 +104,7 @@ class SelfCalibration:
         An error of the calibration moves all features together, so that no number of them averages it out.
         """
         weighted = solution.whitened(disparity_sensitivity(tracks, solution, camera))
-        gain = np.linalg.solve(solution.hessian, np.einsum("nij,nik->jk", solution.jacobian, weighted))
+        gain = np.linalg.solve(solution.hessian, sum_products(solution.jacobian, weighted))
         doubt = np.zeros((3, 3))
         doubt[0, 0] = CONSTANT_SIGMA_PX**2
         doubt[1:, 1:] = np.linalg.inv(self.disparity_information)

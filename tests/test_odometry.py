@@ -1,0 +1,243 @@
+"""The whole flow: simulated drives whose truth is known, blind frames among them, and the real recordings."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import probevo as pv
+from probevo.arrays import FloatArray
+from probevo.config import GyroConfig
+from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.evaluation.trajectory_errors import relative_motions
+from probevo.geometry import se3, so3
+from probevo.geometry.uncertainty import compound_chain, normalized_error_squared
+from probevo.noise import Fixed
+from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples
+from worlds import CAMERA, FORWARD, FRAME_NS, blind_frame, drive, motion_error, with_features
+
+OK, FIRST, GAP = pv.Status.OK, pv.Status.FIRST, pv.Status.GAP
+PLAIN = pv.OdometryConfig(self_calibration=False)
+
+
+def run(frames: Sequence[Frame], config: pv.OdometryConfig | None = None) -> list[pv.MotionEstimate]:
+    odometry = pv.StereoOdometry(CAMERA, config=config)
+    return [odometry.step(frame) for frame in frames]
+
+
+def volume(motion: pv.MotionEstimate) -> float:
+    """Log determinant of the covariance."""
+    return float(np.linalg.slogdet(motion.cov)[1])
+
+
+def is_proper(motion: pv.MotionEstimate) -> bool:
+    """A finite rigid motion with a finite, positive definite covariance."""
+    C = motion.T_curr_prev[:3, :3]
+    orthonormal = np.allclose(C @ C.T, np.eye(3), atol=1e-9) and np.linalg.det(C) > 0.0
+    return bool(orthonormal and np.isfinite(motion.T_curr_prev).all() and (np.linalg.eigvalsh(motion.cov) > 0.0).all())
+
+
+def test_the_first_frame_is_the_origin() -> None:
+    (first,) = run(drive(np.random.default_rng(0), 1))
+    assert first.status is FIRST
+    np.testing.assert_array_equal(first.T_curr_prev, np.eye(4))
+    np.testing.assert_array_equal(first.cov, np.zeros((6, 6)))
+
+
+def test_motions_on_a_circle_agree_with_the_truth() -> None:
+    motions = run(drive(np.random.default_rng(1), 60))[1:]
+    assert all(motion.status is OK for motion in motions)
+    errors = np.array([motion_error(motion.T_curr_prev) for motion in motions])
+    assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.05
+    assert np.linalg.norm(errors[:, 3:], axis=1).max() < 0.002
+
+
+@pytest.mark.parametrize("noise", [None, Fixed()], ids=["student-t", "fixed"])
+def test_covariance_is_consistent(noise: Fixed | None) -> None:
+    """ANEES of 120 motions in [5, 7.5]: χ²(6)/120 leaves 6 ± 0.6 (95 %), and noise of 0.2 px is what the models say."""
+    odometry = pv.StereoOdometry(CAMERA, noise, config=PLAIN)
+    motions = [odometry.step(frame) for frame in drive(np.random.default_rng(2), 121)][1:]
+    nees = [normalized_error_squared(FORWARD, motion.T_curr_prev, motion.cov) for motion in motions]
+    assert 5.0 < np.mean(nees) < 7.5
+
+
+def test_the_doubt_of_the_calibration_makes_the_covariance_no_smaller_than_the_error() -> None:
+    """With a flawless pair it is timid, as it cannot know that: ANEES below 7.5, yet not by orders of magnitude."""
+    motions = run(drive(np.random.default_rng(3), 121))[1:]
+    nees = [normalized_error_squared(FORWARD, motion.T_curr_prev, motion.cov) for motion in motions]
+    assert 1.0 < np.mean(nees) < 7.5
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_blind_frames_carry_the_motion_on(count: int) -> None:
+    """Three frames in a row with hardly a feature: two steps between them, one before and one after are blind."""
+    frames = drive(np.random.default_rng(4), 20)
+    frames[10:13] = [with_features(frame, count) for frame in frames[10:13]]
+    motions = run(frames)
+    for motion in motions[10:14]:
+        assert motion.status is pv.Status.TOO_FEW_TRACKS
+        assert is_proper(motion)
+        assert volume(motion) > volume(motions[9]) + 6.0
+        assert np.linalg.norm(motion_error(motion.T_curr_prev)[:3]) < 0.1
+
+
+def test_the_covariance_of_blind_motions_holds_their_error() -> None:
+    """A vehicle that brakes with 5 m/s² while nothing is seen: inside 3σ on every axis, of every step."""
+    frames = drive(np.random.default_rng(5), 12)
+    twist, braking = se3.log(FORWARD), np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
+    for k, motion in enumerate(run([*frames, *(blind_frame(12 + k) for k in range(5))])[12:]):
+        truth = se3.exp(twist + (k + 1) * braking)
+        sigma = np.sqrt(np.diagonal(motion.cov))
+        assert (np.abs(motion_error(motion.T_curr_prev, truth)) < 3.0 * sigma).all()
+
+
+def test_sight_is_believed_again_at_once() -> None:
+    frames = drive(np.random.default_rng(6), 20)
+    frames[10:13] = [with_features(frame, 0) for frame in frames[10:13]]
+    motions = run(frames)
+    assert all(motion.status is OK for motion in motions[14:])
+    assert np.abs(motion_error(motions[14].T_curr_prev)).max() < 0.05
+
+
+def test_a_recording_without_any_feature_runs_to_the_end() -> None:
+    """Nothing is ever known: no motion is claimed, but no certainty either."""
+    for motion in run([blind_frame(k) for k in range(10)])[1:]:
+        assert motion.status is pv.Status.TOO_FEW_TRACKS
+        assert is_proper(motion)
+        assert motion.cov[2, 2] > 1.0
+
+
+def test_a_gap_in_time_is_said_and_bridged() -> None:
+    """Two seconds are missing, and no point is seen on both sides: the velocity goes on, far less certain."""
+    before = drive(np.random.default_rng(7), 10)
+    after = drive(np.random.default_rng(8), 10)
+    late_ns = before[-1].stamp_ns + 20 * FRAME_NS - after[0].stamp_ns
+    moved = [replace(frame, index=10 + frame.index, stamp_ns=frame.stamp_ns + late_ns) for frame in after]
+    renamed = [replace(f, features=replace(f.features, ids=f.features.ids + 10**6)) for f in moved if f.features]
+    motions = run([*before, *renamed])
+    assert [motion.status for motion in motions] == [FIRST, *9 * [OK], GAP, *9 * [OK]]
+    assert is_proper(motions[10])
+    travelled = motions[10].T_curr_prev @ se3.inverse(se3.exp(20.0 * se3.log(FORWARD)))
+    assert np.linalg.norm(se3.log(travelled)[:3]) < 1.0
+    assert motions[10].cov[2, 2] > 100.0
+
+
+def test_outlier_frames_are_refused() -> None:
+    """All features of one frame swap places: no motion explains them, and the velocity is carried on."""
+    frames = drive(np.random.default_rng(9), 15)
+    features = frames[10].features
+    assert features is not None
+    order = np.random.default_rng(0).permutation(len(features.ids))
+    frames[10] = replace(frames[10], features=replace(features, pixels=features.pixels[order]))
+    for motion in run(frames)[10:12]:
+        assert motion.status is not OK
+        assert np.linalg.norm(motion_error(motion.T_curr_prev)[:3]) < 0.1
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    frames = drive(np.random.default_rng(10), 15)
+    first, second = run(frames), run(frames)
+    for one, other in zip(first, second, strict=True):
+        assert one.T_curr_prev.tobytes() == other.T_curr_prev.tobytes()
+        assert one.cov.tobytes() == other.cov.tobytes()
+
+
+def test_a_frame_s_randomness_does_not_depend_on_those_before() -> None:
+    """Seeded by its index: a run that starts at frame 5 draws the same samples there."""
+    frames = drive(np.random.default_rng(11), 12)
+    whole, late = run(frames, PLAIN), run(frames[5:], PLAIN)
+    np.testing.assert_allclose(whole[-1].T_curr_prev, late[-1].T_curr_prev, atol=1e-6)
+
+
+def turning(
+    frames: list[Frame], bias_rad_s: FloatArray, C_cam_imu: FloatArray, rng: np.random.Generator
+) -> list[Frame]:
+    """The frames with a gyro at 200 Hz that feels the turn of FORWARD, and its bias."""
+    rate = C_cam_imu.T @ (-so3.log(FORWARD[:3, :3]) / 0.1) + bias_rad_s
+    with_imu = frames[:1]
+    for frame in frames[1:]:
+        stamps_ns = np.arange(frame.stamp_ns - FRAME_NS, frame.stamp_ns + 1, 5_000_000)
+        gyro = rate + GYRO_NOISE / np.sqrt(0.005) * rng.normal(size=(len(stamps_ns), 3))
+        with_imu.append(replace(frame, imu=ImuSamples(stamps_ns, gyro, np.full_like(gyro, np.nan))))
+    return with_imu
+
+
+GYRO_NOISE = 2e-4
+
+
+@pytest.mark.parametrize("prior", [False, True])
+def test_the_gyro_s_bias_is_learned_if_the_gyro_is_used(prior: bool) -> None:
+    """Far off at start, 0.05 rad/s, and within 3σ of the truth after five seconds; untouched without the prior."""
+    bias, C_cam_imu = np.array([0.05, -0.03, 0.04]), so3.exp(np.array([1.2, -1.2, 1.2]))
+    rng = np.random.default_rng(12)
+    frames = turning(drive(rng, 50), bias, C_cam_imu, rng)
+    imu = ImuCalibration(C_cam_imu, GYRO_NOISE, 0.05)
+    odometry = pv.StereoOdometry(CAMERA, imu=imu, config=pv.OdometryConfig(gyro=GyroConfig(prior=prior)))
+    statuses = [odometry.step(frame).status for frame in frames]
+    assert all(status is OK for status in statuses[1:])
+    assert odometry.gyro_bias is not None
+    sigma = np.sqrt(np.diagonal(odometry.gyro_bias.cov))
+    if prior:
+        assert (np.abs(odometry.gyro_bias.mean - bias) < 3.0 * sigma).all()
+        assert (sigma < 0.002).all()
+    else:
+        np.testing.assert_array_equal(odometry.gyro_bias.mean, np.zeros(3))
+
+
+def walk(path: Path) -> tuple[list[pv.MotionEstimate], FloatArray]:
+    """Motions of a recording, and its true poses."""
+    sequence = pv.open_sequence(path)
+    odometry = pv.StereoOdometry(sequence.camera, imu=sequence.imu)
+    motions = [odometry.step(frame) for frame in sequence]
+    assert sequence.truth is not None
+    return motions, sequence.truth.T_world_cam
+
+
+def trajectory(motions: list[pv.MotionEstimate]) -> tuple[FloatArray, FloatArray]:
+    """T_world_cam and its covariance."""
+    return compound_chain(np.array([m.T_curr_prev for m in motions]), np.array([m.cov for m in motions]))
+
+
+def metrics_of(path: Path) -> Metrics:
+    motions, truth = walk(path)
+    return evaluate(trajectory(motions)[0], truth)
+
+
+@pytest.mark.data
+def test_a_camera_at_rest_stays_there(data_root: Path) -> None:
+    """EuRoC: drift below 1 cm, and within 3σ of the compounded covariance on every axis.
+
+    It trembles by milliradians on the way, but rests at both ends; its truth wanders by more than that.
+    """
+    T_world_cam, cov = trajectory(walk(data_root / "euroc/V1_01_micro")[0])
+    drift = se3.log(T_world_cam[-1])
+    assert np.linalg.norm(drift[:3]) < 0.01
+    assert (np.abs(drift) < 3.0 * np.sqrt(np.diagonal(cov[-1]))).all()
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    "name", ["26_drive_0001", "26_drive_0005", "26_drive_0009", "26_drive_0027", "26_drive_0036", "30_drive_0027"]
+)
+def test_no_step_of_the_track_drives_is_off_by_a_metre(name: str, data_root: Path) -> None:
+    """Frames with six, one and no tracks among them."""
+    motions, truth = walk(data_root / f"kitti_tracks/2011_09_{name}.npz")
+    assert all(is_proper(motion) for motion in motions[1:])
+    pairs = zip(motions[1:], relative_motions(truth), strict=True)
+    errors = np.array([motion_error(motion.T_curr_prev, T_true) for motion, T_true in pairs])
+    assert np.linalg.norm(errors[:, :3], axis=1).max() < 1.0
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_drift_on_kitti_06(data_root: Path) -> None:
+    assert (metrics_of(data_root / "kitti_odometry/sequences/06").short_t_percent or np.inf) <= 1.0
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_rotation_on_kitti_raw_0005(data_root: Path) -> None:
+    path = data_root / "kitti_raw/2011_09_26/2011_09_26_drive_0005_sync"
+    assert (metrics_of(path).short_r_deg_per_m or np.inf) <= 0.016
