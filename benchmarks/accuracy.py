@@ -27,7 +27,7 @@ def run(sequence: Sequence, model: str) -> RunResult:
 
 def main() -> None:
     print(
-        f"{'recording':28} {'noise':10} {'short t, %':>10} {'short r, °/m':>13} {'worst step, m':>14} {'not solved':>11}"
+        f"{'recording':28} {'noise':10} {'short t, %':>10} {'short r, °/m':>13} {'worst step, m':>14} {'unsolved':>9}"
     )
     paths = list(available().values()) + sorted((ROOT / "kitti_tracks").glob("*.npz"))
     for path in paths:
@@ -38,7 +38,7 @@ def main() -> None:
             off = np.linalg.norm(result.T_curr_prev[:, :3, 3] - relative_motions(truth)[:, :3, 3], axis=1)
             print(
                 f"{path.stem:28} {model:10} {metrics.short_t_percent:10.3f} {metrics.short_r_deg_per_m:13.4f} "
-                f"{np.nanmax(off):14.2f} {int((result.status != pv.Status.OK).sum()):11d}"
+                f"{np.nanmax(off):14.2f} {int((result.status != pv.Status.OK).sum()):9d}"
             )
     euroc = ROOT / "euroc" / "V1_01_micro"
     if euroc.is_dir():

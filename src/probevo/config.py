@@ -17,7 +17,6 @@ class TrackingConfig(_Settings):
     num_features: int = Field(
         600, ge=8, le=20_000, description="Features wanted a frame; more cost time, few gain beyond 600."
     )
-    cell_px: int = Field(40, ge=8, le=400, description="Side of the grid cells over which features are spread.")
     fast_threshold: int = Field(
         10, ge=1, le=100, description="Contrast of a FAST corner; low, as the grid ranks them anyway."
     )
@@ -32,6 +31,9 @@ class TrackingConfig(_Settings):
         ge=0,
         le=201,
         description="Side of the box whose mean is taken off the image, against vignetting and exposure; 0 is off.",
+    )
+    max_difference: float = Field(
+        6.0, gt=0, le=255, description="Mean difference of two windows, in grey levels, up to which they look the same."
     )
     max_row_offset_px: float = Field(
         2.5,

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
+from probevo.errors import InputError
 from probevo.motion.estimate import MotionEstimate, Status
 from probevo.motion.gyro import GyroBias, GyroRotation, integrate_gyro
 from probevo.motion.motion_model import MotionModel
-from probevo.motion.reprojection import RotationPrior
+from probevo.motion.reprojection import ReprojectionSolution, RotationPrior
 from probevo.motion.self_calibration import SelfCalibration
-from probevo.motion.visual import VisualMotion, estimate_motion
+from probevo.motion.visual import estimate_motion
 from probevo.noise import NoiseModel, StudentT
 from probevo.sequences.frame import Frame, ImuCalibration
 from probevo.stage_clock import StageClock
 from probevo.tracking import Tracker, Tracks, tracker_for
+from probevo.tracking.start import track_from_best
 
 DROP_BELOW = 0.1
 """Robust weight below which a track is no longer followed."""
@@ -23,6 +26,9 @@ DROP_BELOW = 0.1
 
 class StereoOdometry:
     """Relative motion of a stereo camera, one frame at a time (PROBE Fig. 1; thesis Fig. 4.1).
+
+    After a step, ``tracks`` holds its tracks, corrected by the self-calibration, and ``weights`` how far each was
+    trusted: 0 for an outlier, at most 1.
 
     Args:
         camera: the rectified camera, as a sequence gives it.
@@ -38,16 +44,10 @@ class StereoOdometry:
         imu: ImuCalibration | None = None,
         config: OdometryConfig | None = None,
     ) -> None:
-        self.camera = camera
-        self.noise = noise or StudentT()
-        self.imu = imu
-        self.config = config or OdometryConfig()
-        self.calibration = SelfCalibration.initial()
+        self.camera, self.noise, self.imu, self.config = camera, noise or StudentT(), imu, config or OdometryConfig()
+        self.calibration = SelfCalibration.initial() if self.config.self_calibration else None
         self.gyro_bias = GyroBias.initial(imu) if imu else None
-        self.tracks = Tracks.none()
-        """Tracks of the last step, corrected by the self-calibration."""
-        self.weights = np.zeros(0)
-        """How far each of them was trusted, [N]: 0 for an outlier, at most 1."""
+        self.tracks, self.weights = Tracks.none(), np.zeros(0)
         self._model = MotionModel.at_start(self.config.motion_model)
         self._tracker: Tracker | None = None
         self._stamp_ns = 0
@@ -57,69 +57,58 @@ class StereoOdometry:
 
         The first frame yields the identity with zero covariance and status FIRST. Where the motion cannot be solved, it
         is carried on from the gyro and the last velocity, with the covariance that such a guess deserves.
+
+        Raises:
+            InputError: the frame is not later than the one before.
         """
         clock = StageClock(decode=frame.decode_ms)
-        since_ns, self._stamp_ns = self._stamp_ns, frame.stamp_ns
         if self._tracker is None:
-            self._tracker = tracker_for(frame, self.camera, self.config.tracking)
+            self._tracker, self._stamp_ns = tracker_for(frame, self.camera, self.config.tracking), frame.stamp_ns
             self._tracker.track(frame, np.eye(4))
             return MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, 0)
+        if frame.stamp_ns <= self._stamp_ns:
+            what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {self._stamp_ns} ns."
+            raise InputError(f"frame {frame.index}", what, "Give the frames in the order of their times.")
 
-        duration_s = 1e-9 * (frame.stamp_ns - since_ns)
-        gyro, rotation = self._integrate_gyro(frame, since_ns)  # PROBE eqs. (3)-(4)
+        duration_s = 1e-9 * (frame.stamp_ns - self._stamp_ns)
+        gyro = self._integrate_gyro(frame)  # PROBE eqs. (3)-(4)
+        rotation = RotationPrior(gyro.C_curr_prev, self.gyro_bias.prior(gyro)) if gyro and self.gyro_bias else None
         expected = self._model.expected(duration_s, rotation)
-        tracks = self._tracker.track(frame, expected.T_curr_prev)  # pixels → Tracks, the waist of the design
+        starts = self._model.starts(duration_s, expected)
+        tracks = track_from_best(self._tracker, frame, starts, self.camera, self.config.seed)  # pixels → Tracks
         clock.lap("track")
-        self.tracks = self._correct(tracks)
+        if self.calibration:
+            self.calibration = self.calibration.with_rows(tracks.curr_px, self.camera)
+            tracks = self.calibration.corrected_tracks(tracks, self.camera)
         clock.lap("calibrate")
-        predictors = np.zeros((len(self.tracks), 0))  # the prediction space has no columns yet
+        phi = np.zeros((len(tracks), 0))  # [N, M]: the prediction space has no columns yet
         rng = np.random.default_rng([self.config.seed, frame.index])
-        visual = estimate_motion(
-            self.tracks, predictors, self.noise, self.camera, expected, rotation, self.config, rng, clock
-        )
-        self.weights = visual.weights
-        if visual.status is Status.OK and visual.solution is not None:
-            T_curr_prev, cov, status = visual.solution.T_curr_prev, visual.solution.cov, Status.OK
-            if self.config.self_calibration:
-                cov = cov + self.calibration.motion_covariance(visual.solved, visual.solution, self.camera)
-            self._model = self._model.after(duration_s, (T_curr_prev, cov))
-            self._learn(visual, gyro)
-        else:
-            T_curr_prev, cov = expected.T_curr_prev, expected.cov
-            status = Status.GAP if self._model.is_gap(duration_s) else visual.status
-            self._model = self._model.after(duration_s, None)
+        visual = estimate_motion(tracks, phi, self.noise, self.camera, expected, rotation, self.config, rng, clock)
+        self.tracks, self.weights, self._stamp_ns = tracks, visual.weights, frame.stamp_ns
+        status, T_curr_prev, cov = visual.status, expected.T_curr_prev, expected.cov
+        if visual.solution and status is Status.OK:
+            T_curr_prev, cov = visual.solution.T_curr_prev, self._learn(visual.solved, visual.solution, gyro)
+            self._tracker.drop(tracks.ids[visual.weights < DROP_BELOW])
+        elif self._model.is_gap(duration_s):
+            status = Status.GAP
+        self._model = self._model.after(duration_s, (T_curr_prev, cov) if status is Status.OK else None)
         clock.lap("learn")
-        return MotionEstimate(
-            T_curr_prev=T_curr_prev,
-            cov=cov,
-            status=status,
-            num_tracks=len(tracks),
-            num_inliers=int((visual.weights >= 0.5).sum()),
-            iterations=visual.solution.iterations if visual.solution else 0,
-            stage_ms=clock.times_ms,
-        )
+        trusted, iterations = int((visual.weights >= 0.5).sum()), visual.solution.iterations if visual.solution else 0
+        return MotionEstimate(T_curr_prev, cov, status, len(tracks), trusted, iterations, clock.times_ms)
 
-    def _integrate_gyro(self, frame: Frame, since_ns: int) -> tuple[GyroRotation | None, RotationPrior | None]:
-        """The gyro's rotation, and what it is worth with its bias unknown."""
+    def _integrate_gyro(self, frame: Frame) -> GyroRotation | None:
+        """The gyro's rotation since the last frame, less the bias believed in."""
         if frame.imu is None or self.imu is None or self.gyro_bias is None:
-            return None, None
-        self.gyro_bias = self.gyro_bias.predicted(1e-9 * (frame.stamp_ns - since_ns), self.imu)
-        gyro = integrate_gyro(frame.imu, since_ns, frame.stamp_ns, self.imu, self.gyro_bias.mean)
-        return gyro, RotationPrior(gyro.C_curr_prev, self.gyro_bias.prior(gyro))
+            return None
+        self.gyro_bias = self.gyro_bias.predicted(1e-9 * (frame.stamp_ns - self._stamp_ns), self.imu)
+        return integrate_gyro(frame.imu, self._stamp_ns, frame.stamp_ns, self.imu, self.gyro_bias.mean)
 
-    def _correct(self, tracks: Tracks) -> Tracks:
-        if not self.config.self_calibration:
-            return tracks
-        self.calibration = self.calibration.with_rows(tracks.curr_px, self.camera)
-        return self.calibration.corrected_tracks(tracks, self.camera)
-
-    def _learn(self, visual: VisualMotion, gyro: GyroRotation | None) -> None:
-        """What a step that worked teaches: which tracks to drop, the calibration, the gyro's bias."""
-        if visual.solution is None or self._tracker is None:
-            return
-        self._tracker.drop(self.tracks.ids[visual.weights < DROP_BELOW])
-        if self.config.self_calibration:
-            self.calibration = self.calibration.with_motion(visual.solved, visual.solution, self.camera)
-        if gyro is not None and self.gyro_bias is not None and self.config.gyro.prior:
-            T_curr_prev, cov = visual.solution.T_curr_prev, visual.solution.cov
-            self.gyro_bias = self.gyro_bias.updated(gyro, T_curr_prev[:3, :3], cov[3:, 3:])
+    def _learn(self, solved: Tracks, solution: ReprojectionSolution, gyro: GyroRotation | None) -> FloatArray:
+        """Take in what a step taught of calibration and gyro; returns the covariance of its motion with their doubt."""
+        if gyro and self.gyro_bias and self.config.gyro.prior:
+            self.gyro_bias = self.gyro_bias.updated(gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
+        if not self.calibration:
+            return solution.cov
+        cov = solution.cov + self.calibration.motion_covariance(solved, solution, self.camera)
+        self.calibration = self.calibration.with_motion(solved, solution, self.camera)
+        return cov

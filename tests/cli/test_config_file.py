@@ -19,7 +19,10 @@ def test_names_are_those_that_exist() -> None:
 
 @pytest.mark.parametrize(
     "config",
-    [RunConfig(), RunConfig(sequence=Path("a/ü b"), noise="fixed", max_frames=9, tracking=TrackingConfig(cell_px=30))],
+    [
+        RunConfig(),
+        RunConfig(sequence=Path("a/ü b"), noise="fixed", max_frames=9, tracking=TrackingConfig(fast_threshold=30)),
+    ],
 )
 def test_round_trip(config: RunConfig, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(config_text(config), encoding="utf-8")
@@ -39,7 +42,11 @@ def test_an_empty_file_means_the_defaults(text: str, tmp_path: Path) -> None:
         ("num_features: 9", "the key num_features is not known.", "Did you mean tracking.num_features?"),
         ("tracking: {num-features: 9}", "the key tracking.num-features", "Did you mean tracking.num_features?"),
         ("qwertz: 9", "the key qwertz is not known.", "Known are seed,"),
-        ("tracking: {cell_px: 3}", "tracking.cell_px is 3; it should be greater than or equal to 8.", "Side of the"),
+        (
+            "tracking: {window_px: 3}",
+            "tracking.window_px is 3; it should be greater than or equal to 5.",
+            "Side of the",
+        ),
         ("noise: gauss", "noise is 'gauss'; it should be 'fixed' or 'student-t'.", "Noise of the features"),
         ("ransac: {threshold_px: .nan}", "ransac.threshold_px is nan; it should be a finite number.", "Reprojection"),
         ("seed: many", "seed is 'many'; it should be a valid integer", "Of every random choice"),

@@ -58,11 +58,11 @@ def test_the_effective_config_repeats_the_run(wall_run: Path, tmp_path: Path) ->
 
 def test_defaults_yield_to_the_file_and_the_file_to_flags(wall: Path, tmp_path: Path) -> None:
     file = tmp_path / "settings.yaml"
-    file.write_text("noise: fixed\ntracking: {num_features: 300, cell_px: 32}\n")
+    file.write_text("noise: fixed\ntracking: {num_features: 300, window_px: 13}\n")
     flags = ["--tracking.num-features", "200", "--no-self-calibration", "--max-frames", "3"]
     assert main(["run", str(wall), "--out", str(tmp_path / "out"), "--config", str(file), *flags]) == 0
     config = read_config(tmp_path / "out" / "config.yaml")
-    assert (config.noise, config.tracking.num_features, config.tracking.cell_px) == ("fixed", 200, 32)
+    assert (config.noise, config.tracking.num_features, config.tracking.window_px) == ("fixed", 200, 13)
     assert (config.self_calibration, config.max_frames, config.sequence) == (False, 3, wall)
     assert len(read_motions(tmp_path / "out" / "motions.npz")) == 3
 

@@ -19,6 +19,7 @@ class Status(IntEnum):
     """The features do not fix all six degrees of freedom."""
     TOO_FEW_TRACKS = 3
     NOT_CONVERGED = 4
+    """The solve did not reach an optimum, or reached one that the motion so far makes absurd."""
     GAP = 5
     """Frames are missing before this one."""
 

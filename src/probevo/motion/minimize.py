@@ -13,8 +13,8 @@ from probevo.motion.reprojection_kernels import linearize_noise
 
 RENEW_AFTER = 0.1
 """Squared length of the way since Σ was last renewed, in standard deviations of the motion, that makes it stale."""
-MAX_RENEWALS = 3
-"""How often Σ is computed at most."""
+MAX_RENEWALS = 10
+"""How often Σ is computed at most; from a guess as good as RANSAC's it takes two or three."""
 
 
 @compiled
@@ -41,7 +41,7 @@ def minimize(
 
     C and t are the guess on entry and the solution on return; refined, offset, information and squared are those of
     ``linearize_noise`` and ``normal_equations`` there. Σ is renewed when the motion has moved by a good part of its own
-    standard deviation, a few times at most, so that the cost is one function near the optimum. Returns the iterations,
+    standard deviation, and else kept, so that the cost is one function near the optimum. Returns the iterations,
     whether the last step was shorter than the tolerance times its own standard deviation, and the cost.
     """
     hessian, gradient = np.empty((6, 6)), np.empty(6)
@@ -85,7 +85,7 @@ def minimize(
         moved += decrement
         stale = moved > RENEW_AFTER and renewals < MAX_RENEWALS
         if decrement < tolerance * tolerance and not stale:
-            return iteration + 1, True, cost
+            return iteration + 1, moved <= RENEW_AFTER, cost
     return max_iterations, False, cost
 
 

@@ -14,6 +14,9 @@ from probevo.motion.reprojection import RotationPrior
 ABSURD = 60.0
 """Squared Mahalanobis length of a motion's surprise (six dimensions) beyond which it is not believed: about 7σ."""
 
+SPEED_UNKNOWN = 0.5
+"""The speed is unknown while its standard deviation is this much of the one at start."""
+
 
 @dataclass(frozen=True)
 class ExpectedMotion:
@@ -56,6 +59,13 @@ class MotionModel:
             T_curr_prev[:3, :3] = gyro.C_curr_prev
             cov[3:, 3:] = gyro.cov
         return ExpectedMotion(T_curr_prev, cov)
+
+    def starts(self, duration_s: float, expected: ExpectedMotion) -> list[FloatArray]:
+        """Motions, [4, 4] each, from which tracking may have to start: several forward speeds while none is known."""
+        if self.twist_sigma_s[2] < SPEED_UNKNOWN * self.config.start_speed_m_s:
+            return [expected.T_curr_prev]
+        speeds_m_s = self.config.start_speed_m_s * np.array([0.0, 0.5, 1.0, 1.5])
+        return [se3.from_parts(expected.T_curr_prev[:3, :3], np.array([0.0, 0.0, -v * duration_s])) for v in speeds_m_s]
 
     def is_gap(self, duration_s: float) -> bool:
         """Whether frames are missing in a step that long."""

@@ -24,7 +24,7 @@ class Consensus:
     """Features within the threshold of it, [N]."""
 
 
-def num_hypotheses(confidence: float, inlier_ratio: float, sample_size: int) -> int:
+def num_hypotheses(confidence: float, inlier_ratio: float = 0.5, sample_size: int = 3) -> int:
     """Samples needed for one without outliers (Fischler & Bolles 1981).
 
     For three points and PROBE's 50 % inliers: 35 at 99 % confidence, 69 at 99.99 %.
@@ -56,7 +56,8 @@ def find_consensus(
         guess: expected T_curr_prev, [4, 4].
         C_curr_prev: rotation from a gyro, [3, 3]; a sample is then a single point.
         threshold_px: largest error of an inlier in any of u_l, v_l, u_r.
-        confidence: probability that at least one sample is free of outliers.
+        confidence: probability that at least one sample of three is free of outliers. As many samples of one are drawn
+            with a gyro (PROBE does so too): each carries the depth noise of its point, and needs the choice.
         inlier_ratio: assumed share of inliers.
     """
     sample_size = 3 if C_curr_prev is None else 1
@@ -66,7 +67,7 @@ def find_consensus(
         start[:3, :3] = C_curr_prev
     samples = np.zeros((0, sample_size), dtype=np.int64)
     if count >= sample_size:
-        samples = rng.integers(count, size=(num_hypotheses(confidence, inlier_ratio, sample_size), sample_size))
+        samples = rng.integers(count, size=(num_hypotheses(confidence, inlier_ratio), sample_size))
     intrinsics = np.array([camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.fu_px * camera.baseline_m])
     points = np.column_stack([prev_px[:, :2], prev_px[:, 0] - prev_px[:, 2]])
     C, t, inliers = np.ascontiguousarray(start[:3, :3]), np.ascontiguousarray(start[:3, 3]), np.zeros(count, np.bool_)

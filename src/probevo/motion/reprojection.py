@@ -151,8 +151,8 @@ def _information(
     """Σ Jᵀ (white)ₙ, [6, 6], without what the noise of the disparities alone would lend to the translation.
 
     The translation's columns go with the disparity d. Refined, d leans towards the solution, so it is set
-    back to the one seen; squared, its noise σ² has a mean of its own: E[d²] − σ² is what the truth contributes. Only where
-    all disparities are mostly noise does that matter, and there it tells a blind translation from a known one.
+    back to the one seen; squared, its noise σ² has a mean of its own: E[d²] − σ² is what the truth contributes. Only
+    where all disparities are mostly noise does that matter, and there it tells a blind translation from a known one.
     """
     disparity = np.where(np.abs(refined[:, 2]) > 1e-9, refined[:, 2], np.inf)
     share = np.ones((len(refined), 1, 6))

@@ -7,11 +7,12 @@ the left image:
 - rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y², learned from every stereo match, no motion needed. On
   KITTI a₄ is 6.7 px on two calibrations of different days, and modelling it takes the scatter of v_r − v_l from 0.39 to
   0.15 px.
-- disparity: true minus measured = b₀ + b₁ x + b₂ x², learned from how well the features agree on one motion. On KITTI b₂
-  is 1.8 px: points at the sides seem too far, which on a motorway, where the useful points are at the sides, lengthens
-  every step. b₀ is held at zero on purpose: noise in the disparity makes near points look like a mix of near and far
-  ones, which mimics b₀ (regression dilution), so that an estimated b₀ runs away on noisy tracks. The place in the image
-  is known without noise, so b₁ and b₂ do not suffer from that. The doubt about all three enters the motion's covariance.
+- disparity: true minus measured = b₀ + b₁ x + b₂ x², learned from how well the features agree on one motion. On KITTI
+  b₂ is 1.8 px: points at the sides seem too far, which on a motorway, where the useful points are at the sides,
+  lengthens every step. b₀ is held at zero on purpose: noise in the disparity makes near points look like a mix of near
+  and far ones, which mimics b₀ (regression dilution), so that an estimated b₀ runs away on noisy tracks. The place in
+  the image is known without noise, so b₁ and b₂ do not suffer from that. The doubt about all three enters the motion's
+  covariance.
 
 Both are Gaussian beliefs that start at zero with the prior below and are renewed by recursive robust least squares.
 """

@@ -19,7 +19,10 @@ class Tracker(Protocol):
     """Joins each frame to the one before."""
 
     def track(self, frame: Frame, expected: FloatArray) -> Tracks:
-        """Features of the previous frame found in this one; the search starts from T_curr_prev ``expected``, [4, 4]."""
+        """Features of the previous frame found in this one; the search starts from T_curr_prev ``expected``, [4, 4].
+
+        Called again for the same frame, it starts over.
+        """
 
     def drop(self, ids: IntArray) -> None:
         """Stop following these features."""

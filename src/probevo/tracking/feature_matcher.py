@@ -13,20 +13,28 @@ class FeatureMatcher:
     """Joins the features of consecutive frames by identity; the counterpart of ``ImageTracker`` without images."""
 
     def __init__(self) -> None:
-        self._previous = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
-        self._age = np.zeros(0, np.int64)
+        nothing = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
+        self._before = self._now = (nothing, np.zeros(0, np.int64))
+        self._now_index = -1
 
     def track(self, frame: Frame, expected: FloatArray) -> Tracks:
-        """The features that the previous frame had too; ``expected`` is not needed here."""
+        """The features that the previous frame had too; ``expected`` is not needed here.
+
+        Called again for a frame, it starts over.
+        """
         if frame.features is None:
             raise ValueError(f"frame {frame.index} has no features")
-        ids, before, now = np.intersect1d(
-            self._previous.ids, frame.features.ids, assume_unique=True, return_indices=True
-        )
-        age = np.ones(len(frame.features.ids), np.int64)
-        age[now] = self._age[before] + 1
-        tracks = Tracks(self._previous.pixels[before], frame.features.pixels[now], ids, age[now])
-        self._previous, self._age = frame.features, age
+        if frame.index != self._now_index:
+            self._before, self._now_index = self._now, frame.index
+        previous, previous_age = self._before
+        seen = np.isfinite(frame.features.pixels).all(axis=1)
+        current = StereoFeatures(frame.features.ids[seen], frame.features.pixels[seen])
+        ids, before, now = np.intersect1d(previous.ids, current.ids, assume_unique=True, return_indices=True)
+        age = np.ones(len(current.ids), np.int64)
+        age[now] = previous_age[before] + 1
+        rejected = {"not finite": int((~seen).sum())}
+        tracks = Tracks(previous.pixels[before], current.pixels[now], ids, age[now], rejected)
+        self._now = (current, age)
         return tracks
 
     def drop(self, ids: IntArray) -> None:

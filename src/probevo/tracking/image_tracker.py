@@ -30,9 +30,10 @@ class _Followed:
     pixels: FloatArray  # [N, 4]
     ids: IntArray
     age: IntArray
+    next_id: int
 
     def kept(self, keep: BoolArray | IntArray) -> _Followed:
-        return _Followed(self.image, self.pixels[keep], self.ids[keep], self.age[keep])
+        return _Followed(self.image, self.pixels[keep], self.ids[keep], self.age[keep], self.next_id)
 
 
 class ImageTracker:
@@ -46,11 +47,12 @@ class ImageTracker:
     def __init__(self, camera: StereoCamera, config: TrackingConfig) -> None:
         self._camera = camera
         self._config = config
-        self._followed: _Followed | None = None
-        self._next_id = 0
+        self._before: _Followed | None = None
+        self._now: _Followed | None = None
+        self._now_index = -1
 
     def track(self, frame: Frame, expected: FloatArray) -> Tracks:
-        """The features of the previous frame that are found in this one.
+        """The features of the previous frame that are found in this one. Called again for a frame, it starts over.
 
         Args:
             frame: with both images.
@@ -58,9 +60,12 @@ class ImageTracker:
         """
         if frame.left is None or frame.right is None:
             raise ValueError(f"frame {frame.index} has no images")
+        if frame.index != self._now_index:
+            self._before, self._now_index = self._now, frame.index
         left, right = _high_pass(frame.left, self._config), _high_pass(frame.right, self._config)
         rejected: Counter[str] = Counter()
-        before = self._followed or _Followed(left, np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64))
+        before = self._before or _Followed(left, np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64), 0)
+        next_id = before.next_id
         before, left_px, disparity = self._follow_in_time(before, left, expected, rejected)
         corners = detect_corners(left, left_px, self._config)
         right_px, matched = self._match_right(
@@ -76,18 +81,18 @@ class ImageTracker:
         now = _Followed(
             left,
             pixels[matched],
-            np.r_[before.ids[survived], self._next_id + np.arange(num_born)],
+            np.r_[before.ids[survived], next_id + np.arange(num_born)],
             np.r_[before.age[survived] + 1, np.ones(num_born, np.int64)],
+            next_id + num_born,
         )
-        self._next_id += num_born
-        self._followed = now
+        self._now = now
         num = int(survived.sum())
         return Tracks(before.pixels[survived], now.pixels[:num], now.ids[:num], now.age[:num], dict(rejected))
 
     def drop(self, ids: IntArray) -> None:
         """Stop following these features: they turned out to be outliers."""
-        if self._followed is not None and len(ids):
-            self._followed = self._followed.kept(~np.isin(self._followed.ids, ids))
+        if self._now is not None and len(ids):
+            self._now = self._now.kept(~np.isin(self._now.ids, ids))
 
     def _follow_in_time(
         self, before: _Followed, left: Image, expected: FloatArray, rejected: Counter[str]
@@ -99,25 +104,26 @@ class ImageTracker:
             visible = ahead & _inside(predicted, left)
             rejected["left the view"] += int((~visible).sum())
             before, start, disparity = before.kept(visible), predicted[visible], disparity[visible]
-        found_px, found = _lucas_kanade(before.image, left, before.pixels[:, :2], start, self._config)
+        found_px, difference = _lucas_kanade(before.image, left, before.pixels[:, :2], start, self._config)
         inside = _inside(found_px, left)
-        rejected["lost in time"] += int((~found & inside).sum())
         rejected["left the view"] += int((~inside).sum())
-        found &= inside
-        return before.kept(found), found_px[found], disparity[found]
+        alike = _alike(difference, inside, self._config)
+        rejected["looks different"] += int((inside & ~alike).sum())
+        return before.kept(alike), found_px[alike], disparity[alike]
 
     def _match_right(
         self, left: Image, right: Image, left_px: FloatArray, disparity: FloatArray, rejected: Counter[str]
     ) -> tuple[FloatArray, BoolArray]:
         """(u, v) in the right image of points in the left, [N, 2], and which of them pass the checks, [N]."""
         start = left_px - np.column_stack([disparity, np.zeros(len(disparity))])
-        right_px, found = _lucas_kanade(left, right, left_px, start, self._config)
-        rejected["no stereo match"] += int((~found).sum())
+        right_px, difference = _lucas_kanade(left, right, left_px, start, self._config)
         level = np.abs(right_px[:, 1] - left_px[:, 1]) <= self._config.max_row_offset_px
-        rejected["rows differ"] += int((found & ~level).sum())
-        before_us = left_px[:, 0] - right_px[:, 0] >= self._config.min_disparity_px
-        rejected["no disparity"] += int((found & level & ~before_us).sum())
-        return right_px, found & level & before_us
+        rejected["rows differ"] += int((~level).sum())
+        ahead = left_px[:, 0] - right_px[:, 0] >= self._config.min_disparity_px
+        rejected["no disparity"] += int((level & ~ahead).sum())
+        matched = _alike(difference, level & ahead, self._config)
+        rejected["no stereo match"] += int((level & ahead & ~matched).sum())
+        return right_px, matched
 
 
 def _high_pass(image: Image, config: TrackingConfig) -> Image:
@@ -152,11 +158,14 @@ def _of_nearest(corners: FloatArray, left_px: FloatArray, disparity: FloatArray)
 
 def _lucas_kanade(
     template: Image, image: Image, template_px: FloatArray, start_px: FloatArray, config: TrackingConfig
-) -> tuple[FloatArray, BoolArray]:
-    """Pyramidal Lucas–Kanade of points [N, 2] from the given starts; where they are found [N, 2], and whether [N]."""
+) -> tuple[FloatArray, FloatArray]:
+    """Pyramidal Lucas–Kanade of points [N, 2] from the given starts: where they end, [N, 2], px, and what is left.
+
+    That is the mean absolute difference of the window there, [N], grey levels; infinite where the search failed.
+    """
     if len(template_px) == 0:
-        return np.zeros((0, 2)), np.zeros(0, np.bool_)
-    found_px, status, _ = cv2.calcOpticalFlowPyrLK(
+        return np.zeros((0, 2)), np.zeros(0)
+    found_px, status, difference = cv2.calcOpticalFlowPyrLK(
         template,
         image,
         template_px.astype(np.float32),
@@ -167,7 +176,21 @@ def _lucas_kanade(
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=MIN_EIGENVALUE,
     )
-    return found_px.astype(np.float64), status[:, 0] > 0
+    found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
+    return np.where(found[:, None], found_px, -1.0).astype(np.float64), np.where(found, difference[:, 0], np.inf)
+
+
+def _alike(difference: FloatArray, candidates: BoolArray, config: TrackingConfig) -> BoolArray:
+    """Which of the candidates [N] look the same in both windows: little difference, or among the least different
+    quarter.
+
+    The quarter is one of the features wanted: where everything has changed, by a large step or blur, some must go on.
+    """
+    ranked = np.sort(difference[candidates & np.isfinite(difference)])
+    enough = config.num_features // 4
+    limit = ranked[min(enough, len(ranked)) - 1] if len(ranked) else 0.0
+    alike: BoolArray = candidates & (difference <= max(config.max_difference, float(limit)))
+    return alike & np.isfinite(difference)
 
 
 def _inside(pixels: FloatArray, image: Image, border_px: float = 5.0) -> BoolArray:
