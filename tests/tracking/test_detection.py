@@ -10,10 +10,8 @@ from probevo.tracking.detection import BORDER_PX, detect_corners
 HEIGHT_PX, WIDTH_PX, CELL_PX = 120, 160, 40
 COLUMNS, ROWS = 4, 3
 NOBODY = np.zeros((0, 2))
-
-
-def config(share: int) -> TrackingConfig:
-    return TrackingConfig(num_features=share * COLUMNS * ROWS, cell_px=CELL_PX)
+TWO_A_CELL = TrackingConfig(num_features=2 * COLUMNS * ROWS)
+"""As many features as make the cells CELL_PX wide: 2 · 160 · 120 / 24 = 40²."""
 
 
 def noise_image() -> Image:
@@ -38,34 +36,40 @@ def as_set(corners: FloatArray) -> set[tuple[float, float]]:
     return {(float(u), float(v)) for u, v in corners}
 
 
-@pytest.mark.parametrize("share", [1, 3, 7])
-def test_every_cell_gets_its_share_and_no_more(share: int) -> None:
-    np.testing.assert_array_equal(count_per_cell(detect_corners(noise_image(), NOBODY, config(share))), share)
+def test_every_cell_gets_its_share_and_no_more() -> None:
+    np.testing.assert_array_equal(count_per_cell(detect_corners(noise_image(), NOBODY, TWO_A_CELL)), 2)
+
+
+@pytest.mark.parametrize("wanted", [100, 300, 777, 1500])
+def test_about_as_many_are_found_as_are_wanted(wanted: int) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (375, 1242), dtype=np.uint8)
+    found = detect_corners(image, NOBODY, TrackingConfig(num_features=wanted))
+    assert wanted <= len(found) <= 1.25 * wanted
 
 
 def test_a_cell_gets_only_what_its_features_leave() -> None:
-    """Shares of 3, with 0, 1, 3 and 5 features already in the four cells of the middle row."""
-    already = np.array([0, 1, 3, 5])
+    """Shares of 2, with 0, 1, 2 and 5 features already in the four cells of the middle row."""
+    already = np.array([0, 1, 2, 5])
     occupied = np.vstack([np.tile([40.0 * column + 20.0, 60.0], (n, 1)) for column, n in enumerate(already)])
-    found = count_per_cell(detect_corners(noise_image(), occupied, config(3)))
-    np.testing.assert_array_equal(found, [3, 3, 3, 3, 3, 2, 0, 0, 3, 3, 3, 3])
+    found = count_per_cell(detect_corners(noise_image(), occupied, TWO_A_CELL))
+    np.testing.assert_array_equal(found, [2, 2, 2, 2, 2, 1, 0, 0, 2, 2, 2, 2])
 
 
 def test_features_outside_the_image_count_for_the_nearest_cell() -> None:
     """A tracked feature may lie a fraction of a pixel beyond the border: no index error, no other cell robbed."""
     occupied = np.array([[-0.5, -3.0], [WIDTH_PX + 0.5, HEIGHT_PX + 2.0]])
-    found = count_per_cell(detect_corners(noise_image(), occupied, config(1)))
-    np.testing.assert_array_equal(found, [0, *[1] * 10, 0])
+    found = count_per_cell(detect_corners(noise_image(), occupied, TWO_A_CELL))
+    np.testing.assert_array_equal(found, [1, *[2] * 10, 1])
 
 
 def test_the_strongest_are_chosen() -> None:
     image = dots((52, 50, 30), (60, 50, 120), (68, 50, 60), (52, 65, 90), (60, 65, 40))
-    assert as_set(detect_corners(image, NOBODY, config(2))) == {(60, 50), (52, 65)}
+    assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(60, 50), (52, 65)}
 
 
 def test_strength_is_compared_within_a_cell_only() -> None:
-    image = dots((60, 60, 150), (68, 60, 140), (100, 60, 20))
-    assert as_set(detect_corners(image, NOBODY, config(1))) == {(60, 60), (100, 60)}
+    image = dots((52, 60, 150), (60, 60, 140), (68, 60, 130), (100, 60, 20))
+    assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(52, 60), (60, 60), (100, 60)}
 
 
 def test_contrast_below_the_threshold_is_no_corner() -> None:
@@ -79,23 +83,23 @@ def test_nothing_is_found_where_a_window_would_leave_the_image() -> None:
     inside = [(BORDER_PX, 60), (last_u, 60), (80, BORDER_PX), (80, last_v)]
     outside = [(BORDER_PX - 1, 20), (last_u + 1, 20), (20, BORDER_PX - 1), (20, last_v + 1)]
     image = dots(*[(u, v, 100) for u, v in inside + outside])
-    assert as_set(detect_corners(image, NOBODY, config(50))) == set(inside)
+    assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == set(inside)
 
 
 def test_an_even_image_has_no_corners() -> None:
-    found = detect_corners(np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8), NOBODY, config(3))
+    found = detect_corners(np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8), NOBODY, TWO_A_CELL)
     assert found.shape == (0, 2)
 
 
 def test_a_size_that_is_no_multiple_of_the_cell_is_covered_to_its_edges() -> None:
-    """170×130 px has five columns and four rows, the last ones narrow: 10 px, of which the border takes 8."""
+    """170×130 px in cells of 40 px: five columns, four rows, the last ones 10 px wide, 8 of them border."""
     image = np.random.default_rng(1).integers(0, 256, (130, 170), dtype=np.uint8)
-    found = detect_corners(image, NOBODY, TrackingConfig(num_features=20 * 400, cell_px=CELL_PX))
+    found = detect_corners(image, NOBODY, TrackingConfig(num_features=2 * 170 * 130 // 40**2))
     assert found[:, 0].max() >= 160
     assert found[:, 1].max() >= 120
     assert (found < [170 - BORDER_PX, 130 - BORDER_PX]).all()
 
 
 def test_the_same_image_gives_the_same_corners() -> None:
-    first, second = (detect_corners(noise_image(), NOBODY, config(3)) for _ in range(2))
+    first, second = (detect_corners(noise_image(), NOBODY, TWO_A_CELL) for _ in range(2))
     np.testing.assert_array_equal(first, second)
