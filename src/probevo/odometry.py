@@ -91,7 +91,8 @@ class StereoOdometry:
             self._tracker.drop(tracks.ids[visual.weights < DROP_BELOW])
         elif self._model.is_gap(duration_s):
             status = Status.GAP
-        self._model = self._model.after(duration_s, (T_curr_prev, cov) if status is Status.OK else None)
+        solved, refused = (T_curr_prev, cov) if status is Status.OK else None, visual.status is Status.NOT_CONVERGED
+        self._model = self._model.after(duration_s, solved, refused=refused)
         clock.lap("learn")
         trusted, iterations = int((visual.weights >= 0.5).sum()), visual.solution.iterations if visual.solution else 0
         return MotionEstimate(T_curr_prev, cov, status, len(tracks), trusted, iterations, clock.times_ms)

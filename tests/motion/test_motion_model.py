@@ -140,3 +140,30 @@ def test_the_model_itself_is_never_changed() -> None:
     model.expected(STEP_S, None).T_curr_prev[:] = 0.0
     np.testing.assert_array_equal(model.twist_s, before[0])
     np.testing.assert_array_equal(model.twist_sigma_s, before[1])
+
+
+def test_a_belief_that_refuses_three_solves_in_a_row_is_given_up() -> None:
+    """A wrong velocity, taken for sure, would otherwise refuse the truth for seconds."""
+    start = MotionModel.at_start(MotionModelConfig())
+    wrong = start.after(0.1, (se3.exp(np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0])), 1e-8 * np.eye(6)))
+    truth, cov = se3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])), 1e-6 * np.eye(6)
+    assert wrong.expected(0.1, None).is_absurd(truth, cov)
+    model = wrong.after(0.1, None, refused=True).after(0.1, None, refused=True)
+    assert model.expected(0.1, None).is_absurd(truth, cov)
+    model = model.after(0.1, None, refused=True)
+    assert not model.expected(0.1, None).is_absurd(truth, cov)
+    assert len(model.starts(0.1, model.expected(0.1, None))) > 1
+
+
+def test_blind_steps_without_a_solve_do_not_count_as_refusals() -> None:
+    start = MotionModel.at_start(MotionModelConfig())
+    model = start.after(0.1, (se3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])), 1e-8 * np.eye(6)))
+    for _ in range(5):
+        model = model.after(0.1, None)
+    assert len(model.starts(0.1, model.expected(0.1, None))) == 1
+
+
+def test_forward_speeds_are_tried_while_none_is_known() -> None:
+    start = MotionModel.at_start(MotionModelConfig(start_speed_m_s=20.0))
+    tried = [-T[2, 3] for T in start.starts(0.1, start.expected(0.1, None))]
+    np.testing.assert_allclose(tried, [0.0, 1.0, 2.0, 3.0])

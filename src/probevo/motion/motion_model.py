@@ -17,6 +17,9 @@ ABSURD = 60.0
 SPEED_UNKNOWN = 0.5
 """The speed is unknown while its standard deviation is this much of the one at start."""
 
+MAX_REFUSALS = 3
+"""Solves in a row that the belief may refuse before it is given up itself."""
+
 
 @dataclass(frozen=True)
 class ExpectedMotion:
@@ -44,6 +47,8 @@ class MotionModel:
     """Its standard deviation, [6], m/s and rad/s."""
     usual_step_s: float = 0.0
     """Running mean of the time between frames; 0 before the second."""
+    refusals: int = 0
+    """Solves in a row that were not believed."""
 
     @staticmethod
     def at_start(config: MotionModelConfig) -> MotionModel:
@@ -71,17 +76,25 @@ class MotionModel:
         """Whether frames are missing in a step that long."""
         return self.usual_step_s > 0.0 and duration_s > self.config.gap_factor * self.usual_step_s
 
-    def after(self, duration_s: float, solved: tuple[FloatArray, FloatArray] | None) -> MotionModel:
-        """The belief after a step: that of the solved T_curr_prev [4, 4] and cov [6, 6], or one step older for None."""
-        model = self
+    def after(
+        self, duration_s: float, solved: tuple[FloatArray, FloatArray] | None, *, refused: bool = False
+    ) -> MotionModel:
+        """The belief after a step: that of the solved T_curr_prev [4, 4] and cov [6, 6], or one step older for None.
+
+        ``refused`` says that there was a solve, but not a believable one. After several of these in a row it is the
+        belief that is wrong: it becomes as unsure as at the start.
+        """
+        usual = self.usual_step_s
         if not self.is_gap(duration_s):
-            usual = duration_s if self.usual_step_s == 0.0 else 0.9 * self.usual_step_s + 0.1 * duration_s
-            model = replace(model, usual_step_s=usual)
-        if solved is None:
-            return replace(model, twist_sigma_s=self._drifted_sigma(duration_s))
-        T_curr_prev, cov = solved
-        sigma = np.sqrt(np.diagonal(cov)) / duration_s
-        return replace(model, twist_s=se3.log(T_curr_prev) / duration_s, twist_sigma_s=sigma)
+            usual = duration_s if usual == 0.0 else 0.9 * usual + 0.1 * duration_s
+        if solved is not None:
+            T_curr_prev, cov = solved
+            sigma = np.sqrt(np.diagonal(cov)) / duration_s
+            return MotionModel(self.config, se3.log(T_curr_prev) / duration_s, sigma, usual)
+        refusals = self.refusals + int(refused)
+        if refusals >= MAX_REFUSALS:
+            return replace(MotionModel.at_start(self.config), twist_s=self.twist_s, usual_step_s=usual)
+        return MotionModel(self.config, self.twist_s, self._drifted_sigma(duration_s), usual, refusals)
 
     def _drifted_sigma(self, duration_s: float) -> FloatArray:
         """Standard deviation of the twist after so much more time, [6]."""
