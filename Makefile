@@ -27,3 +27,4 @@ $(VENV)/.installed: pyproject.toml
 
 clean:
 	rm -rf $(VENV) out
+	find src -name __pycache__ -prune -exec rm -rf {} +

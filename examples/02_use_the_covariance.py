@@ -47,4 +47,7 @@ def main(run: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        print("usage: python examples/02_use_the_covariance.py RUN_DIR", file=sys.stderr)
+        sys.exit(2)
     main(Path(sys.argv[1]))

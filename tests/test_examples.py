@@ -37,6 +37,14 @@ def test_examples_stay_short(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= 60
 
 
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
+def test_examples_say_what_they_need(path: Path) -> None:
+    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"usage: python examples/{path.name} ")
+    assert len(done.stderr.splitlines()) == 1
+
+
 def test_run_and_plot(wall: Path, tmp_path: Path) -> None:
     words = [EXAMPLES / "01_run_and_plot.py", wall, tmp_path / "path.png"]
     done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)

@@ -7,18 +7,26 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from probevo import noise as noise
+    from probevo.camera.stereo import StereoCamera as StereoCamera
     from probevo.config import OdometryConfig as OdometryConfig
     from probevo.motion.estimate import MotionEstimate as MotionEstimate
     from probevo.motion.estimate import Status as Status
     from probevo.odometry import StereoOdometry as StereoOdometry
     from probevo.sequences import open_sequence as open_sequence
+    from probevo.sequences.frame import Frame as Frame
+    from probevo.sequences.frame import ImuCalibration as ImuCalibration
+    from probevo.sequences.frame import ImuSamples as ImuSamples
 
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Frame": "probevo.sequences.frame",
+    "ImuCalibration": "probevo.sequences.frame",
+    "ImuSamples": "probevo.sequences.frame",
     "MotionEstimate": "probevo.motion.estimate",
     "OdometryConfig": "probevo.config",
     "Status": "probevo.motion.estimate",
+    "StereoCamera": "probevo.camera.stereo",
     "StereoOdometry": "probevo.odometry",
     "open_sequence": "probevo.sequences",
 }

@@ -13,7 +13,7 @@ from probevo.motion.gyro import GyroBias, GyroRotation, integrate_gyro
 from probevo.motion.motion_model import MotionModel
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior
 from probevo.motion.self_calibration import SelfCalibration
-from probevo.motion.visual import estimate_motion
+from probevo.motion.visual import TRUSTED, estimate_motion
 from probevo.noise import NoiseModel, StudentT
 from probevo.sequences.frame import Frame, ImuCalibration
 from probevo.stage_clock import StageClock
@@ -27,8 +27,7 @@ DROP_BELOW = 0.1
 class StereoOdometry:
     """Relative motion of a stereo camera, one frame at a time (PROBE Fig. 1; thesis Fig. 4.1).
 
-    After a step, ``tracks`` holds its tracks, corrected by the self-calibration, and ``weights`` how far each was
-    trusted: 0 for an outlier, at most 1.
+    After a step, ``tracks`` holds its tracks, corrected, and ``weights`` how far each was trusted, from 0 to 1.
 
     Args:
         camera: the rectified camera, as a sequence gives it.
@@ -75,7 +74,7 @@ class StereoOdometry:
         rotation = RotationPrior(gyro.C_curr_prev, self.gyro_bias.prior(gyro)) if gyro and self.gyro_bias else None
         expected = self._model.expected(duration_s, rotation)
         starts = self._model.starts(duration_s, expected)
-        tracks = track_from_best(self._tracker, frame, starts, self.camera, self.config.seed)  # pixels → Tracks
+        tracks = track_from_best(self._tracker, frame, starts, self.camera, self.config)  # pixels → Tracks
         clock.lap("track")
         if self.calibration:
             self.calibration = self.calibration.with_rows(tracks.curr_px, self.camera)
@@ -85,17 +84,22 @@ class StereoOdometry:
         rng = np.random.default_rng([self.config.seed, frame.index])
         visual = estimate_motion(tracks, phi, self.noise, self.camera, expected, rotation, self.config, rng, clock)
         self.tracks, self.weights, self._stamp_ns = tracks, visual.weights, frame.stamp_ns
-        status, T_curr_prev, cov = visual.status, expected.T_curr_prev, expected.cov
+        T_curr_prev = self._model.carried_on(expected, visual.solution)
+        status, cov, shared = visual.status, expected.cov, np.zeros((6, 3))
         if visual.solution and status is Status.OK:
-            T_curr_prev, cov = visual.solution.T_curr_prev, self._learn(visual.solved, visual.solution, gyro)
+            T_curr_prev, shared = visual.solution.T_curr_prev, self._learn(visual.solved, visual.solution, gyro)
+            cov = visual.solution.cov + shared @ shared.T
             self._tracker.drop(tracks.ids[visual.weights < DROP_BELOW])
         elif self._model.is_gap(duration_s):
             status = Status.GAP
         solved, refused = (T_curr_prev, cov) if status is Status.OK else None, visual.status is Status.NOT_CONVERGED
         self._model = self._model.after(duration_s, solved, refused=refused)
         clock.lap("learn")
-        trusted, iterations = int((visual.weights >= 0.5).sum()), visual.solution.iterations if visual.solution else 0
-        return MotionEstimate(T_curr_prev, cov, status, len(tracks), trusted, iterations, clock.times_ms)
+        trusted, iterations = (
+            int((visual.weights >= TRUSTED).sum()),
+            visual.solution.iterations if visual.solution else 0,
+        )
+        return MotionEstimate(T_curr_prev, cov, status, len(tracks), trusted, iterations, shared, clock.times_ms)
 
     def _integrate_gyro(self, frame: Frame) -> GyroRotation | None:
         """The gyro's rotation since the last frame, less the bias believed in."""
@@ -105,11 +109,12 @@ class StereoOdometry:
         return integrate_gyro(frame.imu, self._stamp_ns, frame.stamp_ns, self.imu, self.gyro_bias.mean)
 
     def _learn(self, solved: Tracks, solution: ReprojectionSolution, gyro: GyroRotation | None) -> FloatArray:
-        """Take in what a step taught of calibration and gyro; returns the covariance of its motion with their doubt."""
-        if gyro and self.gyro_bias and self.config.gyro.prior:
-            self.gyro_bias = self.gyro_bias.updated(gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
+        """Take in what a step taught of gyro and calibration; how the latter's doubt moves the motion, [6, 3]."""
+        if gyro and self.gyro_bias:
+            learn = self.gyro_bias.updated if self.config.gyro.prior else self.gyro_bias.compared
+            self.gyro_bias = learn(gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
         if not self.calibration:
-            return solution.cov
-        cov = solution.cov + self.calibration.motion_covariance(solved, solution, self.camera)
+            return np.zeros((6, 3))
+        shared = self.calibration.shared_error(solved, solution, self.camera)
         self.calibration = self.calibration.with_motion(solved, solution, self.camera)
-        return cov
+        return shared

@@ -38,15 +38,10 @@ def read_config(path: Path) -> RunConfig:
     Raises:
         InputError: the file is missing, is not YAML, or has an unknown key or a value out of bounds.
     """
+    from probevo.sequences.yaml_file import load_yaml  # here: `probevo run --help` should not wait for OpenCV
+
     cure = "Take the config.yaml of a run as a pattern."
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(path, "this file is missing.", cure) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"cannot be read as text ({error}).", cure) from error
-    except yaml.YAMLError as error:
-        raise InputError(path, f"this is not YAML: {' '.join(str(error).split())}.", cure) from error
+    content = load_yaml(path, cure)
     if content is not None and not isinstance(content, dict):
         raise InputError(path, f"holds a {type(content).__name__}; expected `key: value` lines.", cure)
     try:

@@ -10,19 +10,28 @@ from time import perf_counter
 
 import numpy as np
 
+from probevo.errors import InputError
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.motion.estimate import MotionEstimate
 from probevo.noise import Fixed, NoiseModel, StudentT
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
-from probevo.output.files import remove_stale, write_atomically, write_json, write_kitti_poses, write_tum
+from probevo.output.files import (
+    FARTHEST_M,
+    check_folder,
+    remove_stale,
+    write_atomically,
+    write_json,
+    write_kitti_poses,
+    write_tum,
+)
 from probevo.output.motions_file import write_motions
 from probevo.output.report import write_report
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.run_config import NoiseName, RunConfig, config_text
 from probevo.sequences import Frame, Sequence
-from probevo.sequences.left_right import FRAMES_TO_SEE, check_left_right, count_matches
+from probevo.sequences.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
 
 NOISE_MODELS: dict[NoiseName, Callable[[], NoiseModel]] = {"fixed": Fixed, "student-t": StudentT}
 NUM_PICTURES = 4
@@ -45,10 +54,10 @@ def run_sequence(
 ) -> Run:
     """Run the odometry over a recording and write everything that follows from it.
 
-    Into ``out`` go ``config.yaml`` (first, so that a place that cannot be written to shows at once), and at the end
-    ``trajectory.tum``, ``trajectory.kitti.txt``, ``motions.npz``, ``metrics.json`` (if truth is known) and
-    ``report.html``; files of an earlier run are replaced. Whatever stops the run midway, a damaged image or Ctrl-C,
-    the same files are written for the frames before, and the exception goes on with a note that says so.
+    Into ``out`` go, at the end, ``config.yaml``, ``trajectory.tum``, ``trajectory.kitti.txt``, ``motions.npz``,
+    ``metrics.json`` (if truth is known) and ``report.html``; files of an earlier run are replaced. Whatever stops the
+    run midway, a damaged image or Ctrl-C, the same files are written for the frames before, and the exception goes on
+    with a note that says so. Where there are none before, or left and right are swapped, nothing is written.
 
     Args:
         sequence: the recording.
@@ -57,10 +66,11 @@ def run_sequence(
         on_step: called with the estimate of each frame, the first included.
 
     Raises:
-        InputError: a file of the recording is at fault, its left and right images are swapped, or ``out`` cannot be
-            written to.
+        InputError: a file of the recording is at fault, its left and right images are swapped, the settings ask for
+            an IMU that it does not have, or ``out`` cannot be written to.
     """
-    write_atomically(out / "config.yaml", config_text(config))
+    _check(sequence, config)
+    check_folder(out, "--out")
     num_frames = min(len(sequence), config.max_frames or len(sequence))
     odometry = StereoOdometry(sequence.camera, NOISE_MODELS[config.noise](), sequence.imu, config)
     recorder, pictures = RunRecorder(), _Pictures.spread_over(num_frames)
@@ -77,6 +87,8 @@ def run_sequence(
                 check_left_right(int(matches[0]), int(matches[1]), sequence.path)
             if on_step is not None:
                 on_step(motion)
+    except SwappedImagesError:
+        raise
     except BaseException as stop:  # whatever it is, it goes on; but not without what was computed
         if len(recorder.result()) > 0:
             _write(out, sequence, config, recorder.result(), pictures)
@@ -85,7 +97,23 @@ def run_sequence(
     return _write(out, sequence, config, recorder.result(), pictures)
 
 
+def _check(sequence: Sequence, config: RunConfig) -> None:
+    """Refuse what would only show after the whole run, or not at all."""
+    wanted = ["--gyro.prior"] if config.gyro.prior else []
+    wanted += ["--ransac.rotation-from gyro"] if config.ransac.rotation_from == "gyro" else []
+    if sequence.imu is None and wanted:
+        what = f"the recording {sequence.path} has no IMU."
+        raise InputError(" and ".join(wanted), what, "Leave it out, or set it back in the file of --config.")
+    truth = sequence.truth
+    if truth is not None and (np.abs(truth.T_world_cam[:, :3, 3]) > FARTHEST_M).any():
+        what = f"a true position is over {FARTHEST_M:g} m from the first."
+        raise InputError(sequence.path, what, "Mend the ground truth: positions are in metres.")
+
+
 def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures) -> Run:
+    # Absolute, so that --config finds the recording from any directory.
+    settings = config_text(config.model_copy(update={"sequence": (config.sequence or sequence.path).resolve()}))
+    write_atomically(out / "config.yaml", settings)
     write_tum(out / "trajectory.tum", result.stamps_ns, result.T_world_cam)
     write_kitti_poses(out / "trajectory.kitti.txt", result.T_world_cam)
     write_motions(out / "motions.npz", result)
@@ -97,7 +125,7 @@ def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, 
         remove_stale(out / "metrics.json")
     if len(result) >= 2:
         facts = run_facts(sequence, config)
-        title, settings = sequence.path.resolve().name, config_text(config)
+        title = sequence.path.resolve().name
         write_report(out / "report.html", result, title, facts, truth, metrics, pictures.drawn, settings)
     else:
         remove_stale(out / "report.html")

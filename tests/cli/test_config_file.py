@@ -53,6 +53,8 @@ def test_an_empty_file_means_the_defaults(text: str, tmp_path: Path) -> None:
         ("solver: 3", "solver is 3; it should be a valid dictionary", ""),
         ("[seed, 3]", "holds a list; expected `key: value` lines.", "pattern"),
         ("seed: [", "this is not YAML", "pattern"),
+        ("seed: 2001-99-99", "this is not YAML: month must be in 1..12.", "pattern"),
+        ("seed: 1\nseed: 2", "the key seed is given twice", "pattern"),
     ],
 )
 def test_faults_are_named(text: str, what: str, cure: str, tmp_path: Path) -> None:

@@ -68,6 +68,7 @@ def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.Cap
     write_tum(tmp_path / "late.tum", stamps_ns + 10**12, T_world_cam)
     write_tum(tmp_path / "long.tum", np.arange(20) * 10**8, true_poses(20))
     (tmp_path / "text.txt").write_text("three words here\n")
+    (tmp_path / "far.txt").write_text("1 0 0 1e300 0 1 0 0 0 0 1 0\n" * 8)
     (tmp_path / "empty").mkdir()
     kitti = wall_run / "trajectory.kitti.txt"
     for run, gt, fragments in [
@@ -75,6 +76,7 @@ def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.Cap
         (wall_run, "late.tum", ["late.tum: its poses", "not within half a frame", "same clock"]),
         (kitti, "long.tum", ["long.tum: 20 poses for the 8 frames", "trajectory.tum"]),
         (wall_run, "text.txt", ["text.txt:1: this line has 3 columns", "12 columns in KITTI's form"]),
+        (wall_run, "far.txt", ["far.txt: line 1: the position is over 1e+09 m away"]),
         (wall_run, "none.txt", ["none.txt: this file is missing"]),
         (tmp_path / "empty", "short.txt", ["empty/motions.npz: this file is missing"]),
     ]:
@@ -82,3 +84,12 @@ def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.Cap
         shown = capsys.readouterr().err
         for fragment in fragments:
             assert fragment in shown
+
+
+def test_an_unknown_form_is_answered_with_those_there_are(wall_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        eval_exit(wall_run, "--gt", "gt.txt", "--gt-format", "euroc")
+    assert caught.value.code == 2
+    shown = capsys.readouterr().err
+    assert "kitti" in shown
+    assert "None" not in shown

@@ -1,12 +1,15 @@
 """``probevo info``: what it says of recordings, and which lines it marks."""
 
+import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from cli.rendering import write_wall
 from probevo.cli.main import main
-from sequences.damage import replace
+from sequences.damage import cut, replace
 from sequences.recordings import write_folder_sequence, write_kitti_raw, write_tracks
 
 
@@ -56,3 +59,26 @@ def test_what_is_odd_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str
     rows = info(swapped, capsys)
     assert "after frame 2" in rows["! gaps"]
     assert "300 m is unusual" in rows["! baseline"]
+
+
+def test_the_same_picture_twice_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = write_wall(tmp_path / "wall", 4)
+    shutil.rmtree(recording / "right")
+    shutil.copytree(recording / "left", recording / "right")
+    assert "left and right are identical" in info(recording, capsys)["! images"]
+    rng = np.random.default_rng(0)
+    for path in (recording / "right").iterdir():  # and where noise makes them differ
+        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(float)
+        cv2.imwrite(str(path), np.clip(picture + rng.normal(0.0, 1.0, picture.shape), 0, 255).astype(np.uint8))
+    assert "the same picture?" in info(recording, capsys)["! disparity"]
+
+
+def test_a_damaged_image_does_not_hide_the_calibration(
+    wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    cut("left/000000.png", 0.5)(recording)
+    assert main(["info", str(recording)]) == 2
+    shown = capsys.readouterr()
+    assert "320×160 px" in shown.out
+    assert "left/000000.png: this image is damaged" in shown.err

@@ -118,6 +118,38 @@ def test_swapped_images_are_refused(tmp_path: Path, frames: int, capsys: pytest.
     recording = write_wall(tmp_path / "wall", frames, swapped=True)
     assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 2
     assert "negative disparity.\n         Are left and right swapped?" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_where_the_first_frame_fails_older_results_stay(wall: Path, wall_run: Path, tmp_path: Path) -> None:
+    out, recording = shutil.copytree(wall_run, tmp_path / "out"), shutil.copytree(wall, tmp_path / "wall")
+    cut("left/000000.png", 0.5)(recording)
+    assert main(["run", str(recording), "--out", str(out), "--noise", "fixed"]) == 2
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == {
+        path.name: path.read_bytes() for path in wall_run.iterdir()
+    }
+
+
+def test_the_config_names_the_recording_from_anywhere(
+    wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(wall.parent)
+    assert main(["run", wall.name, "--out", str(tmp_path), "--max-frames", "2"]) == 0
+    assert read_config(tmp_path / "config.yaml").sequence == wall.resolve()
+
+
+def test_a_single_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = write_wall(tmp_path / "wall", 1)
+    assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out.startswith("1 frame, and so no motion\nresults: ")
+
+
+def test_absurd_truth_is_refused(wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    poses = ["1 0 0 0 0 1 0 0 0 0 1 0", *["1 0 0 1e300 0 1 0 0 0 0 1 0"] * 7]
+    (recording / "poses.txt").write_text("\n".join(poses))
+    assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 2
+    assert "true position is over 1e+09 m" in capsys.readouterr().err
 
 
 def test_frames_without_texture_or_features_end_well(tmp_path: Path) -> None:
@@ -134,10 +166,12 @@ def test_frames_without_texture_or_features_end_well(tmp_path: Path) -> None:
     [
         (["nowhere", "--out", "OUT"], ["nowhere: nothing is there."]),
         (["--out", "OUT"], ["SEQUENCE: no recording is named."]),
-        (["WALL", "--out", "WALL/calib.yaml"], ["calib.yaml/config.yaml: cannot be written"]),
+        (["WALL", "--out", "WALL/calib.yaml"], ["--out: ", "calib.yaml is a file."]),
         (["WALL", "--out", "OUT", "--format", "euroc"], ["sensor.yaml", "missing"]),
         (["WALL", "--out", "OUT", "--threads", "0"], ["--threads", "at least 1"]),
         (["WALL", "--out", "OUT", "--tracking.num-features", "3"], ["--tracking.num-features is 3;", "equal to 8"]),
+        (["WALL", "--out", "OUT", "--gyro.prior"], ["--gyro.prior: the recording", "has no IMU."]),
+        (["WALL", "--out", "OUT", "--ransac.rotation-from", "gyro"], ["--ransac.rotation-from gyro: ", "no IMU."]),
         (["WALL", "--out", "OUT", "--max-frames", "1"], ["--max-frames is 1;", "equal to 2"]),
     ],
 )

@@ -55,16 +55,39 @@ def test_drift_of_many_runs_fits_its_covariance() -> None:
     for _ in range(300):
         true, est = noisy_motions(rng, 20)
         error = drift_errors(_trajectory(est), _trajectory(true))[-1]
-        cov = drift_covariances(est, np.tile(COV, (20, 1, 1)))[-1]
+        cov = drift_covariances(est, np.tile(COV, (20, 1, 1)), np.zeros((20, 6, 1)))[-1]
         nees.append(error @ np.linalg.solve(cov, error))
     consistency = Consistency(np.array(nees))
     low, high = consistency.anees_interval(0.99)
     assert low < consistency.anees < high
 
 
+def test_errors_that_all_steps_share_add_up() -> None:
+    """Two unit-variance errors move each of 20 steps alike: average NEES at the end over 300 runs is that of χ²(6)."""
+    rng = np.random.default_rng(4)
+    nees = []
+    for _ in range(300):
+        true, est = noisy_motions(rng, 20)
+        shared = 0.5 * np.sqrt(COV.diagonal()) * rng.normal(size=(2, 20, 6))
+        columns = np.moveaxis(shared, 0, -1)
+        true = se3.exp(columns @ rng.normal(size=2)) @ true
+        error = drift_errors(_trajectory(est), _trajectory(true))[-1]
+        cov = drift_covariances(est, COV + columns @ columns.mT, columns)[-1]
+        nees.append(error @ np.linalg.solve(cov, error))
+    low, high = Consistency(np.array(nees)).anees_interval(0.99)
+    assert low < np.mean(nees) < high
+
+
+def test_a_constant_shared_error_grows_with_the_length_and_not_with_its_root() -> None:
+    columns = np.tile(np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])[:, None], (100, 1, 1))
+    cov = drift_covariances(np.tile(np.eye(4), (100, 1, 1)), 1e-12 * np.eye(6) + columns @ columns.mT, columns)
+    assert np.sqrt(cov[-1, 2, 2]) == pytest.approx(1.0, rel=1e-3)
+
+
 def test_drift_starts_certain() -> None:
-    np.testing.assert_array_equal(drift_covariances(np.tile(np.eye(4), (3, 1, 1)), np.tile(COV, (3, 1, 1)))[0], 0.0)
-    assert drift_covariances(np.empty((0, 4, 4)), np.empty((0, 6, 6))).shape == (1, 6, 6)
+    none = np.zeros((3, 6, 1))
+    np.testing.assert_array_equal(drift_covariances(np.tile(np.eye(4), (3, 1, 1)), np.tile(COV, (3, 1, 1)), none)[0], 0)
+    assert drift_covariances(np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.empty((0, 6, 1))).shape == (1, 6, 6)
 
 
 def _trajectory(T_curr_prev: FloatArray) -> FloatArray:

@@ -178,13 +178,14 @@ def test_sensitivity_is_the_derivative_of_the_residuals() -> None:
     np.testing.assert_allclose(disparity_sensitivity(tracks, solution, CAMERA), numeric, atol=1e-6)
 
 
-def test_motion_covariance_is_the_spread_over_the_doubt() -> None:
+def test_shared_error_is_the_spread_over_the_doubt() -> None:
     """400 motions solved with b₀, b₁, b₂ drawn from the belief: variances agree within 25 % (3.5 of their own σ), and
     so does the largest direction. Points are near enough for the disparity's error to act linearly."""
     rng = np.random.default_rng(11)
     clean = seen_twice(rng, 100, depth_m=(4.0, 12.0))
     belief = replace(SelfCalibration.initial(), disparity_information=np.diag([0.4**-2.0, 0.6**-2.0]))
-    claimed = belief.motion_covariance(clean, solve(clean, Fixed()), CAMERA)
+    columns = belief.shared_error(clean, solve(clean, Fixed()), CAMERA)
+    claimed = columns @ columns.T
     errors = []
     for b in rng.normal(size=(400, 3)) * [CONSTANT_SIGMA_PX, 0.4, 0.6]:
         tracks = misrectified_tracks(clean, np.zeros(6), b[1:], b[0])
@@ -195,11 +196,12 @@ def test_motion_covariance_is_the_spread_over_the_doubt() -> None:
     assert np.abs((spread - claimed) / np.outer(scale, scale)).max() < 0.25
 
 
-def test_motion_covariance_shrinks_with_the_doubt_to_that_of_the_constant() -> None:
+def test_shared_error_shrinks_with_the_doubt_to_that_of_the_constant() -> None:
     clean = seen_twice(np.random.default_rng(12), 100)
     solution = solve(clean, Fixed())
     sure = replace(SelfCalibration.initial(), disparity_information=1e12 * np.eye(2))
-    doubtful, certain = (b.motion_covariance(clean, solution, CAMERA) for b in (SelfCalibration.initial(), sure))
+    columns = (b.shared_error(clean, solution, CAMERA) for b in (SelfCalibration.initial(), sure))
+    doubtful, certain = (c @ c.T for c in columns)
     assert np.linalg.eigvalsh(doubtful - certain)[0] > -1e-12
     assert np.linalg.matrix_rank(certain / certain.max(), tol=1e-6) == 1
 

@@ -116,10 +116,19 @@ def test_without_rejection_the_robust_loss_sees_all() -> None:
 
 
 def test_noisy_tracks_widen_the_threshold() -> None:
-    """At 3 px hardly any of them agree on a motion; at 12 px enough do."""
+    """At 3 px hardly any of them agree on a motion; at 12 px enough do, none as well as the model wants."""
     visual = look(seen_twice(np.random.default_rng(13), 100, sigma_px=4.0, depth_m=(4.0, 10.0)))
-    assert visual.status is Status.OK
     assert len(visual.solved) >= 25
+    assert visual.status is Status.TOO_FEW_TRACKS
+
+
+def test_tracks_of_nothing_are_not_believed() -> None:
+    """Points matched at random agree on some motion, but too few, or not well enough."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        before, now = (seen_twice(rng, 150) for _ in range(2))
+        visual = look(Tracks(before.prev_px, now.curr_px, before.ids, before.age))
+        assert visual.status is not Status.OK
 
 
 def test_the_gyro_s_rotation_may_start_the_consensus() -> None:

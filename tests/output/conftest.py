@@ -28,7 +28,7 @@ def make_run() -> Callable[..., RunResult]:
             status = Status.GAP if k % 40 == 39 else Status.OK
             motion = MotionEstimate(se3.exp(xi), 1e-5 * np.eye(6), status, int(rng.integers(200, 300)), stage_ms=stages)
             recorder.add(
-                10**18 + k * STEP_NS, motion if k else first, rejected={"row_offset": 3, "flow": 5} if k else {}
+                10**18 + k * STEP_NS, motion if k else first, rejected={"row offset": 3, "flow": 5} if k else {}
             )
         return recorder.result()
 

@@ -68,6 +68,7 @@ IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
         (f"{IDENTITY}\n\n{IDENTITY[:-1]}inf", "line 3: not all numbers are finite"),
         (f"{IDENTITY}\n{IDENTITY[:-1]}nan", "line 2: not all numbers are finite"),
         ("2 0 0 0 0 2 0 0 0 0 2 0", "are no rotation"),
+        ("1 0 0 1e300 0 1 0 0 0 0 1 0", "line 1: the position is over"),
         ("1 0 0 0 0 1 0 0 0 0 -1 0", "are no rotation"),
     ],
 )
@@ -85,6 +86,7 @@ def test_malformed_kitti_poses(tmp_path: Path, text: str, complaint: str) -> Non
         ("0 0 0 0 0 0 0 0", "line 1: the quaternion has length 0"),
         ("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1", "line 2: stamp is not later"),
         ("0 0 0 nan 0 0 0 1", "not all numbers are finite"),
+        ("0 0 -1e10 0 0 0 0 1", "line 1: the position is over"),
         ("inf 0 0 0 0 0 0 1", "no time in s"),
         ("a 0 0 0 0 0 0 1", "no time in s"),
         ("1e300 0 0 0 0 0 0 1", "no time in s"),
@@ -125,3 +127,12 @@ def test_place_that_cannot_be_written_to(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be written"):
         files.write_atomically(tmp_path / "folder", "")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
+
+
+def test_check_folder_makes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    files.check_folder(tmp_path / "new" / "folder", "--out")
+    for path in (tmp_path / "file", tmp_path / "file" / "folder"):
+        with pytest.raises(InputError, match=r"--out: .*file is a file"):
+            files.check_folder(path, "--out")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]

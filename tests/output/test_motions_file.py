@@ -30,6 +30,8 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
         "cov": ((4, 6, 6), "<f8"),
         "status": ((4,), "<i8"),
         "num_tracks": ((4,), "<i8"),
+        "num_inliers": ((4,), "<i8"),
+        "shared": ((4, 6, 3), "<f8"),
         "total_ms": ((4,), "<f8"),
         "ms_track": ((4,), "<f8"),
         "ms_solve": ((4,), "<f8"),

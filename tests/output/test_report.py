@@ -2,6 +2,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from probevo.evaluation.metrics import evaluate
 from probevo.output.drawing import draw_tracks
 from probevo.output.metrics_table import readable
 from probevo.output.report import write_report
+from probevo.output.report_timelines import stages_figure
 from probevo.output.run_result import RunResult
 
 
@@ -102,6 +104,16 @@ def test_matplotlib_is_left_as_it_was(make_run: Callable[..., RunResult], tmp_pa
     assert {key: matplotlib.rcParams[key] for key in before} == before
 
 
+def test_decoding_is_no_part_of_the_stack(make_run: Callable[..., RunResult]) -> None:
+    run = make_run(20)
+    slow = replace(run, stage_ms={"decode": np.full(19, 50.0)} | run.stage_ms)
+    axes = stages_figure(slow).axes[0]
+    stack = [patch for patch in axes.patches if patch.get_fill()]
+    assert len(stack) == len(run.stage_ms)
+    np.testing.assert_allclose(stack[-1].get_data().values, run.total_ms)
+    assert "decode 50, beside the total" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+
 def test_pyplot_is_never_imported() -> None:
     code = "import sys, probevo.output.report; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -122,6 +134,7 @@ def test_one_frame_is_no_run(make_run: Callable[..., RunResult], tmp_path: Path)
         (0.00586, "0.00586"),
         (-123.4, "-123"),
         (99.96, "100"),
+        (np.inf, "inf"),
     ],
 )
 def test_readable_numbers(value: float, text: str) -> None:

@@ -169,11 +169,11 @@ def test_rows_that_differ_are_counted(frames: list[Frame]) -> None:
     assert tracks.rejected["rows differ"] > 60
 
 
-def test_swapped_cameras_show_as_no_disparity(frames: list[Frame]) -> None:
+def test_swapped_cameras_show_as_negative_disparity(frames: list[Frame]) -> None:
     swapped = [replace(frame, left=frame.right, right=frame.left) for frame in frames[:2]]
     tracks = follow(swapped)
     assert len(tracks) < 5
-    assert tracks.rejected["no disparity"] > 60
+    assert tracks.rejected["negative disparity"] > 60
 
 
 def test_a_change_of_exposure_between_frames_does_no_harm(frames: list[Frame]) -> None:

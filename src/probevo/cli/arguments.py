@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import tyro
 from pydantic import BaseModel, ValidationError
-from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
 from probevo.run_config import OWN_KEYS, RunConfig, setting_error
 
@@ -56,3 +63,20 @@ def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
 
     build.__doc__ = model.__doc__
     return StructConstructorSpec(build, tuple(fields))
+
+
+@_registry.primitive_rule
+def _name_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    # tyro would offer 'None' among the names, in an order of chance, although DisallowNone refuses it.
+    kinds = get_args(info.type)
+    if len(kinds) != 2 or kinds[1] is not type(None) or get_origin(kinds[0]) is not Literal:
+        return None
+    names: tuple[str, ...] = get_args(kinds[0])
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="{" + ",".join(names) + "}",
+        instance_from_str=lambda words: words[0],
+        is_instance=lambda value: value is None or value in names,
+        str_from_instance=lambda value: [str(value)],
+        choices=names,
+    )

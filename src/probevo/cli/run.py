@@ -95,7 +95,8 @@ def summary(run: Run, out: Path) -> list[str]:
 
     result, metrics = run.result, run.metrics
     steps = Counter(Status(status).name.lower().replace("_", " ") for status in result.status)
-    lines = [f"{len(result)} frames; steps: {', '.join(f'{count} {name}' for name, count in steps.most_common())}"]
+    how = ", ".join(f"{count} {name}" for name, count in steps.most_common())
+    lines = [f"{len(result)} frames; steps: {how}" if steps else "1 frame, and so no motion"]
     if len(result.total_ms):
         lines.append(f"{readable(float(np.median(result.total_ms)))} ms a frame (median, without decoding)")
     if metrics and metrics.short_t_percent is not None and metrics.short_r_deg_per_m is not None:

@@ -68,11 +68,21 @@ def drift_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> F
     return se3.log(se3.inverse(T_world_cam_true) @ T_world_cam_est)
 
 
-def drift_covariances(T_curr_prev: FloatArray, cov: FloatArray) -> FloatArray:
-    """Covariance that N-1 independent motions, [N-1, 4, 4] with [N-1, 6, 6], add up to.
+def drift_covariances(T_curr_prev: FloatArray, cov: FloatArray, shared: FloatArray) -> FloatArray:
+    """Covariance that N-1 motions, [N-1, 4, 4] with [N-1, 6, 6], add up to.
+
+    Args:
+        T_curr_prev, cov: the motions and their covariances.
+        shared: columns along which errors that all steps have in common move each motion, [N-1, 6, K]; cov contains
+            shared sharedᵀ. The rest is taken as independent from step to step: it grows with the root of the
+            length, the shared part with the length itself.
 
     Returns:
         Covariance of the left perturbation of T_cam_world, along the axes of each camera, [N, 6, 6]; 0 at the first.
     """
-    _, cov_cam = invert(*compound_chain(T_curr_prev, cov))
+    _, cov_cam = invert(*compound_chain(T_curr_prev, cov - shared @ shared.mT))
+    adjoints, column = se3.adjoint(T_curr_prev), np.zeros(shared.shape[1:])
+    for k, moved in enumerate(shared):
+        column = moved + adjoints[k] @ column
+        cov_cam[k] += column @ column.T
     return np.concatenate([np.zeros((1, 6, 6)), cov_cam])

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+import numpy as np
+
 from probevo.arrays import FloatArray
 
 
@@ -21,7 +23,7 @@ class Status(IntEnum):
     NOT_CONVERGED = 4
     """The solve did not reach an optimum, or reached one that the motion so far makes absurd."""
     GAP = 5
-    """Frames are missing before this one."""
+    """The motion could not be solved, and frames are missing before this one."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,12 @@ class MotionEstimate:
     """Covariance of the left perturbation ξ = [ρ; φ], T = Exp(ξ) T_curr_prev, [6, 6], m and rad."""
     status: Status
     num_tracks: int
+    """Tracks that the step had."""
     num_inliers: int = 0
     """Tracks whose robust weight is at least one half of a perfect feature's."""
     iterations: int = 0
+    shared: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
+    """The part of ``cov`` that all steps have in common, the doubt about the calibration: ξ moves along these columns,
+    [6, 3], by the same three numbers of unit variance in every step, and cov contains shared sharedᵀ."""
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     """Wall time of each stage of this step, ms."""

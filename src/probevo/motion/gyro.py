@@ -126,9 +126,22 @@ class GyroBias:
             C_curr_prev_solved: rotation of the solved motion, [3, 3].
             cov_rotation_posterior: Σ, covariance of its left perturbation, [3, 3], rad².
         """
+        return self._corrected(gyro, C_curr_prev_solved, cov_rotation_posterior, independent=False)
+
+    def compared(self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation: FloatArray) -> GyroBias:
+        """The bias after a solve that did without the gyro: a Kalman update with r ~ N(J δb, Q + Σ).
+
+        The arguments are those of ``updated``; Σ is now independent of the gyro.
+        """
+        return self._corrected(gyro, C_curr_prev_solved, cov_rotation, independent=True)
+
+    def _corrected(
+        self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation: FloatArray, *, independent: bool
+    ) -> GyroBias:
         P, Q, J = self.cov, gyro.cov, gyro.bias_jacobian
+        innovation = self.prior(gyro) + cov_rotation if independent else self.prior(gyro)
         # The pseudo-inverse lets an interval of no length, or a gyro without any noise, say nothing.
-        K = P @ J.T @ np.linalg.pinv(self.prior(gyro), hermitian=True)
+        K = P @ J.T @ np.linalg.pinv(innovation, hermitian=True)
         r = so3.log(C_curr_prev_solved @ gyro.C_curr_prev.T)
         rest = np.eye(3) - K @ J
-        return GyroBias(self.mean + K @ r, rest @ P @ rest.T + K @ (Q + cov_rotation_posterior) @ K.T)
+        return GyroBias(self.mean + K @ r, rest @ P @ rest.T + K @ (Q + cov_rotation) @ K.T)

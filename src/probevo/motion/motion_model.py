@@ -9,13 +9,13 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.config import MotionModelConfig
 from probevo.geometry import se3
-from probevo.motion.reprojection import RotationPrior
+from probevo.motion.reprojection import ReprojectionSolution, RotationPrior
 
 ABSURD = 60.0
 """Squared Mahalanobis length of a motion's surprise (six dimensions) beyond which it is not believed: about 7σ."""
 
-SPEED_UNKNOWN = 0.5
-"""The speed is unknown while its standard deviation is this much of the one at start."""
+FASTEST_START = 1.5
+"""Fastest forward speed that a start is tried with, in standard deviations of the speed at start."""
 
 MAX_REFUSALS = 3
 """Solves in a row that the belief may refuse before it is given up itself."""
@@ -67,10 +67,25 @@ class MotionModel:
 
     def starts(self, duration_s: float, expected: ExpectedMotion) -> list[FloatArray]:
         """Motions, [4, 4] each, from which tracking may have to start: several forward speeds while none is known."""
-        if self.twist_sigma_s[2] < SPEED_UNKNOWN * self.config.start_speed_m_s:
+        if not self.speed_is_unknown:
             return [expected.T_curr_prev]
-        speeds_m_s = self.config.start_speed_m_s * np.array([0.0, 0.5, 1.0, 1.5])
+        speeds_m_s = self.config.start_speed_m_s * np.array([0.0, 0.5, 1.0, FASTEST_START])
         return [se3.from_parts(expected.T_curr_prev[:3, :3], np.array([0.0, 0.0, -v * duration_s])) for v in speeds_m_s]
+
+    @property
+    def speed_is_unknown(self) -> bool:
+        """Whether there is no velocity to go by: at the start, or after a belief was given up."""
+        return bool(self.twist_sigma_s[2] > 0.5 * self.config.start_speed_m_s)
+
+    def carried_on(self, expected: ExpectedMotion, solution: ReprojectionSolution | None) -> FloatArray:
+        """T_curr_prev, [4, 4], to go on with if a step is not believed: the expected one.
+
+        While no speed is known, that would be none at all; a solve that is determined, but not believed, is then still
+        the better guess.
+        """
+        if solution is None or not self.speed_is_unknown:
+            return expected.T_curr_prev
+        return solution.T_curr_prev
 
     def is_gap(self, duration_s: float) -> bool:
         """Whether frames are missing in a step that long."""

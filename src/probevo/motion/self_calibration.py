@@ -4,11 +4,11 @@ A rectified pair should show a point in the same row of both images, and its dis
 alone. Real pairs do neither. The correction is a smooth function of the place (x, y) = ((u − cu)/fu, (v − cv)/fv) in
 the left image:
 
-- rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y², learned from every stereo match, no motion needed. On
-  KITTI a₄ is 6.7 px on two calibrations of different days, and modelling it takes the scatter of v_r − v_l from 0.39 to
-  0.15 px.
-- disparity: true minus measured = b₀ + b₁ x + b₂ x², learned from how well the features agree on one motion. On KITTI
-  b₂ is 1.8 px: points at the sides seem too far, which on a motorway, where the useful points are at the sides,
+- rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y², from the tracks' stereo matches, no motion needed.
+  On KITTI a₄ is about 6.8 px on two calibrations of different days, and modelling it takes the scatter of v_r − v_l
+  from 0.39 to 0.15 px.
+- disparity: true minus measured = b₀ + b₁ x + b₂ x², from how well the features agree on one motion. On KITTI b₂
+  is 1.7 to 2.1 px: points at the sides seem too far, which on a motorway, where the useful points are at the sides,
   lengthens every step. b₀ is held at zero on purpose: noise in the disparity makes near points look like a mix of near
   and far ones, which mimics b₀ (regression dilution), so that an estimated b₀ runs away on noisy tracks. The place in
   the image is known without noise, so b₁ and b₂ do not suffer from that. The doubt about all three enters the motion's
@@ -99,18 +99,19 @@ class SelfCalibration:
         step = np.linalg.solve(information, gradient / CORRELATED_FEATURES)
         return replace(self, disparity=self.disparity + step, disparity_information=information)
 
-    def motion_covariance(self, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera) -> FloatArray:
-        """What the doubt about the disparities adds to the covariance of a motion, [6, 6] (Schmidt's consider term).
+    def shared_error(self, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera) -> FloatArray:
+        """How the doubt about the disparities moves a solved motion, [6, 3] (Schmidt's consider term, its root).
 
-        An error of the calibration moves all features together, so that no number of them averages it out.
+        An error of the calibration moves all features together, so that no number of them averages it out, and all
+        steps alike, so that it adds up along the path. The columns are for errors of unit variance.
         """
         weighted = solution.whitened(disparity_sensitivity(tracks, solution, camera))
         gain = np.linalg.solve(solution.hessian, sum_products(solution.jacobian, weighted))
         doubt = np.zeros((3, 3))
         doubt[0, 0] = CONSTANT_SIGMA_PX**2
         doubt[1:, 1:] = np.linalg.inv(self.disparity_information)
-        added: FloatArray = gain @ doubt @ gain.T
-        return added
+        columns: FloatArray = gain @ np.linalg.cholesky(doubt)
+        return columns
 
 
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:

@@ -19,7 +19,9 @@ from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
 FEWEST_INLIERS = 0.25
-"""Share of the tracks that has to agree with a motion before the threshold is widened."""
+"""Share of the tracks that has to agree with a motion; else the threshold is widened, and in the end it is refused."""
+TRUSTED = 0.5
+"""A track that keeps this much of its robust weight counts as trusted."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class VisualMotion:
     solved: Tracks
     """The tracks that the solve used."""
     solution: ReprojectionSolution | None
-    """The last solve; to be believed only if the status is OK, None if there were too few tracks to try."""
+    """The last solve; to be believed only if the status is OK, None after too few tracks or if it is degenerate."""
 
 
 def estimate_motion(
@@ -75,7 +77,7 @@ def estimate_motion(
             break
     clock.lap("consensus")
     weights = np.zeros(len(tracks))
-    if consensus.inliers.sum() < config.solver.min_tracks:
+    if consensus.inliers.sum() < max(config.solver.min_tracks, FEWEST_INLIERS * len(tracks)):
         return VisualMotion(Status.TOO_FEW_TRACKS, weights, tracks.kept(consensus.inliers), None)
     used = consensus.inliers if config.ransac.reject else np.ones(len(tracks), np.bool_)
     solved = tracks.kept(used)
@@ -91,7 +93,8 @@ def estimate_motion(
     )
     weights[used] = solution.weight
     clock.lap("solve")
-    return VisualMotion(_judge(solution, expected, config), weights, solved, solution)
+    status = _judge(solution, expected, config)
+    return VisualMotion(status, weights, solved, None if status is Status.DEGENERATE else solution)
 
 
 def _judge(solution: ReprojectionSolution, expected: ExpectedMotion, config: OdometryConfig) -> Status:
@@ -105,6 +108,8 @@ def _judge(solution: ReprojectionSolution, expected: ExpectedMotion, config: Odo
         or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
     ):
         return Status.DEGENERATE
+    if (solution.weight >= TRUSTED).sum() < config.solver.min_tracks:
+        return Status.TOO_FEW_TRACKS
     if not solution.converged or expected.is_absurd(solution.T_curr_prev, solution.cov):
         return Status.NOT_CONVERGED
     return Status.OK

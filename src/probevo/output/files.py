@@ -15,6 +15,28 @@ from scipy.spatial.transform import Rotation
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 
+FARTHEST_M = 1e9
+"""Positions beyond are no positions of a vehicle; their squares would overflow in the evaluation."""
+
+
+def check_folder(folder: Path, option: str) -> None:
+    """Refuse, without making anything, a folder into which files cannot be written.
+
+    Args:
+        folder: it may be missing as yet, and its parents too.
+        option: how the user names it, for the message.
+
+    Raises:
+        InputError: a file is in the way, or the nearest folder that exists cannot be written to.
+    """
+    place = folder.absolute()
+    while not os.path.lexists(place):
+        place = place.parent
+    if not place.is_dir():
+        raise InputError(option, f"{place} is a file.", "Choose another output folder.")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise InputError(option, f"{place} cannot be written to.", "Choose another output folder.")
+
 
 def write_atomically(path: Path, content: bytes | str) -> None:
     """Write beside ``path`` and rename, so that an interrupted run leaves the old file or the new one, never half.
@@ -60,7 +82,7 @@ def read_tum(path: Path) -> tuple[IntArray, FloatArray]:
 
     Raises:
         InputError: the file cannot be read, a line is not eight numbers, a quaternion is not of unit length, or the
-            stamps do not ascend.
+            stamps do not ascend, or a position is absurdly far.
     """
     rows = _read_table(path, columns=8, example="stamp tx ty tz qx qy qz qw")
     stamps_ns = np.array([_nanoseconds(path, line, cells[0]) for line, cells in rows], dtype=np.int64)
@@ -77,6 +99,7 @@ def read_tum(path: Path) -> tuple[IntArray, FloatArray]:
     T_world_cam = np.tile(np.eye(4), (len(rows), 1, 1))
     T_world_cam[:, :3, :3] = Rotation.from_quat(numbers[:, 3:]).as_matrix()
     T_world_cam[:, :3, 3] = numbers[:, :3]
+    _check_positions(path, rows, T_world_cam)
     return stamps_ns, T_world_cam
 
 
@@ -89,13 +112,15 @@ def read_kitti_poses(path: Path) -> FloatArray:
     """Poses T_world_cam, [N, 4, 4], m, of a KITTI odometry pose file; NaN where a line is twelve times ``nan``.
 
     Raises:
-        InputError: the file cannot be read, a line is not twelve numbers, or their first 3×3 is no rotation.
+        InputError: the file cannot be read, a line is not twelve numbers, their first 3×3 is no rotation, or a
+            position is absurdly far.
     """
     rows = _read_table(path, columns=12, example="the upper three rows of T_world_cam, row by row")
     numbers = _numbers(path, rows, allow_unknown=True)
     T_world_cam = np.tile(np.eye(4), (len(rows), 1, 1))
     T_world_cam[:, :3, :] = numbers.reshape(-1, 3, 4)
     T_world_cam[np.isnan(numbers).all(axis=1)] = np.nan
+    _check_positions(path, rows, T_world_cam)
     C = np.where(np.isnan(T_world_cam), np.eye(4), T_world_cam)[:, :3, :3]
     skewed = np.abs(C @ np.swapaxes(C, -1, -2) - np.eye(3)).max(axis=(1, 2), initial=0.0) > 1e-3
     for k in np.flatnonzero(skewed | (np.linalg.det(C) < 0.0))[:1]:
@@ -135,6 +160,12 @@ def _numbers(path: Path, rows: list[tuple[int, list[str]]], *, allow_unknown: bo
         if not (np.isfinite(numbers[k]).all() or (allow_unknown and np.isnan(numbers[k]).all())):
             raise InputError(path, f"line {line}: not all numbers are finite", "Mend or remove the line.")
     return numbers
+
+
+def _check_positions(path: Path, rows: list[tuple[int, list[str]]], T_world_cam: FloatArray) -> None:
+    for k in np.flatnonzero((np.abs(T_world_cam[:, :3, 3]) > FARTHEST_M).any(axis=1))[:1]:
+        what = f"line {rows[k][0]}: the position is over {FARTHEST_M:g} m away"
+        raise InputError(path, what, "Positions are in metres.")
 
 
 def _nanoseconds(path: Path, line: int, stamp: str) -> int:

@@ -54,6 +54,8 @@ def metrics_rows(metrics: Metrics) -> list[tuple[str, str, str]]:
 
 def readable(value: float) -> str:
     """Three figures, never in scientific notation."""
+    if not math.isfinite(value):
+        return str(value)
     if value == 0 or isinstance(value, int):
         return f"{value:,.0f}"
     rounded = float(f"{value:.3g}")

@@ -23,14 +23,18 @@ def write_motions(path: Path, result: RunResult) -> None:
         "stamps_ns": result.stamps_ns,
         "T_curr_prev": result.T_curr_prev,
         "cov": result.cov,
+        "shared": result.shared,
         "status": result.status,
         "num_tracks": result.num_tracks,
+        "num_inliers": result.num_inliers,
         "total_ms": result.total_ms,
     }
     arrays |= {_STAGE + name: ms for name, ms in result.stage_ms.items()}
-    arrays |= {_REJECTED + name: np.array(count, dtype=np.int64) for name, count in result.rejected.items()}
+    arrays |= {
+        _REJECTED + name.replace(" ", "_"): np.array(count, dtype=np.int64) for name, count in result.rejected.items()
+    }
     buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]  # NumPy 2.0 would store allow_pickle as an array
     write_atomically(path, buffer.getvalue())
 
 
@@ -58,11 +62,15 @@ def read_motions(path: Path) -> RunResult:
         T_world_cam=chain_motions(T_curr_prev)[:n],
         T_curr_prev=T_curr_prev,
         cov=cov,
+        shared=_take(path, arrays, "shared", (steps, 6, 3)),
         status=_take(path, arrays, "status", (steps,)),
         num_tracks=_take(path, arrays, "num_tracks", (steps,)),
+        num_inliers=_take(path, arrays, "num_inliers", (steps,)),
         stage_ms={name.removeprefix(_STAGE): _take(path, arrays, name, (steps,)) for name in stages},
         total_ms=_take(path, arrays, "total_ms", (steps,)),
-        rejected={name.removeprefix(_REJECTED): int(_take(path, arrays, name, ())) for name in reasons},
+        rejected={
+            name.removeprefix(_REJECTED).replace("_", " "): int(_take(path, arrays, name, ())) for name in reasons
+        },
     )
 
 

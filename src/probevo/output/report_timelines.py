@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from probevo.arrays import FloatArray, IntArray
 from probevo.motion.estimate import Status
 from probevo.output.run_result import RunResult
-from probevo.output.svg import BLUE, CYCLE, INK, LEGEND_ABOVE, WIDTH_IN
+from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
 _MOST_PLACES = 500
 STATUS_COLORS = {
@@ -59,13 +59,17 @@ def tracks_figure(result: RunResult) -> Figure:
 
 
 def stages_figure(result: RunResult) -> Figure:
-    """Wall time of each step, its stages stacked, and the total as a line; in groups, means and the slowest step."""
+    """Wall time of each step, its stages stacked, and the total as a line; in groups, means and the slowest step.
+
+    Decoding runs ahead in threads of its own and is no part of the total: a line of its own, outside the stack.
+    """
     starts, edges_s = _groups(result)
     sizes = np.diff([*starts, len(result.status)])
     figure = Figure(figsize=(WIDTH_IN, 2.9))
     axes = figure.add_subplot(xlabel="time, s", ylabel="ms a frame")
     base_ms = np.zeros(len(starts))
-    for (name, ms), color in zip(result.stage_ms.items(), cycle(CYCLE), strict=False):
+    stages = {name: ms for name, ms in result.stage_ms.items() if name != "decode"}
+    for (name, ms), color in zip(stages.items(), cycle(CYCLE), strict=False):
         top_ms = base_ms + np.add.reduceat(ms, starts) / sizes
         label = f"{name.replace('_', ' ')} {np.median(ms):.3g}"
         axes.stairs(top_ms, edges_s, baseline=base_ms, fill=True, color=color, label=label)
@@ -73,7 +77,13 @@ def stages_figure(result: RunResult) -> Figure:
     slowest_ms = np.maximum.reduceat(result.total_ms, starts)
     label = f"total {np.median(result.total_ms):.3g} (medians, ms)"
     axes.stairs(slowest_ms, edges_s, baseline=None, color=INK, lw=0.7, label=label)
-    axes.set(ylim=(0, _readable_top(slowest_ms)), xlim=(edges_s[0], edges_s[-1]))
+    highest_ms = _readable_top(slowest_ms)
+    if "decode" in result.stage_ms:
+        decode_ms = np.add.reduceat(result.stage_ms["decode"], starts) / sizes
+        label = f"decode {np.median(result.stage_ms['decode']):.3g}, beside the total"
+        axes.stairs(decode_ms, edges_s, baseline=None, color=GREY, lw=0.7, ls="--", label=label)
+        highest_ms = max(highest_ms, _readable_top(decode_ms))
+    axes.set(ylim=(0, highest_ms), xlim=(edges_s[0], edges_s[-1]))
     axes.legend(ncols=3, **LEGEND_ABOVE)
     return figure
 

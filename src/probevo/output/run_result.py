@@ -25,10 +25,14 @@ class RunResult:
     """Relative motions, [N-1, 4, 4], m."""
     cov: FloatArray
     """Covariance of the left perturbation [ρ; φ] of each motion, [N-1, 6, 6], m and rad."""
+    shared: FloatArray
+    """Columns of the errors that all motions share, [N-1, 6, 3]: see ``MotionEstimate.shared``."""
     status: IntArray
     """``motion.estimate.Status`` of each motion, [N-1]."""
     num_tracks: IntArray
     """[N-1]."""
+    num_inliers: IntArray
+    """Tracks that were trusted, [N-1]."""
     stage_ms: dict[str, FloatArray]
     """Wall time of each stage, [N-1], ms, by name in the order of the flow; 0 where a stage did not run."""
     total_ms: FloatArray
@@ -81,8 +85,10 @@ class RunRecorder:
             T_world_cam=chain_motions(T_curr_prev)[: len(self._stamps_ns)],
             T_curr_prev=T_curr_prev,
             cov=np.array([m.cov for m in steps]).reshape(-1, 6, 6),
+            shared=np.array([m.shared for m in steps]).reshape(-1, 6, 3),
             status=np.array([int(m.status) for m in steps], dtype=np.int64),
             num_tracks=np.array([m.num_tracks for m in steps], dtype=np.int64),
+            num_inliers=np.array([m.num_inliers for m in steps], dtype=np.int64),
             stage_ms={name: np.array([m.stage_ms.get(name, 0.0) for m in steps]) for name in stages},
             total_ms=np.array(self._total_ms[1:], dtype=np.float64),
             rejected=dict(self._rejected),

@@ -15,10 +15,14 @@ MOST_BEHIND = 0.8
 of KITTI and EuRoC, under 0.05 for right ones, and one half where everything is too far away to tell."""
 
 
+class SwappedImagesError(InputError):
+    """The left images come from the right camera: whatever follows from them is worth nothing."""
+
+
 def count_matches(tracks: Tracks) -> tuple[int, int]:
     """Stereo matches of one step with positive and with negative disparity, those that the tracker refused included."""
     in_front = tracks.curr_px[:, 0] >= tracks.curr_px[:, 2]
-    return int(in_front.sum()), int((~in_front).sum()) + tracks.rejected.get("no disparity", 0)
+    return int(in_front.sum()), int((~in_front).sum()) + tracks.rejected.get("negative disparity", 0)
 
 
 def looks_swapped(ahead: int, behind: int) -> bool:
@@ -35,8 +39,8 @@ def check_left_right(ahead: int, behind: int, where: str | Path) -> None:
         where: the recording, for the message.
 
     Raises:
-        InputError: nearly all matches have negative disparity.
+        SwappedImagesError: nearly all matches have negative disparity.
     """
     if looks_swapped(ahead, behind):
         what = f"{behind} of the first {ahead + behind} stereo matches have negative disparity."
-        raise InputError(where, what, "Are left and right swapped? Exchange the two image folders.")
+        raise SwappedImagesError(where, what, "Are left and right swapped? Exchange the two image folders.")

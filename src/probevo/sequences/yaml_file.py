@@ -1,9 +1,10 @@
-"""Reads a YAML file into a pydantic model; every error names the file and the key."""
+"""Reads YAML files, and puts them into pydantic models; every error names the file and the key."""
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -12,6 +13,7 @@ from probevo.errors import InputError
 from probevo.sequences.text import read_text
 
 Model = TypeVar("Model", bound=BaseModel)
+MERGE = "tag:yaml.org,2002:merge"
 
 
 def read_yaml(path: Path, model: type[Model], cure: str = "") -> Model:
@@ -20,13 +22,39 @@ def read_yaml(path: Path, model: type[Model], cure: str = "") -> Model:
     Raises:
         InputError: missing, not YAML, or not what the model allows; all the faults of the keys at once.
     """
+    content = load_yaml(path, cure)
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        faults = [f"{'.'.join(map(str, fault['loc'])) or 'content'}: {fault['msg']}" for fault in error.errors()]
+        raise InputError(path, "; ".join(faults) + ".", cure) from error
+
+
+def load_yaml(path: Path, cure: str = "") -> Any:
+    """What the file holds: mappings, lists and scalars.
+
+    Raises:
+        InputError: missing, not text, not YAML, a key given twice, or a value that is none (such as a 99th of May).
+    """
     text = read_text(path, cure)
     if text.startswith("%YAML:"):  # OpenCV's header, as EuRoC has it, is no valid YAML
         text = text.partition("\n")[2]
     try:
-        return model.model_validate(yaml.safe_load(text))
-    except yaml.YAMLError as error:
+        return yaml.load(text, _NoKeyTwice)
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(path, f"this is not YAML: {' '.join(str(error).split())}.", cure) from error
-    except ValidationError as error:
-        faults = [f"{'.'.join(map(str, fault['loc'])) or 'content'}: {fault['msg']}" for fault in error.errors()]
-        raise InputError(path, "; ".join(faults) + ".", cure) from error
+
+
+class _NoKeyTwice(yaml.SafeLoader):
+    """Of two equal keys, YAML's loader would take the last without a word."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[tuple[str, str]] = set()
+        for key, _ in node.value:
+            name = (key.tag, str(key.value))
+            if name in seen and key.tag != MERGE:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key.value} is given twice", key.start_mark
+                )
+            seen.add(name)
+        return super().construct_mapping(node, deep)

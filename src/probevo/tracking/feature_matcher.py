@@ -15,7 +15,7 @@ class FeatureMatcher:
     def __init__(self) -> None:
         nothing = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
         self._before = self._now = (nothing, np.zeros(0, np.int64))
-        self._now_index = -1
+        self._now_stamp_ns: int | None = None
 
     def track(self, frame: Frame, expected: FloatArray) -> Tracks:
         """The features that the previous frame had too; ``expected`` is not needed here.
@@ -24,8 +24,8 @@ class FeatureMatcher:
         """
         if frame.features is None:
             raise ValueError(f"frame {frame.index} has no features")
-        if frame.index != self._now_index:
-            self._before, self._now_index = self._now, frame.index
+        if frame.stamp_ns != self._now_stamp_ns:
+            self._before, self._now_stamp_ns = self._now, frame.stamp_ns
         previous, previous_age = self._before
         seen = np.isfinite(frame.features.pixels).all(axis=1)
         current = StereoFeatures(frame.features.ids[seen], frame.features.pixels[seen])

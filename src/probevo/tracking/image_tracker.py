@@ -49,7 +49,7 @@ class ImageTracker:
         self._config = config
         self._before: _Followed | None = None
         self._now: _Followed | None = None
-        self._now_index = -1
+        self._now_stamp_ns: int | None = None
 
     def track(self, frame: Frame, expected: FloatArray) -> Tracks:
         """The features of the previous frame that are found in this one. Called again for a frame, it starts over.
@@ -60,8 +60,8 @@ class ImageTracker:
         """
         if frame.left is None or frame.right is None:
             raise ValueError(f"frame {frame.index} has no images")
-        if frame.index != self._now_index:
-            self._before, self._now_index = self._now, frame.index
+        if frame.stamp_ns != self._now_stamp_ns:
+            self._before, self._now_stamp_ns = self._now, frame.stamp_ns
         left, right = _high_pass(frame.left, self._config), _high_pass(frame.right, self._config)
         rejected: Counter[str] = Counter()
         before = self._before or _Followed(left, np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64), 0)
@@ -120,7 +120,8 @@ class ImageTracker:
         level = np.abs(right_px[:, 1] - left_px[:, 1]) <= self._config.max_row_offset_px
         rejected["rows differ"] += int((~level).sum())
         ahead = left_px[:, 0] - right_px[:, 0] >= self._config.min_disparity_px
-        rejected["no disparity"] += int((level & ~ahead).sum())
+        rejected["negative disparity"] += int((level & ~ahead & (right_px[:, 0] > left_px[:, 0])).sum())
+        rejected["too little disparity"] += int((level & ~ahead & (right_px[:, 0] <= left_px[:, 0])).sum())
         matched = _alike(difference, level & ahead, self._config)
         rejected["no stereo match"] += int((level & ahead & ~matched).sum())
         return right_px, matched

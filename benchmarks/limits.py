@@ -1,0 +1,84 @@
+"""What the figures of docs/accuracy.md hang on: self-calibration, far features, speed, the truth; and are we honest?
+
+python benchmarks/limits.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from recordings import available
+
+import probevo as pv
+from probevo.arrays import FloatArray
+from probevo.evaluation.metrics import evaluate
+from probevo.geometry import se3
+from probevo.geometry.uncertainty import compound
+from probevo.output.run_result import RunRecorder, RunResult
+from probevo.sequences import Sequence
+from probevo.tracking import Tracks, image_tracker
+
+OFF = pv.OdometryConfig(self_calibration=False)
+
+
+def run(sequence: Sequence, config: pv.OdometryConfig | None = None, every: int = 1) -> tuple[RunResult, FloatArray]:
+    """A run over every so many-th frame at the recording's own rate, without IMU, and the true poses of the frames."""
+    odometry, recorder = pv.StereoOdometry(sequence.camera, config=config), RunRecorder()
+    for k, frame in enumerate(list(sequence)[::every]):
+        frame = replace(frame, index=k, stamp_ns=int(sequence.stamps_ns[k]), imu=None)
+        recorder.add(frame.stamp_ns, odometry.step(frame))
+    if odometry.calibration:
+        print(f"      b1, b2 = {np.round(odometry.calibration.disparity, 2)} px", end=" ")
+        print(f"a4 = {odometry.calibration.rows[4]:.1f} px")
+    return recorder.result(), sequence.truth.T_world_cam[::every]
+
+
+def drift(T_world_cam: FloatArray, truth: FloatArray) -> str:
+    metrics = evaluate(se3.inverse(T_world_cam[0]) @ T_world_cam, se3.inverse(truth[0]) @ truth)
+    return f"{metrics.short_t_percent:6.3f} % {metrics.short_r_deg_per_m:8.4f} °/m"
+
+
+def only_far(limit_px: float) -> None:
+    """Keep nearer points out of the tracks from here on."""
+    track = image_tracker.ImageTracker.track
+
+    def far(self: image_tracker.ImageTracker, frame: pv.Frame, expected: FloatArray) -> Tracks:
+        tracks = track(self, frame, expected)
+        return tracks.kept(tracks.prev_px[:, 0] - tracks.prev_px[:, 2] < limit_px)
+
+    image_tracker.ImageTracker.track = far
+
+
+def two_steps_against_one(sequence: Sequence) -> float:
+    """Median NEES of the difference of two steps of one frame and one of two: about 6 if the covariances are honest."""
+    single, double = run(sequence)[0], run(sequence, every=2)[0]
+    nees = []
+    for k in range(min(len(double.status), len(single.status) // 2)):
+        steps = slice(2 * k, 2 * k + 2)
+        T, cov = compound(*(x for pair in zip(single.T_curr_prev[steps], single.cov[steps], strict=True) for x in pair))
+        error = se3.log(T @ se3.inverse(double.T_curr_prev[k]))
+        nees.append(error @ np.linalg.solve(cov + double.cov[k], error))
+    return float(np.median(nees))
+
+
+def main() -> None:
+    for name, path in available().items():
+        sequence = pv.open_sequence(path)
+        for label, config in (("with self-calibration", None), ("without", OFF)):
+            result, truth = run(sequence, config)
+            print(f"{name}, {label}: {drift(result.T_world_cam, truth)}")
+            if name == "odometry 06":
+                print(f"  frames 12 on: {drift(result.T_world_cam[12:], truth[12:])}")
+            result, truth = run(sequence, config, every=3)
+            print(f"  every third frame: {drift(result.T_world_cam, truth)}")
+        print(f"  two steps against one, median NEES {two_steps_against_one(sequence):.1f}")
+    only_far(12.0)
+    for label, config in (("with self-calibration", None), ("without", OFF)):
+        sequence = pv.open_sequence(next(iter(available().values())))
+        result, truth = run(sequence, config)
+        print(f"disparities below 12 px, {label}: {drift(result.T_world_cam, truth)}")
+
+
+if __name__ == "__main__":
+    main()
