@@ -11,8 +11,10 @@ from probevo.compiled import compiled, perturb, rotation_error, solve_positive_d
 from probevo.motion.normal_equations import normal_equations
 from probevo.motion.reprojection_kernels import linearize_noise
 
-RENEW_AFTER = 0.1
-"""Squared length of the way since Σ was last renewed, in standard deviations of the motion, that makes it stale."""
+RENEW_AFTER = 1.0
+"""Squared length of the way since Σ was last renewed, in standard deviations of the motion, that makes it stale.
+
+Within one, what is left of its age is below a hundredth of a standard deviation."""
 MAX_RENEWALS = 10
 """How often Σ is computed at most; from a guess as good as RANSAC's it takes two or three."""
 

@@ -7,9 +7,7 @@ import math
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
 from probevo.motion.reprojection_kernels import NEAREST
-from probevo.motion.robust_kernels import LossKind, robust_bend, robust_cost, robust_weight
-
-STUDENT_T = int(LossKind.STUDENT_T)
+from probevo.motion.robust_kernels import STUDENT_T, robust_bend, robust_cost, robust_weight
 
 BEHIND = 1e4
 """Squared Mahalanobis length of a point without a say: far enough for any loss, near enough to add up with others."""

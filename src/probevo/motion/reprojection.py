@@ -10,7 +10,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.motion.minimize import minimize
 from probevo.motion.normal_equations import BEHIND
-from probevo.motion.reprojection_kernels import observation_to_point, residual_jacobians
+from probevo.motion.reprojection_kernels import observation_to_point, residual_jacobians, sum_information
 from probevo.motion.robust import RobustLoss
 from probevo.noise.base import StereoNoise
 
@@ -122,7 +122,7 @@ def solve_reprojection(
     has_say = squared < BEHIND
     weight = np.where(has_say, loss.weight(squared, dof), 0.0)
     curvature = np.where(has_say, loss.curvature(squared, dof), 0.0)
-    information_sum = _information(jacobian, white * curvature[:, None, None], refined, seen, point_cov)
+    hessian, information_sum = _information(jacobian, white, weight, curvature, refined, seen, point_cov)
     variance_factor = _variance_factor(squared, weight, curvature, loss, dof)
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = C, t
@@ -138,7 +138,7 @@ def solve_reprojection(
         residuals=residuals,
         jacobian=jacobian,
         disparity_jacobian=disparity_jacobian,
-        hessian=sum_products(jacobian, white * weight[:, None, None]) + prior_block,
+        hessian=hessian + prior_block,
         information=information,
         iterations=iterations,
         converged=converged,
@@ -146,21 +146,25 @@ def solve_reprojection(
 
 
 def _information(
-    jacobian: FloatArray, white: FloatArray, refined: FloatArray, seen: FloatArray, point_cov: FloatArray
-) -> FloatArray:
-    """Σ Jᵀ (white)ₙ, [6, 6], without what the noise of the disparities alone would lend to the translation.
+    jacobian: FloatArray,
+    white: FloatArray,
+    weight: FloatArray,
+    curvature: FloatArray,
+    refined: FloatArray,
+    seen: FloatArray,
+    point_cov: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Σ w Jᵀ Σ⁻¹ J, and Σ a Jᵀ Σ⁻¹ J without what the noise of the disparities alone would lend to the translation.
 
-    The translation's columns go with the disparity d. Refined, d leans towards the solution, so it is set
-    back to the one seen; squared, its noise σ² has a mean of its own: E[d²] − σ² is what the truth contributes. Only
-    where all disparities are mostly noise does that matter, and there it tells a blind translation from a known one.
+    The translation's columns go with the disparity d. Refined, d leans towards the solution, so it is set back to the
+    one seen; squared, its noise σ² has a mean of its own: E[d²] − σ² is what the truth contributes. Only where all
+    disparities are mostly noise does that matter, and there it tells a blind translation from a known one.
     """
     disparity = np.where(np.abs(refined[:, 2]) > 1e-9, refined[:, 2], np.inf)
-    share = np.ones((len(refined), 1, 6))
-    share[:, 0, :3] = (seen[:, 2] / disparity)[:, None]
-    total = sum_products(jacobian * share, white * share)
-    lent = (point_cov[:, 2, 2] / disparity**2)[:, None, None]
-    total[:3, :3] -= sum_products(jacobian[:, :, :3] * lent, white[:, :, :3])
-    return total
+    share, lent = seen[:, 2] / disparity, point_cov[:, 2, 2] / disparity**2
+    hessian, information = np.empty((6, 6)), np.empty((6, 6))
+    sum_information(jacobian, white, weight, curvature, share, lent, hessian, information)
+    return hessian, information
 
 
 def _variance_factor(

@@ -215,3 +215,33 @@ def residual_jacobians(
                 for k in range(4):
                     total += information[n, i, k] * motion[n, k, j]
                 white[n, i, j] = total
+
+
+@compiled
+def sum_information(
+    jacobian: FloatArray,
+    white: FloatArray,
+    weight: FloatArray,
+    curvature: FloatArray,
+    share: FloatArray,
+    lent: FloatArray,
+    hessian: FloatArray,
+    information: FloatArray,
+) -> None:
+    """Fill hessian, Σ w Jᵀ Σ⁻¹ J, and information, Σ a Jᵀ Σ⁻¹ J, [6, 6] each; see ``reprojection._information``.
+
+    In the information, the translation's columns of J are scaled by ``share`` [N], their square less by ``lent`` [N].
+    """
+    hessian[:], information[:] = 0.0, 0.0
+    for n in range(len(jacobian)):
+        both, one = curvature[n] * (share[n] * share[n] - lent[n]), curvature[n] * share[n]
+        for i in range(6):
+            for j in range(i + 1):
+                product = 0.0
+                for k in range(4):
+                    product += jacobian[n, k, i] * white[n, k, j]
+                hessian[i, j] += weight[n] * product
+                information[i, j] += (both if i < 3 else one if j < 3 else curvature[n]) * product
+    for i in range(6):
+        for j in range(i):
+            hessian[j, i], information[j, i] = hessian[i, j], information[i, j]

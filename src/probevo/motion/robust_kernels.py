@@ -18,16 +18,20 @@ class LossKind(IntEnum):
     STUDENT_T = 4
 
 
+HUBER, CAUCHY, TUKEY, STUDENT_T = (int(kind) for kind in list(LossKind)[1:])
+"""As plain numbers, which compiled code takes."""
+
+
 @compiled
 def robust_weight(kind: int, parameter: float, dim: int, squared: float) -> float:
     """IRLS weight 2 dρ/ds, one for a perfect residual of every loss but Student-t, where it is (ν + d)/(ν + s)."""
-    if kind == 4:
+    if kind == STUDENT_T:
         return (parameter + dim) / (parameter + squared) if parameter < 1e300 else 1.0
-    if kind == 1:
+    if kind == HUBER:
         return 1.0 if squared <= parameter * parameter else parameter / math.sqrt(squared)
-    if kind == 2:
+    if kind == CAUCHY:
         return 1.0 / (1.0 + squared / (parameter * parameter))
-    if kind == 3:
+    if kind == TUKEY:
         inside = 1.0 - squared / (parameter * parameter)
         return inside * inside if inside > 0.0 else 0.0
     return 1.0
@@ -41,13 +45,13 @@ def robust_curvature(kind: int, parameter: float, dim: int, squared: float) -> f
     """
     weight = robust_weight(kind, parameter, dim, squared)
     share = 0.0  # −w' s / w
-    if kind == 4:
+    if kind == STUDENT_T:
         share = squared / (parameter + squared) if parameter < 1e300 else 0.0
-    elif kind == 1:
+    elif kind == HUBER:
         share = 0.5 if squared > parameter * parameter else 0.0
-    elif kind == 2:
+    elif kind == CAUCHY:
         share = squared / (parameter * parameter + squared)
-    elif kind == 3:
+    elif kind == TUKEY:
         share = 2.0 * squared / max(parameter * parameter - squared, 1e-12)
     return weight * max(0.25, 1.0 - 2.0 / dim * share)
 
@@ -55,13 +59,13 @@ def robust_curvature(kind: int, parameter: float, dim: int, squared: float) -> f
 @compiled
 def robust_bend(kind: int, parameter: float, squared: float) -> float:
     """−2 w'/w²: the multiple of a weighted gradient's outer product that Newton's Hessian is less than IRLS's."""
-    if kind == 4:
+    if kind == STUDENT_T:
         return 2.0 / (parameter + 4.0)
-    if kind == 1:
+    if kind == HUBER:
         return 1.0 / (parameter * math.sqrt(squared)) if squared > parameter * parameter else 0.0
-    if kind == 2:
+    if kind == CAUCHY:
         return 2.0 / (parameter * parameter)
-    if kind == 3:
+    if kind == TUKEY:
         inside = max(0.1, 1.0 - squared / (parameter * parameter))
         return 4.0 / (parameter * parameter * inside * inside * inside)
     return 0.0
@@ -70,15 +74,15 @@ def robust_bend(kind: int, parameter: float, squared: float) -> float:
 @compiled
 def robust_cost(kind: int, parameter: float, dim: int, squared: float) -> float:
     """ρ(s), scaled such that L2 is s/2."""
-    if kind == 4:
+    if kind == STUDENT_T:
         return 0.5 * (parameter + dim) * math.log1p(squared / parameter) if parameter < 1e300 else 0.5 * squared
-    if kind == 1:
+    if kind == HUBER:
         if squared <= parameter * parameter:
             return 0.5 * squared
         return parameter * (math.sqrt(squared) - 0.5 * parameter)
-    if kind == 2:
+    if kind == CAUCHY:
         return 0.5 * parameter * parameter * math.log1p(squared / (parameter * parameter))
-    if kind == 3:
+    if kind == TUKEY:
         inside = max(0.0, 1.0 - squared / (parameter * parameter))
         return parameter * parameter / 6.0 * (1.0 - inside * inside * inside)
     return 0.5 * squared
