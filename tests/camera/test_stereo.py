@@ -72,8 +72,10 @@ def test_the_jacobians_are_inverse(points: FloatArray) -> None:
 
 
 def test_check_accepts_a_sound_camera() -> None:
-    check_camera(CAMERA, "calib.txt")
-    check_camera(dataclasses.replace(CAMERA, size_px=None), "calib.txt")
+    """With and without a known size; one just inside each bound passes, so that the refusals below mean something."""
+    at_the_edge = dataclasses.replace(CAMERA, cu_px=-0.49 * CAMERA.size_px[0], baseline_m=1e-6)
+    for camera in (CAMERA, dataclasses.replace(CAMERA, size_px=None), at_the_edge):
+        assert check_camera(camera, "calib.txt") is None  # type: ignore[func-returns-value]
 
 
 @pytest.mark.parametrize(

@@ -138,8 +138,11 @@ def test_dropped_points_are_not_followed(frames: list[Frame]) -> None:
     assert np.isin(after.ids, tracks.ids[1::2]).any()
 
 
-def test_dropping_before_the_first_frame_does_nothing() -> None:
-    ImageTracker(CAMERA, CONFIG).drop(np.array([1, 2]))
+def test_dropping_before_the_first_frame_does_nothing(frames: list[Frame]) -> None:
+    tracker, untouched = ImageTracker(CAMERA, CONFIG), ImageTracker(CAMERA, CONFIG)
+    tracker.drop(np.array([1, 2]))
+    first, second = ([t.track(frame, np.eye(4)) for frame in frames[:2]][-1] for t in (tracker, untouched))
+    np.testing.assert_array_equal(first.curr_px, second.curr_px)
 
 
 def test_the_first_frame_has_no_tracks(frames: list[Frame]) -> None:

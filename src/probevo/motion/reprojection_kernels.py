@@ -32,7 +32,11 @@ def observation_to_point(
     K[2, 2] = -1.0
     K[1, 1] = K[1, 3] = 0.5
     for n in range(len(observed)):
-        if propagate and (n == 0 or np.any(scale[n] != scale[n - 1])):  # most models give all features one scale
+        is_new = n == 0
+        for i in range(4):  # most models give all features one scale
+            for j in range(4):
+                is_new = is_new or scale[n, i, j] != scale[n - 1, i, j]
+        if propagate and is_new:
             if not invert_symmetric_4(scale[n], inverse, lower):
                 inverse[:] = 0.0
             # H maps (u, v, d) to (u, v, u − d, v)
