@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3, so3
+from probevo.motion.direct import direct_motion
 
 
 def from_first_camera(T_world_cam: FloatArray) -> FloatArray:
@@ -63,13 +64,7 @@ def rigid_alignment(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
 
     Points on a line or in one place leave the rotation about them open; one of the minimisers is returned.
     """
-    mean_a, mean_b = points_a.mean(axis=0), points_b.mean(axis=0)
-    U, _, Vt = np.linalg.svd((points_b - mean_b).T @ (points_a - mean_a))
-    U[:, 2] *= np.linalg.det(U) * np.linalg.det(Vt)
-    T_b_a = np.eye(4)
-    T_b_a[:3, :3] = U @ Vt
-    T_b_a[:3, 3] = mean_b - T_b_a[:3, :3] @ mean_a
-    return T_b_a
+    return direct_motion(points_a, points_b)
 
 
 def rpe_rmse(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> tuple[float, float] | None:
