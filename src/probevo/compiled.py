@@ -17,9 +17,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def compiled(function: Function) -> Function:
     """Compile an inner loop on its first call and keep the result on disk.
 
-    Divisions are unchecked and sums may be reordered, but NaN and infinity are honoured.
+    Divisions are unchecked and sums may be reordered, but NaN and infinity are honoured. Other threads run meanwhile.
     """
-    compile_ = njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+    compile_ = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
     return cast(Function, compile_(function))
 
 

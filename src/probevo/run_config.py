@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
@@ -58,13 +58,17 @@ def config_text(config: RunConfig) -> str:
 
 
 def setting_error(
-    error: ValidationError, where: str | Path, spelled: Callable[[str], str] = lambda key: key
+    error: ValidationError,
+    where: str | Path,
+    model: type[BaseModel] = RunConfig,
+    spelled: Callable[[str], str] = lambda key: key,
 ) -> InputError:
     """What pydantic found wrong, in our words: each key at fault with its value, and how to mend the first one.
 
     Args:
-        error: of validating a ``RunConfig``.
+        error: of validating a ``model``.
         where: the file, or the kind of input.
+        model: the settings.
         spelled: how the user writes a key, if not as ``section.key``.
     """
     unknown_first = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
@@ -76,12 +80,12 @@ def setting_error(
         for key, fault in faults
     ]
     first, fault = faults[0]
-    cure = _nearest_keys(first) if fault["type"] == "extra_forbidden" else dict(_known_keys(RunConfig)).get(first, "")
+    known = dict(_known_keys(model))
+    cure = _nearest_keys(first, known) if fault["type"] == "extra_forbidden" else known.get(first, "")
     return InputError(where, "; ".join(texts) + ".", cure)
 
 
-def _nearest_keys(key: str) -> str:
-    known = dict(_known_keys(RunConfig))
+def _nearest_keys(key: str, known: Collection[str]) -> str:
     key = key.replace("-", "_")
     last = key.rpartition(".")[2]
     # The right key without its section, or in a wrong one, is nearer than any other spelling.

@@ -10,6 +10,7 @@ from time import perf_counter
 
 import numpy as np
 
+from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.motion.estimate import MotionEstimate
@@ -44,6 +45,10 @@ class Run:
     result: RunResult
     metrics: Metrics | None
     """None where the recording has no truth."""
+    truth: FloatArray | None = None
+    """True poses T_world_cam of its frames, [N, 4, 4], m; NaN where unknown."""
+    pictures: tuple[tuple[str, bytes], ...] = ()
+    """Caption and JPEG file of a few frames with their tracks."""
 
 
 def run_sequence(
@@ -129,7 +134,7 @@ def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, 
         write_report(out / "report.html", result, title, facts, truth, metrics, pictures.drawn, settings)
     else:
         remove_stale(out / "report.html")
-    return Run(result, metrics)
+    return Run(result, metrics, truth, tuple(pictures.drawn))
 
 
 @dataclass(frozen=True)

@@ -1,31 +1,84 @@
-"""``probevo demo``: runs on what is there, or says what to set."""
+"""``probevo demo``: what it writes and prints, that it renders only once, and that its two scenes differ."""
 
+import io
+import re
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
 
+from cli.rendering import write_wall
+from probevo.cli import demo
 from probevo.cli.main import main
-from sequences.recordings import write_kitti_odometry
+from probevo.simulation.scene.config import Effects, RigConfig, SceneConfig
+
+TINY = SceneConfig(distance_m=4, rig=RigConfig(width_px=320, height_px=96, focal_px=180))
+SCENES = {"training": TINY, "test": TINY.model_copy(update={"seed": 1})}
+RUNS = [f"{scene}-{noise}" for scene in SCENES for noise in ("fixed", "student-t")]
 
 
-def test_each_noise_model_gets_a_row_and_a_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def put_a_wall(_: SceneConfig, folder: Path) -> Path:
+    """In place of rendering."""
+    return write_wall(folder)
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a demo on two recordings of a wall; what it printed is in "printed.txt" beside it."""
+    out = tmp_path_factory.mktemp("demo") / "out"
+    printed = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(printed):
+        patch.setattr("probevo.cli.simulate.render_with_progress", put_a_wall)
+        demo.demo(SCENES, out)
+    out.with_name("printed.txt").write_text(printed.getvalue())
+    return out
+
+
+def test_one_table_and_one_report(out: Path) -> None:
+    lines = out.with_name("printed.txt").read_text().splitlines()
+    assert lines[1].split("  ")[0] == "estimator"
+    assert [re.split(r"\s\s+", line.strip())[0] for line in lines[3:9]] == [
+        *("training", "fixed", "student-t"),
+        *("test", "fixed", "student-t"),
+    ]
+    assert lines[-1] == f"report: {out / 'report.html'}"
+    assert {path.name for path in out.iterdir()} == {"report.html", "runs", "scenes"}
+
+
+def test_the_page_leads_to_the_report_of_each_run(out: Path) -> None:
+    page = (out / "report.html").read_text()
+    links = re.findall(r'<a href="(.*?)"', page)
+    assert links == [f"runs/{name}/report.html" for name in RUNS]
+    assert all((out / link).exists() for link in links)
+    assert page.count("data:image/jpeg") == 8
+    assert "city 1, 4 m" in page
+
+
+@pytest.mark.slow
+def test_a_second_demo_renders_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    demo.demo(SCENES, tmp_path)
+    assert "The first time of all, this takes a minute" in capsys.readouterr().out
+    written = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")}
+    demo.demo(SCENES, tmp_path)
+    assert "The first time" not in capsys.readouterr().out
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")} == written
+
+
+def test_training_and_test_share_their_troubles_but_not_their_streets() -> None:
+    assert demo.TRAINING.effects == demo.TEST.effects
+    assert demo.TRAINING.seed != demo.TEST.seed
+    assert min(demo.TRAINING.distance_m or 0, demo.TEST.distance_m or 0) >= 150
+
+
+def test_a_scene_in_words() -> None:
+    config = SceneConfig(preset="road", seed=3, distance_m=80, effects=Effects(blur=0.25))
+    assert demo.scene_text(config) == "road 3, 80 m, blur 0.25"
+    assert demo.scene_text(SceneConfig(preset="rover")) == "rover 0"
+
+
+def test_a_file_in_the_way_is_named_before_anything_is_rendered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_kitti_odometry(tmp_path / "data" / "kitti_odometry")
-    monkeypatch.setenv("PROBEVO_DATA", str(tmp_path / "data"))
-    assert main(["demo", "--out", str(tmp_path / "out")]) == 0
-    shown = capsys.readouterr().out
-    for noise in ("fixed", "student-t"):
-        assert f"07, {noise}" in shown
-        assert str(tmp_path / "out" / f"07-{noise}" / "report.html") in shown
-        assert (tmp_path / "out" / f"07-{noise}" / "report.html").exists()
-
-
-def test_without_a_recording_it_says_what_to_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("PROBEVO_DATA", str(tmp_path))
-    assert main(["demo"]) == 2
-    shown = capsys.readouterr().err
-    assert f"PROBEVO_DATA: no recording to show; looked in {tmp_path}." in shown
-    assert "Set PROBEVO_DATA to a folder" in shown
+    (tmp_path / "file").write_text("")
+    assert main(["demo", "--out", str(tmp_path / "file")]) == 2
+    assert "--out: " in capsys.readouterr().err

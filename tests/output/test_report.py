@@ -3,13 +3,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
 
+from output.pages import Balance
 from probevo.evaluation.metrics import evaluate
 from probevo.output.drawing import draw_tracks
 from probevo.output.metrics_table import readable
@@ -23,28 +23,6 @@ def page_of(run: RunResult, folder: Path, truth: np.ndarray | None = None, **opt
     write_report(folder / "report.html", run, "A <run>", {"noise": "student-t & co"}, truth, metrics, **options)
     assert [path.name for path in folder.iterdir()] == ["report.html"]
     return (folder / "report.html").read_text()
-
-
-class Balance(HTMLParser):
-    """Collects ids and links, and checks that elements close in the order in which they opened."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.ids: list[str] = []
-        self.links: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in {"meta", "img"}:
-            self.open.append(tag)
-        self.handle_startendtag(tag, attrs)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.ids += [value or "" for name, value in attrs if name == "id"]
-        self.links += [value or "" for name, value in attrs if name in {"href", "src", "xlink:href"}]
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
 
 
 @pytest.mark.parametrize("count", [2, 3, 60])

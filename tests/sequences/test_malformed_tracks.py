@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import AnyArray
+from probevo.sequences import open_sequence
 from sequences.damage import assert_refused, cut
 from sequences.recordings import tracks_arrays, write_tracks
 
@@ -57,3 +58,11 @@ def test_a_single_array_is_no_tracks_file(tmp_path: Path) -> None:
     with (tmp_path / "tracks.npz").open("wb") as file:
         np.save(file, np.zeros(3))
     assert_refused(tmp_path / "tracks.npz", ["tracks.npz", "not a readable .npz"])
+
+
+def test_a_recording_without_a_single_feature_opens(tmp_path: Path) -> None:
+    """A blind camera is a fact, not a fault of the file."""
+    nothing = {"frame": np.zeros(0, int), "track": np.zeros(0, int), "uv": np.zeros((0, 4))}
+    frames = list(open_sequence(write_tracks(tmp_path, **nothing)))
+    assert len(frames) == 4
+    assert all(frame.features is not None and len(frame.features.ids) == 0 for frame in frames)

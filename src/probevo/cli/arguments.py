@@ -15,9 +15,10 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from probevo.run_config import OWN_KEYS, RunConfig, setting_error
+from probevo.run_config import OWN_KEYS, setting_error
 
 Arguments = TypeVar("Arguments")
+Settings = TypeVar("Settings", bound=BaseModel)
 NOT_FLAGS = ("sequence",)
 """Settings that are given by position."""
 _registry = ConstructorRegistry()
@@ -33,16 +34,16 @@ def parse(kind: type[Arguments], words: list[str], command: str, default: Argume
     return parsed
 
 
-def checked(settings: RunConfig) -> RunConfig:
+def checked(settings: Settings) -> Settings:
     """Settings that came as flags, once more with the checks that ``parse`` leaves out.
 
     Raises:
         InputError: names the flag out of bounds.
     """
     try:
-        return RunConfig.model_validate(settings.model_dump())
+        return type(settings).model_validate(settings.model_dump())
     except ValidationError as error:
-        raise setting_error(error, "flags", spelled=lambda key: f"--{key.replace('_', '-')}") from error
+        raise setting_error(error, "flags", type(settings), lambda key: f"--{key.replace('_', '-')}") from error
 
 
 @_registry.struct_rule

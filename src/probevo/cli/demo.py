@@ -1,8 +1,8 @@
-"""``probevo demo``: the noise models side by side, on the recordings at hand."""
+"""``probevo demo``: two simulated drives, each noise model on both, and one page that shows them side by side."""
 
 from __future__ import annotations
 
-import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args
@@ -11,80 +11,76 @@ import tyro
 
 from probevo.cli.arguments import parse
 from probevo.cli.text import table
-from probevo.errors import InputError
 from probevo.run_config import NoiseName, RunConfig
+from probevo.simulation.scene.config import Effects, SceneConfig
 
 if TYPE_CHECKING:
-    from probevo.runner import Run
+    from probevo.output.comparison import Entry
 
-VARIABLE = "PROBEVO_DATA"
-PREFERRED = ("kitti_odometry/sequences/06", "kitti_raw/2011_09_26/2011_09_26_drive_0005_sync")
-OTHERS = ("kitti_odometry/sequences/*", "kitti_raw/*/*_sync", "euroc/*")
-MAX_FRAMES = 300
-HEAD = ("recording, noise model", "ARMSE m", "end error m", "drift %", "drift °/m", "ms/frame")
+EFFECTS = Effects(blur=0.3, traffic=0.5, shadows=0.5, noise=0.3)
+"""A bad day, but no disaster: enough that it matters how far each feature is trusted."""
+TRAINING = SceneConfig(preset="city", seed=1, distance_m=150, effects=EFFECTS)
+"""What a noise model learns from. It sees the same troubles as the test: one cannot learn from what does not happen."""
+TEST = SceneConfig(preset="city", seed=2, distance_m=150, effects=EFFECTS)
+"""What all are judged by: the same kind of place, as in PROBE and PROBE-GK, but none of the same streets."""
+SCENES = {"training": TRAINING, "test": TEST}
 
 
 @dataclass(frozen=True)
 class DemoArguments:
-    """Runs each noise model over one or two recordings and compares them.
+    """Renders two drives through a simulated city, runs each noise model over both, and compares them.
 
-    The recordings come from the folder that PROBEVO_DATA names, or from ../shared/data: kitti_odometry/sequences/06
-    and kitti_raw/2011_09_26/2011_09_26_drive_0005_sync if they are there, else the first that is.
+    Writes report.html, which shows them side by side, runs/ with the files of each run, and scenes/ with the images;
+    a second demo into the same folder finds these and need not render again.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
-    """Folder for the results, one folder a run."""
+    """Folder for the scenes and the results."""
 
 
 def main(words: list[str]) -> None:
-    """Parse, run everything, compare."""
+    """Parse and show."""
     arguments = parse(DemoArguments, words, "demo")
-    from probevo.cli.run import run_with_progress
-
-    rows, reports = [], []
-    for path in recordings():
-        for noise in get_args(NoiseName):
-            out = arguments.out / f"{path.name}-{noise}"
-            run = run_with_progress(RunConfig(sequence=path, noise=noise, max_frames=MAX_FRAMES), out, threads=1)
-            rows.append((f"{path.name}, {noise}", *figures(run)))
-            reports.append(out / "report.html")
-    print(table(HEAD, rows))
-    print("\nDrift: over pieces of 10 to 50 m. Reports:")
-    print("\n".join(f"  {report}" for report in reports))
+    demo(SCENES, arguments.out)
 
 
-def figures(run: Run) -> tuple[str, ...]:
-    """One row of the table."""
-    import numpy as np
-
-    from probevo.output.metrics_table import readable
-
-    metrics = run.metrics
-    values = [metrics.armse_m, metrics.final_error_m] if metrics else [None, None]
-    values += [metrics.short_t_percent, metrics.short_r_deg_per_m] if metrics else [None, None]
-    texts = ["–" if value is None else readable(value) for value in values]
-    return (*texts, readable(float(np.median(run.result.total_ms))))
-
-
-def recordings() -> list[Path]:
-    """The preferred recordings that are there, or else the first one that is.
+def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
+    """Render the scenes, by name, into ``out``, run over them, print the table and write the page.
 
     Raises:
-        InputError: there is none; says where it was looked for.
+        InputError: ``out`` cannot be written to, or holds other scenes.
     """
-    roots = _roots()
-    for root in roots:
-        preferred = [root / name for name in PREFERRED if (root / name).is_dir()]
-        others = [path for pattern in OTHERS for path in sorted(root.glob(pattern)) if path.is_dir()]
-        if preferred or others:
-            return preferred or others[:1]
-    looked = " and ".join(str(root) for root in roots)
-    cure = f"Set {VARIABLE} to a folder that holds KITTI or EuRoC recordings, e.g. {PREFERRED[0]}."
-    raise InputError(VARIABLE, f"no recording to show; looked in {looked}.", cure)
+    from probevo import __version__
+    from probevo.cli.simulate import render_with_progress
+    from probevo.output.comparison import Comparison, comparison_rows
+    from probevo.output.comparison_page import write_comparison
+    from probevo.output.files import check_folder
+
+    check_folder(out, "--out")
+    if not (out / "scenes").exists():
+        print("The first time of all, this takes a minute: it compiles, and renders the scenes.", flush=True)
+    folders = {name: render_with_progress(config, out / "scenes" / name) for name, config in scenes.items()}
+    entries = [run(name, folder, noise, out) for name, folder in folders.items() for noise in get_args(NoiseName)]
+    comparison = Comparison(tuple(entries))
+    facts = {name.capitalize(): scene_text(config) for name, config in scenes.items()}
+    write_comparison(out / "report.html", comparison, "Noise models side by side", facts | {"probevo": __version__})
+    head, *rows = comparison_rows(comparison)
+    print(table(head, rows))
+    print(f"\nDrift and rotation: over pieces of 10 to 50 m.\nreport: {out / 'report.html'}")
 
 
-def _roots() -> list[Path]:
-    if os.environ.get(VARIABLE):
-        return [Path(os.environ[VARIABLE])]
-    checkout = Path(__file__).resolve().parents[3]
-    return list(dict.fromkeys([Path("../shared/data"), checkout.parent / "shared" / "data"]))
+def run(name: str, folder: Path, noise: NoiseName, out: Path) -> Entry:
+    """One noise model's run over one scene."""
+    from probevo.cli.run import run_with_progress
+    from probevo.output.comparison import Entry
+
+    into = out / "runs" / f"{name}-{noise}"
+    done = run_with_progress(RunConfig(sequence=folder, noise=noise), into, threads=1)
+    return Entry(name, noise, done.result, done.truth, done.metrics, done.pictures, into / "report.html")
+
+
+def scene_text(config: SceneConfig) -> str:
+    """A scene in a few words: "city 2, 200 m, blur 0.3"."""
+    length = [] if config.distance_m is None else [f"{config.distance_m:g} m"]
+    effects = [f"{name} {strength:g}" for name, strength in config.effects.model_dump().items() if strength > 0]
+    return ", ".join([f"{config.preset} {config.seed}", *length, *effects])

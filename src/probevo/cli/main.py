@@ -11,7 +11,7 @@ from importlib import import_module
 from probevo import __version__
 from probevo.errors import InputError, ProbevoError
 
-COMMANDS = ("run", "eval", "info", "demo")
+COMMANDS = ("run", "eval", "info", "simulate", "paper", "demo")
 """Each is a module of its own, imported only if it is called: `probevo --help` should not wait for SciPy."""
 HELP = f"""\
 probevo {__version__}: stereo odometry that learns how far to trust each feature, and says how sure it is of its motion.
@@ -19,6 +19,9 @@ probevo {__version__}: stereo odometry that learns how far to trust each feature
   probevo run SEQUENCE --out DIR    from a recording to a trajectory, a covariance for every step, and a report
   probevo eval RUN --gt POSES       compare a run, or a trajectory file, with true poses
   probevo info SEQUENCE             what a recording is, whether its calibration is sane, what will be used
+  probevo simulate WORLD --out DIR  a recording of a simulated world, point or scene, whose truth is known
+  probevo paper EXPERIMENT --out DIR
+                                    an experiment of the papers, blur, repeated in simulation
   probevo demo --out DIR            all of it on the recordings at hand, with each noise model
 
 `probevo COMMAND --help` shows the options of a command; `probevo --version` the version."""

@@ -1,27 +1,23 @@
-"""One self-contained HTML page that shows a run: no script, no link, nothing to fetch."""
+"""The report of a run: one self-contained page with its figures of merit, plots and pictures."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib import resources
 from pathlib import Path
-from string import Template
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from probevo.arrays import FloatArray
 from probevo.evaluation.metrics import Metrics
 from probevo.motion.estimate import Status
-from probevo.output.files import write_atomically
 from probevo.output.metrics_table import metrics_rows, readable
+from probevo.output.page import frames_section, grid, panel, write_page
 from probevo.output.report_data import Drift, drift_of
 from probevo.output.report_plots import axes_figure, error_figure, length_unit, trajectory_figure
 from probevo.output.report_timelines import group_size, rejected_figure, stages_figure, status_label, tracks_figure
 from probevo.output.run_result import RunResult
-from probevo.output.svg import figure_style, inline_svg
+from probevo.output.svg import figure_style
 
 
 def write_report(
@@ -54,17 +50,10 @@ def write_report(
         raise ValueError(f"a report needs two frames, the run has {len(result)}")
     drift = drift_of(result, truth)
     with figure_style():
-        figures = "\n".join(_figures(result, drift))
-    sections = [_metrics_section(metrics), _frames_section(thumbnails), _config_section(config)]
-    template = Template(resources.files(__package__).joinpath("report_template.html").read_text("utf-8"))
-    page = template.substitute(
-        title=escape(title),
-        facts="".join(f"<div><dt>{escape(k)}</dt><dd>{escape(v)}</dd></div>" for k, v in facts.items()),
-        cards="\n".join(_cards(result, drift, metrics)),
-        figures=figures,
-        sections="\n".join(sections),
-    )
-    write_atomically(path, page)
+        figures = _figures(result, drift)
+    cards = '<section class="cards">\n' + "\n".join(_cards(result, drift, metrics)) + "\n</section>"
+    details = [_metrics_section(metrics), frames_section(thumbnails), _config_section(config)]
+    write_page(path, title, facts, [cards, grid(figures), *details])
 
 
 def _cards(result: RunResult, drift: Drift, metrics: Metrics | None) -> list[str]:
@@ -116,14 +105,14 @@ def _figures(result: RunResult, drift: Drift) -> list[str]:
     shown = "Estimate and truth" if drift.error is not None else "No truth is known"
     what = "Error" if drift.error is not None else "Claimed uncertainty"
     panels = [
-        _panel("Seen from above", f"{shown}; forward is up. Ellipses: claimed 3σ.", trajectory_figure(drift)),
-        _panel(f"{what} along the path", f"{band} for the position, in its worst direction.", error_figure(drift)),
-        _panel("Tracks and status", _status_note(result), tracks_figure(result)),
-        _panel(f"{what} by axis", f"Pose along its own camera’s axes. {band}.", axes_figure(drift)),
-        _panel("Time by stage", _stages_note(result), stages_figure(result)),
+        panel("Seen from above", f"{shown}; forward is up. Ellipses: claimed 3σ.", trajectory_figure(drift)),
+        panel(f"{what} along the path", f"{band} for the position, in its worst direction.", error_figure(drift)),
+        panel("Tracks and status", _status_note(result), tracks_figure(result)),
+        panel(f"{what} by axis", f"Pose along its own camera’s axes. {band}.", axes_figure(drift)),
+        panel("Time by stage", _stages_note(result), stages_figure(result)),
     ]
     if result.rejected:
-        panels.append(_panel("Points turned away", "By the check that did so.", rejected_figure(result.rejected)))
+        panels.append(panel("Points turned away", "By the check that did so.", rejected_figure(result.rejected)))
     return panels
 
 
@@ -150,11 +139,6 @@ def _card(name: str, value: str, unit: str, aside: str) -> str:
     )
 
 
-def _panel(title: str, note: str, figure: Figure) -> str:
-    svg = inline_svg(figure, title.lower().replace(" ", "-"), title)
-    return f'<section class="panel"><h2>{title}</h2><p class="note">{note}</p>\n{svg}</section>'
-
-
 def _metrics_section(metrics: Metrics | None) -> str:
     if metrics is None:
         return ""
@@ -162,20 +146,7 @@ def _metrics_section(metrics: Metrics | None) -> str:
         f'<tr><th>{name}</th><td class="value">{value}</td><td class="text">{text}</td></tr>'
         for name, value, text in metrics_rows(metrics)
     )
-    return f'<section class="panel"><h2>Against the truth</h2>\n<table>{rows}</table></section>'
-
-
-def _frames_section(thumbnails: Sequence[tuple[str, bytes]]) -> str:
-    if not thumbnails:
-        return ""
-    frames = "\n".join(
-        f'<figure><img alt="{escape(caption)}" src="data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-        for caption, jpeg in thumbnails
-    )
-    note = "Lines lead from the previous to the current place of each point; the colour says how far it was trusted."
-    head = f'<h2>Some frames</h2><p class="note">{note}</p>'
-    return f'<section class="panel">{head}\n<div class="frames">{frames}</div></section>'
+    return f'<section class="panel"><h2>Against the truth</h2>\n<table class="texts">{rows}</table></section>'
 
 
 def _config_section(config: str) -> str:

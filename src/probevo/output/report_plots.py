@@ -11,7 +11,7 @@ from probevo.arrays import FloatArray
 from probevo.output.report_data import Drift
 from probevo.output.svg import BAND, BLUE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
-_RASTER_FROM = 1500
+RASTER_FROM = 1500
 """Points from which on a curve is drawn as pixels, to keep the page small."""
 _AXES = ("right x", "down y", "forward z", "pitch x", "yaw y", "roll z")
 
@@ -46,36 +46,36 @@ def error_figure(drift: Drift) -> Figure:
     """Distance between estimated and true position along the path, with the 3σ band; the band alone without truth."""
     claimed_m = 3.0 * drift.position_sigma_m
     error_m = None if drift.error is None else np.linalg.norm(drift.error[:, :3], axis=1)
-    top_m = _top(claimed_m, error_m)
+    top_m = readable_top(claimed_m, error_m)
     factor, unit = length_unit(top_m)
     figure = Figure(figsize=(WIDTH_IN, 2.9))
-    along, label = _along(drift)
+    along, label = along_path(drift)
     axes = figure.add_subplot(xlabel=label, ylabel=f"position error, {unit}")
-    dense = len(along) > _RASTER_FROM
+    dense = len(along) > RASTER_FROM
     axes.fill_between(along, 0, claimed_m * factor, color=BAND, lw=0, label="3σ claimed by the run", rasterized=dense)
     if error_m is not None:
         axes.plot(along, error_m * factor, color=BLUE, lw=1.4, label="error", rasterized=dense)
-    axes.set(ylim=(0, top_m * factor), xlim=_limits(along))
+    axes.set(ylim=(0, top_m * factor), xlim=limits_of(along))
     axes.legend(ncols=2, **LEGEND_ABOVE)
     return figure
 
 
 def axes_figure(drift: Drift) -> Figure:
     """Error of the pose along each axis of the camera, translation and rotation, in its ±3σ band."""
-    along, label = _along(drift)
-    dense = len(along) > _RASTER_FROM
+    along, label = along_path(drift)
+    dense = len(along) > RASTER_FROM
     figure = Figure(figsize=(WIDTH_IN, 4.6))
     grid = figure.subplots(3, 2, sharex=True)
     for i, name in enumerate(_AXES):
         axes = grid[i % 3, i // 3]
         claimed = 3.0 * drift.sigma[:, i]
         error = None if drift.error is None else drift.error[:, i]
-        top = _top(claimed, error)
+        top = readable_top(claimed, error)
         factor, unit = length_unit(top) if i < 3 else (np.rad2deg(1.0), "deg")
         axes.fill_between(along, -claimed * factor, claimed * factor, color=BAND, lw=0, rasterized=dense)
         if error is not None:
             axes.plot(along, error * factor, color=BLUE, lw=1.1, rasterized=dense)
-        axes.set(ylim=(-top * factor, top * factor), xlim=_limits(along))
+        axes.set(ylim=(-top * factor, top * factor), xlim=limits_of(along))
         axes.set_title(f"{name}, {unit}")
     for axes in grid[2]:
         axes.set_xlabel(label)
@@ -87,13 +87,13 @@ def length_unit(largest_m: float) -> tuple[float, str]:
     return (1000.0, "mm") if largest_m < 0.1 else (1.0, "m")
 
 
-def _along(drift: Drift) -> tuple[FloatArray, str]:
+def along_path(drift: Drift) -> tuple[FloatArray, str]:
     """What to plot against: the distance travelled, or the time of a camera that hardly moves."""
     travels = np.ptp(drift.T_world_cam[:, :3, 3], axis=0).max() > 0.5
     return (drift.distance_m, "distance travelled, m") if travels else (drift.time_s, "time, s")
 
 
-def _top(claimed: FloatArray, error: FloatArray | None) -> float:
+def readable_top(claimed: FloatArray, error: FloatArray | None) -> float:
     """Upper limit of an axis: shows all of the error, and as much of the band as leaves the error readable."""
     if error is None:
         return 1.05 * float(claimed.max()) + 1e-9
@@ -124,5 +124,6 @@ def _window(path: FloatArray, rings: FloatArray) -> tuple[FloatArray, FloatArray
     return low - 0.04 * reach, high + 0.04 * reach
 
 
-def _limits(along: FloatArray) -> tuple[float, float]:
+def limits_of(along: FloatArray) -> tuple[float, float]:
+    """Lower and upper limit of the axis that runs along the path."""
     return float(along[0]), float(max(along[-1], along[0] + 1e-3))

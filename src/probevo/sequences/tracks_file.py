@@ -127,7 +127,7 @@ def _check_shapes(arrays: dict[str, AnyArray], path: Path) -> None:
         kinds = "iu" if name in ("frame", "track") else "iuf"
         if array.dtype.kind not in kinds:
             raise InputError(where, f"type {array.dtype}; expected {'whole ' if kinds == 'iu' else ''}numbers.")
-        bad = np.flatnonzero(~np.isfinite(array).reshape(len(array), -1).all(axis=1))
+        bad = np.flatnonzero(~np.isfinite(array).all(axis=tuple(range(1, array.ndim))))
         if len(bad) and name != "T_world_cam":
             raise InputError(where, f"row {bad[0]} (from 0) is not finite.")
 

@@ -1,0 +1,110 @@
+"""``probevo simulate``: a recording of a world of which everything is known."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from probevo.cli.arguments import checked, parse
+from probevo.errors import InputError
+from probevo.simulation.point_config import PointConfig
+from probevo.simulation.scene.config import SceneConfig
+
+
+@dataclass(frozen=True)
+class PointArguments:
+    """Landmarks with known noise, seen from a circle, as tracks: train.npz and test.npz.
+
+    These are tracks files that `probevo run` reads. Beyond what it needs they hold, of each observation, its covariance
+    (covariance), whether it is none of the outliers (inlier), and where it is without error (true_uv).
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the recordings. What an earlier simulation left there is replaced."""
+    settings: Annotated[PointConfig, tyro.conf.arg(name="")] = field(default_factory=PointConfig)
+
+
+@dataclass(frozen=True)
+class SceneArguments:
+    """Rendered stereo images and IMU of a drive through a place, as a folder sequence."""
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the recording. A simulation that was stopped there goes on."""
+    pixel_truth: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Write disparity, optical flow and the mask of moving objects of each image too."""
+    jobs: int = 0
+    """Threads that render; 0 takes all cores. The images are the same."""
+    settings: Annotated[SceneConfig, tyro.conf.arg(name="")] = field(default_factory=SceneConfig)
+
+
+WORLDS = {"point": PointArguments, "scene": SceneArguments}
+
+
+@dataclass(frozen=True)
+class SimulateArguments:
+    """Record a simulated world, with the truth about all of it. `probevo simulate WORLD --help` shows its options."""
+
+    world: Annotated[
+        Annotated[PointArguments, tyro.conf.subcommand("point")]
+        | Annotated[SceneArguments, tyro.conf.subcommand("scene")],
+        tyro.conf.arg(name=""),
+    ]
+
+
+def main(words: list[str]) -> None:
+    """Parse, simulate, say what to do with it."""
+    arguments = parse(SimulateArguments, words, "simulate").world
+    from probevo.output.files import check_folder
+
+    check_folder(arguments.out, "--out")
+    lines = _point(arguments) if isinstance(arguments, PointArguments) else _scene(arguments)
+    print("\n".join(lines))
+
+
+def _point(arguments: PointArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    from probevo.simulation.point_world import write_training_and_test
+
+    train, test = write_training_and_test(settings, arguments.out)
+    lines = []
+    for name, world in (("train.npz", train), ("test.npz", test)):
+        path_m, seen = settings.speed_m_s * float(world.stamps_ns[-1]) * 1e-9, len(world.ids) / len(world)
+        lines.append(f"{arguments.out / name}: {len(world)} frames, {path_m:.0f} m, {seen:.0f} landmarks a frame")
+    return [*lines, _next_command(arguments.out / "test.npz", arguments.out / "run")]
+
+
+def _scene(arguments: SceneArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    if arguments.jobs < 0:
+        raise InputError("--jobs", f"is {arguments.jobs}.", "Give the number of threads, or 0 for all cores.")
+    from probevo.sequences import open_sequence
+
+    out = render_with_progress(settings, arguments.out, pixel_truth=arguments.pixel_truth, jobs=arguments.jobs)
+    frames = len(open_sequence(out))
+    return [f"{out}: {frames} frames", _next_command(out, out.with_name(f"{out.name}-run"))]
+
+
+def render_with_progress(config: SceneConfig, out: Path, *, pixel_truth: bool = False, jobs: int = 0) -> Path:
+    """Render a scene, or what is missing of it, into a folder, and show on stderr how far it is."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from probevo.simulation.scene.writer import write_scene
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("starting (the first time of all compiles)", total=None)
+
+        def show(done: int, total: int) -> None:
+            progress.update(task, description=f"rendering {out.name}", completed=done, total=total)
+
+        return write_scene(config, out, pixel_truth=pixel_truth, jobs=jobs, on_frame=show)
+
+
+def _next_command(recording: Path, out: Path) -> str:
+    return f"next: probevo run {shlex.quote(str(recording))} --out {shlex.quote(str(out))}"

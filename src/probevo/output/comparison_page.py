@@ -1,0 +1,109 @@
+"""One self-contained page that shows several estimators side by side."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from urllib.parse import quote
+
+from probevo.output.comparison import COLUMNS, TIME_COLUMN, Comparison, Entry, figure_texts
+from probevo.output.comparison_plots import errors_figure, paths_figure
+from probevo.output.metrics_table import readable
+from probevo.output.page import frames_section, grid, panel, write_page
+from probevo.output.svg import CYCLE, figure_style
+
+_MOST_PICTURES = 4
+"""Of one sequence; with more estimators than that, one of each."""
+
+
+def write_comparison(path: Path, comparison: Comparison, title: str, facts: Mapping[str, str]) -> None:
+    """Write the page. The same arguments give the same bytes.
+
+    Args:
+        path: the HTML file. Links to the reports of single runs are relative to it.
+        comparison: runs of at least two frames each.
+        title: heading of the page.
+        facts: what a reader should know beforehand, by name.
+
+    Raises:
+        ValueError: there is nothing to compare, or a run has fewer than two frames.
+        InputError: the file cannot be written.
+    """
+    if not comparison.entries or min(len(entry.result) for entry in comparison.entries) < 2:
+        raise ValueError("a comparison needs one run at least, and each run two frames")
+    colors = {name: CYCLE[k % len(CYCLE)] for k, name in enumerate(comparison.estimators)}
+    sections = [_table_section(comparison, colors, path.parent)]
+    for number, sequence in enumerate(comparison.sequences):
+        sections += _sequence_sections(comparison.of(sequence), colors, number)
+    write_page(path, title, facts, sections)
+
+
+def _table_section(comparison: Comparison, colors: Mapping[str, str], folder: Path) -> str:
+    head = "".join(f"<th>{name}</th>" for name in ("estimator", *COLUMNS, ""))
+    bodies = []
+    for sequence in comparison.sequences:
+        entries = comparison.of(sequence)
+        rows = [f'<tr class="group"><th colspan="{len(COLUMNS) + 2}">{escape(sequence)}</th></tr>']
+        rows += [_row(entry, best, colors, folder) for entry, best in zip(entries, _best(entries), strict=True)]
+        bodies.append("<tbody>\n" + "\n".join(rows) + "\n</tbody>")
+    note = (
+        "Position errors with the starts made equal; drift and rotation over pieces of 10 to 50 m; median time, "
+        "without decoding. Bold: the least of a sequence."
+    )
+    table = f'<table class="figures"><thead><tr>{head}</tr></thead>\n' + "\n".join(bodies) + "</table>"
+    return f'<section class="panel"><h2>Figures of merit</h2><p class="note">{note}</p>\n{table}</section>'
+
+
+def _row(entry: Entry, best: Sequence[bool], colors: Mapping[str, str], folder: Path) -> str:
+    swatch = f'<i class="swatch" style="background:{colors[entry.estimator]}"></i>'
+    cells = "".join(
+        f'<td class="best">{text}</td>' if is_best else f"<td>{text}</td>"
+        for text, is_best in zip(figure_texts(entry), best, strict=True)
+    )
+    link = ""
+    if entry.report is not None:
+        # Paths as a browser reads them, whatever the system's separator and whatever characters are in a name.
+        link = f'<a href="{quote(Path(os.path.relpath(entry.report, folder)).as_posix())}">report</a>'
+    return f"<tr><th>{swatch}{escape(entry.estimator)}</th>{cells}<td>{link}</td></tr>"
+
+
+def _best(entries: Sequence[Entry]) -> list[list[bool]]:
+    """Of each entry, which of its errors reads as the least; none where there is nothing to compare."""
+    columns = list(zip(*(entry.figures for entry in entries), strict=True))
+    least = [min((v for v in column if v is not None), default=None) for column in columns]
+    least[TIME_COLUMN] = None  # decided by a hair, and otherwise the next time
+    texts = [None if low is None or len(entries) == 1 else readable(low) for low in least]
+    return [[text == low for text, low in zip(figure_texts(entry), texts, strict=True)] for entry in entries]
+
+
+def _sequence_sections(entries: Sequence[Entry], colors: Mapping[str, str], number: int) -> list[str]:
+    sequence, metrics = entries[0].sequence, entries[0].metrics
+    length = f", {readable(metrics.path_length_m)} m" if metrics and metrics.path_length_m is not None else ""
+    aside = f"{len(entries[0].result):,} frames{length}"
+    known = metrics is not None and metrics.armse_m is not None
+    above = "The paths over the true one" if known else "No truth is known"
+    claims = "Dashed: what each run itself claims as 3σ, in its worst direction."
+    with figure_style():
+        paths = panel("Seen from above", f"{above}; forward is up.", paths_figure(entries, colors), f"paths-{number}")
+        what = "Error along the path" if known else "Claimed uncertainty"
+        errors = panel(what, claims, errors_figure(entries, colors), f"errors-{number}")
+    heading = f'<h2 class="sequence">{escape(sequence)}<small>{aside}</small></h2>'
+    return [heading, grid([paths, errors]), frames_section(_pictures(entries))]
+
+
+def _pictures(entries: Sequence[Entry]) -> list[tuple[str, bytes]]:
+    """Pictures of as many frames as fit, spread over the run; those of the same frame beside each other."""
+    shown = [entry for entry in entries if entry.pictures]
+    if not shown:
+        return []
+    available = min(len(entry.pictures) for entry in shown)
+    count = min(max(_MOST_PICTURES // len(shown), 1), available)
+    frames = [(2 * k + 1) * available // (2 * count) for k in range(count)]
+    return [
+        (f"{entry.estimator} · {caption}", jpeg)
+        for frame in frames
+        for entry in shown
+        for caption, jpeg in [entry.pictures[frame]]
+    ]

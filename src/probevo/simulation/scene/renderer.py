@@ -1,0 +1,153 @@
+"""Images of a place at an instant, and the exact truth about each of their pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probevo.arrays import BoolArray, FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.geometry import se3
+from probevo.simulation.scene.candidates import in_image, towards_sun
+from probevo.simulation.scene.config import Effects
+from probevo.simulation.scene.drive import Trajectory
+from probevo.simulation.scene.ray_caster import add_radiance, first_hits
+from probevo.simulation.scene.scene_arrays import SKY, SceneArrays, pose_solids, scene_arrays
+from probevo.simulation.scene.world import World
+
+FULL_SHUTTER_S = 0.05
+LATTICES = {4: (2, 3), 10: (3, 5), 16: (4, 6), 28: (12, 8)}
+"""Rays through a pixel, more of them where it moves while the shutter is open, and how they are spread: as a lattice
+modulo their number plus one, whose generators leave column, row and time the least correlated and far apart."""
+PX_PER_RAY = 1.0
+NEAR_SCENERY_M = 5.0
+"""For the choice of the number of rays: what passes nearer than this may be seen in steps."""
+CORNER_ERROR_PX = (0.35, 0.35, 0.6)
+"""What the full rectification error does by turning the right camera about its x (rows), y and z axis (corners)."""
+
+FloatImage = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PixelTruth:
+    """What is known of each pixel of a left image, each [height, width]."""
+
+    depth_m: FloatArray
+    """Along the camera's axis; infinite in the sky."""
+    disparity_px: FloatArray
+    """Of the rig as its calibration describes it; 0 in the sky."""
+    flow_px: FloatArray
+    """(du, dv) from here to the next frame, [height, width, 2]; NaN where it would be behind the camera."""
+    moving: BoolArray
+    """Whether the pixel shows something that moves by itself."""
+
+
+class Renderer:
+    """Renders a world along a drive.
+
+    Args:
+        world: what there is to see.
+        trajectory: of the left camera.
+        camera: the rig, as its calibration describes it, with square pixels.
+        effects: what spoils the images; of these the renderer looks at blur, shadows and rectification.
+    """
+
+    def __init__(self, world: World, trajectory: Trajectory, camera: StereoCamera, effects: Effects) -> None:
+        if camera.size_px is None:
+            raise ValueError("a camera needs a size_px to render images")
+        self.world, self.trajectory, self.camera, self.effects = world, trajectory, camera, effects
+        self.size_px = camera.size_px
+        self._scene: SceneArrays = scene_arrays(world, effects.shadows)
+        self._T_left_right = _right_camera(camera, camera.size_px, effects.rectification)
+
+    def pair(self, t_s: float) -> tuple[FloatImage, FloatImage]:
+        """Radiance of the left and right image whose exposure has its middle at ``t_s``, [height, width], 1 is white.
+
+        Each pixel is the mean of several rays, spread over its area and over the time that the shutter is open.
+        """
+        shutter_s = FULL_SHUTTER_S * self.effects.blur
+        rays = self._rays(t_s, shutter_s)
+        column, row, time = _lattice(rays)
+        offsets_px, when = np.column_stack([column, row]), t_s + shutter_s * time
+        images = np.zeros((2, *self.size_px[::-1]), dtype=np.float32)
+        for instant, chosen in [(t_s, offsets_px)] if shutter_s == 0.0 else zip(when, offsets_px[:, None], strict=True):
+            self._add(float(instant), chosen, 1.0 / np.sqrt(rays), images)
+        images /= rays
+        return images[0], images[1]
+
+    def _add(self, t_s: float, offsets_px: FloatArray, footprint_px: float, images: FloatImage) -> None:
+        """Add the radiance of some rays a pixel, all at one instant, to both images, [2, height, width]."""
+        T_world_left = self.trajectory.T_world_cam(t_s)
+        T_world_object = self.world.poses(t_s, T_world_left)
+        casters = None
+        for image, T_left_cam in zip(images, (np.eye(4), self._T_left_right), strict=True):
+            posed = pose_solids(self.world, T_world_object, T_world_left @ T_left_cam, self._intrinsics)
+            casters = casters or towards_sun(self._scene, posed)
+            lists = in_image(self._scene, posed, self.size_px)
+            add_radiance(self._scene, posed, lists, casters, t_s, offsets_px, footprint_px, image)
+
+    def _rays(self, t_s: float, shutter_s: float) -> int:
+        """How many rays a pixel needs so that near things do not blur in steps."""
+        turn_px_s = self.camera.fu_px * float(np.linalg.norm(self.trajectory.angular_rate(t_s)))
+        pass_px_s = self.camera.fu_px * float(np.linalg.norm(self.trajectory.velocity(t_s))) / NEAR_SCENERY_M
+        wanted = shutter_s * (turn_px_s + pass_px_s) / PX_PER_RAY
+        return next((count for count in LATTICES if count >= wanted), max(LATTICES))
+
+    @property
+    def _intrinsics(self) -> tuple[float, float, float]:
+        return self.camera.fu_px, self.camera.cu_px, self.camera.cv_px
+
+    def pixel_truth(self, t_s: float, next_s: float) -> PixelTruth:
+        """Truth of the left image at ``t_s``, and of how its pixels move until ``next_s``."""
+        T_world_cam, T_world_next = self.trajectory.T_world_cam(t_s), self.trajectory.T_world_cam(next_s)
+        T_world_object = self.world.poses(t_s, T_world_cam)
+        posed = pose_solids(self.world, T_world_object, T_world_cam, self._intrinsics)
+        shape = self.size_px[::-1]
+        depth_m, hits = np.empty(shape), np.empty(shape, dtype=np.int32)
+        first_hits(self._scene, posed, in_image(self._scene, posed, self.size_px), depth_m, hits)
+        objects = np.where(hits >= 0, self.world.solids.object_index[np.maximum(hits, 0)], 0)
+        T_next_curr = (
+            se3.inverse(T_world_next)
+            @ self.world.poses(next_s, T_world_next)
+            @ se3.inverse(T_world_object)
+            @ T_world_cam
+        )
+        return PixelTruth(
+            depth_m=depth_m,
+            disparity_px=self.camera.fu_px * self.camera.baseline_m / depth_m,
+            flow_px=_flow(self.camera, depth_m, hits == SKY, T_next_curr[objects]),
+            moving=objects > 0,
+        )
+
+
+def _flow(camera: StereoCamera, depth_m: FloatArray, sky: BoolArray, T_next_curr: FloatArray) -> FloatArray:
+    """Where each pixel goes, [height, width, 2], px, by the motion of what it shows, [height, width, 4, 4]."""
+    v, u = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]].astype(np.float64)
+    ray = np.stack([(u - camera.cu_px) / camera.fu_px, (v - camera.cv_px) / camera.fv_px, np.ones_like(u)], axis=-1)
+    scale = np.where(sky, 0.0, 1.0 / depth_m)  # a point as ray and inverse depth: the sky has none
+    moved = (T_next_curr[..., :3, :3] @ ray[..., None])[..., 0] + scale[..., None] * T_next_curr[..., :3, 3]
+    ahead = np.where(moved[..., 2] > 0.0, moved[..., 2], np.nan)
+    return np.stack(
+        [
+            camera.fu_px * moved[..., 0] / ahead + camera.cu_px - u,
+            camera.fv_px * moved[..., 1] / ahead + camera.cv_px - v,
+        ],
+        axis=-1,
+    )
+
+
+def _right_camera(camera: StereoCamera, size_px: tuple[int, int], error: float) -> FloatArray:
+    """T_left_right of the rig as it is: as calibrated, but for a small turn of the right camera."""
+    lever_px = (camera.fu_px, camera.fu_px, 0.5 * float(np.hypot(*size_px)))
+    T_left_right = se3.exp(np.r_[0.0, 0.0, 0.0, error * np.array(CORNER_ERROR_PX) / lever_px])
+    T_left_right[0, 3] = camera.baseline_m
+    return T_left_right
+
+
+def _lattice(count: int) -> FloatArray:
+    """So many points in the cube of side 1 around the origin, [3, count]: evenly spread along each axis."""
+    steps = np.arange(1, count + 1)
+    axes = [generator * steps % (count + 1) for generator in (1, *LATTICES[count])]
+    return (np.array(axes) - 0.5) / count - 0.5

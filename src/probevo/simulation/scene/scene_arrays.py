@@ -1,0 +1,132 @@
+"""A world as the plain arrays that the compiled loops read, and what of it one camera sees at one instant."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.geometry import se3
+from probevo.simulation.scene.textures import SIZE, Texture, make_textures
+from probevo.simulation.scene.world import Ground, World
+
+GROUND, SKY = -1, -2
+"""What a ray hits if it is no solid."""
+MAP_CELL_M, MAP_MARGIN_M = 0.5, 40.0
+
+
+class SceneArrays(NamedTuple):
+    """What does not change during a drive; see ``Solids``, ``Ground`` and ``World``."""
+
+    shape: IntArray
+    half_size_m: FloatArray
+    object_index: IntArray
+    texture: IntArray
+    texels_per_m: FloatArray
+    """[N, 3, 2]."""
+    shift_m: FloatArray
+    albedo: FloatArray
+    contrast: FloatArray
+    seen: BoolArray
+    texels: NDArray[np.uint8]
+    level_start: IntArray
+    blotches: int
+    clouds: int
+    dapple: int
+    band_edge_m: FloatArray
+    band_texture: IntArray
+    band_texels_per_m: FloatArray
+    band_albedo: FloatArray
+    band_contrast: FloatArray
+    road_distance_m: NDArray[np.float32]
+    """Signed distance from the centre line on a grid over the world's x (columns) and y (rows)."""
+    map_corner_m: FloatArray
+    to_sun: FloatArray
+    sun: float
+    sky: float
+    shadow: float
+    """Darkness of cast shadows, 0 … 1."""
+
+
+def scene_arrays(world: World, shadow: float) -> SceneArrays:
+    """The arrays of a world."""
+    solids, ground, textures = world.solids, world.ground, make_textures()
+    corner_m, distance_m = _road_map(ground)
+    return SceneArrays(
+        shape=solids.shape,
+        half_size_m=solids.half_size_m,
+        object_index=solids.object_index,
+        texture=solids.texture,
+        texels_per_m=SIZE / solids.tile_m,
+        shift_m=solids.shift_m,
+        albedo=solids.albedo,
+        contrast=solids.contrast,
+        seen=solids.seen,
+        texels=textures.texels,
+        level_start=textures.level_start,
+        blotches=int(Texture.BLOTCHES),
+        clouds=int(Texture.CLOUDS),
+        dapple=int(Texture.DAPPLE),
+        band_edge_m=ground.edge_m,
+        band_texture=ground.texture,
+        band_texels_per_m=SIZE / ground.tile_m,
+        band_albedo=ground.albedo,
+        band_contrast=ground.contrast,
+        road_distance_m=distance_m,
+        map_corner_m=corner_m,
+        to_sun=world.to_sun,
+        sun=world.sun,
+        sky=world.sky,
+        shadow=shadow,
+    )
+
+
+def _road_map(ground: Ground) -> tuple[FloatArray, NDArray[np.float32]]:
+    """Lower corner of a grid around the road, and the distance from its centre line at each node."""
+    ends_m = np.linspace(-80.0, ground.route.length_m + 80.0, 2 + int(ground.route.length_m / 2.0))
+    line_m = ground.route.place(ends_m, np.zeros_like(ends_m))[:, :2, 3]
+    low_m, high_m = line_m.min(axis=0) - MAP_MARGIN_M, line_m.max(axis=0) + MAP_MARGIN_M
+    x, y = (np.arange(low, high, MAP_CELL_M) for low, high in zip(low_m, high_m, strict=True))
+    distance_m = ground.route.nearest(np.stack(np.meshgrid(x, y), axis=-1))[1]
+    return low_m, distance_m.astype(np.float32)
+
+
+class Posed(NamedTuple):
+    """The solids of a world as seen from one camera at one instant."""
+
+    C_world_cam: FloatArray
+    center_m: FloatArray
+    """The camera's centre in the world, [3]."""
+    focal_px: float
+    cu_px: float
+    cv_px: float
+    C_solid_cam: FloatArray
+    """[N, 3, 3]."""
+    center_in_solid_m: FloatArray
+    """The camera's centre in each solid's axes, [N, 3]."""
+    C_solid_world: FloatArray
+    """[N, 3, 3]."""
+    world_in_solid_m: FloatArray
+    """The world's origin in each solid's axes, [N, 3]."""
+
+
+def pose_solids(
+    world: World, T_world_object: FloatArray, T_world_cam: FloatArray, intrinsics: tuple[float, float, float]
+) -> Posed:
+    """Solids whose objects are at ``T_world_object`` [1 + G, 4, 4], before a camera of (focal, cu, cv), px."""
+    solids = world.solids
+    T_solid_world = se3.inverse(T_world_object[solids.object_index] @ solids.T_object_solid)
+    T_solid_cam = T_solid_world @ T_world_cam
+    return Posed(
+        C_world_cam=np.ascontiguousarray(T_world_cam[:3, :3]),
+        center_m=np.ascontiguousarray(T_world_cam[:3, 3]),
+        focal_px=intrinsics[0],
+        cu_px=intrinsics[1],
+        cv_px=intrinsics[2],
+        C_solid_cam=np.ascontiguousarray(T_solid_cam[:, :3, :3]),
+        center_in_solid_m=np.ascontiguousarray(T_solid_cam[:, :3, 3]),
+        C_solid_world=np.ascontiguousarray(T_solid_world[:, :3, :3]),
+        world_in_solid_m=np.ascontiguousarray(T_solid_world[:, :3, 3]),
+    )

@@ -1,0 +1,227 @@
+"""How bright a hit is: texture, filtered over the footprint of the ray, in the light of sky and sun."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.compiled import compiled
+from probevo.simulation.scene.intersection import Rays
+from probevo.simulation.scene.scene_arrays import GROUND, MAP_CELL_M, SKY, Posed, SceneArrays
+from probevo.simulation.scene.solids import BOX
+from probevo.simulation.scene.texture_filter import Texels, sample, sample_softly
+from probevo.simulation.scene.textures import SIZE
+
+BLOTCH_TEXELS_PER_M, BLOTCH_CONTRAST = SIZE / 29.0, 0.35
+"""Weathering is laid over all that stands still, so that no two tiles look the same."""
+CLOUD_HEIGHT_TEXELS, CLOUD_CONTRAST, SKY_RADIANCE = 150.0, 0.35, 0.85
+HAZE_M = 1500.0
+"""Distance at which half of what is seen is haze."""
+
+Vector = tuple[float, float, float]
+
+
+@compiled
+def shade_sky(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Rays) -> None:
+    """Radiance of the rays that hit nothing: clouds at infinity."""
+    C = posed.C_world_cam
+    texels, level_start = scene.texels, scene.level_start
+    step = footprint_px / posed.focal_px
+    hits, xs, ys, radiance, sunlit = rays.hit, rays.x, rays.y, rays.radiance, rays.sunlit
+    for k in range(len(xs)):
+        if hits[k] != SKY:
+            continue
+        x, y = xs[k], ys[k]
+        up = max(C[2, 0] * x + C[2, 1] * y + C[2, 2], 1e-3)
+        east, north = (C[0, 0] * x + C[0, 1] * y + C[0, 2]) / up, (C[1, 0] * x + C[1, 1] * y + C[1, 2]) / up
+        scale = CLOUD_HEIGHT_TEXELS * step / up
+        clouds = sample(
+            texels,
+            scene.clouds,
+            level_start,
+            CLOUD_HEIGHT_TEXELS * east,
+            CLOUD_HEIGHT_TEXELS * north,
+            scale * (C[0, 0] - east * C[2, 0]),
+            scale * (C[0, 1] - east * C[2, 1]),
+            scale * (C[1, 0] - north * C[2, 0]),
+            scale * (C[1, 1] - north * C[2, 1]),
+        )
+        radiance[k] = SKY_RADIANCE * (1.0 + CLOUD_CONTRAST * up / (up + 0.15) * clouds)
+        sunlit[k] = 0.0
+
+
+@compiled
+def shade_ground(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Rays) -> None:
+    """Radiance of the rays that hit the ground."""
+    C, center = posed.C_world_cam, posed.center_m
+    texels, level_start, edge_m, distance_m = scene.texels, scene.level_start, scene.band_edge_m, scene.road_distance_m
+    texture, texels_per_m = scene.band_texture, scene.band_texels_per_m
+    albedo, contrast = scene.band_albedo, scene.band_contrast
+    corner_x, corner_y = scene.map_corner_m[0], scene.map_corner_m[1]
+    sunlight = scene.sun * scene.to_sun[2]
+    hits, xs, ys, depths_m = rays.hit, rays.x, rays.y, rays.depth_m
+    radiance, sunlit, place_m, sizes_m = rays.radiance, rays.sunlit, rays.place_m, rays.size_m
+    for k in range(len(xs)):
+        if hits[k] != GROUND:
+            continue
+        x, y, depth_m = xs[k], ys[k], depths_m[k]
+        dx, dy = C[0, 0] * x + C[0, 1] * y + C[0, 2], C[1, 0] * x + C[1, 1] * y + C[1, 2]
+        dz = C[2, 0] * x + C[2, 1] * y + C[2, 2]
+        east, north = center[0] + depth_m * dx, center[1] + depth_m * dy
+        step = footprint_px * depth_m / posed.focal_px
+        au, av = step * (C[0, 0] - dx / dz * C[2, 0]), step * (C[0, 1] - dx / dz * C[2, 1])
+        bu, bv = step * (C[1, 0] - dy / dz * C[2, 0]), step * (C[1, 1] - dy / dz * C[2, 1])
+        band = _band(edge_m, distance_m, (east - corner_x) / MAP_CELL_M, (north - corner_y) / MAP_CELL_M)
+        scale = texels_per_m[band]
+        detail = sample(
+            texels,
+            texture[band],
+            level_start,
+            east * scale,
+            north * scale,
+            au * scale,
+            av * scale,
+            bu * scale,
+            bv * scale,
+        )
+        size_m = math.sqrt(max(au * au + bu * bu, av * av + bv * bv))
+        reflectance = albedo[band] * (1.0 + contrast[band] * detail)
+        reflectance *= 1.0 + contrast[band] * _weathering(texels, scene.blotches, level_start, east, north, size_m)
+        clear = HAZE_M / (HAZE_M + depth_m)
+        radiance[k] = clear * reflectance * scene.sky + (1.0 - clear) * SKY_RADIANCE
+        sunlit[k] = clear * reflectance * sunlight
+        place_m[0, k], place_m[1, k], place_m[2, k] = east, north, 0.0
+        sizes_m[k] = size_m
+
+
+@compiled
+def _band(edge_m: FloatArray, distance_m: NDArray[np.float32], column: float, row: float) -> int:
+    """The band of the ground at a place of the map, by its distance from the road's centre line."""
+    rows, columns = distance_m.shape
+    last = len(edge_m) - 1
+    if not (0.0 <= column < columns - 1 and 0.0 <= row < rows - 1):
+        return last
+    j, i = int(column), int(row)
+    right, up = column - j, row - i
+    near = (1.0 - right) * distance_m[i, j] + right * distance_m[i, j + 1]
+    far = (1.0 - right) * distance_m[i + 1, j] + right * distance_m[i + 1, j + 1]
+    away_m = abs((1.0 - up) * near + up * far)
+    for band in range(last):
+        if away_m < edge_m[band]:
+            return band
+    return last
+
+
+@compiled
+def shade_solid(scene: SceneArrays, posed: Posed, footprint_px: float, i: int, rays: Rays) -> None:
+    """Radiance of the rays that hit solid ``i``."""
+    C, center, half = posed.C_solid_cam[i], posed.center_in_solid_m[i], scene.half_size_m[i]
+    C_solid_world, origin = posed.C_solid_world[i], posed.world_in_solid_m[i]
+    texels, level_start = scene.texels, scene.level_start
+    shift_m, texels_per_m, texture = scene.shift_m[i], scene.texels_per_m[i], scene.texture[i]
+    albedo, contrast = scene.albedo[i], scene.contrast[i]
+    sun = _to_solid(C_solid_world, scene.to_sun)
+    box, still = scene.shape[i] == BOX, scene.object_index[i] == 0
+    hits, xs, ys, depths_m = rays.hit, rays.x, rays.y, rays.depth_m
+    radiance, sunlit, place_m, sizes_m = rays.radiance, rays.sunlit, rays.place_m, rays.size_m
+    for k in range(len(xs)):
+        if hits[k] != i:
+            continue
+        depth_m = depths_m[k]
+        x, y = xs[k], ys[k]
+        ray = (
+            C[0, 0] * x + C[0, 1] * y + C[0, 2],
+            C[1, 0] * x + C[1, 1] * y + C[1, 2],
+            C[2, 0] * x + C[2, 1] * y + C[2, 2],
+        )
+        own = (center[0] + depth_m * ray[0], center[1] + depth_m * ray[1], center[2] + depth_m * ray[2])
+        face, normal = _face_of_box(own, half, ray) if box else _face_of_ball(own, half)
+        slope = 1.0 / min(normal[0] * ray[0] + normal[1] * ray[1] + normal[2] * ray[2], -1e-4)
+        over_u = slope * (normal[0] * C[0, 0] + normal[1] * C[1, 0] + normal[2] * C[2, 0])
+        over_v = slope * (normal[0] * C[0, 1] + normal[1] * C[1, 1] + normal[2] * C[2, 1])
+        first, second = (1 if face == 0 else 0), (1 if face == 2 else 2)
+        step = footprint_px * depth_m / posed.focal_px
+        au, av = step * (C[first, 0] - over_u * ray[first]), step * (C[first, 1] - over_v * ray[first])
+        bu, bv = step * (C[second, 0] - over_u * ray[second]), step * (C[second, 1] - over_v * ray[second])
+        a, b = own[first] + half[first] + shift_m[0], own[second] + half[second] + shift_m[1]
+        scale_a, scale_b = texels_per_m[face, 0], texels_per_m[face, 1]
+        detail = sample(
+            texels,
+            texture[face],
+            level_start,
+            a * scale_a,
+            b * scale_b,
+            au * scale_a,
+            av * scale_a,
+            bu * scale_b,
+            bv * scale_b,
+        )
+        size_m = math.sqrt(max(au * au + bu * bu, av * av + bv * bv))
+        reflectance = albedo * (1.0 + contrast * detail)
+        if still:
+            reflectance *= 1.0 + contrast * _weathering(
+                texels, scene.blotches, level_start, a + 7.0 * i, b + 3.0 * i, size_m
+            )
+        up = C_solid_world[0, 2] * normal[0] + C_solid_world[1, 2] * normal[1] + C_solid_world[2, 2] * normal[2]
+        clear = HAZE_M / (HAZE_M + depth_m)
+        light = scene.sky * (0.65 + 0.35 * up)
+        radiance[k] = clear * reflectance * light + (1.0 - clear) * SKY_RADIANCE
+        facing = max(normal[0] * sun[0] + normal[1] * sun[1] + normal[2] * sun[2], 0.0)
+        sunlit[k] = clear * reflectance * scene.sun * facing
+        place_m[0, k], place_m[1, k], place_m[2, k] = _to_world(C_solid_world, origin, own)
+        sizes_m[k] = size_m
+
+
+@compiled
+def _face_of_box(own: Vector, half: FloatArray, ray: Vector) -> tuple[int, Vector]:
+    """Through which face a ray came to a place on a box, and the normal there."""
+    x = abs(own[0]) / half[0] if own[0] * ray[0] < 0.0 else -1.0
+    y = abs(own[1]) / half[1] if own[1] * ray[1] < 0.0 else -1.0
+    z = abs(own[2]) / half[2] if own[2] * ray[2] < 0.0 else -1.0
+    if x >= y and x >= z:
+        return 0, (-math.copysign(1.0, ray[0]), 0.0, 0.0)
+    if y >= z:
+        return 1, (0.0, -math.copysign(1.0, ray[1]), 0.0)
+    return 2, (0.0, 0.0, -math.copysign(1.0, ray[2]))
+
+
+@compiled
+def _face_of_ball(own: Vector, half: FloatArray) -> tuple[int, Vector]:
+    """The face that a box would have at a place on an ellipsoid, and the normal there."""
+    x, y, z = own[0] / half[0], own[1] / half[1], own[2] / half[2]
+    nx, ny, nz = x / half[0], y / half[1], z / half[2]
+    scale = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
+    face = 0 if abs(x) >= abs(y) and abs(x) >= abs(z) else (1 if abs(y) >= abs(z) else 2)
+    return face, (scale * nx, scale * ny, scale * nz)
+
+
+@compiled
+def _to_solid(C_solid_world: FloatArray, vector: FloatArray) -> Vector:
+    """A direction of the world in a solid's axes."""
+    return (
+        C_solid_world[0, 0] * vector[0] + C_solid_world[0, 1] * vector[1] + C_solid_world[0, 2] * vector[2],
+        C_solid_world[1, 0] * vector[0] + C_solid_world[1, 1] * vector[1] + C_solid_world[1, 2] * vector[2],
+        C_solid_world[2, 0] * vector[0] + C_solid_world[2, 1] * vector[1] + C_solid_world[2, 2] * vector[2],
+    )
+
+
+@compiled
+def _to_world(C_solid_world: FloatArray, origin: FloatArray, own: Vector) -> Vector:
+    """A place in a solid's axes, in the world; ``origin`` is the world's in the solid's."""
+    x, y, z = own[0] - origin[0], own[1] - origin[1], own[2] - origin[2]
+    return (
+        C_solid_world[0, 0] * x + C_solid_world[1, 0] * y + C_solid_world[2, 0] * z,
+        C_solid_world[0, 1] * x + C_solid_world[1, 1] * y + C_solid_world[2, 1] * z,
+        C_solid_world[0, 2] * x + C_solid_world[1, 2] * y + C_solid_world[2, 2] * z,
+    )
+
+
+@compiled
+def _weathering(texels: Texels, blotches: int, level_start: IntArray, a: float, b: float, size_m: float) -> float:
+    """Slow changes of the reflectance over metres, around 0; ``size_m`` is the footprint's."""
+    step = size_m * BLOTCH_TEXELS_PER_M
+    a, b = a * BLOTCH_TEXELS_PER_M, b * BLOTCH_TEXELS_PER_M
+    return BLOTCH_CONTRAST * sample_softly(texels, blotches, level_start, a, b, step)

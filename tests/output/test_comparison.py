@@ -1,0 +1,160 @@
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from output.pages import Balance
+from probevo.arrays import FloatArray
+from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.evaluation.trajectory_errors import position_errors
+from probevo.geometry import se3
+from probevo.output.comparison import COLUMNS, Comparison, Entry, comparison_rows
+from probevo.output.comparison_page import write_comparison
+from probevo.output.comparison_plots import errors_figure, paths_figure
+from probevo.output.run_result import RunResult, chain_motions
+
+COLORS = {"fixed": "#111111", "student-t": "#222222"}
+JPEGS = {name: [f"{name}{k}".encode() for k in range(4)] for name in COLORS}
+
+
+@pytest.fixture
+def entries(make_run: Callable[..., RunResult]) -> tuple[Entry, Entry]:
+    """Two estimators on one sequence; the first is right, the second turns 1 mrad too far at each step."""
+    right = make_run(30)
+    wrong_motions = se3.exp(np.array([0, 0, 0, 0, 0.001, 0])) @ right.T_curr_prev
+    wrong = replace(right, T_curr_prev=wrong_motions, T_world_cam=chain_motions(wrong_motions))
+    truth = se3.exp(np.array([5.0, -3.0, 2.0, 0.4, 1.0, -0.2])) @ right.T_world_cam
+    return entry("fixed", right, truth), entry("student-t", wrong, truth)
+
+
+def entry(name: str, run: RunResult, truth: FloatArray | None) -> Entry:
+    metrics = None if truth is None else evaluate(run.T_world_cam, truth)
+    pictures = tuple((f"Frame {k}", jpeg) for k, jpeg in enumerate(JPEGS[name]))
+    return Entry("hill", name, run, truth, metrics, pictures, Path("runs") / name / "report.html")
+
+
+def page_of(comparison: Comparison, folder: Path) -> str:
+    entries = tuple(replace(e, report=e.report and folder / e.report) for e in comparison.entries)
+    write_comparison(folder / "report.html", Comparison(entries), "A <title>", {"place & time": "<here>"})
+    assert [path.name for path in folder.iterdir()] == ["report.html"]
+    return (folder / "report.html").read_text()
+
+
+def cells_of(page: str) -> list[list[tuple[str, bool]]]:
+    """Text of each figure of each estimator, and whether it is marked as the best."""
+    rows = re.findall(r"<tr><th><i.*?</tr>", page)
+    return [[(text, bool(best)) for best, text in re.findall(r"<td( class=\"best\")?>([^<]+)</td>", r)] for r in rows]
+
+
+def test_estimators_are_grouped_by_sequence_in_one_order(entries: tuple[Entry, Entry]) -> None:
+    first, second = entries
+    comparison = Comparison((first, second, replace(second, sequence="dale"), replace(first, sequence="dale")))
+    names = [row[0] for row in comparison_rows(comparison)]
+    assert names == ["estimator", "hill", "  fixed", "  student-t", "dale", "  fixed", "  student-t"]
+
+
+def test_rows_hold_the_metrics_and_the_median_time(make_run: Callable[..., RunResult]) -> None:
+    metrics = Metrics(30, armse_m=0.12345, final_error_m=2.0, short_t_percent=1.5, short_r_deg_per_m=0.01)
+    run = replace(make_run(4), total_ms=np.array([7.0, 8.0, 100.0]))
+    rows = comparison_rows(Comparison((Entry("hill", "fixed", run, metrics=metrics),)))
+    assert rows[0] == ("estimator", *COLUMNS)
+    assert rows[2] == ("  fixed", "0.123", "2.00", "1.50", "0.0100", "8.00")
+
+
+def test_what_is_not_known_is_a_dash(make_run: Callable[..., RunResult]) -> None:
+    rows = comparison_rows(Comparison((Entry("hill", "fixed", make_run(1)),)))
+    assert rows[2] == ("  fixed", "–", "–", "–", "–", "–")
+
+
+@pytest.mark.parametrize("known", ["all", "none", "some", "late"])
+@pytest.mark.parametrize("count", [2, 30])
+def test_page_is_whole_and_self_contained(
+    make_run: Callable[..., RunResult], tmp_path: Path, count: int, known: str
+) -> None:
+    run = make_run(count)
+    truth = run.T_world_cam.copy()
+    truth[{"all": count, "none": 0, "some": 1, "late": 0}[known] :: 2 if known == "some" else 1][: count - 1] = np.nan
+    compared = [entry(name, run, None if known == "none" else truth) for name in COLORS]
+    page = page_of(Comparison((*compared, replace(compared[0], sequence="<dale>"))), tmp_path)
+
+    parsed = Balance()
+    parsed.feed(page)
+    assert not parsed.open
+    assert len(parsed.ids) == len(set(parsed.ids))
+    assert {*re.findall(r"url\(#(.*?)\)", page)} <= set(parsed.ids)
+    reports = [link for link in parsed.links if not link.startswith(("data:", "#"))]
+    assert reports == ["runs/fixed/report.html", "runs/student-t/report.html", "runs/fixed/report.html"]
+    assert "http" not in page
+    assert "<script" not in page
+    assert "A &lt;title&gt;" in page
+    assert "place &amp; time" in page
+    assert "&lt;here&gt;" in page
+    assert "&lt;dale&gt;" in page
+    assert not re.search(r"\bnan\b", page)
+
+
+def test_the_same_runs_give_the_same_bytes(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+    pages = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        pages.append(page_of(Comparison(entries), tmp_path / name))
+    assert pages[0] == pages[1]
+
+
+def test_the_least_error_of_a_sequence_is_marked(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+    """Each of the four errors, and the time of none."""
+    fixed, student_t = cells_of(page_of(Comparison(entries), tmp_path))
+    assert [best for _, best in fixed] == [True, True, True, True, False]
+    assert [best for _, best in student_t] == [False] * 5
+
+
+def test_figures_that_read_the_same_are_marked_alike(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+    metrics = Metrics(30, armse_m=0.12341), Metrics(30, armse_m=0.12342)
+    compared = tuple(replace(e, metrics=m) for e, m in zip(entries, metrics, strict=True))
+    assert [row[0] for row in cells_of(page_of(Comparison(compared), tmp_path))] == [("0.123", True)] * 2
+
+
+def test_one_estimator_alone_is_not_the_best(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+    (row,) = cells_of(page_of(Comparison(entries[:1]), tmp_path))
+    assert not any(best for _, best in row)
+
+
+def test_pictures_of_the_same_frame_stand_beside_each_other(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page_of(Comparison(entries), tmp_path))
+    assert captions == ["fixed · Frame 1", "student-t · Frame 1", "fixed · Frame 3", "student-t · Frame 3"]
+
+
+def test_link_to_a_name_that_a_browser_would_misread(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+    page = page_of(Comparison((replace(entries[0], report=Path("50% #1/report.html")),)), tmp_path)
+    assert 'href="50%25%20%231/report.html"' in page
+
+
+def test_nothing_to_compare_is_refused(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    for runs in ((), (Entry("hill", "fixed", make_run(1)),)):
+        with pytest.raises(ValueError, match="needs one run at least, and each run two frames"):
+            write_comparison(tmp_path / "report.html", Comparison(runs), "", {})
+
+
+def test_paths_start_together_wherever_the_truth_has_its_world(entries: tuple[Entry, Entry]) -> None:
+    """The truth lies in a frame of its own; it is drawn on the run that has no error."""
+    lines = {line.get_label(): line.get_xydata() for line in paths_figure(entries, COLORS).axes[0].lines}
+    np.testing.assert_allclose(lines["truth"], lines["fixed"], atol=1e-12)
+    np.testing.assert_array_equal(lines["fixed"], entries[0].result.T_world_cam[:, [0, 2], 3])
+    np.testing.assert_allclose(lines["student-t"][0], 0.0, atol=1e-12)
+
+
+def test_errors_are_those_of_the_positions(entries: tuple[Entry, Entry]) -> None:
+    """Lines of the figure: of each estimator its claim, then its error."""
+    lines = errors_figure(entries, COLORS).axes[0].lines
+    assert [line.get_color() for line in lines] == ["#111111"] * 2 + ["#222222"] * 2
+    for compared, line in zip(entries, lines[1::2], strict=True):
+        error_m = np.linalg.norm(position_errors(compared.result.T_world_cam, compared.truth), axis=1)
+        np.testing.assert_allclose(line.get_ydata(), error_m, atol=1e-9)
+
+
+def test_a_name_with_dollars_is_no_mathematics(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+    page = page_of(Comparison((replace(entries[0], estimator="$x_1$"),)), tmp_path)
+    assert "$x_1$</text>" in page

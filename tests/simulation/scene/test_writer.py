@@ -1,0 +1,89 @@
+"""A scene on disk: complete, resumable, and never mixed with another one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo.errors import InputError
+from probevo.sequences import open_sequence
+from probevo.simulation.scene.config import RigConfig, SceneConfig
+from probevo.simulation.scene.recording import open_scene
+from probevo.simulation.scene.writer import LAST_FILE, SETTINGS_FILE, write_scene
+
+CONFIG = SceneConfig(preset="road", distance_m=8.0, rig=RigConfig(width_px=96, height_px=48, focal_px=60.0))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_what_is_written_is_what_is_rendered(tmp_path: Path) -> None:
+    rendered, written = open_scene(CONFIG), open_sequence(write_scene(CONFIG, tmp_path / "scene"))
+    assert written.camera == rendered.camera
+    np.testing.assert_array_equal(written.stamps_ns, rendered.stamps_ns)
+    assert written.truth is not None
+    assert rendered.truth is not None
+    np.testing.assert_allclose(written.truth.T_world_cam, rendered.truth.T_world_cam, atol=1e-13)
+    for there, here in zip(written, rendered, strict=True):
+        np.testing.assert_array_equal(there.left, here.left)
+        np.testing.assert_array_equal(there.right, here.right)
+        assert (there.imu is None) == (here.imu is None)
+        if there.imu is not None and here.imu is not None:
+            np.testing.assert_array_equal(there.imu.gyro_rad_s, here.imu.gyro_rad_s)
+            np.testing.assert_array_equal(there.imu.accel_m_s2, here.imu.accel_m_s2)
+
+
+def test_pixel_truth_on_request(tmp_path: Path) -> None:
+    write_scene(CONFIG, tmp_path / "scene", pixel_truth=True)
+    files = sorted((tmp_path / "scene" / "pixel_truth").iterdir())
+    assert len(files) == len(open_scene(CONFIG))
+    with np.load(files[2]) as arrays:
+        expected = open_scene(CONFIG).pixel_truth(2)
+        np.testing.assert_allclose(arrays["flow_px"], expected.flow_px, rtol=1e-6)
+        np.testing.assert_allclose(arrays["disparity_px"], expected.disparity_px, rtol=1e-6)
+        np.testing.assert_array_equal(arrays["moving"], expected.moving)
+
+
+def test_a_stopped_call_is_resumed_and_ends_in_the_same_bytes(tmp_path: Path) -> None:
+    def stop(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    whole, stopped = write_scene(CONFIG, tmp_path / "whole"), tmp_path / "stopped"
+    with pytest.raises(KeyboardInterrupt):
+        write_scene(CONFIG, stopped, jobs=1, on_frame=stop)
+    assert not (stopped / LAST_FILE).exists()
+    before = {path: path.stat().st_mtime_ns for path in (stopped / "left").iterdir()}
+    assert 2 <= len(before) < len(open_scene(CONFIG))
+    progress: list[int] = []
+    write_scene(CONFIG, stopped, on_frame=lambda done, total: progress.append(done))
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert progress[-1] == len(open_scene(CONFIG))
+    assert contents(stopped) == contents(whole)
+
+
+def test_a_complete_scene_is_not_rendered_again(tmp_path: Path) -> None:
+    write_scene(CONFIG, tmp_path / "scene")
+    calls: list[int] = []
+    write_scene(CONFIG, tmp_path / "scene", on_frame=lambda done, total: calls.append(done))
+    assert calls == []
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_the_number_of_threads_changes_nothing(tmp_path: Path, jobs: int) -> None:
+    assert contents(write_scene(CONFIG, tmp_path / "a", jobs=jobs)) == contents(write_scene(CONFIG, tmp_path / "b"))
+
+
+def test_a_folder_with_another_scene_is_refused_and_left_alone(tmp_path: Path) -> None:
+    folder = write_scene(CONFIG, tmp_path / "scene")
+    before = contents(folder)
+    with pytest.raises(InputError, match=SETTINGS_FILE):
+        write_scene(CONFIG.model_copy(update={"seed": 5}), folder)
+    assert contents(folder) == before
+
+
+def test_a_folder_with_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="not empty"):
+        write_scene(CONFIG, tmp_path)
