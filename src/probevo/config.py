@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from probevo.settings import Settings
 
 
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class TrackingConfig(_Settings):
+class TrackingConfig(Settings):
     """Detection and Lucas–Kanade tracking."""
 
     num_features: int = Field(
@@ -46,7 +44,7 @@ class TrackingConfig(_Settings):
     )
 
 
-class RansacConfig(_Settings):
+class RansacConfig(Settings):
     """Random sample consensus for the first guess, and to reject outliers."""
 
     threshold_px: float = Field(
@@ -66,7 +64,7 @@ class RansacConfig(_Settings):
     )
 
 
-class SolverConfig(_Settings):
+class SolverConfig(Settings):
     """Reprojection solve and what counts as a result."""
 
     loss: Literal["noise", "l2", "huber", "cauchy", "tukey"] = Field(
@@ -82,7 +80,7 @@ class SolverConfig(_Settings):
     )
 
 
-class MotionModelConfig(_Settings):
+class MotionModelConfig(Settings):
     """What is known of the vehicle: carries motion on where the camera is blind, and exposes impossible results."""
 
     acceleration_m_s2: float = Field(
@@ -94,7 +92,7 @@ class MotionModelConfig(_Settings):
     gap_factor: float = Field(2.5, gt=1, description="A step longer than this many usual ones misses frames.")
 
 
-class GyroConfig(_Settings):
+class GyroConfig(Settings):
     """Use of the gyro, where there is one."""
 
     prior: bool = Field(
@@ -102,7 +100,7 @@ class GyroConfig(_Settings):
     )
 
 
-class OdometryConfig(_Settings):
+class OdometryConfig(Settings):
     """All settings of ``StereoOdometry``."""
 
     seed: int = Field(0, ge=0, description="Of every random choice: the same seed gives the same bytes.")

@@ -15,10 +15,10 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from probevo.run_config import OWN_KEYS, setting_error
+from probevo.run_config import OWN_KEYS, RunConfig, setting_error
 
 Arguments = TypeVar("Arguments")
-Settings = TypeVar("Settings", bound=BaseModel)
+Model = TypeVar("Model", bound=BaseModel)
 NOT_FLAGS = ("sequence",)
 """Settings that are given by position."""
 _registry = ConstructorRegistry()
@@ -34,7 +34,7 @@ def parse(kind: type[Arguments], words: list[str], command: str, default: Argume
     return parsed
 
 
-def checked(settings: Settings) -> Settings:
+def checked(settings: Model) -> Model:
     """Settings that came as flags, once more with the checks that ``parse`` leaves out.
 
     Raises:
@@ -52,7 +52,8 @@ def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
     if not (isinstance(info.type, type) and issubclass(info.type, BaseModel)):
         return None
     model: type[BaseModel] = info.type
-    ordered = sorted(model.model_fields.items(), key=lambda item: item[0] not in OWN_KEYS)
+    first = OWN_KEYS if issubclass(model, RunConfig) else ()
+    ordered = sorted(model.model_fields.items(), key=lambda item: item[0] not in first)
     fields = [
         StructFieldSpec(name, field.annotation, getattr(info.default, name), field.description)  # type: ignore[arg-type]
         for name, field in ordered

@@ -22,7 +22,7 @@ probevo {__version__}: stereo odometry that learns how far to trust each feature
   probevo simulate WORLD --out DIR  a recording of a simulated world, point or scene, whose truth is known
   probevo paper EXPERIMENT --out DIR
                                     an experiment of the papers, blur, repeated in simulation
-  probevo demo --out DIR            all of it on the recordings at hand, with each noise model
+  probevo demo --out DIR            two simulated drives, each noise model on both, side by side on one page
 
 `probevo COMMAND --help` shows the options of a command; `probevo --version` the version."""
 INTERRUPTED = 130

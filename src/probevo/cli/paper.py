@@ -52,24 +52,17 @@ def _blur(arguments: BlurArguments) -> list[str]:
     check_folder(arguments.out, "--out")
     settings = checked(arguments.settings)
     import numpy as np
-    from rich.console import Console
-    from rich.progress import track
 
+    from probevo.cli.progress import progress_bar
     from probevo.experiments.blur import BlurObservations, blur_views
     from probevo.experiments.blur_page import TABLE_HEAD, counts_text, table_rows, write_blur_page, write_csv
     from probevo.experiments.blur_statistics import findings, verdicts
 
-    console = Console(stderr=True)
-    views = list(
-        track(
-            blur_views(settings.instants, settings.seed),
-            description="looking at the board",
-            total=settings.instants,
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-    )
+    views = []
+    with progress_bar("looking at the board", "starting (the first time of all compiles for 15 s)") as show:
+        for view in blur_views(settings.instants, settings.seed):
+            views.append(view)
+            show(len(views), settings.instants)
     observations = BlurObservations.of(views)
     results = findings(observations, np.random.default_rng([settings.seed, 2]))
     write_csv(arguments.out / "blur.csv", observations)

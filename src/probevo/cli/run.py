@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -62,28 +63,17 @@ def _defaults(words: list[str]) -> RunArguments:
 def run_with_progress(config: RunConfig, out: Path, threads: int) -> Run:
     """Open the recording that the settings name, run over it, and show how far it is on stderr."""
     import cv2
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from probevo.cli.progress import progress_bar
     from probevo.runner import run_sequence
     from probevo.sequences import open_sequence
 
     cv2.setNumThreads(threads)
     sequence = open_sequence(config.sequence or "", config.format)
-    console = Console(stderr=True)
-    rate = TextColumn("{task.fields[rate]}")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        total = min(len(sequence), config.max_frames or len(sequence))
-        task = progress.add_task("starting (the first run of all compiles for 15 s)", total=total, rate="")
-
-        def show(_: object) -> None:
-            progress.update(task, advance=1)
-            speed = progress.tasks[0].speed
-            if speed is not None:  # not before the second frame
-                progress.update(task, description=sequence.path.name, rate=f"{speed:.1f} frames/s")
-
-        return run_sequence(sequence, config, out, show)
+    total = min(len(sequence), config.max_frames or len(sequence))
+    with progress_bar(sequence.path.name, "starting (the first run of all compiles for 15 s)") as show:
+        done = count(1)
+        return run_sequence(sequence, config, out, lambda _: show(next(done), total))
 
 
 def summary(run: Run, out: Path) -> list[str]:

@@ -90,19 +90,10 @@ def _scene(arguments: SceneArguments) -> list[str]:
 
 def render_with_progress(config: SceneConfig, out: Path, *, pixel_truth: bool = False, jobs: int = 0) -> Path:
     """Render a scene, or what is missing of it, into a folder, and show on stderr how far it is."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
+    from probevo.cli.progress import progress_bar
     from probevo.simulation.scene.writer import write_scene
 
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("starting (the first time of all compiles)", total=None)
-
-        def show(done: int, total: int) -> None:
-            progress.update(task, description=f"rendering {out.name}", completed=done, total=total)
-
+    with progress_bar(f"rendering {out.name}", "starting (the first time of all compiles for 15 s)") as show:
         return write_scene(config, out, pixel_truth=pixel_truth, jobs=jobs, on_frame=show)
 
 

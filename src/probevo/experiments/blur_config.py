@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from probevo.settings import Settings
 
 
-class BlurConfig(BaseModel):
+class BlurConfig(Settings):
     """How long to look at the board. The same settings give the same bytes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     instants: int = Field(
         120,

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from probevo.settings import Settings
 
 LawName = Literal["constant", "row", "column", "radius", "disparity", "heavy-tailed"]
 
 
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class PointCamera(_Settings):
+class PointCamera(Settings):
     """The stereo camera: two pinholes whose axes meet the middle of the images."""
 
     width_px: int = Field(640, ge=16, le=16_384, description="Width of an image.")
@@ -26,7 +24,7 @@ class PointCamera(_Settings):
     )
 
 
-class PointNoise(_Settings):
+class PointNoise(Settings):
     """Noise of the observations. σ goes from low to high along what the law names; errors have no mean."""
 
     law: LawName = Field(
@@ -55,7 +53,7 @@ class PointNoise(_Settings):
     )
 
 
-class PointOutliers(_Settings):
+class PointOutliers(Settings):
     """Landmarks with another error on top of the noise: uniform, new in each frame, on all four coordinates."""
 
     fraction: float = Field(
@@ -64,7 +62,7 @@ class PointOutliers(_Settings):
     range_px: float = Field(10.0, ge=0, le=1000, description="Each coordinate is off by up to so much.")
 
 
-class PointConfig(_Settings):
+class PointConfig(Settings):
     """A stereo camera on a circle among random landmarks (PROBE-GK section 1.5.3). Same settings, same bytes."""
 
     seed: int = Field(0, ge=0, description="Of landmarks, outliers and noise.")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probevo.simulation.scene.sensor import FULL_NOISE_GREY, WHITE, expose, exposures
+from probevo.simulation.scene.sensor import FULL_EXPOSURE, FULL_NOISE_GREY, WHITE, expose, exposures
 
 
 def flat(grey: float) -> np.ndarray:
@@ -28,13 +28,14 @@ def test_noise_has_the_promised_variance_and_no_mean(grey: float, share: float) 
     assert image.mean() == pytest.approx(grey, abs=4 * np.sqrt(variance / image.size))
 
 
-def test_exposure_stays_within_a_factor_of_two_and_off_is_off() -> None:
+def test_exposure_stays_within_its_factor_and_off_is_off() -> None:
+    """Both ends are come near to; over 5,000 frames with a memory of 0.6 the mean logarithm is 0 within 3σ."""
     rng = np.random.default_rng(0)
     gains = exposures(5000, 1.0, rng)
-    assert 0.5 < gains.min() < 0.7
-    assert 1.4 < gains.max() < 2.0
+    assert 1.0 / FULL_EXPOSURE < gains.min() < 1.5 / FULL_EXPOSURE
+    assert FULL_EXPOSURE / 1.5 < gains.max() < FULL_EXPOSURE
+    assert abs(np.log(gains).mean()) < 3.0 * np.log(gains).std() * np.sqrt(4.0 / 5000)
     np.testing.assert_array_equal(exposures(50, 0.0, rng), 1.0)
-    assert abs(np.log(gains).mean()) < 0.05
 
 
 def test_same_seed_same_noise() -> None:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from probevo.settings import Settings
 
 PresetName = Literal["city", "residential", "road", "rover"]
 TruthName = Literal["all", "loop", "none"]
 
 
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class RigConfig(_Settings):
+class RigConfig(Settings):
     """The stereo camera and its IMU; by default KITTI's at half the resolution."""
 
     width_px: int = Field(621, ge=64, le=8192, description="Width of an image.")
@@ -31,7 +29,7 @@ class RigConfig(_Settings):
     accel_bias_walk_m_s3_sqrt_hz: float = Field(3e-4, ge=0, le=1, description="Random walk of that bias.")
 
 
-class Effects(_Settings):
+class Effects(Settings):
     """What spoils the images; each from 0, which is off, to 1, which is as bad as one meets on a bad day."""
 
     blur: float = Field(0.0, ge=0, le=1, description="Motion blur: the shutter is open for 50 ms times this.")
@@ -42,7 +40,7 @@ class Effects(_Settings):
     textureless: float = Field(0.0, ge=0, le=1, description="Share of the road's texture that is taken away.")
     foliage: float = Field(0.0, ge=0, le=1, description="Hedges and trees whose leaves repeat; 1 lines the road.")
     exposure: float = Field(
-        0.0, ge=0, le=1, description="Changes of the exposure from frame to frame, up to a factor 2."
+        0.0, ge=0, le=1, description="Changes of the exposure from frame to frame, up to a factor 4."
     )
     noise: float = Field(0.0, ge=0, le=1, description="Sensor noise: 1 is 12 grey levels in the middle of the range.")
     rectification: float = Field(
@@ -50,7 +48,7 @@ class Effects(_Settings):
     )
 
 
-class SceneConfig(_Settings):
+class SceneConfig(Settings):
     """A drive through a simulated place. The same settings give the same bytes."""
 
     preset: PresetName = Field("city", description="The place, after those of the papers.")

@@ -18,12 +18,14 @@ from probevo.simulation.scene.scene_arrays import SKY, SceneArrays, pose_solids,
 from probevo.simulation.scene.world import World
 
 FULL_SHUTTER_S = 0.05
-LATTICES = {4: (2, 3), 10: (3, 5), 16: (4, 6), 28: (12, 8)}
-"""Rays through a pixel, more of them where it moves while the shutter is open, and how they are spread: as a lattice
-modulo their number plus one, whose generators leave column, row and time the least correlated and far apart."""
-PX_PER_RAY = 1.0
+OFFSETS_PX = np.array([[-0.375, -0.125], [-0.125, 0.375], [0.125, -0.375], [0.375, 0.125]])
+"""Where the rays through a pixel go, from its middle: each in a column and a row of its own."""
+FOOTPRINT_PX = 0.5
+"""Side of the square over which each ray sees the mean of a texture."""
+MAX_INSTANTS = 32
+"""At which a blurred image is looked at, with one ray a pixel; fewer where a pixel's motion makes them."""
 NEAR_SCENERY_M = 5.0
-"""For the choice of the number of rays: what passes nearer than this may be seen in steps."""
+"""For the choice of the number of instants: what passes nearer than this may be seen in steps."""
 CORNER_ERROR_PX = (0.35, 0.35, 0.6)
 """What the full rectification error does by turning the right camera about its x (rows), y and z axis (corners)."""
 
@@ -65,19 +67,20 @@ class Renderer:
     def pair(self, t_s: float) -> tuple[FloatImage, FloatImage]:
         """Radiance of the left and right image whose exposure has its middle at ``t_s``, [height, width], 1 is white.
 
-        Each pixel is the mean of several rays, spread over its area and over the time that the shutter is open.
+        Each pixel is the mean of several rays, spread over its area and over the time that the shutter is open: at each
+        instant one of the places in the pixel, in turn, so that place and time are independent.
         """
-        shutter_s = FULL_SHUTTER_S * self.effects.blur
-        rays = self._rays(t_s, shutter_s)
-        column, row, time = _lattice(rays)
-        offsets_px, when = np.column_stack([column, row]), t_s + shutter_s * time
         images = np.zeros((2, *self.size_px[::-1]), dtype=np.float32)
-        for instant, chosen in [(t_s, offsets_px)] if shutter_s == 0.0 else zip(when, offsets_px[:, None], strict=True):
-            self._add(float(instant), chosen, 1.0 / np.sqrt(rays), images)
-        images /= rays
+        instants = self._instants(t_s)
+        if len(instants) == 1:
+            self._add(t_s, OFFSETS_PX, images)
+        else:
+            for k, instant in enumerate(instants):
+                self._add(float(instant), OFFSETS_PX[[k % len(OFFSETS_PX)]], images)
+        images /= max(len(instants), len(OFFSETS_PX))
         return images[0], images[1]
 
-    def _add(self, t_s: float, offsets_px: FloatArray, footprint_px: float, images: FloatImage) -> None:
+    def _add(self, t_s: float, offsets_px: FloatArray, images: FloatImage) -> None:
         """Add the radiance of some rays a pixel, all at one instant, to both images, [2, height, width]."""
         T_world_left = self.trajectory.T_world_cam(t_s)
         T_world_object = self.world.poses(t_s, T_world_left)
@@ -86,14 +89,18 @@ class Renderer:
             posed = pose_solids(self.world, T_world_object, T_world_left @ T_left_cam, self._intrinsics)
             casters = casters or towards_sun(self._scene, posed)
             lists = in_image(self._scene, posed, self.size_px)
-            add_radiance(self._scene, posed, lists, casters, t_s, offsets_px, footprint_px, image)
+            add_radiance(self._scene, posed, lists, casters, t_s, offsets_px, FOOTPRINT_PX, image)
 
-    def _rays(self, t_s: float, shutter_s: float) -> int:
-        """How many rays a pixel needs so that near things do not blur in steps."""
+    def _instants(self, t_s: float) -> FloatArray:
+        """Times within the exposure, about one for each pixel that near things move; one where nothing blurs."""
+        shutter_s = FULL_SHUTTER_S * self.effects.blur
+        if shutter_s == 0.0:
+            return np.array([t_s])
         turn_px_s = self.camera.fu_px * float(np.linalg.norm(self.trajectory.angular_rate(t_s)))
         pass_px_s = self.camera.fu_px * float(np.linalg.norm(self.trajectory.velocity(t_s))) / NEAR_SCENERY_M
-        wanted = shutter_s * (turn_px_s + pass_px_s) / PX_PER_RAY
-        return next((count for count in LATTICES if count >= wanted), max(LATTICES))
+        rounds = 1 + int(np.ceil(shutter_s * (turn_px_s + pass_px_s) / len(OFFSETS_PX)))
+        count = min(rounds * len(OFFSETS_PX), MAX_INSTANTS)
+        return t_s + shutter_s * ((np.arange(count) + 0.5) / count - 0.5)
 
     @property
     def _intrinsics(self) -> tuple[float, float, float]:
@@ -144,10 +151,3 @@ def _right_camera(camera: StereoCamera, size_px: tuple[int, int], error: float) 
     T_left_right = se3.exp(np.r_[0.0, 0.0, 0.0, error * np.array(CORNER_ERROR_PX) / lever_px])
     T_left_right[0, 3] = camera.baseline_m
     return T_left_right
-
-
-def _lattice(count: int) -> FloatArray:
-    """So many points in the cube of side 1 around the origin, [3, count]: evenly spread along each axis."""
-    steps = np.arange(1, count + 1)
-    axes = [generator * steps % (count + 1) for generator in (1, *LATTICES[count])]
-    return (np.array(axes) - 0.5) / count - 0.5

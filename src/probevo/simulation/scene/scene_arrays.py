@@ -14,7 +14,9 @@ from probevo.simulation.scene.world import Ground, World
 
 GROUND, SKY = -1, -2
 """What a ray hits if it is no solid."""
-MAP_CELL_M, MAP_MARGIN_M = 0.5, 40.0
+MAP_CELL_M, MAP_SPARE_M, FAR_M = 0.5, 1.0, 1e6
+LEAD_M = 150.0
+"""How far beyond both ends of the road its bands go on."""
 
 
 class SceneArrays(NamedTuple):
@@ -84,13 +86,19 @@ def scene_arrays(world: World, shadow: float) -> SceneArrays:
 
 
 def _road_map(ground: Ground) -> tuple[FloatArray, NDArray[np.float32]]:
-    """Lower corner of a grid around the road, and the distance from its centre line at each node."""
-    ends_m = np.linspace(-80.0, ground.route.length_m + 80.0, 2 + int(ground.route.length_m / 2.0))
-    line_m = ground.route.place(ends_m, np.zeros_like(ends_m))[:, :2, 3]
-    low_m, high_m = line_m.min(axis=0) - MAP_MARGIN_M, line_m.max(axis=0) + MAP_MARGIN_M
-    x, y = (np.arange(low, high, MAP_CELL_M) for low, high in zip(low_m, high_m, strict=True))
-    distance_m = ground.route.nearest(np.stack(np.meshgrid(x, y), axis=-1))[1]
-    return low_m, distance_m.astype(np.float32)
+    """Lower corner of a grid around the road, and the distance from its centre line at each node, where it counts."""
+    reach_m = MAP_SPARE_M + float(ground.edge_m[:-1].max(initial=0.0))
+    along_m = np.arange(-LEAD_M, ground.route.length_m + LEAD_M, MAP_CELL_M)
+    line_m = ground.route.place(along_m, np.zeros_like(along_m))[:, :2, 3]
+    corner_m = line_m.min(axis=0) - reach_m - MAP_CELL_M
+    columns, rows = np.ceil((np.ptp(line_m, axis=0) + 2.0 * reach_m) / MAP_CELL_M).astype(int) + 3
+    steps = np.arange(-int(reach_m / MAP_CELL_M) - 1, int(reach_m / MAP_CELL_M) + 2)
+    column, row = (np.round((line_m - corner_m) / MAP_CELL_M).astype(int)).T
+    near = np.unique((row[:, None, None] + steps[:, None]) * columns + column[:, None, None] + steps)
+    distance_m = np.full(rows * columns, FAR_M, np.float32)
+    nodes_m = corner_m + MAP_CELL_M * np.stack([near % columns, near // columns], axis=-1)
+    distance_m[near] = ground.route.nearest(nodes_m)[1]
+    return corner_m, distance_m.reshape(rows, columns)
 
 
 class Posed(NamedTuple):

@@ -11,12 +11,12 @@ WHITE = 260.0
 """Grey value of radiance 1; what is brighter than 255 is cut off."""
 FULL_NOISE_GREY, DARK_SHARE = 12.0, 0.3
 """Standard deviation at grey 128, and the share of its variance that is left in the dark."""
-FULL_EXPOSURE, EXPOSURE_MEMORY = 2.0, 0.6
+FULL_EXPOSURE, EXPOSURE_MEMORY = 4.0, 0.6
 """Largest factor of the exposure, up or down; how much of its logarithm one frame keeps of the last."""
 
 
 def exposures(count: int, strength: float, rng: np.random.Generator) -> FloatArray:
-    """Gain of each of ``count`` frames: a random walk pulled back to 1, within a factor of 2 for a strength of 1."""
+    """Gain of each of ``count`` frames: a random walk pulled back to 1, within a factor of 4 for a strength of 1."""
     steps = rng.normal(size=count)
     level, levels = 0.0, np.empty(count)
     for k in range(count):
