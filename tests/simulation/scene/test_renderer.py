@@ -67,7 +67,7 @@ def test_flow_of_what_stands_still_follows_from_depth_and_motion() -> None:
 def moving_box(speed_m_s: float) -> Renderer:
     """A box that drives ahead of the camera, in the middle of the road."""
     box = solid(BOX, (3.0, 1.8, 1.4), (0.0, 0.0, 0.7), Texture.CAR_FRONT, 1.8).of_object(1)
-    movers = Movers(np.array([10.0]), np.zeros(1), np.array([speed_m_s]), np.zeros(1))
+    movers = Movers(np.array([10.0]), np.zeros(1), np.array([speed_m_s]), np.zeros(1), np.zeros(1, np.bool_))
     return renderer(world(join([things(), box]), movers))
 
 

@@ -42,7 +42,7 @@ def busy(kind: PresetName, strength: float = 1.0, seed: int = 0) -> tuple[Solids
 
 
 def states(movers: Movers) -> FloatArray:
-    """[G, 4]."""
+    """[G, 5]."""
     return np.stack([getattr(movers, f.name) for f in fields(Movers)], axis=1)
 
 
@@ -66,7 +66,7 @@ def test_nothing_enters_the_lane_around_the_camera(kind: PresetName, seed: int) 
     for t_s in np.arange(0.0, trajectory.duration_s, 0.23):
         T_world_cam = trajectory.T_world_cam(t_s)
         forward = T_world_cam[:2, 2] / np.linalg.norm(T_world_cam[:2, 2])
-        T_world_object = movers.poses(route, t_s)[solids.object_index - 1]
+        T_world_object = movers.poses(route, t_s, route.nearest(T_world_cam[:2, 3])[0])[solids.object_index - 1]
         away = np.einsum("nij,nkj->nki", T_world_object, corners)[..., :2] - T_world_cam[:2, 3]
         ahead, left = away @ forward, away @ [-forward[1], forward[0]]
         in_lane = (left.min(axis=1) < HALF_WIDTH_M) & (left.max(axis=1) > -HALF_WIDTH_M)

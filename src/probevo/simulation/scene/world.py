@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.geometry import se3
 from probevo.simulation.scene.route import Route
 from probevo.simulation.scene.solids import Solids
@@ -32,11 +32,11 @@ class Ground:
 
 @dataclass(frozen=True)
 class Movers:
-    """G objects that move at a constant speed, either along a road or straight on. Object g is ``object_index`` g + 1.
+    """G objects that move along a road or across it, at a constant speed or at the camera's.
 
-    An object's own frame has x forward, y left, z up, and lies on the ground. Along a road it keeps its distance from
-    the centre line; beyond the ends of the road it goes straight on. With a negative speed it drives backwards along
-    the road and faces that way.
+    Object g has the ``object_index`` g + 1. An object's own frame has x forward, y left, z up, and lies on the ground.
+    Along a road it keeps its distance from the centre line; beyond the ends of the road it goes straight on. With a
+    negative speed it drives backwards along the road and faces that way.
     """
 
     s_m: FloatArray
@@ -47,6 +47,8 @@ class Movers:
     """Along the centre line, [G]."""
     lateral_speed_m_s: FloatArray
     """Across it, to the left, [G]: people who cross the road."""
+    ahead: BoolArray
+    """Those that keep their distance to the camera: their ``s_m`` counts from where it is, their speed is its, [G]."""
 
     def __len__(self) -> int:
         """Number of movers, G."""
@@ -55,12 +57,13 @@ class Movers:
     @staticmethod
     def none() -> Movers:
         """Nothing moves."""
-        return Movers(*np.zeros((4, 0)))
+        none = np.zeros(0)
+        return Movers(none, none, none, none, np.zeros(0, np.bool_))
 
-    def poses(self, route: Route, t_s: float) -> FloatArray:
-        """T_world_object of each mover at a time, [G, 4, 4]."""
+    def poses(self, route: Route, t_s: float, camera_s_m: float) -> FloatArray:
+        """T_world_object of each mover at a time at which the camera is there along the road, [G, 4, 4]."""
         lateral_m = self.lateral_m + t_s * self.lateral_speed_m_s
-        T_world_object = route.place(self.s_m + t_s * self.speed_m_s, lateral_m)
+        T_world_object = route.place(self.s_m + np.where(self.ahead, camera_s_m, t_s * self.speed_m_s), lateral_m)
         turn = np.zeros((len(self), 6))
         turn[:, 5] = np.arctan2(self.lateral_speed_m_s, self.speed_m_s)
         return T_world_object @ se3.exp(turn)
@@ -93,4 +96,6 @@ class World:
         forward = T_world_cam[:3, 2]
         T_world_own = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.arctan2(forward[1], forward[0])]))
         T_world_own[:2, 3] = T_world_cam[:2, 3]
-        return np.concatenate([np.eye(4)[None], self.movers.poses(self.ground.route, t_s), T_world_own[None]])
+        route = self.ground.route
+        T_world_mover = self.movers.poses(route, t_s, float(route.nearest(T_world_cam[:2, 3])[0]))
+        return np.concatenate([np.eye(4)[None], T_world_mover, T_world_own[None]])

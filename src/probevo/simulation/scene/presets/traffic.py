@@ -76,6 +76,8 @@ class _Mover:
     """(s, lateral, speed, lateral speed) as in ``Movers``."""
     rank: float
     """Strength of the traffic, 0 … 1, from which on it is there."""
+    ahead: bool = False
+    """As in ``Movers``."""
 
 
 def traffic(
@@ -97,9 +99,10 @@ def traffic(
         return _no_solids(), Movers.none()
     street, path = _STREETS[kind](plan), _path(route, plan)
     crowd = [mover for stream in street.streams for mover in _in_stream(stream, route, path, rng)]
-    crowd += _ahead(street, plan, path, rng) + _crossing(street, path, rng)
+    crowd += _ahead(street, plan, rng) + _crossing(street, path, rng)
     crowd = [mover for mover in crowd if mover.rank < strength]
-    movers = Movers(*np.array([mover.state for mover in crowd]).reshape(-1, 4).T)
+    s_m, lateral_m, speed, lateral_speed = np.array([mover.state for mover in crowd]).reshape(-1, 4).T
+    movers = Movers(s_m, lateral_m, speed, lateral_speed, np.array([mover.ahead for mover in crowd], dtype=np.bool_))
     half_size_m = np.array([_half_size(mover.solids) for mover in crowd]).reshape(-1, 2)
     chosen = np.flatnonzero(_keeps_clear(movers, half_size_m, route, path))
     solids = [crowd[index].solids.of_object(1 + g) for g, index in enumerate(chosen)]
@@ -115,7 +118,7 @@ def _town(plan: DrivePlan) -> Street:
         for across, pace in ((4.2, 1.3), (5.0, -1.35))
     ]
     oncoming = Stream(lane_m, (-9.0, -6.0), (4.0, 14.0), cars)
-    return Street((oncoming, *walks), (furniture.van, furniture.car, vehicles.bus), 7.0, 2.0, people, (1.2, 1.6))
+    return Street((oncoming, *walks), (furniture.van, furniture.car, vehicles.bus), 8.5, 2.0, people, (1.2, 1.6))
 
 
 def _motorway(plan: DrivePlan) -> Street:
@@ -178,17 +181,13 @@ def _in_stream(stream: Stream, route: Route, path: _Path, rng: np.random.Generat
     return movers
 
 
-def _ahead(street: Street, plan: DrivePlan, path: _Path, rng: np.random.Generator) -> list[_Mover]:
-    """A convoy in the own lane, at the one speed that keeps it nearest without being caught up with."""
-    speeds = np.linspace(0.3, 1.5, 61) * np.ptp(path.s_m) / path.t_s[-1]
-    leads_m = path.s_m - speeds[:, None] * path.t_s
-    gaps_m = street.gap_ahead_m + leads_m.max(axis=1, keepdims=True) - leads_m
-    best = int(np.argmax((gaps_m**-2.0).sum(axis=1)))
-    s, movers = leads_m[best].max() + street.gap_ahead_m, []
+def _ahead(street: Street, plan: DrivePlan, rng: np.random.Generator) -> list[_Mover]:
+    """A convoy in the own lane that slows down, halts and goes on as the camera does."""
+    s, movers = street.gap_ahead_m, []
     for place, maker in enumerate(street.ahead):
         solids = maker(rng)
         half_length = _half_size(solids)[0]
-        movers.append(_Mover(solids, (s + half_length, plan.lateral_m, float(speeds[best]), 0.0), 0.3 * (1 + place)))
+        movers.append(_Mover(solids, (s + half_length, plan.lateral_m, 0.0, 0.0), 0.3 * (1 + place), ahead=True))
         s += 2.0 * half_length + rng.uniform(0.5, 1.0) * street.gap_ahead_m
     return movers
 
@@ -216,8 +215,8 @@ def _ranks(rng: np.random.Generator) -> Iterator[float]:
 def _keeps_clear(movers: Movers, half_size_m: FloatArray, route: Route, path: _Path) -> BoolArray:
     """Whether each mover, half its size [G, 2], stays out of the lane just around the camera at all times, [G]."""
     clear = np.ones(len(movers), dtype=np.bool_)
-    for t_s, T_body_world in zip(path.t_s, se3.inverse(path.T_world_body), strict=True):
-        T_body_mover = T_body_world @ movers.poses(route, float(t_s))
+    for t_s, s_m, T_body_world in zip(path.t_s, path.s_m, se3.inverse(path.T_world_body), strict=True):
+        T_body_mover = T_body_world @ movers.poses(route, float(t_s), float(s_m))
         center = T_body_mover[:, :2, 3]
         half = (np.abs(T_body_mover[:, :2, :2]) @ half_size_m[..., None])[..., 0]
         beside = np.abs(center[:, 1]) > half[:, 1] + _CAMERA_HALF_WIDTH_M
