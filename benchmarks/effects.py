@@ -34,37 +34,45 @@ def run(config: SceneConfig) -> tuple[Metrics, float]:
     return metrics, float(np.mean(result.status == pv.Status.OK))
 
 
-def scenes(places: int) -> Iterator[tuple[str, SceneConfig]]:
-    """Each with the row of the tables that it belongs to."""
+def scenes(places: int) -> Iterator[tuple[str, int, SceneConfig]]:
+    """Each with the row of the table that it belongs to, and the number of its place."""
     for seed in range(places):
         for preset in get_args(PresetName):
-            yield (
-                f"{preset}, clean",
-                SceneConfig(preset=preset, seed=seed, distance_m=None if preset == "rover" else 200.0),
-            )
-    for name in Effects.model_fields:
-        for seed in range(places):
+            length_m = 100.0 if preset == "rover" else DISTANCE_M
+            yield f"{preset}, clean", seed, SceneConfig(preset=preset, seed=seed, distance_m=length_m)
+        for name in Effects.model_fields:
             effects = Effects(**{name: 1.0})
-            yield f"{PRESET}, {name}", SceneConfig(preset=PRESET, seed=seed, distance_m=DISTANCE_M, effects=effects)
+            yield (
+                f"{PRESET}, {name}",
+                seed,
+                SceneConfig(preset=PRESET, seed=seed, distance_m=DISTANCE_M, effects=effects),
+            )
+
+
+def figures(metrics: Metrics, ok: float) -> list[float]:
+    end_percent = 100.0 * metrics.final_error_m / metrics.path_length_m
+    step = [1e3 * metrics.rpe_t_m, metrics.rpe_r_deg]
+    return [metrics.short_t_percent, end_percent, metrics.short_r_deg_per_m, *step, metrics.anees, 100.0 * ok]
 
 
 def main() -> None:
     places = int(sys.argv[1]) if len(sys.argv) > 1 else 3
     named = list(scenes(places))
     with ProcessPoolExecutor(2) as pool:
-        results = list(pool.map(run, [config for _, config in named]))
-    print("| scene | drift, % | °/m | error of a step, mm | ° | end error, m | ANEES | steps OK |")
-    print("|---|---|---|---|---|---|---|---|")
-    for name in dict.fromkeys(name for name, _ in named):
-        rows = [
-            [m.short_t_percent, m.short_r_deg_per_m, 1e3 * m.rpe_t_m, m.rpe_r_deg, m.final_error_m, m.anees, 100 * ok]
-            for (label, _), (m, ok) in zip(named, results, strict=True)
-            if label == name
-        ]
-        means, spread = np.mean(rows, axis=0), np.std(rows, axis=0)
-        cells = [f"{means[0]:.2f} ± {spread[0]:.2f}", f"{means[1]:.4f}", f"{means[2]:.1f}", f"{means[3]:.4f}"]
-        cells += [f"{means[4]:.2f}", f"{means[5]:.0f}", f"{means[6]:.1f} %"]
-        print(f"| {name} | " + " | ".join(cells) + " |")
+        results = pool.map(run, [config for *_, config in named])
+        rows: dict[str, dict[int, list[float]]] = {}
+        for (name, seed, _), result in zip(named, results, strict=True):
+            rows.setdefault(name, {})[seed] = figures(*result)
+            print(f"{name}, place {seed}: drift {rows[name][seed][0]:.3f} %", file=sys.stderr, flush=True)
+    print("| scene | drift, % | end, % | °/m | step, mm | step, ° | against clean, mm | ANEES | OK, % |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for name, runs in rows.items():
+        mean = np.mean(list(runs.values()), axis=0)
+        change = [run[3] / rows[f"{PRESET}, clean"][seed][3] for seed, run in runs.items()]
+        least, most = (f"{ratio:.2f}" for ratio in (min(change), max(change)))
+        against = f"× {least} … {most}" if name.startswith(PRESET) and "clean" not in name else ""
+        cells = [f"{mean[0]:.2f}", f"{mean[1]:.2f}", f"{mean[2]:.4f}", f"{mean[3]:.1f}", f"{mean[4]:.4f}", against]
+        print(f"| {name} | " + " | ".join([*cells, f"{mean[5]:.0f}", f"{mean[6]:.1f}"]) + " |")
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ class PointOutliers(Settings):
 
 
 class PointConfig(Settings):
-    """A stereo camera on a circle among random landmarks (PROBE-GK section 1.5.3). Same settings, same bytes."""
+    """A stereo camera on a circle among random landmarks (PROBE-GK; thesis 1.5.3). Same settings, same bytes."""
 
     seed: int = Field(0, ge=0, description="Of landmarks, outliers and noise.")
     train_s: float = Field(30.0, gt=0, le=3600, description="Duration of the drive to train on: 90 m, once around.")

@@ -1,4 +1,4 @@
-"""The point world: a stereo camera drives a circle among random landmarks whose noise is known (PROBE-GK 1.5.3)."""
+"""The point world: a stereo camera drives a circle among landmarks whose noise is known (PROBE-GK; thesis 1.5.3)."""
 
 from __future__ import annotations
 

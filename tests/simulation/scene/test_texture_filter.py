@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray
-from probevo.simulation.scene.texture_filter import sample, sample_softly
+from probevo.simulation.scene.texture_filter import sample, sample_square
 from probevo.simulation.scene.textures import SIZE, Texture, make_textures
 
 PYRAMID = make_textures()
@@ -63,5 +63,5 @@ def test_growing_footprints_change_the_mean_smoothly() -> None:
 
 def test_the_soft_sample_of_a_soft_texture_is_the_full_one() -> None:
     for side in (1.0, 3.0, 20.0):
-        soft = sample_softly(PYRAMID.texels, int(Texture.BLOTCHES), PYRAMID.level_start, 55.5, 201.5, side)
+        soft = sample_square(PYRAMID.texels, int(Texture.BLOTCHES), PYRAMID.level_start, 55.5, 201.5, side)
         assert soft == pytest.approx(mean_over(Texture.BLOTCHES, 55.5, 201.5, au=side, bv=side), abs=0.05)

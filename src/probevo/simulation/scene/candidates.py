@@ -45,8 +45,11 @@ def in_image(scene: SceneArrays, posed: Posed, size_px: tuple[int, int]) -> Cand
 def towards_sun(scene: SceneArrays, posed: Posed) -> Candidates:
     """For each cell of the ground around the camera the solids whose shadow may touch it.
 
-    A point above the ground is looked up where its own shadow falls: what shades it shades that place too.
+    A point above the ground is looked up where its own shadow falls: what shades it shades that place too. Where there
+    are no shadows, there are no cells.
     """
+    if scene.shadow == 0.0:
+        return Candidates(np.zeros(1, np.int64), np.zeros(0, np.int64), 0, np.zeros(2), np.zeros(0))
     corner_m = posed.center_m[:2] - SHADOW_REACH_M
     size = round(2.0 * SHADOW_REACH_M / SHADOW_CELL_M)
     box_m = _shadow_boxes(scene.half_size_m, posed.C_solid_world, posed.world_in_solid_m, scene.to_sun)

@@ -19,8 +19,8 @@ class RigConfig(Settings):
     height_px: int = Field(188, ge=48, le=8192, description="Height of an image.")
     focal_px: float = Field(360.0, gt=10, le=20_000, description="Focal length.")
     baseline_m: float = Field(0.54, gt=0.001, le=10, description="Distance of the right camera from the left one.")
-    rate_hz: float = Field(10.0, ge=0.5, le=1000, description="Frames a second.")
-    imu_rate_hz: float = Field(200.0, ge=10, le=10_000, description="IMU samples a second.")
+    rate_hz: float = Field(10.0, ge=2, le=1000, description="Frames a second.")
+    imu_rate_hz: float = Field(200.0, ge=10, le=2000, description="IMU samples a second.")
     gyro_noise_rad_s_sqrt_hz: float = Field(1.7e-4, gt=0, le=0.1, description="White noise density of the gyro.")
     gyro_bias_sigma_rad_s: float = Field(2e-3, ge=0, le=0.1, description="Spread of the gyro's bias at start.")
     gyro_bias_walk_rad_s2_sqrt_hz: float = Field(2e-5, ge=0, le=0.1, description="Random walk of the gyro's bias.")
@@ -38,27 +38,37 @@ class Effects(Settings):
         0.0, ge=0, le=1, description="Darkness of cast shadows: of things, the own vehicle, leaves in the wind."
     )
     textureless: float = Field(0.0, ge=0, le=1, description="Share of the road's texture that is taken away.")
-    foliage: float = Field(0.0, ge=0, le=1, description="Hedges and trees whose leaves repeat; 1 lines the road.")
+    foliage: float = Field(
+        0.0, ge=0, le=1, description="Hedges and trees whose leaves repeat and sway; 1 lines the road."
+    )
     exposure: float = Field(
         0.0, ge=0, le=1, description="Changes of the exposure from frame to frame, up to a factor 4."
     )
-    noise: float = Field(0.0, ge=0, le=1, description="Sensor noise: 1 is 12 grey levels in the middle of the range.")
+    noise: float = Field(
+        0.0, ge=0, le=1, description="Sensor noise: 1 is 12 grey levels in the middle of the range, less in the dark."
+    )
     rectification: float = Field(
-        0.0, ge=0, le=1, description="Rectification error: 1 turns the right camera so that corners are off by 1 px."
+        0.0,
+        ge=0,
+        le=1,
+        description="Rectification error: 1 turns the right camera so that corners are off by about 1 px.",
     )
 
 
 class SceneConfig(Settings):
-    """A drive through a simulated place. The same settings give the same bytes."""
+    """A drive through a simulated place. The same settings give the same bytes (on one machine)."""
 
     preset: PresetName = Field("city", description="The place, after those of the papers.")
     seed: int = Field(0, ge=0, description="Of the place: another seed is another city.")
     drive: int = Field(0, ge=0, description="Of the drive: other numbers drive the same place again, with other noise.")
     distance_m: float | None = Field(
-        None, gt=1, le=1e5, description="How far to drive; the rover's is its loop, 250 m."
+        None,
+        gt=1,
+        le=5000,
+        description="How far to drive, m; left out, what suits the preset. The rover drives a loop so long.",
     )
     truth: TruthName = Field(
-        "all", description="Poses to give away: of every frame, only that a loop closes, or nothing."
+        "all", description="Poses to give away: of every frame, only that the rover's loop closes, or nothing."
     )
     rig: RigConfig = RigConfig()
     effects: Effects = Effects()

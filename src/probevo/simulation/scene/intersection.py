@@ -63,7 +63,7 @@ def hit_solid(scene: SceneArrays, posed: Posed, i: int, rays: Rays) -> None:
     for k in range(len(x)):
         dx, dy, dz = xx * x[k] + xy * y[k] + xz, yx * x[k] + yy * y[k] + yz, zx * x[k] + zy * y[k] + zz
         in_box = enter_box(hx, hy, hz, ox, oy, oz, dx, dy, dz)
-        enter = in_box if box else enter_ball(hx, hy, hz, ox, oy, oz, dx, dy, dz)
+        enter = in_box if box else enter_ellipsoid(hx, hy, hz, ox, oy, oz, dx, dy, dz)
         if NEAR_M < enter < depth_m[k]:
             depth_m[k], hit[k] = enter, i
 
@@ -82,7 +82,7 @@ def enter_box(
 
 
 @compiled
-def enter_ball(
+def enter_ellipsoid(
     hx: float, hy: float, hz: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> float:
     """The same for an ellipsoid."""

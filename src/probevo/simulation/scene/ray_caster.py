@@ -31,11 +31,11 @@ def add_radiance(
         for left in range(0, image.shape[1], PATCH_PX):
             cell = top // PATCH_PX * lists.columns + left // PATCH_PX
             for k in range(len(offsets_px)):
-                _cast(scene, posed, lists, cell, left + offsets_px[k, 0], top + offsets_px[k, 1], rays)
+                end = _cast(scene, posed, lists, cell, left + offsets_px[k, 0], top + offsets_px[k, 1], rays)
                 shade_sky(scene, posed, footprint_px, rays)
                 shade_ground(scene, posed, footprint_px, rays)
-                for j in range(lists.first[cell], lists.first[cell + 1]):
-                    shade_solid(scene, posed, footprint_px, lists.solids[j], rays)
+                for j in range(lists.first[cell], end):
+                    shade_solid(scene, posed, time_s, footprint_px, lists.solids[j], rays)
                 add_sunlight(scene, posed, casters, time_s, rays)
                 for row in range(top, min(top + PATCH_PX, image.shape[0])):
                     for column in range(left, min(left + PATCH_PX, image.shape[1])):
@@ -77,12 +77,18 @@ def _packet() -> Rays:
 @compiled
 def _cast(
     scene: SceneArrays, posed: Posed, lists: Candidates, cell: int, left_px: float, top_px: float, rays: Rays
-) -> None:
-    """Point the packet at the patch whose first ray goes through (left, top), and find what it hits."""
+) -> int:
+    """Point the packet at the patch whose first ray goes through (left, top), and find what it hits.
+
+    Returns where in ``lists.solids`` those end that were looked at: what comes after lies behind all that is seen.
+    """
     for row in range(PATCH_PX):
         for column in range(PATCH_PX):
             rays.x[row * PATCH_PX + column] = (left_px + column - posed.cu_px) / posed.focal_px
             rays.y[row * PATCH_PX + column] = (top_px + row - posed.cv_px) / posed.focal_px
     hit_ground(posed, rays)
-    for j in range(lists.first[cell], lists.first[cell + 1]):
+    j, end = int(lists.first[cell]), int(lists.first[cell + 1])
+    while j < end and lists.nearest_m[lists.solids[j]] <= rays.depth_m.max():
         hit_solid(scene, posed, lists.solids[j], rays)
+        j += 1
+    return j

@@ -87,7 +87,7 @@ def open_scene(config: SceneConfig) -> SceneRecording:
     """The drive that the settings describe; nothing is rendered yet.
 
     Raises:
-        InputError: the camera is none, or the drive is too short for two frames.
+        InputError: the camera is none, the drive is too short for two frames, or it is no loop but its truth is that.
     """
     rig, place = config.rig, PRESETS[config.preset](config)
     camera = StereoCamera(
@@ -114,7 +114,7 @@ def open_scene(config: SceneConfig) -> SceneRecording:
         exposure=exposures(count, config.effects.exposure, np.random.default_rng([*key, 3])),
         imu=_imu_calibration(rig),
         imu_samples=simulate_imu(trajectory, stamps_ns, rig, np.random.default_rng([*key, 2])),
-        truth=_given_truth(config, stamps_ns, trajectory.T_world_cam(times_s)),
+        truth=_given_truth(config, place.world.ground.route.closed, stamps_ns, trajectory.T_world_cam(times_s)),
     )
 
 
@@ -124,10 +124,15 @@ def _imu_calibration(rig: RigConfig) -> ImuCalibration:
     )
 
 
-def _given_truth(config: SceneConfig, stamps_ns: IntArray, T_world_cam: FloatArray) -> GroundTruth | None:
+def _given_truth(
+    config: SceneConfig, is_loop: bool, stamps_ns: IntArray, T_world_cam: FloatArray
+) -> GroundTruth | None:
     if config.truth == "none":
         return None
     given = T_world_cam.copy()
     if config.truth == "loop":
+        if not is_loop:
+            what = f"the preset {config.preset} drives no loop."
+            raise InputError("truth loop", what, "Take the preset rover, or the truth all or none.")
         given[1:-1] = np.nan
     return ground_truth(stamps_ns, given, "scene")

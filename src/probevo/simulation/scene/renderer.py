@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from probevo.arrays import BoolArray, FloatArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
 from probevo.simulation.scene.candidates import in_image, towards_sun
 from probevo.simulation.scene.config import Effects
 from probevo.simulation.scene.drive import Trajectory
 from probevo.simulation.scene.ray_caster import add_radiance, first_hits
-from probevo.simulation.scene.scene_arrays import SKY, SceneArrays, pose_solids, scene_arrays
+from probevo.simulation.scene.scene_arrays import SceneArrays, pose_solids, scene_arrays
 from probevo.simulation.scene.world import World
 
 FULL_SHUTTER_S = 0.05
@@ -34,16 +34,17 @@ FloatImage = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class PixelTruth:
-    """What is known of each pixel of a left image, each [height, width]."""
+    """What is known of each pixel's centre in a left image, each [height, width], at the middle of the exposure."""
 
     depth_m: FloatArray
     """Along the camera's axis; infinite in the sky."""
     disparity_px: FloatArray
     """Of the rig as its calibration describes it; 0 in the sky."""
     flow_px: FloatArray
-    """(du, dv) from here to the next frame, [height, width, 2]; NaN where it would be behind the camera."""
+    """(du, dv) from here to the next frame, of the thing that is seen here, whether or not it is hidden there;
+    [height, width, 2], NaN where it would be behind the camera."""
     moving: BoolArray
-    """Whether the pixel shows something that moves by itself."""
+    """Whether the pixel shows a thing that can move, be it that it halts just now. Shadows are no things."""
 
 
 class Renderer:
@@ -97,7 +98,8 @@ class Renderer:
         if shutter_s == 0.0:
             return np.array([t_s])
         turn_px_s = self.camera.fu_px * float(np.linalg.norm(self.trajectory.angular_rate(t_s)))
-        pass_px_s = self.camera.fu_px * float(np.linalg.norm(self.trajectory.velocity(t_s))) / NEAR_SCENERY_M
+        speed_m_s = float(np.linalg.norm(self.trajectory.velocity(t_s))) + self.world.movers.fastest_m_s
+        pass_px_s = self.camera.fu_px * speed_m_s / NEAR_SCENERY_M
         rounds = 1 + int(np.ceil(shutter_s * (turn_px_s + pass_px_s) / len(OFFSETS_PX)))
         count = min(rounds * len(OFFSETS_PX), MAX_INSTANTS)
         return t_s + shutter_s * ((np.arange(count) + 0.5) / count - 0.5)
@@ -124,17 +126,20 @@ class Renderer:
         return PixelTruth(
             depth_m=depth_m,
             disparity_px=self.camera.fu_px * self.camera.baseline_m / depth_m,
-            flow_px=_flow(self.camera, depth_m, hits == SKY, T_next_curr[objects]),
+            flow_px=_flow(self.camera, depth_m, objects, T_next_curr),
             moving=objects > 0,
         )
 
 
-def _flow(camera: StereoCamera, depth_m: FloatArray, sky: BoolArray, T_next_curr: FloatArray) -> FloatArray:
-    """Where each pixel goes, [height, width, 2], px, by the motion of what it shows, [height, width, 4, 4]."""
+def _flow(camera: StereoCamera, depth_m: FloatArray, objects: IntArray, T_next_curr: FloatArray) -> FloatArray:
+    """Where each pixel goes, [height, width, 2], px, by the motion [G, 4, 4] of the object that it shows."""
     v, u = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]].astype(np.float64)
     ray = np.stack([(u - camera.cu_px) / camera.fu_px, (v - camera.cv_px) / camera.fv_px, np.ones_like(u)], axis=-1)
-    scale = np.where(sky, 0.0, 1.0 / depth_m)  # a point as ray and inverse depth: the sky has none
-    moved = (T_next_curr[..., :3, :3] @ ray[..., None])[..., 0] + scale[..., None] * T_next_curr[..., :3, 3]
+    moved = np.empty_like(ray)
+    for index in np.unique(objects):  # a point as ray and inverse depth: the sky has none
+        shown = objects == index
+        T = T_next_curr[index]
+        moved[shown] = ray[shown] @ T[:3, :3].T + (1.0 / depth_m[shown])[:, None] * T[:3, 3]
     ahead = np.where(moved[..., 2] > 0.0, moved[..., 2], np.nan)
     return np.stack(
         [

@@ -132,7 +132,7 @@ class Route:
         from there. On a closed route 0 ≤ s < ``length_m``.
         """
         point = np.ascontiguousarray(xy_m, dtype=float).view(complex)[..., 0]
-        node = np.asarray(self._tree.query(xy_m, workers=-1)[1])
+        node = np.asarray(self._tree.query(xy_m)[1])
         s = self._nodes_m[node]
         is_end = np.zeros(len(self._nodes_m)) if self.closed else np.r_[1.0, np.zeros(len(self._nodes_m) - 2), 1.0]
         reach_m = np.where(is_end[node] > 0, np.inf, _NODE_STEP_M)

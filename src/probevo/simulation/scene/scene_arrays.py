@@ -14,7 +14,8 @@ from probevo.simulation.scene.world import Ground, World
 
 GROUND, SKY = -1, -2
 """What a ray hits if it is no solid."""
-MAP_CELL_M, MAP_SPARE_M, FAR_M = 0.5, 1.0, 1e6
+MAP_CELL_M, BLOCK_CELLS = 0.5, 32
+BLOCK_M = MAP_CELL_M * BLOCK_CELLS
 LEAD_M = 150.0
 """How far beyond both ends of the road its bands go on."""
 
@@ -37,14 +38,18 @@ class SceneArrays(NamedTuple):
     blotches: int
     clouds: int
     dapple: int
+    repeated: int
+    """The texture of leaves that repeat; they sway in the wind."""
     band_edge_m: FloatArray
     band_texture: IntArray
     band_texels_per_m: FloatArray
     band_albedo: FloatArray
     band_contrast: FloatArray
-    road_distance_m: NDArray[np.float32]
-    """Signed distance from the centre line on a grid over the world's x (columns) and y (rows)."""
     map_corner_m: FloatArray
+    map_blocks: IntArray
+    """Number of each block of a grid over the world's x (columns) and y (rows); −1 far from the road."""
+    road_distance_m: NDArray[np.float32]
+    """Signed distance from the centre line at the nodes of each block, [blocks, BLOCK_CELLS + 1, BLOCK_CELLS + 1]."""
     to_sun: FloatArray
     sun: float
     sky: float
@@ -55,7 +60,7 @@ class SceneArrays(NamedTuple):
 def scene_arrays(world: World, shadow: float) -> SceneArrays:
     """The arrays of a world."""
     solids, ground, textures = world.solids, world.ground, make_textures()
-    corner_m, distance_m = _road_map(ground)
+    corner_m, blocks, distance_m = _road_map(ground)
     return SceneArrays(
         shape=solids.shape,
         half_size_m=solids.half_size_m,
@@ -71,13 +76,15 @@ def scene_arrays(world: World, shadow: float) -> SceneArrays:
         blotches=int(Texture.BLOTCHES),
         clouds=int(Texture.CLOUDS),
         dapple=int(Texture.DAPPLE),
+        repeated=int(Texture.HEDGE_REPEATED),
         band_edge_m=ground.edge_m,
         band_texture=ground.texture,
         band_texels_per_m=SIZE / ground.tile_m,
         band_albedo=ground.albedo,
         band_contrast=ground.contrast,
-        road_distance_m=distance_m,
         map_corner_m=corner_m,
+        map_blocks=blocks,
+        road_distance_m=distance_m,
         to_sun=world.to_sun,
         sun=world.sun,
         sky=world.sky,
@@ -85,20 +92,26 @@ def scene_arrays(world: World, shadow: float) -> SceneArrays:
     )
 
 
-def _road_map(ground: Ground) -> tuple[FloatArray, NDArray[np.float32]]:
-    """Lower corner of a grid around the road, and the distance from its centre line at each node, where it counts."""
-    reach_m = MAP_SPARE_M + float(ground.edge_m[:-1].max(initial=0.0))
-    along_m = np.arange(-LEAD_M, ground.route.length_m + LEAD_M, MAP_CELL_M)
+def _road_map(ground: Ground) -> tuple[FloatArray, IntArray, NDArray[np.float32]]:
+    """Lower corner of a grid of blocks around the road, which of them are near it, and the nodes of those.
+
+    Each block has BLOCK_CELLS cells a side. Blocks out of the bands' reach have no nodes: the map grows with the length
+    of the road, not with the area around it.
+    """
+    reach_m = MAP_CELL_M + float(ground.edge_m[:-1].max(initial=0.0))
+    along_m = np.arange(-LEAD_M, ground.route.length_m + LEAD_M, BLOCK_M / 4.0)
     line_m = ground.route.place(along_m, np.zeros_like(along_m))[:, :2, 3]
-    corner_m = line_m.min(axis=0) - reach_m - MAP_CELL_M
-    columns, rows = np.ceil((np.ptp(line_m, axis=0) + 2.0 * reach_m) / MAP_CELL_M).astype(int) + 3
-    steps = np.arange(-int(reach_m / MAP_CELL_M) - 1, int(reach_m / MAP_CELL_M) + 2)
-    column, row = (np.round((line_m - corner_m) / MAP_CELL_M).astype(int)).T
-    near = np.unique((row[:, None, None] + steps[:, None]) * columns + column[:, None, None] + steps)
-    distance_m = np.full(rows * columns, FAR_M, np.float32)
-    nodes_m = corner_m + MAP_CELL_M * np.stack([near % columns, near // columns], axis=-1)
-    distance_m[near] = ground.route.nearest(nodes_m)[1]
-    return corner_m, distance_m.reshape(rows, columns)
+    around = np.arange(-np.ceil(reach_m / BLOCK_M) - 1, np.ceil(reach_m / BLOCK_M) + 2)
+    corner_m = line_m.min(axis=0) + (around[0] - 1) * BLOCK_M
+    center = np.floor((line_m - corner_m) / BLOCK_M)[:, None]
+    offsets = np.stack(np.meshgrid(around, around), axis=-1).reshape(1, -1, 2)
+    near = np.unique((center + offsets).reshape(-1, 2).astype(np.int64), axis=0)
+    blocks = np.full(near.max(axis=0)[::-1] + 1, -1)
+    blocks[near[:, 1], near[:, 0]] = np.arange(len(near))
+    steps_m = MAP_CELL_M * np.arange(BLOCK_CELLS + 1)
+    nodes_m = np.stack(np.meshgrid(steps_m, steps_m), axis=-1)
+    distance_m = [ground.route.nearest(corner_m + BLOCK_M * block + nodes_m)[1] for block in near]
+    return corner_m, blocks, np.array(distance_m, dtype=np.float32)
 
 
 class Posed(NamedTuple):

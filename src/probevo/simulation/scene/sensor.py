@@ -34,7 +34,7 @@ def expose(radiance: FloatImage, gain: float, noise: float, rng: np.random.Gener
         noise: strength, 0 … 1; its variance grows with the light (shot noise) from a floor (read noise).
         rng: of the noise; none is drawn without noise.
     """
-    grey = (gain * WHITE) * radiance
+    grey = np.float32(gain * WHITE) * radiance
     if noise > 0.0:
         variance = (noise * FULL_NOISE_GREY) ** 2 * (DARK_SHARE + (1.0 - DARK_SHARE) / 128.0 * grey)
         grey = grey + np.sqrt(variance) * rng.standard_normal(grey.shape, dtype=np.float32)

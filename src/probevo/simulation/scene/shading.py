@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled
 from probevo.simulation.scene.intersection import Rays
-from probevo.simulation.scene.scene_arrays import GROUND, MAP_CELL_M, SKY, Posed, SceneArrays
+from probevo.simulation.scene.scene_arrays import BLOCK_CELLS, BLOCK_M, GROUND, SKY, Posed, SceneArrays
 from probevo.simulation.scene.solids import BOX
-from probevo.simulation.scene.texture_filter import Texels, sample, sample_softly
+from probevo.simulation.scene.texture_filter import Texels, sample, sample_square
 from probevo.simulation.scene.textures import SIZE
 
 BLOTCH_TEXELS_PER_M, BLOTCH_CONTRAST = SIZE / 29.0, 0.35
 """Weathering is laid over all that stands still, so that no two tiles look the same."""
 CLOUD_HEIGHT_TEXELS, CLOUD_CONTRAST, SKY_RADIANCE = 150.0, 0.35, 0.85
+SWAY_M, SWAY_RAD_S = 0.12, 4.5
+"""Of leaves that repeat: they go to and fro, each hedge and each crown by itself."""
 HAZE_M = 1500.0
 """Distance at which half of what is seen is haze."""
 
@@ -57,7 +59,8 @@ def shade_sky(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Rays)
 def shade_ground(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Rays) -> None:
     """Radiance of the rays that hit the ground."""
     C, center = posed.C_world_cam, posed.center_m
-    texels, level_start, edge_m, distance_m = scene.texels, scene.level_start, scene.band_edge_m, scene.road_distance_m
+    texels, level_start, edge_m = scene.texels, scene.level_start, scene.band_edge_m
+    blocks, distance_m = scene.map_blocks, scene.road_distance_m
     texture, texels_per_m = scene.band_texture, scene.band_texels_per_m
     albedo, contrast = scene.band_albedo, scene.band_contrast
     corner_x, corner_y = scene.map_corner_m[0], scene.map_corner_m[1]
@@ -74,7 +77,7 @@ def shade_ground(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Ra
         step = footprint_px * depth_m / posed.focal_px
         au, av = step * (C[0, 0] - dx / dz * C[2, 0]), step * (C[0, 1] - dx / dz * C[2, 1])
         bu, bv = step * (C[1, 0] - dy / dz * C[2, 0]), step * (C[1, 1] - dy / dz * C[2, 1])
-        band = _band(edge_m, distance_m, (east - corner_x) / MAP_CELL_M, (north - corner_y) / MAP_CELL_M)
+        band = _band(edge_m, blocks, distance_m, (east - corner_x) / BLOCK_M, (north - corner_y) / BLOCK_M)
         scale = texels_per_m[band]
         detail = sample(
             texels,
@@ -98,16 +101,20 @@ def shade_ground(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Ra
 
 
 @compiled
-def _band(edge_m: FloatArray, distance_m: NDArray[np.float32], column: float, row: float) -> int:
-    """The band of the ground at a place of the map, by its distance from the road's centre line."""
-    rows, columns = distance_m.shape
+def _band(edge_m: FloatArray, blocks: IntArray, distance_m: NDArray[np.float32], column: float, row: float) -> int:
+    """The band of the ground at a place of the map, in blocks, by its distance from the road's centre line."""
     last = len(edge_m) - 1
-    if not (0.0 <= column < columns - 1 and 0.0 <= row < rows - 1):
+    j, i = math.floor(column), math.floor(row)
+    if not (0 <= j < blocks.shape[1] and 0 <= i < blocks.shape[0]):
         return last
+    block = blocks[i, j]
+    if block < 0:
+        return last
+    column, row = BLOCK_CELLS * (column - j), BLOCK_CELLS * (row - i)
     j, i = int(column), int(row)
     right, up = column - j, row - i
-    near = (1.0 - right) * distance_m[i, j] + right * distance_m[i, j + 1]
-    far = (1.0 - right) * distance_m[i + 1, j] + right * distance_m[i + 1, j + 1]
+    near = (1.0 - right) * distance_m[block, i, j] + right * distance_m[block, i, j + 1]
+    far = (1.0 - right) * distance_m[block, i + 1, j] + right * distance_m[block, i + 1, j + 1]
     away_m = abs((1.0 - up) * near + up * far)
     for band in range(last):
         if away_m < edge_m[band]:
@@ -116,7 +123,7 @@ def _band(edge_m: FloatArray, distance_m: NDArray[np.float32], column: float, ro
 
 
 @compiled
-def shade_solid(scene: SceneArrays, posed: Posed, footprint_px: float, i: int, rays: Rays) -> None:
+def shade_solid(scene: SceneArrays, posed: Posed, time_s: float, footprint_px: float, i: int, rays: Rays) -> None:
     """Radiance of the rays that hit solid ``i``."""
     C, center, half = posed.C_solid_cam[i], posed.center_in_solid_m[i], scene.half_size_m[i]
     C_solid_world, origin = posed.C_solid_world[i], posed.world_in_solid_m[i]
@@ -124,6 +131,7 @@ def shade_solid(scene: SceneArrays, posed: Posed, footprint_px: float, i: int, r
     shift_m, texels_per_m, texture = scene.shift_m[i], scene.texels_per_m[i], scene.texture[i]
     albedo, contrast = scene.albedo[i], scene.contrast[i]
     sun = _to_solid(C_solid_world, scene.to_sun)
+    sway_m = SWAY_M * math.sin(SWAY_RAD_S * time_s + i) if texture[1] == scene.repeated else 0.0
     box, still = scene.shape[i] == BOX, scene.object_index[i] == 0
     hits, xs, ys, depths_m = rays.hit, rays.x, rays.y, rays.depth_m
     radiance, sunlit, place_m, sizes_m = rays.radiance, rays.sunlit, rays.place_m, rays.size_m
@@ -138,7 +146,7 @@ def shade_solid(scene: SceneArrays, posed: Posed, footprint_px: float, i: int, r
             C[2, 0] * x + C[2, 1] * y + C[2, 2],
         )
         own = (center[0] + depth_m * ray[0], center[1] + depth_m * ray[1], center[2] + depth_m * ray[2])
-        face, normal = _face_of_box(own, half, ray) if box else _face_of_ball(own, half)
+        face, normal = _face_of_box(own, half, ray) if box else _face_of_ellipsoid(own, half)
         slope = 1.0 / min(normal[0] * ray[0] + normal[1] * ray[1] + normal[2] * ray[2], -1e-4)
         over_u = slope * (normal[0] * C[0, 0] + normal[1] * C[1, 0] + normal[2] * C[2, 0])
         over_v = slope * (normal[0] * C[0, 1] + normal[1] * C[1, 1] + normal[2] * C[2, 1])
@@ -146,7 +154,7 @@ def shade_solid(scene: SceneArrays, posed: Posed, footprint_px: float, i: int, r
         step = footprint_px * depth_m / posed.focal_px
         au, av = step * (C[first, 0] - over_u * ray[first]), step * (C[first, 1] - over_v * ray[first])
         bu, bv = step * (C[second, 0] - over_u * ray[second]), step * (C[second, 1] - over_v * ray[second])
-        a, b = own[first] + half[first] + shift_m[0], own[second] + half[second] + shift_m[1]
+        a, b = own[first] + half[first] + shift_m[0] + sway_m, own[second] + half[second] + shift_m[1]
         scale_a, scale_b = texels_per_m[face, 0], texels_per_m[face, 1]
         detail = sample(
             texels,
@@ -189,7 +197,7 @@ def _face_of_box(own: Vector, half: FloatArray, ray: Vector) -> tuple[int, Vecto
 
 
 @compiled
-def _face_of_ball(own: Vector, half: FloatArray) -> tuple[int, Vector]:
+def _face_of_ellipsoid(own: Vector, half: FloatArray) -> tuple[int, Vector]:
     """The face that a box would have at a place on an ellipsoid, and the normal there."""
     x, y, z = own[0] / half[0], own[1] / half[1], own[2] / half[2]
     nx, ny, nz = x / half[0], y / half[1], z / half[2]
@@ -224,4 +232,4 @@ def _weathering(texels: Texels, blotches: int, level_start: IntArray, a: float, 
     """Slow changes of the reflectance over metres, around 0; ``size_m`` is the footprint's."""
     step = size_m * BLOTCH_TEXELS_PER_M
     a, b = a * BLOTCH_TEXELS_PER_M, b * BLOTCH_TEXELS_PER_M
-    return BLOTCH_CONTRAST * sample_softly(texels, blotches, level_start, a, b, step)
+    return BLOTCH_CONTRAST * sample_square(texels, blotches, level_start, a, b, step)

@@ -9,10 +9,10 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled
 from probevo.simulation.scene.candidates import SHADOW_CELL_M, Candidates
-from probevo.simulation.scene.intersection import Rays, enter_ball, enter_box
+from probevo.simulation.scene.intersection import Rays, enter_box, enter_ellipsoid
 from probevo.simulation.scene.scene_arrays import Posed, SceneArrays
 from probevo.simulation.scene.solids import BOX
-from probevo.simulation.scene.texture_filter import sample_softly
+from probevo.simulation.scene.texture_filter import sample_square
 from probevo.simulation.scene.textures import SIZE
 
 CLEARANCE_M = 1e-3
@@ -56,7 +56,7 @@ def add_sunlight(scene: SceneArrays, posed: Posed, casters: Candidates, time_s: 
                 (east - WIND_M_S[0] * time_s) * LEAVES_TEXELS_PER_M,
                 (north - WIND_M_S[1] * time_s) * LEAVES_TEXELS_PER_M,
             )
-            leaves = sample_softly(texels, scene.dapple, level_start, a, b, step)
+            leaves = sample_square(texels, scene.dapple, level_start, a, b, step)
             share = 1.0 - 0.5 * LEAVES_DARKNESS * scene.shadow * (1.0 - leaves)
         radiance[k] += share * sunlit[k]
 
@@ -81,7 +81,7 @@ def _shades(
     if shape[i] == BOX:
         enter = enter_box(half[i, 0], half[i, 1], half[i, 2], ox, oy, oz, dx, dy, dz)
     else:
-        enter = enter_ball(half[i, 0], half[i, 1], half[i, 2], ox, oy, oz, dx, dy, dz)
+        enter = enter_ellipsoid(half[i, 0], half[i, 1], half[i, 2], ox, oy, oz, dx, dy, dz)
     return CLEARANCE_M < enter < np.inf
 
 

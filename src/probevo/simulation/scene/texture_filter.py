@@ -48,10 +48,12 @@ def sample(
 
 
 @compiled
-def sample_softly(texels: Texels, layer: int, level_start: IntArray, a: float, b: float, side: float) -> float:
-    """The same over a square footprint at a third of the cost, for textures without fine detail."""
-    level, _ = _level(max(side, 1.0))
-    return _texel(texels, layer, level_start[level], level, a, b) / 127.5 - 1.0
+def sample_square(texels: Texels, layer: int, level_start: IntArray, a: float, b: float, side: float) -> float:
+    """The same over a square footprint, with a single sample."""
+    level, blend = _level(max(side, 1.0))
+    fine = _texel(texels, layer, level_start[level], level, a, b)
+    coarse = _texel(texels, layer, level_start[level + 1], level + 1, a, b)
+    return (fine + blend * (coarse - fine)) / 127.5 - 1.0
 
 
 @compiled

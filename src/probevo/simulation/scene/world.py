@@ -54,6 +54,11 @@ class Movers:
         """Number of movers, G."""
         return len(self.s_m)
 
+    @property
+    def fastest_m_s(self) -> float:
+        """The highest speed against the ground, but for those that keep to the camera's."""
+        return float(np.hypot(self.speed_m_s, self.lateral_speed_m_s).max(initial=0.0))
+
     @staticmethod
     def none() -> Movers:
         """Nothing moves."""
@@ -97,5 +102,6 @@ class World:
         T_world_own = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.arctan2(forward[1], forward[0])]))
         T_world_own[:2, 3] = T_world_cam[:2, 3]
         route = self.ground.route
-        T_world_mover = self.movers.poses(route, t_s, float(route.nearest(T_world_cam[:2, 3])[0]))
+        camera_s_m = float(route.nearest(T_world_cam[:2, 3])[0]) if self.movers.ahead.any() else 0.0
+        T_world_mover = self.movers.poses(route, t_s, camera_s_m)
         return np.concatenate([np.eye(4)[None], T_world_mover, T_world_own[None]])

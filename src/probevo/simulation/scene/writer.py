@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from probevo.errors import InputError
-from probevo.output.files import check_folder, write_atomically, write_kitti_poses
+from probevo.output.files import check_folder, remove_stale, write_atomically, write_kitti_poses
 from probevo.sequences.folder import IMU_HEADER
 from probevo.sequences.read_ahead import read_ahead
 from probevo.simulation.scene.config import SceneConfig
@@ -39,7 +39,7 @@ def write_scene(
     ``pixel_truth/<frame>.npz`` with the arrays of ``PixelTruth`` in single precision.
 
     Args:
-        config: all settings.
+        config: all settings. ``truth`` may change from call to call: it decides ``poses.txt`` alone.
         out: the folder; made if it is missing.
         pixel_truth: also write the truth about each pixel.
         jobs: threads that render; 0 is one for each core.
@@ -51,20 +51,24 @@ def write_scene(
     Raises:
         InputError: the folder holds something else, or cannot be written to.
     """
-    settings = yaml.safe_dump({"renderer": RENDERER_VERSION, **config.model_dump()}, sort_keys=False)
+    settings = settings_text(config)
     _check_out(settings, out)
     recording = open_scene(config)
     write_atomically(out / SETTINGS_FILE, settings)
 
-    def render(index: int) -> None:
-        for side, image in zip(SIDES, recording.images(index), strict=True):
-            write_atomically(_image_file(out, side, index), cv2.imencode(".png", image)[1].tobytes())
-        if pixel_truth:
+    def write(index: int) -> None:
+        if not _has_images(out, index):
+            for side, image in zip(SIDES, recording.images(index), strict=True):
+                write_atomically(_image_file(out, side, index), cv2.imencode(".png", image)[1].tobytes())
+        if pixel_truth and not _truth_file(out, index).exists():
             _write_pixel_truth(_truth_file(out, index), recording.pixel_truth(index))
 
-    missing = [index for index in range(len(recording)) if not _is_there(out, index, pixel_truth)]
-    threads = jobs or len(os.sched_getaffinity(0))
-    written = read_ahead(render, missing, ahead=2 * threads, threads=threads)
+    def is_missing(index: int) -> bool:
+        return not _has_images(out, index) or (pixel_truth and not _truth_file(out, index).exists())
+
+    missing = [index for index in range(len(recording)) if is_missing(index)]
+    threads = min(jobs or _cores(), len(recording))
+    written = read_ahead(write, missing, ahead=2 * threads, threads=threads)
     for done, _ in enumerate(written, start=len(recording) - len(missing) + 1):
         if on_frame is not None:
             on_frame(done, len(recording))
@@ -72,19 +76,30 @@ def write_scene(
     return out
 
 
+def settings_text(config: SceneConfig) -> str:
+    """Everything that decides the images, as YAML: two scenes with the same text look the same."""
+    decisive = config.model_dump(exclude={"truth"})
+    return yaml.safe_dump({"renderer": RENDERER_VERSION, **decisive}, sort_keys=False)
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _check_out(settings: str, out: Path) -> None:
     """Refuse a folder that holds anything but a part of this very scene."""
     check_folder(out, "--out")
-    if not out.is_dir() or not any(out.iterdir()):
-        return
     try:
+        if not out.is_dir() or all(path.suffix == ".part" for path in out.iterdir()):
+            return
         there = (out / SETTINGS_FILE).read_text()
-    except OSError:
+    except (OSError, UnicodeDecodeError):
         what = f"the folder {out} is not empty, and holds no simulated scene."
         raise InputError("--out", what, "Choose another folder.") from None
     if there != settings:
         what = f"the folder {out} holds a scene with other settings, see {SETTINGS_FILE} there."
-        raise InputError("--out", what, "Choose another folder, or delete that one.")
+        raise InputError("--out", what, f"Choose another folder, or delete {out}.")
 
 
 def _image_file(out: Path, side: str, index: int) -> Path:
@@ -95,10 +110,9 @@ def _truth_file(out: Path, index: int) -> Path:
     return out / "pixel_truth" / f"{index:06d}.npz"
 
 
-def _is_there(out: Path, index: int, pixel_truth: bool) -> bool:
-    """Whether a frame was written; files appear whole or not at all."""
-    files = [_image_file(out, side, index) for side in SIDES]
-    return all(file.exists() for file in [*files, *([_truth_file(out, index)] if pixel_truth else [])])
+def _has_images(out: Path, index: int) -> bool:
+    """Whether the images of a frame were written; files appear whole or not at all."""
+    return all(_image_file(out, side, index).exists() for side in SIDES)
 
 
 def _write_pixel_truth(path: Path, truth: PixelTruth) -> None:
@@ -138,4 +152,6 @@ def _write_rest(recording: SceneRecording, out: Path) -> None:
     write_atomically(out / "imu.csv", "\n".join([IMU_HEADER, *lines, ""]))
     if recording.truth is not None:
         write_kitti_poses(out / "poses.txt", recording.truth.T_world_cam)
+    else:
+        remove_stale(out / "poses.txt")
     write_atomically(out / LAST_FILE, "".join(f"{stamp}\n" for stamp in recording.stamps_ns.tolist()))
