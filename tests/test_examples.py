@@ -76,3 +76,12 @@ def test_conversions_against_samples() -> None:
     turns = Rotation.from_matrix(samples[:, :3, :3] @ pose[:3, :3].T).as_rotvec()
     errors = np.concatenate([samples[:, :3, 3] - pose[:3, 3], turns], axis=1)
     np.testing.assert_allclose(np.cov(errors.T), converted, atol=0.02 * np.abs(converted).max())
+
+
+def test_how_wrong_features_are() -> None:
+    """The solver trusts what stands still."""
+    words = [EXAMPLES / "03_how_wrong_features_are.py", "city", "traffic=1"]
+    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert [line[1] for line in lines] == ["trusted", "distrusted"]
+    assert int(lines[0][2]) < int(lines[1][2])

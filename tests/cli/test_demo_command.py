@@ -70,6 +70,12 @@ def test_training_and_test_share_their_troubles_but_not_their_streets() -> None:
     assert min(demo.TRAINING.distance_m or 0, demo.TEST.distance_m or 0) >= 150
 
 
+def test_other_settings_go_to_another_folder() -> None:
+    folders = {demo.scene_folder("test", TINY.model_copy(update={"seed": seed})) for seed in (0, 1, 1)}
+    assert len(folders) == 2
+    assert all(re.fullmatch(r"test-[0-9a-f]{8}", folder) for folder in folders)
+
+
 def test_a_scene_in_words() -> None:
     config = SceneConfig(preset="road", seed=3, distance_m=80, effects=Effects(blur=0.25))
     assert demo.scene_text(config) == "road 3, 80 m, blur 0.25"

@@ -136,3 +136,14 @@ def test_words_that_cannot_be_read_exit_with_2(
         main(["simulate", *words])
     assert caught.value.code == 2
     assert fragment in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("flags", "fragment"), [(["--camera.focal-px", "90000"], "no landmark"), (["--train-s", "0.001"], "two frames")]
+)
+def test_a_point_world_without_anything_to_see_is_refused(
+    flags: list[str], fragment: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", "point", "--out", str(tmp_path / "points"), *flags]) == 2
+    assert fragment in capsys.readouterr().err
+    assert not (tmp_path / "points").exists()

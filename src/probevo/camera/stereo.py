@@ -28,6 +28,12 @@ class StereoCamera:
     size_px: tuple[int, int] | None = None
     """(width, height) of the images; None where only features are known."""
 
+    @staticmethod
+    def centered(focal_px: float, baseline_m: float, size_px: tuple[int, int]) -> StereoCamera:
+        """With square pixels, and axes that meet the middle of images of (width, height)."""
+        width, height = size_px
+        return StereoCamera(focal_px, focal_px, 0.5 * (width - 1), 0.5 * (height - 1), baseline_m, size_px)
+
     def project(self, points: FloatArray) -> FloatArray:
         """y = f(p): points [..., 3], m, to observations [..., 4], px (PROBE eq. 2). Points need z > 0."""
         x, y, z = np.moveaxis(points, -1, 0)

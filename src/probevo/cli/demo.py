@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,7 +60,10 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     check_folder(out, "--out")
     if not (out / "scenes").exists():
         print("The first time of all, this takes a minute: it compiles, and renders the scenes.", flush=True)
-    folders = {name: render_with_progress(config, out / "scenes" / name) for name, config in scenes.items()}
+    folders = {
+        name: render_with_progress(config, out / "scenes" / scene_folder(name, config))
+        for name, config in scenes.items()
+    }
     entries = [run(name, folder, noise, out) for name, folder in folders.items() for noise in get_args(NoiseName)]
     comparison = Comparison(tuple(entries))
     facts = {name.capitalize(): scene_text(config) for name, config in scenes.items()}
@@ -67,6 +71,13 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     head, *rows = comparison_rows(comparison)
     print(table(head, rows))
     print(f"\nDrift and rotation: over pieces of 10 to 50 m.\nreport: {out / 'report.html'}")
+
+
+def scene_folder(name: str, config: SceneConfig) -> str:
+    """Name of a scene's folder: other settings, or another renderer, go to another folder."""
+    from probevo.simulation.scene.writer import settings_text
+
+    return f"{name}-{hashlib.sha256(settings_text(config).encode()).hexdigest()[:8]}"
 
 
 def run(name: str, folder: Path, noise: NoiseName, out: Path) -> Entry:

@@ -12,7 +12,6 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.config import TrackingConfig
 from probevo.experiments.blur_scene import CORNERS, FAST, FRAME_STEP_S, INSTANT_STEP_S, LEFT, RIGHT, STEREO, BoardScene
-from probevo.geometry import se3
 from probevo.predictors.blur import blur
 from probevo.sequences.read_ahead import read_ahead
 
@@ -20,7 +19,6 @@ NUM_CORNERS = CORNERS[0] * CORNERS[1]
 REFINE_HALF_PX = 5
 """Half the window of the corner refinement: as large as that of the tracking."""
 _REFINE_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
-_T_FAST_LEFT = se3.inverse(FAST.T_left_cam)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.experiments.blur import BlurObservations, BlurView
+from probevo.experiments.blur_scene import FAST, INSTANT_STEP_S, LEFT
 from probevo.experiments.blur_statistics import AXES, KINDS, ErrorSummary, Finding, verdicts
 from probevo.output.files import write_atomically
 from probevo.output.page import grid, panel, write_page
@@ -80,8 +81,8 @@ def write_blur_page(
         InputError: the file cannot be written.
     """
     facts = {
-        "Instants": f"{len(views)}, 0.2 s apart, where 20 and 125 frames/s meet",
-        "Shutters": "40 ms, fast camera 2 ms",
+        "Instants": f"{len(views)}, {INSTANT_STEP_S:g} s apart",
+        "Shutters": f"{1e3 * LEFT.shutter_s:g} ms, fast camera {1e3 * FAST.shutter_s:g} ms",
         "Low from high": f"median of the blur metric, {observations.threshold:.3f}",
         "Seed": str(seed),
     }

@@ -17,6 +17,8 @@ STRETCH = 5
 RESAMPLES, INTERVAL_PERCENT = 4000, (2.5, 97.5)
 CORE = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
+NORMAL_TAILS = 1.2
+"""Errors whose σ is up to so many times that of their core pass for normal."""
 FAR_PX = 3.0
 KINDS, AXES = ("reprojection", "tracking"), ("horizontal", "vertical")
 
@@ -158,9 +160,11 @@ def verdicts(results: tuple[Finding, ...]) -> list[str]:
     factor = f"factors {' / '.join(map(readable, ratios))}, and no 95 % interval begins below {readable(min(lows))}"
     cores = " / ".join(readable(finding.core_ratio) for finding in results)
     far = max(part.far for part in parts)
+    tails = max(part.sigma_px / part.core_px for part in parts)
+    shape = "yes" if tails <= NORMAL_TAILS else "only the core"
     return [
         f"Zero-mean: {zero}; {within}, the farthest {most_errors:.1f}; the largest is {most_sigmas:.2f} σ.",
         f"Variance grows with blur: {'yes' if grows else 'not for all'}; {factor}.",
-        f"Normal: only the core. Without its tails the variance grows by factors {cores}; up to {100 * far:.1f} % of "
-        f"the errors of a class lie beyond {FAR_PX:g} px.",
+        f"Normal: {shape}; σ is up to {tails:.1f} times that of the core. Without its tails the variance grows by "
+        f"factors {cores}; up to {100 * far:.1f} % of the errors of a class lie beyond {FAR_PX:g} px.",
     ]

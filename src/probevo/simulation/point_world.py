@@ -14,7 +14,7 @@ from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.output.files import write_atomically
+from probevo.output.files import remove_stale, write_atomically
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.sequences.stamps import NS_PER_S
 from probevo.simulation.noise_laws import NoiseLaw
@@ -114,7 +114,7 @@ def simulate_points(config: PointConfig, duration_s: float, rng: np.random.Gener
     same generator, another noise law comes with the same landmarks and outliers.
 
     Raises:
-        InputError: so many frames and landmarks would not fit in memory.
+        InputError: fewer than two frames, or so many frames and landmarks that they would not fit in memory.
     """
     frames = round(duration_s * config.rate_hz) + 1
     _check_size(config, frames)
@@ -145,8 +145,7 @@ def training_and_test_world(config: PointConfig) -> tuple[PointWorld, PointWorld
 def stereo_camera(config: PointConfig) -> StereoCamera:
     """The camera that the settings describe."""
     c = config.camera
-    center_px = 0.5 * (c.width_px - 1), 0.5 * (c.height_px - 1)
-    return StereoCamera(c.focal_px, c.focal_px, *center_px, c.baseline_m, (c.width_px, c.height_px))
+    return StereoCamera.centered(c.focal_px, c.baseline_m, (c.width_px, c.height_px))
 
 
 def circle(config: PointConfig, t_s: FloatArray) -> FloatArray:
@@ -189,9 +188,12 @@ def write_training_and_test(config: PointConfig, folder: Path) -> tuple[PointWor
     """Write ``train.npz`` and ``test.npz``, and the settings they came from as ``config.yaml``; returns the two worlds.
 
     Raises:
-        InputError: the folder cannot be written to.
+        InputError: as ``simulate_points`` does, no landmark is ever seen, or the folder cannot be written to.
     """
     train, test = training_and_test_world(config)
+    if not len(train.ids) or not len(test.ids):
+        raise InputError("point world", "no landmark is ever seen.", "Take more landmarks, or a wider camera.")
+    remove_stale(folder / "config.yaml")
     write_points(train, folder / "train.npz")
     write_points(test, folder / "test.npz")
     write_atomically(folder / "config.yaml", yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False))
@@ -199,6 +201,8 @@ def write_training_and_test(config: PointConfig, folder: Path) -> tuple[PointWor
 
 
 def _check_size(config: PointConfig, frames: int) -> None:
+    if frames < 2:
+        raise InputError("point world", "a drive is shorter than two frames.", "Drive longer, or with more frames.")
     if frames * config.landmarks <= MOST_SIGHTINGS:
         return
     what = f"{frames} frames of {config.landmarks} landmarks are too many; together they may make {MOST_SIGHTINGS:g}."

@@ -72,10 +72,24 @@ def test_another_drive_is_another_path_through_the_same_place() -> None:
 
 
 def test_truth_can_be_withheld() -> None:
-    loop = open_scene(SHORT.model_copy(update={"truth": "loop"})).truth
+    loop = open_scene(SceneConfig(preset="rover", distance_m=60.0, truth="loop", rig=SMALL)).truth
     assert loop is not None
     assert np.flatnonzero(loop.known).tolist() == [0, len(loop.known) - 1]
+    np.testing.assert_allclose(loop.T_world_cam[-1], np.eye(4), atol=1e-9)
     assert open_scene(SHORT.model_copy(update={"truth": "none"})).truth is None
+
+
+def test_no_loop_no_truth_of_one() -> None:
+    with pytest.raises(InputError, match="drives no loop"):
+        open_scene(SHORT.model_copy(update={"truth": "loop"}))
+
+
+def test_flow_of_the_last_frame_goes_on_as_the_drive_did() -> None:
+    """At the lowest rate the next frame would come half a second after the end."""
+    recording = open_scene(SHORT.model_copy(update={"rig": SMALL.model_copy(update={"rate_hz": 2.0})}))
+    last, before = (recording.pixel_truth(len(recording) - k).flow_px for k in (1, 2))
+    lower = np.s_[26:34, :]  # the road, far enough ahead that it stays there
+    assert np.nanmedian(np.abs(last[lower])) == pytest.approx(np.nanmedian(np.abs(before[lower])), rel=0.5)
 
 
 def test_noise_of_left_and_right_is_independent() -> None:
@@ -87,4 +101,4 @@ def test_noise_of_left_and_right_is_independent() -> None:
 
 def test_a_drive_of_less_than_a_frame_is_refused() -> None:
     with pytest.raises(InputError, match="distance_m"):
-        open_scene(SceneConfig(preset="road", distance_m=1.1, rig=SMALL.model_copy(update={"rate_hz": 0.5})))
+        open_scene(SceneConfig(preset="road", distance_m=1.1, rig=SMALL.model_copy(update={"rate_hz": 2.0})))

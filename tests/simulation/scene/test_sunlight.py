@@ -43,7 +43,15 @@ def test_beside_it_there_is_sun_but_for_the_leaves(east_m: float, right_m: float
     lit, shaded = lit_and_shaded(east_m, right_m)
     place = world()
     sun_share = place.sun * SUN[2] / (place.sky + place.sun * SUN[2])
-    assert shaded / lit >= 1.0 - LEAVES_DARKNESS * sun_share - 0.02
+    assert 1.0 - LEAVES_DARKNESS * sun_share - 0.02 <= shaded / lit <= 1.0
+
+
+def test_leaves_shade_some_of_the_ground_and_wander_with_the_wind() -> None:
+    place = world(sun=SUN)
+    rows = slice(90, 128)  # ground
+    lit, first, later = (renderer(place, shadows=s).pair(t)[0][rows] for s, t in ((0.0, 0.0), (1.0, 0.0), (1.0, 0.5)))
+    assert 0.05 < np.mean(first < 0.9 * lit) < 0.95
+    assert not np.allclose(first, later, atol=0.02)
 
 
 def test_half_the_strength_is_half_as_dark() -> None:
@@ -58,4 +66,4 @@ def test_a_solid_does_not_shade_its_own_lit_face() -> None:
     images = [renderer(world(wall, sun=SUN), shadows=s).pair(0.0)[0] for s in (0.0, 1.0)]
     u, v = np.round(CAMERA.project(np.array([5.5, -1.0, 20.0]))[:2]).astype(int)
     ratio = images[1][v, u - 5 : u + 5] / images[0][v, u - 5 : u + 5]
-    assert ratio.min() > 0.5
+    np.testing.assert_allclose(ratio, 1.0, atol=1e-4)

@@ -13,7 +13,8 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.simulation.scene.config import Effects, PresetName
 from probevo.simulation.scene.drive import DrivePlan, Trajectory
-from probevo.simulation.scene.presets.traffic import own_vehicle, traffic
+from probevo.simulation.scene.presets.traffic import traffic
+from probevo.simulation.scene.presets.vehicles import own_vehicle
 from probevo.simulation.scene.renderer import Renderer
 from probevo.simulation.scene.route import Route
 from probevo.simulation.scene.solids import Solids
@@ -114,12 +115,18 @@ def test_other_seed_gives_other_traffic() -> None:
 
 
 def test_those_in_one_lane_keep_apart() -> None:
-    """Oncoming cars have one speed, and their middles are further apart than the longest of them, a bus, is long."""
-    movers = busy("city")[1]
-    oncoming = np.isclose(movers.lateral_m, 1.6, atol=0.2) & (movers.speed_m_s < 0.0)
-    assert oncoming.sum() > 5
+    """Oncoming cars have one speed, and no two of them overlap."""
+    solids, movers = busy("city")
+    oncoming = np.flatnonzero(np.isclose(movers.lateral_m, 1.6, atol=0.2) & (movers.speed_m_s < 0.0))
+    assert len(oncoming) > 5
     assert np.ptp(movers.speed_m_s[oncoming]) == 0.0
-    assert np.diff(movers.s_m[oncoming]).min() > 4.0
+    reach_m = np.abs(solids.T_object_solid[:, 0, :3] * solids.half_size_m).sum(axis=1)
+    ends_m = []
+    for g in np.array(oncoming)[np.argsort(movers.s_m[oncoming])]:
+        own, x_m = solids.object_index == g + 1, solids.T_object_solid[:, 0, 3]
+        # They face against the road: the front lies at the lower s.
+        ends_m += [movers.s_m[g] - (x_m + reach_m)[own].max(), movers.s_m[g] - (x_m - reach_m)[own].min()]
+    assert np.all(np.diff(ends_m) > 0.0)
 
 
 def test_no_strength_is_no_traffic() -> None:

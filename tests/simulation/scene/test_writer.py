@@ -83,7 +83,28 @@ def test_a_folder_with_another_scene_is_refused_and_left_alone(tmp_path: Path) -
     assert contents(folder) == before
 
 
+def test_truth_can_be_withheld_later_without_rendering_again(tmp_path: Path) -> None:
+    calls: list[int] = []
+    folder = write_scene(CONFIG, tmp_path / "scene")
+    write_scene(CONFIG.model_copy(update={"truth": "none"}), folder, on_frame=lambda done, total: calls.append(done))
+    assert open_sequence(folder).truth is None
+    write_scene(CONFIG, folder, on_frame=lambda done, total: calls.append(done))
+    assert open_sequence(folder).truth is not None
+    assert calls == []
+
+
+def test_what_a_killed_call_left_half_written_is_no_obstacle(tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (folder / f"{SETTINGS_FILE}.part").write_text("rend")
+    write_scene(CONFIG, folder)
+    assert len(open_sequence(folder)) == len(open_scene(CONFIG))
+
+
 def test_a_folder_with_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="not empty"):
+        write_scene(CONFIG, tmp_path)
+    (tmp_path / SETTINGS_FILE).write_bytes(b"\xff\xfe no text")
     with pytest.raises(InputError, match="not empty"):
         write_scene(CONFIG, tmp_path)

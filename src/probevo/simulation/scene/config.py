@@ -20,7 +20,7 @@ class RigConfig(Settings):
     focal_px: float = Field(360.0, gt=10, le=20_000, description="Focal length.")
     baseline_m: float = Field(0.54, gt=0.001, le=10, description="Distance of the right camera from the left one.")
     rate_hz: float = Field(10.0, ge=2, le=1000, description="Frames a second.")
-    imu_rate_hz: float = Field(200.0, ge=10, le=2000, description="IMU samples a second.")
+    imu_rate_hz: float = Field(200.0, ge=10, le=10_000, description="IMU samples a second.")
     gyro_noise_rad_s_sqrt_hz: float = Field(1.7e-4, gt=0, le=0.1, description="White noise density of the gyro.")
     gyro_bias_sigma_rad_s: float = Field(2e-3, ge=0, le=0.1, description="Spread of the gyro's bias at start.")
     gyro_bias_walk_rad_s2_sqrt_hz: float = Field(2e-5, ge=0, le=0.1, description="Random walk of the gyro's bias.")

@@ -90,14 +90,7 @@ def open_scene(config: SceneConfig) -> SceneRecording:
         InputError: the camera is none, the drive is too short for two frames, or it is no loop but its truth is that.
     """
     rig, place = config.rig, PRESETS[config.preset](config)
-    camera = StereoCamera(
-        rig.focal_px,
-        rig.focal_px,
-        0.5 * (rig.width_px - 1),
-        0.5 * (rig.height_px - 1),
-        rig.baseline_m,
-        (rig.width_px, rig.height_px),
-    )
+    camera = StereoCamera.centered(rig.focal_px, rig.baseline_m, (rig.width_px, rig.height_px))
     check_camera(camera, "rig")
     key = [config.seed, config.drive]
     trajectory = Trajectory.along(place.world.ground.route, place.plan, np.random.default_rng([*key, 1]))

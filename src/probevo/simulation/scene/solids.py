@@ -49,6 +49,12 @@ class Solids:
         """Number of solids, N."""
         return len(self.shape)
 
+    @staticmethod
+    def none() -> Solids:
+        """No solid at all."""
+        one = solid(BOX, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), Texture.PLAIN, 1.0)
+        return Solids(**{f.name: getattr(one, f.name)[:0] for f in fields(Solids)})
+
     def of_object(self, index: int) -> Solids:
         """The same solids as parts of another object."""
         return replace(self, object_index=np.full(len(self), index))

@@ -127,7 +127,7 @@ def _pavement(route: Route, rng: np.random.Generator) -> list[Solids]:
             elif kind < 0.4:
                 things.append(furniture.box(rng).at(route.place(s + along, near_front)))
             elif kind < 0.6:
-                things.extend(furniture.bin(rng).at(route.place(s + along + x, near_front)) for x in (0.0, 0.8))
+                things.extend(furniture.litter_bin(rng).at(route.place(s + along + x, near_front)) for x in (0.0, 0.8))
             elif kind < 0.7:
                 things.append(furniture.bench().at(route.place(s + along, near_front) @ to_road @ HALF_TURN))
             elif kind < 0.8:

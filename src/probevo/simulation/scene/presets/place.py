@@ -12,7 +12,8 @@ from probevo.arrays import FloatArray
 from probevo.simulation.scene.config import SceneConfig
 from probevo.simulation.scene.drive import DrivePlan
 from probevo.simulation.scene.presets.foliage import foliage
-from probevo.simulation.scene.presets.traffic import own_vehicle, traffic
+from probevo.simulation.scene.presets.traffic import traffic
+from probevo.simulation.scene.presets.vehicles import own_vehicle
 from probevo.simulation.scene.route import Route
 from probevo.simulation.scene.solids import Solids, join
 from probevo.simulation.scene.textures import Texture
@@ -88,8 +89,7 @@ def compose(
         hedges = foliage(route, effects.foliage, foliage_m, place_rng(config, 1))
         parts.extend(clear_of_road(hedges, route, foliage_m - HEDGE_SPARE_M))
     moving, movers = traffic(route, plan, effects.traffic, place_rng(config, 2), kind=config.preset)
-    if moving is not None:
-        parts.append(moving)
+    parts.append(moving)
     gain = 1.0 / (1.0 - SHADOWED_SHARE * effects.shadows)
     ground, to_sun = _ground(route, bands, left), _to_sun(route, plan)
     world = World(join(parts), movers, ground, to_sun, gain * SUN, gain * SKY)

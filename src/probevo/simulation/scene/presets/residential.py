@@ -107,7 +107,7 @@ def _garden(rng: np.random.Generator) -> list[tuple[Solids, float, float]]:
         tree = furniture.tree(rng, rng.uniform(4.0, 8.0))
         parts.append((tree, float(rng.uniform(-8.0, 3.0)), float(rng.uniform(GARDEN_M + 1.5, 10.5))))
     if rng.random() < 0.6:
-        parts.append((join(furniture.bin(rng).at(_shifted(x)) for x in (0.0, 0.8)), 3.0, GARDEN_M + 0.2))
+        parts.append((join(furniture.litter_bin(rng).at(_shifted(x)) for x in (0.0, 0.8)), 3.0, GARDEN_M + 0.2))
     return parts
 
 

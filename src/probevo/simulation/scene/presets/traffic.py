@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from probevo.geometry import se3
 from probevo.simulation.scene.config import PresetName
 from probevo.simulation.scene.drive import DrivePlan, Trajectory
 from probevo.simulation.scene.presets import furniture, vehicles
-from probevo.simulation.scene.presets.vehicles import own_vehicle as own_vehicle
 from probevo.simulation.scene.route import Route
 from probevo.simulation.scene.solids import Solids, join
 from probevo.simulation.scene.world import Movers
@@ -96,7 +95,7 @@ def traffic(
         kind: what street it is.
     """
     if strength <= 0.0:
-        return _no_solids(), Movers.none()
+        return Solids.none(), Movers.none()
     street, path = _STREETS[kind](plan), _path(route, plan)
     crowd = [mover for stream in street.streams for mover in _in_stream(stream, route, path, rng)]
     crowd += _ahead(street, plan, rng) + _crossing(street, path, rng)
@@ -106,7 +105,7 @@ def traffic(
     half_size_m = np.array([_half_size(mover.solids) for mover in crowd]).reshape(-1, 2)
     chosen = np.flatnonzero(_keeps_clear(movers, half_size_m, route, path))
     solids = [crowd[index].solids.of_object(1 + g) for g, index in enumerate(chosen)]
-    return join([_no_solids(), *solids]), Movers(*(getattr(movers, f.name)[chosen] for f in fields(Movers)))
+    return join([Solids.none(), *solids]), Movers(*(getattr(movers, f.name)[chosen] for f in fields(Movers)))
 
 
 def _town(plan: DrivePlan) -> Street:
@@ -229,8 +228,3 @@ def _half_size(solids: Solids) -> FloatArray:
     reach = np.abs(solids.T_object_solid[:, :2, :3]) @ solids.half_size_m[..., None]
     half: FloatArray = (reach[..., 0] + np.abs(solids.T_object_solid[:, :2, 3])).max(axis=0)
     return half
-
-
-def _no_solids() -> Solids:
-    one = own_vehicle()
-    return replace(one, **{f.name: getattr(one, f.name)[:0] for f in fields(Solids)})

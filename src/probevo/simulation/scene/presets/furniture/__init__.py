@@ -10,12 +10,12 @@ from probevo.simulation.scene.presets.furniture.marks import arrow, crosswalk, l
 from probevo.simulation.scene.presets.furniture.plants import bush, distant_tree, hedge, rock, tree
 from probevo.simulation.scene.presets.furniture.street import (
     bench,
-    bin,
     box,
     fence,
     guard_rail,
     kerb,
     lamp_post,
+    litter_bin,
     person,
     road_sign,
     traffic_light,
@@ -24,7 +24,6 @@ from probevo.simulation.scene.presets.furniture.street import (
 __all__ = [
     "arrow",
     "bench",
-    "bin",
     "block",
     "box",
     "bush",
@@ -38,6 +37,7 @@ __all__ = [
     "kerb",
     "lamp_post",
     "lane_dash",
+    "litter_bin",
     "manhole",
     "patch",
     "person",

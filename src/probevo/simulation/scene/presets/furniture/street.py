@@ -71,7 +71,7 @@ def bench() -> Solids:
     return join([seat, back, *feet])
 
 
-def bin(rng: np.random.Generator) -> Solids:
+def litter_bin(rng: np.random.Generator) -> Solids:
     """A wheeled rubbish bin."""
     grey = rng.choice([0.1, 0.2, 0.35])
     body = solid(BOX, (0.55, 0.6, 0.95), (0, 0, 0.5), Texture.PLASTER, 0.8, albedo=grey, contrast=0.9)

@@ -1,0 +1,66 @@
+"""The point world of docs/simulation.md: the shipped noise models, and what knowing every covariance is worth.
+
+python benchmarks/points.py [number of worlds, 3 by default]
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+
+import probevo as pv
+from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.motion.reprojection import solve_reprojection
+from probevo.noise.base import StereoNoise
+from probevo.output.run_result import chain_motions
+from probevo.simulation.point_config import PointConfig
+from probevo.simulation.point_world import PointWorld, training_and_test_world
+
+OFF = pv.OdometryConfig(self_calibration=False)
+
+
+def shipped(world: PointWorld, noise: pv.noise.NoiseModel, config: pv.OdometryConfig | None) -> Metrics:
+    odometry = pv.StereoOdometry(world.camera, noise, config=config)
+    motions = [odometry.step(frame) for frame in world.frames()][1:]
+    T_curr_prev, cov = np.array([m.T_curr_prev for m in motions]), np.array([m.cov for m in motions])
+    return evaluate(chain_motions(T_curr_prev), world.T_world_cam, T_curr_prev, cov)
+
+
+def oracle(world: PointWorld) -> Metrics:
+    """With the outliers taken out and the true covariance of each observation, from the true motion on."""
+    solutions = []
+    for step in world.steps():
+        inlier, count = step.inlier, int(step.inlier.sum())
+        scale = 0.5 * (step.prev_covariance + step.curr_covariance)[inlier]  # one for both observations: they are near
+        noise = StereoNoise(scale, np.full(count, np.inf), np.zeros((count, 4)), refers_to="observation")
+        tracks = step.tracks.kept(inlier)
+        solutions.append(solve_reprojection(tracks.prev_px, tracks.curr_px, noise, step.T_curr_prev, world.camera))
+    T_curr_prev, cov = np.array([s.T_curr_prev for s in solutions]), np.array([s.cov for s in solutions])
+    return evaluate(chain_motions(T_curr_prev), world.T_world_cam, T_curr_prev, cov)
+
+
+def estimators(world: PointWorld) -> Iterator[tuple[str, Metrics]]:
+    yield "`fixed`", shipped(world, pv.noise.Fixed(), None)
+    yield "`student-t`", shipped(world, pv.noise.StudentT(), None)
+    yield "`student-t`, no self-calibration", shipped(world, pv.noise.StudentT(), OFF)
+    yield "true covariances, no outliers", oracle(world)
+
+
+def main() -> None:
+    rows: dict[str, list[Metrics]] = {}
+    for seed in range(int(sys.argv[1]) if len(sys.argv) > 1 else 3):
+        for name, metrics in estimators(training_and_test_world(PointConfig(seed=seed))[1]):
+            rows.setdefault(name, []).append(metrics)
+    print("| | ARMSE, m | drift, % | ANEES |\n|---|---|---|---|")
+    for name, runs in rows.items():
+        texts = [
+            " / ".join(f"{value:.3g}" for value in values)
+            for values in zip(*((m.armse_m, m.short_t_percent, m.anees) for m in runs), strict=True)
+        ]
+        print(f"| {name} | " + " | ".join(texts) + " |")
+
+
+if __name__ == "__main__":
+    main()
