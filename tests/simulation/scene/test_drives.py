@@ -1,0 +1,34 @@
+"""The whole pipeline on rendered scenes: small drift where nothing is wrong, more where something is."""
+
+import numpy as np
+import pytest
+
+import probevo as pv
+from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.motion.estimate import MotionEstimate
+from probevo.output.run_result import chain_motions
+from probevo.simulation.scene.config import Effects, SceneConfig
+from probevo.simulation.scene.recording import open_scene
+
+
+def drive(**effects: float) -> tuple[Metrics, list[MotionEstimate]]:
+    """Forty metres through the city, with the shipped defaults."""
+    scene = open_scene(SceneConfig(preset="city", seed=1, distance_m=40.0, effects=Effects(**effects)))
+    odometry = pv.StereoOdometry(scene.camera, imu=scene.imu)
+    motions = [odometry.step(frame) for frame in scene][1:]
+    T_curr_prev, cov = np.array([m.T_curr_prev for m in motions]), np.array([m.cov for m in motions])
+    assert scene.truth is not None
+    return evaluate(chain_motions(T_curr_prev), scene.truth.T_world_cam, T_curr_prev, cov), motions
+
+
+@pytest.mark.slow
+def test_a_clean_drive_drifts_little_and_noise_costs() -> None:
+    """Below 0.5 % without effects (issue B, Show 2); sensor noise makes single steps at least twice as bad."""
+    clean, motions = drive()
+    assert clean.short_t_percent is not None
+    assert clean.short_t_percent < 0.5
+    assert all(motion.status is pv.Status.OK for motion in motions)
+    noisy, _ = drive(noise=1.0)
+    assert clean.rpe_t_m is not None
+    assert noisy.rpe_t_m is not None
+    assert noisy.rpe_t_m > 2.0 * clean.rpe_t_m
