@@ -67,7 +67,7 @@ def test_a_second_demo_renders_nothing(tmp_path: Path, capsys: pytest.CaptureFix
 def test_training_and_test_share_their_troubles_but_not_their_streets() -> None:
     assert demo.TRAINING.effects == demo.TEST.effects
     assert demo.TRAINING.seed != demo.TEST.seed
-    assert min(demo.TRAINING.distance_m or 0, demo.TEST.distance_m or 0) >= 150
+    assert min(demo.TRAINING.distance_m or 0, demo.TEST.distance_m or 0) >= 100
 
 
 def test_other_settings_go_to_another_folder() -> None:

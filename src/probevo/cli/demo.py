@@ -18,11 +18,11 @@ from probevo.simulation.scene.config import Effects, SceneConfig
 if TYPE_CHECKING:
     from probevo.output.comparison import Entry
 
-EFFECTS = Effects(blur=0.3, traffic=0.5, shadows=0.5, noise=0.3)
-"""A bad day, but no disaster: enough that it matters how far each feature is trusted."""
-TRAINING = SceneConfig(preset="city", seed=1, distance_m=150, effects=EFFECTS)
+EFFECTS = Effects(traffic=0.5, shadows=0.5, noise=0.3)
+"""A bad day, but no disaster: enough that it matters how far each feature is trusted. Blur takes too long to render."""
+TRAINING = SceneConfig(preset="city", seed=1, distance_m=120, effects=EFFECTS)
 """What a noise model learns from. It sees the same troubles as the test: one cannot learn from what does not happen."""
-TEST = SceneConfig(preset="city", seed=2, distance_m=150, effects=EFFECTS)
+TEST = SceneConfig(preset="city", seed=2, distance_m=120, effects=EFFECTS)
 """What all are judged by: the same kind of place, as in PROBE and PROBE-GK, but none of the same streets."""
 SCENES = {"training": TRAINING, "test": TEST}
 
