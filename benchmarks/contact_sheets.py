@@ -66,7 +66,7 @@ def effects(path: Path) -> None:
             tiles.append(labelled(mismatch(clean, index), "clean: left against right, x 5"))
             tiles.append(labelled(mismatch(recording, index), "rectification: left against right, x 5"))
             continue
-        later = index + 40 if name == "shadows" else index
+        later = index + 6 if name == "shadows" else index
         tiles.append(labelled(recording.images(later)[0], name))
         tiles.append(labelled(recording.images(later + 1)[0], f"{name}, next frame"))
     sheet(path, tiles, columns=2)
