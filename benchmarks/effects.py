@@ -19,7 +19,12 @@ from probevo.output.run_result import RunRecorder
 from probevo.simulation.scene.config import Effects, PresetName, SceneConfig
 from probevo.simulation.scene.recording import open_scene
 
-PRESET, DISTANCE_M = "city", 200.0
+DISTANCE_M = 200.0
+SPOILED: dict[PresetName, tuple[str, ...]] = {
+    "city": tuple(Effects.model_fields),
+    "road": ("traffic", "textureless", "foliage"),
+}
+"""Effects that are tried, each alone; on the road those that the city's many features make up for."""
 
 
 def run(config: SceneConfig) -> tuple[Metrics, float]:
@@ -40,13 +45,10 @@ def scenes(places: int) -> Iterator[tuple[str, int, SceneConfig]]:
         for preset in get_args(PresetName):
             length_m = 100.0 if preset == "rover" else DISTANCE_M
             yield f"{preset}, clean", seed, SceneConfig(preset=preset, seed=seed, distance_m=length_m)
-        for name in Effects.model_fields:
+        for preset, name in ((preset, name) for preset, names in SPOILED.items() for name in names):
             effects = Effects(**{name: 1.0})
-            yield (
-                f"{PRESET}, {name}",
-                seed,
-                SceneConfig(preset=PRESET, seed=seed, distance_m=DISTANCE_M, effects=effects),
-            )
+            config = SceneConfig(preset=preset, seed=seed, distance_m=DISTANCE_M, effects=effects)
+            yield f"{preset}, {name}", seed, config
 
 
 def figures(metrics: Metrics, ok: float) -> list[float]:
@@ -68,9 +70,10 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|---|")
     for name, runs in rows.items():
         mean = np.mean(list(runs.values()), axis=0)
-        change = [run[3] / rows[f"{PRESET}, clean"][seed][3] for seed, run in runs.items()]
+        preset, effect = name.split(", ")
+        change = [run[3] / rows[f"{preset}, clean"][seed][3] for seed, run in runs.items()]
         least, most = (f"{ratio:.2f}" for ratio in (min(change), max(change)))
-        against = f"× {least} … {most}" if name.startswith(PRESET) and "clean" not in name else ""
+        against = f"× {least} … {most}" if effect != "clean" else ""
         cells = [f"{mean[0]:.2f}", f"{mean[1]:.2f}", f"{mean[2]:.4f}", f"{mean[3]:.1f}", f"{mean[4]:.4f}", against]
         print(f"| {name} | " + " | ".join([*cells, f"{mean[5]:.0f}", f"{mean[6]:.1f}"]) + " |")
 
