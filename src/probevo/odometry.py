@@ -15,6 +15,7 @@ from probevo.motion.reprojection import ReprojectionSolution, RotationPrior
 from probevo.motion.self_calibration import SelfCalibration
 from probevo.motion.visual import TRUSTED, estimate_motion
 from probevo.noise import NoiseModel, StudentT
+from probevo.predictors import NO_IMAGE, PredictionSpace, Step, space_for
 from probevo.sequences.frame import Frame, ImuCalibration
 from probevo.stage_clock import StageClock
 from probevo.tracking import Tracker, Tracks, tracker_for
@@ -27,13 +28,18 @@ DROP_BELOW = 0.1
 class StereoOdometry:
     """Relative motion of a stereo camera, one frame at a time (PROBE Fig. 1; thesis Fig. 4.1).
 
-    After a step, ``tracks`` holds its tracks, corrected, and ``weights`` how far each was trusted, from 0 to 1.
+    After a step, ``tracks`` holds its N tracks, corrected, ``phi`` their places in the prediction space, [N, M],
+    ``weights`` how far each was trusted, from 0 to 1, and ``expected`` the T_curr_prev known before looking.
 
     Args:
         camera: the rectified camera, as a sequence gives it.
         noise: noise model of the features; the static Student-t by default.
         imu: calibration of the IMU whose samples come with the frames, if they do.
         config: all settings.
+        predictors: the prediction space; by default the one that the noise model needs.
+
+    Raises:
+        InputError: the noise model needs other predictors than those given, or has one that is not known.
     """
 
     def __init__(
@@ -42,11 +48,14 @@ class StereoOdometry:
         noise: NoiseModel | None = None,
         imu: ImuCalibration | None = None,
         config: OdometryConfig | None = None,
+        predictors: PredictionSpace | None = None,
     ) -> None:
         self.camera, self.noise, self.imu, self.config = camera, noise or StudentT(), imu, config or OdometryConfig()
         self.calibration = SelfCalibration.initial() if self.config.self_calibration else None
         self.gyro_bias = GyroBias.initial(imu) if imu else None
-        self.tracks, self.weights = Tracks.none(), np.zeros(0)
+        self.predictors = space_for(self.noise.columns, predictors)
+        self.tracks, self.phi, self.weights = Tracks.none(), np.zeros((0, len(self.predictors.columns))), np.zeros(0)
+        self.expected, self._left = np.eye(4), NO_IMAGE
         self._model = MotionModel.at_start(self.config.motion_model)
         self._tracker: Tracker | None = None
         self._stamp_ns = 0
@@ -64,6 +73,7 @@ class StereoOdometry:
         if self._tracker is None:
             self._tracker, self._stamp_ns = tracker_for(frame, self.camera, self.config.tracking), frame.stamp_ns
             self._tracker.track(frame, np.eye(4))
+            self._left = NO_IMAGE if frame.left is None else frame.left
             return MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, 0)
         if frame.stamp_ns <= self._stamp_ns:
             what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {self._stamp_ns} ns."
@@ -80,10 +90,15 @@ class StereoOdometry:
             self.calibration = self.calibration.with_rows(tracks.curr_px, self.camera)
             tracks = self.calibration.corrected_tracks(tracks, self.camera)
         clock.lap("calibrate")
-        phi = np.zeros((len(tracks), 0))  # [N, M]: the prediction space has no columns yet
+        T_expected = expected.T_curr_prev
+        left = NO_IMAGE if frame.left is None else frame.left
+        seen = Step(tracks, self.camera, duration_s, T_expected, left, self._left, frame.imu, self.imu)
+        phi = self.predictors(seen)  # [N, M]
+        clock.lap("predict")
         rng = np.random.default_rng([self.config.seed, frame.index])
         visual = estimate_motion(tracks, phi, self.noise, self.camera, expected, rotation, self.config, rng, clock)
-        self.tracks, self.weights, self._stamp_ns = tracks, visual.weights, frame.stamp_ns
+        self.tracks, self.phi, self.weights, self.expected = tracks, phi, visual.weights, T_expected
+        self._left, self._stamp_ns = left, frame.stamp_ns
         T_curr_prev = self._model.carried_on(expected, visual.solution)
         status, cov, shared = visual.status, expected.cov, np.zeros((6, 3))
         if visual.solution and status is Status.OK:
@@ -95,10 +110,8 @@ class StereoOdometry:
         solved, refused = (T_curr_prev, cov) if status is Status.OK else None, visual.status is Status.NOT_CONVERGED
         self._model = self._model.after(duration_s, solved, refused=refused)
         clock.lap("learn")
-        trusted, iterations = (
-            int((visual.weights >= TRUSTED).sum()),
-            visual.solution.iterations if visual.solution else 0,
-        )
+        trusted = int((visual.weights >= TRUSTED).sum())
+        iterations = visual.solution.iterations if visual.solution else 0
         return MotionEstimate(T_curr_prev, cov, status, len(tracks), trusted, iterations, shared, clock.times_ms)
 
     def _integrate_gyro(self, frame: Frame) -> GyroRotation | None:

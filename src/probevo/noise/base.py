@@ -48,5 +48,9 @@ class StereoNoise:
 class NoiseModel(Protocol):
     """Predictors in, the noise of each feature out. ``predict`` is pure."""
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the M columns of the prediction space that it needs, in their order; none for a static model."""
+
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """Noise of N features from their place φ in the prediction space, [N, M]."""

@@ -18,6 +18,8 @@ class Fixed:
         covariance: of (u_l, v_l, u_r, v_r), [4, 4], px².
     """
 
+    columns: tuple[str, ...] = ()
+
     def __init__(self, covariance: FloatArray | None = None) -> None:
         self.covariance = np.diag(np.square(OBSERVATION_SIGMA_PX)) if covariance is None else covariance
 

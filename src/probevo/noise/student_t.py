@@ -17,6 +17,8 @@ class StudentT:
         scale: scale matrix of (u_l, v_l, u_r, v_r), [4, 4], px².
     """
 
+    columns: tuple[str, ...] = ()
+
     def __init__(self, dof: float = 5.0, scale: FloatArray | None = None) -> None:
         self.dof = dof
         self.scale = np.diag(np.square(OBSERVATION_SIGMA_PX)) if scale is None else scale

@@ -66,9 +66,9 @@ class ImageTracker:
         rejected: Counter[str] = Counter()
         before = self._before or _Followed(left, np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64), 0)
         next_id = before.next_id
-        before, left_px, disparity = self._follow_in_time(before, left, expected, rejected)
+        before, left_px, disparity, in_time = self._follow_in_time(before, left, expected, rejected)
         corners = detect_corners(left, left_px, self._config)
-        right_px, matched = self._match_right(
+        right_px, matched, in_stereo = self._match_right(
             left,
             right,
             np.vstack([left_px, corners]),
@@ -87,7 +87,10 @@ class ImageTracker:
         )
         self._now = now
         num = int(survived.sum())
-        return Tracks(before.pixels[survived], now.pixels[:num], now.ids[:num], now.age[:num], dict(rejected))
+        difference = np.column_stack([in_time, in_stereo[: len(in_time)]])[survived]
+        return Tracks(
+            before.pixels[survived], now.pixels[:num], now.ids[:num], now.age[:num], dict(rejected), difference
+        )
 
     def drop(self, ids: IntArray) -> None:
         """Stop following these features: they turned out to be outliers."""
@@ -96,8 +99,8 @@ class ImageTracker:
 
     def _follow_in_time(
         self, before: _Followed, left: Image, expected: FloatArray, rejected: Counter[str]
-    ) -> tuple[_Followed, FloatArray, FloatArray]:
-        """Features found again: what they were, (u, v) now [N, 2], and the disparity expected now [N]."""
+    ) -> tuple[_Followed, FloatArray, FloatArray, FloatArray]:
+        """Features found again: what they were; now (u, v) [N, 2], expected disparity [N], window difference [N]."""
         start, disparity = before.pixels[:, :2], before.pixels[:, 0] - before.pixels[:, 2]
         if len(start):
             predicted, disparity, ahead = _predict(before.pixels, expected, self._camera)
@@ -109,12 +112,13 @@ class ImageTracker:
         rejected["left the view"] += int((~inside).sum())
         alike = _alike(difference, inside, self._config)
         rejected["looks different"] += int((inside & ~alike).sum())
-        return before.kept(alike), found_px[alike], disparity[alike]
+        return before.kept(alike), found_px[alike], disparity[alike], difference[alike]
 
     def _match_right(
         self, left: Image, right: Image, left_px: FloatArray, disparity: FloatArray, rejected: Counter[str]
-    ) -> tuple[FloatArray, BoolArray]:
-        """(u, v) in the right image of points in the left, [N, 2], and which of them pass the checks, [N]."""
+    ) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """(u, v) in the right image of points in the left, [N, 2], which of them pass the checks, [N], and the
+        difference of the windows, [N]."""
         start = left_px - np.column_stack([disparity, np.zeros(len(disparity))])
         right_px, difference = _lucas_kanade(left, right, left_px, start, self._config)
         level = np.abs(right_px[:, 1] - left_px[:, 1]) <= self._config.max_row_offset_px
@@ -124,7 +128,7 @@ class ImageTracker:
         rejected["too little disparity"] += int((level & ~ahead & (right_px[:, 0] <= left_px[:, 0])).sum())
         matched = _alike(difference, level & ahead, self._config)
         rejected["no stereo match"] += int((level & ahead & ~matched).sum())
-        return right_px, matched
+        return right_px, matched, difference
 
 
 def _high_pass(image: Image, config: TrackingConfig) -> Image:

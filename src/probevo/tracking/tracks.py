@@ -27,6 +27,9 @@ class Tracks:
     """Number of frames, the current one included, that have seen the point in a row, [N]; at least 2."""
     rejected: Mapping[str, int] = field(default_factory=dict)
     """How many candidate points each consistency check turned away on this step, by the check's name."""
+    difference: FloatArray | None = None
+    """How differently each point looks from one frame to the next, and from the left to the right image: the mean
+    absolute difference of the two windows, [N, 2], grey levels; None where somebody else has tracked the points."""
 
     def __len__(self) -> int:
         """Number of points, N."""
@@ -40,5 +43,10 @@ class Tracks:
     def kept(self, keep: BoolArray) -> Tracks:
         """Only those points, [N]."""
         return replace(
-            self, prev_px=self.prev_px[keep], curr_px=self.curr_px[keep], ids=self.ids[keep], age=self.age[keep]
+            self,
+            prev_px=self.prev_px[keep],
+            curr_px=self.curr_px[keep],
+            ids=self.ids[keep],
+            age=self.age[keep],
+            difference=None if self.difference is None else self.difference[keep],
         )

@@ -1,0 +1,122 @@
+"""What a predictor is, what it may look at, and the prediction space that several of them span."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Flag, auto
+
+import numpy as np
+
+from probevo.arrays import FloatArray, Image
+from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
+from probevo.sequences.frame import ImuCalibration, ImuSamples
+from probevo.tracking.tracks import Tracks
+
+NO_IMAGE: Image = np.zeros((0, 0), np.uint8)
+
+
+class Needs(Flag):
+    """What a predictor looks at, beside the tracks and the motion expected from gyro and last velocity."""
+
+    TRACKS = 0
+    LEFT = auto()
+    """The current left image."""
+    PREVIOUS_LEFT = auto()
+    """The left image before."""
+    ACCELEROMETER = auto()
+
+
+@dataclass(frozen=True)
+class Step:
+    """All that is known of a step before its motion is solved."""
+
+    tracks: Tracks
+    """N features."""
+    camera: StereoCamera
+    duration_s: float
+    expected: FloatArray
+    """T_curr_prev that gyro and last velocity let one expect, [4, 4]."""
+    left: Image = field(default_factory=lambda: NO_IMAGE)
+    """Current left image."""
+    previous_left: Image = field(default_factory=lambda: NO_IMAGE)
+    imu: ImuSamples | None = None
+    """Samples of the interval."""
+    imu_calibration: ImuCalibration | None = None
+
+    @property
+    def uv(self) -> FloatArray:
+        """Where the features are in the current left image, [N, 2], px."""
+        return self.tracks.curr_px[:, :2]
+
+    @property
+    def previous_uv(self) -> FloatArray:
+        """Where they were in the left image before, [N, 2], px."""
+        return self.tracks.prev_px[:, :2]
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """One idea of what tells a good feature from a bad one, as one or more columns of the prediction space.
+
+    ``compute`` maps a step with N features to [N], or to [N, C] with C columns. NaN says that a value is undefined
+    there, and is refused unless ``undefined`` says where that may be.
+    """
+
+    name: str
+    columns: Mapping[str, str]
+    """Name and unit of each column; a predictor with one column gives it its own name."""
+    source: str
+    """Where it comes from: paper and section."""
+    needs: Needs
+    compute: Callable[[Step], FloatArray]
+    undefined: str = ""
+    """Where it has no value, e.g. "where the patch leaves the image"; empty if it always has one."""
+
+
+@dataclass(frozen=True)
+class PredictionSpace:
+    """The space φ whose M coordinates are the columns of some predictors, in their order."""
+
+    predictors: tuple[Predictor, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the predictors."""
+        return tuple(predictor.name for predictor in self.predictors)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the M columns."""
+        return tuple(column for predictor in self.predictors for column in predictor.columns)
+
+    @property
+    def may_be_undefined(self) -> tuple[bool, ...]:
+        """Whether each of the M columns may hold NaN."""
+        return tuple(bool(predictor.undefined) for predictor in self.predictors for _ in predictor.columns)
+
+    def __call__(self, step: Step) -> FloatArray:
+        """Where the N features of a step lie, [N, M]; NaN where a predictor is undefined.
+
+        Raises:
+            InputError: the recording lacks what a predictor needs.
+        """
+        self._check(step)
+        count = len(step.tracks)
+        parts = [np.asarray(predictor.compute(step)).reshape(count, -1) for predictor in self.predictors]
+        return np.concatenate([np.zeros((count, 0)), *parts], axis=1)
+
+    def _check(self, step: Step) -> None:
+        lacking = {
+            Needs.LEFT: not step.left.size,
+            Needs.PREVIOUS_LEFT: not step.previous_left.size,
+            Needs.ACCELEROMETER: step.imu is None or not np.isfinite(step.imu.accel_m_s2).all(),
+        }
+        names = {Needs.LEFT: "images", Needs.PREVIOUS_LEFT: "images", Needs.ACCELEROMETER: "an accelerometer"}
+        for predictor in self.predictors:
+            for need, is_lacking in lacking.items():
+                if is_lacking and need in predictor.needs:
+                    what = f"it needs {names[need]}, which this recording does not have, at least not everywhere."
+                    cure = "Train a model without it: name the others with --predictors."
+                    raise InputError(f"predictor {predictor.name}", what, cure)
