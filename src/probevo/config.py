@@ -59,16 +59,24 @@ class RansacConfig(Settings):
     rotation_from: Literal["points", "gyro"] = Field(
         "points", description="Three points fix a motion; with the gyro's rotation one does."
     )
-    reject: bool = Field(
-        True, description="Keep outliers from the solve altogether, rather than leave them to the robust loss."
+    mode: Literal["reject", "guess", "off"] = Field(
+        "reject",
+        description="What comes of it: keep outliers from the solve, or only the first guess, or do without it (PROBE):"
+        " the solve starts from the expected motion.",
     )
 
 
 class SolverConfig(Settings):
     """Reprojection solve and what counts as a result."""
 
+    method: Literal["reprojection", "alignment"] = Field(
+        "reprojection",
+        description="Minimise reprojection errors (PROBE-GK), or align triangulated points, each with its covariance"
+        " (PROBE), which far points bias.",
+    )
     loss: Literal["noise", "l2", "huber", "cauchy", "tukey"] = Field(
-        "noise", description="Robust loss; `noise` takes the likelihood of the noise model itself."
+        "noise",
+        description="Robust loss of the reprojection solve; `noise` takes the likelihood of the noise model itself.",
     )
     max_iterations: int = Field(20, ge=1, le=1000, description="Of Levenberg–Marquardt; it takes 5 to 10.")
     min_tracks: int = Field(6, ge=3, le=1000, description="With fewer features a motion is not worth its covariance.")
@@ -97,6 +105,13 @@ class GyroConfig(Settings):
 
     prior: bool = Field(
         False, description="Let the gyro's rotation, with its noise and the estimated bias, enter the solve."
+    )
+    prefilter_deg: float = Field(
+        0.0,
+        ge=0,
+        le=180,
+        description="Drop features whose direction turns by more than this against the expected rotation, the gyro's if"
+        " there is one; PROBE takes 5 where it does without RANSAC. 0 is off.",
     )
 
 

@@ -106,7 +106,7 @@ def test_outliers_of_the_consensus_have_no_weight_and_no_part_in_the_solve() -> 
 
 
 def test_without_rejection_the_robust_loss_sees_all() -> None:
-    config = OdometryConfig(ransac=RansacConfig(reject=False))
+    config = OdometryConfig(ransac=RansacConfig(mode="guess"))
     tracks = seen_twice(np.random.default_rng(12), 100, sigma_px=0.2)
     tracks.curr_px[:30, 1::2] += 40.0
     visual = look(tracks, config=config)

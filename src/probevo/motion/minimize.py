@@ -44,7 +44,8 @@ def minimize(
     C and t are the guess on entry and the solution on return; refined, offset, information and squared are those of
     ``linearize_noise`` and ``normal_equations`` there. Σ is renewed when the motion has moved by a good part of its own
     standard deviation, and else kept, so that the cost is one function near the optimum. Returns the iterations,
-    whether the last step was shorter than the tolerance times its own standard deviation, and the cost.
+    whether the last step was shorter than the tolerance times its own standard deviation, and the cost. Without any
+    iterations the guess stays, and all else is filled in at it.
     """
     hessian, gradient = np.empty((6, 6)), np.empty(6)
     trial_hessian, trial_gradient, trial_squared = np.empty((6, 6)), np.empty(6), np.empty(len(squared))
@@ -52,7 +53,7 @@ def minimize(
     trial_C, trial_t, phi = np.empty((3, 3)), np.empty(3), np.empty(3)
     damping, accepted, cost, stale, near = 1e-6, 0, 0.0, True, False
     renewals, moved = 0, math.inf
-    for iteration in range(max_iterations):
+    for iteration in range(max(max_iterations, 1)):
         if stale:
             if moved > RENEW_AFTER and renewals < MAX_RENEWALS:
                 renewals, moved = renewals + 1, 0.0
@@ -61,6 +62,8 @@ def minimize(
                 C, t, camera, refined, offset, curr, information, kind, parameter, near, hessian, gradient, squared
             ) + _add_rotation_prior(C, C_prior, prior_information, hessian, gradient, phi)
             stale = False
+        if max_iterations == 0:
+            return 0, True, cost
         damped[:] = hessian
         for i in range(6):
             damped[i, i] += damping * hessian[i, i]

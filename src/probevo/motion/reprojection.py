@@ -88,7 +88,7 @@ def solve_reprojection(
         camera: the rectified camera.
         loss: robust loss; by default that of the noise's own Student-t.
         prior: rotation known from elsewhere.
-        max_iterations: of Levenberg–Marquardt.
+        max_iterations: of Levenberg–Marquardt; 0 keeps the guess and says everything else about the features at it.
     """
     loss = RobustLoss.student_t() if loss is None else loss
     count = len(prev_px)

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.config import OdometryConfig
+from probevo.config import OdometryConfig, SolverConfig
+from probevo.errors import InputError
+from probevo.motion.alignment import solve_alignment
 from probevo.motion.estimate import Status
+from probevo.motion.first_guess import enough, first_guess
 from probevo.motion.motion_model import ExpectedMotion
-from probevo.motion.ransac import find_consensus
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
 from probevo.motion.robust import RobustLoss
-from probevo.noise.base import NoiseModel
+from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
-FEWEST_INLIERS = 0.25
-"""Share of the tracks that has to agree with a motion; else the threshold is widened, and in the end it is refused."""
 TRUSTED = 0.5
 """A track that keeps this much of its robust weight counts as trusted."""
 
@@ -61,40 +61,56 @@ def estimate_motion(
         rng: source of the samples.
         clock: takes the times of the stages ``consensus`` and ``solve``.
     """
-    rotation_from_gyro = rotation.C_curr_prev if rotation and config.ransac.rotation_from == "gyro" else None
-    for widening in (1.0, 2.0, 4.0):  # where hardly anything agrees, the tracks are noisier than the threshold assumes
-        consensus = find_consensus(
-            tracks.prev_px,
-            tracks.curr_px,
-            camera,
-            rng,
-            guess=expected.T_curr_prev,
-            C_curr_prev=rotation_from_gyro,
-            threshold_px=widening * config.ransac.threshold_px,
-            confidence=config.ransac.confidence,
-        )
-        if consensus.inliers.sum() >= max(config.solver.min_tracks, FEWEST_INLIERS * len(tracks)):
-            break
+    start = first_guess(tracks, camera, expected, rotation, config, rng)
     clock.lap("consensus")
-    weights = np.zeros(len(tracks))
-    if consensus.inliers.sum() < max(config.solver.min_tracks, FEWEST_INLIERS * len(tracks)):
-        return VisualMotion(Status.TOO_FEW_TRACKS, weights, tracks.kept(consensus.inliers), None)
-    used = consensus.inliers if config.ransac.reject else np.ones(len(tracks), np.bool_)
-    solved = tracks.kept(used)
-    solution = solve_reprojection(
-        solved.prev_px,
-        solved.curr_px,
-        noise.predict(predictors[used]),
-        consensus.T_curr_prev,
-        camera,
-        loss=RobustLoss.named(config.solver.loss),
-        prior=rotation if config.gyro.prior else None,
-        max_iterations=config.solver.max_iterations,
-    )
-    weights[used] = solution.weight
+    weights, solved = np.zeros(len(tracks)), tracks.kept(start.inliers)
+    if not enough(start.inliers, config):
+        return VisualMotion(Status.TOO_FEW_TRACKS, weights, solved, None)
+    prior = rotation if config.gyro.prior else None
+    solution = solve(solved, noise.predict(predictors[start.inliers]), start.T_curr_prev, camera, prior, config.solver)
+    weights[start.inliers] = solution.weight
     clock.lap("solve")
     status = _judge(solution, expected, config)
     return VisualMotion(status, weights, solved, None if status is Status.DEGENERATE else solution)
+
+
+def solve(
+    tracks: Tracks,
+    noise: StereoNoise,
+    guess: FloatArray,
+    camera: StereoCamera,
+    prior: RotationPrior | None,
+    config: SolverConfig,
+) -> ReprojectionSolution:
+    """The motion of N tracks by the method of the settings, from a guess T_curr_prev [4, 4].
+
+    After an alignment, all but the motion and its covariance is what the reprojection has to say at that motion.
+
+    Raises:
+        InputError: an alignment is asked for, but the noise does not refer to single observations.
+    """
+    aligned, iterations = None, config.max_iterations
+    if config.method == "alignment":
+        if noise.refers_to != "observation":
+            what = "alignment needs the noise of each observation, but this model predicts that of the residual."
+            raise InputError("--solver.method", what, "Take reprojection, or another noise model.")
+        aligned = solve_alignment(
+            tracks.prev_px, tracks.curr_px, noise.scale, noise.scale, camera, guess, max_iterations=iterations
+        )
+        guess, iterations = aligned.T_curr_prev, 0
+    solution = solve_reprojection(
+        tracks.prev_px,
+        tracks.curr_px,
+        noise,
+        guess,
+        camera,
+        loss=RobustLoss.named(config.loss),
+        prior=prior,
+        max_iterations=iterations,
+    )
+    if aligned is None:
+        return solution
+    return replace(solution, cov=aligned.cov, iterations=aligned.iterations, converged=aligned.converged)
 
 
 def _judge(solution: ReprojectionSolution, expected: ExpectedMotion, config: OdometryConfig) -> Status:
