@@ -13,9 +13,9 @@ from probevo.motion.gyro import GyroBias, GyroRotation, integrate_gyro
 from probevo.motion.motion_model import MotionModel
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior
 from probevo.motion.self_calibration import SelfCalibration
-from probevo.motion.visual import TRUSTED, estimate_motion
+from probevo.motion.visual import estimate_motion
 from probevo.noise import NoiseModel, StudentT
-from probevo.predictors import NO_IMAGE, PredictionSpace, Step, space_for
+from probevo.predictors import PredictionSpace, Step, space_for
 from probevo.sequences.frame import Frame, ImuCalibration
 from probevo.stage_clock import StageClock
 from probevo.tracking import Tracker, Tracks, tracker_for
@@ -29,7 +29,7 @@ class StereoOdometry:
     """Relative motion of a stereo camera, one frame at a time (PROBE Fig. 1; thesis Fig. 4.1).
 
     After a step, ``tracks`` holds its N tracks, corrected, ``phi`` their places in the prediction space, [N, M],
-    ``weights`` how far each was trusted, from 0 to 1, and ``expected`` the T_curr_prev known before looking.
+    ``used`` which of them were solved with, and ``weights`` how far each was trusted, from 0 to 1.
 
     Args:
         camera: the rectified camera, as a sequence gives it.
@@ -54,11 +54,11 @@ class StereoOdometry:
         self.calibration = SelfCalibration.initial() if self.config.self_calibration else None
         self.gyro_bias = GyroBias.initial(imu) if imu else None
         self.predictors = space_for(self.noise.columns, predictors)
-        self.tracks, self.phi, self.weights = Tracks.none(), np.zeros((0, len(self.predictors.columns))), np.zeros(0)
-        self.expected, self._left = np.eye(4), NO_IMAGE
+        self.tracks, self.phi = Tracks.none(), np.zeros((0, len(self.predictors.columns)))
+        self.used, self.weights = np.zeros(0, np.bool_), np.zeros(0)
         self._model = MotionModel.at_start(self.config.motion_model)
         self._tracker: Tracker | None = None
-        self._stamp_ns = 0
+        self._before: Frame | None = None
 
     def step(self, frame: Frame) -> MotionEstimate:
         """Motion from the previous frame to this one: T_curr_prev with its 6×6 covariance and a status.
@@ -70,17 +70,16 @@ class StereoOdometry:
             InputError: the frame is not later than the one before.
         """
         clock = StageClock(decode=frame.decode_ms)
-        if self._tracker is None:
-            self._tracker, self._stamp_ns = tracker_for(frame, self.camera, self.config.tracking), frame.stamp_ns
+        before = self._before
+        if before is None or self._tracker is None:
+            self._before, self._tracker = frame, tracker_for(frame, self.camera, self.config.tracking)
             self._tracker.track(frame, np.eye(4))
-            self._left = NO_IMAGE if frame.left is None else frame.left
             return MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, 0)
-        if frame.stamp_ns <= self._stamp_ns:
-            what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {self._stamp_ns} ns."
+        if frame.stamp_ns <= before.stamp_ns:
+            what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {before.stamp_ns} ns."
             raise InputError(f"frame {frame.index}", what, "Give the frames in the order of their times.")
-
-        duration_s = 1e-9 * (frame.stamp_ns - self._stamp_ns)
-        gyro = self._integrate_gyro(frame)  # PROBE eqs. (3)-(4)
+        duration_s = 1e-9 * (frame.stamp_ns - before.stamp_ns)
+        gyro = self._integrate_gyro(before.stamp_ns, frame)  # PROBE eqs. (3)-(4)
         rotation = RotationPrior(gyro.C_curr_prev, self.gyro_bias.prior(gyro)) if gyro and self.gyro_bias else None
         expected = self._model.expected(duration_s, rotation)
         starts = self._model.starts(duration_s, expected)
@@ -89,20 +88,17 @@ class StereoOdometry:
         if self.calibration:
             self.calibration = self.calibration.with_rows(tracks.curr_px, self.camera)
             tracks = self.calibration.corrected_tracks(tracks, self.camera)
-        clock.lap("calibrate")
-        T_expected = expected.T_curr_prev
-        left = NO_IMAGE if frame.left is None else frame.left
-        seen = Step(tracks, self.camera, duration_s, T_expected, left, self._left, frame.imu, self.imu)
-        phi = self.predictors(seen)  # [N, M]
+            clock.lap("calibrate")
+        phi = self.predictors(Step(tracks, self.camera, expected.T_curr_prev, before, frame))  # [N, M]
         clock.lap("predict")
         rng = np.random.default_rng([self.config.seed, frame.index])
         visual = estimate_motion(tracks, phi, self.noise, self.camera, expected, rotation, self.config, rng, clock)
-        self.tracks, self.phi, self.weights, self.expected = tracks, phi, visual.weights, T_expected
-        self._left, self._stamp_ns = left, frame.stamp_ns
+        self.tracks, self.phi, self.used, self.weights, self._before = tracks, phi, visual.used, visual.weights, frame
         T_curr_prev = self._model.carried_on(expected, visual.solution)
         status, cov, shared = visual.status, expected.cov, np.zeros((6, 3))
-        if visual.solution and status is Status.OK:
-            T_curr_prev, shared = visual.solution.T_curr_prev, self._learn(visual.solved, visual.solution, gyro)
+        if status is Status.OK and visual.solution:
+            T_curr_prev = visual.solution.T_curr_prev
+            shared = self._learn(tracks.kept(visual.used), visual.solution, gyro)
             cov = visual.solution.cov + shared @ shared.T
             self._tracker.drop(tracks.ids[visual.weights < DROP_BELOW])
         elif self._model.is_gap(duration_s):
@@ -110,16 +106,15 @@ class StereoOdometry:
         solved, refused = (T_curr_prev, cov) if status is Status.OK else None, visual.status is Status.NOT_CONVERGED
         self._model = self._model.after(duration_s, solved, refused=refused)
         clock.lap("learn")
-        trusted = int((visual.weights >= TRUSTED).sum())
-        iterations = visual.solution.iterations if visual.solution else 0
+        trusted, iterations = visual.num_trusted, visual.num_iterations
         return MotionEstimate(T_curr_prev, cov, status, len(tracks), trusted, iterations, shared, clock.times_ms)
 
-    def _integrate_gyro(self, frame: Frame) -> GyroRotation | None:
+    def _integrate_gyro(self, since_ns: int, frame: Frame) -> GyroRotation | None:
         """The gyro's rotation since the last frame, less the bias believed in."""
         if frame.imu is None or self.imu is None or self.gyro_bias is None:
             return None
-        self.gyro_bias = self.gyro_bias.predicted(1e-9 * (frame.stamp_ns - self._stamp_ns), self.imu)
-        return integrate_gyro(frame.imu, self._stamp_ns, frame.stamp_ns, self.imu, self.gyro_bias.mean)
+        self.gyro_bias = self.gyro_bias.predicted(1e-9 * (frame.stamp_ns - since_ns), self.imu)
+        return integrate_gyro(frame.imu, since_ns, frame.stamp_ns, self.imu, self.gyro_bias.mean)
 
     def _learn(self, solved: Tracks, solution: ReprojectionSolution, gyro: GyroRotation | None) -> FloatArray:
         """Take in what a step taught of gyro and calibration; how the latter's doubt moves the motion, [6, 3]."""

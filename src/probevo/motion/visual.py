@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig, SolverConfig
 from probevo.errors import InputError
@@ -31,10 +31,20 @@ class VisualMotion:
     status: Status
     weights: FloatArray
     """How far each track was trusted, [N]: 0 for an outlier of the consensus, else its robust weight, at most 1."""
-    solved: Tracks
-    """The tracks that the solve used."""
+    used: BoolArray
+    """Which tracks the solve used, [N]; the others were turned away before."""
     solution: ReprojectionSolution | None
     """The last solve; to be believed only if the status is OK, None after too few tracks or if it is degenerate."""
+
+    @property
+    def num_trusted(self) -> int:
+        """Tracks that kept at least half of a perfect feature's weight."""
+        return int((self.weights >= TRUSTED).sum())
+
+    @property
+    def num_iterations(self) -> int:
+        """Of the last solve."""
+        return self.solution.iterations if self.solution else 0
 
 
 def estimate_motion(
@@ -63,15 +73,16 @@ def estimate_motion(
     """
     start = first_guess(tracks, camera, expected, rotation, config, rng)
     clock.lap("consensus")
-    weights, solved = np.zeros(len(tracks)), tracks.kept(start.inliers)
-    if not enough(start.inliers, config):
-        return VisualMotion(Status.TOO_FEW_TRACKS, weights, solved, None)
+    used, weights = start.inliers, np.zeros(len(tracks))
+    if not enough(used, config):
+        return VisualMotion(Status.TOO_FEW_TRACKS, weights, used, None)
     prior = rotation if config.gyro.prior else None
-    solution = solve(solved, noise.predict(predictors[start.inliers]), start.T_curr_prev, camera, prior, config.solver)
-    weights[start.inliers] = solution.weight
+    predicted = noise.predict(predictors[used])
+    solution = solve(tracks.kept(used), predicted, start.T_curr_prev, camera, prior, config.solver)
+    weights[used] = solution.weight
     clock.lap("solve")
     status = _judge(solution, expected, config)
-    return VisualMotion(status, weights, solved, None if status is Status.DEGENERATE else solution)
+    return VisualMotion(status, weights, used, None if status is Status.DEGENERATE else solution)
 
 
 def solve(
