@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Flag, auto
 
 import numpy as np
@@ -11,10 +11,8 @@ import numpy as np
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.sequences.frame import ImuCalibration, ImuSamples
+from probevo.sequences.frame import Frame, ImuSamples
 from probevo.tracking.tracks import Tracks
-
-NO_IMAGE: Image = np.zeros((0, 0), np.uint8)
 
 
 class Needs(Flag):
@@ -35,15 +33,32 @@ class Step:
     tracks: Tracks
     """N features."""
     camera: StereoCamera
-    duration_s: float
     expected: FloatArray
     """T_curr_prev that gyro and last velocity let one expect, [4, 4]."""
-    left: Image = field(default_factory=lambda: NO_IMAGE)
-    """Current left image."""
-    previous_left: Image = field(default_factory=lambda: NO_IMAGE)
-    imu: ImuSamples | None = None
-    """Samples of the interval."""
-    imu_calibration: ImuCalibration | None = None
+    before: Frame
+    """The frame before."""
+    now: Frame
+    """The current frame, with the IMU samples of the interval."""
+
+    @property
+    def duration_s(self) -> float:
+        """Time since the frame before."""
+        return 1e-9 * (self.now.stamp_ns - self.before.stamp_ns)
+
+    @property
+    def imu(self) -> ImuSamples:
+        """Samples of the interval; none at all if the recording has none."""
+        return self.now.imu or ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+
+    @property
+    def left(self) -> Image:
+        """Current left image, [height, width]; [0, 0] without images."""
+        return np.zeros((0, 0), np.uint8) if self.now.left is None else self.now.left
+
+    @property
+    def previous_left(self) -> Image:
+        """The left image before, [height, width]; [0, 0] without images."""
+        return np.zeros((0, 0), np.uint8) if self.before.left is None else self.before.left
 
     @property
     def uv(self) -> FloatArray:
@@ -104,14 +119,14 @@ class PredictionSpace:
         """
         self._check(step)
         count = len(step.tracks)
-        parts = [np.asarray(predictor.compute(step)).reshape(count, -1) for predictor in self.predictors]
+        parts = [predictor.compute(step).reshape(count, len(predictor.columns)) for predictor in self.predictors]
         return np.concatenate([np.zeros((count, 0)), *parts], axis=1)
 
     def _check(self, step: Step) -> None:
         lacking = {
-            Needs.LEFT: not step.left.size,
-            Needs.PREVIOUS_LEFT: not step.previous_left.size,
-            Needs.ACCELEROMETER: step.imu is None or not np.isfinite(step.imu.accel_m_s2).all(),
+            Needs.LEFT: step.now.left is None,
+            Needs.PREVIOUS_LEFT: step.before.left is None,
+            Needs.ACCELEROMETER: step.now.imu is None or not np.isfinite(step.now.imu.accel_m_s2).all(),
         }
         names = {Needs.LEFT: "images", Needs.PREVIOUS_LEFT: "images", Needs.ACCELEROMETER: "an accelerometer"}
         for predictor in self.predictors:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from probevo.arrays import FloatArray, Image, IntArray
+from probevo.arrays import AnyArray, FloatArray, Image
+from probevo.compiled import compiled
+from probevo.predictors.patches import copy_patch, patch_start
 
 TAPS = 9
 """Of the box that blurs the image once more."""
+REACH = TAPS // 2
 
 
 def blur(left: Image, uv: FloatArray, *, half_size_px: int = 10) -> FloatArray:
@@ -29,43 +30,38 @@ def blur(left: Image, uv: FloatArray, *, half_size_px: int = 10) -> FloatArray:
     Returns:
         [N], 0 (sharp) … 1 (blurred); NaN where the patch leaves the image.
     """
-    center = np.floor(np.where(np.isfinite(uv), uv, -1e6) + 0.5)
-    top_left = np.clip(center - half_size_px, -1, 1e6).astype(np.int64)
-    size_px = np.array(left.shape[::-1])
-    inside = np.all((top_left >= 0) & (top_left + 2 * half_size_px < size_px), axis=1)
     values = np.full(len(uv), np.nan)
-    if inside.any():
-        corner, patch_px = top_left[inside], 2 * half_size_px + 1
-        values[inside] = _worse(_kept(left, corner, patch_px), _kept(left.T, corner[:, ::-1], patch_px))
+    _blur(np.ascontiguousarray(left), np.ascontiguousarray(uv), half_size_px, values)
     return values
 
 
-def _worse(along_u: FloatArray, along_v: FloatArray) -> FloatArray:
-    """The larger of two shares, of those that are defined; 1 where neither is."""
-    worse: FloatArray = np.fmax(along_u, along_v)
-    return np.where(np.isnan(worse), 1.0, worse)
+@compiled
+def _blur(image: Image, uv: FloatArray, half: int, values: FloatArray) -> None:
+    size = 2 * half + 1
+    patch = np.empty((size + 2 * REACH, size + 2 * REACH), np.int32)  # with all that the boxes take in
+    turned = np.empty_like(patch)
+    for n in range(len(uv)):
+        left = patch_start(uv[n, 0], half, size, image.shape[1])
+        top = patch_start(uv[n, 1], half, size, image.shape[0])
+        if left >= 0 and top >= 0:
+            copy_patch(image, top - REACH, left - REACH, patch)
+            turned[:] = patch.T
+            kept = max(_kept_along_rows(patch), _kept_along_rows(turned))
+            values[n] = kept if kept >= 0.0 else 1.0
 
 
-def _kept(image: Image, corner: IntArray, patch_px: int) -> FloatArray:
-    """Share of the differences along the rows that a box along the rows leaves; NaN where there are none.
+@compiled
+def _kept_along_rows(patch: AnyArray) -> float:
+    """Share of the differences along the rows that a box along the rows leaves; −1 where there are none.
 
-    Args:
-        image: [height, width].
-        corner: (column, row) of the first pixel of each patch, [N, 2], all within the image.
-        patch_px: side of a patch.
+    Two neighbouring boxes differ by the pixel that only the one has, at its end, and the one that only the other has.
     """
-    image = np.ascontiguousarray(image)
-    box = cv2.blur(image.astype(np.float32) * TAPS, (TAPS, 1), borderType=cv2.BORDER_REPLICATE)
-    before = TAPS * cv2.absdiff(image[:, 1:], image[:, :-1]).astype(np.float32)
-    after = np.abs(np.rint(box[:, 1:]) - np.rint(box[:, :-1]))  # sums of grey levels, and so whole numbers
-    lost = np.maximum(before - after, 0.0)
-    total, lost_total = (_patch_sums(part, corner, patch_px - 1, patch_px) for part in (before, lost))
-    return 1.0 - lost_total / np.where(total > 0.0, total, np.nan)
-
-
-def _patch_sums(values: NDArray[np.float32], corner: IntArray, width: int, height: int) -> FloatArray:
-    """Sum over the rectangle at each corner (column, row), [N]."""
-    sums = cv2.integral(values, sdepth=cv2.CV_64F)
-    (left, top), (right, bottom) = corner.T, (corner + np.array([width, height])).T
-    total: FloatArray = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
-    return total
+    size = len(patch) - 2 * REACH
+    total = lost = 0
+    for v in range(size):
+        for u in range(size - 1):
+            before = TAPS * abs(patch[v + REACH, u + REACH + 1] - patch[v + REACH, u + REACH])
+            after = abs(patch[v + REACH, u + TAPS] - patch[v + REACH, u])
+            total += before
+            lost += max(before - after, 0)
+    return 1.0 - lost / total if total > 0 else -1.0

@@ -4,15 +4,81 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.predictors.base import Needs, PredictionSpace, Predictor
+from probevo.predictors.acceleration import acceleration
+from probevo.predictors.age import age
+from probevo.predictors.base import Needs, PredictionSpace, Predictor, Step
 from probevo.predictors.blur import blur
+from probevo.predictors.disparity import disparity
+from probevo.predictors.disparity_change import disparity_change
+from probevo.predictors.entropy import entropy
+from probevo.predictors.flow import flow
+from probevo.predictors.flow_variance import flow_variance
+from probevo.predictors.forward_backward import forward_backward
+from probevo.predictors.frequency import frequency
+from probevo.predictors.motion import velocity
+from probevo.predictors.place import place
+from probevo.predictors.residual_flow import residual_flow
+from probevo.predictors.row_offset import row_offset
+from probevo.predictors.structure import structure
+from probevo.predictors.turn_rate import turn_rate
+from probevo.predictors.window_difference import window_difference
 
 OFF_IMAGE = "where the patch leaves the image"
 
+
+def _for_all(values: FloatArray, step: Step) -> FloatArray:
+    """What is the same for all N features, [C] to [N, C]."""
+    return np.broadcast_to(values, (len(step.tracks), len(values)))
+
+
+def _scaled(size_px: float, step: Step) -> float:
+    """What a size on KITTI's images, whose focal length is 720 px, is on this camera's."""
+    return size_px * step.camera.fu_px / 720.0
+
+
 _TABLE = (
-    Predictor("blur", {"blur": "0 sharp … 1 blurred"}, "Crete et al. 2007; PROBE IV-C.3", Needs.LEFT,
-              lambda step: blur(step.left, step.uv), undefined=OFF_IMAGE),
+    # Of PROBE, in its order.
+    Predictor("acceleration", {"acceleration": "m/s²", "vibration": "m/s²"}, "PROBE IV-C.1", Needs.ACCELEROMETER,
+              lambda s: _for_all(acceleration(s.imu), s)),
+    Predictor("turn_rate", {"turn_rate_x": "rad/s", "turn_rate_y": "rad/s", "turn_rate_z": "rad/s",
+                            "turn_rate": "rad/s"}, "PROBE IV-C.1; signed: ours", Needs.TRACKS,
+              lambda s: _for_all(turn_rate(s.expected, s.duration_s), s)),
+    Predictor("blur", {"blur": "0 sharp … 1 blurred"}, "PROBE IV-C.3; Crete et al. 2007", Needs.LEFT,
+              lambda s: blur(s.left, s.uv), undefined=OFF_IMAGE),
+    Predictor("entropy", {"entropy": "bit"}, "PROBE eq. (16)", Needs.LEFT,
+              lambda s: entropy(s.left, s.uv), undefined=OFF_IMAGE),
+    Predictor("frequency", {"low_frequency": "ln(1 + grey levels)", "high_frequency": "ln(1 + grey levels)"},
+              "PROBE IV-C.5", Needs.LEFT, lambda s: frequency(s.left, s.uv), undefined=OFF_IMAGE),
+    Predictor("flow_variance", {"flow_variance": "ln of a ratio"}, "PROBE eq. (17)", Needs.TRACKS,
+              lambda s: flow_variance(s.previous_uv, s.uv, small_px=_scaled(50, s), large_px=_scaled(200, s)),
+              undefined="where a feature has fewer than two neighbours"),
+    # Of PROBE-GK.
+    Predictor("place", {"x": "focal lengths", "y": "focal lengths"}, "PROBE-GK: pixel location", Needs.TRACKS,
+              lambda s: place(s.uv, s.camera)),
+    Predictor("velocity", {"velocity_x": "m/s", "velocity_y": "m/s", "velocity_z": "m/s"},
+              "PROBE-GK: transform parameters", Needs.TRACKS,
+              lambda s: _for_all(velocity(s.expected, s.duration_s), s)),
+    # Ours.
+    Predictor("disparity", {"disparity": "ln px"}, "ours", Needs.TRACKS, lambda s: disparity(s.tracks.curr_px)),
+    Predictor("disparity_change", {"disparity_change": "ln(1 + px)"}, "ours", Needs.TRACKS,
+              lambda s: disparity_change(s.tracks.prev_px, s.tracks.curr_px, s.expected, s.camera)),
+    Predictor("flow", {"flow": "ln(1 + px)"}, "ours", Needs.TRACKS, lambda s: flow(s.tracks.prev_px, s.tracks.curr_px)),
+    Predictor("residual_flow", {"residual_flow": "ln(1 + px)"}, "ours", Needs.TRACKS,
+              lambda s: residual_flow(s.tracks.prev_px, s.tracks.curr_px, s.expected, s.camera)),
+    Predictor("row_offset", {"row_offset": "px"}, "ours", Needs.TRACKS, lambda s: row_offset(s.tracks.curr_px)),
+    Predictor("age", {"age": "ln frames"}, "ours", Needs.TRACKS, lambda s: age(s.tracks.age)),
+    Predictor("window_difference", {"difference_in_time": "ln(1 + grey levels)",
+                                    "difference_in_stereo": "ln(1 + grey levels)"}, "ours", Needs.LEFT,
+              lambda s: window_difference(s.tracks)),
+    Predictor("forward_backward", {"forward_backward": "ln(0.01 + px)"}, "ours", Needs.LEFT | Needs.PREVIOUS_LEFT,
+              lambda s: forward_backward(s.previous_left, s.left, s.previous_uv, s.uv),
+              undefined="where the search fails"),
+    Predictor("structure", {"structure_min": "ln(1 + (grey level/px)²)", "structure_max": "ln(1 + (grey level/px)²)"},
+              "Shi & Tomasi 1994", Needs.LEFT, lambda s: structure(s.left, s.uv), undefined=OFF_IMAGE),
 )  # fmt: skip
 PREDICTORS = {predictor.name: predictor for predictor in _TABLE}
 

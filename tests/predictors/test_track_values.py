@@ -1,0 +1,71 @@
+"""The predictors that are one formula on the tracks: place, disparity, flow, age, row offset, window difference."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from probevo.camera.stereo import StereoCamera
+from probevo.predictors.age import age
+from probevo.predictors.disparity import FLOOR_PX, disparity
+from probevo.predictors.flow import flow
+from probevo.predictors.place import place
+from probevo.predictors.row_offset import row_offset
+from probevo.predictors.window_difference import window_difference
+from probevo.tracking.tracks import Tracks
+from worlds import CAMERA, seen_twice
+
+TRACKS = seen_twice(np.random.default_rng(0), 50, sigma_px=0.5)
+
+
+def test_place_is_the_same_for_a_camera_of_twice_the_resolution() -> None:
+    twice = StereoCamera(*(2 * n for n in (CAMERA.fu_px, CAMERA.fv_px, CAMERA.cu_px, CAMERA.cv_px)), CAMERA.baseline_m)
+    uv = TRACKS.curr_px[:, :2]
+    np.testing.assert_allclose(place(2 * uv, twice), place(uv, CAMERA), rtol=1e-12, atol=1e-12)
+    points = CAMERA.triangulate(CAMERA.project(np.array([[1.0, -2.0, 10.0]])))
+    np.testing.assert_allclose(place(CAMERA.project(points)[:, :2], CAMERA), [[0.1, -0.2]], atol=1e-12)
+
+
+def test_disparity_is_the_logarithm_down_to_its_floor() -> None:
+    expected = [math.log(u_l - u_r) for u_l, _, u_r, _ in TRACKS.curr_px.tolist()]
+    np.testing.assert_allclose(disparity(TRACKS.curr_px), expected, rtol=1e-12)
+    far = np.array([[10.0, 0.0, 10.0, 0.0], [10.0, 0.0, 12.0, 0.0], [10.0, 0.0, 9.9, 0.0]])
+    np.testing.assert_array_equal(disparity(far), math.log(FLOOR_PX))
+
+
+def test_flow_is_that_of_the_left_image() -> None:
+    before, after = TRACKS.prev_px.tolist(), TRACKS.curr_px.tolist()
+    expected = [math.log(1.0 + math.dist(a[:2], b[:2])) for a, b in zip(before, after, strict=True)]
+    np.testing.assert_allclose(flow(TRACKS.prev_px, TRACKS.curr_px), expected, rtol=1e-12)
+    np.testing.assert_array_equal(flow(TRACKS.prev_px, TRACKS.prev_px), 0.0)
+
+
+def test_age_is_a_logarithm() -> None:
+    np.testing.assert_allclose(age(np.array([1, 2, 40])), [0.0, math.log(2), math.log(40)], rtol=1e-12)
+
+
+def test_row_offset_has_no_sign() -> None:
+    px = np.array([[10.0, 5.0, 8.0, 5.0], [10.0, 5.0, 8.0, 5.5], [10.0, 5.0, 8.0, 4.5]])
+    np.testing.assert_allclose(row_offset(px), [0.0, 0.5, 0.5])
+
+
+def test_window_difference_is_unknown_if_others_have_tracked() -> None:
+    difference = np.array([[0.0, 3.0], [1.0, 7.0]])
+    known = replace(TRACKS.kept(np.arange(50) < 2), difference=difference)
+    np.testing.assert_allclose(window_difference(known), np.log(1.0 + difference), rtol=1e-12)
+    values = window_difference(TRACKS)
+    assert values.shape == (50, 2)
+    assert np.isnan(values).all()
+
+
+def test_no_features_no_values() -> None:
+    none = Tracks.none()
+    for values in (
+        disparity(none.curr_px),
+        flow(none.prev_px, none.curr_px),
+        age(none.age),
+        row_offset(none.curr_px),
+    ):
+        assert values.shape == (0,)
+    assert place(none.curr_px[:, :2], CAMERA).shape == (0, 2)
+    assert window_difference(none).shape == (0, 2)
