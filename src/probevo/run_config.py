@@ -14,22 +14,34 @@ from probevo.config import OdometryConfig
 from probevo.errors import InputError
 
 FormatName = Literal["kitti-raw", "kitti-odometry", "euroc", "folder", "tracks"]
-NoiseName = Literal["fixed", "student-t"]
 
 
-class RunConfig(OdometryConfig):
-    """All settings of ``probevo run``: those of the odometry, and what it runs on."""
+class SharedConfig(OdometryConfig):
+    """What runs can have in common, whatever recording and noise model each has: all settings of a comparison."""
 
-    sequence: Path | None = Field(None, description="The recording: a folder, or a tracks file (.npz).")
     format: FormatName | None = Field(None, description="Layout of the recording; found out where it is not named.")
-    noise: NoiseName = Field(
-        "student-t", description="Noise of the features: fixed is one Gaussian, student-t forgives outliers."
-    )
     max_frames: int | None = Field(None, ge=2, description="Stop after so many frames.")
 
 
-OWN_KEYS = tuple(name for name in RunConfig.model_fields if name not in OdometryConfig.model_fields)
+class RunConfig(SharedConfig):
+    """All settings of ``probevo run``: those of the odometry, and what it runs on."""
+
+    sequence: Path | None = Field(None, description="The recording: a folder, or a tracks file (.npz).")
+    noise: str = Field(
+        "student-t",
+        description="Noise of the features: fixed is one Gaussian, student-t forgives outliers, and the path of a model"
+        " file (.safetensors) is what was learned.",
+    )
+
+
+OWN_KEYS = ("sequence", "format", "noise", "max_frames")
 """Settings of the run that are none of the odometry's."""
+
+
+def run_config(settings: OdometryConfig, sequence: Path, noise: str) -> RunConfig:
+    """The settings of one run, from those that several share."""
+    shared = {name: getattr(settings, name) for name in type(settings).model_fields}
+    return RunConfig.model_validate(shared | {"sequence": sequence, "noise": noise})
 
 
 def read_config(path: Path) -> RunConfig:

@@ -14,7 +14,8 @@ from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.motion.estimate import MotionEstimate
-from probevo.noise import Fixed, NoiseModel, StudentT
+from probevo.noise import NoiseModel
+from probevo.noise.named import noise_model, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
 from probevo.output.files import (
@@ -30,11 +31,11 @@ from probevo.output.motions_file import write_motions
 from probevo.output.report import write_report
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult
-from probevo.run_config import NoiseName, RunConfig, config_text
+from probevo.predictors import space_for
+from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
 
-NOISE_MODELS: dict[NoiseName, Callable[[], NoiseModel]] = {"fixed": Fixed, "student-t": StudentT}
 NUM_PICTURES = 4
 
 
@@ -71,13 +72,14 @@ def run_sequence(
         on_step: called with the estimate of each frame, the first included.
 
     Raises:
-        InputError: a file of the recording is at fault, its left and right images are swapped, the settings ask for
-            an IMU that it does not have, or ``out`` cannot be written to.
+        InputError: a file of the recording is at fault, its left and right images are swapped, ``out`` cannot be
+            written to, or what ``noise_model`` and ``check_run`` raise.
     """
-    _check(sequence, config)
+    noise = noise_model(config.noise)
+    check_run(sequence, config, noise)
     check_folder(out, "--out")
     num_frames = min(len(sequence), config.max_frames or len(sequence))
-    odometry = StereoOdometry(sequence.camera, NOISE_MODELS[config.noise](), sequence.imu, config)
+    odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config)
     recorder, pictures = RunRecorder(), _Pictures.spread_over(num_frames)
     matches = np.zeros(2, np.int64)
     try:
@@ -102,8 +104,15 @@ def run_sequence(
     return _write(out, sequence, config, recorder.result(), pictures)
 
 
-def _check(sequence: Sequence, config: RunConfig) -> None:
-    """Refuse what would only show after the whole run, or not at all."""
+def check_run(sequence: Sequence, config: RunConfig, noise: NoiseModel) -> None:
+    """Refuse what would only show after the whole run, or not at all.
+
+    Raises:
+        InputError: the noise model needs predictors that are not known, or belongs to another camera; the settings ask
+            for an IMU that the recording does not have; or its truth is absurd.
+    """
+    space_for(noise.columns)
+    noise.check_camera(sequence.camera)
     wanted = ["--gyro.prior"] if config.gyro.prior else []
     wanted += ["--ransac.rotation-from gyro"] if config.ransac.rotation_from == "gyro" else []
     if sequence.imu is None and wanted:
@@ -116,8 +125,9 @@ def _check(sequence: Sequence, config: RunConfig) -> None:
 
 
 def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures) -> Run:
-    # Absolute, so that --config finds the recording from any directory.
-    settings = config_text(config.model_copy(update={"sequence": (config.sequence or sequence.path).resolve()}))
+    # Absolute, so that --config finds the recording and the noise model from any directory.
+    found = {"sequence": (config.sequence or sequence.path).resolve(), "noise": portable(config.noise)}
+    settings = config_text(config.model_copy(update=found))
     write_atomically(out / "config.yaml", settings)
     write_tum(out / "trajectory.tum", result.stamps_ns, result.T_world_cam)
     write_kitti_poses(out / "trajectory.kitti.txt", result.T_world_cam)

@@ -40,7 +40,14 @@ def test_a_file_in_the_way_is_left_alone(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
-    ("words", "fragment"), [([], "blur"), (["table-x"], "blur"), (["blur"], "--out"), (["None"], "blur")]
+    ("words", "fragment"),
+    [
+        ([], "table-i"),
+        (["table-x"], "blur"),
+        (["blur"], "--out"),
+        (["None"], "blur"),
+        (["table-i", "--out", "x"], "--kitti"),
+    ],
 )
 def test_words_that_cannot_be_read_exit_with_2(
     words: list[str], fragment: str, capsys: pytest.CaptureFixture[str]

@@ -2,14 +2,19 @@
 
 import json
 import shutil
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from cli.rendering import true_poses, write_wall
+from probevo.camera.stereo import StereoCamera
 from probevo.cli.main import main
+from probevo.errors import InputError
 from probevo.evaluation.metrics import evaluate
+from probevo.noise import StudentT
 from probevo.output.files import read_kitti_poses, read_tum
 from probevo.output.motions_file import read_motions
 from probevo.run_config import RunConfig, read_config
@@ -138,6 +143,28 @@ def test_the_config_names_the_recording_from_anywhere(
     assert read_config(tmp_path / "config.yaml").sequence == wall.resolve()
 
 
+def test_a_learned_model_is_named_by_its_path_and_may_refuse_the_camera(
+    wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Learned(StudentT):
+        def check_camera(self, camera: StereoCamera) -> None:
+            if self.dof == 3.0:
+                raise InputError("city.safetensors", "was learned with another camera.")
+
+    module = ModuleType("probevo.noise.model_io")
+    module.load_model = lambda path: Learned(dof=float(path.read_text()))  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.chdir(tmp_path)
+    Path("city.safetensors").write_text("5.0")
+    words = ["run", str(wall), "--out", "out", "--noise", "city.safetensors", "--max-frames", "3"]
+    assert main(words) == 0
+    assert read_config(Path("out/config.yaml")).noise == str(tmp_path / "city.safetensors")
+    Path("city.safetensors").write_text("3.0")
+    assert main([*words, "--out", "refused"]) == 2
+    assert "was learned with another camera." in capsys.readouterr().err
+    assert not Path("refused").exists()
+
+
 def test_a_single_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = write_wall(tmp_path / "wall", 1)
     assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 0
@@ -173,6 +200,7 @@ def test_frames_without_texture_or_features_end_well(tmp_path: Path) -> None:
         (["WALL", "--out", "OUT", "--gyro.prior"], ["--gyro.prior: the recording", "has no IMU."]),
         (["WALL", "--out", "OUT", "--ransac.rotation-from", "gyro"], ["--ransac.rotation-from gyro: ", "no IMU."]),
         (["WALL", "--out", "OUT", "--max-frames", "1"], ["--max-frames is 1;", "equal to 2"]),
+        (["WALL", "--out", "OUT", "--noise", "student"], ["--noise: 'student' is no known", "Did you mean student-t?"]),
     ],
 )
 def test_mistakes_exit_with_2_and_name_the_fault(

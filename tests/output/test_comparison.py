@@ -11,10 +11,20 @@ from probevo.arrays import FloatArray
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.evaluation.trajectory_errors import position_errors
 from probevo.geometry import se3
-from probevo.output.comparison import COLUMNS, Comparison, Entry, comparison_rows
+from probevo.output.comparison import (
+    COLUMNS,
+    Comparison,
+    Entry,
+    comparison_rows,
+    distinct_labels,
+    numbered,
+    reads_least,
+    truth_note,
+)
 from probevo.output.comparison_page import write_comparison
 from probevo.output.comparison_plots import errors_figure, paths_figure
 from probevo.output.run_result import RunResult, chain_motions
+from probevo.output.trial_table import trial_table
 
 COLORS = {"fixed": "#111111", "student-t": "#222222"}
 JPEGS = {name: [f"{name}{k}".encode() for k in range(4)] for name in COLORS}
@@ -158,3 +168,64 @@ def test_errors_are_those_of_the_positions(entries: tuple[Entry, Entry]) -> None
 def test_a_name_with_dollars_is_no_mathematics(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
     page = page_of(Comparison((replace(entries[0], estimator="$x_1$"),)), tmp_path)
     assert "$x_1$</text>" in page
+
+
+def test_the_table_of_trials_is_shown_where_there_is_one(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+    comparison = Comparison(tuple(replace(e, report=None) for e in entries))
+    write_comparison(tmp_path / "with.html", comparison, "", {}, trial_table(comparison))
+    write_comparison(tmp_path / "without.html", comparison, "", {})
+    shown = [(tmp_path / name).read_text() for name in ("with.html", "without.html")]
+    assert [page.count("In the form of PROBE Table I") for page in shown] == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("values", "least"),
+    [
+        ([2.0, 1.0, 3.0], [False, True, False]),
+        ([1.0001, 1.0002], [True, True]),
+        ([1.0], [False]),
+        ([1.0, None], [False, False]),
+        ([2.0, None, 1.0], [False, False, True]),
+        ([None, None], [False, False]),
+        ([], []),
+    ],
+)
+def test_what_reads_as_the_least(values: list[float | None], least: list[bool]) -> None:
+    assert reads_least(values) == least
+
+
+def test_recordings_without_truth_are_named(make_run: Callable[..., RunResult]) -> None:
+    with_truth = Entry("hill", "fixed", make_run(3), metrics=Metrics(3, armse_m=1.0))
+    without = [Entry("dale", "fixed", make_run(3)), Entry("moor", "fixed", make_run(3), metrics=Metrics(0))]
+    assert truth_note(Comparison((with_truth,))) == ()
+    assert truth_note(Comparison((with_truth, *without))) == ("No truth is known, and so no error: dale, moor.",)
+
+
+@pytest.mark.parametrize(
+    ("paths", "labels"),
+    [
+        (["a/x", "a/y"], ["x", "y"]),
+        (["a/x", "b/x", "b/y"], ["a-x", "b-x", "y"]),
+        (["a/x/t", "b/x/t"], ["a-x-t", "b-x-t"]),
+        (["a/b-x", "a/b/x"], ["b-x", "x"]),
+        (["a/fixed"], ["a-fixed"]),
+        (["v1.0"], ["v1.0"]),
+    ],
+)
+def test_labels_are_short_and_distinct(paths: list[str], labels: list[str], tmp_path: Path) -> None:
+    assert distinct_labels([tmp_path / path for path in paths], taken=["fixed"]) == labels
+
+
+def test_labels_differ_in_more_than_their_case(tmp_path: Path) -> None:
+    labels = distinct_labels([tmp_path / "x", tmp_path / "X"])
+    assert len({label.casefold() for label in labels}) == 2
+    assert all(len(label) < 2 * len(str(tmp_path)) for label in labels)
+
+
+def test_a_file_is_called_without_its_suffix(tmp_path: Path) -> None:
+    (tmp_path / "test.v1.npz").touch()
+    assert distinct_labels([tmp_path / "test.v1.npz"]) == ["test.v1"]
+
+
+def test_names_that_come_again_are_numbered() -> None:
+    assert numbered(["a", "b", "A", "a-2", "a"], taken=["B"]) == ["a", "b-2", "A-2", "a-2-2", "a-3"]

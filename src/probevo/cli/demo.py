@@ -6,13 +6,13 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from probevo.cli.arguments import parse
 from probevo.cli.text import table
-from probevo.run_config import NoiseName, RunConfig
+from probevo.run_config import RunConfig
 from probevo.simulation.scene.config import Effects, SceneConfig
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     """
     from probevo import __version__
     from probevo.cli.simulate import render_with_progress
+    from probevo.noise.named import NOISE_NAMES
     from probevo.output.comparison import Comparison, comparison_rows
     from probevo.output.comparison_page import write_comparison
     from probevo.output.files import check_folder
@@ -64,7 +65,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
         name: render_with_progress(config, out / "scenes" / scene_folder(name, config))
         for name, config in scenes.items()
     }
-    entries = [run(name, folder, noise, out) for name, folder in folders.items() for noise in get_args(NoiseName)]
+    entries = [run(name, folder, noise, out) for name, folder in folders.items() for noise in NOISE_NAMES]
     comparison = Comparison(tuple(entries))
     facts = {name.capitalize(): scene_text(config) for name, config in scenes.items()}
     write_comparison(out / "report.html", comparison, "Noise models side by side", facts | {"probevo": __version__})
@@ -80,13 +81,14 @@ def scene_folder(name: str, config: SceneConfig) -> str:
     return f"{name}-{hashlib.sha256(settings_text(config).encode()).hexdigest()[:8]}"
 
 
-def run(name: str, folder: Path, noise: NoiseName, out: Path) -> Entry:
+def run(name: str, folder: Path, noise: str, out: Path) -> Entry:
     """One noise model's run over one scene."""
     from probevo.cli.run import run_with_progress
     from probevo.output.comparison import Entry
+    from probevo.sequences import open_sequence
 
     into = out / "runs" / f"{name}-{noise}"
-    done = run_with_progress(RunConfig(sequence=folder, noise=noise), into, threads=1)
+    done = run_with_progress(open_sequence(folder), RunConfig(sequence=folder, noise=noise), into, threads=1)
     return Entry(name, noise, done.result, done.truth, done.metrics, done.pictures, into / "report.html")
 
 

@@ -1,16 +1,23 @@
-"""``probevo paper``: the experiments of the papers, repeated in simulation."""
+"""``probevo paper``: the experiments of the papers, repeated in simulation or on the recordings they used."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.cli.text import table
 from probevo.experiments.blur_config import BlurConfig
+from probevo.experiments.table_i_config import TableIConfig
+
+if TYPE_CHECKING:
+    from probevo.cli.compare import Job
+    from probevo.experiments.table_i import Drive, Plan
+    from probevo.output.comparison import Comparison
+    from probevo.output.trial_table import TrialTable
 
 
 @dataclass(frozen=True)
@@ -25,8 +32,20 @@ class BlurArguments:
     settings: Annotated[BlurConfig, tyro.conf.arg(name="")] = field(default_factory=BlurConfig)
 
 
-_Hidden = Annotated[None, tyro.conf.Suppress]
-"""tyro makes no subcommands of a single type; once there is a second experiment, this can go."""
+@dataclass(frozen=True)
+class TableIArguments:
+    """Trained on one drive of KITTI, run on others, beside RANSAC: PROBE Table I.
+
+    Of its ten trials, those are run that lie in the folder together with the drive to train on. Writes table_i with the
+    published figures beside ours, as .html, .csv, .json, .tex and .txt, the trained models/, and runs/ with the files
+    of each run.
+    """
+
+    kitti: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder of KITTI raw: it holds 2011_09_26/2011_09_26_drive_0005_sync and others."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results. What an earlier run of the experiment left there is replaced."""
+    settings: Annotated[TableIConfig, tyro.conf.arg(name="")] = field(default_factory=TableIConfig)
 
 
 @dataclass(frozen=True)
@@ -34,7 +53,8 @@ class PaperArguments:
     """Repeat an experiment of the papers. `probevo paper EXPERIMENT --help` shows its options."""
 
     experiment: Annotated[
-        Annotated[BlurArguments, tyro.conf.subcommand("blur")] | _Hidden,
+        Annotated[BlurArguments, tyro.conf.subcommand("blur")]
+        | Annotated[TableIArguments, tyro.conf.subcommand("table-i")],
         tyro.conf.arg(name=""),
     ]
 
@@ -42,14 +62,14 @@ class PaperArguments:
 def main(words: list[str]) -> None:
     """Parse, repeat the experiment, say what it found."""
     arguments = parse(PaperArguments, words, "paper").experiment
-    if isinstance(arguments, BlurArguments):
-        print("\n".join(_blur(arguments)))
-
-
-def _blur(arguments: BlurArguments) -> list[str]:
     from probevo.output.files import check_folder
 
     check_folder(arguments.out, "--out")
+    lines = _blur(arguments) if isinstance(arguments, BlurArguments) else _table_i(arguments)
+    print("\n".join(lines))
+
+
+def _blur(arguments: BlurArguments) -> list[str]:
     settings = checked(arguments.settings)
     import numpy as np
 
@@ -74,3 +94,68 @@ def _blur(arguments: BlurArguments) -> list[str]:
         counts_text(views, observations),
         str(arguments.out / "blur.html"),
     ]
+
+
+def _table_i(arguments: TableIArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    arguments = replace(arguments, settings=settings)
+    from probevo.cli.compare import run_all
+    from probevo.experiments.table_i import TRIALS, plan_table
+    from probevo.experiments.table_i_files import table_of, write_table
+
+    plan = plan_table(arguments.kitti)
+    _table_i_jobs(plan, {}, arguments)  # what can be checked before the training
+    print(f"{len(plan.trials)} of {len(TRIALS)} trials can be run.", flush=True)
+    jobs = _table_i_jobs(plan, _train(plan, arguments), arguments)
+
+    def write(done: Comparison) -> None:
+        trials = table_of(done, plan, settings.max_frames)
+        write_table(arguments.out, done, trials, _trials_text(trials))
+
+    comparison = run_all(jobs, 1, write, arguments.out)
+    return [_trials_text(table_of(comparison, plan, settings.max_frames)), str(arguments.out / "table_i.html")]
+
+
+def _train(plan: Plan, arguments: TableIArguments) -> dict[Drive, Path]:
+    """The model file of each training drive."""
+    from probevo.cli.progress import progress_bar
+    from probevo.sequences import open_sequence
+    from probevo.training.api import train_model
+    from probevo.training.settings import TrainSettings
+
+    sequences = {drive: open_sequence(arguments.kitti / drive.folder, "kitti-raw") for drive in plan.trainings}
+    models = {}
+    for drive, sequence in sequences.items():
+        with progress_bar(f"training on {drive.name}", "starting (the first time of all compiles for 15 s)") as show:
+            file = arguments.out / "models" / f"{drive.name}.safetensors"
+            models[drive] = train_model([sequence], TrainSettings(), file, show)
+    return models
+
+
+def _table_i_jobs(plan: Plan, models: dict[Drive, Path], arguments: TableIArguments) -> list[Job]:
+    """The runs, those of PROBE only where its model is there."""
+    from probevo.cli import compare
+    from probevo.experiments.table_i import AGGRESSIVE, NOMINAL, PROBE, STUDENT_T, probe_settings
+    from probevo.sequences import open_sequence
+
+    settings = arguments.settings
+    classical = [
+        compare.Estimator(NOMINAL, "fixed", settings),
+        compare.Estimator(AGGRESSIVE, "fixed", compare.aggressive(settings)),
+        compare.Estimator(STUDENT_T, "student-t", settings),
+    ]
+    jobs = []
+    for trial in plan.trials:
+        sequence = open_sequence(arguments.kitti / trial.drive.folder, "kitti-raw")
+        estimators = list(classical)
+        if trial.training in models:
+            estimators.append(compare.Estimator(PROBE, str(models[trial.training]), probe_settings(settings)))
+        jobs += compare.plan([compare.Recording(trial.drive.name, sequence)], estimators, arguments.out)
+    return jobs
+
+
+def _trials_text(trials: TrialTable) -> str:
+    from probevo.output.trial_table import trials_text
+
+    head, *rows = trials_text(trials)
+    return "\n".join([table(head, rows), "", "ARMSE / final error, m.", *trials.notes, ""])

@@ -17,6 +17,7 @@ from probevo.run_config import RunConfig, read_config
 
 if TYPE_CHECKING:
     from probevo.runner import Run
+    from probevo.sequences import Sequence
 
 
 @dataclass(frozen=True)
@@ -47,31 +48,36 @@ def main(words: list[str]) -> None:
     if arguments.threads < 1:
         raise InputError("--threads", f"is {arguments.threads}.", "It must be at least 1.")
     settings = settings.model_copy(update={"sequence": arguments.sequence})
-    run = run_with_progress(settings, arguments.out, arguments.threads)
+    from probevo.sequences import open_sequence
+
+    sequence = open_sequence(arguments.sequence, settings.format)
+    run = run_with_progress(sequence, settings, arguments.out, arguments.threads)
     print("\n".join(summary(run, arguments.out)))
 
 
 def _defaults(words: list[str]) -> RunArguments:
+    settings = settings_of(words)
+    return RunArguments(sequence=settings.sequence, out=tyro.MISSING, settings=settings)
+
+
+def settings_of(words: list[str]) -> RunConfig:
     """What holds where no flag is given; it may come from the file, so that --config is looked for first."""
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--config", nargs="?")
     path = finder.parse_known_args(words)[0].config
-    settings = RunConfig() if path is None else read_config(Path(path))
-    return RunArguments(sequence=settings.sequence, out=tyro.MISSING, settings=settings)
+    return RunConfig() if path is None else read_config(Path(path))
 
 
-def run_with_progress(config: RunConfig, out: Path, threads: int) -> Run:
-    """Open the recording that the settings name, run over it, and show how far it is on stderr."""
+def run_with_progress(sequence: Sequence, config: RunConfig, out: Path, threads: int, name: str = "") -> Run:
+    """Run over a recording, and show on stderr how far it is; ``name``, if not the recording's, says what is run."""
     import cv2
 
     from probevo.cli.progress import progress_bar
     from probevo.runner import run_sequence
-    from probevo.sequences import open_sequence
 
     cv2.setNumThreads(threads)
-    sequence = open_sequence(config.sequence or "", config.format)
     total = min(len(sequence), config.max_frames or len(sequence))
-    with progress_bar(sequence.path.name, "starting (the first run of all compiles for 15 s)") as show:
+    with progress_bar(name or sequence.path.name, "starting (the first run of all compiles for 15 s)") as show:
         done = count(1)
         return run_sequence(sequence, config, out, lambda _: show(next(done), total))
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
 
 Refers = Literal["observation", "residual"]
 
@@ -54,3 +55,10 @@ class NoiseModel(Protocol):
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """Noise of N features from their place φ in the prediction space, [N, M]."""
+
+    def check_camera(self, camera: StereoCamera) -> None:
+        """Refuse a camera for which the model does not hold.
+
+        Raises:
+            InputError: the model was learned with another camera.
+        """

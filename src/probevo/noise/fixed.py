@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
 from probevo.noise.base import StereoNoise
 
 OBSERVATION_SIGMA_PX = (0.2, 0.2, 0.2, 0.2)
@@ -28,3 +29,6 @@ class Fixed:
         count = len(predictors)
         scale = np.broadcast_to(np.asarray(self.covariance, dtype=np.float64), (count, 4, 4))
         return StereoNoise(scale, np.full(count, np.inf), np.zeros((count, 4)), refers_to="observation")
+
+    def check_camera(self, camera: StereoCamera) -> None:
+        """Any camera will do: nothing was learned from one."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
 from probevo.noise.base import StereoNoise
 from probevo.noise.fixed import OBSERVATION_SIGMA_PX
 
@@ -28,3 +29,6 @@ class StudentT:
         count = len(predictors)
         scale = np.broadcast_to(np.asarray(self.scale, dtype=np.float64), (count, 4, 4))
         return StereoNoise(scale, np.full(count, self.dof), np.zeros((count, 4)), refers_to="observation")
+
+    def check_camera(self, camera: StereoCamera) -> None:
+        """Any camera will do: nothing was learned from one."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from probevo.arrays import FloatArray
 from probevo.evaluation.metrics import Metrics
 from probevo.output.metrics_table import readable
 from probevo.output.run_result import RunResult
+from probevo.run_config import RunConfig
 
 COLUMNS = ("ARMSE m", "final error m", "drift %", "rotation °/m", "ms/frame")
 """Figures of merit; the less, the better. Drift and rotation are those over pieces of 10 to 50 m."""
@@ -35,6 +38,8 @@ class Entry:
     """Caption and JPEG file of a few frames with their tracks; of the same frames for all entries of a sequence."""
     report: Path | None = None
     """The report of this run alone."""
+    config: RunConfig | None = None
+    """All settings of this run."""
 
     @property
     def figures(self) -> tuple[float | None, ...]:
@@ -43,6 +48,11 @@ class Entry:
         drift = (metrics.short_t_percent, metrics.short_r_deg_per_m)
         ms = float(np.median(self.result.total_ms)) if len(self.result.total_ms) else None
         return (metrics.armse_m, metrics.final_error_m, *drift, ms)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether there is a truth that its positions can be compared with."""
+        return self.metrics is not None and self.metrics.armse_m is not None
 
 
 @dataclass(frozen=True)
@@ -78,4 +88,52 @@ def comparison_rows(comparison: Comparison) -> list[tuple[str, ...]]:
 
 def figure_texts(entry: Entry) -> tuple[str, ...]:
     """The figures of merit as a reader sees them; a dash where unknown."""
-    return tuple("–" if value is None else readable(value) for value in entry.figures)
+    return tuple(map(figure_text, entry.figures))
+
+
+def figure_text(value: float | None) -> str:
+    """A figure as a reader sees it; a dash where it is unknown."""
+    return "–" if value is None else readable(value)
+
+
+def reads_least(values: Sequence[float | None]) -> list[bool]:
+    """Which of the values a reader takes for the least; none where there is nothing to compare it with."""
+    known = [value for value in values if value is not None]
+    least = figure_text(min(known)) if len(known) > 1 else None
+    return [value is not None and figure_text(value) == least for value in values]
+
+
+def truth_note(comparison: Comparison) -> tuple[str, ...]:
+    """Which recordings have no truth; nothing if all have."""
+    without = [name for name in comparison.sequences if not any(entry.has_truth for entry in comparison.of(name))]
+    return (f"No truth is known, and so no error: {', '.join(without)}.",) if without else ()
+
+
+def distinct_labels(paths: Sequence[Path], taken: Collection[str] = ()) -> list[str]:
+    """A name for each file or folder: its own, after as many folders as it takes to tell it from the others.
+
+    Names differ in more than their case, and are none of those ``taken``, so that they can be names of folders too.
+    """
+    parts = [(*path.resolve().parent.parts[1:], path.stem if path.is_file() else path.resolve().name) for path in paths]
+    depths = [1] * len(paths)
+    while True:
+        labels = ["-".join(part[-depth:]) for part, depth in zip(parts, depths, strict=True)]
+        counts = Counter(name.casefold() for name in (*labels, *taken))
+        longer = [k for k, label in enumerate(labels) if counts[label.casefold()] > 1 and depths[k] < len(parts[k])]
+        if not longer:
+            return numbered(labels, taken)
+        for k in longer:
+            depths[k] += 1
+
+
+def numbered(names: Sequence[str], taken: Collection[str] = ()) -> list[str]:
+    """The names, with -2, -3 … behind those that came before, but for their case."""
+    used, unique = {name.casefold() for name in taken}, []
+    for name in names:
+        candidate, number = name, 1
+        while candidate.casefold() in used:
+            number += 1
+            candidate = f"{name}-{number}"
+        used.add(candidate.casefold())
+        unique.append(candidate)
+    return unique

@@ -8,17 +8,20 @@ from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
-from probevo.output.comparison import COLUMNS, TIME_COLUMN, Comparison, Entry, figure_texts
+from probevo.output.comparison import COLUMNS, TIME_COLUMN, Comparison, Entry, figure_texts, reads_least
 from probevo.output.comparison_plots import errors_figure, paths_figure
 from probevo.output.metrics_table import readable
 from probevo.output.page import frames_section, grid, panel, write_page
 from probevo.output.svg import CYCLE, figure_style
+from probevo.output.trial_table import TrialTable, trials_section
 
 _MOST_PICTURES = 4
 """Of one sequence; with more estimators than that, one of each."""
 
 
-def write_comparison(path: Path, comparison: Comparison, title: str, facts: Mapping[str, str]) -> None:
+def write_comparison(
+    path: Path, comparison: Comparison, title: str, facts: Mapping[str, str], trials: TrialTable | None = None
+) -> None:
     """Write the page. The same arguments give the same bytes.
 
     Args:
@@ -26,6 +29,7 @@ def write_comparison(path: Path, comparison: Comparison, title: str, facts: Mapp
         comparison: runs of at least two frames each.
         title: heading of the page.
         facts: what a reader should know beforehand, by name.
+        trials: a table to show besides.
 
     Raises:
         ValueError: there is nothing to compare, or a run has fewer than two frames.
@@ -35,6 +39,8 @@ def write_comparison(path: Path, comparison: Comparison, title: str, facts: Mapp
         raise ValueError("a comparison needs one run at least, and each run two frames")
     colors = {name: CYCLE[k % len(CYCLE)] for k, name in enumerate(comparison.estimators)}
     sections = [_table_section(comparison, colors, path.parent)]
+    if trials is not None:
+        sections.append(trials_section(trials))
     for number, sequence in enumerate(comparison.sequences):
         sections += _sequence_sections(comparison.of(sequence), colors, number)
     write_page(path, title, facts, sections)
@@ -71,11 +77,9 @@ def _row(entry: Entry, best: Sequence[bool], colors: Mapping[str, str], folder: 
 
 def _best(entries: Sequence[Entry]) -> list[list[bool]]:
     """Of each entry, which of its errors reads as the least; none where there is nothing to compare."""
-    columns = list(zip(*(entry.figures for entry in entries), strict=True))
-    least = [min((v for v in column if v is not None), default=None) for column in columns]
-    least[TIME_COLUMN] = None  # decided by a hair, and otherwise the next time
-    texts = [None if low is None or len(entries) == 1 else readable(low) for low in least]
-    return [[text == low for text, low in zip(figure_texts(entry), texts, strict=True)] for entry in entries]
+    columns = [reads_least(column) for column in zip(*(entry.figures for entry in entries), strict=True)]
+    columns[TIME_COLUMN] = [False] * len(entries)  # decided by a hair, and otherwise the next time
+    return [list(row) for row in zip(*columns, strict=True)]
 
 
 def _sequence_sections(entries: Sequence[Entry], colors: Mapping[str, str], number: int) -> list[str]:

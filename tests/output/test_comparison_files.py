@@ -1,0 +1,61 @@
+"""A comparison as CSV and JSON: every metric, at full precision."""
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.geometry import se3
+from probevo.motion.estimate import Status
+from probevo.output.comparison import Entry
+from probevo.output.comparison_files import document, flat_record, write_csv
+from probevo.output.files import write_json
+from probevo.output.run_result import RunResult
+from probevo.run_config import RunConfig
+
+
+def entry(run: RunResult, *, truth: bool, name: str = 'hill, "a"') -> Entry:
+    T_true = se3.exp(np.array([0.1, 0.0, 0.0, 0.0, 0.01, 0.0])) @ run.T_world_cam @ se3.exp(np.full(6, 0.01))
+    metrics = evaluate(run.T_world_cam, T_true, run.T_curr_prev, run.cov) if truth else None
+    return Entry(name, "fixed", run, metrics=metrics, report=Path("out/runs/a/report.html"), config=RunConfig(seed=3))
+
+
+def test_a_line_holds_every_metric_as_it_is(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    known, unknown = entry(make_run(60), truth=True), entry(make_run(60), truth=False, name="dale")
+    write_csv(tmp_path / "c.csv", map(flat_record, (known, unknown)))
+    with (tmp_path / "c.csv").open(encoding="utf-8") as file:
+        first, second = csv.DictReader(file)
+    assert known.metrics is not None
+    for key, value in known.metrics.as_dict().items():
+        if isinstance(value, dict):
+            assert {percent: float(first[f"{key}_{percent}"]) for percent in value} == value
+        else:
+            assert first[key] == ("" if value is None else repr(value)), key
+    assert {first["sequence"], second["sequence"]} == {'hill, "a"', "dale"}
+    assert all(second[field.name] == "" for field in fields(Metrics) if field.name != "nees_coverage")
+    assert [first[f"steps_{name}"] for name in ("ok", "gap", "degenerate")] == ["58", "1", "0"]
+    assert (first["frames"], float(first["ms_per_frame"])) == ("60", float(np.median(known.result.total_ms)))
+    assert set(first) == set(second)
+
+
+def test_every_status_has_a_column(make_run: Callable[..., RunResult]) -> None:
+    columns = flat_record(entry(make_run(3), truth=True))
+    assert {f"steps_{status.name.lower()}" for status in Status} - {"steps_first"} <= set(columns)
+
+
+def test_json_has_metrics_settings_and_the_way_to_the_report(
+    make_run: Callable[..., RunResult], tmp_path: Path
+) -> None:
+    known, unknown = entry(make_run(60), truth=True), entry(make_run(1), truth=False)
+    write_json(tmp_path / "c.json", document((known, unknown), Path("out")))
+    first, second = json.loads((tmp_path / "c.json").read_text())["runs"]
+    assert known.metrics is not None
+    assert first["metrics"] == known.metrics.as_dict()
+    assert first["report"] == "runs/a/report.html"
+    assert RunConfig.model_validate(first["settings"]) == known.config
+    assert first["steps"]["ok"] == 58
+    assert (second["metrics"], second["ms_per_frame"], second["frames"]) == (None, None, 1)
