@@ -11,14 +11,18 @@ from importlib import import_module
 from probevo import __version__
 from probevo.errors import InputError, ProbevoError
 
-COMMANDS = ("run", "compare", "eval", "info", "simulate", "paper", "demo")
+COMMANDS = ("run", "train", "compare", "inspect", "eval", "info", "simulate", "paper", "demo")
 """Each is a module of its own, imported only if it is called: `probevo --help` should not wait for SciPy."""
 HELP = f"""\
 probevo {__version__}: stereo odometry that learns how far to trust each feature, and says how sure it is of its motion.
 
   probevo run SEQUENCE --out DIR    from a recording to a trajectory, a covariance for every step, and a report
+  probevo train SEQUENCE… --out MODEL
+                                    learn from recordings how far to trust each feature
   probevo compare SEQUENCE… --noise ESTIMATOR… --out DIR
                                     several estimators on several recordings, side by side
+  probevo inspect SEQUENCE --model MODEL --out DIR
+                                    what a model learned, and how it sees the features of a frame
   probevo eval RUN --gt POSES       compare a run, or a trajectory file, with true poses
   probevo info SEQUENCE             what a recording is, whether its calibration is sane, what will be used
   probevo simulate WORLD --out DIR  a recording of a simulated world, point or scene, whose truth is known

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -27,6 +27,10 @@ class StereoNoise:
     refers_to: Refers = "residual"
     """What the scale describes: the residual y' − f(T g(y)) as a whole (learned models), or each single observation y
     and y' (classical models), from which the solver derives the residual's, the triangulated point's noise included."""
+
+    def scaled(self, factors: FloatArray) -> StereoNoise:
+        """The same noise, the scale of each feature times a factor, [N]."""
+        return replace(self, scale=factors[:, None, None] * self.scale)
 
     def log_likelihood(self, residuals: FloatArray) -> FloatArray:
         """Log density of residuals [N, 4], px, in nats, [N]."""

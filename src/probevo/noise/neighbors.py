@@ -152,4 +152,4 @@ def _mean_of_smallest(squared: Single, value: Single, wanted: int) -> float:
         counts = one if squared[i] <= high else none
         sum_of_values += counts * value[i]
         number += counts
-    return sum_of_values / number
+    return float(sum_of_values / number)

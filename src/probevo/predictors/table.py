@@ -109,7 +109,7 @@ def space_for(columns: Sequence[str], given: PredictionSpace | None = None) -> P
         if unknown:
             cure = "Give the predictors that it was trained with to StereoOdometry."
             raise InputError("noise model", f"its predictor {unknown[0]} is not known.", cure)
-        given = PredictionSpace(tuple(dict.fromkeys(owners[column] for column in columns)))
+        given = PredictionSpace(tuple({owners[column].name: owners[column] for column in columns}.values()))
     if columns and given.columns != tuple(columns):
         what = f"it was trained on {', '.join(columns)}, in this order, but gets {', '.join(given.columns) or 'none'}."
         raise InputError("noise model", what, "Give it the predictors that it was trained with, in their order.")

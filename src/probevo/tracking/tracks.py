@@ -40,8 +40,8 @@ class Tracks:
         """No tracks at all."""
         return Tracks(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64))
 
-    def kept(self, keep: BoolArray) -> Tracks:
-        """Only those points, [N]."""
+    def kept(self, keep: BoolArray | IntArray) -> Tracks:
+        """Only those points: a mask [N], or indices."""
         return replace(
             self,
             prev_px=self.prev_px[keep],

@@ -2,31 +2,40 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from itertools import islice
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.config import OdometryConfig
-from probevo.errors import InputError
-from probevo.noise import NoiseModel
+from probevo.noise import StudentT
 from probevo.odometry import StereoOdometry
+from probevo.output.files import write_atomically
 from probevo.predictors import PredictionSpace
 from probevo.sequences.base import Sequence
+from probevo.sequences.frame import Frame
 from probevo.tracking.tracks import Tracks
+
+
+class Digest(Protocol):
+    """What hashlib's objects do."""
+
+    def update(self, data: bytes, /) -> None:
+        """Take in more bytes."""
 
 
 @dataclass(frozen=True)
 class Drive:
     """K frames, K − 1 steps between them, and the n features of all steps, one step after another."""
 
-    stamps_ns: IntArray
-    """[K]."""
-    T_world_cam: FloatArray
-    """True poses, [K, 4, 4]; NaN where unknown."""
+    digest: str
+    """SHA-256 of all that the odometry was given: stamps, images or features, IMU samples."""
     T_curr_prev: FloatArray
     """Motion of each step as all its features give it, [K − 1, 4, 4]."""
     first_of_step: IntArray
@@ -59,43 +68,36 @@ class Drive:
 def record_drive(
     sequence: Sequence,
     space: PredictionSpace,
-    noise: NoiseModel,
     config: OdometryConfig,
-    *,
-    max_frames: int | None = None,
-    on_frame: Callable[[int, int], None] | None = None,
+    num_frames: int,
+    on_frame: Callable[[int], None] | None = None,
 ) -> Drive:
-    """Run the odometry over a recording and keep every step's features with their predictors.
+    """Run the odometry with static robust noise over a recording, and keep every step's features with their predictors.
 
     Args:
         sequence: the recording.
         space: the predictors.
-        noise: model for the motion of all features together; it must need no predictors.
         config: all settings of the odometry.
-        max_frames: stop after so many.
-        on_frame: called with how many frames are done, and how many there are.
+        num_frames: how many of its frames, at least 2.
+        on_frame: called with how many frames are done.
 
     Raises:
-        InputError: the recording has fewer than two frames, is faulty, or lacks what a predictor needs.
+        InputError: the recording is faulty, or lacks what a predictor needs.
     """
-    num_frames = min(len(sequence), max_frames or len(sequence))
-    if num_frames < 2:
-        raise InputError(sequence.path, "it has one frame, and so no motion to learn from.", "Give a longer recording.")
-    odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config, space)
-    motions, steps = [], []
+    odometry = StereoOdometry(sequence.camera, StudentT(), sequence.imu, config, space)
+    digest, motions, steps = hashlib.sha256(), [], []
     for frame in islice(sequence, num_frames):
+        _take_in(digest, frame)
         motion = odometry.step(frame)
         if frame.index > 0:
             motions.append(motion.T_curr_prev)
             tracks = odometry.tracks
             steps.append((tracks.prev_px, tracks.curr_px, odometry.phi, odometry.used))
         if on_frame is not None:
-            on_frame(frame.index + 1, num_frames)
+            on_frame(frame.index + 1)
     prev_px, curr_px, phi, used = (np.concatenate(part) for part in zip(*steps, strict=True))
-    unknown = np.full((num_frames, 4, 4), np.nan)
     return Drive(
-        stamps_ns=sequence.stamps_ns[:num_frames],
-        T_world_cam=unknown if sequence.truth is None else sequence.truth.T_world_cam[:num_frames],
+        digest=digest.hexdigest(),
         T_curr_prev=np.array(motions),
         first_of_step=np.cumsum([0, *(len(step[0]) for step in steps)]),
         prev_px=prev_px,
@@ -105,11 +107,29 @@ def record_drive(
     )
 
 
+def _take_in(digest: Digest, frame: Frame) -> None:
+    digest.update(np.int64(frame.stamp_ns).tobytes())
+    arrays: list[AnyArray | None] = [frame.left, frame.right]
+    if frame.features is not None:
+        arrays += [frame.features.ids, frame.features.pixels]
+    if frame.imu is not None:
+        arrays += [frame.imu.stamps_ns, frame.imu.gyro_rad_s, frame.imu.accel_m_s2]
+    for array in arrays:
+        if array is not None:
+            digest.update(np.ascontiguousarray(array).tobytes())
+
+
 def save_drive(path: Path, drive: Drive) -> None:
-    """Write a drive as an ``.npz`` file."""
+    """Write a drive as an ``.npz`` file, whole or not at all."""
+    buffer = io.BytesIO()
+    np.savez(
+        buffer, allow_pickle=False, **{field.name: np.asarray(getattr(drive, field.name)) for field in fields(Drive)}
+    )
+    write_atomically(path, buffer.getvalue())
 
 
 def load_drive(path: Path) -> Drive:
     """Read what ``save_drive`` wrote."""
     with np.load(path, allow_pickle=False) as archive:
-        return Drive(**{field.name: archive[field.name] for field in fields(Drive)})
+        arrays = {field.name: archive[field.name] for field in fields(Drive)}
+    return Drive(**arrays | {"digest": str(arrays["digest"])})

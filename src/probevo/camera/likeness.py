@@ -1,0 +1,27 @@
+"""Whether two cameras are enough alike that what was learned with one holds for the other."""
+
+from __future__ import annotations
+
+from probevo.camera.stereo import StereoCamera
+
+TOLERANCE = 0.1
+"""Relative difference up to which two cameras are alike: KITTI's calibrations differ by 2 % from day to day."""
+
+
+def difference(camera: StereoCamera, other: StereoCamera) -> str:
+    """The first property in which the cameras are not alike, in words; empty if they are.
+
+    Sizes of patches and errors are in pixels, so that the resolution matters as much as the lens.
+    """
+    pairs = {
+        "focal length": (camera.fu_px, other.fu_px, "px"),
+        "vertical focal length": (camera.fv_px, other.fv_px, "px"),
+        "baseline": (camera.baseline_m, other.baseline_m, "m"),
+    }
+    if camera.size_px and other.size_px:
+        pairs["image width"] = (camera.size_px[0], other.size_px[0], "px")
+        pairs["image height"] = (camera.size_px[1], other.size_px[1], "px")
+    for name, (value, other_value, unit) in pairs.items():
+        if abs(value - other_value) > TOLERANCE * max(abs(value), abs(other_value)):
+            return f"its {name} is {value:g} {unit}, not {other_value:g} {unit}"
+    return ""

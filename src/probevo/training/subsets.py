@@ -1,0 +1,74 @@
+"""Motions of random subsets of a drive's features, and the error α of each: one iteration of PROBE Fig. 2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.camera.stereo import StereoCamera
+from probevo.config import SolverConfig
+from probevo.motion.visual import solve
+from probevo.noise import NoiseModel
+from probevo.training.drive import Drive
+from probevo.training.supervision import Supervision
+
+
+@dataclass(frozen=True)
+class Learner:
+    """All that an iteration over a drive needs."""
+
+    drive: Drive
+    coordinates: FloatArray
+    """Standardised place of each of the n features in the prediction space, [n, M]."""
+    supervision: Supervision
+    camera: StereoCamera
+    base: NoiseModel
+    """Noise of all features alike."""
+    solver: SolverConfig
+    subset: int
+    """Features in a subset."""
+    contrast: float
+    """How much alike they are; 0 is not at all."""
+    seed: tuple[int, ...]
+    """Of this drive."""
+
+    def iterate(self, iteration: int) -> tuple[IntArray, FloatArray]:
+        """Features that took part in a motion whose error is known, [m], and that error α, [m], m.
+
+        One subset a step; with ``contrast``, those of one stretch of the supervision lean in the same direction. A step
+        with too few features, or whose subset fixes no motion, keeps the motion of all its features.
+        """
+        drive, T_curr_prev = self.drive, self.drive.T_curr_prev.copy()
+        owner = self.supervision.stretch_of_step(len(T_curr_prev))
+        directions = self._directions(len(self.supervision.stretches), iteration)
+        features, steps = [], []
+        for step in np.flatnonzero(owner >= 0).tolist():
+            rows = drive.rows(step)
+            chosen = self._choose(np.flatnonzero(drive.used[rows]), rows, directions[owner[step]], (iteration, step))
+            if len(chosen) < self.subset:
+                continue
+            tracks, guess = drive.tracks(step).kept(chosen), drive.T_curr_prev[step]
+            noise = self.base.predict(np.zeros((self.subset, 0)))
+            solution = solve(tracks, noise, guess, self.camera, None, self.solver)
+            if np.isfinite(solution.cov).all():
+                T_curr_prev[step] = solution.T_curr_prev
+                features.append(rows.start + chosen)
+                steps.append(step)
+        if not steps:
+            return np.zeros(0, np.int64), np.zeros(0)
+        alpha_of_step = self.supervision.errors(T_curr_prev)[owner[steps]]
+        return np.concatenate(features), np.repeat(alpha_of_step, self.subset)
+
+    def _directions(self, count: int, iteration: int) -> FloatArray:
+        """A random direction of the prediction space for each stretch, as long as the contrast, [count, M]."""
+        arrows = np.random.default_rng([*self.seed, iteration]).normal(size=(count, self.coordinates.shape[1]))
+        scaled: FloatArray = self.contrast * arrows / np.linalg.norm(arrows, axis=1, keepdims=True)
+        return scaled
+
+    def _choose(self, used: IntArray, rows: slice, direction: FloatArray, key: tuple[int, int]) -> IntArray:
+        """A subset without repetition, drawn with probabilities ∝ exp(direction · coordinates) (Gumbel's trick)."""
+        gumbel = np.random.default_rng([*self.seed, *key]).gumbel(size=len(used))
+        score = gumbel + self.coordinates[rows][used] @ direction
+        return used[np.sort(np.argsort(-score, kind="stable")[: self.subset])]

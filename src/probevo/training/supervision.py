@@ -1,0 +1,117 @@
+"""What is known of a drive, and the α of PROBE: how far motions are from it, over a step, a stretch or all the path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.errors import InputError
+from probevo.evaluation.trajectory_errors import armse, rigid_alignment
+from probevo.geometry import se3
+from probevo.sequences.base import Sequence
+from probevo.sequences.stamps import NS_PER_S
+from probevo.training.settings import SupervisionName
+
+LEAST_ALPHA_M = 1e-6
+"""An error below a thousandth of a millimetre is chance; its logarithm would weigh most."""
+FEWEST_POSITIONS = 4
+"""To align a path with; three always fit."""
+
+
+@dataclass(frozen=True)
+class Supervision:
+    """Stretches of a drive over which the motion is known, and what it truly was."""
+
+    kind: SupervisionName
+    frames: IntArray
+    """Frames whose truth is used, ascending, [F]."""
+    T_world_cam: FloatArray
+    """Their true poses, [F, 4, 4]; of ``position``, only the positions count."""
+
+    @property
+    def stretches(self) -> IntArray:
+        """First and last frame of each of U stretches, [U, 2]."""
+        if self.kind in ("position", "loop"):
+            return self.frames[[[0, -1]]]
+        return np.column_stack([self.frames[:-1], self.frames[1:]])
+
+    def stretch_of_step(self, num_steps: int) -> IntArray:
+        """The stretch that each step belongs to, [num_steps]; −1 for none. Step k leads to frame k + 1."""
+        owner = np.full(num_steps, -1)
+        for number, (first, last) in enumerate(self.stretches.tolist()):
+            owner[first:last] = number
+        return owner
+
+    def errors(self, T_curr_prev: FloatArray) -> FloatArray:
+        """α of motions T_curr_prev [K − 1, 4, 4] over each of the U stretches, [U], m.
+
+        It is the RMS over the axes of the translation's error, √(‖Δr‖²/3) (PROBE IV-A): of the motion from the first to
+        the last frame of the stretch; for ``position`` the ARMSE of the path after the best rigid fit.
+        """
+        T_world_cam = path(T_curr_prev)[self.frames]
+        if self.kind == "position":
+            positions, true = T_world_cam[:, :3, 3], self.T_world_cam[:, :3, 3]
+            T_true_est = rigid_alignment(positions, true)
+            return np.maximum([armse(se3.transform(T_true_est, positions) - true)], LEAST_ALPHA_M)
+        last = len(self.frames) - 1
+        start, end = ([0], [last]) if self.kind == "loop" else (np.arange(last), np.arange(last) + 1)
+        estimated, true = (
+            (se3.inverse(poses[start]) @ poses[end])[:, :3, 3] for poses in (T_world_cam, self.T_world_cam)
+        )
+        alphas: FloatArray = np.linalg.norm(estimated - true, axis=1) / np.sqrt(3.0)
+        return np.maximum(alphas, LEAST_ALPHA_M)
+
+
+def supervision_of(sequence: Sequence, kind: SupervisionName, every_s: float, num_frames: int) -> Supervision:
+    """What is used of the truth of a recording.
+
+    Args:
+        sequence: the recording.
+        kind: what is known.
+        every_s: time between the frames whose truth is used; 0 uses all.
+        num_frames: frames of it that are used.
+
+    Raises:
+        InputError: there is no truth, or too little for this kind.
+    """
+    where = sequence.path
+    poses = np.full((num_frames, 4, 4), np.nan) if sequence.truth is None else sequence.truth.T_world_cam[:num_frames]
+    known: BoolArray = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
+    if kind == "loop":
+        ends = np.array([0, num_frames - 1])
+        return Supervision(kind, ends, poses[ends] if known[ends].all() else np.stack([np.eye(4)] * 2))
+    if not known.any():
+        what = f"it has no ground truth, which --supervision {kind} needs."
+        raise InputError(where, what, "Take --supervision loop if it ends where it began, or leave it out.")
+    if kind == "gt" and not known.all():
+        what = f"only {known.sum()} of {len(known)} frames have a true pose."
+        raise InputError(where, what, "Take --supervision sparse.")
+    frames = _spaced(np.flatnonzero(known), sequence.stamps_ns, every_s)
+    fewest = FEWEST_POSITIONS if kind == "position" else 2
+    if len(frames) < fewest:
+        what = f"the truth of {len(frames)} frames is used; --supervision {kind} needs {fewest}."
+        raise InputError(where, what, "Give a longer recording, or a smaller --every-s.")
+    return Supervision(kind, frames, poses[frames])
+
+
+def _spaced(frames: IntArray, stamps_ns: IntArray, every_s: float) -> IntArray:
+    """Of these frames the first, and then each that is at least so much later than the last one taken."""
+    if every_s == 0.0:
+        return frames
+    taken, due_ns = [], -np.inf
+    for frame in frames.tolist():
+        if stamps_ns[frame] >= due_ns:
+            taken.append(frame)
+            due_ns = stamps_ns[frame] + every_s * NS_PER_S
+    return np.array(taken, np.int64)
+
+
+def path(T_curr_prev: FloatArray) -> FloatArray:
+    """Poses T_world_cam [K, 4, 4] from motions [K − 1, 4, 4]; the world is the first camera."""
+    poses = np.empty((len(T_curr_prev) + 1, 4, 4))
+    poses[0] = np.eye(4)
+    for k, T_prev_curr in enumerate(se3.inverse(T_curr_prev)):
+        poses[k + 1] = poses[k] @ T_prev_curr
+    return poses
