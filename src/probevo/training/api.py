@@ -138,12 +138,13 @@ def _learner(number: int, lesson: _Lesson, drive: Drive, metric: Metric, setting
     return Learner(
         drive=drive,
         coordinates=metric.coordinates(drive.phi),
-        supervision=lesson.supervision,
+        supervision=lesson.supervision.completed(drive.T_curr_prev),
         camera=lesson.sequence.camera,
         base=BASES[settings.base](),
         solver=settings.odometry.solver,
         subset=settings.subset,
         contrast=settings.contrast,
+        relative=settings.relative,
         seed=(settings.odometry.seed, number),
     )
 

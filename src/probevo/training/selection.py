@@ -15,7 +15,7 @@ from probevo.noise.neighbors import NeighborIndex
 from probevo.training.subsets import Learner
 
 NEIGHBORS = (10, 25, 50, 100, 200, 400, 800)
-EXPONENTS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+EXPONENTS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 MOST_QUERIES = 20_000
 """Of a drive, to compare values of K with; more would not change which is the best."""
 HALVES = 8
@@ -109,11 +109,18 @@ LIMIT = np.log(LARGEST_WEIGHT)
 
 
 def _alphas(learner: Learner, beta: FloatArray) -> FloatArray:
-    """Errors of a drive solved with these β, [n], relative to nothing: one a stretch, or one for each random half."""
-    if len(learner.supervision.stretches) > 1:
-        return learner.supervision.errors(weighted_motions(learner, beta, learner.drive.used))
+    """Errors α of a drive solved with these β, [n]: one a stretch; or, where all of it is one, one a random half.
+
+    Without any truth, what two halves of the features disagree by.
+    """
+    supervision, used = learner.supervision, learner.drive.used
     rng = np.random.default_rng([*learner.seed, HALVES])
     halves = rng.random((HALVES, len(beta))) < 0.5
+    if supervision.kind == "none":
+        one, other = (weighted_motions(learner, beta, used & half) for half in (halves[0], ~halves[0]))
+        return supervision.completed(other).errors(one)
+    if len(supervision.stretches) > 1:
+        return supervision.errors(weighted_motions(learner, beta, used))
     return np.concatenate(
         [learner.supervision.errors(weighted_motions(learner, beta, learner.drive.used & half)) for half in halves]
     )

@@ -9,7 +9,7 @@ from pydantic import Field
 from probevo.config import GyroConfig, OdometryConfig, RansacConfig
 from probevo.settings import Settings
 
-SupervisionName = Literal["gt", "sparse", "position", "loop"]
+SupervisionName = Literal["gt", "sparse", "position", "loop", "none"]
 BaseName = Literal["fixed", "student-t"]
 
 PUBLISHED = ("acceleration", "turn_rate", "blur", "entropy", "frequency", "flow_variance")
@@ -25,8 +25,9 @@ class TrainSettings(Settings):
     kind: Literal["knn"] = Field("knn", description="PROBE: weights from the nearest neighbours in prediction space.")
     supervision: SupervisionName = Field(
         "gt",
-        description="What is known of the drives: the pose at every frame, or at some (sparse), positions alone, or"
-        " only that each ends where it began (loop).",
+        description="What is known of the drives: the pose at every frame, or at some (sparse), positions alone,"
+        " only that each ends where it began (loop), or none of it: then the motion of all features together stands in"
+        " for the truth of a few, better than a truth that is off by centimetres from frame to frame, as KITTI's is.",
     )
     every_s: float = Field(
         0.0, ge=0, le=3600, description="Use the truth only so often, as if it were sparser; 0 uses all that there is."

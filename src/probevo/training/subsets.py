@@ -9,6 +9,7 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
+from probevo.motion.reprojection import ReprojectionSolution, sum_products
 from probevo.motion.visual import solve
 from probevo.noise import NoiseModel
 from probevo.training.drive import Drive
@@ -31,6 +32,8 @@ class Learner:
     """Features in a subset."""
     contrast: float
     """How much alike they are; 0 is not at all."""
+    relative: bool
+    """Whether α counts relative to what the geometry of the features lets expect."""
     seed: tuple[int, ...]
     """Of this drive."""
 
@@ -41,6 +44,7 @@ class Learner:
         with too few features, or whose subset fixes no motion, keeps the motion of all its features.
         """
         drive, T_curr_prev = self.drive, self.drive.T_curr_prev.copy()
+        cov = np.zeros((len(T_curr_prev), 6, 6))
         owner = self.supervision.stretch_of_step(len(T_curr_prev))
         directions = self._directions(len(self.supervision.stretches), iteration)
         features, steps = [], []
@@ -53,13 +57,15 @@ class Learner:
             noise = self.base.predict(np.zeros((self.subset, 0)))
             solution = solve(tracks, noise, guess, self.camera, None, self.solver)
             if np.isfinite(solution.cov).all():
-                T_curr_prev[step] = solution.T_curr_prev
+                T_curr_prev[step], cov[step] = solution.T_curr_prev, _expected_cov(solution)
                 features.append(rows.start + chosen)
                 steps.append(step)
         if not steps:
             return np.zeros(0, np.int64), np.zeros(0)
-        alpha_of_step = self.supervision.errors(T_curr_prev)[owner[steps]]
-        return np.concatenate(features), np.repeat(alpha_of_step, self.subset)
+        alphas = self.supervision.errors(T_curr_prev)
+        if self.relative:
+            alphas = alphas / self.supervision.expected_errors(T_curr_prev, cov)
+        return np.concatenate(features), np.repeat(alphas[owner[steps]], self.subset)
 
     def _directions(self, count: int, iteration: int) -> FloatArray:
         """A random direction of the prediction space for each stretch, as long as the contrast, [count, M]."""
@@ -72,3 +78,10 @@ class Learner:
         gumbel = np.random.default_rng([*self.seed, *key]).gumbel(size=len(used))
         score = gumbel + self.coordinates[rows][used] @ direction
         return used[np.sort(np.argsort(-score, kind="stable")[: self.subset])]
+
+
+def _expected_cov(solution: ReprojectionSolution) -> FloatArray:
+    """Covariance of a motion if all its features had the noise of the base, whatever their residuals say, [6, 6]."""
+    information = sum_products(solution.jacobian, solution.information @ solution.jacobian)
+    cov: FloatArray = np.linalg.pinv(information, hermitian=True)
+    return cov

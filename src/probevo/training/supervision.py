@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.evaluation.trajectory_errors import armse, rigid_alignment
-from probevo.geometry import se3
+from probevo.geometry import se3, so3
+from probevo.geometry.uncertainty import compound_chain
 from probevo.sequences.base import Sequence
 from probevo.sequences.stamps import NS_PER_S
 from probevo.training.settings import SupervisionName
@@ -29,6 +30,10 @@ class Supervision:
     """Frames whose truth is used, ascending, [F]."""
     T_world_cam: FloatArray
     """Their true poses, [F, 4, 4]; of ``position``, only the positions count."""
+
+    def completed(self, T_curr_prev: FloatArray) -> Supervision:
+        """With ``none``, the motions of all features, [K − 1, 4, 4], in place of the truth; else as it is."""
+        return replace(self, T_world_cam=path(T_curr_prev)) if self.kind == "none" else self
 
     @property
     def stretches(self) -> IntArray:
@@ -63,6 +68,15 @@ class Supervision:
         alphas: FloatArray = np.linalg.norm(estimated - true, axis=1) / np.sqrt(3.0)
         return np.maximum(alphas, LEAST_ALPHA_M)
 
+    def expected_errors(self, T_curr_prev: FloatArray, cov: FloatArray) -> FloatArray:
+        """α that motions with these covariances, [K − 1, 6, 6], should have: √(tr Σ_r/3) at each stretch's end, [U]."""
+        alphas = np.empty(len(self.stretches))
+        for number, (first, last) in enumerate(self.stretches.tolist()):
+            T_start_cam, cov_end = compound_chain(T_curr_prev[first:last], cov[first:last])
+            to_position = np.hstack([np.eye(3), -so3.wedge(T_start_cam[-1, :3, 3])])
+            alphas[number] = np.sqrt(np.trace(to_position @ cov_end[-1] @ to_position.T) / 3.0)
+        return np.maximum(alphas, LEAST_ALPHA_M)
+
 
 def supervision_of(sequence: Sequence, kind: SupervisionName, every_s: float, num_frames: int) -> Supervision:
     """What is used of the truth of a recording.
@@ -82,9 +96,11 @@ def supervision_of(sequence: Sequence, kind: SupervisionName, every_s: float, nu
     if kind == "loop":
         ends = np.array([0, num_frames - 1])
         return Supervision(kind, ends, poses[ends] if known[ends].all() else np.stack([np.eye(4)] * 2))
+    if kind == "none":
+        return Supervision(kind, np.arange(num_frames), poses)
     if not known.any():
         what = f"it has no ground truth, which --supervision {kind} needs."
-        raise InputError(where, what, "Take --supervision loop if it ends where it began, or leave it out.")
+        raise InputError(where, what, "Take --supervision none, or loop if it ends where it began.")
     if kind == "gt" and not known.all():
         what = f"only {known.sum()} of {len(known)} frames have a true pose."
         raise InputError(where, what, "Take --supervision sparse.")
