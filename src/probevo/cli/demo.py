@@ -14,6 +14,7 @@ from probevo.cli.arguments import parse
 from probevo.cli.text import table
 from probevo.run_config import RunConfig
 from probevo.simulation.scene.config import Effects, SceneConfig
+from probevo.training.settings import TrainSettings
 
 if TYPE_CHECKING:
     from probevo.output.comparison import Entry
@@ -29,10 +30,11 @@ SCENES = {"training": TRAINING, "test": TEST}
 
 @dataclass(frozen=True)
 class DemoArguments:
-    """Renders two drives through a simulated city, runs each noise model over both, and compares them.
+    """Renders two drives through a simulated city, learns a noise model from the first, and compares it on both with
+    the classical ones; what counts is the second, whose streets it has not seen.
 
-    Writes report.html, which shows them side by side, runs/ with the files of each run, and scenes/ with the images;
-    a second demo into the same folder finds these and need not render again.
+    Writes report.html, which shows them side by side, probe.safetensors, the model, runs/ with the files of each run,
+    and scenes/ with the images; a second demo into the same folder finds these and need not render again.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
@@ -46,13 +48,14 @@ def main(words: list[str]) -> None:
 
 
 def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
-    """Render the scenes, by name, into ``out``, run over them, print the table and write the page.
+    """Render the scenes, by name, into ``out``, learn from the first, run over all, print the table, write the page.
 
     Raises:
         InputError: ``out`` cannot be written to, or holds other scenes.
     """
     from probevo import __version__
     from probevo.cli.simulate import render_with_progress
+    from probevo.cli.train import train_with_progress
     from probevo.noise.named import NOISE_NAMES
     from probevo.output.comparison import Comparison, comparison_rows
     from probevo.output.comparison_page import write_comparison
@@ -65,7 +68,12 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
         name: render_with_progress(config, out / "scenes" / scene_folder(name, config))
         for name, config in scenes.items()
     }
-    entries = [run(name, folder, noise, out) for name, folder in folders.items() for noise in NOISE_NAMES]
+    model = out / "probe.safetensors"
+    train_with_progress(tuple(folders.values())[:1], TrainSettings(), model)
+    estimators = {name: name for name in NOISE_NAMES} | {"probe": str(model)}
+    entries = [
+        run(name, folder, label, estimators[label], out) for name, folder in folders.items() for label in estimators
+    ]
     comparison = Comparison(tuple(entries))
     facts = {name.capitalize(): scene_text(config) for name, config in scenes.items()}
     write_comparison(out / "report.html", comparison, "Noise models side by side", facts | {"probevo": __version__})
@@ -81,15 +89,15 @@ def scene_folder(name: str, config: SceneConfig) -> str:
     return f"{name}-{hashlib.sha256(settings_text(config).encode()).hexdigest()[:8]}"
 
 
-def run(name: str, folder: Path, noise: str, out: Path) -> Entry:
+def run(name: str, folder: Path, label: str, noise: str, out: Path) -> Entry:
     """One noise model's run over one scene."""
     from probevo.cli.run import run_with_progress
     from probevo.output.comparison import Entry
     from probevo.sequences import open_sequence
 
-    into = out / "runs" / f"{name}-{noise}"
+    into = out / "runs" / f"{name}-{label}"
     done = run_with_progress(open_sequence(folder), RunConfig(sequence=folder, noise=noise), into, threads=1)
-    return Entry(name, noise, done.result, done.truth, done.metrics, done.pictures, into / "report.html")
+    return Entry(name, label, done.result, done.truth, done.metrics, done.pictures, into / "report.html")
 
 
 def scene_text(config: SceneConfig) -> str:

@@ -1,0 +1,122 @@
+"""PROBE against nominal and aggressive RANSAC and the static Student-t: the tables of docs/probe.md.
+
+python benchmarks/probe.py [point|city|residential|road|rover|kitti|loop …, all by default]
+
+Each trial trains on one drive and is judged on another, of another place (the point world: of other landmarks; raw
+0005: on its second half; the loops: the same field driven again). Scenes are rendered into out/probe first.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+from recordings import RECORDINGS
+
+import probevo as pv
+from probevo.cli.compare import aggressive
+from probevo.config import OdometryConfig
+from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.noise.model_io import load_model
+from probevo.output.run_result import RunRecorder
+from probevo.simulation.point_config import PointConfig
+from probevo.simulation.point_world import write_training_and_test
+from probevo.simulation.scene.config import Effects, PresetName, SceneConfig
+from probevo.simulation.scene.writer import write_scene
+from probevo.training.api import train_model
+from probevo.training.settings import PUBLISHED, SupervisionName, TrainSettings
+
+OUT = Path("out/probe")
+EFFECTS = Effects(traffic=0.5, shadows=0.5, noise=0.3)
+"""As in the demo: a bad day, but no disaster."""
+PUBLISHED_SETTINGS = TrainSettings.published().model_copy(
+    update={"predictors": tuple(name for name in PUBLISHED if name != "acceleration")}
+)
+"""Without the accelerometer, which not all of these drives have."""
+FROM_TRACKS = ("flow_variance", "place", "disparity", "disparity_change", "residual_flow", "row_offset", "flow")
+"""Predictors for the point world, which has no images."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    name: str
+    train: Path
+    tests: tuple[Path, ...]
+    supervisions: tuple[SupervisionName, ...] = ("gt", "none")
+    images: bool = True
+    half: int | None = None
+    """Train on so many frames, and judge by those from there on."""
+
+
+def scene(preset: PresetName, seed: int, distance_m: float, drive: int = 0, truth: str = "all") -> Path:
+    config = SceneConfig(preset=preset, seed=seed, drive=drive, distance_m=distance_m, truth=truth, effects=EFFECTS)
+    return write_scene(config, OUT / f"{preset}-{seed}-{drive}-{truth}")
+
+
+def trials(wanted: list[str]) -> Iterator[Trial]:
+    for name in wanted:
+        if name == "point":
+            write_training_and_test(PointConfig(), OUT / "point")
+            yield Trial("point world", OUT / "point" / "train.npz", (OUT / "point" / "test.npz",), images=False)
+        elif name in ("city", "residential", "road"):
+            distance_m = 250.0 if name == "road" else 120.0
+            yield Trial(name, scene(name, 1, distance_m), (scene(name, 2, distance_m),))
+        elif name == "rover":
+            yield Trial(name, scene("rover", 1, 40.0), (scene("rover", 2, 40.0),))
+        elif name == "kitti" and all(path.is_dir() for path in RECORDINGS.values()):
+            yield Trial("raw 0005, second half", RECORDINGS["raw 0005"], (RECORDINGS["raw 0005"],), half=77)
+            yield Trial("raw 0005 → odometry 06", RECORDINGS["raw 0005"], (RECORDINGS["odometry 06"],))
+        elif name == "loop":
+            first, *rest = (scene("rover", 0, 40.0, drive, "loop") for drive in range(5))
+            yield Trial("rover loops", first, tuple(rest), ("loop", "none"))
+
+
+def estimators(trial: Trial) -> Iterator[tuple[str, pv.noise.NoiseModel, OdometryConfig]]:
+    """Name, noise and settings of each."""
+    plain = OdometryConfig()
+    yield "nominal RANSAC", pv.noise.Fixed(), plain
+    yield "aggressive RANSAC", pv.noise.Fixed(), aggressive(plain)
+    yield "student-t", pv.noise.StudentT(), plain
+    settings = {"PROBE as published": PUBLISHED_SETTINGS.model_copy(update={"supervision": trial.supervisions[0]})}
+    settings |= {f"PROBE, ours, {known}": TrainSettings(supervision=known) for known in trial.supervisions}
+    for name, chosen in settings.items():
+        update = {"max_frames": trial.half} | ({} if trial.images else {"predictors": FROM_TRACKS})
+        if name == "PROBE as published" and not trial.images:
+            update["predictors"] = ("turn_rate", "flow_variance")
+        path = OUT / "models" / f"{trial.name}-{name}.safetensors".replace(" ", "-")
+        model = load_model(train_model([pv.open_sequence(trial.train)], chosen.model_copy(update=update), path))
+        yield f"{name} (K {model.neighbors}, γ {model.exponent:g})", model, chosen.odometry
+
+
+def run(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig, first: int) -> Metrics:
+    """Metrics over the frames from ``first`` on."""
+    sequence, recorder = pv.open_sequence(path), RunRecorder()
+    odometry = pv.StereoOdometry(sequence.camera, noise, sequence.imu, config)
+    for frame in islice(sequence, len(sequence)):
+        recorder.add(frame.stamp_ns, odometry.step(frame))
+    result, truth = recorder.result(), sequence.truth.T_world_cam
+    return evaluate(result.T_world_cam[first:], truth[first:], result.T_curr_prev[first:], result.cov[first:])
+
+
+def main() -> None:
+    cv2.setNumThreads(1)
+    wanted = sys.argv[1:] or ["point", "city", "residential", "road", "rover", "kitti", "loop"]
+    head = ("trial", "estimator", "ARMSE, m", "final error, m", "drift, %", "rotation, °/m", "ANEES")
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
+    for trial in trials(wanted):
+        for name, noise, config in estimators(trial):
+            for number, path in enumerate(trial.tests):
+                m = run(path, noise, config, trial.half or 0)
+                values = (m.armse_m, m.final_error_m, m.short_t_percent, m.short_r_deg_per_m, m.anees)
+                texts = ["–" if value is None or not np.isfinite(value) else f"{value:.3g}" for value in values]
+                label = trial.name if len(trial.tests) == 1 else f"{trial.name} {number + 1}"
+                print(f"| {label} | {name} | {' | '.join(texts)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
