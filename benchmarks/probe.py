@@ -106,13 +106,20 @@ def run(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig, first: i
 def main() -> None:
     cv2.setNumThreads(1)
     wanted = sys.argv[1:] or ["point", "city", "residential", "road", "rover", "kitti", "loop"]
-    head = ("trial", "estimator", "ARMSE, m", "final error, m", "drift, %", "rotation, °/m", "ANEES")
+    head = ("trial", "estimator", "step, mm", "ARMSE, m", "final error, m", "drift, %", "rotation, °/m", "ANEES")
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for trial in trials(wanted):
         for name, noise, config in estimators(trial):
             for number, path in enumerate(trial.tests):
                 m = run(path, noise, config, trial.half or 0)
-                values = (m.armse_m, m.final_error_m, m.short_t_percent, m.short_r_deg_per_m, m.anees)
+                values = (
+                    1e3 * (m.rpe_t_m or np.nan),
+                    m.armse_m,
+                    m.final_error_m,
+                    m.short_t_percent,
+                    m.short_r_deg_per_m,
+                    m.anees,
+                )
                 texts = ["–" if value is None or not np.isfinite(value) else f"{value:.3g}" for value in values]
                 label = trial.name if len(trial.tests) == 1 else f"{trial.name} {number + 1}"
                 print(f"| {label} | {name} | {' | '.join(texts)} |", flush=True)

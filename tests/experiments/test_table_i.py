@@ -3,10 +3,9 @@
 import csv
 import json
 import shutil
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -46,22 +45,15 @@ def trained() -> Iterator[list[SimpleNamespace]]:
     def train_model(
         sequences: Sequence[Any], settings: Any, out: Path, on_progress: Callable[[int, int], None]
     ) -> Path:
-        calls.append(SimpleNamespace(paths=[sequence.path for sequence in sequences], out=out))
+        calls.append(SimpleNamespace(paths=[sequence.path for sequence in sequences], settings=settings, out=out))
         on_progress(1, 2)
         out.parent.mkdir(parents=True, exist_ok=True)
         out.touch()
         return out
 
-    stubs = {
-        "probevo.training.api": {"train_model": train_model},
-        "probevo.training.settings": {"TrainSettings": SimpleNamespace},
-        "probevo.noise.model_io": {"load_model": lambda path: StudentT(dof=4.0)},
-    }
     with pytest.MonkeyPatch.context() as patch:
-        for name, content in stubs.items():
-            module = ModuleType(name)
-            vars(module).update(content)
-            patch.setitem(sys.modules, name, module)
+        patch.setattr("probevo.training.api.train_model", train_model)
+        patch.setattr("probevo.noise.model_io.load_model", lambda path: StudentT(dof=4.0))
         yield calls
 
 
@@ -138,8 +130,9 @@ def test_ours_stand_beside_what_was_published(
     out = tmp_path / "out"
     assert main(["paper", "table-i", "--kitti", str(tmp_path / "kitti"), "--out", str(out), "--seed", "4"]) == 0
     assert {path.name for path in out.iterdir()} == FILES | {"runs", "models"}
-    (training,) = trained
-    assert training.paths == [tmp_path / "kitti" / CITY.folder]
+    as_published, ours = trained
+    assert as_published.paths == ours.paths == [tmp_path / "kitti" / CITY.folder]
+    assert (as_published.settings.contrast, ours.settings.supervision) == (0.0, "none")
     check_table(out, ["26_drive_0051", "26_drive_0104"])
     shown = capsys.readouterr().out
     assert shown.startswith("2 of 10 trials can be run.\n")
@@ -148,7 +141,7 @@ def test_ours_stand_beside_what_was_published(
     assert "Absent training drives: 26_drive_0046 (residential), 26_drive_0015 (road)." in text
     probe = read_config(out / "runs" / "26_drive_0104-PROBE" / "config.yaml")
     assert (probe.ransac.mode, probe.gyro.prefilter_deg, probe.seed) == ("off", 5.0, 4)
-    assert probe.noise == str(out / "models" / "26_drive_0005.safetensors")
+    assert probe.noise == str(out / "models" / "26_drive_0005-PROBE.safetensors")
     nominal, aggressive, student_t = (
         read_config(out / "runs" / f"26_drive_0051-{name}" / "config.yaml") for name in ESTIMATORS[:3]
     )
@@ -176,11 +169,11 @@ def check_table(out: Path, trials: list[str]) -> None:
     )
     assert by_name["26_drive_0051", "student-t"]["published_armse_m"] == ""
     columns, rows = tabular((out / "table_i.tex").read_text())
-    assert columns == "llr" + "rr" * 4
-    assert {width(row) for row in rows} == {11}
+    assert columns == "llr" + "rr" * 5
+    assert {width(row) for row in rows} == {13}
     assert rows[3] == [
         *(r"\quad published", "", "251.1", "4.84", "12.6"),
-        *(r"\textbf{3.30}", "8.62", "--", "--", "3.48", r"\textbf{8.07}"),
+        *(r"\textbf{3.30}", "8.62", "--", "--", "3.48", r"\textbf{8.07}", "--", "--"),
     ]
 
 
@@ -207,7 +200,7 @@ def test_where_it_is_stopped_what_is_done_is_in_the_table(
     monkeypatch.setattr(run, "run_with_progress", stopping)
     words = ["--kitti", str(tmp_path / "kitti"), "--out", str(tmp_path / "out"), "--max-frames", "3"]
     assert main(["paper", "table-i", *words]) == 130
-    assert "The 1 finished of 4 runs are compared in" in capsys.readouterr().err
+    assert "The 1 finished of 5 runs are compared in" in capsys.readouterr().err
     text = (tmp_path / "out" / "table_i.txt").read_text()
     assert "Stopped before all was run of 26_drive_0051." in text
     assert "Only the first 3 frames of each trial" in text

@@ -10,8 +10,8 @@ from pathlib import Path
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 
-NOMINAL, AGGRESSIVE, STUDENT_T, PROBE = "nominal", "aggressive", "student-t", "PROBE"
-ESTIMATORS = (NOMINAL, AGGRESSIVE, STUDENT_T, PROBE)
+NOMINAL, AGGRESSIVE, STUDENT_T, PROBE, OURS = "nominal", "aggressive", "student-t", "PROBE", "PROBE, ours"
+ESTIMATORS = (NOMINAL, AGGRESSIVE, STUDENT_T, PROBE, OURS)
 PREFILTER_DEG = 5.0
 """PROBE section V-A: features that turn by more than this against the gyro are left out."""
 
