@@ -85,3 +85,13 @@ def test_how_wrong_features_are() -> None:
     lines = [line.split() for line in done.stdout.splitlines()]
     assert [line[1] for line in lines] == ["trusted", "distrusted"]
     assert int(lines[0][2]) < int(lines[1][2])
+
+
+@pytest.mark.slow
+def test_learn_whom_to_trust() -> None:
+    """What was learned in one street makes steps in another better."""
+    words = [EXAMPLES / "04_learn_whom_to_trust.py", "15"]
+    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
+    mean_mm = {line.split()[0]: float(line.split()[1]) for line in done.stdout.splitlines()[1:]}
+    assert list(mean_mm) == ["fixed", "student-t", "learned"]
+    assert mean_mm["learned"] < 0.9 * mean_mm["student-t"]

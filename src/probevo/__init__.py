@@ -7,15 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from probevo import noise as noise
+    from probevo import predictors as predictors
     from probevo.camera.stereo import StereoCamera as StereoCamera
     from probevo.config import OdometryConfig as OdometryConfig
     from probevo.motion.estimate import MotionEstimate as MotionEstimate
     from probevo.motion.estimate import Status as Status
+    from probevo.noise.model_io import load_model as load_model
+    from probevo.noise.model_io import save_model as save_model
     from probevo.odometry import StereoOdometry as StereoOdometry
     from probevo.sequences import open_sequence as open_sequence
     from probevo.sequences.frame import Frame as Frame
     from probevo.sequences.frame import ImuCalibration as ImuCalibration
     from probevo.sequences.frame import ImuSamples as ImuSamples
+    from probevo.training.api import train_model as train_model
+    from probevo.training.settings import TrainSettings as TrainSettings
 
 __version__ = "0.1.0"
 
@@ -28,15 +33,20 @@ _HOMES = {
     "Status": "probevo.motion.estimate",
     "StereoCamera": "probevo.camera.stereo",
     "StereoOdometry": "probevo.odometry",
+    "TrainSettings": "probevo.training.settings",
+    "load_model": "probevo.noise.model_io",
     "open_sequence": "probevo.sequences",
+    "save_model": "probevo.noise.model_io",
+    "train_model": "probevo.training.api",
 }
-__all__ = [*_HOMES, "noise"]
+_MODULES = ("noise", "predictors")
+__all__ = [*_HOMES, *_MODULES]
 
 
 def __getattr__(name: str) -> Any:
     """Import the public names on first use: ``probevo --help`` should not wait for SciPy."""
-    if name == "noise":
-        return importlib.import_module("probevo.noise")
+    if name in _MODULES:
+        return importlib.import_module(f"probevo.{name}")
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'probevo' has no attribute {name!r}")

@@ -2,6 +2,7 @@
 
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.fixed import Fixed
+from probevo.noise.nearest_neighbors import NearestNeighbors
 from probevo.noise.student_t import StudentT
 
-__all__ = ["Fixed", "NoiseModel", "StereoNoise", "StudentT"]
+__all__ = ["Fixed", "NearestNeighbors", "NoiseModel", "StereoNoise", "StudentT"]

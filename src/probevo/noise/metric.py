@@ -17,6 +17,10 @@ A feature of a kind that training never saw is that far from all samples alike, 
 """
 FEWEST_DEFINED = 2
 """Values that a column needs for a mean and a spread."""
+CONSTANT_BELOW = 1e-9
+"""Spread over the mean: below, it is rounding."""
+FARTHEST = 1e3
+"""Standard deviations; what is farther out lies there, so that squares of distances stay exact enough."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,8 @@ class Metric:
         Raises:
             InputError: a value is infinite, or NaN where it must not be, or nearly all of a column is.
         """
+        if predictors.ndim != 2:
+            raise InputError("predictors", f"their shape is {predictors.shape}, where [N, M] is expected.")
         count = predictors.shape[1]
         names = tuple(columns) or tuple(f"column {m}" for m in range(count))
         may_be = tuple(may_be_undefined) or (False,) * count
@@ -62,17 +68,17 @@ class Metric:
             if np.isfinite(column).sum() < FEWEST_DEFINED:
                 what = f"it is undefined for all but {np.isfinite(column).sum()} of {len(column)} features."
                 raise InputError(f"predictor {name}", what, "Leave it out.")
-        spread = np.nanstd(predictors, axis=0)
-        return Metric(names, may_be, np.nanmean(predictors, axis=0), np.where(spread > 0, spread, 1.0), weight)
+        mean, spread = np.nanmean(predictors, axis=0), np.nanstd(predictors, axis=0)
+        return Metric(names, may_be, mean, np.where(spread > CONSTANT_BELOW * np.abs(mean), spread, 1.0), weight)
 
     def coordinates(self, predictors: FloatArray) -> FloatArray:
-        """Places in which the distance is Euclidean, [N, M], finite.
+        """Places in which the distance is Euclidean, [N, M], finite, at most FARTHEST standard deviations out.
 
         Raises:
             InputError: not M columns, or a value is infinite, or NaN where it must not be.
         """
         self._check(predictors)
-        standard = (predictors - self.mean) / self.spread
+        standard = np.clip((predictors - self.mean) / self.spread, -FARTHEST, FARTHEST)
         return np.where(np.isnan(standard), UNDEFINED, standard) * self.weight
 
     def _check(self, predictors: FloatArray) -> None:

@@ -103,6 +103,8 @@ def _fill_means(
         count, looked_at = 0, 0
         while looked_at < num_cells and (count < wanted or looked_at < FEWEST_CELLS):
             nearest = np.argmin(to_cell)
+            if to_cell[nearest] == np.inf:  # too far for single precision; none may be looked at twice
+                break
             to_cell[nearest] = np.inf
             looked_at += 1
             first, end = first_of_cell[nearest], first_of_cell[nearest + 1]

@@ -7,7 +7,7 @@ import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray, Image, IntArray
 
-_COLORS_BGR = np.array([[60, 60, 225], [50, 130, 245], [70, 205, 245], [140, 205, 110], [200, 170, 40]])
+TRUST_COLORS_BGR = np.array([[60, 60, 225], [50, 130, 245], [70, 205, 245], [140, 205, 110], [200, 170, 40]])
 """From distrusted (red) to trusted (blue-green), one a class of weights; apart also for the colour-blind."""
 _SHIFT = 4
 """Fractional bits of the coordinates that OpenCV draws at."""
@@ -33,13 +33,13 @@ def draw_tracks(
     picture = cv2.convertScaleAbs(picture, alpha=0.8)
     ends = np.stack([prev_px[:, :2], curr_px[:, :2]], axis=1)
     ends = np.round(((ends + 0.5) * scale - 0.5) * 2**_SHIFT).astype(np.int32)
-    classes = np.clip(weights * len(_COLORS_BGR), 0, len(_COLORS_BGR) - 1).astype(np.int64)
-    for k, color in enumerate(_COLORS_BGR.tolist()):
+    classes = np.clip(weights * len(TRUST_COLORS_BGR), 0, len(TRUST_COLORS_BGR) - 1).astype(np.int64)
+    for k, color in enumerate(TRUST_COLORS_BGR.tolist()):
         chosen = ends[classes == k]
         cv2.polylines(picture, list(chosen), False, color, 1, cv2.LINE_AA, _SHIFT)
         for u, v in chosen[:, 1].tolist():
             cv2.circle(picture, (u, v), int(2.2 * 2**_SHIFT), color, cv2.FILLED, cv2.LINE_AA, _SHIFT)
-    _draw_legend(picture, np.bincount(classes, minlength=len(_COLORS_BGR)))
+    _draw_legend(picture, np.bincount(classes, minlength=len(TRUST_COLORS_BGR)))
     return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 82])[1].tobytes()
 
 
@@ -48,7 +48,7 @@ def _draw_legend(picture: AnyArray, counts: IntArray) -> None:
     box_w, box_h, margin = 34, 16, 8
     top = picture.shape[0] - margin - box_h
     x = _put_text(picture, "distrusted", margin + 4, top, box_h)
-    for color, count in zip(_COLORS_BGR.tolist(), counts.tolist(), strict=True):
+    for color, count in zip(TRUST_COLORS_BGR.tolist(), counts.tolist(), strict=True):
         cv2.rectangle(picture, (x, top), (x + box_w, top + box_h), color, cv2.FILLED)
         _write(picture, str(count), x + 4, top + box_h - 4, (20, 20, 20))
         x += box_w

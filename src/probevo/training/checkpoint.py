@@ -6,6 +6,7 @@ import io
 import json
 import shutil
 from collections.abc import Sequence as Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,9 +45,12 @@ class Checkpoint:
             "recordings": [[str(s.path.resolve()), len(s), s.stamps_ns[[0, -1]].tolist()] for s in sequences],
         }
         plan, text = checkpoint.folder / "plan.json", json.dumps(facts, indent=1) + "\n"
-        if plan.exists() and plan.read_text() != text:
+        before = plan.read_text() if plan.exists() else ""
+        if before and before != text and any(checkpoint.folder.glob("*.npz")):
             what = "a training that was stopped here had other recordings or settings."
             raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
+        if before != text:  # nothing was done yet, or ``remove`` was stopped
+            shutil.rmtree(checkpoint.folder, ignore_errors=True)
         write_atomically(plan, text)
         return checkpoint
 
@@ -79,6 +83,8 @@ class Checkpoint:
 
     def remove(self) -> None:
         """The model is written: nothing of this is needed any more."""
+        with suppress(OSError):
+            (self.folder / "plan.json").unlink()  # first, lest a rest of this pass for work to go on with
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _drive(self, number: int) -> Path:

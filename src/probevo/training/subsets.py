@@ -76,7 +76,8 @@ class Learner:
     def _choose(self, used: IntArray, rows: slice, direction: FloatArray, key: tuple[int, int]) -> IntArray:
         """A subset without repetition, drawn with probabilities ∝ exp(direction · coordinates) (Gumbel's trick)."""
         gumbel = np.random.default_rng([*self.seed, *key]).gumbel(size=len(used))
-        score = gumbel + self.coordinates[rows][used] @ direction
+        defined = np.isfinite(self.drive.phi[rows][used])  # an undefined value leans nowhere
+        score = gumbel + np.where(defined, self.coordinates[rows][used], 0.0) @ direction
         return used[np.sort(np.argsort(-score, kind="stable")[: self.subset])]
 
 

@@ -1,0 +1,181 @@
+"""``probevo inspect``: what a noise model learned, and how it sees the features of a frame (PROBE Figs. 6, 7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from probevo.cli.arguments import checked, parse
+from probevo.cli.text import table
+from probevo.config import OdometryConfig
+from probevo.errors import InputError
+from probevo.run_config import FormatName
+
+if TYPE_CHECKING:
+    from probevo.noise.nearest_neighbors import NearestNeighbors
+    from probevo.output.inspection_data import FrameView, ModelView
+    from probevo.predictors import PredictionSpace
+    from probevo.sequences import Sequence
+
+PAGE = "inspection.html"
+
+
+@dataclass(frozen=True)
+class InspectArguments:
+    """What a noise model learned, and how it sees the features of a frame.
+
+    Writes inspection.html and, of a recording, frame-K/ with a picture for each predictor and one for the weights: the
+    features of frame K in the colour of their values. Without MODEL, it shows the predictors alone; without SEQUENCE,
+    the model alone. The recording is run from its start up to frame K, with the model, since features are followed.
+    """
+
+    sequence: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="SEQUENCE", help_behavior_hint="")]
+    """Folder of the recording, or a tracks file (.npz)."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results. What an earlier inspection of the same frame left there is replaced."""
+    model: Annotated[Path | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="")] = None
+    """The model file (.safetensors)."""
+    frame: Annotated[int | None, tyro.conf.arg(metavar="K", help_behavior_hint="")] = None
+    """Index of the frame, from 1, as the first has nothing before it; the one in the middle if left out."""
+    predictors: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME…", help_behavior_hint="")] = ()
+    """Without a model, the predictors to show; if left out, those that `probevo train` takes by default, as far as the
+    recording has what they need."""
+    format: Annotated[FormatName | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Layout of the recording; found out where it is not named."""
+    settings: Annotated[OdometryConfig, tyro.conf.arg(name="")] = field(default_factory=OdometryConfig)
+
+
+def main(words: list[str]) -> None:
+    """Parse, look, write."""
+    arguments = parse(InspectArguments, words, "inspect", default=InspectArguments(None, tyro.MISSING))
+    settings = checked(arguments.settings)
+    _check(arguments)
+    from probevo.noise.model_io import load_model
+    from probevo.output.files import check_folder
+    from probevo.output.inspection_data import ModelView
+
+    check_folder(arguments.out, "--out")
+    model = load_model(arguments.model) if arguments.model else None
+    frame = frame_view(arguments.sequence, arguments, settings, model) if arguments.sequence else None
+    view = ModelView.of(arguments.model.name, model, known_units()) if arguments.model and model else None
+    print(write(arguments.out, view, frame))
+
+
+def _check(arguments: InspectArguments) -> None:
+    """Refuse words that do not go together."""
+    if arguments.sequence is None and arguments.model is None:
+        cure = "Give a recording, a model, or both: `probevo inspect SEQUENCE --model MODEL --out DIR`."
+        raise InputError("SEQUENCE and --model", "neither a recording nor a model is named.", cure)
+    if arguments.predictors and arguments.model is not None:
+        raise InputError("--predictors", "the model says which predictors it takes.", "Leave out one of the two.")
+    if arguments.frame is not None and arguments.sequence is None:
+        raise InputError("--frame", "there is no recording to take it from.", "Name its folder, or leave --frame out.")
+
+
+def known_units() -> dict[str, str]:
+    """Unit of every column of every predictor."""
+    from probevo.predictors import PREDICTORS
+
+    return {column: unit for predictor in PREDICTORS.values() for column, unit in predictor.columns.items()}
+
+
+def frame_view(
+    path: Path, arguments: InspectArguments, settings: OdometryConfig, model: NearestNeighbors | None
+) -> FrameView:
+    """Run over the recording up to the frame; shows on stderr how far it is.
+
+    Raises:
+        InputError: the model belongs to another camera, the recording lacks what a predictor needs, there is no such
+            frame, or it has no features.
+    """
+    from probevo.predictors import prediction_space, space_for
+    from probevo.sequences import open_sequence
+
+    sequence = open_sequence(path, arguments.format)
+    if model is not None:
+        model.check_camera(sequence.camera)
+    index = _frame_index(arguments.frame, len(sequence), path)
+    names = arguments.predictors or _default_predictors(sequence)
+    space = space_for(model.columns) if model is not None else prediction_space(names)
+    return _view_of_frame(sequence, index, space, model, settings)
+
+
+def _frame_index(wanted: int | None, num_frames: int, path: Path) -> int:
+    if num_frames < 2:
+        raise InputError(path, "it has one frame, and so no feature that was followed.", "Give a longer one.")
+    if wanted is not None and not 1 <= wanted < num_frames:
+        cure = "The first frame, 0, has none before it from which features could be followed." if wanted == 0 else ""
+        raise InputError("--frame", f"is {wanted}; the recording has frames 1 to {num_frames - 1}.", cure)
+    return num_frames // 2 if wanted is None else wanted
+
+
+def _default_predictors(sequence: Sequence) -> list[str]:
+    from probevo.predictors import PREDICTORS, Needs
+    from probevo.training.settings import DEFAULT
+
+    has_images = next(iter(sequence)).left is not None
+    return [name for name in DEFAULT if has_images or not PREDICTORS[name].needs & (Needs.LEFT | Needs.PREVIOUS_LEFT)]
+
+
+def _view_of_frame(
+    sequence: Sequence, index: int, space: PredictionSpace, model: NearestNeighbors | None, settings: OdometryConfig
+) -> FrameView:
+    from itertools import islice
+
+    import cv2
+    import numpy as np
+
+    from probevo.cli.progress import progress_bar
+    from probevo.odometry import StereoOdometry
+    from probevo.output.inspection_data import FrameView, neighbor_radius
+
+    cv2.setNumThreads(1)
+    odometry = StereoOdometry(sequence.camera, model, sequence.imu, settings, space)
+    corner_px, left = np.zeros(2), None
+    name = sequence.path.resolve().name
+    with progress_bar(f"{name} up to frame {index}", "starting (the first run of all compiles for 15 s)") as show:
+        for frame in islice(sequence, index + 1):
+            odometry.step(frame)
+            corner_px = np.maximum(corner_px, odometry.tracks.curr_px[:, :2].max(axis=0, initial=0.0))
+            left = frame.left
+            show(frame.index + 1, index + 1)
+    tracks, phi = odometry.tracks, odometry.phi
+    if len(tracks) == 0:
+        raise InputError("--frame", f"frame {index} has no feature that was followed.", "Choose another one.")
+    seen_px = tuple((np.floor(corner_px).astype(int) + 1).tolist())
+    return FrameView(
+        recording=name,
+        index=index,
+        left=left,
+        size_px=(left.shape[1], left.shape[0]) if left is not None else sequence.camera.size_px or seen_px,
+        uv=tracks.curr_px[:, :2],
+        columns={column: unit for predictor in space.predictors for column, unit in predictor.columns.items()},
+        phi=phi,
+        beta=model.weights(phi) if model is not None else None,
+        radius=neighbor_radius(model, phi) if model is not None else None,
+    )
+
+
+def write(out: Path, model: ModelView | None, frame: FrameView | None) -> str:
+    """Write pictures and page; returns what to print."""
+    from probevo.output.files import remove_stale, write_atomically
+    from probevo.output.inspection_data import column_summaries
+    from probevo.output.inspection_page import SUMMARY_HEAD, summary_rows, write_inspection
+    from probevo.output.inspection_pictures import frame_pictures
+
+    pictures = frame_pictures(model, frame) if frame is not None else {}
+    if frame is not None:
+        folder = out / f"frame-{frame.index}"
+        for name in {"weight", "distance", *known_units()} - set(pictures):
+            remove_stale(folder / f"{name}.jpg")
+        for name, (_, jpeg) in pictures.items():
+            write_atomically(folder / f"{name}.jpg", jpeg)
+    summaries = column_summaries(model, frame)
+    write_inspection(out / PAGE, model, frame, pictures, summaries)
+    lines = [table(SUMMARY_HEAD, summary_rows(summaries)), ""]
+    if frame is not None:
+        lines.append(f"pictures: {out / f'frame-{frame.index}'}")
+    return "\n".join([*lines, f"page: {out / PAGE}"])

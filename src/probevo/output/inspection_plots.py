@@ -1,0 +1,197 @@
+"""Figures that show what a noise model learned, and how a frame's features lie in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from probevo.arrays import FloatArray
+from probevo.output.inspection_data import FrameView, ModelView, rank_correlation
+from probevo.output.profiles import Profile
+from probevo.output.svg import BAND, BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, MUTED, WIDTH_IN
+
+NARROW_IN = 4.0
+MOST_PAIRED = 4
+ORANGE = CYCLE[1]
+_BINS, _SHOWN = 40, (0.005, 0.995)
+"""The outermost half percent of the training samples on either side, and all beyond, lie in the outermost bins."""
+
+
+def profile_figure(view: ModelView, m: int, frame: FrameView | None) -> Figure:
+    """Above: mean ln(α/ᾱ) along a column, with two standard errors. Below: where the samples, and the frame's features,
+    lie on it. Undefined ones stand apart at the left."""
+    figure = Figure(figsize=(NARROW_IN, 2.9))
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))
+    profile, values = view.profiles[m], view.places[:, m]
+    low, high = _window(values)
+    apart = low - 0.07 * (high - low)
+    _draw_profile(above, profile, apart)
+    above.set(ylim=_common_limits(view.profiles), ylabel="mean ln(α/ᾱ)")
+    drawn = [(values, GREY, True)] + ([] if frame is None else [(frame.phi[:, m], ORANGE, False)])
+    top = max(_draw_shares(below, column, (low, high), apart, color, fill) for column, color, fill in drawn)
+    some_undefined = any(np.isnan(column).any() for column, *_ in drawn)
+    margin = 0.03 * (high - low)
+    below.set(xlabel=view.units.get(view.columns[m], ""), ylim=(0, 1.08 * top + 1e-6), yticks=[])
+    below.set_xlim((apart if some_undefined else low) - margin, high + margin)
+    below.xaxis.set_major_locator(MaxNLocator(5))
+    below.grid(visible=False, axis="y")
+    return figure
+
+
+def _draw_profile(axes: Axes, profile: Profile, apart: float) -> None:
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    band = 2.0 * profile.standard_error
+    axes.fill_between(profile.center, profile.mean - band, profile.mean + band, color=BAND, lw=0)
+    axes.plot(profile.center, profile.mean, color=BLUE, lw=1.5, marker="o" if len(profile.center) == 1 else "")
+    if profile.undefined is not None:
+        mean, error = profile.undefined
+        axes.errorbar(apart, mean, 2.0 * error, color=BLUE, fmt="o", mfc="white", ms=4, lw=1.2)
+
+
+def _draw_shares(
+    axes: Axes, values: FloatArray, window: tuple[float, float], apart: float, color: str, fill: bool
+) -> float:
+    """Histogram as a share of all, and a bar of its own for what is undefined; returns the largest share of a bin."""
+    known = values[np.isfinite(values)]
+    counts, edges = np.histogram(np.clip(known, *window), _BINS, window)
+    shares = counts / max(len(values), 1)
+    style: dict[str, Any] = {"fill": True, "alpha": 0.55} if fill else {"fill": False, "lw": 1.3}
+    axes.stairs(shares, edges, color=color, **style)
+    if len(known) < len(values):
+        axes.bar(apart, 1.0 - len(known) / len(values), 1.6 * (edges[1] - edges[0]), fc=color, ec=color, **style)
+    return float(shares.max())
+
+
+def _window(values: FloatArray) -> tuple[float, float]:
+    """What of a column is shown; never of no width."""
+    known = values[np.isfinite(values)]
+    low, high = np.quantile(known, _SHOWN).tolist() if len(known) else (0.0, 0.0)
+    least = 1e-6 + 1e-3 * abs(low)
+    return (low, high) if high - low > least else (low - least, high + least)
+
+
+def _common_limits(profiles: Sequence[Profile]) -> tuple[float, float]:
+    """The same scale for all columns, so that their strengths compare."""
+    means = np.concatenate([profile.mean for profile in profiles] + [np.zeros(1)])
+    means = np.r_[means, [profile.undefined[0] for profile in profiles if profile.undefined]]
+    reach = max(float(np.ptp(means)), 0.05)
+    return float(means.min()) - 0.2 * reach, float(means.max()) + 0.2 * reach
+
+
+def searches_figure(searches: dict[str, dict[str, Any]]) -> Figure:
+    """Error over the candidates for K and γ, and which was chosen."""
+    labels = {
+        "neighbors": ("K", "squared error, left-out samples", 1.0),
+        "exponent": ("γ", "mean α, training drives, mm", 1e3),
+    }
+    figure = Figure(figsize=(WIDTH_IN, 2.7))
+    shown = [name for name in labels if name in searches]
+    for axes, name in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
+        title, meaning, factor = labels[name]
+        candidates, errors = searches[name]["candidates"], factor * np.array(searches[name]["errors"])
+        places = np.arange(len(candidates))
+        axes.plot(places, errors, color=BLUE, lw=1.4, marker="o", ms=3.5)
+        chosen = int(np.argmin(np.abs(np.array(candidates) - searches[name]["chosen"])))
+        axes.plot(chosen, errors[chosen], "o", ms=9, mfc="none", mec=ORANGE, mew=1.8)
+        axes.set_xticks(places, [f"{candidate:g}" for candidate in candidates], fontsize=8 if len(places) < 10 else 7)
+        axes.set(xlabel=f"{title}; chosen: {candidates[chosen]:g}")
+        axes.set_title(meaning, color=MUTED)
+    return figure
+
+
+def correlation_figure(view: ModelView) -> Figure:
+    """Spearman's correlation of the columns over the training samples, and of each with ln(α/ᾱ) in the last row."""
+    order = view.order
+    table = rank_correlation(np.column_stack([view.places[:, order], view.log_alpha]))
+    names = [*(view.columns[m] for m in order), "ln(α/ᾱ)"]
+    count = len(names)
+    figure = Figure(figsize=(WIDTH_IN, 1.9 + 0.2 * count))
+    axes = figure.add_subplot()
+    shown = np.where(np.tril(np.ones((count, count)), -1) > 0, table, np.nan)[1:, :-1]
+    image = axes.imshow(shown, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
+    for row, column in zip(*np.nonzero(np.abs(np.nan_to_num(shown)) >= 0.1), strict=True):
+        value = float(shown[row, column])
+        text = f"{value:.1f}".replace("0.", ".").replace("-", "−")
+        size, color = (7.5 if count < 18 else 5.5), "white" if abs(value) > 0.6 else INK
+        axes.text(column, row, text, ha="center", va="center", fontsize=size, color=color)
+    small: dict[str, Any] = {"fontsize": 8 if count < 18 else 6.5}
+    axes.set_xticks(range(count - 1), names[:-1], rotation=90, **small)
+    axes.set_yticks(range(count - 1), names[1:], **small)
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    bar = figure.colorbar(image, ax=axes, shrink=0.6, aspect=24, pad=0.02, ticks=[-1, 0, 1])
+    bar.outline.set_visible(False)
+    return figure
+
+
+def pairs_figure(view: ModelView, frame: FrameView | None) -> Figure:
+    """How dense the training samples lie over each two of the most telling columns, and the frame's features."""
+    pairs = list(combinations(view.order[:MOST_PAIRED], 2))
+    across = min(3, len(pairs))
+    down = -(-len(pairs) // across)
+    figure = Figure(figsize=(1.04 * NARROW_IN * across, 2.9 * down))
+    for axes, (m, n) in zip(np.ravel(figure.subplots(down, across)), pairs, strict=False):
+        x, y = view.places[:, m], view.places[:, n]
+        window = (_window(x), _window(y))
+        counts, *edges = np.histogram2d(x, y, 45, window)
+        shares = np.where(counts > 0, counts, np.nan).T
+        axes.pcolormesh(*edges, shares, cmap="Blues", norm=LogNorm(0.3, max(counts.max(), 1.0)), rasterized=True)
+        if frame is not None:
+            points = np.clip(frame.phi[:, [m, n]], *np.array(window).T)
+            axes.plot(*points.T, ".", color=ORANGE, ms=3, mew=0, alpha=0.8, rasterized=True)
+        axes.set_xlabel(_label(view, m), fontsize=8)
+        axes.set_ylabel(_label(view, n), fontsize=8)
+        axes.grid(visible=False)
+    return figure
+
+
+def _label(view: ModelView, m: int) -> str:
+    name = view.columns[m]
+    return f"{name}, {view.units[name]}" if name in view.units else name
+
+
+def weights_figure(view: ModelView, frame: FrameView) -> Figure:
+    """β of the frame's features beside that of the training samples."""
+    frame_beta = np.zeros(0) if frame.beta is None else frame.beta
+    logs = np.log10(np.concatenate([view.beta, frame_beta]))
+    reach = max(float(np.quantile(np.abs(logs), 0.998)), 0.35)
+    figure, axes = _two_histograms(np.log10(view.beta), np.log10(frame_beta), (-reach, reach))
+    axes.axvline(0.0, color=INK, lw=0.8)
+    axes.set_xlabel("β: trusted < 1 < distrusted", color=MUTED)
+    ticks = [n * 10.0**k for k in range(-4, 5) for n in ((1, 2, 5) if reach < 1.5 else (1,))]
+    shown = [tick for tick in ticks if abs(np.log10(tick)) <= reach]
+    axes.set_xticks(np.log10(shown).tolist(), [f"{tick:g}" for tick in shown])
+    return figure
+
+
+def distances_figure(view: ModelView, frame: FrameView) -> Figure:
+    """Distance to the K-th nearest training sample: of the frame's features, and of the training samples themselves."""
+    radius = np.zeros(0) if frame.radius is None else frame.radius
+    top = 1.02 * max(float(radius.max(initial=0.0)), float(view.radius.max()), 1e-3)
+    figure, axes = _two_histograms(view.radius, radius, (0.0, top))
+    axes.axvline(view.far_radius, color=INK, lw=0.9, ls="--")
+    axes.set_xlabel("distance, standard deviations")
+    place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+    axes.annotate("far", (view.far_radius, 0.96), (4, 0), va="top", color=INK, **place)
+    return figure
+
+
+def _two_histograms(training: FloatArray, frame: FloatArray, window: tuple[float, float]) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(WIDTH_IN, 2.5))
+    axes = figure.add_subplot(ylabel="share in a bin, %", xlim=window)
+    for values, name in ((training, "training samples"), (frame, "this frame")):
+        counts, edges = np.histogram(np.clip(values, *window), _BINS, window)
+        shares = 100.0 * counts / max(len(values), 1)
+        if name == "this frame":
+            axes.stairs(shares, edges, color=ORANGE, lw=1.6, label=name)
+        else:
+            axes.stairs(shares, edges, color=GREY, fill=True, alpha=0.55, label=name)
+    axes.legend(ncols=2, **LEGEND_ABOVE)
+    return figure, axes
