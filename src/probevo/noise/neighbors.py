@@ -19,8 +19,8 @@ from probevo.compiled import compiled
 
 Single = NDArray[np.float32]
 
-CELL_OVER_ROOT = 1.0
-"""Samples in a mean cell over the square root of all: with one, as many cells as samples in each."""
+LARGEST_CELL = 500
+"""Samples in a mean cell, at most: up to its square there are as many cells as samples in each, then more cells."""
 CANDIDATES = 8
 """Cells are looked at from the nearest on until they hold so many times the K wanted."""
 FEWEST_CELLS = 4
@@ -45,7 +45,7 @@ class NeighborIndex:
     def build(samples: FloatArray, values: FloatArray) -> NeighborIndex:
         """Sort samples [N, M], finite, with values [N] into cells around evenly chosen ones of them."""
         points = np.ascontiguousarray(samples, dtype=np.float32)
-        count = max(1, round(math.sqrt(len(points)) / CELL_OVER_ROOT))
+        count = max(1, round(math.sqrt(len(points))), len(points) // LARGEST_CELL)
         centers = points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
         cell = _nearest_center(points, centers)
         order = np.argsort(cell, kind="stable")
