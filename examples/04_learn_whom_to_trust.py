@@ -26,6 +26,7 @@ def step_errors_mm(scene: SceneRecording, noise: pv.noise.NoiseModel) -> np.ndar
 
 
 def main(distance_m: float) -> None:
+    """Learn in one street, judge in another."""
     street, another = (
         open_scene(SceneConfig(preset="city", seed=seed, distance_m=distance_m, effects=BAD_DAY)) for seed in (1, 2)
     )

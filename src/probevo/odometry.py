@@ -7,7 +7,6 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
-from probevo.errors import InputError
 from probevo.motion.estimate import MotionEstimate, Status
 from probevo.motion.gyro import GyroBias, GyroRotation, integrate_gyro
 from probevo.motion.motion_model import MotionModel
@@ -16,13 +15,10 @@ from probevo.motion.self_calibration import SelfCalibration
 from probevo.motion.visual import estimate_motion
 from probevo.noise import NoiseModel, StudentT
 from probevo.predictors import PredictionSpace, Step, space_for
-from probevo.sequences.frame import Frame, ImuCalibration
+from probevo.sequences.frame import Frame, ImuCalibration, check_order
 from probevo.stage_clock import StageClock
 from probevo.tracking import Tracker, Tracks, tracker_for
 from probevo.tracking.start import track_from_best
-
-DROP_BELOW = 0.1
-"""Robust weight below which a track is no longer followed."""
 
 
 class StereoOdometry:
@@ -36,10 +32,7 @@ class StereoOdometry:
         noise: noise model of the features; the static Student-t by default.
         imu: calibration of the IMU whose samples come with the frames, if they do.
         config: all settings.
-        predictors: the prediction space; by default the one that the noise model needs.
-
-    Raises:
-        InputError: the noise model needs other predictors than those given, or has one that is not known.
+        predictors: the prediction space; by default that of the noise model, and any other is an InputError.
     """
 
     def __init__(
@@ -75,10 +68,7 @@ class StereoOdometry:
             self._before, self._tracker = frame, tracker_for(frame, self.camera, self.config.tracking)
             self._tracker.track(frame, np.eye(4))
             return MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, 0)
-        if frame.stamp_ns <= before.stamp_ns:
-            what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {before.stamp_ns} ns."
-            raise InputError(f"frame {frame.index}", what, "Give the frames in the order of their times.")
-        duration_s = 1e-9 * (frame.stamp_ns - before.stamp_ns)
+        duration_s = check_order(before, frame)
         gyro = self._integrate_gyro(before.stamp_ns, frame)  # PROBE eqs. (3)-(4)
         rotation = RotationPrior(gyro.C_curr_prev, self.gyro_bias.prior(gyro)) if gyro and self.gyro_bias else None
         expected = self._model.expected(duration_s, rotation)
@@ -100,7 +90,7 @@ class StereoOdometry:
             T_curr_prev = visual.solution.T_curr_prev
             shared = self._learn(tracks.kept(visual.used), visual.solution, gyro)
             cov = visual.solution.cov + shared @ shared.T
-            self._tracker.drop(tracks.ids[visual.weights < DROP_BELOW])
+            self._tracker.drop(tracks.ids[visual.astray])
         elif self._model.is_gap(duration_s):
             status = Status.GAP
         solved, refused = (T_curr_prev, cov) if status is Status.OK else None, visual.status is Status.NOT_CONVERGED

@@ -20,6 +20,8 @@ from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
+DROP_BELOW = 0.1
+"""Robust weight below which a track is no longer followed."""
 TRUSTED = 0.5
 """A track that keeps this much of its robust weight counts as trusted."""
 
@@ -35,6 +37,11 @@ class VisualMotion:
     """Which tracks the solve used, [N]; the others were turned away before."""
     solution: ReprojectionSolution | None
     """The last solve; to be believed only if the status is OK, None after too few tracks or if it is degenerate."""
+
+    @property
+    def astray(self) -> BoolArray:
+        """Tracks that are not worth following any longer, [N]."""
+        return np.asarray(self.weights < DROP_BELOW)
 
     @property
     def num_trusted(self) -> int:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
+from probevo.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,18 @@ class Frame:
     where its samples leave a part of the interval uncovered."""
     decode_ms: float = field(default=0.0, compare=False)
     """Time that a worker thread spent to read, decode and rectify the pair."""
+
+
+def check_order(before: Frame, frame: Frame) -> float:
+    """Time from one frame to the next, s.
+
+    Raises:
+        InputError: there is none.
+    """
+    if frame.stamp_ns <= before.stamp_ns:
+        what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {before.stamp_ns} ns."
+        raise InputError(f"frame {frame.index}", what, "Give the frames in the order of their times.")
+    return 1e-9 * (frame.stamp_ns - before.stamp_ns)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Checkpoint:
         """
         checkpoint = Checkpoint(out.with_name(out.name + ".work"))
         facts = {
-            "settings": settings.model_dump(mode="json"),
+            "settings": settings.model_dump(mode="json", exclude={"neighbors", "exponent", "average"}),
             "columns": columns,
             "recordings": [[str(s.path.resolve()), len(s), s.stamps_ns[[0, -1]].tolist()] for s in sequences],
         }

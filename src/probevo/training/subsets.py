@@ -84,5 +84,4 @@ class Learner:
 def _expected_cov(solution: ReprojectionSolution) -> FloatArray:
     """Covariance of a motion if all its features had the noise of the base, whatever their residuals say, [6, 6]."""
     information = sum_products(solution.jacobian, solution.information @ solution.jacobian)
-    cov: FloatArray = np.linalg.pinv(information, hermitian=True)
-    return cov
+    return np.asarray(np.linalg.pinv(information, hermitian=True), dtype=np.float64)
