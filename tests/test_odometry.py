@@ -10,11 +10,14 @@ import pytest
 import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.config import GyroConfig
+from probevo.errors import InputError
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import compound_chain, normalized_error_squared
-from probevo.noise import Fixed
+from probevo.noise import Fixed, NearestNeighbors, StudentT
+from probevo.noise.metric import Metric
+from probevo.predictors import prediction_space
 from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples
 from worlds import CAMERA, FORWARD, FRAME_NS, blind_frame, drive, motion_error, with_features
 
@@ -181,6 +184,80 @@ def test_the_gyro_s_bias_is_learned(prior: bool) -> None:
     sigma = np.sqrt(np.diagonal(odometry.gyro_bias.cov))
     assert (np.abs(odometry.gyro_bias.mean - bias) < 3.0 * sigma).all()
     assert (sigma < 0.002).all()
+
+
+def model_of(columns: Sequence[str], exponent: float = 4.0) -> NearestNeighbors:
+    """A noise model learned from random places and errors."""
+    rng = np.random.default_rng(13)
+    places = rng.normal(size=(400, len(columns)))
+    metric = Metric.fitted(places, tuple(columns))
+    return NearestNeighbors(20, exponent).fit(places, np.exp(rng.normal(size=400)), metric=metric)
+
+
+def test_what_is_known_of_the_features_stays_for_the_asking() -> None:
+    """Of the tracks of the step, as corrected: their places, which were solved with, how far each is trusted."""
+    space = prediction_space(["disparity", "place"])
+    odometry = pv.StereoOdometry(CAMERA, predictors=space)
+    assert odometry.phi.shape == (0, 3)
+    frames = drive(np.random.default_rng(14), 12, sigma_px=0.5)
+    for frame in frames:
+        odometry.step(frame)
+        tracks, count = odometry.tracks, len(odometry.tracks)
+        assert odometry.phi.shape == (count, 3)
+        assert odometry.used.shape == odometry.weights.shape == (count,)
+        np.testing.assert_allclose(odometry.phi[:, 0], np.log(tracks.curr_px[:, 0] - tracks.curr_px[:, 2]))
+        np.testing.assert_allclose(odometry.phi[:, 1], (tracks.curr_px[:, 0] - CAMERA.cu_px) / CAMERA.fu_px)
+        assert (odometry.weights[~odometry.used] == 0.0).all()
+    assert 0.5 < odometry.used.mean() <= 1.0
+    assert odometry.weights.max() > 0.5
+
+
+def test_mismatches_that_ransac_turned_away_are_not_used() -> None:
+    frames = drive(np.random.default_rng(15), 3)
+    odometry = pv.StereoOdometry(CAMERA)
+    for frame in frames[:2]:
+        odometry.step(frame)
+    features = frames[2].features
+    assert features is not None
+    pixels = features.pixels.copy()
+    pixels[:30, 1::2] += 40.0
+    assert odometry.step(replace(frames[2], features=replace(features, pixels=pixels))).status is OK
+    assert not odometry.used[np.isin(odometry.tracks.ids, features.ids[:30])].any()
+    assert odometry.phi.shape == (len(odometry.tracks), 0)
+
+
+def test_predictors_alone_change_no_motion() -> None:
+    """They are only looked at."""
+    frames = drive(np.random.default_rng(16), 6)
+    plain, looked_at = (
+        pv.StereoOdometry(CAMERA, predictors=space) for space in (None, prediction_space(["residual_flow", "age"]))
+    )
+    for frame in frames:
+        assert plain.step(frame).T_curr_prev.tobytes() == looked_at.step(frame).T_curr_prev.tobytes()
+
+
+@pytest.mark.parametrize(("exponent", "same"), [(0.0, True), (4.0, False)])
+def test_a_learned_model_gets_its_columns(exponent: float, same: bool) -> None:
+    """It finds its predictors by itself; with γ = 0 it is the Student-t that it scales, to the last bit."""
+    frames = drive(np.random.default_rng(17), 8)
+    learned = pv.StereoOdometry(CAMERA, model_of(["x", "y", "row_offset"], exponent))
+    static = pv.StereoOdometry(CAMERA, StudentT())
+    assert learned.predictors.names == ("place", "row_offset")
+    pairs = [(learned.step(frame), static.step(frame)) for frame in frames]
+    assert all(motion.status is OK for motion, _ in pairs[1:])
+    assert all((a.T_curr_prev.tobytes() == b.T_curr_prev.tobytes()) is same for a, b in pairs[1:])
+
+
+@pytest.mark.parametrize("names", [["row_offset", "place"], ["place"], ["place", "row_offset", "age"], []])
+def test_predictors_unlike_those_of_the_model_are_refused(names: list[str]) -> None:
+    """Other ones, or the same in another order: the model would take one for the other."""
+    with pytest.raises(InputError, match="trained on x, y, row_offset, in this order, but gets"):
+        pv.StereoOdometry(CAMERA, model_of(["x", "y", "row_offset"]), predictors=prediction_space(names))
+
+
+def test_a_predictor_that_nobody_knows_is_refused() -> None:
+    with pytest.raises(InputError, match="its predictor speed is not known"):
+        pv.StereoOdometry(CAMERA, model_of(["x", "y", "speed"]))
 
 
 def walk(path: Path) -> tuple[list[pv.MotionEstimate], FloatArray]:

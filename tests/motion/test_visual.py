@@ -1,18 +1,24 @@
 """Tracks to motion: how each status comes about, and that what is not OK is not believed."""
 
+from typing import Literal
+
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
+from probevo.arrays import FloatArray
 from probevo.config import GyroConfig, OdometryConfig, RansacConfig, SolverConfig
+from probevo.errors import InputError
 from probevo.geometry import se3, so3
+from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.motion.estimate import Status
 from probevo.motion.motion_model import ExpectedMotion, MotionModel
-from probevo.motion.reprojection import RotationPrior
-from probevo.motion.visual import VisualMotion, estimate_motion
-from probevo.noise import StudentT
+from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
+from probevo.motion.visual import VisualMotion, estimate_motion, solve
+from probevo.noise import Fixed, StereoNoise, StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
-from worlds import CAMERA, FORWARD, at_infinity, both, motion_error, seen_twice
+from worlds import CAMERA, FORWARD, at_infinity, both, motion_error, seen_twice, tracks_of
 
 CONFIG = OdometryConfig()
 UNKNOWN = MotionModel.at_start(CONFIG.motion_model).expected(0.1, None)
@@ -166,3 +172,102 @@ def test_the_motion_does_not_depend_on_where_it_was_expected() -> None:
     assert solutions[0] is not None
     assert solutions[1] is not None
     assert np.abs(motion_error(solutions[0].T_curr_prev, solutions[1].T_curr_prev)).max() < 2e-3
+
+
+METHODS: tuple[Literal["reprojection", "alignment"], ...] = ("reprojection", "alignment")
+NEAR_M = (3.0, 10.0)
+"""Here the noise of triangulated points is nearly Gaussian, as alignment assumes."""
+
+
+def solved(
+    tracks: Tracks, method: Literal["reprojection", "alignment"], noise: StereoNoise | None = None
+) -> ReprojectionSolution:
+    """From a guess that is off by 5 cm and half a degree."""
+    guess = se3.exp(np.array([0.02, -0.03, 0.03, 0.004, -0.006, 0.005])) @ FORWARD
+    noise = noise or Fixed().predict(np.zeros((len(tracks), 0)))
+    return solve(tracks, noise, guess, CAMERA, None, SolverConfig(method=method))
+
+
+def test_alignment_and_reprojection_are_exact_without_noise() -> None:
+    tracks = seen_twice(np.random.default_rng(18), 60, depth_m=NEAR_M)
+    for method in METHODS:
+        assert np.abs(motion_error(solved(tracks, method).T_curr_prev)).max() < 1e-6
+
+
+def test_near_points_give_the_same_motion_aligned_or_reprojected() -> None:
+    """They differ by a small part of their standard deviation, which they agree on."""
+    tracks = seen_twice(np.random.default_rng(19), 100, sigma_px=0.2, depth_m=NEAR_M)
+    reprojected, aligned = (solved(tracks, method) for method in METHODS)
+    assert (reprojected.converged, aligned.converged) == (True, True)
+    sigma = np.sqrt(np.diag(reprojected.cov))
+    between = motion_error(aligned.T_curr_prev, reprojected.T_curr_prev)
+    assert (np.abs(between) < 0.3 * sigma).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(aligned.cov)), sigma, rtol=0.3)
+
+
+def disturbed(rng: np.random.Generator, clean: Tracks, sigma_px: FloatArray) -> Tracks:
+    """With noise of its own on each feature, [N]."""
+    white = sigma_px[:, None] * rng.normal(size=(2, len(clean), 4))
+    return tracks_of(clean.prev_px + white[0], clean.curr_px + white[1])
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("spread", [0.0, 1.0])
+def test_the_covariance_of_either_is_honest(method: Literal["reprojection", "alignment"], spread: float) -> None:
+    """The NEES of 150 noisy solves sum up to within the 99 % interval of χ²(900), where each feature's σ is known.
+
+    With ``spread``, it differs by a factor of e from one feature to the next.
+    """
+    rng, errors = np.random.default_rng(20), []
+    for _ in range(150):
+        factor = np.exp(2.0 * spread * rng.normal(size=60))
+        tracks = disturbed(rng, seen_twice(rng, 60, depth_m=NEAR_M), 0.2 * np.sqrt(factor))
+        solution = solved(tracks, method, Fixed().predict(np.zeros((60, 0))).scaled(factor))
+        errors.append(float(normalized_error_squared(FORWARD, solution.T_curr_prev, solution.cov)))
+    assert chi2.ppf(0.005, df=6 * 150) < np.sum(errors) < chi2.ppf(0.995, df=6 * 150)
+
+
+def test_alignment_says_what_the_reprojection_says_of_each_feature() -> None:
+    """At its own motion: residuals and weights, by which mismatches are told."""
+    tracks = seen_twice(np.random.default_rng(21), 80, sigma_px=0.2, depth_m=NEAR_M)
+    noise = StudentT().predict(np.zeros((80, 0)))
+    aligned = solved(tracks, "alignment", noise)
+    there = solve_reprojection(tracks.prev_px, tracks.curr_px, noise, aligned.T_curr_prev, CAMERA, max_iterations=0)
+    np.testing.assert_array_equal(aligned.residuals, there.residuals)
+    np.testing.assert_array_equal(aligned.weight, there.weight)
+    assert aligned.iterations > 0
+
+
+def test_alignment_finds_its_way_through_the_whole_flow() -> None:
+    config = OdometryConfig(solver=SolverConfig(method="alignment"))
+    tracks = seen_twice(np.random.default_rng(22), 200, sigma_px=0.2, depth_m=NEAR_M)
+    tracks.curr_px[:40, 1::2] += 40.0
+    visual = look(tracks, config=config)
+    assert visual.status is Status.OK
+    assert visual.solution is not None
+    assert np.linalg.norm(motion_error(visual.solution.T_curr_prev)) < 0.02
+
+
+def test_alignment_needs_the_noise_of_each_observation() -> None:
+    """A learned noise of the whole residual says nothing of the points on their own."""
+    noise = StereoNoise(np.tile(np.eye(4), (60, 1, 1)), np.full(60, np.inf), np.zeros((60, 4)), refers_to="residual")
+    tracks = seen_twice(np.random.default_rng(23), 60)
+    with pytest.raises(InputError) as caught:
+        solved(tracks, "alignment", noise)
+    assert str(caught.value).startswith("--solver.method: alignment needs the noise of each observation")
+    assert "reprojection" in caught.value.cure
+    assert solved(tracks, "reprojection", noise).converged
+
+
+def test_without_iterations_the_guess_is_kept() -> None:
+    """And everything else is said of the features at it: residuals are those of the guess."""
+    tracks = seen_twice(np.random.default_rng(24), 40, depth_m=NEAR_M)
+    guess = se3.exp(np.array([0.01, 0.0, 0.02, 0.0, 0.001, 0.0])) @ FORWARD
+    noise = Fixed().predict(np.zeros((40, 0)))
+    there = solve_reprojection(tracks.prev_px, tracks.curr_px, noise, guess, CAMERA, max_iterations=0)
+    np.testing.assert_array_equal(there.T_curr_prev, guess)
+    assert (there.iterations, there.converged) == (0, True)
+    predicted = CAMERA.project(se3.transform(guess, CAMERA.triangulate(tracks.prev_px)))
+    plain = tracks.curr_px - predicted
+    assert np.corrcoef(there.residuals.ravel(), plain.ravel())[0, 1] > 0.99
+    assert np.isfinite(there.cov).all()

@@ -78,4 +78,11 @@ def summary(model: NearestNeighbors, out: Path) -> list[str]:
         title, meaning, factor = titles[name]
         errors = [f"{factor * error:.4g}" for error in search["errors"]]
         lines += ["", table((title, *(f"{c:g}" for c in search["candidates"])), [(meaning, *errors)])]
+    if model.exponent == 0.0:
+        lines += [
+            "",
+            "γ is 0: this truth does not show that any feature is better than another, and the model is the static"
+            " one.",
+            "Truth that jumps from frame to frame hides it: try --supervision none, or sparse.",
+        ]
     return [*lines, "", f"model: {out}"]

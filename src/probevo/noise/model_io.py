@@ -39,5 +39,5 @@ def load_model(path: Path) -> NearestNeighbors:
         raise InputError(path, f"a noise model of kind {file.kind!r}.", f"Known are {', '.join(_KINDS)}.")
     try:
         return _KINDS[file.kind].from_file(file)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, ValueError, InputError) as error:
         raise InputError(path, f"it is no whole {file.kind} model ({error}).", "Train it again.") from error

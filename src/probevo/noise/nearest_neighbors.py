@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any, Literal, Self
 
 import numpy as np
+from pydantic import ConfigDict, Field
 
-from probevo.arrays import FloatArray
+from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.likeness import difference
-from probevo.camera.stereo import StereoCamera
+from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
 from probevo.noise.fixed import Fixed
@@ -18,11 +20,31 @@ from probevo.noise.metric import UNDEFINED, Metric
 from probevo.noise.model_file import ModelFile
 from probevo.noise.neighbors import NeighborIndex
 from probevo.noise.student_t import StudentT
+from probevo.settings import Settings
 
 Average = Literal["arithmetic", "geometric"]
 BASE_NAMES: dict[type[Fixed] | type[StudentT], str] = {Fixed: "fixed", StudentT: "student-t"}
 LARGEST_WEIGHT = 1e4
 """β stays between one over this and this: beyond, a feature has no say anyhow, or all of it."""
+
+
+class _Base(Settings):
+    name: Literal["fixed", "student-t"]
+
+
+class _Facts(Settings):
+    """What a file says beside its arrays; of no other type than it is written."""
+
+    model_config = ConfigDict(strict=True)
+    columns: tuple[str, ...]
+    may_be_undefined: tuple[bool, ...]
+    neighbors: int = Field(ge=1)
+    exponent: float = Field(ge=0)
+    average: Average
+    log_mean_alpha: float
+    base: _Base
+    camera: StereoCamera | None
+    training: dict[str, Any]
 
 
 class NearestNeighbors:
@@ -122,8 +144,9 @@ class NearestNeighbors:
 
     def samples(self) -> tuple[FloatArray, FloatArray]:
         """The training data as they lie in the model: places φ [N, M], NaN where undefined, and ln(α/ᾱ) [N]."""
-        standard = self.index_.samples.T / self.metric_.weight
-        places = np.where(standard == UNDEFINED, np.nan, standard * self.metric_.spread + self.metric_.mean)
+        metric, coordinates = self.metric_, self.index_.samples.T
+        undefined = metric.may_be_undefined & (coordinates == (UNDEFINED * metric.weight).astype(np.float32))
+        places = np.where(undefined, np.nan, coordinates / metric.weight * metric.spread + metric.mean)
         values = self.index_.values.astype(np.float64)
         return places, (values if self.average == "geometric" else np.log(values)) - self.log_mean_alpha_
 
@@ -140,7 +163,7 @@ class NearestNeighbors:
             "average": self.average,
             "log_mean_alpha": self.log_mean_alpha_,
             "base": {"name": BASE_NAMES[type(self.base)]},
-            "camera": asdict(self.camera) | {"size_px": list(self.camera.size_px or ())} if self.camera else None,
+            "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
             "training": dict(self.training),
         }
         return ModelFile("knn", arrays, facts)
@@ -150,37 +173,41 @@ class NearestNeighbors:
         """The model that ``to_file`` put there.
 
         Raises:
-            KeyError, TypeError, ValueError: the file does not hold such a model.
+            KeyError, ValueError, InputError: the file does not hold such a model.
         """
-        facts, arrays = file.facts, file.arrays
-        camera = facts["camera"]
-        if camera is not None:
-            camera = StereoCamera(**camera | {"size_px": tuple(camera["size_px"]) or None})
-        base = {name: kind for kind, name in BASE_NAMES.items()}[facts["base"]["name"]]()
-        model = NearestNeighbors(
-            facts["neighbors"], facts["exponent"], facts["average"], base, camera, facts["training"]
+        facts, arrays = _Facts.model_validate_json(json.dumps(dict(file.facts))), file.arrays
+        if facts.camera is not None:
+            check_camera(facts.camera, "camera")
+        base = {name: kind for kind, name in BASE_NAMES.items()}[facts.base.name]()
+        model = NearestNeighbors(facts.neighbors, facts.exponent, facts.average, base, facts.camera, facts.training)
+        model.log_mean_alpha_ = facts.log_mean_alpha
+        model.metric_ = Metric(
+            facts.columns, facts.may_be_undefined, arrays["mean"], arrays["spread"], arrays["weight"]
         )
-        model.log_mean_alpha_ = facts["log_mean_alpha"]
-        names, undefined = tuple(facts["columns"]), tuple(facts["may_be_undefined"])
-        model.metric_ = Metric(names, undefined, arrays["mean"], arrays["spread"], arrays["weight"])
         model.index_ = NeighborIndex(**{field.name: arrays[field.name] for field in fields(NeighborIndex)})
-        model._check_shapes()
+        model._check_arrays()
         return model
 
-    def _check_shapes(self) -> None:
+    def _check_arrays(self) -> None:
         """Arrays that do not fit together would be read beyond their ends."""
-        index, dimension = self.index_, len(self.columns)
-        count, cells = len(index.values), index.centers.shape[1]
-        metric = (self.metric_.may_be_undefined, self.metric_.mean, self.metric_.spread, self.metric_.weight)
+        index, metric = self.index_, self.metric_
+        first, dimension, count = index.first_of_cell, len(self.columns), index.values.size
+        expected: list[tuple[AnyArray, tuple[int, ...], type]] = [
+            (index.centers, (dimension, first.size - 1), np.float32),
+            (first, (first.size,), np.int64),
+            (index.samples, (dimension, count), np.float32),
+            (index.values, (count,), np.float32),
+            *((array, (dimension,), np.float64) for array in (metric.mean, metric.spread, metric.weight)),
+        ]
         fits = (
-            all(len(part) == dimension for part in metric)
-            and index.centers.shape == (dimension, cells)
-            and index.samples.shape == (dimension, count)
-            and index.first_of_cell.shape == (cells + 1,)
-            and (np.diff(index.first_of_cell) >= 0).all()
-            and (index.first_of_cell[0], index.first_of_cell[-1]) == (0, count)
-            and 1 <= self.neighbors <= count
-            and all(array.dtype == np.float32 for array in (index.centers, index.samples, index.values))
+            all(a.shape == shape and a.dtype == dtype and np.isfinite(a).all() for a, shape, dtype in expected)
+            and len(set(self.columns)) == dimension == len(metric.may_be_undefined)
+            and (metric.spread > 0.0).all()
+            and (self.average == "geometric" or (index.values > 0.0).all())
+            and self.neighbors <= count
+            and first.size >= 2
+            and (first[0], first[-1]) == (0, count)
+            and (first[1:] >= first[:-1]).all()
         )
         if not fits:
             raise ValueError("its arrays do not fit together")

@@ -96,6 +96,19 @@ class PredictionSpace:
 
     predictors: tuple[Predictor, ...]
 
+    def __post_init__(self) -> None:
+        """Refuse two columns of one name: a model knows its predictors by their columns alone.
+
+        Raises:
+            InputError: names the second predictor.
+        """
+        seen: set[str] = set()
+        for predictor in self.predictors:
+            if not seen.isdisjoint(predictor.columns):
+                what = f"{predictor.name} has a column that an earlier one has too."
+                raise InputError("predictors", what, "Name each predictor once, and give your own other columns.")
+            seen |= set(predictor.columns)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the predictors."""

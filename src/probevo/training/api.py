@@ -71,6 +71,8 @@ def train_model(
     space = PredictionSpace((*prediction_space(settings.predictors).predictors, *own_predictors))
     lessons = _lessons(sequences, settings)
     check_folder(out.parent, "--out")
+    if out.is_dir():
+        raise InputError("--out", f"{out} is a folder.", "Give the model file another name.")
     work = Checkpoint.opened(out, sequences, settings, space.columns)
     frames = sum(lesson.num_frames for lesson in lessons)
 
@@ -79,6 +81,8 @@ def train_model(
             on_progress(done, frames * (1 + settings.iterations))
 
     drives = _record(lessons, space, settings, work, show)
+    if not any(len(drive.phi) for drive in drives):
+        raise InputError("training data", "no recording shows a single feature.", "Give other recordings.")
     metric = Metric.fitted(np.concatenate([drive.phi for drive in drives]), space.columns, space.may_be_undefined)
     learners = [_learner(n, lesson, drives[n], metric, settings) for n, lesson in enumerate(lessons)]
     iterations = []

@@ -1,0 +1,258 @@
+"""Learned models to and from files. Compiled code reads the arrays, so none that does not fit may come through."""
+
+import copy
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load, save
+
+from probevo.arrays import AnyArray, FloatArray
+from probevo.errors import InputError
+from probevo.noise import Fixed
+from probevo.noise.metric import Metric
+from probevo.noise.model_file import FORMAT, ModelFile, write_model_file
+from probevo.noise.model_io import load_model, save_model
+from probevo.noise.named import noise_model
+from probevo.noise.nearest_neighbors import NearestNeighbors
+from worlds import CAMERA
+
+COUNT = 300
+TRAINING = {"settings": {"seed": 0}, "recordings": [{"name": "06", "frames": 1101, "sha256": "0" * 64}]}
+
+
+def places(count: int = COUNT, seed: int = 0) -> FloatArray:
+    """Of three columns; the second is undefined for every tenth."""
+    phi = np.random.default_rng(seed).normal(size=(count, 3))
+    phi[::10, 1] = np.nan
+    return phi
+
+
+def trained(**options: Any) -> NearestNeighbors:
+    phi, alphas = places(), np.exp(np.random.default_rng(1).normal(size=COUNT))
+    metric = Metric.fitted(phi, ("place", "blur", "age"), (False, True, False))
+    given: dict[str, Any] = {"neighbors": 20, "exponent": 4.0, "camera": CAMERA, "training": TRAINING}
+    return NearestNeighbors(**given | options).fit(phi, alphas, metric=metric)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "model.safetensors"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"base": Fixed()}, {"camera": None}, {"average": "arithmetic"}, {"exponent": 0.0}, {"training": None}],
+)
+def test_a_model_comes_back_as_it_was(path: Path, options: dict[str, Any]) -> None:
+    """It predicts the same bytes, and gives the same file again."""
+    model = trained(**options)
+    save_model(model, path)
+    back, queries = load_model(path), places(50, seed=2)
+    one, other = model.predict(queries), back.predict(queries)
+    for name in ("scale", "dof", "bias"):
+        assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+    for name in ("neighbors", "exponent", "average", "camera", "training", "columns", "log_mean_alpha_"):
+        assert getattr(back, name) == getattr(model, name)
+    assert type(back.base) is type(model.base)
+    again = path.with_name("again.safetensors")
+    save_model(back, again)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_it_is_found_by_its_path(path: Path) -> None:
+    save_model(trained(), path)
+    model = noise_model(str(path))
+    assert isinstance(model, NearestNeighbors)
+    assert model.columns == ("place", "blur", "age")
+
+
+def test_a_camera_without_a_size_comes_back(path: Path) -> None:
+    camera = replace(CAMERA, size_px=None)
+    save_model(trained(camera=camera), path)
+    assert load_model(path).camera == camera
+
+
+def test_an_unknown_kind_is_refused(path: Path) -> None:
+    write_model_file(path, ModelFile("oracle", {}, {}))
+    with pytest.raises(InputError, match=r"kind 'oracle'.\n.*Known are knn"):
+        load_model(path)
+
+
+def refuse(path: Path, model: ModelFile) -> None:
+    """Its checksum is right, its content is not."""
+    write_model_file(path, model)
+    with pytest.raises(InputError) as caught:
+        load_model(path)
+    assert caught.value.where == str(path)
+    assert "no whole knn model" in str(caught.value)
+    assert "Train it again." in str(caught.value)
+
+
+ARRAYS = ("centers", "first_of_cell", "samples", "values", "mean", "spread", "weight")
+Change = Callable[[AnyArray], AnyArray]
+
+
+def with_value(value: float) -> Change:
+    def change(array: AnyArray) -> AnyArray:
+        changed = array.copy()
+        changed.reshape(-1)[changed.size // 2] = value
+        return changed
+
+    return change
+
+
+SHAPES: dict[str, Change] = {
+    "the last is missing": lambda array: array[..., :-1],
+    "the first row is missing": lambda array: array[1:],
+    "one more": lambda array: np.concatenate([array, array[..., -1:]], axis=-1),
+    "twice as many rows": lambda array: np.concatenate([array, array]),
+    "one more axis": lambda array: array[..., None],
+    "one more axis in front": lambda array: array[None],
+    "transposed and longer": lambda array: np.concatenate([array.T, array.T]),
+    "a single number": lambda array: array.reshape(-1)[0],
+    "nothing": lambda array: array[:0],
+    "nothing in two dimensions": lambda array: np.zeros((0, 0), array.dtype),
+}
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize("change", SHAPES.values(), ids=SHAPES.keys())
+def test_an_array_of_another_shape_is_refused(path: Path, name: str, change: Change) -> None:
+    file = trained().to_file()
+    refuse(
+        path, ModelFile(file.kind, {**file.arrays, name: np.asarray(change(np.asarray(file.arrays[name])))}, file.facts)
+    )
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_a_missing_array_is_refused(path: Path, name: str) -> None:
+    file = trained().to_file()
+    refuse(path, ModelFile(file.kind, {n: a for n, a in file.arrays.items() if n != name}, file.facts))
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize("dtype", ["float32", "float64", "int64", "int32", "uint8", "bool"])
+def test_an_array_of_another_type_is_refused_or_does_no_harm(path: Path, name: str, dtype: str) -> None:
+    """A mean in single precision will do; cells that begin at 3.7, or wrap around at 255, will not."""
+    file, queries = trained().to_file(), places(20, seed=3)
+    as_it_was = np.asarray(file.arrays[name])
+    write_model_file(path, ModelFile(file.kind, {**file.arrays, name: as_it_was.astype(dtype)}, file.facts))
+    try:
+        model = load_model(path)
+    except InputError:
+        assert as_it_was.dtype != dtype
+    else:
+        assert np.isfinite(model.predict(queries).scale).all()
+
+
+@pytest.mark.parametrize("name", ["centers", "samples", "values", "mean", "spread", "weight"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_an_array_that_is_not_finite_is_refused(path: Path, name: str, value: float) -> None:
+    file = trained().to_file()
+    changed = with_value(value)(np.asarray(file.arrays[name]))
+    refuse(path, ModelFile(file.kind, {**file.arrays, name: changed}, file.facts))
+
+
+def test_an_alpha_that_is_not_positive_is_refused(path: Path) -> None:
+    """Where α itself is stored, and not its logarithm."""
+    file = trained(average="arithmetic").to_file()
+    refuse(path, ModelFile(file.kind, {**file.arrays, "values": with_value(-1.0)(file.arrays["values"])}, file.facts))
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0])
+def test_a_spread_that_is_not_positive_is_refused(path: Path, value: float) -> None:
+    file = trained().to_file()
+    changed = with_value(value)(np.asarray(file.arrays["spread"]))
+    refuse(path, ModelFile(file.kind, {**file.arrays, "spread": changed}, file.facts))
+
+
+@pytest.mark.parametrize(
+    "index", [{5: -1}, {5: COUNT + 1}, {5: 2**62}, {0: 1}, {0: -1}, {-1: COUNT + 1}, {-1: 0}, {5: 2**63 - 1, 6: -2}]
+)
+def test_cells_that_reach_beyond_the_samples_are_refused(path: Path, index: dict[int, int]) -> None:
+    """The last differs from its neighbours by more than 64 bits hold, so that their difference wraps around."""
+    file = trained().to_file()
+    first = np.asarray(file.arrays["first_of_cell"]).copy()
+    for at, value in index.items():
+        first[at] = value
+    refuse(path, ModelFile(file.kind, {**file.arrays, "first_of_cell": first}, file.facts))
+
+
+def test_cells_out_of_order_are_refused(path: Path) -> None:
+    file = trained().to_file()
+    first = np.asarray(file.arrays["first_of_cell"]).copy()
+    first[3], first[9] = first[9], first[3]
+    refuse(path, ModelFile(file.kind, {**file.arrays, "first_of_cell": first}, file.facts))
+
+
+FACTS: dict[str, list[Any]] = {
+    "columns": [None, "abc", ["place", "blur"], [1, 2, 3], ["a", "a", "b"], {"a": 1, "b": 2, "c": 3}],
+    "may_be_undefined": [None, "abc", [True], ["a", "b", "c"], [[], [], []], 7],
+    "neighbors": ["20", 2.5, None, True, 0, -1, COUNT + 1, 10**30, [20], {}],
+    "exponent": ["4", None, [4.0], True, -1.0, {}],
+    "average": ["median", None, 3, ""],
+    "log_mean_alpha": ["0", None, [0.0], True],
+    "base": [None, "fixed", {}, {"name": "cauchy"}, {"name": None}, {"name": []}, []],
+    "camera": [
+        "KITTI",
+        [],
+        {},
+        7,
+        {"fu_px": "700"},
+        {"fu_px": None},
+        {"fu_px": -700.0},
+        {"fu_px": [700.0]},
+        {"baseline_m": 0.0},
+        {"size_px": [1226]},
+        {"size_px": ["a", "b"]},
+        {"size_px": [1226, 370, 3]},
+        {"size_px": 5},
+        {"name": "left"},
+    ],
+    "training": [None, "06", 3, []],
+}
+
+
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in FACTS.items() for value in values])
+def test_a_fact_of_another_type_is_refused(path: Path, key: str, value: Any) -> None:
+    """A camera's changes are those of its properties."""
+    file = trained().to_file()
+    facts = copy.deepcopy(dict(file.facts))
+    facts[key] = facts[key] | value if key == "camera" and isinstance(value, dict) and value else value
+    refuse(path, ModelFile(file.kind, file.arrays, facts))
+
+
+@pytest.mark.parametrize("key", FACTS)
+def test_a_missing_fact_is_refused(path: Path, key: str) -> None:
+    file = trained().to_file()
+    refuse(path, ModelFile(file.kind, file.arrays, {k: v for k, v in file.facts.items() if k != key}))
+
+
+def test_a_property_of_the_camera_may_not_be_missing(path: Path) -> None:
+    file = trained().to_file()
+    for name in ("fu_px", "fv_px", "cu_px", "cv_px", "baseline_m"):
+        camera = {key: value for key, value in file.facts["camera"].items() if key != name}
+        refuse(path, ModelFile(file.kind, file.arrays, {**file.facts, "camera": camera}))
+
+
+@pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999"])
+def test_an_exponent_that_is_no_number_is_refused(path: Path, text: str) -> None:
+    """JSON has no such number, so this can be no file of ours."""
+    save_model(trained(), path)
+    content = path.read_bytes()
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    entry = header["__metadata__"][FORMAT]
+    assert '"exponent":4.0' in entry
+    path.write_bytes(save(load(content), {FORMAT: entry.replace('"exponent":4.0', f'"exponent":{text}')}))
+    with pytest.raises(InputError, match="damaged"):
+        load_model(path)
+
+
+def test_facts_that_are_not_there_at_all_are_refused(path: Path) -> None:
+    refuse(path, ModelFile("knn", trained().to_file().arrays, {}))
+    refuse(path, ModelFile("knn", {}, trained().to_file().facts))

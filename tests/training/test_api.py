@@ -1,0 +1,362 @@
+"""The whole training on small recordings: same bytes however often it is stopped, better motions, clear refusals."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import probevo as pv
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
+from probevo.noise import Fixed, NoiseModel
+from probevo.predictors import Needs, Predictor, Step
+from probevo.sequences.base import Sequence
+from probevo.sequences.frame import Frame
+from probevo.simulation.point_world import write_points
+from sequences.recordings import write_tracks
+from training.lessons import point_world, rmse_m, true_motions
+
+FRAMES = 16
+SETTINGS = pv.TrainSettings(predictors=("place", "row_offset"), iterations=4, subset=6)
+
+
+@pytest.fixture(scope="module")
+def tracks(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two short drives through different worlds, some 75 landmarks a frame."""
+    folder = tmp_path_factory.mktemp("tracks")
+    for seed in range(2):
+        write_points(point_world("column", seed=seed, frames=FRAMES, landmarks=400), folder / f"{seed}.npz")
+    return [folder / f"{seed}.npz" for seed in range(2)]
+
+
+@pytest.fixture(scope="module")
+def recordings(tracks: list[Path]) -> list[Sequence]:
+    return [pv.open_sequence(path) for path in tracks]
+
+
+@pytest.fixture(scope="module")
+def model_bytes(recordings: list[Sequence], tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Of a training that nobody disturbed."""
+    return train(recordings, tmp_path_factory.mktemp("model") / "model.safetensors").read_bytes()
+
+
+def train(
+    recordings: list[Sequence],
+    out: Path,
+    settings: pv.TrainSettings = SETTINGS,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    return pv.train_model(recordings, settings, out, on_progress)
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "models" / "model.safetensors"
+
+
+def test_the_model_tells_how_it_came_about(recordings: list[Sequence], out: Path) -> None:
+    assert train(recordings, out) == out
+    model = pv.load_model(out)
+    assert model.columns == ("x", "y", "row_offset")
+    assert model.camera == recordings[0].camera
+    assert len(model.index_.values) <= 2 * (FRAMES - 1) * SETTINGS.iterations * SETTINGS.subset
+    assert [entry["name"] for entry in model.training["recordings"]] == ["0.npz", "1.npz"]
+    assert [entry["frames"] for entry in model.training["recordings"]] == [FRAMES, FRAMES]
+    assert len({entry["sha256"] for entry in model.training["recordings"]}) == 2
+    assert pv.TrainSettings.model_validate(model.training["settings"]) == SETTINGS
+    searches = model.training["searches"]
+    assert (searches["neighbors"]["chosen"], searches["exponent"]["chosen"]) == (model.neighbors, model.exponent)
+
+
+def test_nothing_but_the_model_is_left(recordings: list[Sequence], out: Path) -> None:
+    train(recordings, out)
+    assert list(out.parent.iterdir()) == [out]
+
+
+def test_the_same_settings_give_the_same_bytes(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
+    """In place of an earlier model, too."""
+    out.parent.mkdir()
+    out.write_text("an earlier one")
+    assert train(recordings, out).read_bytes() == model_bytes
+
+
+def test_another_seed_gives_another_model(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
+    other = SETTINGS.model_copy(update={"odometry": pv.OdometryConfig(seed=1)})
+    assert train(recordings, out, other).read_bytes() != model_bytes
+
+
+def test_progress_is_that_of_all_frames_and_iterations(recordings: list[Sequence], out: Path) -> None:
+    shown: list[tuple[int, int]] = []
+    train(recordings, out, on_progress=lambda done, total: shown.append((done, total)))
+    total = 2 * FRAMES * (1 + SETTINGS.iterations)
+    assert {each for _, each in shown} == {total}
+    assert all(before <= after for (before, _), (after, _) in pairwise(shown))
+    assert shown[0][0] == 1
+    assert shown[-1][0] == total
+
+
+def stopping_after(calls: int) -> Callable[[int, int], None]:
+    """Ctrl-C after so many reports of progress."""
+    left = iter(range(calls))
+
+    def show(_done: int, _total: int) -> None:
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+
+    return show
+
+
+def test_stopped_at_any_moment_and_resumed_it_gives_the_same_bytes(
+    recordings: list[Sequence], model_bytes: bytes, tmp_path: Path
+) -> None:
+    """Once, at each moment at which it tells of its progress."""
+    reports: list[int] = []
+    train(recordings, tmp_path / "count.safetensors", on_progress=lambda done, _: reports.append(done))
+    for calls in range(0, len(reports), 3):
+        out = tmp_path / f"{calls}.safetensors"
+        with pytest.raises(KeyboardInterrupt):
+            train(recordings, out, on_progress=stopping_after(calls))
+        assert not out.exists()
+        assert train(recordings, out).read_bytes() == model_bytes
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_stopped_again_and_again_it_gives_the_same_bytes(
+    recordings: list[Sequence], model_bytes: bytes, out: Path, seed: int
+) -> None:
+    """At up to ten random moments, each of which may come before anything new was done."""
+    stops: list[int] = np.random.default_rng(seed).integers(0, 12, 10).tolist()
+    for calls in stops:
+        try:
+            train(recordings, out, on_progress=stopping_after(calls))
+        except KeyboardInterrupt:
+            continue
+        break
+    assert train(recordings, out).read_bytes() == model_bytes
+
+
+@dataclass(frozen=True)
+class Counted:
+    """A recording that counts how many of its frames were asked for."""
+
+    inner: Sequence
+    asked: list[int]
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.inner, name)
+
+    def __len__(self) -> int:
+        return len(self.inner)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self.inner:
+            self.asked.append(frame.index)
+            yield frame
+
+
+def test_what_is_done_is_not_done_again(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
+    """Stopped in the midst of the second recording, the first is not looked at again; after both, neither is."""
+    counted = [Counted(recording, []) for recording in recordings]
+    sequences: list[Sequence] = list(counted)  # type: ignore[arg-type]
+    with pytest.raises(KeyboardInterrupt):
+        train(sequences, out, on_progress=stopping_after(FRAMES + 6))
+    assert [len(each.asked) for each in counted] == [FRAMES, 6]
+    with pytest.raises(KeyboardInterrupt):
+        train(sequences, out, on_progress=stopping_after(FRAMES + 3))
+    assert [len(each.asked) for each in counted] == [FRAMES, 6 + FRAMES]
+    assert train(sequences, out).read_bytes() == model_bytes
+    assert [len(each.asked) for each in counted] == [FRAMES, 6 + FRAMES]
+
+
+@pytest.mark.parametrize("supervision", ["gt", "sparse", "position", "loop", "none"])
+def test_every_supervision_gives_a_model(recordings: list[Sequence], out: Path, supervision: str) -> None:
+    settings = SETTINGS.model_copy(update={"supervision": supervision, "every_s": 0.5})
+    model = pv.load_model(train(recordings, out, settings))
+    assert np.isfinite(model.weights(np.zeros((3, 3)))).all()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"base": "fixed"},
+        {"average": "arithmetic"},
+        {"relative": False},
+        {"contrast": 0.0, "subset": 20},
+        {"neighbors": 7, "exponent": 2.5},
+        {"max_frames": 5},
+    ],
+)
+def test_every_setting_gives_a_model(recordings: list[Sequence], out: Path, changes: dict[str, object]) -> None:
+    settings = SETTINGS.model_copy(update=changes)
+    model = pv.load_model(train(recordings, out, settings))
+    assert np.isfinite(model.weights(np.zeros((3, 3)))).all()
+    assert model.average == settings.average
+    if settings.neighbors:
+        assert (model.neighbors, model.exponent, model.training["searches"]) == (7, 2.5, {})
+    if settings.max_frames:
+        assert [entry["frames"] for entry in model.training["recordings"]] == [5, 5]
+
+
+def motions(path: Path, noise: NoiseModel) -> FloatArray:
+    sequence = pv.open_sequence(path)
+    odometry = pv.StereoOdometry(sequence.camera, noise, config=pv.OdometryConfig(self_calibration=False))
+    return np.array([odometry.step(frame).T_curr_prev for frame in sequence])[1:]
+
+
+def test_what_was_learned_on_one_recording_makes_another_one_better(tmp_path: Path) -> None:
+    """σ grows from 0.05 px to 1 px from left to right, and all that the model sees is where a feature is."""
+    worlds = [point_world("column", seed=seed) for seed in (0, 1)]
+    for name, world in zip(("train", "test"), worlds, strict=True):
+        write_points(world, tmp_path / f"{name}.npz")
+    settings = SETTINGS.model_copy(update={"predictors": ("place",), "base": "fixed", "iterations": 30, "subset": 8})
+    model = pv.load_model(train([pv.open_sequence(tmp_path / "train.npz")], tmp_path / "m.safetensors", settings))
+    learned, static = (
+        rmse_m(motions(tmp_path / "test.npz", noise), true_motions(worlds[1])) for noise in (model, Fixed())
+    )
+    assert learned < 0.9 * static
+
+
+def own(value: Callable[[Step], FloatArray], undefined: str = "") -> Predictor:
+    return Predictor("own", {"own": "1"}, "test", Needs.TRACKS, value, undefined)
+
+
+def first_undefined(step: Step) -> FloatArray:
+    return np.where(np.arange(len(step.tracks)) == 0, np.nan, step.uv[:, 0])
+
+
+def test_a_predictor_of_one_s_own_is_learned_from(recordings: list[Sequence], out: Path) -> None:
+    """And undefined where it says that it may be; to use the model, it has to be given again."""
+    predictor = own(first_undefined, undefined="for the first")
+    pv.train_model(recordings, SETTINGS, out, own_predictors=[predictor])
+    model = pv.load_model(out)
+    assert model.columns == ("x", "y", "row_offset", "own")
+    assert model.metric_.may_be_undefined == (False, False, False, True)
+    camera = recordings[0].camera
+    with pytest.raises(InputError, match="its predictor own is not known"):
+        pv.StereoOdometry(camera, model)
+    space = pv.predictors.PredictionSpace((*pv.predictors.prediction_space(SETTINGS.predictors).predictors, predictor))
+    odometry = pv.StereoOdometry(camera, model, predictors=space)
+    for frame in recordings[0]:
+        odometry.step(frame)
+    assert odometry.phi.shape == (len(odometry.tracks), 4)
+    np.testing.assert_array_equal(np.isnan(odometry.phi[:, 3]), np.arange(len(odometry.tracks)) == 0)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_value_of_phi_that_is_no_number_is_refused(recordings: list[Sequence], out: Path, value: float) -> None:
+    with pytest.raises(InputError) as caught:
+        pv.train_model(recordings, SETTINGS, out, own_predictors=[own(lambda step: np.full(len(step.tracks), value))])
+    assert str(caught.value).startswith(f"predictor own: feature 0 (from 0) has the value {value}.")
+    assert "may be undefined" in caught.value.cure
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("name", ["place", "own"])
+def test_two_predictors_of_one_name_are_refused(recordings: list[Sequence], out: Path, name: str) -> None:
+    """No odometry could tell which is which."""
+    twice = [replace(own(lambda step: step.uv[:, 0]), name=name, columns={"x" if name == "place" else name: "1"})] * 2
+    with pytest.raises(InputError, match=name):
+        pv.train_model(recordings, SETTINGS, out, own_predictors=twice)
+
+
+def refuse(recordings: list[Sequence], out: Path, settings: pv.TrainSettings, *fragments: str) -> None:
+    """With a cure, and before there is any model."""
+    with pytest.raises(InputError) as caught:
+        train(recordings, out, settings)
+    for fragment in fragments:
+        assert fragment in str(caught.value)
+    assert caught.value.cure
+    assert not out.exists()
+
+
+def test_no_recording_at_all_is_refused(out: Path) -> None:
+    refuse([], out, SETTINGS, "SEQUENCE: no recording is named.")
+
+
+def test_a_recording_of_one_frame_is_refused(tmp_path: Path, out: Path) -> None:
+    one = pv.open_sequence(write_tracks(tmp_path, 1, omega=None, C_cam_imu=None))
+    refuse([one], out, SETTINGS, f"{tmp_path / 'tracks.npz'}: it has one frame, and so no motion to learn from.")
+
+
+def test_recordings_of_different_cameras_are_refused(recordings: list[Sequence], tmp_path: Path, out: Path) -> None:
+    other = pv.open_sequence(write_tracks(tmp_path))
+    refuse([*recordings, other], out, SETTINGS, f"{other.path}: its camera is not that of {recordings[0].path}")
+
+
+@pytest.mark.parametrize("supervision", ["gt", "sparse", "position"])
+def test_supervision_without_truth_is_refused(tmp_path: Path, out: Path, supervision: str) -> None:
+    blind = pv.open_sequence(write_tracks(tmp_path, T_world_cam=None))
+    settings = SETTINGS.model_copy(update={"supervision": supervision})
+    refuse([blind], out, settings, f"no ground truth, which --supervision {supervision} needs.", "--supervision none")
+
+
+def test_an_unknown_predictor_is_refused(recordings: list[Sequence], out: Path) -> None:
+    settings = SETTINGS.model_copy(update={"predictors": ("place", "blurr")})
+    refuse(recordings, out, settings, "predictors: blurr is not known.", "Known are")
+
+
+@pytest.mark.parametrize(("name", "lacking"), [("blur", "images"), ("acceleration", "an accelerometer")])
+def test_a_predictor_that_lacks_what_it_needs_is_refused_and_no_obstacle(
+    recordings: list[Sequence], model_bytes: bytes, out: Path, name: str, lacking: str
+) -> None:
+    """Whoever follows the advice and leaves it out is not told of a training with other settings."""
+    settings = SETTINGS.model_copy(update={"predictors": ("place", name)})
+    refuse(recordings, out, settings, f"predictor {name}: it needs {lacking}", "--predictors")
+    assert train(recordings, out).read_bytes() == model_bytes
+
+
+def test_more_neighbours_than_samples_are_refused(recordings: list[Sequence], out: Path) -> None:
+    settings = SETTINGS.model_copy(update={"neighbors": 10_000})
+    refuse(recordings, out, settings, "--neighbors: K is 10000, but there are only 720 samples.")
+
+
+def test_with_fewer_neighbours_it_goes_on_where_it_was(recordings: list[Sequence], out: Path) -> None:
+    """K and γ are no matter of what was done before: another K needs no other motions."""
+    counted = [Counted(recording, []) for recording in recordings]
+    sequences: list[Sequence] = list(counted)  # type: ignore[arg-type]
+    refuse(sequences, out, SETTINGS.model_copy(update={"neighbors": 10_000}), "--neighbors")
+    train(sequences, out, SETTINGS.model_copy(update={"neighbors": 10}))
+    assert pv.load_model(out).neighbors == 10
+    assert [len(each.asked) for each in counted] == [FRAMES, FRAMES]
+
+
+def test_steps_with_too_few_features_leave_nothing_to_learn_from(recordings: list[Sequence], out: Path) -> None:
+    settings = SETTINGS.model_copy(update={"subset": 500})
+    refuse(recordings, out, settings, "no step has 500 features to learn from", "--subset")
+
+
+def test_a_recording_without_features_is_no_fault_of_the_predictors(tmp_path: Path, out: Path) -> None:
+    none = np.zeros(0, np.int64)
+    blind = pv.open_sequence(write_tracks(tmp_path, frame=none, track=none, uv=np.zeros((0, 4))))
+    refuse([blind], out, SETTINGS, "training data: ", "feature")
+
+
+def test_other_settings_on_unfinished_work_are_refused(recordings: list[Sequence], out: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        train(recordings, out, on_progress=stopping_after(FRAMES + 3))
+    other = SETTINGS.model_copy(update={"subset": 7})
+    refuse(recordings, out, other, f"{out}.work: ", "other recordings or settings", "delete this folder")
+
+
+def test_an_output_that_cannot_be_written_is_refused_at_once(recordings: list[Sequence], tmp_path: Path) -> None:
+    """Before a single frame was looked at."""
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.safetensors").mkdir()
+
+    def looked_at(_done: int, _total: int) -> None:
+        pytest.fail("it should have been refused before")
+
+    for path in (tmp_path / "file" / "m.safetensors", tmp_path / "folder.safetensors"):
+        with pytest.raises(InputError, match=r"file|folder"):
+            train(recordings, path, on_progress=looked_at)
+
+
+def test_the_model_of_another_camera_is_refused(recordings: list[Sequence], out: Path) -> None:
+    model = pv.load_model(train(recordings, out))
+    camera: StereoCamera = replace(recordings[0].camera, baseline_m=0.1)
+    with pytest.raises(InputError, match="trained with another camera"):
+        model.check_camera(camera)

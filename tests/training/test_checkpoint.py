@@ -1,0 +1,181 @@
+"""What a stopped training leaves: whole things only, taken up by the same training and by no other."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo.config import OdometryConfig
+from probevo.errors import InputError
+from probevo.training.checkpoint import Checkpoint, Iteration
+from probevo.training.drive import Drive
+from probevo.training.settings import TrainSettings
+from training.lessons import Recording, drive_of, point_world, recording
+
+SETTINGS = TrainSettings(predictors=("place",))
+RECORDINGS = [recording(None), recording(None, frames=7)]
+DRIVE = drive_of(point_world(frames=4))
+ITERATION: Iteration = [
+    (np.array([3, 1, 4]), np.array([0.1, 0.2, 1e-6])),
+    (np.zeros(0, np.int64), np.zeros(0)),
+    (np.array([7]), np.array([np.pi])),
+]
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "models" / "city.safetensors"
+
+
+def opened(
+    out: Path,
+    settings: TrainSettings = SETTINGS,
+    recordings: list[Recording] = RECORDINGS,
+    columns: tuple[str, ...] = ("x", "y"),
+) -> Checkpoint:
+    return Checkpoint.opened(out, recordings, settings, columns)
+
+
+def test_it_lies_beside_the_model(out: Path) -> None:
+    assert opened(out).folder == out.with_name("city.safetensors.work")
+    assert opened(out).folder.is_dir()
+
+
+def test_at_first_nothing_is_done(out: Path) -> None:
+    work = opened(out)
+    assert work.drive(0) is None
+    assert work.iteration(0) is None
+
+
+def assert_same(a: Drive, b: Drive) -> None:
+    for field in fields(Drive):
+        one, other = getattr(a, field.name), getattr(b, field.name)
+        assert type(one) is type(other)
+        if isinstance(one, np.ndarray):
+            np.testing.assert_array_equal(one, other, strict=True)
+        else:
+            assert one == other
+
+
+def test_a_drive_comes_back(out: Path) -> None:
+    drive = replace(DRIVE, digest="0123456789abcdef", phi=np.where(DRIVE.phi > 1.0, np.nan, DRIVE.phi))
+    opened(out).keep_drive(1, drive)
+    work = opened(out)
+    found = work.drive(1)
+    assert found is not None
+    assert_same(found, drive)
+    assert work.drive(0) is None
+
+
+def test_a_drive_without_any_feature_comes_back(out: Path) -> None:
+    nothing = {name: getattr(DRIVE, name)[:0] for name in ("prev_px", "curr_px", "phi", "used")}
+    drive = replace(DRIVE, first_of_step=np.zeros(4, np.int64), **nothing)
+    opened(out).keep_drive(0, drive)
+    found = opened(out).drive(0)
+    assert found is not None
+    assert_same(found, drive)
+    assert len(found.tracks(2)) == 0
+
+
+def test_an_iteration_comes_back(out: Path) -> None:
+    """Drives without a sample too."""
+    opened(out).keep_iteration(11, ITERATION)
+    found = opened(out).iteration(11)
+    assert found is not None
+    assert len(found) == len(ITERATION)
+    for (features, alphas), (expected_features, expected_alphas) in zip(found, ITERATION, strict=True):
+        np.testing.assert_array_equal(features, expected_features, strict=True)
+        np.testing.assert_array_equal(alphas, expected_alphas, strict=True)
+
+
+def test_the_order_of_many_drives_is_kept(out: Path) -> None:
+    """Eleven, so that names in the order of the alphabet would be found out."""
+    many: Iteration = [(np.array([k]), np.array([float(k + 1)])) for k in range(11)]
+    opened(out).keep_iteration(0, many)
+    found = opened(out).iteration(0)
+    assert found is not None
+    assert [int(features[0]) for features, _ in found] == list(range(11))
+
+
+def test_what_was_being_written_when_it_was_stopped_does_not_count(out: Path) -> None:
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    content = (work.folder / "drive-0.npz").read_bytes()
+    (work.folder / "drive-1.npz.part").write_bytes(content[: len(content) // 2])
+    (work.folder / "iteration-0.npz.part").write_bytes(b"")
+    assert opened(out).drive(0) is not None
+    assert opened(out).drive(1) is None
+    assert opened(out).iteration(0) is None
+
+
+OTHERS = {
+    "settings": (SETTINGS.model_copy(update={"subset": 9}), RECORDINGS, ("x", "y")),
+    "seed": (SETTINGS.model_copy(update={"odometry": OdometryConfig(seed=1)}), RECORDINGS, ("x", "y")),
+    "columns": (SETTINGS, RECORDINGS, ("x", "y", "own")),
+    "fewer recordings": (SETTINGS, RECORDINGS[:1], ("x", "y")),
+    "another order": (SETTINGS, RECORDINGS[::-1], ("x", "y")),
+    "another recording": (SETTINGS, [RECORDINGS[0], replace(RECORDINGS[1], path=Path("other"))], ("x", "y")),
+    "a longer recording": (SETTINGS, [recording(None, frames=12), RECORDINGS[1]], ("x", "y")),
+    "another time": (SETTINGS, [recording(None, start_ns=7), RECORDINGS[1]], ("x", "y")),
+}
+
+
+@pytest.mark.parametrize(("settings", "recordings", "columns"), OTHERS.values(), ids=OTHERS.keys())
+def test_another_training_is_refused(
+    out: Path, settings: TrainSettings, recordings: list[Recording], columns: tuple[str, ...]
+) -> None:
+    """The folder to delete is named; what lies in it stays as it is."""
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    before = {path.name: path.read_bytes() for path in work.folder.iterdir()}
+    with pytest.raises(InputError) as caught:
+        opened(out, settings, recordings, columns)
+    assert caught.value.where == str(work.folder)
+    assert "a training that was stopped here had other recordings or settings." in str(caught.value)
+    assert "delete this folder" in caught.value.cure
+    assert {path.name: path.read_bytes() for path in work.folder.iterdir()} == before
+    assert opened(out).drive(0) is not None
+
+
+def test_where_nothing_was_done_yet_other_settings_are_welcome(out: Path) -> None:
+    """A recording that was refused for a predictor it has no images for leaves no work, and no obstacle."""
+    opened(out)
+    other = opened(out, SETTINGS.model_copy(update={"predictors": ("disparity",)}))
+    other.keep_drive(0, DRIVE)
+    with pytest.raises(InputError, match="other recordings or settings"):
+        opened(out)
+
+
+def test_the_rest_of_a_removal_that_was_stopped_is_no_work(out: Path) -> None:
+    """Drives of other settings must not pass for those of these."""
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    (work.folder / "plan.json").unlink()
+    assert opened(out, SETTINGS.model_copy(update={"subset": 9})).drive(0) is None
+
+
+def test_a_broken_plan_belongs_to_another_training(out: Path) -> None:
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    (work.folder / "plan.json").write_text("{")
+    with pytest.raises(InputError, match="delete this folder"):
+        opened(out)
+
+
+def test_removed_it_leaves_nothing(out: Path) -> None:
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    work.keep_iteration(0, ITERATION)
+    work.remove()
+    assert list(out.parent.iterdir()) == []
+    work.remove()
+    assert opened(out).drive(0) is None
+
+
+def test_a_file_in_its_place_is_refused(out: Path) -> None:
+    out.parent.mkdir()
+    out.with_name("city.safetensors.work").write_text("mine")
+    with pytest.raises(InputError, match=r"city\.safetensors\.work"):
+        opened(out)
+    assert out.with_name("city.safetensors.work").read_text() == "mine"

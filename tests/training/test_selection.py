@@ -1,0 +1,190 @@
+"""K and γ: what they come to where the answer is known, and that they make a second drive better."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from probevo.arrays import IntArray
+from probevo.noise import Fixed, NoiseModel, StudentT
+from probevo.noise.metric import Metric
+from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.simulation.point_world import PointWorld
+from probevo.training.drive import Drive
+from probevo.training.samples import fold_of_step, gather
+from probevo.training.selection import (
+    EXPONENTS,
+    NEIGHBORS,
+    choose_exponent,
+    choose_neighbors,
+    out_of_fold,
+    weighted_motions,
+)
+from probevo.training.settings import TrainSettings
+from probevo.training.subsets import Learner
+from training.lessons import drive_of, known, learner_of, point_world, rmse_m, true_motions
+
+
+def blocks(count: int) -> IntArray:
+    return np.arange(count) * 10 // count % 5
+
+
+def test_pure_noise_wants_as_many_neighbours_as_there_are() -> None:
+    """Nothing to be learned from a place: the mean of all is best."""
+    rng = np.random.default_rng(0)
+    search = choose_neighbors(rng.normal(size=(3000, 2)), rng.normal(size=3000), blocks(3000))
+    assert search.chosen == max(search.candidates) == NEIGHBORS[-1]
+    assert search.errors[0] > search.errors[-1]
+
+
+def test_a_fine_structure_without_noise_wants_few() -> None:
+    rng = np.random.default_rng(1)
+    places = rng.uniform(size=(3000, 1))
+    assert choose_neighbors(places, np.sin(100.0 * places[:, 0]), blocks(3000)).chosen == NEIGHBORS[0]
+
+
+def test_between_them_it_is_a_balance() -> None:
+    """One period and as much noise as signal: neither 10 nor 800; the error that is left is that of the noise."""
+    rng = np.random.default_rng(2)
+    places = rng.uniform(size=(4000, 1))
+    search = choose_neighbors(places, np.sin(6.0 * places[:, 0]) + rng.normal(size=4000), blocks(4000))
+    assert NEIGHBORS[0] < search.chosen < NEIGHBORS[-1]
+    assert min(search.errors) == pytest.approx(1.0, rel=0.08)
+    assert search.as_dict() == {
+        "candidates": [float(k) for k in NEIGHBORS],
+        "errors": list(search.errors),
+        "chosen": search.chosen,
+    }
+
+
+@pytest.mark.parametrize("count", [10, 30, 100])
+def test_no_k_is_larger_than_what_other_folds_hold(count: int) -> None:
+    rng = np.random.default_rng(3)
+    search = choose_neighbors(rng.normal(size=(count, 2)), rng.normal(size=count), blocks(count))
+    assert max(search.candidates) <= 0.8 * count
+    assert 1 <= search.chosen <= 0.8 * count
+
+
+def test_samples_of_one_fold_alone_still_give_some_k() -> None:
+    search = choose_neighbors(np.zeros((6, 1)), np.ones(6), np.zeros(6, np.int64))
+    assert 1 <= search.chosen <= 6
+
+
+def test_neighbours_come_from_other_folds() -> None:
+    """α says which fold it is from; a place never hears of its own."""
+    rng = np.random.default_rng(4)
+    coordinates, fold = rng.normal(size=(500, 2)), blocks(500)
+    for k in range(5):
+        asked = np.full(40, k)
+        means = out_of_fold(coordinates, (fold == k).astype(float), fold, 10, coordinates[fold == k][:40], asked)
+        np.testing.assert_array_equal(means, 0.0)
+    everywhere = out_of_fold(coordinates, fold.astype(float), fold, 10, coordinates, fold)
+    assert np.isfinite(everywhere).all()
+
+
+def test_where_there_is_no_other_fold_its_own_must_do() -> None:
+    """And K is no larger than what there is."""
+    means = out_of_fold(
+        np.zeros((4, 1)), np.arange(4.0), np.zeros(4, np.int64), 10, np.zeros((2, 1)), np.zeros(2, np.int64)
+    )
+    np.testing.assert_allclose(means, 1.5)
+
+
+@dataclass(frozen=True)
+class Lesson:
+    world: PointWorld
+    drive: Drive
+    learner: Learner
+
+
+def lesson(kind: str = "gt", *, seed: int = 0, every: int = 1, base: NoiseModel | None = None) -> Lesson:
+    """σ from 0.05 px to 1 px from the left to the right of the image."""
+    base = base or Fixed()
+    world = point_world("column", seed=seed)
+    drive = drive_of(world, base=base, seed=seed)
+    supervision = known(world, kind, every).completed(drive.T_curr_prev)
+    return Lesson(world, drive, learner_of(drive, supervision, world.camera, base=base, relative=True))
+
+
+@pytest.fixture(scope="module")
+def taught() -> Lesson:
+    return lesson()
+
+
+def test_where_phi_says_nothing_gamma_is_0(taught: Lesson) -> None:
+    """ln of the mean α of K random neighbours is a random number, of whatever size."""
+    for scale in (0.0, 0.05, 0.5):
+        noise = scale * np.random.default_rng(5).normal(size=len(taught.drive.used))
+        search = choose_exponent([taught.learner], [noise])
+        assert search.chosen == 0.0
+        assert search.candidates == EXPONENTS
+
+
+def test_where_phi_is_the_noise_gamma_is_that_of_variances(taught: Lesson) -> None:
+    """With ln(σ/σ̄) in place of ln(α/ᾱ), the weight that minimises the variance is β = (σ/σ̄)²."""
+    log_sigma = taught.drive.phi[:, 0] - taught.drive.phi[:, 0].mean()
+    search = choose_exponent([taught.learner], [log_sigma])
+    assert search.chosen in (2.0, 3.0)
+    errors = dict(zip(search.candidates, search.errors, strict=True))
+    assert errors[search.chosen] < 0.8 * errors[0.0]
+    assert errors[32.0] > errors[0.0]
+
+
+def test_where_phi_says_the_contrary_gamma_is_0(taught: Lesson) -> None:
+    log_sigma = taught.drive.phi[:, 0] - taught.drive.phi[:, 0].mean()
+    assert choose_exponent([taught.learner], [-log_sigma]).chosen == 0.0
+
+
+def test_equal_weights_give_the_motions_back(taught: Lesson) -> None:
+    """Noise of another size all over does not move the optimum; a step with too few features keeps its motion."""
+    ones, used = np.ones(len(taught.drive.used)), taught.drive.used.copy()
+    for factor in (1.0, 4.0):
+        motions = weighted_motions(taught.learner, factor * ones, used)
+        np.testing.assert_allclose(motions, taught.drive.T_curr_prev, atol=3e-4)
+    used[taught.drive.rows(5)] = False
+    motions = weighted_motions(taught.learner, 4.0 * ones, used)
+    np.testing.assert_array_equal(motions[5], taught.drive.T_curr_prev[5])
+
+
+def learned(lesson: Lesson, settings: TrainSettings) -> NearestNeighbors:
+    """A model of one drive, with K and γ chosen, as ``probevo train`` does it."""
+    learner, drive = lesson.learner, lesson.drive
+    samples = gather([[learner.iterate(k)] for k in range(settings.iterations)], [learner], settings)
+    values, coordinates = np.log(samples.alphas), learner.coordinates[samples.features]
+    neighbors = int(choose_neighbors(coordinates, values, samples.fold).chosen)
+    own = fold_of_step(drive.step_of_feature, len(drive.T_curr_prev), 0)
+    means = out_of_fold(coordinates, values, samples.fold, neighbors, learner.coordinates, own)
+    exponent = choose_exponent([learner], [means - values.mean()]).chosen
+    metric = Metric.fitted(drive.phi, ("log_sigma", "chance"))
+    return NearestNeighbors(neighbors, exponent).fit(drive.phi[samples.features], samples.alphas, metric=metric)
+
+
+@pytest.mark.parametrize(
+    ("kind", "every", "base", "better"),
+    [
+        ("gt", 1, Fixed(), 0.85),
+        ("gt", 1, StudentT(), 0.97),
+        ("sparse", 5, Fixed(), 0.85),
+        ("none", 1, Fixed(), 0.85),
+        ("loop", 1, Fixed(), 1.0),
+    ],
+)
+def test_a_model_learned_on_one_drive_makes_another_one_better(
+    kind: str, every: int, base: NoiseModel, better: float
+) -> None:
+    """RMSE against that of the static base: with truth at every frame, at every fifth, or none; one closed loop at
+    least makes it no worse. Student-t, which forgives bad features as it goes, leaves less to learn.
+
+    β follows the noise, and not the column of chance.
+    """
+    train, test = lesson(kind, every=every, base=base), lesson(seed=1, base=base)
+    model = learned(train, TrainSettings(iterations=30))
+    beta, truth = model.weights(test.drive.phi), true_motions(test.world)
+    weighted, static = (
+        rmse_m(weighted_motions(test.learner, weights, test.drive.used), truth)
+        for weights in (beta, np.ones_like(beta))
+    )
+    assert weighted < better * static
+    of_noise, of_chance = (abs(np.corrcoef(np.log(beta), column)[0, 1]) for column in test.drive.phi.T)
+    assert of_noise > 0.9
+    assert of_chance < 0.3

@@ -1,0 +1,231 @@
+"""α in closed form, which frames' truth is used, and truth that is not enough."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray
+from probevo.errors import InputError
+from probevo.geometry import se3
+from probevo.training.supervision import LEAST_ALPHA_M, Supervision, path, supervision_of
+from training.lessons import recording
+
+STEPS = 10
+
+
+def random_motions(seed: int = 0) -> FloatArray:
+    """T_curr_prev of ten steps that go and turn anywhere, [10, 4, 4]."""
+    rng = np.random.default_rng(seed)
+    return se3.exp(rng.normal(scale=[0.3, 0.3, 1.0, 0.2, 0.3, 0.1], size=(STEPS, 6)))
+
+
+MOTIONS = random_motions()
+SOMEWHERE = se3.exp(np.array([100.0, -20.0, 5.0, 1.0, -2.0, 0.5]))
+"""The first pose of the truth."""
+TRUTH = SOMEWHERE @ path(MOTIONS)
+OFFSET_M = np.array([0.3, -0.2, 0.6])
+
+
+def shifted(step: int, offset_m: FloatArray) -> FloatArray:
+    """The motions, but for one after which the camera is elsewhere by this, in the frame of the camera before."""
+    T_prev_curr = se3.inverse(MOTIONS)
+    T_prev_curr[step, :3, 3] += offset_m
+    return se3.inverse(T_prev_curr)
+
+
+def taught(kind: str, every_s: float = 0.0, truth: FloatArray | None = TRUTH) -> Supervision:
+    return supervision_of(recording(truth), kind, every_s, STEPS + 1)  # type: ignore[arg-type]
+
+
+def test_a_path_is_made_of_its_motions() -> None:
+    poses = path(MOTIONS)
+    np.testing.assert_array_equal(poses[0], np.eye(4))
+    np.testing.assert_allclose(se3.inverse(poses[1:]) @ poses[:-1], MOTIONS, atol=1e-12)
+
+
+@pytest.mark.parametrize(("kind", "every_s"), [("gt", 0.0), ("sparse", 0.3), ("position", 0.0), ("loop", 0.0)])
+def test_exact_motions_have_no_error(kind: str, every_s: float) -> None:
+    """But for the floor that keeps the logarithm of α from counting rounding errors."""
+    supervision = taught(kind, every_s)
+    alphas = supervision.errors(MOTIONS)
+    assert alphas.shape == (len(supervision.stretches),)
+    np.testing.assert_array_equal(alphas, LEAST_ALPHA_M)
+
+
+@pytest.mark.parametrize("kind", ["gt", "sparse"])
+@pytest.mark.parametrize("step", [0, 4, 9])
+def test_an_offset_shows_in_its_own_step(kind: str, step: int) -> None:
+    """‖d‖/√3 (PROBE IV-A), and nothing in the steps before and after."""
+    alphas = taught(kind).errors(shifted(step, OFFSET_M))
+    assert alphas[step] == pytest.approx(np.linalg.norm(OFFSET_M) / np.sqrt(3.0))
+    np.testing.assert_array_equal(np.delete(alphas, step), LEAST_ALPHA_M)
+
+
+@pytest.mark.parametrize(("step", "stretch"), [(0, 0), (2, 0), (3, 1), (7, 2)])
+def test_an_offset_shows_at_the_end_of_its_stretch(step: int, stretch: int) -> None:
+    """Three steps a stretch: whichever of them is off, the end of the stretch is off by as much."""
+    alphas = taught("sparse", 0.3).errors(shifted(step, OFFSET_M))
+    assert len(alphas) == 3
+    assert alphas[stretch] == pytest.approx(np.linalg.norm(OFFSET_M) / np.sqrt(3.0))
+    np.testing.assert_array_equal(np.delete(alphas, stretch), LEAST_ALPHA_M)
+
+
+@pytest.mark.parametrize("step", [0, 5, 9])
+def test_an_offset_opens_a_loop(step: int) -> None:
+    assert taught("loop").errors(shifted(step, OFFSET_M)) == pytest.approx(np.linalg.norm(OFFSET_M) / np.sqrt(3.0))
+
+
+def test_an_error_of_rotation_counts_by_its_lever() -> None:
+    """0.01 rad at the first of three steps: what the camera went after it, across the axis, times the angle."""
+    axis = np.array([0.0, 0.6, 0.8])
+    T_prev_curr = se3.inverse(MOTIONS)
+    T_prev_curr[0, :3, :3] = T_prev_curr[0, :3, :3] @ se3.exp(np.r_[0.0, 0.0, 0.0, 0.01 * axis])[:3, :3]
+    arm_m = (se3.inverse(path(MOTIONS)[1]) @ path(MOTIONS)[3])[:3, 3]
+    expected = 2.0 * np.sin(0.005) * np.linalg.norm(np.cross(axis, arm_m)) / np.sqrt(3.0)
+    assert taught("sparse", 0.3).errors(se3.inverse(T_prev_curr))[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("every_s", [0.0, 0.2])
+def test_positions_are_compared_after_the_best_fit(every_s: float) -> None:
+    """A path too long by 3 %: around its middle, each position is off by 3 % of how far it is from there."""
+    T_prev_curr = se3.inverse(MOTIONS)
+    T_prev_curr[:, :3, 3] *= 1.03
+    supervision = taught("position", every_s)
+    positions = path(MOTIONS)[supervision.frames, :3, 3]
+    expected = 0.03 * np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean() / np.sqrt(3.0)
+    assert supervision.errors(se3.inverse(T_prev_curr)) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_positions_need_no_common_world(seed: int) -> None:
+    """A rigid transform of the truth changes nothing, nor do its rotations."""
+    rng = np.random.default_rng(seed)
+    T = se3.exp(rng.normal(scale=3.0, size=6))
+    elsewhere = T @ TRUTH @ se3.from_parts(se3.exp(rng.normal(size=(STEPS + 1, 6)))[:, :3, :3], np.zeros(3))
+    wrong = random_motions(7)
+    assert taught("position", truth=elsewhere).errors(wrong) == pytest.approx(taught("position").errors(wrong))
+
+
+def test_the_world_of_the_truth_does_not_matter() -> None:
+    wrong = random_motions(8)
+    for kind, every_s in (("gt", 0.0), ("sparse", 0.4), ("loop", 0.0)):
+        elsewhere = se3.inverse(SOMEWHERE) @ TRUTH
+        np.testing.assert_allclose(taught(kind, every_s, elsewhere).errors(wrong), taught(kind, every_s).errors(wrong))
+
+
+@pytest.mark.parametrize(
+    ("every_s", "frames"),
+    [
+        (0.0, range(11)),
+        (0.05, range(11)),
+        (0.1, range(11)),
+        (0.2, range(0, 11, 2)),
+        (0.25, range(0, 11, 3)),
+        (0.3, range(0, 11, 3)),
+        (1.0, [0, 10]),
+    ],
+)
+def test_the_truth_is_used_only_so_often(every_s: float, frames: list[int]) -> None:
+    """Stamps are exact nanoseconds since 1970, and those that are due to the nanosecond are taken."""
+    for kind in ("sparse", "gt"):
+        np.testing.assert_array_equal(taught(kind, every_s).frames, list(frames))
+
+
+def test_gaps_in_the_truth_restart_the_count() -> None:
+    """Frames 0, 1 and 4 to 6 are unknown: 2, then the first one 0.2 s later that is known."""
+    truth = TRUTH.copy()
+    truth[[0, 1, 4, 5, 6]] = np.nan
+    np.testing.assert_array_equal(taught("sparse", 0.2, truth).frames, [2, 7, 9])
+    supervision = taught("sparse", 0.0, truth)
+    np.testing.assert_array_equal(supervision.frames, [2, 3, 7, 8, 9, 10])
+    np.testing.assert_array_equal(supervision.stretches, [[2, 3], [3, 7], [7, 8], [8, 9], [9, 10]])
+    np.testing.assert_array_equal(supervision.errors(MOTIONS), LEAST_ALPHA_M)
+    np.testing.assert_array_equal(supervision.stretch_of_step(STEPS), [-1, -1, 0, 1, 1, 1, 1, 2, 3, 4])
+
+
+def test_every_step_belongs_to_its_stretch() -> None:
+    np.testing.assert_array_equal(taught("gt").stretch_of_step(STEPS), range(STEPS))
+    np.testing.assert_array_equal(taught("sparse", 0.3).stretch_of_step(STEPS), [0, 0, 0, 1, 1, 1, 2, 2, 2, -1])
+    for kind in ("position", "loop"):
+        np.testing.assert_array_equal(taught(kind).stretch_of_step(STEPS), np.zeros(STEPS))
+    np.testing.assert_array_equal(taught("position", 0.3).stretch_of_step(STEPS), [0, 0, 0, 0, 0, 0, 0, 0, 0, -1])
+
+
+@pytest.mark.parametrize("unknown", [slice(None), slice(0, 1), slice(10, 11)])
+def test_a_loop_without_truth_closes(unknown: slice) -> None:
+    """What is known of only one end is no help."""
+    truth = TRUTH.copy()
+    truth[unknown] = np.nan
+    for known in (truth, None):
+        alpha = taught("loop", truth=known).errors(MOTIONS)
+        assert alpha == pytest.approx(np.linalg.norm(path(MOTIONS)[-1, :3, 3]) / np.sqrt(3.0))
+
+
+def test_without_any_supervision_the_motions_of_all_features_are_the_truth() -> None:
+    completed = taught("none", truth=None).completed(MOTIONS)
+    wrong = random_motions(9)
+    np.testing.assert_array_equal(completed.errors(MOTIONS), LEAST_ALPHA_M)
+    np.testing.assert_allclose(completed.errors(wrong), taught("gt").errors(wrong))
+    assert taught("gt").completed(wrong).T_world_cam is not None
+    np.testing.assert_array_equal(taught("gt").completed(wrong).T_world_cam, TRUTH)
+
+
+@pytest.mark.parametrize("every_s", [0.0, 0.3, 1.0])
+def test_expected_errors_are_those_of_random_motions(every_s: float) -> None:
+    """Monte Carlo: 2,000 motions drawn from their covariances have the α expected, as RMS, within 5 %."""
+    rng = np.random.default_rng(2)
+    factor = rng.normal(scale=[[0.02], [0.02], [0.02], [0.004], [0.004], [0.004]], size=(STEPS, 6, 6))
+    supervision = taught("sparse", every_s)
+    squared = [
+        supervision.errors(se3.exp((factor @ rng.normal(size=(STEPS, 6, 1)))[..., 0]) @ MOTIONS) ** 2
+        for _ in range(2000)
+    ]
+    expected = supervision.expected_errors(MOTIONS, factor @ factor.mT)
+    np.testing.assert_allclose(np.sqrt(np.mean(squared, axis=0)), expected, rtol=0.05)
+
+
+def test_motions_that_are_certain_have_the_least_error() -> None:
+    np.testing.assert_array_equal(taught("gt").expected_errors(MOTIONS, np.zeros((STEPS, 6, 6))), LEAST_ALPHA_M)
+
+
+@pytest.mark.parametrize("kind", ["gt", "sparse", "position"])
+@pytest.mark.parametrize("truth", [None, np.full_like(TRUTH, np.nan)])
+def test_no_truth_is_refused(kind: str, truth: FloatArray | None) -> None:
+    with pytest.raises(InputError) as caught:
+        taught(kind, truth=truth)
+    assert str(caught.value).startswith(f"drive: it has no ground truth, which --supervision {kind} needs.")
+    assert "--supervision" in caught.value.cure
+
+
+def test_truth_of_some_frames_is_no_full_truth() -> None:
+    truth = TRUTH.copy()
+    truth[3:5] = np.nan
+    with pytest.raises(InputError) as caught:
+        taught("gt", truth=truth)
+    assert "drive: only 9 of 11 frames have a true pose." in str(caught.value)
+    assert caught.value.cure == "Take --supervision sparse."
+
+
+@pytest.mark.parametrize(("kind", "known", "needs"), [("sparse", 1, 2), ("position", 3, 4)])
+def test_too_little_truth_is_refused(kind: str, known: int, needs: int) -> None:
+    truth = TRUTH.copy()
+    truth[known:] = np.nan
+    with pytest.raises(InputError) as caught:
+        taught(kind, truth=truth)
+    assert f"the truth of {known} frames is used; --supervision {kind} needs {needs}." in str(caught.value)
+    assert "--every-s" in caught.value.cure
+
+
+def test_truth_too_seldom_is_refused() -> None:
+    with pytest.raises(InputError, match=r"the truth of 1 frames is used; --supervision sparse needs 2\."):
+        taught("sparse", 1.1)
+
+
+def test_frames_that_are_not_used_need_no_truth() -> None:
+    truth = TRUTH.copy()
+    truth[6:] = np.nan
+    supervision = supervision_of(recording(truth), "gt", 0.0, 6)
+    np.testing.assert_array_equal(supervision.frames, range(6))
+    short = supervision_of(replace(recording(TRUTH)), "loop", 0.0, 6)
+    np.testing.assert_array_equal(short.frames, [0, 5])
