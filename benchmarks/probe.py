@@ -33,6 +33,9 @@ from probevo.training.settings import PUBLISHED, SupervisionName, TrainSettings
 OUT = Path("out/probe")
 EFFECTS = Effects(traffic=0.5, shadows=0.5, noise=0.3)
 """As in the demo: a bad day, but no disaster."""
+ROAD_EFFECTS = Effects(traffic=0.25, shadows=0.25, noise=0.15)
+"""Half of it: on the bare road, with all of it, most features are on the cars that drive along, and every estimator takes
+them for the world (drift 68 to 117 %)."""
 PUBLISHED_SETTINGS = TrainSettings.published().model_copy(
     update={"predictors": tuple(name for name in PUBLISHED if name != "acceleration")}
 )
@@ -53,7 +56,8 @@ class Trial:
 
 
 def scene(preset: PresetName, seed: int, distance_m: float, drive: int = 0, truth: str = "all") -> Path:
-    config = SceneConfig(preset=preset, seed=seed, drive=drive, distance_m=distance_m, truth=truth, effects=EFFECTS)
+    effects = ROAD_EFFECTS if preset == "road" else EFFECTS
+    config = SceneConfig(preset=preset, seed=seed, drive=drive, distance_m=distance_m, truth=truth, effects=effects)
     return write_scene(config, OUT / f"{preset}-{seed}-{drive}-{truth}")
 
 
@@ -64,7 +68,7 @@ def trials(wanted: list[str]) -> Iterator[Trial]:
             yield Trial("point world", OUT / "point" / "train.npz", (OUT / "point" / "test.npz",), images=False)
         elif name in ("city", "residential", "road"):
             distance_m = 250.0 if name == "road" else 120.0
-            seeds = (2, 3) if name == "road" else (2,)  # on road 2, a convoy around the car hides that it moves
+            seeds = (2, 3) if name == "road" else (2,)
             yield Trial(name, scene(name, 1, distance_m), tuple(scene(name, seed, distance_m) for seed in seeds))
         elif name == "rover":
             yield Trial(name, scene("rover", 1, 40.0), (scene("rover", 2, 40.0),))

@@ -186,5 +186,5 @@ def test_a_model_learned_on_one_drive_makes_another_one_better(
     )
     assert weighted < better * static
     of_noise, of_chance = (abs(np.corrcoef(np.log(beta), column)[0, 1]) for column in test.drive.phi.T)
-    assert of_noise > 0.9
+    assert of_noise > 0.85
     assert of_chance < 0.3

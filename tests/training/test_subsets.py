@@ -124,9 +124,9 @@ def test_subsets_of_a_stretch_lean_in_one_direction(two_dimensional: Drive) -> N
 def test_over_many_draws_every_direction_comes_up(two_dimensional: Drive) -> None:
     """Draws lean to no side in the end, and features in the middle of the space have their turn too."""
     one = learner(two_dimensional, contrast=3.0)
-    leans = np.concatenate([lean(one, k) for k in range(20)])
+    leans = np.concatenate([lean(one, k) for k in range(80)])
     assert np.linalg.norm(leans.mean(axis=0)) < 0.3
-    drawn = one.coordinates[np.unique(np.concatenate([one.iterate(k)[0] for k in range(30)]))]
+    drawn = one.coordinates[np.unique(np.concatenate([one.iterate(k)[0] for k in range(80)]))]
     assert (np.linalg.norm(drawn, axis=1) < 0.5).sum() > 20
 
 

@@ -12,14 +12,13 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.motion.visual import solve
 from probevo.noise.nearest_neighbors import LARGEST_WEIGHT
 from probevo.noise.neighbors import NeighborIndex
-from probevo.training.subsets import Learner
+from probevo.training.subsets import Learner, Stream
+from probevo.training.supervision import from_step_to_step
 
 NEIGHBORS = (10, 25, 50, 100, 200, 400, 800)
 EXPONENTS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 MOST_QUERIES = 20_000
 """Of a drive, to compare values of K with; more would not change which is the best."""
-HALVES = 8
-"""Random halves of the features with which a drive is solved, where it has but one error to show for all of it."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +82,8 @@ def out_of_fold(
 def choose_exponent(learners: Sequence[Learner], log_relative_alphas: Sequence[FloatArray]) -> Search:
     """The least γ whose mean α over the training drives is no worse than the best one's, within its standard error.
 
-    Where a drive shows one error alone, as a closed loop does, it is solved with random halves of its features, so that
-    there is a scatter to judge by: one loop that closes better by chance must not decide.
+    Where a drive shows no error, or one alone, as a closed loop does, what counts is by how much the motions of two
+    random halves of its features disagree, step by step: one loop that closes better by chance must not decide.
 
     Args:
         learners: the drives.
@@ -109,21 +108,13 @@ LIMIT = np.log(LARGEST_WEIGHT)
 
 
 def _alphas(learner: Learner, beta: FloatArray) -> FloatArray:
-    """Errors α of a drive solved with these β, [n]: one a stretch; or, where all of it is one, one a random half.
-
-    Without any truth, what two halves of the features disagree by.
-    """
-    supervision, used = learner.supervision, learner.drive.used
-    rng = np.random.default_rng([*learner.seed, HALVES])
-    halves = rng.random((HALVES, len(beta))) < 0.5
-    if supervision.kind == "none":
-        one, other = (weighted_motions(learner, beta, used & half) for half in (halves[0], ~halves[0]))
-        return supervision.completed(other).errors(one)
-    if len(supervision.stretches) > 1:
+    """Errors α of a drive solved with these β, [n]: one a stretch; one a step where halves have to do."""
+    used, supervision = learner.drive.used, learner.supervision
+    if supervision.kind != "none" and len(supervision.stretches) > 1:
         return supervision.errors(weighted_motions(learner, beta, used))
-    return np.concatenate(
-        [learner.supervision.errors(weighted_motions(learner, beta, learner.drive.used & half)) for half in halves]
-    )
+    half = np.random.default_rng([*learner.seed, Stream.HALVES]).random(len(beta)) < 0.5
+    one, other = (weighted_motions(learner, beta, used & part) for part in (half, ~half))
+    return from_step_to_step(other).errors(one)
 
 
 def weighted_motions(learner: Learner, beta: FloatArray, used: BoolArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
@@ -14,6 +15,14 @@ from probevo.motion.visual import solve
 from probevo.noise import NoiseModel
 from probevo.training.drive import Drive
 from probevo.training.supervision import Supervision
+
+
+class Stream(IntEnum):
+    """What a random number is for: each use has a stream of its own."""
+
+    DIRECTION = 0
+    SUBSET = 1
+    HALVES = 2
 
 
 @dataclass(frozen=True)
@@ -69,13 +78,15 @@ class Learner:
 
     def _directions(self, count: int, iteration: int) -> FloatArray:
         """A random direction of the prediction space for each stretch, as long as the contrast, [count, M]."""
-        arrows = np.random.default_rng([*self.seed, iteration]).normal(size=(count, self.coordinates.shape[1]))
+        arrows = np.random.default_rng([*self.seed, Stream.DIRECTION, iteration]).normal(
+            size=(count, self.coordinates.shape[1])
+        )
         scaled: FloatArray = self.contrast * arrows / np.linalg.norm(arrows, axis=1, keepdims=True)
         return scaled
 
     def _choose(self, used: IntArray, rows: slice, direction: FloatArray, key: tuple[int, int]) -> IntArray:
         """A subset without repetition, drawn with probabilities ∝ exp(direction · coordinates) (Gumbel's trick)."""
-        gumbel = np.random.default_rng([*self.seed, *key]).gumbel(size=len(used))
+        gumbel = np.random.default_rng([*self.seed, Stream.SUBSET, *key]).gumbel(size=len(used))
         defined = np.isfinite(self.drive.phi[rows][used])  # an undefined value leans nowhere
         score = gumbel + np.where(defined, self.coordinates[rows][used], 0.0) @ direction
         return used[np.sort(np.argsort(-score, kind="stable")[: self.subset])]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,7 +33,7 @@ class Supervision:
 
     def completed(self, T_curr_prev: FloatArray) -> Supervision:
         """With ``none``, the motions of all features, [K − 1, 4, 4], in place of the truth; else as it is."""
-        return replace(self, T_world_cam=path(T_curr_prev)) if self.kind == "none" else self
+        return from_step_to_step(T_curr_prev) if self.kind == "none" else self
 
     @property
     def stretches(self) -> IntArray:
@@ -110,6 +110,11 @@ def supervision_of(sequence: Sequence, kind: SupervisionName, every_s: float, nu
         what = f"the truth of {len(frames)} frames is used; --supervision {kind} needs {fewest}."
         raise InputError(where, what, "Give a longer recording, or a smaller --every-s.")
     return Supervision(kind, frames, poses[frames])
+
+
+def from_step_to_step(T_curr_prev: FloatArray) -> Supervision:
+    """These motions, [K − 1, 4, 4], as if they were the truth."""
+    return Supervision("none", np.arange(len(T_curr_prev) + 1), path(T_curr_prev))
 
 
 def _spaced(frames: IntArray, stamps_ns: IntArray, every_s: float) -> IntArray:
