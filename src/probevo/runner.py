@@ -11,6 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.motion.estimate import MotionEstimate
@@ -113,15 +114,24 @@ def check_run(sequence: Sequence, config: RunConfig, noise: NoiseModel) -> None:
     """
     space_for(noise.columns)
     noise.check_camera(sequence.camera)
+    check_imu(sequence, config)
+    truth = sequence.truth
+    if truth is not None and (np.abs(truth.T_world_cam[:, :3, 3]) > FARTHEST_M).any():
+        what = f"a true position is over {FARTHEST_M:g} m from the first."
+        raise InputError(sequence.path, what, "Mend the ground truth: positions are in metres.")
+
+
+def check_imu(sequence: Sequence, config: OdometryConfig) -> None:
+    """Refuse settings that ask for an IMU where the recording has none.
+
+    Raises:
+        InputError: names the settings.
+    """
     wanted = ["--gyro.prior"] if config.gyro.prior else []
     wanted += ["--ransac.rotation-from gyro"] if config.ransac.rotation_from == "gyro" else []
     if sequence.imu is None and wanted:
         what = f"the recording {sequence.path} has no IMU."
         raise InputError(" and ".join(wanted), what, "Leave it out, or set it back in the file of --config.")
-    truth = sequence.truth
-    if truth is not None and (np.abs(truth.T_world_cam[:, :3, 3]) > FARTHEST_M).any():
-        what = f"a true position is over {FARTHEST_M:g} m from the first."
-        raise InputError(sequence.path, what, "Mend the ground truth: positions are in metres.")
 
 
 def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures) -> Run:

@@ -55,8 +55,12 @@ def train_with_progress(recordings: tuple[Path, ...], settings: TrainSettings, o
 
     cv2.setNumThreads(1)
     sequences = [open_sequence(path) for path in recordings]
-    with progress_bar(f"training {out.name}", "starting (the first time of all compiles for 20 s)") as show:
-        return load_model(train_model(sequences, settings, out, show))
+    try:
+        with progress_bar(f"training {out.name}", "starting (the first time of all compiles for 20 s)") as show:
+            return load_model(train_model(sequences, settings, out, show))
+    except KeyboardInterrupt as stop:
+        stop.add_note(f"What was done is kept in {out}.work; the same command goes on from there.")
+        raise
 
 
 def summary(model: NearestNeighbors, out: Path) -> list[str]:

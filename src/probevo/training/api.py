@@ -18,6 +18,7 @@ from probevo.noise.model_io import save_model
 from probevo.noise.nearest_neighbors import NearestNeighbors
 from probevo.output.files import check_folder
 from probevo.predictors import PredictionSpace, Predictor, prediction_space
+from probevo.runner import check_imu
 from probevo.sequences.base import Sequence
 from probevo.training.checkpoint import Checkpoint
 from probevo.training.drive import Drive, record_drive
@@ -112,6 +113,7 @@ def _lessons(sequences: Collection[Sequence], settings: TrainSettings) -> list[_
         num_frames = min(len(sequence), settings.max_frames or len(sequence))
         if num_frames < 2:
             raise InputError(sequence.path, "it has one frame, and so no motion to learn from.", "Give a longer one.")
+        check_imu(sequence, settings.odometry)
         supervision = supervision_of(sequence, settings.supervision, settings.every_s, num_frames)
         lessons.append(_Lesson(sequence, num_frames, supervision))
     return lessons

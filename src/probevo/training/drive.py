@@ -20,6 +20,7 @@ from probevo.output.files import write_atomically
 from probevo.predictors import PredictionSpace
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
+from probevo.sequences.left_right import FRAMES_TO_SEE, check_left_right, count_matches
 from probevo.tracking.tracks import Tracks
 
 
@@ -82,10 +83,11 @@ def record_drive(
         on_frame: called with how many frames are done.
 
     Raises:
-        InputError: the recording is faulty, or lacks what a predictor needs.
+        InputError: the recording is faulty, its left and right images are swapped, or it lacks what a predictor needs.
     """
     odometry = StereoOdometry(sequence.camera, StudentT(), sequence.imu, config, space)
     digest, motions, steps = hashlib.sha256(), [], []
+    matches = np.zeros(2, np.int64)
     for frame in islice(sequence, num_frames):
         _take_in(digest, frame)
         motion = odometry.step(frame)
@@ -93,6 +95,9 @@ def record_drive(
             motions.append(motion.T_curr_prev)
             tracks = odometry.tracks
             steps.append((tracks.prev_px, tracks.curr_px, odometry.phi, odometry.used))
+        matches += count_matches(odometry.tracks)
+        if frame.index == min(FRAMES_TO_SEE, num_frames - 1):
+            check_left_right(int(matches[0]), int(matches[1]), sequence.path)
         if on_frame is not None:
             on_frame(frame.index + 1)
     prev_px, curr_px, phi, used = (np.concatenate(part) for part in zip(*steps, strict=True))
