@@ -34,8 +34,8 @@ OUT = Path("out/probe")
 EFFECTS = Effects(traffic=0.5, shadows=0.5, noise=0.3)
 """As in the demo: a bad day, but no disaster."""
 ROAD_EFFECTS = Effects(traffic=0.25, shadows=0.25, noise=0.15)
-"""Half of it: on the bare road, with all of it, most features are on the cars that drive along, and every estimator takes
-them for the world (drift 68 to 117 %)."""
+"""Half of it: on the bare road, with all of it, most features are on the cars that drive along, and every estimator
+takes them for the world (drift 65 to 117 %)."""
 PUBLISHED_SETTINGS = TrainSettings.published().model_copy(
     update={"predictors": tuple(name for name in PUBLISHED if name != "acceleration")}
 )

@@ -34,7 +34,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"probevo {__version__}\n"
 
 
-@pytest.mark.parametrize(("word", "cure"), [("rnu", "Did you mean run?"), ("fly", "Commands are run, compare, eval")])
+@pytest.mark.parametrize(("word", "cure"), [("rnu", "Did you mean run?"), ("fly", "Commands are run, train, compare")])
 def test_unknown_command(word: str, cure: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([word]) == 2
     shown = capsys.readouterr().err
