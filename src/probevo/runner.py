@@ -98,7 +98,7 @@ def run_sequence(
     except SwappedImagesError:
         raise
     except BaseException as stop:  # whatever it is, it goes on; but not without what was computed
-        if len(recorder.result()) > 0:
+        if len(recorder.result()) > 1:  # the first frame alone is no motion, and nothing to replace a run with
             _write(out, sequence, config, recorder.result(), pictures)
             stop.add_note(f"What was computed before, {len(recorder.result())} frames, lies in {out}.")
         raise
@@ -112,7 +112,7 @@ def check_run(sequence: Sequence, config: RunConfig, noise: NoiseModel) -> None:
         InputError: the noise model needs predictors that are not known, or belongs to another camera; the settings ask
             for an IMU that the recording does not have; or its truth is absurd.
     """
-    space_for(noise.columns)
+    space_for(noise.columns).check_recording(sequence)
     noise.check_camera(sequence.camera)
     check_imu(sequence, config)
     truth = sequence.truth

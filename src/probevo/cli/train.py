@@ -25,7 +25,9 @@ class TrainArguments:
     and called again with the same words, it goes on where it was; what is done so far lies in MODEL.work.
     """
 
-    sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE…")]
+    sequences: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE…", help_behavior_hint="")
+    ]
     """Recordings to learn from, all of one camera: folders, or tracks files (.npz)."""
     out: Annotated[Path, tyro.conf.arg(metavar="MODEL")]
     """The model file, *.safetensors; an earlier one is replaced."""
@@ -59,7 +61,9 @@ def train_with_progress(recordings: tuple[Path, ...], settings: TrainSettings, o
         with progress_bar(f"training {out.name}", "starting (the first time of all compiles for 20 s)") as show:
             return load_model(train_model(sequences, settings, out, show))
     except KeyboardInterrupt as stop:
-        stop.add_note(f"What was done is kept in {out}.work; the same command goes on from there.")
+        stop.add_note(
+            f"Recordings and iterations that are through are kept in {out}.work; the same command goes on from there."
+        )
         raise
 
 
@@ -76,17 +80,14 @@ def summary(model: NearestNeighbors, out: Path) -> list[str]:
     lines = [columns(rows)]
     titles = {
         "neighbors": ("K", "squared error of left-out samples", 1.0),
-        "exponent": ("γ", "mean α of the training drives, mm", 1e3),
+        "exponent": ("γ", "mean error on the training drives, mm", 1e3),
     }
     for name, search in model.training["searches"].items():
         title, meaning, factor = titles[name]
         errors = [f"{factor * error:.4g}" for error in search["errors"]]
         lines += ["", table((title, *(f"{c:g}" for c in search["candidates"])), [(meaning, *errors)])]
     if model.exponent == 0.0:
-        lines += [
-            "",
-            "γ is 0: this truth does not show that any feature is better than another, and the model is the static"
-            " one.",
-            "Truth that jumps from frame to frame hides it: try --supervision none, or sparse.",
-        ]
+        lines += ["", "γ is 0: nothing shows that any feature is better than another; the model is the static one."]
+        if model.training["settings"]["supervision"] in ("gt", "sparse"):
+            lines += ["A truth that jumps from frame to frame hides it: try --supervision none."]
     return [*lines, "", f"model: {out}"]

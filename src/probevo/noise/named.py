@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -12,8 +12,9 @@ from probevo.noise.base import NoiseModel
 from probevo.noise.fixed import Fixed
 from probevo.noise.student_t import StudentT
 
-_CLASSICAL: dict[str, Callable[[], NoiseModel]] = {"fixed": Fixed, "student-t": StudentT}
-NOISE_NAMES = tuple(_CLASSICAL)
+BASES: dict[str, type[Fixed] | type[StudentT]] = {"fixed": Fixed, "student-t": StudentT}
+"""The classical models, which learned ones may scale."""
+NOISE_NAMES = tuple(BASES)
 """A file that is called like one of them is meant by ``./fixed``."""
 
 
@@ -27,8 +28,8 @@ def noise_model(spec: str, others: Collection[str] = ()) -> NoiseModel:
     Raises:
         InputError: it is neither a name nor a file, or the file holds no noise model.
     """
-    if spec in _CLASSICAL:
-        return _CLASSICAL[spec]()
+    if spec in BASES:
+        return BASES[spec]()
     if not os.path.isfile(spec):
         raise _unknown(spec, (*NOISE_NAMES, *others))
     from probevo.noise.model_io import load_model  # here: the classical models need no safetensors
@@ -38,7 +39,7 @@ def noise_model(spec: str, others: Collection[str] = ()) -> NoiseModel:
 
 def portable(spec: str) -> str:
     """The same noise model from any working directory: a path is made absolute."""
-    return spec if spec in _CLASSICAL else str(Path(spec).resolve())
+    return spec if spec in BASES else str(Path(spec).resolve())
 
 
 def _unknown(spec: str, names: Collection[str]) -> InputError:

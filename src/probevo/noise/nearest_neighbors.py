@@ -18,12 +18,12 @@ from probevo.noise.base import StereoNoise
 from probevo.noise.fixed import Fixed
 from probevo.noise.metric import UNDEFINED, Metric
 from probevo.noise.model_file import ModelFile
+from probevo.noise.named import BASES
 from probevo.noise.neighbors import NeighborIndex
 from probevo.noise.student_t import StudentT
 from probevo.settings import Settings
 
 Average = Literal["arithmetic", "geometric"]
-BASE_NAMES: dict[type[Fixed] | type[StudentT], str] = {Fixed: "fixed", StudentT: "student-t"}
 LARGEST_WEIGHT = 1e4
 """β stays between one over this and this: beyond, a feature has no say anyhow, or all of it."""
 
@@ -102,11 +102,7 @@ class NearestNeighbors:
         """
         if len(predictors) != len(alphas):
             raise InputError("training data", f"{len(predictors)} places, but {len(alphas)} errors α.")
-        if len(alphas) < self.neighbors:
-            what = f"K is {self.neighbors}, but there are only {len(alphas)} samples."
-            raise InputError("--neighbors", what, "Choose a smaller K, or train on more.")
-        if self.neighbors < 1:
-            raise InputError("--neighbors", f"K is {self.neighbors}.", "It must be at least 1.")
+        check_neighbors(self.neighbors, len(alphas))
         if not (np.isfinite(alphas) & (alphas > 0.0)).all():
             raise InputError("training data", "an error α is no positive number.")
         self.metric_ = metric or Metric.fitted(predictors)
@@ -162,7 +158,7 @@ class NearestNeighbors:
             "exponent": self.exponent,
             "average": self.average,
             "log_mean_alpha": self.log_mean_alpha_,
-            "base": {"name": BASE_NAMES[type(self.base)]},
+            "base": {"name": next(name for name, kind in BASES.items() if kind is type(self.base))},
             "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
             "training": dict(self.training),
         }
@@ -178,7 +174,7 @@ class NearestNeighbors:
         facts, arrays = _Facts.model_validate_json(json.dumps(dict(file.facts))), file.arrays
         if facts.camera is not None:
             check_camera(facts.camera, "camera")
-        base = {name: kind for kind, name in BASE_NAMES.items()}[facts.base.name]()
+        base = BASES[facts.base.name]()
         model = NearestNeighbors(facts.neighbors, facts.exponent, facts.average, base, facts.camera, facts.training)
         model.log_mean_alpha_ = facts.log_mean_alpha
         model.metric_ = Metric(
@@ -211,3 +207,16 @@ class NearestNeighbors:
         )
         if not fits:
             raise ValueError("its arrays do not fit together")
+
+
+def check_neighbors(neighbors: int, num_samples: int) -> None:
+    """Refuse a K that there cannot be.
+
+    Raises:
+        InputError: K is larger than the data, or less than one.
+    """
+    if num_samples < neighbors:
+        what = f"K is {neighbors}, but there are only {num_samples} samples."
+        raise InputError("--neighbors", what, "Choose a smaller K, or train on more.")
+    if neighbors < 1:
+        raise InputError("--neighbors", f"K is {neighbors}.", "It must be at least 1.")

@@ -21,6 +21,9 @@ Single = NDArray[np.float32]
 
 LARGEST_CELL = 500
 """Samples in a mean cell, at most: up to its square there are as many cells as samples in each, then more cells."""
+CROWD = 4
+"""Where values repeat, as those of a constant column do, many samples share a cell. Of more than so many times the
+largest mean cell, that many are looked at."""
 CANDIDATES = 8
 """Cells are looked at from the nearest on until they hold so many times the K wanted."""
 FEWEST_CELLS = 4
@@ -48,7 +51,8 @@ class NeighborIndex:
         count = max(1, round(math.sqrt(len(points))), len(points) // LARGEST_CELL)
         centers = points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
         cell = _nearest_center(points, centers)
-        order = np.argsort(cell, kind="stable")
+        # At random within a cell, so that the first of a crowded one stand for all of it.
+        order = np.lexsort((np.random.default_rng(0).permutation(len(points)), cell))
         first = np.searchsorted(cell[order], np.arange(count + 1))
         sorted_values = np.asarray(values, dtype=np.float32)[order]
         return NeighborIndex(
@@ -96,6 +100,7 @@ def _fill_means(
 ) -> None:
     num_cells = centers.shape[1]
     wanted = CANDIDATES * neighbors.max()
+    crowd = max(wanted, CROWD * LARGEST_CELL)
     to_cell = np.empty(num_cells, np.float32)
     squared, value = np.empty(len(values), np.float32), np.empty(len(values), np.float32)
     for n in range(len(queries)):
@@ -107,7 +112,8 @@ def _fill_means(
                 break
             to_cell[nearest] = np.inf
             looked_at += 1
-            first, end = first_of_cell[nearest], first_of_cell[nearest + 1]
+            first = first_of_cell[nearest]
+            end = min(first_of_cell[nearest + 1], first + crowd)
             _add_squares(queries[n], samples, first, end, squared[count:])
             value[count : count + end - first] = values[first:end]
             count += end - first

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Flag, auto
+from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
+from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame, ImuSamples
 from probevo.tracking.tracks import Tracks
 
@@ -135,16 +137,29 @@ class PredictionSpace:
         parts = [predictor.compute(step).reshape(count, len(predictor.columns)) for predictor in self.predictors]
         return np.concatenate([np.zeros((count, 0)), *parts], axis=1)
 
+    def check_recording(self, sequence: Sequence) -> None:
+        """Refuse a recording that lacks what a predictor needs.
+
+        Raises:
+            InputError: names the predictor.
+        """
+        images, imu = sequence.camera.size_px is not None, sequence.imu is not None
+        self._refuse(
+            {Needs.LEFT: not images, Needs.PREVIOUS_LEFT: not images, Needs.ACCELEROMETER: not imu}, sequence.path
+        )
+
     def _check(self, step: Step) -> None:
         lacking = {
             Needs.LEFT: step.now.left is None,
             Needs.PREVIOUS_LEFT: step.before.left is None,
             Needs.ACCELEROMETER: step.now.imu is None or not np.isfinite(step.now.imu.accel_m_s2).all(),
         }
-        names = {Needs.LEFT: "images", Needs.PREVIOUS_LEFT: "images", Needs.ACCELEROMETER: "an accelerometer"}
+        self._refuse(lacking, f"frame {step.now.index}")
+
+    def _refuse(self, lacking: Mapping[Needs, bool], where: str | Path) -> None:
+        names = {Needs.LEFT: "images", Needs.PREVIOUS_LEFT: "images", Needs.ACCELEROMETER: "accelerometer"}
         for predictor in self.predictors:
             for need, is_lacking in lacking.items():
                 if is_lacking and need in predictor.needs:
-                    what = f"it needs {names[need]}, which this recording does not have, at least not everywhere."
-                    cure = "Train a model without it: name the others with --predictors."
-                    raise InputError(f"predictor {predictor.name}", what, cure)
+                    what = f"it has no {names[need]}, which the predictor {predictor.name} needs."
+                    raise InputError(where, what, "Train a model without it: name others with `train --predictors`.")

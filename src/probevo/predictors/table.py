@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -91,7 +92,9 @@ def prediction_space(names: Sequence[str]) -> PredictionSpace:
     """
     unknown = [name for name in names if name not in PREDICTORS]
     if unknown:
-        raise InputError("predictors", f"{unknown[0]} is not known.", f"Known are {', '.join(PREDICTORS)}.")
+        near = get_close_matches(unknown[0], PREDICTORS, n=1)
+        cure = f"Did you mean {near[0]}?" if near else f"Known are {', '.join(PREDICTORS)}."
+        raise InputError("--predictors", f"{unknown[0]} is not known.", cure)
     return PredictionSpace(tuple(PREDICTORS[name] for name in names))
 
 
@@ -107,7 +110,7 @@ def space_for(columns: Sequence[str], given: PredictionSpace | None = None) -> P
         owners = {column: predictor for predictor in _TABLE for column in predictor.columns}
         unknown = [column for column in columns if column not in owners]
         if unknown:
-            cure = "Give the predictors that it was trained with to StereoOdometry."
+            cure = "In Python, give StereoOdometry the predictors of the training; commands know the built-in ones."
             raise InputError("noise model", f"its predictor {unknown[0]} is not known.", cure)
         given = PredictionSpace(tuple({owners[column].name: owners[column] for column in columns}.values()))
     if columns and given.columns != tuple(columns):

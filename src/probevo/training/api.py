@@ -9,26 +9,23 @@ from pathlib import Path
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
 from probevo.camera.likeness import difference
 from probevo.errors import InputError
-from probevo.noise import Fixed, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
-from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.noise.named import BASES
 from probevo.output.files import check_folder
 from probevo.predictors import PredictionSpace, Predictor, prediction_space
 from probevo.runner import check_imu
 from probevo.sequences.base import Sequence
 from probevo.training.checkpoint import Checkpoint
 from probevo.training.drive import Drive, record_drive
-from probevo.training.samples import Samples, fold_of_step, gather
-from probevo.training.selection import Search, choose_exponent, choose_neighbors, out_of_fold
+from probevo.training.fitting import fit_model
+from probevo.training.samples import gather
 from probevo.training.settings import TrainSettings
 from probevo.training.subsets import Learner
 from probevo.training.supervision import Supervision, supervision_of
 
-BASES = {"fixed": Fixed, "student-t": StudentT}
 Progress = Callable[[int, int], None]
 """Takes how many frames have been looked at, those of all iterations counted, and how many will be."""
 
@@ -70,7 +67,7 @@ def train_model(
             larger than the data; or ``out`` cannot be written to.
     """
     space = PredictionSpace((*prediction_space(settings.predictors).predictors, *own_predictors))
-    lessons = _lessons(sequences, settings)
+    lessons = _lessons(sequences, settings, space)
     check_folder(out.parent, "--out")
     if out.is_dir():
         raise InputError("--out", f"{out} is a folder.", "Give the model file another name.")
@@ -94,18 +91,24 @@ def train_model(
             work.keep_iteration(number, done)
         iterations.append(done)
         show(frames * (2 + number))
-    model = _fit(gather(iterations, learners, settings), learners, metric, settings, lessons)
-    save_model(model, out)
+    recordings = [
+        {"name": lesson.sequence.path.resolve().name, "frames": lesson.num_frames, "sha256": drive.digest}
+        for lesson, drive in zip(lessons, drives, strict=True)
+    ]
+    save_model(fit_model(gather(iterations, learners, settings), learners, metric, settings, recordings), out)
     work.remove()
     return out
 
 
-def _lessons(sequences: Collection[Sequence], settings: TrainSettings) -> list[_Lesson]:
+def _lessons(sequences: Collection[Sequence], settings: TrainSettings, space: PredictionSpace) -> list[_Lesson]:
     """The recordings and what is known of them; refuses before the long work what would only show after it."""
     if not sequences:
         raise InputError("SEQUENCE", "no recording is named.", "Give the folder of at least one.")
-    lessons = []
+    lessons: list[_Lesson] = []
     for sequence in sequences:
+        if any(sequence.path.resolve() == lesson.sequence.path.resolve() for lesson in lessons):
+            raise InputError(sequence.path, "this recording is named twice.", "Name each once: it would count double.")
+        space.check_recording(sequence)
         unlike = difference(sequence.camera, sequences[0].camera)
         if unlike:
             what = f"its camera is not that of {sequences[0].path}: {unlike}."
@@ -153,52 +156,3 @@ def _learner(number: int, lesson: _Lesson, drive: Drive, metric: Metric, setting
         relative=settings.relative,
         seed=(settings.odometry.seed, number),
     )
-
-
-def _fit(
-    samples: Samples, learners: list[Learner], metric: Metric, settings: TrainSettings, lessons: list[_Lesson]
-) -> NearestNeighbors:
-    """The model of all samples, with K and γ given or chosen."""
-    searches: dict[str, Search] = {}
-    neighbors, exponent = settings.neighbors, settings.exponent
-    coordinates = np.concatenate([learner.coordinates for learner in learners])[samples.features]
-    logarithmic = settings.average == "geometric"
-    values = np.log(samples.alphas) if logarithmic else samples.alphas
-    if neighbors is None:
-        searches["neighbors"] = choose_neighbors(coordinates, values, samples.fold)
-        neighbors = int(searches["neighbors"].chosen)
-    if exponent is None:
-        relative = [
-            _log_relative(learner, number, coordinates, values, samples.fold, neighbors, logarithmic)
-            for number, learner in enumerate(learners)
-        ]
-        searches["exponent"] = choose_exponent(learners, relative)
-        exponent = searches["exponent"].chosen
-    training = {
-        "settings": settings.model_dump(mode="json"),
-        "recordings": [
-            {"name": lesson.sequence.path.resolve().name, "frames": lesson.num_frames, "sha256": learner.drive.digest}
-            for lesson, learner in zip(lessons, learners, strict=True)
-        ],
-        "searches": {name: search.as_dict() for name, search in searches.items()},
-    }
-    model = NearestNeighbors(
-        neighbors, exponent, settings.average, BASES[settings.base](), learners[0].camera, training
-    )
-    predictors = np.concatenate([learner.drive.phi for learner in learners])[samples.features]
-    return model.fit(predictors, samples.alphas, metric=metric)
-
-
-def _log_relative(
-    learner: Learner,
-    number: int,
-    coordinates: FloatArray,
-    values: FloatArray,
-    fold: IntArray,
-    neighbors: int,
-    logarithmic: bool,
-) -> FloatArray:
-    """ln(mean of the K nearest α / ᾱ) of every feature of a drive, [n], as learned from other blocks of time."""
-    own = fold_of_step(learner.drive.step_of_feature, len(learner.drive.T_curr_prev), number)
-    means, overall = out_of_fold(coordinates, values, fold, neighbors, learner.coordinates, own), float(values.mean())
-    return means - overall if logarithmic else np.log(means / overall)

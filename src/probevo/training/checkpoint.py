@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
+import zlib
+from collections.abc import Iterator
 from collections.abc import Sequence as Collection
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
+from probevo import __version__
 from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.errors import InputError
-from probevo.output.files import write_atomically
+from probevo.output.files import remove_stale, write_atomically
 from probevo.sequences.base import Sequence
 from probevo.training.drive import Drive, load_drive, save_drive
 from probevo.training.settings import TrainSettings
 
 Iteration = list[tuple[IntArray, FloatArray]]
 """Of each drive, the features that took part in a motion with a known error, and that error."""
+
+
+PLAN = "plan.json"
+OWN = (PLAN, "drive-*.npz", "iteration-*.npz", "*.part")
+"""All that is ever written into the folder, and so all that is ever removed from it."""
 
 
 @dataclass(frozen=True)
@@ -33,31 +42,41 @@ class Checkpoint:
     def opened(
         out: Path, sequences: Collection[Sequence], settings: TrainSettings, columns: tuple[str, ...]
     ) -> Checkpoint:
-        """The work so far for this model file, or none yet.
+        """The work so far for this model file, or none yet. Iterations that other settings made are dropped.
 
         Raises:
-            InputError: what lies there belongs to other recordings or settings, or the place cannot be written to.
+            InputError: what lies there belongs to other recordings, predictors or settings of the odometry, is damaged
+                or not ours, or the place cannot be written to.
         """
         checkpoint = Checkpoint(out.with_name(out.name + ".work"))
+        checkpoint._refuse_foreign()
+        chosen = settings.model_dump(mode="json", exclude={"neighbors", "exponent", "average", "iterations"})
+        of_drives = {name: chosen.pop(name) for name in ("odometry", "max_frames", "predictors")}
+        recordings = [[str(s.path.resolve()), len(s), s.stamps_ns[[0, -1]].tolist()] for s in sequences]
         facts = {
-            "settings": settings.model_dump(mode="json", exclude={"neighbors", "exponent", "average"}),
-            "columns": columns,
-            "recordings": [[str(s.path.resolve()), len(s), s.stamps_ns[[0, -1]].tolist()] for s in sequences],
+            "probevo": __version__,
+            "drives": {**of_drives, "columns": list(columns), "recordings": recordings},
+            "iterations": chosen,
         }
-        plan, text = checkpoint.folder / "plan.json", json.dumps(facts, indent=1) + "\n"
-        before = plan.read_text() if plan.exists() else ""
-        if before and before != text and any(checkpoint.folder.glob("*.npz")):
-            what = "a training that was stopped here had other recordings or settings."
-            raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
-        if before != text:  # nothing was done yet, or ``remove`` was stopped
-            shutil.rmtree(checkpoint.folder, ignore_errors=True)
-        write_atomically(plan, text)
+        before = checkpoint._plan()
+        if before and any(before.get(part) != facts[part] for part in ("probevo", "drives")):
+            if any(checkpoint.folder.glob("*.npz")):
+                what = "a training that was stopped here had other recordings, predictors or odometry."
+                raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
+        elif before.get("iterations") != chosen:
+            checkpoint._remove("iteration-*.npz")
+        if not before:  # ``remove`` was stopped
+            checkpoint._remove(*OWN)
+        write_atomically(checkpoint.folder / PLAN, json.dumps(facts, indent=1) + "\n")
         return checkpoint
 
     def drive(self, number: int) -> Drive | None:
         """A recording that is through."""
         path = self._drive(number)
-        return load_drive(path) if path.exists() else None
+        if not path.exists():
+            return None
+        with _whole(path):
+            return load_drive(path)
 
     def keep_drive(self, number: int, drive: Drive) -> None:
         """Write it."""
@@ -68,7 +87,7 @@ class Checkpoint:
         path = self._iteration(number)
         if not path.exists():
             return None
-        with np.load(path, allow_pickle=False) as archive:
+        with _whole(path), np.load(path, allow_pickle=False) as archive:
             count = len(archive.files) // 2
             return [(archive[f"features_{k}"], archive[f"alphas_{k}"]) for k in range(count)]
 
@@ -83,12 +102,42 @@ class Checkpoint:
 
     def remove(self) -> None:
         """The model is written: nothing of this is needed any more."""
+        self._remove(*OWN)  # the plan first, lest a rest of this pass for work to go on with
         with suppress(OSError):
-            (self.folder / "plan.json").unlink()  # first, lest a rest of this pass for work to go on with
-        shutil.rmtree(self.folder, ignore_errors=True)
+            self.folder.rmdir()
+
+    def _plan(self) -> dict[str, Any]:
+        path = self.folder / PLAN
+        if not path.exists():
+            return {}
+        with _whole(path):
+            return dict(json.loads(path.read_text("utf-8")))
+
+    def _refuse_foreign(self) -> None:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise InputError(self.folder, "is in the way: a folder of this name keeps the work so far.", "Move it.")
+        found = set(self.folder.iterdir()) if self.folder.exists() else set()
+        foreign = sorted(found - {path for pattern in OWN for path in self.folder.glob(pattern)})
+        if foreign:
+            what = f"holds {foreign[0].name}, which is none of ours; the work so far is kept in a folder of this name."
+            raise InputError(self.folder, what, "Move it, or give the model another name.")
+
+    def _remove(self, *patterns: str) -> None:
+        for pattern in patterns:
+            for path in sorted(self.folder.glob(pattern)):
+                remove_stale(path)
 
     def _drive(self, number: int) -> Path:
         return self.folder / f"drive-{number}.npz"
 
     def _iteration(self, number: int) -> Path:
         return self.folder / f"iteration-{number}.npz"
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Say which file it is if it cannot be read."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error) as error:
+        raise InputError(path, f"this is damaged ({error}).", f"Delete the folder {path.parent}.") from error

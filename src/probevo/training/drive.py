@@ -14,6 +14,7 @@ import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.config import OdometryConfig
+from probevo.motion.estimate import Status
 from probevo.noise import StudentT
 from probevo.odometry import StereoOdometry
 from probevo.output.files import write_atomically
@@ -48,7 +49,7 @@ class Drive:
     phi: FloatArray
     """Its place in the prediction space, [n, M]."""
     used: BoolArray
-    """Whether the solve used it, or RANSAC or the pre-filter turned it away, [n]."""
+    """Whether the step was solved and this one had a part in it, [n]; RANSAC and the pre-filter turn some away."""
 
     def rows(self, step: int) -> slice:
         """Where the features of a step are."""
@@ -94,7 +95,8 @@ def record_drive(
         if frame.index > 0:
             motions.append(motion.T_curr_prev)
             tracks = odometry.tracks
-            steps.append((tracks.prev_px, tracks.curr_px, odometry.phi, odometry.used))
+            used = odometry.used & (motion.status is Status.OK)  # a step that was carried on teaches nothing
+            steps.append((tracks.prev_px, tracks.curr_px, odometry.phi, used))
         matches += count_matches(odometry.tracks)
         if frame.index == min(FRAMES_TO_SEE, num_frames - 1):
             check_left_right(int(matches[0]), int(matches[1]), sequence.path)

@@ -26,6 +26,9 @@ class Samples:
     """Error α, [N]: in metres, or relative to what other subsets reached over the same stretch."""
     fold: IntArray
     """Fold of each sample, 0 … FOLDS − 1, [N]: blocks of time take turns, so that neighbours in time stay together."""
+    left_out: IntArray
+    """Another division, in which no two folds hold samples of one and the same α, [N]: that by time, or, of a drive
+    with one α for all of its steps, that by iterations."""
 
 
 def gather(iterations: Sequence[Iteration], learners: Sequence[Learner], settings: TrainSettings) -> Samples:
@@ -34,7 +37,7 @@ def gather(iterations: Sequence[Iteration], learners: Sequence[Learner], setting
     Raises:
         InputError: no subset of any step has a known error.
     """
-    features, alphas, folds = [], [], []
+    features, alphas, folds, left_out = [], [], [], []
     before = 0
     for number, learner in enumerate(learners):
         taken = np.concatenate([iteration[number][0] for iteration in iterations])
@@ -45,12 +48,24 @@ def gather(iterations: Sequence[Iteration], learners: Sequence[Learner], setting
             alpha = _relative(alpha, stretch, logarithmic=settings.average == "geometric")
         features.append(before + taken)
         alphas.append(alpha)
-        folds.append(fold_of_step(step, len(learner.drive.T_curr_prev), number))
+        folds.append(folds_of_steps(learner, number)[step])
+        turn = np.repeat(np.arange(len(iterations)), [len(iteration[number][0]) for iteration in iterations])
+        left_out.append(turn % FOLDS if len(learner.supervision.stretches) == 1 else folds[-1])
         before += len(learner.drive.phi)
     if not sum(map(len, alphas)):
         what = f"no step has {settings.subset} features to learn from and a true motion."
         raise InputError("training data", what, "Give other recordings, or a smaller --subset.")
-    return Samples(np.concatenate(features), np.concatenate(alphas), np.concatenate(folds))
+    return Samples(np.concatenate(features), np.concatenate(alphas), np.concatenate(folds), np.concatenate(left_out))
+
+
+def folds_of_steps(learner: Learner, number: int) -> IntArray:
+    """Fold of each of the K − 1 steps of the drive of that number: blocks of time, which part no stretch."""
+    num_steps, stretches = len(learner.drive.T_curr_prev), learner.supervision.stretches
+    start = np.arange(num_steps)
+    if len(stretches) > 1:
+        owner = learner.supervision.stretch_of_step(num_steps)
+        start = np.where(owner >= 0, stretches[owner, 0], start)
+    return fold_of_step(start, num_steps, number)
 
 
 def fold_of_step(step: IntArray, num_steps: int, drive: int) -> IntArray:

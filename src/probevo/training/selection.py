@@ -13,7 +13,7 @@ from probevo.motion.visual import solve
 from probevo.noise.nearest_neighbors import LARGEST_WEIGHT
 from probevo.noise.neighbors import NeighborIndex
 from probevo.training.subsets import Learner, Stream
-from probevo.training.supervision import from_step_to_step
+from probevo.training.supervision import LEAST_ALPHA_M, from_step_to_step
 
 NEIGHBORS = (10, 25, 50, 100, 200, 400, 800)
 EXPONENTS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
@@ -71,8 +71,6 @@ def out_of_fold(
     means = np.empty(len(asked))
     for k in np.unique(fold_asked):
         other = fold != k
-        if not other.any():  # a drive so short that all lies in one fold
-            other[:] = True
         index = NeighborIndex.build(coordinates[other], values[other])
         own = fold_asked == k
         means[own] = index.mean_of_nearest(asked[own], np.array([min(neighbors, int(other.sum()))]))[:, 0]
@@ -97,6 +95,8 @@ def choose_exponent(learners: Sequence[Learner], log_relative_alphas: Sequence[F
             for gamma in EXPONENTS
         ]
     )  # fmt: skip
+    moved = (alphas > LEAST_ALPHA_M).all(axis=0)  # no half of such a step could be solved otherwise
+    alphas = alphas[:, moved] if moved.any() else alphas
     errors = alphas.mean(axis=1)
     excess = alphas - alphas[np.argmin(errors)]
     standard_error = excess.std(axis=1) / np.sqrt(alphas.shape[1])
@@ -123,11 +123,11 @@ def weighted_motions(learner: Learner, beta: FloatArray, used: BoolArray) -> Flo
     for step in range(len(motions)):
         rows = drive.rows(step)
         chosen = np.flatnonzero(used[rows])
-        if len(chosen) >= learner.subset:
+        if len(chosen) >= learner.solver.min_tracks:
             noise = learner.base.predict(np.zeros((len(chosen), 0))).scaled(beta[rows][chosen])
             tracks = drive.tracks(step).kept(chosen)
             solution = solve(tracks, noise, drive.T_curr_prev[step], learner.camera, None, learner.solver)
-            if np.isfinite(solution.cov).all():
+            if solution.converged and np.isfinite(solution.cov).all():
                 motions[step] = solution.T_curr_prev
     return motions
 

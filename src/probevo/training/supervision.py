@@ -95,7 +95,12 @@ def supervision_of(sequence: Sequence, kind: SupervisionName, every_s: float, nu
     known: BoolArray = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
     if kind == "loop":
         ends = np.array([0, num_frames - 1])
-        return Supervision(kind, ends, poses[ends] if known[ends].all() else np.stack([np.eye(4)] * 2))
+        if known[ends].all():
+            return Supervision(kind, ends, poses[ends])
+        if num_frames < len(sequence):
+            what = f"only {num_frames} of its {len(sequence)} frames are used, but the loop closes at the last one."
+            raise InputError(where, what, "Leave out --max-frames.")
+        return Supervision(kind, ends, np.stack([np.eye(4)] * 2))
     if kind == "none":
         return Supervision(kind, np.arange(num_frames), poses)
     if not known.any():
