@@ -30,8 +30,8 @@ SCENES = {"training": TRAINING, "test": TEST}
 
 @dataclass(frozen=True)
 class DemoArguments:
-    """Renders two drives through a simulated city, learns a noise model from the first, and compares it on both with
-    the classical ones; what counts is the second, whose streets it has not seen.
+    """Renders two drives through a simulated city, learns a noise model from the first, and compares it with the
+    classical ones on the second, whose streets it has not seen.
 
     Writes report.html, which shows them side by side, probe.safetensors, the model, runs/ with the files of each run,
     and scenes/ with the images; a second demo into the same folder finds these and need not render again.
@@ -70,10 +70,11 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     }
     model = out / "probe.safetensors"
     train_with_progress(tuple(folders.values())[:1], TrainSettings(), model)
-    estimators = {name: name for name in NOISE_NAMES} | {"probe": str(model)}
-    entries = [
-        run(name, folder, label, estimators[label], out) for name, folder in folders.items() for label in estimators
-    ]
+    classical = {name: name for name in NOISE_NAMES}
+    entries = []
+    for number, (name, folder) in enumerate(folders.items()):
+        estimators = classical | ({"probe": str(model)} if number else {})  # on what it has not seen
+        entries += [run(name, folder, label, noise, out) for label, noise in estimators.items()]
     comparison = Comparison(tuple(entries))
     facts = {name.capitalize(): scene_text(config) for name, config in scenes.items()}
     write_comparison(out / "report.html", comparison, "Noise models side by side", facts | {"probevo": __version__})
