@@ -234,6 +234,16 @@ def test_mistakes_are_found_before_the_first_run(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_model_that_needs_images_is_refused_before_the_first_run(
+    world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(Learned, "columns", ("blur",))
+    model = world / "models" / "city.safetensors"
+    assert compare_exit(world / "a/test.npz", "--out", tmp_path / "out", "--noise", "fixed", model) == 2
+    assert "test.npz: it has no images, which the predictor blur needs." in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_recording_of_one_frame_is_refused(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with np.load(world / "a" / "train.npz") as archive:
         arrays = dict(archive)

@@ -134,7 +134,7 @@ def test_bad_input_says_what_is_wrong(
         ((wall, "--frame", "8"), "--frame: is 8; the recording has frames 1 to 7."),
         ((wall, "--frame", "0"), "frames 1 to 7"),
         ((other, *model), "another camera: this one's baseline is 0.6 m, not 0.3 m"),
-        ((tracks, "--predictors", "blur"), "predictor blur: it needs images"),
+        ((tracks, "--predictors", "blur"), "it has no images, which the predictor blur needs."),
         ((wall, "--predictors", "blurr"), "blurr is not known"),
         ((wall, *model, "--predictors", "blur"), "the model says which"),
         ((*model, "--frame", "3"), "--frame: there is no recording"),

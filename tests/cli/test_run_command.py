@@ -14,7 +14,9 @@ from probevo.camera.stereo import StereoCamera
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.evaluation.metrics import evaluate
-from probevo.noise import StudentT
+from probevo.noise import NearestNeighbors, StudentT
+from probevo.noise.metric import Metric
+from probevo.noise.model_io import save_model
 from probevo.output.files import read_kitti_poses, read_tum
 from probevo.output.motions_file import read_motions
 from probevo.run_config import RunConfig, read_config
@@ -130,9 +132,32 @@ def test_where_the_first_frame_fails_older_results_stay(wall: Path, wall_run: Pa
     out, recording = shutil.copytree(wall_run, tmp_path / "out"), shutil.copytree(wall, tmp_path / "wall")
     cut("left/000000.png", 0.5)(recording)
     assert main(["run", str(recording), "--out", str(out), "--noise", "fixed"]) == 2
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == {
+    assert unchanged(out, wall_run)
+
+
+def unchanged(out: Path, wall_run: Path) -> bool:
+    return {path.name: path.read_bytes() for path in out.iterdir()} == {
         path.name: path.read_bytes() for path in wall_run.iterdir()
     }
+
+
+def test_where_the_model_is_refused_older_results_stay(
+    wall: Path, wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It needs an accelerometer, which there is none of."""
+    out, phi = shutil.copytree(wall_run, tmp_path / "out"), np.random.default_rng(0).normal(size=(50, 2))
+    model = NearestNeighbors(5).fit(phi, np.ones(50), metric=Metric.fitted(phi, ("acceleration", "vibration")))
+    save_model(model, tmp_path / "m.safetensors")
+    assert main(["run", str(wall), "--out", str(out), "--noise", str(tmp_path / "m.safetensors")]) == 2
+    assert f"{wall}: it has no accelerometer, which the predictor acceleration needs." in capsys.readouterr().err
+    assert unchanged(out, wall_run)
+
+
+def test_where_it_stops_after_the_first_frame_older_results_stay(wall: Path, wall_run: Path, tmp_path: Path) -> None:
+    out, recording = shutil.copytree(wall_run, tmp_path / "out"), shutil.copytree(wall, tmp_path / "wall")
+    cut("left/000001.png", 0.5)(recording)
+    assert main(["run", str(recording), "--out", str(out)]) == 2
+    assert unchanged(out, wall_run)
 
 
 def test_the_config_names_the_recording_from_anywhere(

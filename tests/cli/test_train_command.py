@@ -59,7 +59,9 @@ def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(
     assert "predictors  x, y, row_offset" in lines
     assert f"K           {model.neighbors}" in lines
     assert f"γ           {model.exponent:g}" in lines
-    assert sum(line.startswith(("squared error of left-out samples", "mean α of the training")) for line in lines) == 2
+    assert (
+        sum(line.startswith(("squared error of left-out samples", "mean error on the training")) for line in lines) == 2
+    )
     assert lines[-1] == f"model: {out}"
 
 
@@ -116,9 +118,18 @@ MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "one frame": (["ONE"], ["one frame", "no motion to learn from", "Give a longer one."]),
     "no truth": (["BLIND"], ["no ground truth, which --supervision gt needs", "--supervision none"]),
     "other cameras": (["TRACKS", "BLIND"], ["its camera is not that of", "Train one model for each camera."]),
-    "unknown predictor": (["TRACKS", "--predictors", "blurr"], ["blurr is not known", "Known are acceleration"]),
-    "no images": (["TRACKS", "--predictors", "place", "blur"], ["predictor blur: it needs images", "--predictors"]),
-    "no IMU": (["TRACKS", "--predictors", "acceleration"], ["acceleration: it needs an accelerometer"]),
+    "unknown predictor": (
+        ["TRACKS", "--predictors", "blurr"],
+        ["--predictors: blurr is not known.", "Did you mean blur?"],
+    ),
+    "no images": (
+        ["TRACKS", "--predictors", "place", "blur"],
+        ["drive.npz: it has no images, which the predictor blur needs.", "--predictors"],
+    ),
+    "no IMU": (
+        ["TRACKS", "--predictors", "acceleration"],
+        ["it has no accelerometer, which the predictor acceleration needs."],
+    ),
     "K too large": (["TRACKS", "--neighbors", "9999"], ["--neighbors: K is 9999, but there are only 360 samples"]),
     "K of 0": (["TRACKS", "--neighbors", "0"], ["--neighbors is 0;", "greater than or equal to 1"]),
     "one iteration": (["TRACKS", "--iterations", "1"], ["--iterations is 1;", "greater than or equal to 2"]),
@@ -126,6 +137,12 @@ MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "truth too seldom": (
         ["TRACKS", "--supervision", "sparse", "--every-s", "9"],
         ["the truth of 1 frames is used; --supervision sparse needs 2.", "a smaller --every-s"],
+    ),
+    "twice": (["TRACKS", "TRACKS"], ["drive.npz: this recording is named twice.", "it would count double"]),
+    "two frames": (["TRACKS", "--max-frames", "2"], ["the drives are too short to choose K", "--neighbors and"]),
+    "loop cut short": (
+        ["BLIND", "--supervision", "loop", "--max-frames", "3"],
+        ["only 3 of its 4 frames are used, but the loop closes at the last one.", "Leave out --max-frames."],
     ),
     "no model file": (["TRACKS", "--out", "OUT/model.npz"], ["--out: ", "model.npz", ".safetensors"]),
     "a file in the way": (["TRACKS", "--out", "TRACKS/m.safetensors"], ["--out: ", "is a file."]),
@@ -176,10 +193,37 @@ def test_unfinished_work_with_other_settings_names_its_folder(
     out = tmp_path / "m.safetensors"
     assert main(["train", str(tracks), "--out", str(out), *FLAGS[:-1], "900"]) == 2
     capsys.readouterr()
+    assert main(["train", str(tracks), "--out", str(out), *FLAGS, "--max-frames", "9"]) == 2
+    shown = capsys.readouterr().err
+    what = "a training that was stopped here had other recordings, predictors or odometry."
+    assert f"probevo: {out}.work: {what}" in shown
+    assert "delete this folder" in shown
+    assert main(["train", str(tracks), "--out", str(out), *FLAGS]) == 0
+
+
+@pytest.mark.parametrize("name", ["drive-0.npz", "iteration-0.npz", "plan.json"])
+def test_damaged_work_is_named(tracks: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "m.safetensors"
+    assert main(["train", str(tracks), "--out", str(out), *FLAGS, "--neighbors", "9999"]) == 2
+    damaged = tmp_path / "m.safetensors.work" / name
+    damaged.write_bytes(damaged.read_bytes()[:-20])
+    capsys.readouterr()
     assert main(["train", str(tracks), "--out", str(out), *FLAGS]) == 2
     shown = capsys.readouterr().err
-    assert f"probevo: {out}.work: a training that was stopped here had other recordings or settings." in shown
-    assert "delete this folder" in shown
+    assert f"probevo: {damaged}: this is damaged" in shown
+    assert f"Delete the folder {damaged.parent}." in shown
+
+
+@pytest.mark.parametrize(("supervision", "hint"), [("gt", True), ("sparse", True), ("none", False), ("loop", False)])
+def test_where_gamma_is_0_it_is_said_what_that_means(supervision: str, hint: bool) -> None:
+    """Only a truth at single frames can jump from one to the next."""
+    training = {"recordings": [{"frames": 3}], "searches": {}, "settings": {"supervision": supervision}}
+    phi = np.random.default_rng(0).normal(size=(50, 1))
+    model = NearestNeighbors(5, 0.0, training=training).fit(phi, np.ones(50), metric=Metric.fitted(phi, ("age",)))
+    lines = command.summary(model, Path("m.safetensors"))
+    meaning = "γ is 0: nothing shows that any feature is better than another; the model is the static one."
+    assert meaning in lines
+    assert ("A truth that jumps from frame to frame hides it: try --supervision none." in lines) == hint
 
 
 def test_the_model_of_another_camera_is_refused(
@@ -199,8 +243,9 @@ def test_a_model_that_needs_images_is_refused_where_there_are_none(
     path = write_images_model(tmp_path / "m.safetensors")
     assert main(["run", str(tracks), "--out", str(tmp_path / "run"), "--noise", str(path)]) == 2
     shown = capsys.readouterr().err
-    assert "predictor blur: it needs images, which this recording does not have" in shown
+    assert f"{tracks}: it has no images, which the predictor blur needs." in shown
     assert "Train a model without it" in shown
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_damaged_model_is_refused(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray
-from probevo.noise.neighbors import NeighborIndex
+from probevo.noise.neighbors import CROWD, LARGEST_CELL, NeighborIndex
 
 
 def exact_means(samples: FloatArray, values: FloatArray, queries: FloatArray, neighbors: list[int]) -> FloatArray:
@@ -127,6 +127,27 @@ def test_a_query_from_beyond_single_precision_does_no_harm(query: float) -> None
     first = index.mean_of_nearest(np.zeros((5, 3)), np.array([20]))
     assert index.mean_of_nearest(np.full((50, 3), query), np.array([20, 2000])).shape == (50, 2)
     np.testing.assert_array_equal(index.mean_of_nearest(np.zeros((5, 3)), np.array([20])), first)
+
+
+def test_a_constant_column_is_no_matter() -> None:
+    """With 5·10⁴ samples, it is as near to the exact mean as without that column."""
+    rng = np.random.default_rng(6)
+    places, queries = rng.normal(size=(50_000, 3)), rng.normal(size=(200, 3))
+    places[:, 1] = queries[:, 1] = 0.7
+    values = np.sin(places[:, 0]) + 0.5 * places[:, 2] + 0.5 * rng.normal(size=50_000)
+    quick, exact = (of(places, values, queries, [100])[:, 0] for of in (means, exact_means))
+    assert np.corrcoef(quick, exact)[0, 1] > 0.99
+    assert abs(np.mean(quick - exact)) < 0.01 * exact.std()
+
+
+@pytest.mark.parametrize("away", [0, 500])
+def test_of_a_crowd_in_one_place_a_sample_at_random_is_looked_at(away: int) -> None:
+    """5·10⁴ samples alike, whose value grows from first to last; beside them, some elsewhere: the mean is that of the
+    crowd, within four standard errors."""
+    values = np.linspace(0.0, 1.0, 50_000)
+    places = np.concatenate([np.zeros((50_000, 2)), 9.0 + np.random.default_rng(7).normal(size=(away, 2))])
+    found = means(places, np.concatenate([values, np.full(away, 7.0)]), np.zeros((1, 2)), [10])
+    assert abs(found[0, 0] - 0.5) < 4.0 * values.std() / np.sqrt(CROWD * LARGEST_CELL)
 
 
 def test_no_query_no_mean() -> None:

@@ -10,8 +10,9 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.predictors import PREDICTORS, Needs, PredictionSpace, Predictor, Step, prediction_space, space_for
-from probevo.sequences.frame import Frame, ImuSamples
+from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples
 from probevo.tracking.tracks import Tracks
+from training.lessons import recording
 from worlds import CAMERA, FORWARD, FRAME_NS, seen_twice
 
 COUNT = 20
@@ -81,8 +82,9 @@ def test_an_unknown_predictor_is_named(names: list[str]) -> None:
     with pytest.raises(InputError) as caught:
         prediction_space(names)
     unknown = next(name for name in names if name not in PREDICTORS)
-    assert f"predictors: {unknown} is not known." in str(caught.value)
-    assert "Known are acceleration, turn_rate, blur" in str(caught.value)
+    assert str(caught.value).startswith(f"--predictors: {unknown} is not known.")
+    cure = "Did you mean blur?" if unknown == "blurr" else "Known are acceleration, turn_rate, blur"
+    assert cure in caught.value.cure
 
 
 def test_a_predictor_named_twice_is_refused() -> None:
@@ -101,15 +103,32 @@ NO_ACCELEROMETER = ImuSamples(IMU.stamps_ns, IMU.gyro_rad_s, np.full((21, 3), np
         ("blur", replace(STEP, now=NO_IMAGES[1]), "images"),
         ("structure", replace(STEP, now=NO_IMAGES[1]), "images"),
         ("forward_backward", replace(STEP, before=NO_IMAGES[0]), "images"),
-        ("acceleration", replace(STEP, now=replace(STEP.now, imu=None)), "an accelerometer"),
-        ("acceleration", replace(STEP, now=replace(STEP.now, imu=NO_ACCELEROMETER)), "an accelerometer"),
+        ("acceleration", replace(STEP, now=replace(STEP.now, imu=None)), "accelerometer"),
+        ("acceleration", replace(STEP, now=replace(STEP.now, imu=NO_ACCELEROMETER)), "accelerometer"),
     ],
 )
 def test_what_a_recording_lacks_is_said(name: str, step: Step, lacking: str) -> None:
     with pytest.raises(InputError) as caught:
         prediction_space(["place", name])(step)
-    assert str(caught.value).startswith(f"predictor {name}: it needs {lacking}, which this recording does not have")
+    assert str(caught.value).startswith(f"frame 1: it has no {lacking}, which the predictor {name} needs.")
     assert "--predictors" in caught.value.cure
+
+
+@pytest.mark.parametrize(("name", "lacking"), [("blur", "images"), ("acceleration", "accelerometer")])
+def test_a_recording_is_refused_for_what_it_lacks_before_anything_runs(name: str, lacking: str) -> None:
+    tracks = replace(recording(None), camera=replace(CAMERA, size_px=None))
+    prediction_space(["place", "turn_rate"]).check_recording(tracks)
+    with pytest.raises(InputError) as caught:
+        prediction_space(["place", name]).check_recording(tracks)
+    assert str(caught.value).startswith(f"drive: it has no {lacking}, which the predictor {name} needs.")
+    assert "--predictors" in caught.value.cure
+
+
+def test_a_recording_with_images_and_imu_has_all_that_predictors_need() -> None:
+    whole = replace(
+        recording(None), camera=replace(CAMERA, size_px=(1226, 370)), imu=ImuCalibration(np.eye(3), 1e-4, 1e-3)
+    )
+    prediction_space(list(PREDICTORS)).check_recording(whole)
 
 
 def test_the_image_before_is_needed_by_those_alone_that_look_at_it() -> None:

@@ -296,16 +296,17 @@ def test_supervision_without_truth_is_refused(tmp_path: Path, out: Path, supervi
 
 def test_an_unknown_predictor_is_refused(recordings: list[Sequence], out: Path) -> None:
     settings = SETTINGS.model_copy(update={"predictors": ("place", "blurr")})
-    refuse(recordings, out, settings, "predictors: blurr is not known.", "Known are")
+    refuse(recordings, out, settings, "--predictors: blurr is not known.", "Did you mean blur?")
 
 
-@pytest.mark.parametrize(("name", "lacking"), [("blur", "images"), ("acceleration", "an accelerometer")])
+@pytest.mark.parametrize(("name", "lacking"), [("blur", "images"), ("acceleration", "accelerometer")])
 def test_a_predictor_that_lacks_what_it_needs_is_refused_and_no_obstacle(
     recordings: list[Sequence], model_bytes: bytes, out: Path, name: str, lacking: str
 ) -> None:
     """Whoever follows the advice and leaves it out is not told of a training with other settings."""
     settings = SETTINGS.model_copy(update={"predictors": ("place", name)})
-    refuse(recordings, out, settings, f"predictor {name}: it needs {lacking}", "--predictors")
+    refuse(recordings, out, settings, f"{recordings[0].path}: it has no {lacking}, which the predictor {name} needs.")
+    assert not out.parent.exists()
     assert train(recordings, out).read_bytes() == model_bytes
 
 
@@ -338,8 +339,46 @@ def test_a_recording_without_features_is_no_fault_of_the_predictors(tmp_path: Pa
 def test_other_settings_on_unfinished_work_are_refused(recordings: list[Sequence], out: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         train(recordings, out, on_progress=stopping_after(FRAMES + 3))
-    other = SETTINGS.model_copy(update={"subset": 7})
-    refuse(recordings, out, other, f"{out}.work: ", "other recordings or settings", "delete this folder")
+    other = SETTINGS.model_copy(update={"predictors": ("place",)})
+    refuse(recordings, out, other, f"{out}.work: ", "other recordings, predictors or odometry", "delete this folder")
+
+
+def test_other_subsets_go_on_from_the_recordings(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
+    """Iterations with another subset are of no use to these settings, but recordings that are through are."""
+    refuse(recordings, out, SETTINGS.model_copy(update={"subset": 9, "neighbors": 10_000}), "--neighbors")
+    counted = [Counted(recording, []) for recording in recordings]
+    assert train(list(counted), out).read_bytes() == model_bytes  # type: ignore[arg-type]
+    assert [each.asked for each in counted] == [[], []]
+
+
+def test_what_is_not_ours_survives_a_training_and_stops_the_next(
+    recordings: list[Sequence], model_bytes: bytes, out: Path
+) -> None:
+    """Put into the folder of the work while it goes on."""
+    notes = out.with_name(out.name + ".work") / "notes.txt"
+    train(recordings, out, on_progress=lambda _done, _total: void(notes.write_text("mine")))
+    assert out.read_bytes() == model_bytes
+    assert list(notes.parent.iterdir()) == [notes]
+    with pytest.raises(InputError, match=r"holds notes\.txt, which is none of ours"):
+        train(recordings, out)
+    assert (out.read_bytes(), notes.read_text()) == (model_bytes, "mine")
+
+
+def void(_: object) -> None:
+    """Nothing to give back."""
+
+
+def test_a_recording_named_twice_is_refused(recordings: list[Sequence], out: Path) -> None:
+    twice = [*recordings, recordings[0]]
+    refuse(twice, out, SETTINGS, f"{recordings[0].path}: this recording is named twice.")
+
+
+def test_drives_too_short_for_two_folds_need_k_and_gamma(recordings: list[Sequence], out: Path) -> None:
+    for given in ({}, {"neighbors": 3}, {"exponent": 1.0}):
+        settings = SETTINGS.model_copy(update={"max_frames": 2, **given})
+        refuse(recordings[:1], out, settings, "the drives are too short to choose K and γ by blocks of time.")
+    both = SETTINGS.model_copy(update={"max_frames": 2, "neighbors": 3, "exponent": 1.0})
+    assert train(recordings[:1], out, both) == out
 
 
 def test_an_output_that_cannot_be_written_is_refused_at_once(recordings: list[Sequence], tmp_path: Path) -> None:

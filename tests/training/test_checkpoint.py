@@ -110,7 +110,8 @@ def test_what_was_being_written_when_it_was_stopped_does_not_count(out: Path) ->
 
 
 OTHERS = {
-    "settings": (SETTINGS.model_copy(update={"subset": 9}), RECORDINGS, ("x", "y")),
+    "predictors": (SETTINGS.model_copy(update={"predictors": ("place", "age")}), RECORDINGS, ("x", "y")),
+    "frames": (SETTINGS.model_copy(update={"max_frames": 5}), RECORDINGS, ("x", "y")),
     "seed": (SETTINGS.model_copy(update={"odometry": OdometryConfig(seed=1)}), RECORDINGS, ("x", "y")),
     "columns": (SETTINGS, RECORDINGS, ("x", "y", "own")),
     "fewer recordings": (SETTINGS, RECORDINGS[:1], ("x", "y")),
@@ -132,7 +133,7 @@ def test_another_training_is_refused(
     with pytest.raises(InputError) as caught:
         opened(out, settings, recordings, columns)
     assert caught.value.where == str(work.folder)
-    assert "a training that was stopped here had other recordings or settings." in str(caught.value)
+    assert "a training that was stopped here had other recordings, predictors or odometry." in str(caught.value)
     assert "delete this folder" in caught.value.cure
     assert {path.name: path.read_bytes() for path in work.folder.iterdir()} == before
     assert opened(out).drive(0) is not None
@@ -143,7 +144,7 @@ def test_where_nothing_was_done_yet_other_settings_are_welcome(out: Path) -> Non
     opened(out)
     other = opened(out, SETTINGS.model_copy(update={"predictors": ("disparity",)}))
     other.keep_drive(0, DRIVE)
-    with pytest.raises(InputError, match="other recordings or settings"):
+    with pytest.raises(InputError, match="other recordings, predictors or odometry"):
         opened(out)
 
 
@@ -155,12 +156,100 @@ def test_the_rest_of_a_removal_that_was_stopped_is_no_work(out: Path) -> None:
     assert opened(out, SETTINGS.model_copy(update={"subset": 9})).drive(0) is None
 
 
-def test_a_broken_plan_belongs_to_another_training(out: Path) -> None:
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"subset": 9},
+        {"contrast": 0.0},
+        {"supervision": "none"},
+        {"base": "fixed"},
+        {"relative": False},
+        {"every_s": 1.0},
+    ],
+)
+def test_what_concerns_the_iterations_alone_drops_those_alone(out: Path, changes: dict[str, object]) -> None:
+    """And they do not come back with the settings that made them."""
     work = opened(out)
     work.keep_drive(0, DRIVE)
-    (work.folder / "plan.json").write_text("{")
-    with pytest.raises(InputError, match="delete this folder"):
+    work.keep_iteration(0, ITERATION)
+    other = opened(out, SETTINGS.model_copy(update=changes))
+    assert other.drive(0) is not None
+    assert other.iteration(0) is None
+    assert opened(out).iteration(0) is None
+
+
+@pytest.mark.parametrize("changes", [{"iterations": 9}, {"neighbors": 3}, {"exponent": 1.0}, {"average": "arithmetic"}])
+def test_what_comes_after_the_iterations_drops_nothing(out: Path, changes: dict[str, object]) -> None:
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    work.keep_iteration(0, ITERATION)
+    other = opened(out, SETTINGS.model_copy(update=changes))
+    assert other.drive(0) is not None
+    assert other.iteration(0) is not None
+
+
+@pytest.mark.parametrize("content", [b"{", b"[1]", b"null", b"\xff", b""])
+def test_a_broken_plan_is_said_to_be_damaged(out: Path, content: bytes) -> None:
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    plan = work.folder / "plan.json"
+    plan.write_bytes(content)
+    with pytest.raises(InputError) as caught:
         opened(out)
+    assert_damaged(caught.value, plan)
+    assert (work.folder / "drive-0.npz").exists()
+
+
+def assert_damaged(error: InputError, path: Path) -> None:
+    """It names the file, and the folder to delete."""
+    assert str(error).startswith(f"{path}: this is damaged")
+    assert error.cure == f"Delete the folder {path.parent}."
+
+
+@pytest.mark.parametrize("part", [0.0, 0.5, 0.99])
+def test_a_file_cut_short_is_said_to_be_damaged(out: Path, part: float) -> None:
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    work.keep_iteration(0, ITERATION)
+    for name, read in (("drive-0.npz", work.drive), ("iteration-0.npz", work.iteration)):
+        content = (work.folder / name).read_bytes()
+        (work.folder / name).write_bytes(content[: int(part * len(content))])
+        with pytest.raises(InputError) as caught:
+            read(0)
+        assert_damaged(caught.value, work.folder / name)
+
+
+def test_a_file_that_lacks_an_array_is_said_to_be_damaged(out: Path) -> None:
+    work = opened(out)
+    np.savez(work.folder / "drive-0.npz", phi=DRIVE.phi)
+    with pytest.raises(InputError) as caught:
+        work.drive(0)
+    assert_damaged(caught.value, work.folder / "drive-0.npz")
+
+
+def test_what_is_not_ours_is_refused_and_nothing_is_removed(out: Path) -> None:
+    """Whoever named the model like that keeps his notes; and our work, until he has moved them."""
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    (work.folder / "notes.txt").write_text("mine")
+    before = {path.name: path.read_bytes() for path in work.folder.iterdir()}
+    for settings in (SETTINGS, SETTINGS.model_copy(update={"subset": 9})):
+        with pytest.raises(InputError) as caught:
+            opened(out, settings)
+        assert str(caught.value).startswith(f"{work.folder}: holds notes.txt, which is none of ours")
+        assert {path.name: path.read_bytes() for path in work.folder.iterdir()} == before
+    (work.folder / "plan.json").unlink()
+    with pytest.raises(InputError, match=r"notes\.txt"):
+        opened(out)
+    assert (work.folder / "drive-0.npz").exists()
+
+
+def test_what_is_not_ours_is_not_removed_with_the_rest(out: Path) -> None:
+    work = opened(out)
+    work.keep_drive(0, DRIVE)
+    (work.folder / "notes.txt").write_text("mine")
+    work.remove()
+    assert [path.name for path in work.folder.iterdir()] == ["notes.txt"]
 
 
 def test_removed_it_leaves_nothing(out: Path) -> None:

@@ -7,7 +7,7 @@ from probevo.arrays import IntArray
 from probevo.errors import InputError
 from probevo.noise.nearest_neighbors import Average
 from probevo.training.checkpoint import Iteration
-from probevo.training.samples import BLOCKS_A_DRIVE, FOLDS, fold_of_step, gather
+from probevo.training.samples import BLOCKS_A_DRIVE, FOLDS, fold_of_step, folds_of_steps, gather
 from probevo.training.settings import TrainSettings
 from probevo.training.subsets import Learner
 from training.lessons import drive_of, known, learner_of, point_world
@@ -78,6 +78,30 @@ def test_a_step_is_in_the_same_fold_in_every_iteration() -> None:
     for each in np.unique(step):
         assert len(np.unique(samples.fold[step == each])) == 1
     assert set(samples.fold.tolist()) == set(range(FOLDS))
+
+
+@pytest.mark.parametrize("every", [2, 3, 4, 7])
+def test_folds_part_no_stretch(every: int) -> None:
+    """Else one and the same α would be on both sides."""
+    world = WORLDS[0]
+    learner = learner_of(drive_of(world), known(world, every=every), world.camera)
+    folds, owner = folds_of_steps(learner, 0), learner.supervision.stretch_of_step(20)
+    for each in np.unique(owner[owner >= 0]):
+        assert len(np.unique(folds[owner == each])) == 1
+    assert len(np.unique(folds)) > 1
+
+
+@pytest.mark.parametrize("kind", ["gt", "loop"])
+@pytest.mark.parametrize("every", [1, 4])
+def test_no_alpha_is_on_both_sides_when_samples_are_left_out(kind: str, every: int) -> None:
+    """With one α for a whole drive, iterations take turns; else it is the division by time."""
+    world = WORLDS[0]
+    learner = learner_of(drive_of(world), known(world, kind, every), world.camera)
+    samples = gather([[learner.iterate(k)] for k in range(6)], [learner], TrainSettings(relative=False))
+    for alpha in np.unique(samples.alphas):
+        assert len(np.unique(samples.left_out[samples.alphas == alpha])) == 1
+    assert set(samples.left_out.tolist()) == set(range(FOLDS))
+    assert np.array_equal(samples.left_out, samples.fold) == (kind == "gt")
 
 
 def test_the_features_of_a_short_drive_are_in_some_fold() -> None:

@@ -1,6 +1,6 @@
 """K and γ: what they come to where the answer is known, and that they make a second drive better."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,8 +10,9 @@ from probevo.noise import Fixed, NoiseModel, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.nearest_neighbors import NearestNeighbors
 from probevo.simulation.point_world import PointWorld
+from probevo.training.checkpoint import Iteration
 from probevo.training.drive import Drive
-from probevo.training.samples import fold_of_step, gather
+from probevo.training.samples import folds_of_steps, gather
 from probevo.training.selection import (
     EXPONENTS,
     NEIGHBORS,
@@ -22,6 +23,7 @@ from probevo.training.selection import (
 )
 from probevo.training.settings import TrainSettings
 from probevo.training.subsets import Learner
+from probevo.training.supervision import from_step_to_step
 from training.lessons import drive_of, known, learner_of, point_world, rmse_m, true_motions
 
 
@@ -82,12 +84,28 @@ def test_neighbours_come_from_other_folds() -> None:
     assert np.isfinite(everywhere).all()
 
 
-def test_where_there_is_no_other_fold_its_own_must_do() -> None:
-    """And K is no larger than what there is."""
+def test_k_is_no_larger_than_what_other_folds_hold() -> None:
     means = out_of_fold(
-        np.zeros((4, 1)), np.arange(4.0), np.zeros(4, np.int64), 10, np.zeros((2, 1)), np.zeros(2, np.int64)
+        np.zeros((4, 1)), np.arange(4.0), np.array([0, 0, 0, 1]), 10, np.zeros((2, 1)), np.array([1, 0])
     )
-    np.testing.assert_allclose(means, 1.5)
+    np.testing.assert_allclose(means, [1.0, 3.0])
+
+
+def test_one_alpha_for_a_whole_drive_is_no_structure_of_its_features() -> None:
+    """Each iteration has one α, by chance, for all of its features: folds by time find it in the features nearby, which
+    are of the same iteration too, and folds by iteration do not."""
+    world = point_world(seed=0)
+    drive = drive_of(world)
+    learner = learner_of(drive, known(world, "loop"), world.camera)
+    rng = np.random.default_rng(6)
+    iterations: list[Iteration] = []
+    for _ in range(60):
+        near = np.argsort(np.abs(learner.coordinates[:, 1] - rng.normal()))[:500]
+        iterations.append([(np.sort(near), np.full(500, np.exp(rng.normal())))])
+    samples = gather(iterations, [learner], TrainSettings(relative=False))
+    coordinates, values = learner.coordinates[samples.features, 1:], np.log(samples.alphas)
+    assert choose_neighbors(coordinates, values, samples.left_out).chosen == NEIGHBORS[-1]
+    assert choose_neighbors(coordinates, values, samples.fold).chosen < NEIGHBORS[-1]
 
 
 @dataclass(frozen=True)
@@ -146,13 +164,34 @@ def test_equal_weights_give_the_motions_back(taught: Lesson) -> None:
     np.testing.assert_array_equal(motions[5], taught.drive.T_curr_prev[5])
 
 
+def test_steps_that_no_half_can_solve_have_no_say() -> None:
+    """Both halves keep the motion of all features there and agree: γ and errors are those of the drive without them."""
+    whole, end = lesson("none"), 40
+    first = whole.drive.first_of_step[end]
+    lost = replace(whole.drive, used=np.arange(len(whole.drive.used)) < first)
+    short = replace(
+        whole.drive,
+        T_curr_prev=whole.drive.T_curr_prev[:end],
+        first_of_step=whole.drive.first_of_step[: end + 1],
+        **{name: getattr(whole.drive, name)[:first] for name in ("prev_px", "curr_px", "phi", "used")},
+    )
+    log_sigma, searches = whole.drive.phi[:, 0] - whole.drive.phi[:, 0].mean(), []
+    for drive in (lost, short):
+        learner = learner_of(drive, from_step_to_step(drive.T_curr_prev), whole.world.camera, base=Fixed())
+        searches.append(choose_exponent([learner], [log_sigma[: len(drive.used)]]))
+    np.testing.assert_allclose(searches[0].errors, searches[1].errors, rtol=1e-9)
+    assert searches[0].chosen == searches[1].chosen > 0.0
+    alone = [learner_of(replace(lost, used=lost.used & False), whole.learner.supervision, whole.world.camera)]
+    assert choose_exponent(alone, [log_sigma]).chosen == 0.0  # no step at all
+
+
 def learned(lesson: Lesson, settings: TrainSettings) -> NearestNeighbors:
     """A model of one drive, with K and γ chosen, as ``probevo train`` does it."""
     learner, drive = lesson.learner, lesson.drive
     samples = gather([[learner.iterate(k)] for k in range(settings.iterations)], [learner], settings)
     values, coordinates = np.log(samples.alphas), learner.coordinates[samples.features]
-    neighbors = int(choose_neighbors(coordinates, values, samples.fold).chosen)
-    own = fold_of_step(drive.step_of_feature, len(drive.T_curr_prev), 0)
+    neighbors = int(choose_neighbors(coordinates, values, samples.left_out).chosen)
+    own = folds_of_steps(learner, 0)[drive.step_of_feature]
     means = out_of_fold(coordinates, values, samples.fold, neighbors, learner.coordinates, own)
     exponent = choose_exponent([learner], [means - values.mean()]).chosen
     metric = Metric.fitted(drive.phi, ("log_sigma", "chance"))

@@ -162,6 +162,16 @@ def test_a_loop_without_truth_closes(unknown: slice) -> None:
         assert alpha == pytest.approx(np.linalg.norm(path(MOTIONS)[-1, :3, 3]) / np.sqrt(3.0))
 
 
+def test_a_loop_cut_short_does_not_close() -> None:
+    """Unless the truth knows both ends."""
+    assert len(supervision_of(recording(TRUTH), "loop", 0.0, 6).frames) == 2
+    for known in (None, np.full_like(TRUTH, np.nan)):
+        with pytest.raises(InputError) as caught:
+            supervision_of(recording(known), "loop", 0.0, 6)
+        assert "drive: only 6 of its 11 frames are used, but the loop closes at the last one." in str(caught.value)
+        assert caught.value.cure == "Leave out --max-frames."
+
+
 def test_without_any_supervision_the_motions_of_all_features_are_the_truth() -> None:
     completed = taught("none", truth=None).completed(MOTIONS)
     wrong = random_motions(9)

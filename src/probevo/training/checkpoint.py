@@ -28,7 +28,7 @@ Iteration = list[tuple[IntArray, FloatArray]]
 
 
 PLAN = "plan.json"
-OWN = (PLAN, "drive-*.npz", "iteration-*.npz", "*.part")
+OWN = tuple(f"{name}{end}" for name in (PLAN, "drive-*.npz", "iteration-*.npz") for end in ("", ".part"))
 """All that is ever written into the folder, and so all that is ever removed from it."""
 
 
@@ -111,7 +111,10 @@ class Checkpoint:
         if not path.exists():
             return {}
         with _whole(path):
-            return dict(json.loads(path.read_text("utf-8")))
+            plan = json.loads(path.read_text("utf-8"))
+            if not (isinstance(plan, dict) and "drives" in plan):
+                raise ValueError("it is no plan of a training")
+            return plan
 
     def _refuse_foreign(self) -> None:
         if self.folder.exists() and not self.folder.is_dir():

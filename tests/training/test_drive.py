@@ -1,0 +1,57 @@
+"""A recording, tracked and solved once: what is kept of steps that were solved, and of those that were not."""
+
+from pathlib import Path
+
+import numpy as np
+
+import probevo as pv
+from probevo.noise import StudentT
+from probevo.predictors import prediction_space
+from probevo.simulation.point_world import write_points
+from probevo.training.drive import record_drive
+from training.lessons import point_world
+
+SPACE = prediction_space(["place", "row_offset"])
+CONFIG = pv.OdometryConfig()
+REFUSED = 9
+"""A frame whose features swapped places: no motion leads there, and none away from it."""
+
+
+def write_drive(path: Path, *, swapped: bool) -> Path:
+    write_points(point_world(frames=16), path)
+    if swapped:
+        with np.load(path) as archive:
+            arrays = dict(archive)
+        rows = np.flatnonzero(arrays["frame"] == REFUSED)
+        arrays["uv"][rows] = arrays["uv"][np.random.default_rng(0).permutation(rows)]
+        np.savez(path, **arrays)
+    return path
+
+
+def test_a_step_that_was_refused_teaches_nothing(tmp_path: Path) -> None:
+    """Its features are kept, but none of them counts as used."""
+    sequence = pv.open_sequence(write_drive(tmp_path / "drive.npz", swapped=True))
+    drive = record_drive(sequence, SPACE, CONFIG, len(sequence))
+    odometry = pv.StereoOdometry(sequence.camera, config=CONFIG)
+    status = [odometry.step(frame).status for frame in sequence][1:]
+    refused = [step for step, each in enumerate(status) if each is not pv.Status.OK]
+    assert refused == [REFUSED - 1, REFUSED]
+    for step in range(len(status)):
+        used = drive.used[drive.rows(step)]
+        assert len(used) > 50
+        assert used.any() == (step not in refused)
+
+
+def test_it_keeps_what_the_odometry_saw(tmp_path: Path) -> None:
+    """Motion, features and predictors of every step; and how many frames are done, as it goes."""
+    sequence, done = pv.open_sequence(write_drive(tmp_path / "drive.npz", swapped=False)), list[int]()
+    drive = record_drive(sequence, SPACE, CONFIG, len(sequence), done.append)
+    assert done == list(range(1, 17))
+    odometry = pv.StereoOdometry(sequence.camera, StudentT(), config=CONFIG, predictors=SPACE)
+    for step, frame in enumerate(sequence, start=-1):
+        motion = odometry.step(frame)
+        if step >= 0:
+            np.testing.assert_array_equal(drive.T_curr_prev[step], motion.T_curr_prev)
+            np.testing.assert_array_equal(drive.tracks(step).curr_px, odometry.tracks.curr_px)
+            np.testing.assert_array_equal(drive.phi[drive.rows(step)], odometry.phi)
+            np.testing.assert_array_equal(drive.used[drive.rows(step)], odometry.used)
