@@ -6,9 +6,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-
-MIN_DEPTH = 0.05
-"""Least new depth over the old one: what would come behind the camera is put here, and so far off."""
+from probevo.predictors.expected_place import moved_by
 
 
 def disparity_change(
@@ -29,11 +27,6 @@ def disparity_change(
     Returns:
         [N], ln(1 + px); always defined.
     """
-    before = np.maximum(previous_px[:, 0] - previous_px[:, 2], 0.0)
-    rho = before / (camera.fu_px * camera.baseline_m)
-    x, y = (previous_px[:, 0] - camera.cu_px) / camera.fu_px, (previous_px[:, 1] - camera.cv_px) / camera.fv_px
-    c_x, c_y, c_z, t = expected[2]
-    depth = c_x * x + c_y * y + c_z + t * rho  # of the point over what it was
-    after = curr_px[:, 0] - curr_px[:, 2]
-    change: FloatArray = np.abs(after - before / np.maximum(depth, MIN_DEPTH))
+    inverse_depth = moved_by(previous_px, expected, camera)[2]
+    change: FloatArray = np.abs(curr_px[:, 0] - curr_px[:, 2] - camera.fu_px * camera.baseline_m * inverse_depth)
     return np.log1p(change)

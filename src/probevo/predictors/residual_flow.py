@@ -7,6 +7,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
+from probevo.predictors.expected_place import moved_by
 
 STEPS = 3
 """Gauss–Newton steps that correct the expected motion."""
@@ -17,8 +18,6 @@ MIN_SCALE_PX = 0.2
 DAMPING = np.diag([1.0, 1.0, 1.0, 1e2, 1e2, 1e2])
 """As if each step of the correction were known to 1 m and 0.1 rad, measured with 1 px: nothing beside what a dozen
 features tell, except of what they cannot tell, such as the translation when all are far away."""
-MIN_DEPTH = 0.05
-"""Least new depth over the old one: what would come behind the camera is put here, and so far off."""
 
 
 def residual_flow(
@@ -46,21 +45,8 @@ def residual_flow(
     if len(curr_px) >= MIN_FEATURES:
         for _ in range(STEPS):
             T_curr_prev = se3.exp(_correction(previous_px, curr_px, T_curr_prev, camera)) @ T_curr_prev
-    du, dv = _deviation(curr_px, _moved(previous_px, T_curr_prev, camera), camera)
+    du, dv = _deviation(curr_px, moved_by(previous_px, T_curr_prev, camera), camera)
     return np.log1p(np.hypot(du, dv))
-
-
-def _moved(pixels: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera) -> FloatArray:
-    """Where a motion takes features [N, 4]: x, y and inverse depth, 1/m, in the current frame, [3, N]."""
-    rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (camera.fu_px * camera.baseline_m)
-    rays = np.empty((3, len(pixels)))
-    rays[0], rays[1] = (pixels[:, 0] - camera.cu_px) / camera.fu_px, (pixels[:, 1] - camera.cv_px) / camera.fv_px
-    rays[2] = 1.0
-    q = T_curr_prev[:3, :3] @ rays + T_curr_prev[:3, 3, None] * rho
-    depth = np.maximum(q[2], MIN_DEPTH)
-    q[2] = rho
-    moved: FloatArray = q / depth
-    return moved
 
 
 def _deviation(curr_px: FloatArray, moved: FloatArray, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
@@ -73,7 +59,7 @@ def _correction(
     previous_px: FloatArray, curr_px: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera
 ) -> FloatArray:
     """ξ, [6], with Exp(ξ) T_curr_prev nearer to what most features show."""
-    moved = _moved(previous_px, T_curr_prev, camera)
+    moved = moved_by(previous_px, T_curr_prev, camera)
     x, y, rho = moved
     zero = np.zeros_like(x)
     # ξ = [ρ; φ] moves q = (x, y, 1) by δ = rho ρ + φ × q, and its image by (δ_x − x δ_z, δ_y − y δ_z).
