@@ -116,7 +116,7 @@ def _default_predictors(sequence: Sequence) -> list[str]:
     from probevo.predictors import PREDICTORS, Needs
     from probevo.training.settings import DEFAULT
 
-    has_images = next(iter(sequence)).left is not None
+    has_images = sequence.camera.size_px is not None
     return [name for name in DEFAULT if has_images or not PREDICTORS[name].needs & (Needs.LEFT | Needs.PREVIOUS_LEFT)]
 
 
