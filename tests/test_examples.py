@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import probevo as pv
 from cli.rendering import write_wall
+from probevo.arrays import FloatArray
 from probevo.cli.main import main
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import sample_poses
+from probevo.simulation.point_config import PointConfig, PointNoise, PointOutliers
+from probevo.simulation.point_world import simulate_points, write_points
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -95,3 +99,72 @@ def test_learn_whom_to_trust() -> None:
     mean_mm = {line.split()[0]: float(line.split()[1]) for line in done.stdout.splitlines()[1:]}
     assert list(mean_mm) == ["fixed", "student-t", "learned"]
     assert mean_mm["learned"] < 0.9 * mean_mm["student-t"]
+
+
+def test_merge_rows() -> None:
+    """What is merged, its scale and s tell the same of any (u_l, u_r, v) as all four numbers do."""
+    example = load("05_noise_for_gtsam.py")
+    rng = np.random.default_rng(0)
+    half = rng.normal(size=(20, 4, 4))
+    scale, pixels, (u_l, u_r, v) = half @ half.mT + 0.1 * np.eye(4), rng.normal(size=(20, 4)), rng.normal(size=3)
+    merged, merged_scale, squared = example.merge_rows(pixels, scale)
+
+    def length(error: FloatArray, scale: FloatArray) -> FloatArray:
+        return np.asarray(np.vecdot(error, np.linalg.solve(scale, error[..., None])[..., 0]))
+
+    whole = length(pixels - np.array([u_l, v, u_r, v]), scale)
+    np.testing.assert_allclose(squared + length(merged - np.array([u_l, u_r, v]), merged_scale), whole)
+
+    equal, _, _ = example.merge_rows(np.array([[5.0, 1.0, 3.0, 2.0]]), np.eye(4)[None])
+    np.testing.assert_allclose(equal, [[5.0, 3.0, 1.5]])
+
+
+@pytest.mark.parametrize(("noise", "within_sigma"), [("fixed", 0.01), ("student-t", 0.7)])
+def test_noise_for_gtsam(noise: str, within_sigma: float, tmp_path: Path) -> None:
+    """Gaussians agree; of a Student-t, GTSAM trusts each observation by itself, where probevo trusts each feature."""
+    pytest.importorskip("gtsam", reason="gtsam is missing: pip install 'probevo[gtsam]'")
+    gaussian = PointNoise(law="constant", sigma_low_px=0.2, sigma_high_px=0.2)
+    config = PointConfig(noise=gaussian, outliers=PointOutliers(fraction=0.0))
+    write_points(simulate_points(config, 1.0, np.random.default_rng(0)), tmp_path / "points.npz")
+    words = [EXAMPLES / "05_noise_for_gtsam.py", tmp_path / "points.npz", noise]
+    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert [line.split()[0] for line in lines] == ["probevo", "GTSAM"] * 10
+    apart = np.array([line.split("[")[-1].split("]")[0].split() for line in lines], np.float64)
+    assert np.abs(apart).max() < within_sigma
+
+
+@pytest.mark.parametrize("dof", [5.0, np.inf])
+def test_noise_of_residuals_for_gtsam(dof: float) -> None:
+    """With the points held where they were seen, GTSAM minimises probevo's own cost, of a Student-t as well."""
+    pytest.importorskip("gtsam", reason="gtsam is missing: pip install 'probevo[gtsam]'")
+    config = PointConfig(outliers=PointOutliers(fraction=0.0), noise=PointNoise(sigma_high_px=0.3))
+    world = simulate_points(config, 0.5, np.random.default_rng(0))
+    odometry = pv.StereoOdometry(world.camera, NoiseOfResiduals(dof))
+    solve = load("05_noise_for_gtsam.py").solve
+    _, *motions = [(odometry.step(frame), frame.index and solve(odometry, np.eye(4))) for frame in world.frames()]
+    for motion, (T, cov) in motions:
+        assert motion.status is pv.Status.OK
+        apart = se3.log(T @ se3.inverse(motion.T_curr_prev)) / np.sqrt(np.diagonal(motion.cov))
+        assert np.abs(apart).max() < 0.02
+        ratios = np.linalg.eigvals(np.linalg.solve(motion.cov - motion.shared @ motion.shared.T, cov)).real
+        # probevo scales by what residuals show, and weighs features by their curvature; Gaussian ones have the same.
+        assert ratios.max() < (1.01 if np.isinf(dof) else 2.0) * ratios.min()
+
+
+class NoiseOfResiduals:
+    """Correlated, biased noise of y' − f(T g(y)), the same for all features."""
+
+    columns: tuple[str, ...] = ()
+
+    def __init__(self, dof: float) -> None:
+        self.dof = dof
+
+    def predict(self, predictors: FloatArray) -> pv.noise.StereoNoise:
+        count = len(predictors)
+        scale = 0.08 * (np.eye(4) + 0.3 * np.ones((4, 4)))
+        bias = np.tile([0.05, -0.03, 0.02, 0.04], (count, 1))
+        return pv.noise.StereoNoise(np.tile(scale, (count, 1, 1)), np.full(count, self.dof), bias, "residual")
+
+    def check_camera(self, camera: pv.StereoCamera) -> None:
+        """Any will do."""
