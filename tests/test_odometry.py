@@ -19,7 +19,7 @@ from probevo.noise import Fixed, NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.predictors import prediction_space
 from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples
-from worlds import CAMERA, FORWARD, FRAME_NS, blind_frame, drive, motion_error, with_features
+from worlds import CAMERA, FORWARD, FRAME_NS, Homesick, blind_frame, drive, motion_error, with_features
 
 OK, FIRST, GAP = pv.Status.OK, pv.Status.FIRST, pv.Status.GAP
 PLAIN = pv.OdometryConfig(self_calibration=False)
@@ -212,6 +212,13 @@ def test_what_is_known_of_the_features_stays_for_the_asking() -> None:
     assert odometry.weights.max() > 0.5
 
 
+def test_each_step_says_how_many_features_it_used_and_how_many_of_them_are_foreign() -> None:
+    odometry, frames = pv.StereoOdometry(CAMERA, Homesick()), drive(np.random.default_rng(14), 5, sigma_px=0.5)
+    for k, motion in enumerate(odometry.step(frame) for frame in frames):
+        assert motion.num_used == odometry.used.sum()
+        assert motion.num_foreign == (-(-motion.num_used // 3) if k else None)
+
+
 def test_mismatches_that_ransac_turned_away_are_not_used() -> None:
     frames = drive(np.random.default_rng(15), 3)
     odometry = pv.StereoOdometry(CAMERA)
@@ -234,6 +241,57 @@ def test_predictors_alone_change_no_motion() -> None:
     )
     for frame in frames:
         assert plain.step(frame).T_curr_prev.tobytes() == looked_at.step(frame).T_curr_prev.tobytes()
+
+
+def last_residuals_of(frames: Sequence[Frame]) -> list[tuple[pv.Status, FloatArray, FloatArray]]:
+    """Status, predicted and expected ``last_residual`` [N] of every step; expected, one feature after another."""
+    odometry, steps = pv.StereoOdometry(CAMERA, predictors=prediction_space(["last_residual"])), []
+    left: dict[int, float] = {}
+    for frame in frames:
+        motion = odometry.step(frame)
+        tracks, T_curr_prev = odometry.tracks, motion.T_curr_prev
+        expected = [np.log(0.1 + left[k]) if k in left else np.nan for k in tracks.ids.tolist()]
+        steps.append((motion.status, odometry.phi[:, 0], np.array(expected)))
+        left = {}
+        if motion.status is OK:
+            for k, before, now in zip(tracks.ids.tolist(), tracks.prev_px, tracks.curr_px, strict=True):
+                point = se3.transform(T_curr_prev, CAMERA.triangulate(before))
+                left[k] = float(np.linalg.norm(now - CAMERA.project(point)))
+    return steps
+
+
+def test_features_come_with_the_residual_of_the_step_before() -> None:
+    """Those that RANSAC turned away too; new ones have none, nor has any in the first step."""
+    frames = drive(np.random.default_rng(18), 10)
+    features = frames[5].features
+    assert features is not None
+    pixels = features.pixels.copy()
+    pixels[:30, 1::2] += 40.0
+    frames[5] = replace(frames[5], features=replace(features, pixels=pixels))
+    steps = last_residuals_of(frames)[1:]
+    for status, predicted, expected in steps:
+        assert status is OK
+        np.testing.assert_allclose(predicted, expected, rtol=1e-9)
+    assert np.isnan(steps[0][1]).all()
+    for _, predicted, _ in steps[1:]:
+        assert 0.0 < np.isnan(predicted).mean() < 0.5
+    assert (steps[5][1] > np.log(40.0)).sum() > 20
+
+
+def test_after_a_refused_step_no_residual_is_known() -> None:
+    """Features swap places in frame 6, and all but five are missing in frame 12."""
+    frames = drive(np.random.default_rng(19), 18)
+    features = frames[6].features
+    assert features is not None
+    order = np.random.default_rng(0).permutation(len(features.ids))
+    frames[6] = replace(frames[6], features=replace(features, pixels=features.pixels[order]))
+    frames[12] = with_features(frames[12], 5)
+    steps = last_residuals_of(frames)
+    refused = [k for k, (status, _, _) in enumerate(steps) if status not in (OK, FIRST)]
+    assert refused == [6, 7, 12, 13]
+    for k, (_, predicted, expected) in enumerate(steps):
+        np.testing.assert_allclose(predicted, expected, rtol=1e-9)
+        assert np.isnan(predicted).all() == (k <= 1 or k - 1 in refused)
 
 
 @pytest.mark.parametrize(("exponent", "same"), [(0.0, True), (4.0, False)])

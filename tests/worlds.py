@@ -10,6 +10,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
+from probevo.noise import StereoNoise, StudentT
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking.tracks import Tracks
 
@@ -114,3 +115,10 @@ def blind_frame(index: int) -> Frame:
     """A frame of the drive that shows nothing at all."""
     nothing = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
     return Frame(index, START_NS + index * FRAME_NS, features=nothing)
+
+
+class Homesick(StudentT):
+    """A static noise that takes every third feature for foreign."""
+
+    def predict(self, predictors: FloatArray) -> StereoNoise:
+        return replace(super().predict(predictors), foreign=np.arange(len(predictors)) % 3 == 0)

@@ -9,6 +9,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.motion.estimate import MotionEstimate, Status
 from probevo.motion.gyro import GyroBias, GyroRotation, integrate_gyro
+from probevo.motion.last_residuals import LastResiduals
 from probevo.motion.motion_model import MotionModel
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior
 from probevo.motion.self_calibration import SelfCalibration
@@ -49,7 +50,7 @@ class StereoOdometry:
         self.predictors = space_for(self.noise.columns, predictors)
         self.tracks, self.phi = Tracks.none(), np.zeros((0, len(self.predictors.columns)))
         self.used, self.weights = np.zeros(0, np.bool_), np.zeros(0)
-        self._model = MotionModel.at_start(self.config.motion_model)
+        self._model, self._residuals = MotionModel.at_start(self.config.motion_model), LastResiduals.none()
         self._tracker: Tracker | None = None
         self._before: Frame | None = None
 
@@ -79,7 +80,7 @@ class StereoOdometry:
             self.calibration = self.calibration.with_rows(tracks.curr_px, self.camera)
             tracks = self.calibration.corrected_tracks(tracks, self.camera)
             clock.lap("calibrate")
-        phi = self.predictors(Step(tracks, self.camera, expected.T_curr_prev, before, frame))  # [N, M]
+        phi = self.predictors(Step(tracks, self.camera, expected.T_curr_prev, before, frame, self._residuals))  # [N, M]
         clock.lap("predict")
         rng = np.random.default_rng([self.config.seed, frame.index])
         visual = estimate_motion(tracks, phi, self.noise, self.camera, expected, rotation, self.config, rng, clock)
@@ -95,9 +96,10 @@ class StereoOdometry:
             status = Status.GAP
         solved, refused = (T_curr_prev, cov) if status is Status.OK else None, visual.status is Status.NOT_CONVERGED
         self._model = self._model.after(duration_s, solved, refused=refused)
+        self._residuals = LastResiduals.left_by(tracks, T_curr_prev, self.camera) if solved else LastResiduals.none()
         clock.lap("learn")
-        trusted, iterations = visual.num_trusted, visual.num_iterations
-        return MotionEstimate(T_curr_prev, cov, status, len(tracks), trusted, iterations, shared, clock.times_ms)
+        counts, support = (visual.num_trusted, visual.num_iterations), (visual.num_used, visual.num_foreign)
+        return MotionEstimate(T_curr_prev, cov, status, len(tracks), *counts, shared, clock.times_ms, *support)
 
     def _integrate_gyro(self, since_ns: int, frame: Frame) -> GyroRotation | None:
         """The gyro's rotation since the last frame, less the bias believed in."""

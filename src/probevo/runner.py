@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
@@ -143,13 +143,15 @@ def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, 
     write_kitti_poses(out / "trajectory.kitti.txt", result.T_world_cam)
     write_motions(out / "motions.npz", result)
     truth = None if sequence.truth is None else sequence.truth.T_world_cam[: len(result)]
-    metrics = None if truth is None else evaluate(result.T_world_cam, truth, result.T_curr_prev, result.cov)
-    if metrics is not None:
+    metrics = None
+    if truth is not None:
+        metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, result.cov)
+        metrics = replace(metrics, out_of_domain=result.out_of_domain)
         write_json(out / "metrics.json", metrics.as_dict())
     else:
         remove_stale(out / "metrics.json")
     if len(result) >= 2:
-        facts = run_facts(sequence, config)
+        facts = run_facts(sequence, config, result.out_of_domain)
         title = sequence.path.resolve().name
         write_report(out / "report.html", result, title, facts, truth, metrics, pictures.drawn, settings)
     else:

@@ -17,6 +17,7 @@ from probevo.evaluation.metrics import evaluate
 from probevo.noise import NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
+from probevo.noise.named import BASES
 from probevo.output.files import read_kitti_poses, read_tum
 from probevo.output.motions_file import read_motions
 from probevo.run_config import RunConfig, read_config
@@ -24,6 +25,7 @@ from probevo.runner import run_sequence
 from probevo.sequences import open_sequence
 from sequences.damage import cut
 from sequences.recordings import write_folder_sequence, write_tracks
+from worlds import Homesick
 
 FILES = {"config.yaml", "metrics.json", "motions.npz", "report.html", "trajectory.kitti.txt", "trajectory.tum"}
 
@@ -118,6 +120,28 @@ def test_stale_results_of_an_earlier_run_go(wall: Path, wall_run: Path, tmp_path
     (recording / "poses.txt").unlink()
     assert main(["run", str(recording), "--out", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == FILES - {"metrics.json"}
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_features_unlike_the_training_are_counted_and_warned_of(
+    wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], truth: bool
+) -> None:
+    monkeypatch.setitem(BASES, "student-t", Homesick)
+    recording, out = shutil.copytree(wall, tmp_path / "wall"), tmp_path / "out"
+    if not truth:
+        (recording / "poses.txt").unlink()
+    assert main(["run", str(recording), "--out", str(out)]) == 0
+    result, page, shown = read_motions(out / "motions.npz"), (out / "report.html").read_text(), capsys.readouterr().out
+    assert result.num_used is not None
+    np.testing.assert_array_equal(result.num_foreign, -(-result.num_used // 3))
+    assert result.out_of_domain == pytest.approx(1.0 / 3.0, abs=0.01)
+    if truth:
+        assert json.loads((out / "metrics.json").read_text())["out_of_domain"] == result.out_of_domain
+        assert main(["eval", str(out), "--gt", str(out / "trajectory.kitti.txt")]) == 0
+        assert json.loads((out / "metrics.json").read_text())["out_of_domain"] == result.out_of_domain
+    for text in (shown, page):
+        assert "The noise model was trained on nothing like 33." in text
+    assert "<dt>Out of its domain</dt><dd>33." in page
 
 
 @pytest.mark.parametrize("frames", [2, 8])

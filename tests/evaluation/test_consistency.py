@@ -1,9 +1,17 @@
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from probevo.arrays import FloatArray
-from probevo.evaluation.consistency import Consistency, drift_covariances, drift_errors, motion_consistency
+from probevo.evaluation.consistency import (
+    Consistency,
+    drift_covariances,
+    drift_errors,
+    feature_coverage,
+    motion_consistency,
+)
 from probevo.geometry import se3
+from probevo.noise import StereoNoise
 
 COV = np.diag([0.02, 0.01, 0.05, 0.002, 0.003, 0.001]) ** 2
 COV[0, 4] = COV[4, 0] = 0.5 * 0.02 * 0.003
@@ -46,6 +54,66 @@ def test_only_steps_with_truth_count() -> None:
 def test_interval_of_anees_closes_in_on_6() -> None:
     low, high = Consistency(np.full(100_000, 6.0)).anees_interval()
     assert 5.9 < low < 6.0 < high < 6.1
+
+
+def test_shares_inside_are_those_of_the_coverage_and_grow_with_the_ellipsoid() -> None:
+    consistency = Consistency(np.random.default_rng(5).chisquare(6, 500))
+    levels = np.array([0.0, 0.5, 0.9, 0.95, 0.99, 1.0])
+    shares = consistency.share_inside(levels)
+    assert shares[1:-1].tolist() == list(consistency.coverage.values())
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert (np.diff(shares) >= 0.0).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 10, 463, 4540])
+def test_interval_of_the_share_is_that_of_the_binomial(count: int) -> None:
+    levels = np.arange(1, 100) / 100.0
+    low, high = Consistency(np.full(count, 6.0)).share_interval(levels)
+    np.testing.assert_array_equal(low, binom.ppf(0.025, count, levels) / count)
+    np.testing.assert_array_equal(high, binom.ppf(0.975, count, levels) / count)
+
+
+def test_an_honest_run_stays_in_the_interval_as_often_as_it_should() -> None:
+    """At each of five levels, over 2000 runs of 300 steps: 95 %, or the little more that a whole number needs."""
+    levels, runs = np.array([0.1, 0.3, 0.5, 0.7, 0.9]), np.random.default_rng(6).chisquare(6, (2000, 300))
+    low, high = Consistency(runs[0]).share_interval(levels)
+    shares = np.array([Consistency(nees).share_inside(levels) for nees in runs])
+    often = ((low <= shares) & (shares <= high)).mean(axis=0)
+    nominal = binom.cdf(np.round(300 * high), 300, levels) - binom.cdf(np.round(300 * low) - 1, 300, levels)
+    assert (nominal >= 0.95).all()
+    np.testing.assert_allclose(often, nominal, atol=3.5 * np.sqrt(0.05 * 0.95 / 2000))
+
+
+def student_errors(rng: np.random.Generator, noise: StereoNoise) -> FloatArray:
+    """Residuals drawn from the noise: Gaussian, over the root of χ²(ν)/ν."""
+    count = len(noise.dof)
+    finite = np.where(np.isinf(noise.dof), 1.0, noise.dof)
+    mixture = np.where(np.isinf(noise.dof), 1.0, rng.chisquare(finite) / finite)
+    white = rng.normal(size=(count, 4)) / np.sqrt(mixture)[:, None]
+    return noise.bias + (np.linalg.cholesky(noise.scale) @ white[..., None])[..., 0]
+
+
+@pytest.mark.parametrize("dof", [1.0, 3.0, 30.0, np.inf, None])
+def test_features_drawn_from_their_noise_have_nominal_coverage(dof: float | None) -> None:
+    """Also where each has a scale, a bias and a ν of its own (None), Gaussians among them."""
+    rng, count = np.random.default_rng(7), 20_000
+    factor = rng.normal(size=(count, 4, 4))
+    each = rng.choice([0.7, 2.0, 8.0, np.inf], count) if dof is None else np.full(count, dof)
+    noise = StereoNoise(factor @ factor.mT + 0.1 * np.eye(4), each, rng.normal(size=(count, 4)))
+    coverage = feature_coverage(noise, student_errors(rng, noise))
+    assert list(coverage) == ["50", "90", "95", "99"]
+    for percent, share in coverage.items():
+        nominal = int(percent) / 100.0
+        assert share == pytest.approx(nominal, abs=3.5 * np.sqrt(nominal * (1.0 - nominal) / count))
+
+
+def test_coverage_tells_heavy_tails_and_too_small_a_scale_from_the_truth() -> None:
+    """A Gaussian of half the variance is overconfident; ν = 3 believed in Gaussian errors is timid in the tails."""
+    rng, count = np.random.default_rng(8), 20_000
+    scale, bias = np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 4))
+    errors = rng.normal(size=(count, 4))
+    assert feature_coverage(StereoNoise(0.5 * scale, np.full(count, np.inf), bias), errors)["95"] < 0.8
+    assert feature_coverage(StereoNoise(scale, np.full(count, 3.0), bias), errors)["95"] > 0.99
 
 
 def test_drift_of_many_runs_fits_its_covariance() -> None:

@@ -15,10 +15,10 @@ from probevo.motion.estimate import Status
 from probevo.motion.motion_model import ExpectedMotion, MotionModel
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
 from probevo.motion.visual import VisualMotion, estimate_motion, solve
-from probevo.noise import Fixed, StereoNoise, StudentT
+from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
-from worlds import CAMERA, FORWARD, at_infinity, both, motion_error, seen_twice, tracks_of
+from worlds import CAMERA, FORWARD, Homesick, at_infinity, both, motion_error, seen_twice, tracks_of
 
 CONFIG = OdometryConfig()
 UNKNOWN = MotionModel.at_start(CONFIG.motion_model).expected(0.1, None)
@@ -32,10 +32,11 @@ def look(
     rotation: RotationPrior | None = None,
     config: OdometryConfig = CONFIG,
     clock: StageClock | None = None,
+    noise: NoiseModel | None = None,
 ) -> VisualMotion:
     predictors, rng = np.zeros((len(tracks), 0)), np.random.default_rng(0)
     clock = clock or StageClock()
-    return estimate_motion(tracks, predictors, StudentT(), CAMERA, expected, rotation, config, rng, clock)
+    return estimate_motion(tracks, predictors, noise or StudentT(), CAMERA, expected, rotation, config, rng, clock)
 
 
 def test_good_tracks_give_the_motion() -> None:
@@ -109,6 +110,23 @@ def test_outliers_of_the_consensus_have_no_weight_and_no_part_in_the_solve() -> 
     assert not visual.used[:30].any()
     assert visual.solution is not None
     assert len(visual.solution.weight) == visual.used.sum()
+
+
+def test_foreign_features_are_told_among_those_used() -> None:
+    tracks = seen_twice(np.random.default_rng(11), 100, sigma_px=0.2)
+    tracks.curr_px[:30, 1::2] += 40.0
+    visual, plain = look(tracks, noise=Homesick()), look(tracks)
+    assert visual.foreign is not None
+    np.testing.assert_array_equal(visual.foreign[visual.used], np.arange(visual.num_used) % 3 == 0)
+    assert not visual.foreign[~visual.used].any()
+    assert visual.num_foreign == -(-visual.num_used // 3)
+    assert visual.num_used == plain.num_used == visual.used.sum() > 60
+    assert (plain.foreign, plain.num_foreign) == (None, None)
+
+
+def test_where_nothing_is_solved_nothing_is_used_and_nothing_foreign() -> None:
+    visual = look(seen_twice(np.random.default_rng(1), 5), noise=Homesick())
+    assert (visual.status, visual.num_used, visual.num_foreign) == (Status.TOO_FEW_TRACKS, 0, None)
 
 
 def test_without_rejection_the_robust_loss_sees_all() -> None:

@@ -1,5 +1,7 @@
 """The classical noise models, and the likelihood of residuals under the noise that they predict."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, multivariate_t
@@ -58,6 +60,14 @@ def test_student_t_tends_to_the_normal() -> None:
     residuals = normal.bias + rng.normal(size=(COUNT, 4))
     student = StereoNoise(normal.scale, np.full(COUNT, 1e7), normal.bias)
     np.testing.assert_allclose(student.log_likelihood(residuals), normal.log_likelihood(residuals), rtol=1e-5)
+
+
+def test_scaled_noise_keeps_all_but_its_scale() -> None:
+    noise = replace(random_noise(np.random.default_rng(9), np.array([3.0, np.inf])), foreign=np.array([True, False]))
+    scaled = noise.scaled(np.array([4.0, 0.25]))
+    np.testing.assert_array_equal(scaled.scale, np.array([4.0, 0.25])[:, None, None] * noise.scale)
+    for name in ("dof", "bias", "refers_to", "foreign"):
+        np.testing.assert_array_equal(getattr(scaled, name), getattr(noise, name))
 
 
 def test_no_features_have_no_likelihood() -> None:

@@ -16,9 +16,12 @@ STEP_NS = 103_500_000
 
 @pytest.fixture(scope="session")
 def make_run() -> Callable[..., RunResult]:
-    """Makes a run of that many frames along a gentle curve; the same but for its times, whatever ``hurry``."""
+    """Makes a run of that many frames along a gentle curve; the same but for its times, whatever ``hurry``.
 
-    def make(count: int, speed: float = 1.0, hurry: float = 1.0) -> RunResult:
+    Of the 100 features that each step used, ``foreign`` are out of domain.
+    """
+
+    def make(count: int, speed: float = 1.0, hurry: float = 1.0, foreign: int | None = None) -> RunResult:
         rng = np.random.default_rng(0)
         recorder = RunRecorder()
         first = MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, num_tracks=0)
@@ -26,7 +29,10 @@ def make_run() -> Callable[..., RunResult]:
             xi = speed * np.array([0.0, 0.0, -1.0, 0.0, 0.02, 0.0]) + rng.normal(0.0, 0.001, 6)
             stages = {"track": hurry * rng.uniform(4, 6), "solve": hurry * rng.uniform(0.5, 1)}
             status = Status.GAP if k % 40 == 39 else Status.OK
-            motion = MotionEstimate(se3.exp(xi), 1e-5 * np.eye(6), status, int(rng.integers(200, 300)), stage_ms=stages)
+            tracks = int(rng.integers(200, 300))
+            motion = MotionEstimate(
+                se3.exp(xi), 1e-5 * np.eye(6), status, tracks, stage_ms=stages, num_used=100, num_foreign=foreign
+            )
             recorder.add(
                 10**18 + k * STEP_NS, motion if k else first, rejected={"row offset": 3, "flow": 5} if k else {}
             )

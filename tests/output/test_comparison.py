@@ -17,6 +17,7 @@ from probevo.output.comparison import (
     Entry,
     comparison_rows,
     distinct_labels,
+    domain_note,
     numbered,
     reads_least,
     truth_note,
@@ -77,6 +78,20 @@ def test_rows_hold_the_metrics_and_the_median_time(make_run: Callable[..., RunRe
 def test_what_is_not_known_is_a_dash(make_run: Callable[..., RunResult]) -> None:
     rows = comparison_rows(Comparison((Entry("hill", "fixed", make_run(1)),)))
     assert rows[2] == ("  fixed", "–", "–", "–", "–", "–")
+
+
+def test_foreign_features_have_a_column_where_a_model_has_a_domain(
+    entries: tuple[Entry, Entry], make_run: Callable[..., RunResult], tmp_path: Path
+) -> None:
+    home, abroad = entries[0], replace(entries[1], result=make_run(30, foreign=25))
+    head, _, first, second = comparison_rows(Comparison((home, abroad)))
+    assert head == ("estimator", *COLUMNS, "foreign %")
+    assert (first[-1], second[-1]) == ("–", "25.0")
+    assert domain_note(Comparison((home, abroad)))
+    assert not domain_note(Comparison(entries))
+    page = page_of(Comparison((home, abroad)), tmp_path)
+    assert "<th>foreign %</th>" in page
+    assert [row[-1] for row in cells_of(page)] == [("–", False), ("25.0", False)]
 
 
 @pytest.mark.parametrize("known", ["all", "none", "some", "late"])

@@ -42,6 +42,12 @@ def test_a_line_holds_every_metric_as_it_is(make_run: Callable[..., RunResult], 
     assert set(first) == set(second)
 
 
+def test_the_share_out_of_domain_needs_no_truth(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+    entries = [entry(make_run(9, foreign=25), truth=known) for known in (True, False)]
+    assert [flat_record(each)["out_of_domain"] for each in entries] == [0.25, 0.25]
+    assert [run["out_of_domain"] for run in document(entries, tmp_path)["runs"]] == [0.25, 0.25]
+
+
 def test_every_status_has_a_column(make_run: Callable[..., RunResult]) -> None:
     columns = flat_record(entry(make_run(3), truth=True))
     assert {f"steps_{status.name.lower()}" for status in Status} - {"steps_first"} <= set(columns)

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from output.pages import Balance
+from probevo.evaluation.consistency import Consistency
 from probevo.evaluation.metrics import evaluate
 from probevo.output.drawing import draw_tracks
 from probevo.output.metrics_table import readable
 from probevo.output.report import write_report
-from probevo.output.report_timelines import stages_figure
+from probevo.output.report_calibration import calibration_figure
+from probevo.output.report_timelines import domain_figure, stages_figure
 from probevo.output.run_result import RunResult
 
 
@@ -90,6 +92,47 @@ def test_decoding_is_no_part_of_the_stack(make_run: Callable[..., RunResult]) ->
     assert len(stack) == len(run.stage_ms)
     np.testing.assert_allclose(stack[-1].get_data().values, run.total_ms)
     assert "decode 50, beside the total" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+@pytest.mark.parametrize(
+    ("foreign", "timeline", "warned"), [(None, False, False), (0, False, False), (10, True, False), (11, True, True)]
+)
+def test_the_page_warns_of_more_than_a_tenth_out_of_domain(
+    make_run: Callable[..., RunResult], tmp_path: Path, foreign: int | None, timeline: bool, warned: bool
+) -> None:
+    page = page_of(make_run(30, foreign=foreign), tmp_path)
+    assert ('aria-label="Out of domain"' in page) is timeline
+    assert ("nothing like 11.0 % of the features" in page) is warned
+    assert ("Train it on recordings like this one" in page) is warned
+    parsed = Balance()
+    parsed.feed(page)
+    assert not parsed.open
+
+
+def test_the_share_out_of_domain_over_time(make_run: Callable[..., RunResult]) -> None:
+    """1200 steps in 400 groups of three; the share is that of all features of a group, 0 where none was used."""
+    used, foreign = np.tile([100, 300, 0], 400), np.tile([10, 70, 0], 400)
+    used[:3] = foreign[:3] = 0
+    percent = domain_figure(used, foreign, make_run(1201)).axes[0].patches[0].get_data().values
+    np.testing.assert_allclose(percent, [0.0, *[20.0] * 399])
+
+
+def test_the_calibration_of_an_honest_run_lies_on_the_diagonal_and_that_of_a_bold_one_below() -> None:
+    nees = np.random.default_rng(0).chisquare(6, 4000)
+    for factor, low, high in ((1.0, -3.0, 3.0), (2.0, -60.0, -1.0)):
+        claimed, inside = calibration_figure(Consistency(factor * nees)).axes[0].lines[-1].get_data()
+        off = (np.asarray(inside) - np.asarray(claimed))[9:90]
+        assert ((low < off) & (off < high)).all()
+
+
+@pytest.mark.parametrize("known", ["all", "none", "one"])
+def test_calibration_is_shown_where_a_step_has_truth(
+    make_run: Callable[..., RunResult], tmp_path: Path, known: str
+) -> None:
+    run = make_run(30)
+    truth = np.where((known == "all") | (np.arange(30) == 5)[:, None, None], run.T_world_cam, np.nan)
+    page = page_of(run, tmp_path, None if known == "none" else truth)
+    assert ("Claim and truth, step by step" in page) is (known == "all")
 
 
 def test_pyplot_is_never_imported() -> None:

@@ -34,6 +34,30 @@ def test_moving_forward_moves_the_camera_forward() -> None:
     np.testing.assert_array_equal(chain_motions(T_curr_prev)[:, :3, 3], [[0, 0, 0], [0, 0, 1], [0, 0, 2], [0, 0, 3]])
 
 
+@pytest.mark.parametrize(
+    ("steps", "foreign", "share"),
+    [
+        ([(100, 10), (300, 70)], [10, 70], 0.2),
+        ([(100, 10), (0, None), (100, 0)], [10, 0, 0], 0.05),  # nothing was solved at the second
+        ([(100, 0), (100, 0)], [0, 0], 0.0),
+        ([(100, None), (100, None)], None, None),  # a model without a domain
+        ([(0, None)], None, None),
+        ([], None, None),
+    ],
+)
+def test_the_share_out_of_domain_is_that_of_all_features_used(
+    steps: list[tuple[int, int | None]], foreign: list[int] | None, share: float | None
+) -> None:
+    recorder = RunRecorder()
+    for k, (used, count) in enumerate([(0, None), *steps]):
+        recorder.add(k, MotionEstimate(np.eye(4), np.eye(6), Status.OK, 400, num_used=used, num_foreign=count))
+    run = recorder.result()
+    assert run.num_used is not None
+    assert run.num_used.tolist() == [used for used, _ in steps]
+    assert (None if run.num_foreign is None else run.num_foreign.tolist()) == foreign
+    assert run.out_of_domain == pytest.approx(share)
+
+
 def test_totals_and_stages_that_come_and_go() -> None:
     recorder = RunRecorder()
     for k, stages in enumerate([{}, {"track": 5.0}, {"track": 4.0, "solve": 1.0}]):

@@ -214,10 +214,10 @@ def _write(out: Path, comparison: Comparison) -> None:
 
 
 def _summary(comparison: Comparison, out: Path) -> list[str]:
-    from probevo.output.comparison import comparison_rows, truth_note
+    from probevo.output.comparison import comparison_rows, domain_note, truth_note
 
     head, *rows = comparison_rows(comparison)
-    notes = ["Drift and rotation: over pieces of 10 to 50 m.", *truth_note(comparison)]
+    notes = ["Drift and rotation: over pieces of 10 to 50 m.", *domain_note(comparison), *truth_note(comparison)]
     return [table(head, rows), "", *notes, f"comparison: {out / 'comparison.html'}"]
 
 

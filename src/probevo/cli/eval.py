@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -48,6 +48,8 @@ class Trajectory:
     """Relative motions of a run, [N-1, 4, 4], m."""
     cov: FloatArray | None = None
     """Their covariances, [N-1, 6, 6]."""
+    out_of_domain: float | None = None
+    """See ``RunResult.out_of_domain``."""
 
 
 def main(words: list[str]) -> None:
@@ -61,6 +63,7 @@ def main(words: list[str]) -> None:
     truth = read_trajectory(arguments.gt, arguments.gt_format)
     T_world_cam_true, remark = match_truth(estimate, truth)
     metrics = evaluate(estimate.T_world_cam, T_world_cam_true, estimate.T_curr_prev, estimate.cov)
+    metrics = replace(metrics, out_of_domain=estimate.out_of_domain)
     rows = metrics_rows(metrics)
     width = max(len(name) for name, _, _ in rows)
     print(columns((f"{name:<{width}}  {value}", text) for name, value, text in rows))
@@ -79,7 +82,7 @@ def read_run(folder: Path) -> Trajectory:
     if not path.exists():
         raise InputError(path, "this file is missing.", "Give the --out folder of `probevo run`, or a trajectory file.")
     result = read_motions(path)
-    return Trajectory(path, result.T_world_cam, result.stamps_ns, result.T_curr_prev, result.cov)
+    return Trajectory(path, result.T_world_cam, result.stamps_ns, result.T_curr_prev, result.cov, result.out_of_domain)
 
 
 def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:

@@ -87,6 +87,7 @@ def summary(run: Run, out: Path) -> list[str]:
     import numpy as np
 
     from probevo.motion.estimate import Status
+    from probevo.output.domain import domain_text, domain_warning
     from probevo.output.metrics_table import readable
 
     result, metrics = run.result, run.metrics
@@ -100,4 +101,7 @@ def summary(run: Run, out: Path) -> list[str]:
         lines.append(f"drift {drift} over pieces of 10 to 50 m")
     if metrics and metrics.final_error_m is not None and metrics.path_length_m is not None:
         lines.append(f"end error {readable(metrics.final_error_m)} m after {readable(metrics.path_length_m)} m")
+    if result.out_of_domain is not None:
+        warning = domain_warning(result.out_of_domain)
+        lines.append(f"warning: {warning}" if warning else f"out of domain: {domain_text(result.out_of_domain)}")
     return [*lines, f"report: {out / 'report.html'}" if len(result) > 1 else f"results: {out}"]

@@ -49,6 +49,9 @@ class Metrics:
     """Average NEES of the relative motions; 6 is honest, unless the truth is itself noisy (KITTI's is)."""
     nees_coverage: dict[str, float] | None = None
     """Share, 0 … 1, of the relative motions inside their 50, 90, 95 and 99 % ellipsoids, keyed by that percentage."""
+    out_of_domain: float | None = None
+    """Share, 0 … 1, of the features solved with that lie where the noise model has seen no training data; None if it
+    knows of no such place. It comes from the run, needs no truth, and is left to the caller of ``evaluate``."""
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, in the order above."""

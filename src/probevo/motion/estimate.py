@@ -45,3 +45,8 @@ class MotionEstimate:
     [6, 3], by the same three numbers of unit variance in every step, and cov contains shared sharedᵀ."""
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     """Wall time of each stage of this step, ms."""
+    num_used: int = 0
+    """Tracks that the solve used; 0 where there was none."""
+    num_foreign: int | None = None
+    """Those of them that lie where the noise model has seen no training data; None where there was no solve, or for
+    models that have seen none at all."""

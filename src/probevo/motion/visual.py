@@ -37,6 +37,9 @@ class VisualMotion:
     """Which tracks the solve used, [N]; the others were turned away before."""
     solution: ReprojectionSolution | None
     """The last solve; to be believed only if the status is OK, None after too few tracks or if it is degenerate."""
+    foreign: BoolArray | None = None
+    """Which of the tracks used lie where the noise model has seen no training data, [N]; None if it knows of no such
+    place, or if there was no solve."""
 
     @property
     def astray(self) -> BoolArray:
@@ -47,6 +50,16 @@ class VisualMotion:
     def num_trusted(self) -> int:
         """Tracks that kept at least half of a perfect feature's weight."""
         return int((self.weights >= TRUSTED).sum())
+
+    @property
+    def num_used(self) -> int:
+        """Tracks that the solve used."""
+        return int(self.used.sum())
+
+    @property
+    def num_foreign(self) -> int | None:
+        """Those of them that lie where the noise model has seen no training data; None as for ``foreign``."""
+        return None if self.foreign is None else int(self.foreign.sum())
 
     @property
     def num_iterations(self) -> int:
@@ -82,14 +95,18 @@ def estimate_motion(
     clock.lap("consensus")
     used, weights = start.inliers, np.zeros(len(tracks))
     if not enough(used, config):
-        return VisualMotion(Status.TOO_FEW_TRACKS, weights, used, None)
+        return VisualMotion(Status.TOO_FEW_TRACKS, weights, np.zeros_like(used), None)
     prior = rotation if config.gyro.prior else None
     predicted = noise.predict(predictors[used])
     solution = solve(tracks.kept(used), predicted, start.T_curr_prev, camera, prior, config.solver)
     weights[used] = solution.weight
     clock.lap("solve")
     status = _judge(solution, expected, config)
-    return VisualMotion(status, weights, used, None if status is Status.DEGENERATE else solution)
+    foreign = None
+    if predicted.foreign is not None:
+        foreign = np.zeros_like(used)
+        foreign[used] = predicted.foreign
+    return VisualMotion(status, weights, used, None if status is Status.DEGENERATE else solution, foreign)
 
 
 def solve(

@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 import numpy as np
 from scipy.special import gammaln
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 
 Refers = Literal["observation", "residual"]
@@ -27,6 +27,14 @@ class StereoNoise:
     refers_to: Refers = "residual"
     """What the scale describes: the residual y' − f(T g(y)) as a whole (learned models), or each single observation y
     and y' (classical models), from which the solver derives the residual's, the triangulated point's noise included."""
+    foreign: BoolArray | None = None
+    """Which of the N features lie where the model has seen no training data, [N]; None for models that have seen none,
+    which are at home everywhere."""
+
+    def of(self, chosen: IntArray) -> StereoNoise:
+        """The noise of some of the features, by their indices."""
+        foreign = None if self.foreign is None else self.foreign[chosen]
+        return StereoNoise(self.scale[chosen], self.dof[chosen], self.bias[chosen], self.refers_to, foreign)
 
     def scaled(self, factors: FloatArray) -> StereoNoise:
         """The same noise, the scale of each feature times a factor, [N]."""

@@ -7,9 +7,12 @@ from typing import Protocol
 
 from probevo.errors import InputError
 from probevo.noise.model_file import ModelFile, read_model_file, write_model_file
+from probevo.noise.generalized_kernel import GeneralizedKernel
 from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.noise.student_t import StudentT
 
-_KINDS = {"knn": NearestNeighbors}
+Learned = GeneralizedKernel | NearestNeighbors | StudentT
+_KINDS: dict[str, type[GeneralizedKernel] | type[NearestNeighbors] | type[StudentT]] = {"gk": GeneralizedKernel, "knn": NearestNeighbors, "student-t": StudentT}
 
 
 class Storable(Protocol):
@@ -28,7 +31,7 @@ def save_model(model: Storable, path: Path) -> None:
     write_model_file(path, model.to_file())
 
 
-def load_model(path: Path) -> NearestNeighbors:
+def load_model(path: Path) -> Learned:
     """Read a model. A file is data only: nothing in it is ever run.
 
     Raises:

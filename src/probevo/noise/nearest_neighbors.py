@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from probevo.arrays import AnyArray, FloatArray
-from probevo.camera.likeness import difference
+from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
@@ -133,10 +133,7 @@ class NearestNeighbors:
         Raises:
             InputError: says in what it differs.
         """
-        unlike = difference(camera, self.camera) if self.camera else ""
-        if unlike:
-            what = f"it was trained with another camera: {unlike}."
-            raise InputError("noise model", what.replace("its", "this one's", 1), "Train one with this camera.")
+        refuse_other_camera(self.camera, camera)
 
     def samples(self) -> tuple[FloatArray, FloatArray]:
         """The training data as they lie in the model: places φ [N, M], NaN where undefined, and ln(α/ᾱ) [N]."""

@@ -1,34 +1,109 @@
-"""The static M-estimator: one Student-t for every observation (PROBE-GK section 1.5.3, after Kerl et al. 2013)."""
+"""The static M-estimator: one Student-t for every feature (PROBE-GK section 1.5.3, after Kerl et al. 2013)."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Self
+
 import numpy as np
+from pydantic import ConfigDict, Field
 
 from probevo.arrays import FloatArray
-from probevo.camera.stereo import StereoCamera
-from probevo.noise.base import StereoNoise
+from probevo.camera.likeness import refuse_other_camera
+from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.noise.base import Refers, StereoNoise
 from probevo.noise.fixed import OBSERVATION_SIGMA_PX
+from probevo.noise.model_file import ModelFile
+from probevo.noise.student_fit import fit_static
+from probevo.settings import Settings
+
+
+class _Facts(Settings):
+    """What a file says beside its arrays; of no other type than it is written."""
+
+    model_config = ConfigDict(strict=True)
+    dof: float = Field(gt=0)
+    refers_to: Refers
+    camera: StereoCamera | None
+    training: dict[str, Any]
 
 
 class StudentT:
-    """Student-t noise of one fixed scale matrix on every observation.
+    """Student-t noise of one scale matrix for every feature.
 
     Args:
         dof: degrees of freedom ν; small values trust outliers less.
         scale: scale matrix of (u_l, v_l, u_r, v_r), [4, 4], px².
+        refers_to: whether that is the noise of an observation, or of the residual.
+        camera: the camera of the training data; None if it was not trained.
+        training: how the training data came about, in plain values that JSON can hold.
     """
 
     columns: tuple[str, ...] = ()
 
-    def __init__(self, dof: float = 5.0, scale: FloatArray | None = None) -> None:
-        self.dof = dof
-        self.scale = np.diag(np.square(OBSERVATION_SIGMA_PX)) if scale is None else scale
+    def __init__(
+        self,
+        dof: float = 5.0,
+        scale: FloatArray | None = None,
+        refers_to: Refers = "observation",
+        camera: StereoCamera | None = None,
+        training: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.dof = self.dof_ = dof
+        self.scale = self.scale_ = np.diag(np.square(OBSERVATION_SIGMA_PX)) if scale is None else scale
+        self.refers_to, self.camera, self.training = refers_to, camera, training or {}
+
+    def fit(self, predictors: FloatArray, residuals: FloatArray, *, spread: FloatArray | None = None) -> Self:
+        """Set ``scale_``, in full, and ``dof_`` by maximum likelihood (EM).
+
+        Args:
+            predictors: of N features, [N, M]; they do not matter.
+            residuals: their errors, [N, 4], px.
+            spread: covariance of what is not known of each error, [N, 4, 4], px².
+
+        Raises:
+            InputError: there is no residual, or one is not finite.
+        """
+        fitted = fit_static(residuals, spread=spread)
+        self.scale_, self.dof_ = fitted.scale[0], float(fitted.dof[0])
+        return self
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """The same noise for each of N features, whatever their predictors [N, M]."""
         count = len(predictors)
-        scale = np.broadcast_to(np.asarray(self.scale, dtype=np.float64), (count, 4, 4))
-        return StereoNoise(scale, np.full(count, self.dof), np.zeros((count, 4)), refers_to="observation")
+        scale = np.broadcast_to(np.asarray(self.scale_, dtype=np.float64), (count, 4, 4))
+        return StereoNoise(scale, np.full(count, self.dof_), np.zeros((count, 4)), refers_to=self.refers_to)
 
     def check_camera(self, camera: StereoCamera) -> None:
-        """Any camera will do: nothing was learned from one."""
+        """Refuse another camera than that of the training; untrained, it takes any.
+
+        Raises:
+            InputError: it is another camera.
+        """
+        refuse_other_camera(self.camera, camera)
+
+    def to_file(self) -> ModelFile:
+        """What a file needs to hold."""
+        facts = {
+            "dof": self.dof_,
+            "refers_to": self.refers_to,
+            "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
+            "training": dict(self.training),
+        }
+        return ModelFile("student-t", {"scale": np.asarray(self.scale_, dtype=np.float64)}, facts)
+
+    @staticmethod
+    def from_file(file: ModelFile) -> StudentT:
+        """The model that ``to_file`` put there.
+
+        Raises:
+            KeyError, ValueError, InputError: the file does not hold such a model.
+        """
+        facts, scale = _Facts.model_validate_json(json.dumps(dict(file.facts))), file.arrays["scale"]
+        if facts.camera is not None:
+            check_camera(facts.camera, "camera")
+        if scale.shape != (4, 4) or scale.dtype != np.float64 or not np.linalg.eigvalsh(scale)[0] > 0.0:
+            raise ValueError("its scale is no positive definite matrix")
+        return StudentT(facts.dof, scale, facts.refers_to, facts.camera, facts.training)

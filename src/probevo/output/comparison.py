@@ -17,6 +17,8 @@ from probevo.run_config import RunConfig
 
 COLUMNS = ("ARMSE m", "final error m", "drift %", "rotation °/m", "ms/frame")
 """Figures of merit; the less, the better. Drift and rotation are those over pieces of 10 to 50 m."""
+FOREIGN_COLUMN = "foreign %"
+"""Share of the features out of the noise model's domain; no figure of merit, and shown only where there is one."""
 TIME_COLUMN = COLUMNS.index("ms/frame")
 """The one that differs from run to run."""
 
@@ -71,6 +73,12 @@ class Comparison:
         """Names of the estimators."""
         return tuple(dict.fromkeys(entry.estimator for entry in self.entries))
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Those of the table: ``COLUMNS``, and ``FOREIGN_COLUMN`` if the noise model of any entry has a domain."""
+        has_domain = any(entry.result.out_of_domain is not None for entry in self.entries)
+        return (*COLUMNS, FOREIGN_COLUMN) if has_domain else COLUMNS
+
     def of(self, sequence: str) -> tuple[Entry, ...]:
         """The entries of one sequence, in the order of the estimators."""
         chosen = [entry for entry in self.entries if entry.sequence == sequence]
@@ -79,16 +87,20 @@ class Comparison:
 
 def comparison_rows(comparison: Comparison) -> list[tuple[str, ...]]:
     """Head and rows of the table as text: for each sequence a row with its name alone, then one an estimator."""
-    rows: list[tuple[str, ...]] = [("estimator", *COLUMNS)]
+    rows: list[tuple[str, ...]] = [("estimator", *comparison.columns)]
     for sequence in comparison.sequences:
-        rows.append((sequence, *("" for _ in COLUMNS)))
-        rows += [(f"  {entry.estimator}", *figure_texts(entry)) for entry in comparison.of(sequence)]
+        rows.append((sequence, *("" for _ in comparison.columns)))
+        rows += [
+            (f"  {entry.estimator}", *figure_texts(entry, comparison.columns)) for entry in comparison.of(sequence)
+        ]
     return rows
 
 
-def figure_texts(entry: Entry) -> tuple[str, ...]:
-    """The figures of merit as a reader sees them; a dash where unknown."""
-    return tuple(map(figure_text, entry.figures))
+def figure_texts(entry: Entry, columns: Sequence[str] = COLUMNS) -> tuple[str, ...]:
+    """What ``Comparison.columns`` show of an entry, as a reader sees it; a dash where unknown."""
+    share = entry.result.out_of_domain
+    figures = (*entry.figures, None if share is None else 100.0 * share)
+    return tuple(map(figure_text, figures[: len(columns)]))
 
 
 def figure_text(value: float | None) -> str:
@@ -107,6 +119,12 @@ def truth_note(comparison: Comparison) -> tuple[str, ...]:
     """Which recordings have no truth; nothing if all have."""
     without = [name for name in comparison.sequences if not any(entry.has_truth for entry in comparison.of(name))]
     return (f"No truth is known, and so no error: {', '.join(without)}.",) if without else ()
+
+
+def domain_note(comparison: Comparison) -> tuple[str, ...]:
+    """What the column of foreign features means; nothing if there is none."""
+    what = "Foreign: features that lie where the noise model has seen no training data."
+    return (what,) if FOREIGN_COLUMN in comparison.columns else ()
 
 
 def distinct_labels(paths: Sequence[Path], taken: Collection[str] = ()) -> list[str]:

@@ -33,6 +33,7 @@ def flat_record(entry: Entry) -> dict[str, object]:
     shares = {f"nees_coverage_{key}": coverage.get(key) for key in _PERCENTAGES} if isinstance(coverage, dict) else {}
     steps = {f"steps_{name}": count for name, count in steps_of(entry).items()}
     whose = {"sequence": entry.sequence, "estimator": entry.estimator}
+    values["out_of_domain"] = entry.result.out_of_domain  # it needs no truth
     return whose | {"frames": len(entry.result)} | steps | {"ms_per_frame": _median_ms(entry)} | values | shares
 
 
@@ -45,6 +46,7 @@ def record(entry: Entry, folder: Path) -> dict[str, object]:
         "frames": len(entry.result),
         "steps": steps_of(entry),
         "ms_per_frame": _median_ms(entry),
+        "out_of_domain": entry.result.out_of_domain,
         "metrics": None if entry.metrics is None else entry.metrics.as_dict(),
         "report": report,
         "settings": None if entry.config is None else entry.config.model_dump(mode="json"),

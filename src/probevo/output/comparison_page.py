@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
-from probevo.output.comparison import COLUMNS, TIME_COLUMN, Comparison, Entry, figure_texts, reads_least
+from probevo.output.comparison import TIME_COLUMN, Comparison, Entry, domain_note, figure_texts, reads_least
 from probevo.output.comparison_plots import errors_figure, paths_figure
 from probevo.output.metrics_table import readable
 from probevo.output.page import frames_section, grid, panel, write_page
@@ -47,26 +47,28 @@ def write_comparison(
 
 
 def _table_section(comparison: Comparison, colors: Mapping[str, str], folder: Path) -> str:
-    head = "".join(f"<th>{name}</th>" for name in ("estimator", *COLUMNS, ""))
+    head = "".join(f"<th>{name}</th>" for name in ("estimator", *comparison.columns, ""))
     bodies = []
     for sequence in comparison.sequences:
         entries = comparison.of(sequence)
-        rows = [f'<tr class="group"><th colspan="{len(COLUMNS) + 2}">{escape(sequence)}</th></tr>']
-        rows += [_row(entry, best, colors, folder) for entry, best in zip(entries, _best(entries), strict=True)]
+        rows = [f'<tr class="group"><th colspan="{len(comparison.columns) + 2}">{escape(sequence)}</th></tr>']
+        cells = [figure_texts(entry, comparison.columns) for entry in entries]
+        rows += [_row(*row, colors, folder) for row in zip(entries, cells, _best(entries, len(cells[0])), strict=True)]
         bodies.append("<tbody>\n" + "\n".join(rows) + "\n</tbody>")
     note = (
         "Position errors with the starts made equal; drift and rotation over pieces of 10 to 50 m; median time, "
         "without decoding. Bold: the least of a sequence."
     )
+    note = " ".join([note, *domain_note(comparison)])
     table = f'<table class="figures"><thead><tr>{head}</tr></thead>\n' + "\n".join(bodies) + "</table>"
     return f'<section class="panel"><h2>Figures of merit</h2><p class="note">{note}</p>\n{table}</section>'
 
 
-def _row(entry: Entry, best: Sequence[bool], colors: Mapping[str, str], folder: Path) -> str:
+def _row(entry: Entry, texts: Sequence[str], best: Sequence[bool], colors: Mapping[str, str], folder: Path) -> str:
     swatch = f'<i class="swatch" style="background:{colors[entry.estimator]}"></i>'
     cells = "".join(
         f'<td class="best">{text}</td>' if is_best else f"<td>{text}</td>"
-        for text, is_best in zip(figure_texts(entry), best, strict=True)
+        for text, is_best in zip(texts, best, strict=True)
     )
     link = ""
     if entry.report is not None:
@@ -75,10 +77,11 @@ def _row(entry: Entry, best: Sequence[bool], colors: Mapping[str, str], folder: 
     return f"<tr><th>{swatch}{escape(entry.estimator)}</th>{cells}<td>{link}</td></tr>"
 
 
-def _best(entries: Sequence[Entry]) -> list[list[bool]]:
-    """Of each entry, which of its errors reads as the least; none where there is nothing to compare."""
+def _best(entries: Sequence[Entry], count: int) -> list[list[bool]]:
+    """Of each entry, which of its ``count`` figures is an error that reads as the least; none without a rival."""
     columns = [reads_least(column) for column in zip(*(entry.figures for entry in entries), strict=True)]
     columns[TIME_COLUMN] = [False] * len(entries)  # decided by a hair, and otherwise the next time
+    columns += [[False] * len(entries)] * (count - len(columns))  # what is not an error
     return [list(row) for row in zip(*columns, strict=True)]
 
 

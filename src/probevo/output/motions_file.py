@@ -29,6 +29,8 @@ def write_motions(path: Path, result: RunResult) -> None:
         "num_inliers": result.num_inliers,
         "total_ms": result.total_ms,
     }
+    counts = {"num_used": result.num_used, "num_foreign": result.num_foreign}
+    arrays |= {name: count for name, count in counts.items() if count is not None}
     arrays |= {_STAGE + name: ms for name, ms in result.stage_ms.items()}
     arrays |= {
         _REJECTED + name.replace(" ", "_"): np.array(count, dtype=np.int64) for name, count in result.rejected.items()
@@ -71,6 +73,8 @@ def read_motions(path: Path) -> RunResult:
         rejected={
             name.removeprefix(_REJECTED).replace("_", " "): int(_take(path, arrays, name, ())) for name in reasons
         },
+        num_used=_take(path, arrays, "num_used", (steps,)) if "num_used" in arrays else None,
+        num_foreign=_take(path, arrays, "num_foreign", (steps,)) if "num_foreign" in arrays else None,
     )
 
 

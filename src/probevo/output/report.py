@@ -9,15 +9,31 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.evaluation.consistency import Consistency, motion_consistency
 from probevo.evaluation.metrics import Metrics
+from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.motion.estimate import Status
+from probevo.output.domain import domain_warning
 from probevo.output.metrics_table import metrics_rows, readable
 from probevo.output.page import frames_section, grid, panel, write_page
+from probevo.output.report_calibration import calibration_figure
 from probevo.output.report_data import Drift, drift_of
 from probevo.output.report_plots import axes_figure, error_figure, length_unit, trajectory_figure
-from probevo.output.report_timelines import group_size, rejected_figure, stages_figure, status_label, tracks_figure
+from probevo.output.report_timelines import (
+    domain_figure,
+    group_size,
+    rejected_figure,
+    stages_figure,
+    status_label,
+    tracks_figure,
+)
 from probevo.output.run_result import RunResult
 from probevo.output.svg import figure_style
+
+_CALIBRATION_NOTE = (
+    "Steps whose error is within what their covariance claims: on the diagonal is honest, below it overconfident. "
+    "Shaded: 95 % of honest runs of independent steps. Noisy truth, such as KITTI’s, shows its own noise instead."
+)
 
 
 def write_report(
@@ -49,11 +65,14 @@ def write_report(
     if len(result) < 2:
         raise ValueError(f"a report needs two frames, the run has {len(result)}")
     drift = drift_of(result, truth)
+    consistency = None
+    if truth is not None:
+        consistency = motion_consistency(result.T_curr_prev, result.cov, relative_motions(truth))
     with figure_style():
-        figures = _figures(result, drift)
+        figures = _figures(result, drift, consistency)
     cards = '<section class="cards">\n' + "\n".join(_cards(result, drift, metrics)) + "\n</section>"
     details = [_metrics_section(metrics), frames_section(thumbnails), _config_section(config)]
-    write_page(path, title, facts, [cards, grid(figures), *details])
+    write_page(path, title, facts, [_warning_section(result), cards, grid(figures), *details])
 
 
 def _cards(result: RunResult, drift: Drift, metrics: Metrics | None) -> list[str]:
@@ -100,17 +119,22 @@ def _length(length_m: float, sign: str = "") -> tuple[str, str]:
     return sign + readable(length_m * factor), unit
 
 
-def _figures(result: RunResult, drift: Drift) -> list[str]:
+def _figures(result: RunResult, drift: Drift, consistency: Consistency | None) -> list[str]:
     band = "Shaded: what the run itself claims as 3σ"
     shown = "Estimate and truth" if drift.error is not None else "No truth is known"
     what = "Error" if drift.error is not None else "Claimed uncertainty"
     panels = [
         panel("Seen from above", f"{shown}; forward is up. Ellipses: claimed 3σ.", trajectory_figure(drift)),
         panel(f"{what} along the path", f"{band} for the position, in its worst direction.", error_figure(drift)),
-        panel("Tracks and status", _status_note(result), tracks_figure(result)),
         panel(f"{what} by axis", f"Pose along its own camera’s axes. {band}.", axes_figure(drift)),
-        panel("Time by stage", _stages_note(result), stages_figure(result)),
     ]
+    if consistency is not None:
+        panels.append(panel("Claim and truth, step by step", _CALIBRATION_NOTE, calibration_figure(consistency)))
+    panels.append(panel("Tracks and status", _status_note(result), tracks_figure(result)))
+    if result.num_used is not None and result.num_foreign is not None and result.num_foreign.any():
+        note = "Features that lie where the noise model has seen no training data."
+        panels.append(panel("Out of domain", note, domain_figure(result.num_used, result.num_foreign, result)))
+    panels.append(panel("Time by stage", _stages_note(result), stages_figure(result)))
     if result.rejected:
         panels.append(panel("Points turned away", "By the check that did so.", rejected_figure(result.rejected)))
     return panels
@@ -137,6 +161,11 @@ def _card(name: str, value: str, unit: str, aside: str) -> str:
         f'<div class="card"><div class="name">{name}</div><div class="value">{value} <small>{unit}</small></div>'
         f'<div class="aside">{aside}</div></div>'
     )
+
+
+def _warning_section(result: RunResult) -> str:
+    warning = domain_warning(result.out_of_domain)
+    return f'<section class="panel warning"><h2>Out of domain</h2>{escape(warning)}</section>' if warning else ""
 
 
 def _metrics_section(metrics: Metrics | None) -> str:

@@ -1,4 +1,4 @@
-"""Figures of the report that show how the run went: tracks, status, times, and points turned away."""
+"""Figures of the report that show how the run went: tracks, status, times, points turned away, foreign features."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from matplotlib.patches import Patch
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.motion.estimate import Status
+from probevo.output.domain import WARN_ABOVE
 from probevo.output.run_result import RunResult
 from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
@@ -85,6 +86,27 @@ def stages_figure(result: RunResult) -> Figure:
         highest_ms = max(highest_ms, _readable_top(decode_ms))
     axes.set(ylim=(0, highest_ms), xlim=(edges_s[0], edges_s[-1]))
     axes.legend(ncols=3, **LEGEND_ABOVE)
+    return figure
+
+
+def domain_figure(num_used: IntArray, num_foreign: IntArray, result: RunResult) -> Figure:
+    """Share of the features solved with that the noise model had to guess, over time; in groups, that of all in it.
+
+    Args:
+        num_used: features solved with at each step, [N-1].
+        num_foreign: those of them out of domain, [N-1].
+        result: the run, for its times.
+    """
+    starts, edges_s = _groups(result)
+    used = np.add.reduceat(num_used, starts)
+    percent = 100.0 * np.add.reduceat(num_foreign, starts) / np.maximum(used, 1)
+    figure = Figure(figsize=(WIDTH_IN, 2.4))
+    axes = figure.add_subplot(xlabel="time, s", ylabel="% of the features")
+    axes.stairs(percent, edges_s, color=BLUE, alpha=0.15, fill=True)
+    axes.stairs(percent, edges_s, baseline=None, color=BLUE, lw=1.1)
+    axes.axhline(100.0 * WARN_ABOVE, color=GREY, lw=0.9, ls="--", label="warning level of the whole run")
+    axes.set(ylim=(0, min(1.15 * max(float(percent.max()), 100.0 * WARN_ABOVE), 102.0)), xlim=(edges_s[0], edges_s[-1]))
+    axes.legend(**LEGEND_ABOVE)
     return figure
 
 

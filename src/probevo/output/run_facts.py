@@ -11,12 +11,14 @@ from probevo import __version__
 from probevo.arrays import IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.trajectory_errors import path_length
+from probevo.output.domain import domain_text
 from probevo.run_config import RunConfig
 from probevo.sequences import GroundTruth, Sequence
 
 
-def run_facts(sequence: Sequence, config: RunConfig) -> dict[str, str]:
-    """What a reader of the report should know about a run, by name."""
+def run_facts(sequence: Sequence, config: RunConfig, out_of_domain: float | None = None) -> dict[str, str]:
+    """What a reader of the report should know about a run, by name; ``RunResult.out_of_domain`` is its share."""
+    domain = {} if out_of_domain is None else {"Out of its domain": domain_text(out_of_domain)}
     return {
         "Recording": str(sequence.path),
         "Format": sequence.format,
@@ -25,6 +27,7 @@ def run_facts(sequence: Sequence, config: RunConfig) -> dict[str, str]:
         "IMU": imu_use_text(sequence, config),
         "Truth": truth_text(sequence.truth),
         "Noise model": config.noise,
+        **domain,
         "OpenCV threads": str(cv2.getNumThreads()),
         "probevo": __version__,
     }

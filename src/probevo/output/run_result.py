@@ -39,6 +39,18 @@ class RunResult:
     """Wall time of the whole step, [N-1], ms."""
     rejected: dict[str, int] = field(default_factory=dict)
     """How many candidate points each consistency check turned away in all, by the check's name."""
+    num_used: IntArray | None = None
+    """Tracks that were solved with, [N-1]; None in the files of versions that did not say."""
+    num_foreign: IntArray | None = None
+    """Those of them that lie where the noise model has seen no training data, [N-1]; None if it knows of no such place.
+    """
+
+    @property
+    def out_of_domain(self) -> float | None:
+        """Share, 0 … 1, of all features solved with that lie where the noise model has seen no training data."""
+        if self.num_used is None or self.num_foreign is None or not self.num_used.any():
+            return None
+        return float(self.num_foreign.sum() / self.num_used.sum())
 
     def __len__(self) -> int:
         """Number of frames N."""
@@ -79,6 +91,9 @@ class RunRecorder:
         """All that was taken in so far."""
         steps = self._motions[1:]
         T_curr_prev = np.array([m.T_curr_prev for m in steps]).reshape(-1, 4, 4)
+        foreign = None
+        if any(m.num_foreign is not None for m in steps):
+            foreign = np.array([m.num_foreign or 0 for m in steps], dtype=np.int64)
         stages = dict.fromkeys(name for m in steps for name in m.stage_ms)
         return RunResult(
             stamps_ns=np.array(self._stamps_ns, dtype=np.int64),
@@ -92,6 +107,8 @@ class RunRecorder:
             stage_ms={name: np.array([m.stage_ms.get(name, 0.0) for m in steps]) for name in stages},
             total_ms=np.array(self._total_ms[1:], dtype=np.float64),
             rejected=dict(self._rejected),
+            num_used=np.array([m.num_used for m in steps], dtype=np.int64),
+            num_foreign=foreign,
         )
 
 

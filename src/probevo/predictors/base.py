@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Flag, auto
 from pathlib import Path
 
@@ -12,13 +12,15 @@ import numpy as np
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
+from probevo.motion.last_residuals import LastResiduals
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame, ImuSamples
 from probevo.tracking.tracks import Tracks
 
 
 class Needs(Flag):
-    """What a predictor looks at, beside the tracks and the motion expected from gyro and last velocity."""
+    """What a predictor looks at, beside the tracks, their last residuals, and the motion expected from gyro and last
+    velocity."""
 
     TRACKS = 0
     LEFT = auto()
@@ -41,6 +43,8 @@ class Step:
     """The frame before."""
     now: Frame
     """The current frame, with the IMU samples of the interval."""
+    last_residuals: LastResiduals = field(default_factory=LastResiduals.none)
+    """What the features of the step before left of its motion, if that was solved."""
 
     @property
     def duration_s(self) -> float:
@@ -71,6 +75,11 @@ class Step:
     def previous_uv(self) -> FloatArray:
         """Where they were in the left image before, [N, 2], px."""
         return self.tracks.prev_px[:, :2]
+
+    @property
+    def last_residual_px(self) -> FloatArray:
+        """How large their residuals were in the step before, [N], px; NaN where that is not known."""
+        return self.last_residuals.of(self.tracks.ids)
 
 
 @dataclass(frozen=True)

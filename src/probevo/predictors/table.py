@@ -20,6 +20,7 @@ from probevo.predictors.flow import flow
 from probevo.predictors.flow_variance import flow_variance
 from probevo.predictors.forward_backward import forward_backward
 from probevo.predictors.frequency import frequency
+from probevo.predictors.last_residual import last_residual
 from probevo.predictors.motion import velocity
 from probevo.predictors.place import place
 from probevo.predictors.residual_flow import residual_flow
@@ -70,6 +71,9 @@ _TABLE = (
     Predictor("flow", {"flow": "ln(1 + px)"}, "ours", Needs.TRACKS, lambda s: flow(s.tracks.prev_px, s.tracks.curr_px)),
     Predictor("residual_flow", {"residual_flow": "ln(1 + px)"}, "ours", Needs.TRACKS,
               lambda s: residual_flow(s.tracks.prev_px, s.tracks.curr_px, s.expected, s.camera)),
+    Predictor("last_residual", {"last_residual": "ln(0.1 + px)"}, "ours", Needs.TRACKS,
+              lambda s: last_residual(s.last_residual_px),
+              undefined="where the step before left none"),
     Predictor("row_offset", {"row_offset": "px"}, "ours", Needs.TRACKS, lambda s: row_offset(s.tracks.curr_px)),
     Predictor("age", {"age": "ln frames"}, "ours", Needs.TRACKS, lambda s: age(s.tracks.age)),
     Predictor("window_difference", {"difference_in_time": "ln(1 + grey levels)",

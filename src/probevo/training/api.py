@@ -6,6 +6,7 @@ from collections.abc import Callable
 from collections.abc import Sequence as Collection
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,14 +16,17 @@ from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.noise.named import BASES
 from probevo.output.files import check_folder
-from probevo.predictors import PredictionSpace, Predictor, prediction_space
+from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.predictors import Needs, PredictionSpace, Predictor, prediction_space
 from probevo.runner import check_imu
 from probevo.sequences.base import Sequence
 from probevo.training.checkpoint import Checkpoint
 from probevo.training.drive import Drive, record_drive
+from probevo.training.expectation_maximization import Lesson as TrackedLesson
+from probevo.training.expectation_maximization import learn_kernel, learn_student_t, num_turns
 from probevo.training.fitting import fit_model
 from probevo.training.samples import gather
-from probevo.training.settings import TrainSettings
+from probevo.training.settings import DEFAULT, KERNEL, TrainSettings
 from probevo.training.subsets import Learner
 from probevo.training.supervision import Supervision, supervision_of
 
@@ -66,7 +70,9 @@ def train_model(
         InputError: a recording is faulty, lacks what the supervision or a predictor needs, or has another camera; K is
             larger than the data; or ``out`` cannot be written to.
     """
-    space = PredictionSpace((*prediction_space(settings.predictors).predictors, *own_predictors))
+    if not sequences:
+        raise InputError("SEQUENCE", "no recording is named.", "Give the folder of at least one.")
+    space = PredictionSpace((*_known_predictors(settings, sequences), *own_predictors))
     lessons = _lessons(sequences, settings, space)
     check_folder(out.parent, "--out")
     if out.is_dir():
@@ -76,12 +82,47 @@ def train_model(
 
     def show(done: int) -> None:
         if on_progress is not None:
-            on_progress(done, frames * (1 + settings.iterations))
+            on_progress(done, frames * (1 + (settings.iterations if settings.kind == "knn" else num_turns(settings))))
 
     drives = _record(lessons, space, settings, work, show)
     if not any(len(drive.phi) for drive in drives):
         raise InputError("training data", "no recording shows a single feature.", "Give other recordings.")
     metric = Metric.fitted(np.concatenate([drive.phi for drive in drives]), space.columns, space.may_be_undefined)
+    recordings = [
+        {"name": lesson.sequence.path.resolve().name, "frames": lesson.num_frames, "sha256": drive.digest}
+        for lesson, drive in zip(lessons, drives, strict=True)
+    ]
+    turns = 0
+
+    def next_turn() -> None:
+        nonlocal turns
+        turns += 1
+        show(frames * (1 + turns))
+
+    if settings.kind == "knn":
+        save_model(_learn_neighbors(lessons, drives, metric, settings, work, recordings, next_turn), out)
+    else:
+        known = [
+            TrackedLesson(drive, lesson.sequence.camera, lesson.supervision)
+            for lesson, drive in zip(lessons, drives, strict=True)
+        ]
+        if settings.kind == "gk":
+            save_model(learn_kernel(known, metric, settings, recordings, next_turn), out)
+        else:
+            save_model(learn_student_t(known, settings, recordings, next_turn), out)
+    work.remove()
+    return out
+
+
+def _learn_neighbors(
+    lessons: list[_Lesson],
+    drives: list[Drive],
+    metric: Metric,
+    settings: TrainSettings,
+    work: Checkpoint,
+    recordings: list[dict[str, Any]],
+    next_turn: Callable[[], None],
+) -> NearestNeighbors:
     learners = [_learner(n, lesson, drives[n], metric, settings) for n, lesson in enumerate(lessons)]
     iterations = []
     for number in range(settings.iterations):
@@ -90,20 +131,23 @@ def train_model(
             done = [learner.iterate(number) for learner in learners]
             work.keep_iteration(number, done)
         iterations.append(done)
-        show(frames * (2 + number))
-    recordings = [
-        {"name": lesson.sequence.path.resolve().name, "frames": lesson.num_frames, "sha256": drive.digest}
-        for lesson, drive in zip(lessons, drives, strict=True)
-    ]
-    save_model(fit_model(gather(iterations, learners, settings), learners, metric, settings, recordings), out)
-    work.remove()
-    return out
+        next_turn()
+    return fit_model(gather(iterations, learners, settings), learners, metric, settings, recordings)
+
+
+def _known_predictors(settings: TrainSettings, sequences: Collection[Sequence]) -> tuple[Predictor, ...]:
+    """Those that are named, or those that suit the kind and that every recording can serve."""
+    if settings.kind == "student-t":
+        return ()
+    if settings.predictors is not None:
+        return prediction_space(settings.predictors).predictors
+    images = all(sequence.camera.size_px is not None for sequence in sequences)
+    suited = prediction_space(DEFAULT if settings.kind == "knn" else KERNEL).predictors
+    return tuple(p for p in suited if images or not p.needs & (Needs.LEFT | Needs.PREVIOUS_LEFT))
 
 
 def _lessons(sequences: Collection[Sequence], settings: TrainSettings, space: PredictionSpace) -> list[_Lesson]:
     """The recordings and what is known of them; refuses before the long work what would only show after it."""
-    if not sequences:
-        raise InputError("SEQUENCE", "no recording is named.", "Give the folder of at least one.")
     lessons: list[_Lesson] = []
     for sequence in sequences:
         if any(sequence.path.resolve() == lesson.sequence.path.resolve() for lesson in lessons):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -17,12 +18,58 @@ PUBLISHED = ("acceleration", "turn_rate", "blur", "entropy", "frequency", "flow_
 DEFAULT = ("blur", "entropy", "frequency", "flow_variance", "place", "disparity", "disparity_change", "residual_flow",
            "row_offset", "forward_backward", "structure")  # fmt: skip
 """No accelerometer: a model that needs one is of no use to a recording that has none."""
+KERNEL = ("place", "disparity", "last_residual", "flow", "age", "turn_rate", "flow_variance", "blur", "entropy",
+          "frequency", "structure", "forward_backward", "window_difference")  # fmt: skip
+"""Of these the kernel chooses. None compares with the expected motion, as ``residual_flow`` does: what agrees with it
+then counts most, which predicts residuals well and makes the motions worse."""
+
+
+class KernelSettings(Settings):
+    """What PROBE-GK is trained with; whatever is left out is chosen by the likelihood of blocks of time left out."""
+
+    variant: Literal["robust", "published"] = Field(
+        "robust", description="Student-t fitted to the K nearest errors, or the inverse-Wishart posterior as published."
+    )
+    neighbors: int | None = Field(None, ge=1, description="K, the errors that a place learns from.")
+    reach: float | None = Field(
+        None, gt=0, le=1e6, description="ρ, in standard deviations; farther samples have no say."
+    )
+    prior_counts: float | None = Field(None, gt=3, le=1e9, description="How many errors the static model counts for.")
+    bias: bool = Field(True, description="Learn what errors are on average too, not only how they scatter.")
+    centers: int = Field(
+        4000, ge=1, le=1_000_000, description="Places that the model is distilled into; the cost of a run goes by it."
+    )
+    turns: int = Field(5, ge=1, le=1000, description="Of EM: motions given the noise, the noise given their residuals.")
+    quadratic: bool = Field(
+        False, description="Solve for the motions of EM by least squares, as PROBE-GK derives it, not by its robust loss."
+    )
+    refers_to: Literal["observation", "residual"] = Field(
+        "observation",
+        description="Learn the noise of single observations, from which the solver derives that of the residual for any"
+        " depth and speed; or that of the residual as a whole, as published.",
+    )
+    truth_sigma_m: float | None = Field(
+        None, ge=0, le=1000, description="How far the true positions are off, between two of them; left out, estimated."
+    )
+    truth_sigma_deg: float | None = Field(
+        None, ge=0, le=180, description="The same for attitudes; to be given together with the other."
+    )
+
+    def given(self) -> dict[str, Any]:
+        """What need not be chosen, as ``GeneralizedKernel`` takes it."""
+        names = {"neighbors": self.neighbors, "reach": self.reach, "prior_counts": self.prior_counts}
+        names |= {} if self.bias else {"bias_counts": math.inf}
+        return {name: value for name, value in names.items() if value is not None}
 
 
 class TrainSettings(Settings):
     """What a noise model is trained with."""
 
-    kind: Literal["knn"] = Field("knn", description="PROBE: weights from the nearest neighbours in prediction space.")
+    kind: Literal["knn", "gk", "student-t"] = Field(
+        "knn",
+        description="PROBE: weights from the nearest neighbours in the prediction space; gk is PROBE-GK: a covariance and"
+        " a loss of its own for each feature; student-t one for all, fitted to the same data.",
+    )
     supervision: SupervisionName = Field(
         "gt",
         description="What is known of the drives: the pose at every frame, or at some (sparse), positions alone, only"
@@ -36,7 +83,11 @@ class TrainSettings(Settings):
         le=3600,
         description="With sparse and position: use the truth only so often; 0 uses all that there is.",
     )
-    predictors: tuple[str, ...] = Field(DEFAULT, min_length=1, description="What spans the prediction space.")
+    predictors: tuple[str, ...] | None = Field(
+        None,
+        min_length=1,
+        description="What spans the prediction space; left out, what suits the kind and the recordings.",
+    )
     base: BaseName = Field(
         "student-t",
         description="The model whose noise is scaled: PROBE's is Gaussian (fixed), student-t is robust too.",
@@ -69,6 +120,7 @@ class TrainSettings(Settings):
     exponent: float | None = Field(
         None, ge=0, le=1000, description="γ; left out, the one with the least error on the training drives."
     )
+    gk: KernelSettings = KernelSettings()
     max_frames: int | None = Field(None, ge=2, description="Of each recording, use so many frames.")
     odometry: OdometryConfig = OdometryConfig()
 

@@ -1,0 +1,93 @@
+"""PROBE-GK on six drives of KITTI tracks, each left out in turn: likelihood and motion against the fitted Student-t.
+
+python benchmarks/kernel_tracks.py [turns]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import probevo as pv
+from probevo.arrays import FloatArray
+from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.motion.reprojection import solve_reprojection
+from probevo.noise.metric import Metric
+from probevo.output.run_result import RunRecorder
+from probevo.predictors import Needs, PredictionSpace, prediction_space
+from probevo.training.drive import Drive, record_drive
+from probevo.training.expectation import solve_drive
+from probevo.training.expectation_maximization import Lesson, learn_kernel, learn_student_t
+from probevo.training.settings import KERNEL, KernelSettings, TrainSettings
+from probevo.training.supervision import supervision_of
+
+TRACKS = Path("../shared/data/kitti_tracks")
+
+
+def likelihood(drive: Drive, noise: pv.noise.StereoNoise, camera: pv.StereoCamera, motions: FloatArray) -> FloatArray:
+    """Of the residuals at these motions, nats a feature."""
+    found = []
+    for step in range(len(motions)):
+        rows = drive.rows(step)
+        chosen = rows.start + np.flatnonzero(drive.used[rows])
+        if len(chosen):
+            own, tracks = noise.of(chosen), drive.tracks(step).kept(chosen - rows.start)
+            solution = solve_reprojection(
+                tracks.prev_px, tracks.curr_px, own, motions[step], camera, max_iterations=0
+            )
+            front = solution.information[:, 0, 0] > 0.0
+            scale = np.linalg.inv(solution.information[front])
+            residual_noise = pv.noise.StereoNoise(scale, own.dof[front], np.zeros((front.sum(), 4)))
+            found.append(residual_noise.log_likelihood(solution.residuals[front]))
+    return np.concatenate(found)
+
+
+def run(path: Path, noise: pv.noise.NoiseModel) -> Metrics:
+    sequence, recorder = pv.open_sequence(path), RunRecorder()
+    odometry = pv.StereoOdometry(sequence.camera, noise, sequence.imu)
+    for frame in sequence:
+        recorder.add(frame.stamp_ns, odometry.step(frame))
+    result = recorder.result()
+    return evaluate(result.T_world_cam, sequence.truth.T_world_cam, result.T_curr_prev, result.cov)
+
+
+def main() -> None:
+    paths = sorted(TRACKS.glob("*.npz"))
+    turns = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    space = PredictionSpace(
+        tuple(p for p in prediction_space(KERNEL).predictors if not p.needs & (Needs.LEFT | Needs.PREVIOUS_LEFT))
+    )
+    settings = TrainSettings(kind="gk", supervision="none", gk=KernelSettings(turns=turns))
+    lessons = []
+    for path in paths:
+        sequence = pv.open_sequence(path)
+        drive = record_drive(sequence, space, settings.odometry, len(sequence))
+        lessons.append(Lesson(drive, sequence.camera, supervision_of(sequence, "none", 0.0, len(sequence))))
+    ratios, gains = [], []
+    print("| left out | nats: fitted Student-t | gk | gain | own Student-t | drift, %: Student-t | gk | rotation, °/m: "
+          "Student-t | gk | shipped student-t |\n|" + "---|" * 10)
+    for number, path in enumerate(paths):
+        rest, own = [lesson for n, lesson in enumerate(lessons) if n != number], lessons[number]
+        metric = Metric.fitted(np.concatenate([l.drive.phi for l in rest]), space.columns, space.may_be_undefined)
+        static, kernel = learn_student_t(rest, settings, []), learn_kernel(rest, metric, settings, [])
+        oneself = learn_student_t([own], settings, [])
+        motions, _ = solve_drive(own.drive, static.predict(own.drive.phi), own.camera, settings.odometry.solver)
+        nats = [
+            likelihood(own.drive, model.predict(own.drive.phi), own.camera, motions).mean()
+            for model in (static, kernel, oneself)
+        ]
+        a, b, c = run(path, static), run(path, kernel), run(path, pv.noise.StudentT())
+        ratios.append((b.short_t_percent / a.short_t_percent, b.short_r_deg_per_m / a.short_r_deg_per_m))
+        gains.append((nats[1] - nats[0], nats[1] - nats[2]))
+        print(f"| {path.stem} | {nats[0]:.2f} | {nats[1]:.2f} | {gains[-1][0]:+.2f} | {nats[2]:.2f} | "
+              f"{a.short_t_percent:.2f} | {b.short_t_percent:.2f} | {a.short_r_deg_per_m:.4f} | "
+              f"{b.short_r_deg_per_m:.4f} | {c.short_t_percent:.2f}, {c.short_r_deg_per_m:.4f} |", flush=True)
+    drift, rotation = np.exp(np.log(ratios).mean(axis=0))
+    print(f"\ngain {np.mean(gains, axis=0).round(3)} nats over the fitted Student-t, and over that of the drive itself; "
+          f"drift × {drift:.3f}, rotation × {rotation:.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""A noise model distilled into a few thousand centers: what a prediction costs no longer depends on the training data.
+
+Between centers, the nearest few are averaged, nearer ones more: scales by their Cholesky factors, whose diagonal goes
+by its logarithm, so that every mixture is positive definite and σ of 0.1 and 10 px meet at 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probevo.arrays import BoolArray, FloatArray
+from probevo.compiled import compiled
+from probevo.noise.student_fit import Students
+
+Single = NDArray[np.float32]
+
+NEAREST = 4
+_ROW, _COLUMN = np.tril_indices(4)
+_DIAGONAL = _ROW == _COLUMN
+_VALUES = 16
+"""Of a center: the bias, the Cholesky factor, ln ν, and Σk."""
+
+
+@dataclass(frozen=True)
+class Centers:
+    """C places in a space of M coordinates, and what holds at each."""
+
+    places: Single
+    """[M, C]."""
+    values: Single
+    """Bias [4], Cholesky factor [10] with ln of its diagonal, ln ν, and Σk, the errors that it was learned from, in the
+    order of ``tril_indices``, [C, 16]."""
+
+    @staticmethod
+    def of(places: FloatArray, students: Students, counts: FloatArray) -> Centers:
+        """Take up what was fitted at C places [C, M], from Σk errors each, [C]."""
+        lower = np.linalg.cholesky(students.scale)[:, _ROW, _COLUMN]
+        lower[:, _DIAGONAL] = np.log(lower[:, _DIAGONAL])
+        values = np.column_stack([students.bias, lower, np.log(students.dof), counts])
+        return Centers(np.ascontiguousarray(places.T, np.float32), np.ascontiguousarray(values, np.float32))
+
+    def at(self, queries: FloatArray, reach: float, prior: Students, prior_counts: float) -> tuple[Students, BoolArray]:
+        """The distributions at n places, [n, M].
+
+        Away from the nearest center, what is known fades as (1 − (distance/reach)²), and the prior takes over.
+
+        Args:
+            queries: finite.
+            reach: distance from the nearest center at which nothing is known.
+            prior: C = 1; what holds beyond.
+            prior_counts: errors that it counts for.
+
+        Returns:
+            the distributions, and which places are out of reach, [n].
+        """
+        count = len(queries)
+        mixed, squared = np.empty((count, _VALUES)), np.empty(count)
+        _mix(np.ascontiguousarray(queries, np.float32), self.places, self.values, mixed, squared)
+        known = mixed[:, 15] * np.maximum(0.0, 1.0 - squared / reach**2)
+        share = known / (known + prior_counts) * (mixed[:, 15] + prior_counts) / np.maximum(mixed[:, 15], 1e-12)
+        own = Centers.of(np.zeros((1, len(self.places))), prior, np.zeros(1)).values[0]
+        mixed = own + share[:, None] * (mixed - own)
+        lower = np.zeros((count, 4, 4))
+        mixed[:, 4:14][:, _DIAGONAL] = np.exp(mixed[:, 4:14][:, _DIAGONAL])
+        lower[:, _ROW, _COLUMN] = mixed[:, 4:14]
+        students = Students(lower @ np.swapaxes(lower, 1, 2), np.exp(mixed[:, 14]), mixed[:, :4].copy())
+        return students, np.asarray(squared >= reach**2)
+
+
+@compiled
+def _mix(queries: Single, places: Single, values: Single, mixed: FloatArray, squared: FloatArray) -> None:
+    """Mean value of the nearest centers, and the squared distance to the nearest one."""
+    count = places.shape[1]
+    nearest = min(4, count)
+    distance = np.empty(count, np.float32)
+    best, index = np.empty(4, np.float32), np.empty(4, np.int64)
+    for n in range(len(queries)):
+        distance[:] = 0.0
+        for m in range(len(places)):
+            row, q = places[m], queries[n, m]
+            for i in range(count):
+                difference = row[i] - q
+                distance[i] += difference * difference
+        best[:] = np.inf
+        for i in range(count):
+            if distance[i] < best[nearest - 1]:
+                place = nearest - 1
+                while place > 0 and best[place - 1] > distance[i]:
+                    best[place], index[place] = best[place - 1], index[place - 1]
+                    place -= 1
+                best[place], index[place] = distance[i], i
+        mixed[n] = 0.0
+        total = 0.0
+        for k in range(nearest):  # inverse squares, bounded at a tenth of the farthest of the four
+            weight = 1.0 / (best[k] + 0.01 * best[nearest - 1] + 1e-12)
+            total += weight
+            for j in range(16):
+                mixed[n, j] += weight * values[index[k], j]
+        for j in range(16):
+            mixed[n, j] /= total
+        squared[n] = best[0]

@@ -1,0 +1,240 @@
+"""PROBE-GK: the full noise of each feature, by a generalized kernel over the prediction space (PROBE-GK; thesis 4.4)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from probevo.arrays import AnyArray, FloatArray, IntArray
+from probevo.camera.likeness import refuse_other_camera
+from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.errors import InputError
+from probevo.noise.base import Refers, StereoNoise
+from probevo.noise.centers import Centers
+from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
+from probevo.noise.kernel_search import choose_shape
+from probevo.noise.metric import Metric
+from probevo.noise.model_file import ModelFile
+from probevo.noise.student_fit import DIM, Students, check_errors
+from probevo.settings import Settings
+
+Variant = Literal["robust", "published"]
+REACH = 2.0
+"""Without one given, ρ is so many times the distance within which 99 % of the training data have their K nearest."""
+
+
+class _Facts(Settings):
+    """What a file says beside its arrays; of no other type than it is written."""
+
+    model_config = ConfigDict(strict=True)
+    columns: tuple[str, ...]
+    may_be_undefined: tuple[bool, ...]
+    variant: Variant
+    neighbors: int = Field(ge=1)
+    reach: float = Field(gt=0)
+    prior_counts: float = Field(gt=0)
+    refers_to: Refers
+    samples: int = Field(ge=1)
+    camera: StereoCamera | None
+    training: dict[str, Any]
+
+
+class GeneralizedKernel:
+    """Student-t noise of each feature, with a scale, a dof and a bias of its own, from the errors of those like it.
+
+    Args:
+        variant: ``robust``, or ``published`` as in the paper (see ``kernel_posterior``).
+        neighbors: K, the errors that a place learns from; chosen from the data if None, as are the next four.
+        reach: ρ, in standard deviations; farther samples have no say.
+        prior_counts: how many errors the prior counts for; ν₀ of the published form, over 3.
+        dof_counts, bias_counts: the same for the degrees of freedom, and for the bias; np.inf holds them at the prior.
+        weights: how much a standard deviation of each of the M columns counts, [M].
+        centers: how many places the posterior is distilled into.
+        refers_to: what the errors are: residuals, or errors of single observations.
+        camera: the camera of the training data; None if that is not known.
+        training: how the training data came about, in plain values that JSON can hold.
+    """
+
+    def __init__(
+        self,
+        variant: Variant = "robust",
+        neighbors: int | None = None,
+        reach: float | None = None,
+        prior_counts: float | None = None,
+        dof_counts: float | None = None,
+        bias_counts: float | None = None,
+        weights: FloatArray | None = None,
+        centers: int = 4000,
+        refers_to: Refers = "residual",
+        camera: StereoCamera | None = None,
+        training: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.variant, self.neighbors, self.reach, self.prior_counts = variant, neighbors, reach, prior_counts
+        self.dof_counts, self.bias_counts, self.weights, self.centers = dof_counts, bias_counts, weights, centers
+        self.refers_to, self.camera, self.training = refers_to, camera, training or {}
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the predictors, in their order."""
+        return self.metric_.columns
+
+    def fit(
+        self,
+        predictors: FloatArray,
+        residuals: FloatArray,
+        groups: IntArray | None = None,
+        *,
+        spread: FloatArray | None = None,
+        metric: Metric | None = None,
+        on_progress: Callable[[int, int], None] | None = None,
+    ) -> Self:
+        """Take in N samples, and choose whatever was not given by the likelihood of groups left out.
+
+        Sets ``metric_``, ``shape_``, ``posterior_``, ``prior_``, ``centers_``, ``samples_`` and ``search_``.
+
+        Args:
+            predictors: places of the samples, [N, M].
+            residuals: their errors, [N, 4], px.
+            groups: samples of one group, such as a block of time of a drive, are left out together, [N]; consecutive
+                samples by default.
+            spread: covariance of what is not known of each error, [N, 4, 4], px².
+            metric: names of the columns and their standardisation; by default over the samples, and none may be
+                undefined.
+            on_progress: called with how many steps of the search are done, and how many there are at most.
+
+        Raises:
+            InputError: no samples, shapes that do not fit, or NaN where it may not be.
+        """
+        check_errors(residuals)
+        if not len(predictors) == len(residuals) == len(residuals if groups is None else groups):
+            what = f"{len(predictors)} places, {len(residuals)} residuals"
+            raise InputError("training data", f"{what} and {len(residuals if groups is None else groups)} groups.")
+        self.metric_ = metric or _metric(predictors)
+        published = self.variant == "published"
+        weights, shape, self.search_ = choose_shape(
+            self.metric_.coordinates(predictors), residuals, spread, groups, self._given(), published, on_progress
+        )
+        self.metric_ = replace(self.metric_, weight=self.metric_.weight * weights)
+        coordinates = self.metric_.coordinates(predictors)
+        self.posterior_ = KernelPosterior.of(coordinates, residuals, spread, published=published)
+        chosen = np.unique(np.linspace(0, len(residuals) - 1, min(self.centers, len(residuals))).astype(np.int64))
+        if not np.isfinite(shape.reach):
+            radius = self.posterior_.radius(coordinates[chosen], shape.neighbors)
+            shape = replace(shape, reach=max(REACH * float(np.quantile(radius, 0.99)), 1e-6))
+        self.shape_, self.prior_, self.samples_ = shape, self._prior(), len(residuals)
+        self.centers_ = Centers.of(coordinates[chosen], *self.posterior_.at(coordinates[chosen], shape))
+        return self
+
+    def predict(self, predictors: FloatArray) -> StereoNoise:
+        """The noise of N features from their places in the prediction space, [N, M]; N does not matter to its cost."""
+        coordinates = self.metric_.coordinates(predictors)
+        students, foreign = self.centers_.at(coordinates, self.shape_.reach, self.prior_, self.shape_.prior_counts)
+        return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, foreign)
+
+    def predict_exact(self, predictors: FloatArray) -> StereoNoise:
+        """The same from all samples instead of the centers; only of a model that was not read from a file."""
+        coordinates = self.metric_.coordinates(predictors)
+        students, counts = self.posterior_.at(coordinates, self.shape_)
+        return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, counts == 0.0)
+
+    def check_camera(self, camera: StereoCamera) -> None:
+        """Refuse a camera unlike that of the training data.
+
+        Raises:
+            InputError: says in what it differs.
+        """
+        refuse_other_camera(self.camera, camera)
+
+    def to_file(self) -> ModelFile:
+        """What a file needs to hold: the centers, and none of the training data."""
+        metric, prior, shape = self.metric_, self.prior_, self.shape_
+        arrays: dict[str, AnyArray] = {
+            "mean": metric.mean, "spread": metric.spread, "weight": metric.weight,
+            "places": self.centers_.places, "values": self.centers_.values,
+            "prior_scale": prior.scale, "prior_dof": prior.dof, "prior_bias": prior.bias,
+        }  # fmt: skip
+        facts = {
+            "columns": list(metric.columns),
+            "may_be_undefined": list(metric.may_be_undefined),
+            "variant": self.variant,
+            "neighbors": shape.neighbors,
+            "reach": shape.reach,
+            "prior_counts": shape.prior_counts,
+            "refers_to": self.refers_to,
+            "samples": self.samples_,
+            "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
+            "training": dict(self.training),
+        }
+        return ModelFile("gk", arrays, facts)
+
+    @staticmethod
+    def from_file(file: ModelFile) -> GeneralizedKernel:
+        """The model that ``to_file`` put there.
+
+        Raises:
+            KeyError, ValueError, InputError: the file does not hold such a model.
+        """
+        facts, arrays = _Facts.model_validate_json(json.dumps(dict(file.facts))), file.arrays
+        if facts.camera is not None:
+            check_camera(facts.camera, "camera")
+        model = GeneralizedKernel(
+            facts.variant, refers_to=facts.refers_to, camera=facts.camera, training=facts.training
+        )
+        model.metric_ = Metric(
+            facts.columns, facts.may_be_undefined, arrays["mean"], arrays["spread"], arrays["weight"]
+        )
+        model.centers_ = Centers(arrays["places"], arrays["values"])
+        model.prior_ = Students(arrays["prior_scale"], arrays["prior_dof"], arrays["prior_bias"])
+        model.shape_ = KernelShape(facts.reach, facts.neighbors, facts.prior_counts)
+        model.samples_ = facts.samples
+        model._check_arrays()
+        return model
+
+    def _given(self) -> dict[str, Any]:
+        names = ("neighbors", "reach", "prior_counts", "dof_counts", "bias_counts", "weights")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+    def _prior(self) -> Students:
+        """What holds out of reach."""
+        prior = self.posterior_.prior
+        if self.variant == "robust":
+            return prior
+        dof = self.shape_.prior_counts - DIM + 1.0
+        return Students(prior.scale * self.shape_.prior_counts / dof, np.array([dof]), prior.bias)
+
+    def _check_arrays(self) -> None:
+        """Arrays that do not fit together would be read beyond their ends."""
+        metric, centers, prior, dimension = self.metric_, self.centers_, self.prior_, len(self.columns)
+        count = centers.places.shape[-1]
+        expected: list[tuple[AnyArray, tuple[int, ...], type]] = [
+            (centers.places, (dimension, count), np.float32),
+            (centers.values, (count, 16), np.float32),
+            (prior.scale, (1, DIM, DIM), np.float64),
+            (prior.dof, (1,), np.float64),
+            (prior.bias, (1, DIM), np.float64),
+            *((array, (dimension,), np.float64) for array in (metric.mean, metric.spread, metric.weight)),
+        ]
+        fits = (
+            all(a.shape == shape and a.dtype == dtype and np.isfinite(a).all() for a, shape, dtype in expected)
+            and len(set(self.columns)) == dimension == len(metric.may_be_undefined)
+            and (metric.spread > 0.0).all()
+            and count > 0
+            and (prior.dof > 0.0).all()
+            and bool(np.linalg.eigvalsh(prior.scale)[0, 0] > 0.0)
+        )
+        if not fits:
+            raise ValueError("its arrays do not fit together")
+
+
+def _metric(predictors: FloatArray) -> Metric:
+    """Standardised columns; a single sample has no spread."""
+    if predictors.ndim == 2 and len(predictors) == 1:
+        count = predictors.shape[1]
+        names = tuple(f"column {m}" for m in range(count))
+        return Metric(names, (False,) * count, predictors[0].astype(float), np.ones(count), np.ones(count))
+    return Metric.fitted(predictors)

@@ -1,0 +1,124 @@
+"""The noise at a place of the prediction space, from the errors of the training data around it (PROBE-GK eqs. 6-12).
+
+As published, a kernel of fixed support ρ, k = 1 − (distance/ρ)², adds every squared error within to an inverse-Wishart
+prior: Ψ* = Ψ₀ + Σ k e eᵀ, ν* = ν₀ + Σ k [1.8, 1.9], and the noise is the Student-t of ν* − d + 1 degrees of freedom and
+scale Ψ*/(ν* − d + 1) [1.12]. One gross outlier then inflates Ψ* for all its neighbours, and ν* grows with the number of
+samples, whatever their tails: the loss becomes quadratic.
+
+Ours is the fit of a Student-t with a bias to the K nearest errors, weighed by the same kernel, whose support ends at the
+K-th and at ρ at the latest; the prior is the Student-t of all errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from probevo.arrays import FloatArray
+from probevo.noise.student_fit import DIM, LEAST_SIGMA_PX, Neighborhoods, StudentPrior, Students, fit_static, fit_students
+
+BLOCK = 2000
+"""Places whose neighbours are held in memory at a time."""
+
+
+@dataclass(frozen=True)
+class KernelShape:
+    """Everything that is chosen from the data unless given."""
+
+    reach: float = np.inf
+    """ρ: samples farther away have no say, in standard deviations."""
+    neighbors: int = 400
+    """K; as published, all within ρ have a say."""
+    prior_counts: float = 16.0
+    """How many errors the prior counts for."""
+    dof_counts: float = 100.0
+    """The same for the degrees of freedom; np.inf holds them at those of all errors together."""
+    bias_counts: float = 100.0
+    """The same for the bias, which is zero; np.inf holds it there."""
+
+    def as_given(self) -> dict[str, Any]:
+        """As ``GeneralizedKernel`` takes what it need not choose."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class KernelPosterior:
+    """N samples: places and errors, and the prior."""
+
+    coordinates: FloatArray
+    """[N, M]."""
+    errors: FloatArray
+    """[N, 4], px."""
+    spread: FloatArray | None
+    """Covariance of what is not known of each error, [N, 4, 4], px²; None if all are exact."""
+    published: bool
+    prior: Students
+    """C = 1: what holds where nothing is known."""
+    tree: KDTree = field(repr=False)
+
+    @staticmethod
+    def of(
+        coordinates: FloatArray, errors: FloatArray, spread: FloatArray | None, *, published: bool = False
+    ) -> KernelPosterior:
+        """Samples [N, M], [N, 4]; the prior is fitted to all of them."""
+        prior = prior_of(errors, spread, published=published)
+        return KernelPosterior(coordinates, errors, spread, published, prior, KDTree(coordinates))
+
+    def at(self, places: FloatArray, shape: KernelShape, iterations: int = 12) -> tuple[Students, FloatArray]:
+        """The noise at n places, [n, M], and Σk of each, [n]."""
+        parts = [
+            self._fit(self._around(places[start : start + BLOCK], shape), shape, iterations)
+            for start in range(0, max(len(places), 1), BLOCK)
+        ]
+        students = Students(
+            *(np.concatenate([getattr(p[0], name) for p in parts]) for name in ("scale", "dof", "bias"))
+        )
+        return students, np.concatenate([part[1] for part in parts])
+
+    def radius(self, places: FloatArray, neighbors: int) -> FloatArray:
+        """Distance from each place, [n, M], to its K-th nearest sample, [n]."""
+        distance = self.tree.query(places, k=[min(neighbors, len(self.errors))])[0]
+        return np.asarray(distance[:, 0], dtype=np.float64)
+
+    def _around(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
+        count = len(self.errors) if self.published else min(shape.neighbors, len(self.errors))
+        if self.published:
+            found = self.tree.query_ball_point(places, shape.reach, return_sorted=True)
+            first = np.cumsum([0, *(len(indices) for indices in found)])
+            index = np.concatenate([np.zeros(0, np.int64), *(np.asarray(i, np.int64) for i in found)])
+            owner = np.repeat(np.arange(len(places)), np.diff(first))
+            squared = np.sum((self.coordinates[index] - places[owner]) ** 2, axis=1)
+            return Neighborhoods(first, index, 1.0 - squared / shape.reach**2)
+        distance, near = self.tree.query(places, k=np.arange(1, count + 1), distance_upper_bound=shape.reach)
+        found = np.isfinite(distance)
+        # The K-th itself has a little say, and where all K lie at the very place, all have.
+        support = np.where(found[:, -1:], distance[:, -1:], shape.reach) * (1.0 + 1e-3) + 1e-12
+        kernel = np.where(found, 1.0 - (np.where(found, distance, 0.0) / support) ** 2, 0.0)
+        first = np.concatenate([[0], np.cumsum(found.sum(axis=1))])
+        return Neighborhoods(first, near[found], kernel[found])
+
+    def _fit(self, near: Neighborhoods, shape: KernelShape, iterations: int) -> tuple[Students, FloatArray]:
+        counts = near.counts
+        prior = StudentPrior(
+            self.prior.scale[0], float(self.prior.dof[0]), shape.prior_counts, shape.dof_counts, shape.bias_counts
+        )
+        fitted = fit_students(
+            self.errors, near, prior, spread=self.spread, iterations=iterations, robust=not self.published
+        )
+        if self.published:
+            posterior = shape.prior_counts + counts  # ν*
+            dof = posterior - DIM + 1.0
+            fitted = Students(fitted.scale * (posterior / dof)[:, None, None], dof, fitted.bias)
+        return fitted, counts
+
+
+def prior_of(errors: FloatArray, spread: FloatArray | None = None, *, published: bool) -> Students:
+    """What holds where nothing is known: the Student-t of all errors; as published R̂ of Ψ₀ = ν₀ R̂, their mean square."""
+    if not published:
+        return fit_static(errors, spread=spread)
+    squares = errors.T @ errors + (0.0 if spread is None else spread.sum(axis=0))
+    scale = squares / len(errors) + LEAST_SIGMA_PX**2 * np.eye(DIM)
+    return Students(scale[None], np.array([np.inf]), np.zeros((1, DIM)))

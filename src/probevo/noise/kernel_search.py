@@ -1,0 +1,188 @@
+"""What a generalized kernel is not told, it chooses by the predictive likelihood of groups left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.noise.base import StereoNoise
+from probevo.noise.kernel_posterior import KernelPosterior, KernelShape, prior_of
+from probevo.noise.student_fit import Students, fit_static
+
+FOLDS = 5
+MOST_SAMPLES, MOST_QUERIES = 12_000, 600
+"""Of a fold, to learn from and to judge by while weights are chosen."""
+FACTORS = (0.5, 2.0)
+"""By which a column's weight is tried, once the columns are chosen."""
+LEAST_GAIN = 2e-3
+"""Nats a feature that a change must gain."""
+CANDIDATES: dict[str, tuple[float, ...]] = {
+    "neighbors": (50, 100, 200, 400, 800, 1600),
+    "bias_counts": (np.inf, 10.0, 100.0),
+    "prior_counts": (4.0, 16.0, 64.0),
+    "dof_counts": (np.inf, 30.0, 100.0, 300.0),
+}
+PUBLISHED: dict[str, tuple[float, ...]] = {
+    "reach": (0.125, 0.25, 0.5, 1.0, 2.0),
+    "prior_counts": (5.0, 20.0, 80.0),
+}
+NEIGHBORS_GROW = 0.5
+"""K goes with this power of the number of samples: as N^(4/(4 + M)) is best for M of four effective columns."""
+Search = dict[str, dict[str, Any]]
+"""By the name of what was chosen: candidates, nats a feature that each gains over the static model, and the chosen."""
+
+
+@dataclass(frozen=True)
+class _Fold:
+    """Samples to learn from, and such of other groups to judge by."""
+
+    coordinates: FloatArray
+    errors: FloatArray
+    spread: FloatArray | None
+    places: FloatArray
+    asked: FloatArray
+    prior: Students
+    static: float
+    """Mean log-likelihood of the asked under the one Student-t of the samples."""
+
+
+def choose_shape(
+    coordinates: FloatArray,
+    errors: FloatArray,
+    spread: FloatArray | None,
+    groups: IntArray | None,
+    given: Mapping[str, Any],
+    published: bool,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> tuple[FloatArray, KernelShape, Search]:
+    """Weights of the columns, [M], and the shape of the kernel: what is given stays, the rest is searched one by one.
+
+    With fewer than two groups there is nothing to judge by, and what is not given keeps its default.
+
+    Args:
+        coordinates, errors, spread: the N samples, standardised, [N, M], [N, 4] and [N, 4, 4] or None.
+        groups: [N]; consecutive samples by default.
+        given: what need not be chosen, by the names of ``KernelShape``, and ``weights``.
+        published: choose a fixed support instead of K, and all weights alike.
+        on_progress: called with how many steps are done, and how many there are at most.
+    """
+    dimension = coordinates.shape[1]
+    weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
+    shape = replace(KernelShape(), **{name: value for name, value in given.items() if name != "weights"})
+    if published and "reach" not in given:
+        shape = replace(shape, reach=0.5)
+    candidates = {name: c for name, c in (PUBLISHED if published else CANDIDATES).items() if name not in given}
+    folds = _folds(coordinates, errors, spread, groups, published)
+    if len(folds) < 2:
+        return weights, shape, {}
+    search, is_free = _Search(folds, published, on_progress), "weights" not in given and not published
+    search.total = (dimension * (dimension + 1) // 2 if is_free else 0) + len(candidates)
+    if is_free:
+        weights = search.choose_weights(dimension, shape)
+    for name, values in candidates.items():
+        shape = search.choose(name, values, weights, shape)
+    if "neighbors" in candidates:  # more data allow a narrower kernel of more samples
+        more = max(1.0, len(errors) / MOST_SAMPLES)
+        shape = replace(shape, neighbors=round(shape.neighbors * more**NEIGHBORS_GROW))
+    return weights, shape, search.found
+
+
+class _Search:
+    def __init__(self, folds: list[_Fold], published: bool, on_progress: Callable[[int, int], None] | None) -> None:
+        self.folds, self.published, self.on_progress = folds, published, on_progress
+        self.found: Search = {}
+        self.done = self.total = 0
+
+    def gain(self, weights: FloatArray, shape: KernelShape) -> float:
+        """Mean log-likelihood over that of the static model, nats a feature."""
+        with ThreadPoolExecutor(2) as pool:
+            gains = list(pool.map(lambda fold: self._gain_of_fold(fold, weights, shape), self.folds))
+        return float(np.average(gains, weights=[len(fold.asked) for fold in self.folds]))
+
+    def choose_weights(self, dimension: int, shape: KernelShape) -> FloatArray:
+        """Column after column, that which gains the most beside those before; then each one's weight."""
+        weights, best, order = np.zeros(dimension), 0.0, []
+        while not weights.all():
+            free = np.flatnonzero(weights == 0.0)
+            gains = [self.gain(_with(weights, m, 1.0), shape) for m in free]
+            self._step(len(free))
+            if max(gains) < best + LEAST_GAIN:
+                break
+            weights, best = _with(weights, int(free[np.argmax(gains)]), 1.0), max(gains)
+            order.append((int(free[np.argmax(gains)]), best))
+        for m, _ in order:
+            options = [_with(weights, m, factor) for factor in FACTORS]
+            gains = [self.gain(option, shape) for option in options if option.any()]
+            if max(gains, default=best) > best + LEAST_GAIN:
+                best, weights = max(gains), options[int(np.argmax(gains))]
+        self.found["weights"] = {
+            "candidates": [m for m, _ in order], "gains": [gain for _, gain in order], "chosen": weights.tolist()
+        }  # fmt: skip
+        return weights if weights.any() else np.ones(dimension)
+
+    def choose(self, name: str, values: tuple[float, ...], weights: FloatArray, shape: KernelShape) -> KernelShape:
+        """One hyperparameter; of those that are as good, the first."""
+        options = [replace(shape, **{name: int(value) if name == "neighbors" else value}) for value in values]
+        gains = [self.gain(weights, option) for option in options]
+        chosen = int(np.argmax(np.array(gains) > max(gains) - LEAST_GAIN))
+        plain = [value if np.isfinite(value) else "none" for value in values]
+        self.found[name] = {"candidates": plain, "gains": gains, "chosen": plain[chosen]}
+        self._step()
+        return options[chosen]
+
+    def _gain_of_fold(self, fold: _Fold, weights: FloatArray, shape: KernelShape) -> float:
+        used = weights > 0.0
+        coordinates, places = (np.ascontiguousarray((x * weights)[:, used]) for x in (fold.coordinates, fold.places))
+        posterior = KernelPosterior(
+            coordinates, fold.errors, fold.spread, self.published, fold.prior, KDTree(coordinates)
+        )
+        students, _ = posterior.at(places, shape, iterations=8)
+        noise = StereoNoise(students.scale, students.dof, students.bias)
+        return float(noise.log_likelihood(fold.asked).mean()) - fold.static
+
+    def _step(self, steps: int = 1) -> None:
+        self.done += steps
+        if self.on_progress is not None:
+            self.on_progress(self.done, self.total)
+
+
+def _with(weights: FloatArray, column: int, weight: float) -> FloatArray:
+    return np.where(np.arange(len(weights)) == column, weight, weights)
+
+
+def _folds(
+    coordinates: FloatArray,
+    errors: FloatArray,
+    spread: FloatArray | None,
+    groups: IntArray | None,
+    published: bool,
+) -> list[_Fold]:
+    count = len(errors)
+    if groups is None:
+        groups = np.arange(count) * 2 * FOLDS // max(count, 1)
+    fold = np.unique(groups, return_inverse=True)[1] % FOLDS
+    found = []
+    for number in np.unique(fold):
+        own, other = (
+            _evenly(np.flatnonzero(fold == number), MOST_QUERIES),
+            _evenly(np.flatnonzero(fold != number), MOST_SAMPLES),
+        )
+        if not len(other):
+            continue
+        parts = errors[other], None if spread is None else spread[other]
+        prior, student = prior_of(*parts, published=published), fit_static(*parts)
+        noise = StereoNoise(student.scale, student.dof, student.bias)
+        static = float(noise.log_likelihood(errors[own]).mean())
+        found.append(_Fold(coordinates[other], *parts, coordinates[own], errors[own], prior, static))
+    return found
+
+
+def _evenly(indices: IntArray, most: int) -> IntArray:
+    chosen: IntArray = indices[np.unique(np.linspace(0, len(indices) - 1, min(most, len(indices))).astype(np.int64))]
+    return chosen
