@@ -16,7 +16,7 @@ from probevo.errors import InputError
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.motion.estimate import MotionEstimate
 from probevo.noise import NoiseModel
-from probevo.noise.named import noise_model, portable
+from probevo.noise.named import check_model_camera, noise_model, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
 from probevo.output.files import (
@@ -113,7 +113,7 @@ def check_run(sequence: Sequence, config: RunConfig, noise: NoiseModel) -> None:
             for an IMU that the recording does not have; or its truth is absurd.
     """
     space_for(noise.columns).check_recording(sequence)
-    noise.check_camera(sequence.camera)
+    check_model_camera(config.noise, noise, sequence.camera)
     check_imu(sequence, config)
     truth = sequence.truth
     if truth is not None and (np.abs(truth.T_world_cam[:, :3, 3]) > FARTHEST_M).any():

@@ -79,7 +79,7 @@ def test_a_camera_without_a_size_comes_back(path: Path) -> None:
 
 def test_an_unknown_kind_is_refused(path: Path) -> None:
     write_model_file(path, ModelFile("oracle", {}, {}))
-    with pytest.raises(InputError, match=r"kind 'oracle'.\n.*Known are knn"):
+    with pytest.raises(InputError, match=r"kind 'oracle'.\n.*Known are gk, knn, student-t"):
         load_model(path)
 
 

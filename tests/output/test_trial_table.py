@@ -131,3 +131,19 @@ def test_rows_are_recordings_and_columns_estimators(make_run: Callable[..., RunR
         ("moor", (UNKNOWN, UNKNOWN), None),
     ]
     assert table.notes == ("No truth is known, and so no error: moor.",)
+
+
+def test_other_measures_have_columns_of_their_own() -> None:
+    """One measure as well as three; the text has those of an estimator in one column."""
+    for measures in ((("loop error", "m"),), (("a", "m"), ("b", "rad"), ("c", "s"))):
+        errors = tuple(tuple(float(k + e) for k in range(len(measures))) for e in range(2))
+        other = TrialTable(("x", "y"), (TrialRow("hill", errors),), (), measures, "thesis Table 0")
+        columns, rows = tabular(trials_latex(other))
+        assert columns == "lr" + "r" * 2 * len(measures)
+        assert {width(row) for row in rows} == {len(columns)}
+        assert rows[1][2] == f"{measures[0][0].capitalize()} [m]"
+        assert rows[2][2] == (r"\textbf{0}")
+        assert trials_text(other)[1][2] == " / ".join(["0", "1.00", "2.00"][: len(measures)])
+        section = trials_section(other)
+        assert f'<th colspan="{len(measures)}">x</th>' in section
+        assert "In the form of thesis Table 0" in section

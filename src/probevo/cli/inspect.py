@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,8 +16,9 @@ from probevo.errors import InputError
 from probevo.run_config import FormatName
 
 if TYPE_CHECKING:
-    from probevo.noise.nearest_neighbors import NearestNeighbors
-    from probevo.output.inspection_data import FrameView, ModelView
+    from probevo.noise.generalized_kernel import GeneralizedKernel
+    from probevo.noise.model_io import Learned
+    from probevo.output.inspection_data import FrameView
     from probevo.predictors import PredictionSpace
     from probevo.sequences import Sequence
 
@@ -27,9 +29,10 @@ PAGE = "inspection.html"
 class InspectArguments:
     """What a noise model learned, and how it sees the features of a frame.
 
-    Writes inspection.html and, of a recording, frame-K/ with a picture for each predictor and one for the weights: the
-    features of frame K in the colour of their values. Without MODEL, it shows the predictors alone; without SEQUENCE,
-    the model alone. The recording is run from its start up to frame K, with the model, since features are followed.
+    Writes inspection.html and, of a recording, frame-K/ with a picture for each predictor and for what the model makes
+    of them, weights or σ and ν: the features of frame K in the colour of their values. Without MODEL, it shows the
+    predictors alone; without SEQUENCE, the model alone. The recording is run from its start up to frame K, with the
+    model, since features are followed.
     """
 
     sequence: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="SEQUENCE", help_behavior_hint="")]
@@ -41,8 +44,8 @@ class InspectArguments:
     frame: Annotated[int | None, tyro.conf.arg(metavar="K", help_behavior_hint="")] = None
     """Index of the frame, from 1, as the first has nothing before it; the one in the middle if left out."""
     predictors: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME…", help_behavior_hint="")] = ()
-    """Without a model, the predictors to show; if left out, those that `probevo train` takes by default, as far as the
-    recording has what they need."""
+    """Without a model, or with one that takes none, the predictors to show; if left out, those that `probevo train`
+    takes by default, as far as the recording has what they need."""
     format: Annotated[FormatName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Layout of the recording; found out where it is not named."""
     settings: Annotated[OdometryConfig, tyro.conf.arg(name="")] = field(default_factory=OdometryConfig)
@@ -55,13 +58,13 @@ def main(words: list[str]) -> None:
     _check(arguments)
     from probevo.noise.model_io import load_model
     from probevo.output.files import check_folder
-    from probevo.output.inspection_data import ModelView
 
     check_folder(arguments.out, "--out")
     model = load_model(arguments.model) if arguments.model else None
+    if model is not None and model.columns and arguments.predictors:
+        raise InputError("--predictors", "the model says which predictors it takes.", "Leave out one of the two.")
     frame = frame_view(arguments.sequence, arguments, settings, model) if arguments.sequence else None
-    view = ModelView.of(arguments.model.name, model, known_units()) if arguments.model and model else None
-    print(write(arguments.out, view, frame))
+    print(write(arguments.out, arguments.model.name if arguments.model else "", model, frame))
 
 
 def _check(arguments: InspectArguments) -> None:
@@ -69,8 +72,6 @@ def _check(arguments: InspectArguments) -> None:
     if arguments.sequence is None and arguments.model is None:
         cure = "Give a recording, a model, or both: `probevo inspect SEQUENCE --model MODEL --out DIR`."
         raise InputError("SEQUENCE and --model", "neither a recording nor a model is named.", cure)
-    if arguments.predictors and arguments.model is not None:
-        raise InputError("--predictors", "the model says which predictors it takes.", "Leave out one of the two.")
     if arguments.frame is not None and arguments.sequence is None:
         raise InputError("--frame", "there is no recording to take it from.", "Name its folder, or leave --frame out.")
 
@@ -82,24 +83,23 @@ def known_units() -> dict[str, str]:
     return {column: unit for predictor in PREDICTORS.values() for column, unit in predictor.columns.items()}
 
 
-def frame_view(
-    path: Path, arguments: InspectArguments, settings: OdometryConfig, model: NearestNeighbors | None
-) -> FrameView:
+def frame_view(path: Path, arguments: InspectArguments, settings: OdometryConfig, model: Learned | None) -> FrameView:
     """Run over the recording up to the frame; shows on stderr how far it is.
 
     Raises:
         InputError: the model belongs to another camera, the recording lacks what a predictor needs, there is no such
             frame, or it has no features.
     """
+    from probevo.noise.named import check_model_camera
     from probevo.predictors import prediction_space, space_for
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(path, arguments.format)
     if model is not None:
-        model.check_camera(sequence.camera)
+        check_model_camera(str(arguments.model), model, sequence.camera)
     index = _frame_index(arguments.frame, len(sequence), path)
     names = arguments.predictors or _default_predictors(sequence)
-    space = space_for(model.columns) if model is not None else prediction_space(names)
+    space = space_for(model.columns) if model is not None and model.columns else prediction_space(names)
     return _view_of_frame(sequence, index, space, model, settings)
 
 
@@ -121,7 +121,7 @@ def _default_predictors(sequence: Sequence) -> list[str]:
 
 
 def _view_of_frame(
-    sequence: Sequence, index: int, space: PredictionSpace, model: NearestNeighbors | None, settings: OdometryConfig
+    sequence: Sequence, index: int, space: PredictionSpace, model: Learned | None, settings: OdometryConfig
 ) -> FrameView:
     from itertools import islice
 
@@ -129,6 +129,8 @@ def _view_of_frame(
     import numpy as np
 
     from probevo.cli.progress import progress_bar
+    from probevo.noise.generalized_kernel import GeneralizedKernel
+    from probevo.noise.nearest_neighbors import NearestNeighbors
     from probevo.odometry import StereoOdometry
     from probevo.output.inspection_data import FrameView, neighbor_radius
 
@@ -154,28 +156,67 @@ def _view_of_frame(
         uv=tracks.curr_px[:, :2],
         columns={column: unit for predictor in space.predictors for column, unit in predictor.columns.items()},
         phi=phi,
-        beta=model.weights(phi) if model is not None else None,
-        radius=neighbor_radius(model, phi) if model is not None else None,
+        beta=model.weights(phi) if isinstance(model, NearestNeighbors) else None,
+        radius=neighbor_radius(model, phi) if isinstance(model, NearestNeighbors) else None,
+        noise=model.predict(phi) if isinstance(model, GeneralizedKernel) else None,
     )
 
 
-def write(out: Path, model: ModelView | None, frame: FrameView | None) -> str:
-    """Write pictures and page; returns what to print."""
-    from probevo.output.files import remove_stale, write_atomically
-    from probevo.output.inspection_data import column_summaries
-    from probevo.output.inspection_page import SUMMARY_HEAD, summary_rows, write_inspection
+def write(out: Path, name: str, model: Learned | None, frame: FrameView | None) -> str:
+    """Write pictures and page of the model of that name; returns what to print."""
+    from probevo.noise.generalized_kernel import GeneralizedKernel
+    from probevo.noise.student_t import StudentT
+    from probevo.output.inspection_data import ModelView, column_summaries
+    from probevo.output.inspection_page import write_inspection
     from probevo.output.inspection_pictures import frame_pictures
+    from probevo.output.inspection_sections import SUMMARY_HEAD, summary_rows
 
-    pictures = frame_pictures(model, frame) if frame is not None else {}
+    if isinstance(model, GeneralizedKernel):
+        return _write_kernel(out, name, model, frame)
+    view = ModelView.of(name, model, known_units()) if model and not isinstance(model, StudentT) else None
+    pictures = frame_pictures(view, frame) if frame is not None else {}
+    _write_pictures(out, frame, pictures)
+    summaries = column_summaries(view, frame)
+    if isinstance(model, StudentT):
+        from probevo.output.inspection_student_page import write_student_inspection
+        from probevo.output.model_facts import SCALE_HEAD, scale_rows
+
+        write_student_inspection(out / PAGE, name, model, frame, pictures, summaries)
+        lines = [table(SCALE_HEAD, scale_rows(model.scale_)), f"ν = {model.dof_:.3g}"]
+    else:
+        write_inspection(out / PAGE, view, frame, pictures, summaries)
+        lines = [table(SUMMARY_HEAD, summary_rows(summaries))]
+    return _said(out, frame, lines)
+
+
+def _write_kernel(out: Path, name: str, model: GeneralizedKernel, frame: FrameView | None) -> str:
+    from probevo.output.inspection_kernel_data import KernelView
+    from probevo.output.inspection_kernel_page import KERNEL_HEAD, foreign_share, kernel_rows, write_kernel_inspection
+    from probevo.output.inspection_kernel_pictures import kernel_pictures
+    from probevo.output.inspection_sections import percent
+
+    view = KernelView.of(name, model, known_units())
+    pictures = kernel_pictures(view, frame) if frame is not None else {}
+    _write_pictures(out, frame, pictures)
+    write_kernel_inspection(out / PAGE, view, frame, pictures)
+    lines = [table(KERNEL_HEAD, kernel_rows(view, frame))]
     if frame is not None:
-        folder = out / f"frame-{frame.index}"
-        for name in {"weight", "distance", *known_units()} - set(pictures):
-            remove_stale(folder / f"{name}.jpg")
-        for name, (_, jpeg) in pictures.items():
-            write_atomically(folder / f"{name}.jpg", jpeg)
-    summaries = column_summaries(model, frame)
-    write_inspection(out / PAGE, model, frame, pictures, summaries)
-    lines = [table(SUMMARY_HEAD, summary_rows(summaries)), ""]
-    if frame is not None:
-        lines.append(f"pictures: {out / f'frame-{frame.index}'}")
-    return "\n".join([*lines, f"page: {out / PAGE}"])
+        lines += ["", f"foreign: {percent(foreign_share(frame))} of the features lie out of the model's domain"]
+    return _said(out, frame, lines)
+
+
+def _write_pictures(out: Path, frame: FrameView | None, pictures: Mapping[str, tuple[str, bytes]]) -> None:
+    from probevo.output.files import remove_stale, write_atomically
+
+    if frame is None:
+        return
+    folder = out / f"frame-{frame.index}"
+    for name in {"weight", "distance", "sigma", "dof", *known_units()} - set(pictures):
+        remove_stale(folder / f"{name}.jpg")
+    for name, (_, jpeg) in pictures.items():
+        write_atomically(folder / f"{name}.jpg", jpeg)
+
+
+def _said(out: Path, frame: FrameView | None, lines: list[str]) -> str:
+    pictures = [f"pictures: {out / f'frame-{frame.index}'}"] if frame is not None else []
+    return "\n".join([*lines, "", *pictures, f"page: {out / PAGE}"])

@@ -9,9 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from probevo.cli import paper_kernel
 from probevo.cli.arguments import checked, parse
 from probevo.cli.text import table
+from probevo.errors import InputError
 from probevo.experiments.blur_config import BlurConfig
+from probevo.experiments.table_1_2_config import Table12Config
+from probevo.experiments.table_1_3_config import Table13Config
 from probevo.experiments.table_i_config import TableIConfig
 
 if TYPE_CHECKING:
@@ -50,12 +54,49 @@ class TableIArguments:
 
 
 @dataclass(frozen=True)
+class Table12Arguments:
+    """PROBE-GK trained with truth and without, beside static noise, at four kinds of place: thesis Table 1.2.
+
+    The places are simulated; with --train and --test a row of your recordings is added. Writes table_1_2 with the
+    published figures beside ours, as .html, .csv, .json, .tex and .txt, the recordings/, which a second call does not
+    render again, the trained models/, and runs/ with the files of each run. All of it takes an hour, mostly training.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results. What an earlier run of the experiment left there is replaced."""
+    train: Annotated[Path | None, tyro.conf.arg(metavar="SEQUENCE", help_behavior_hint="")] = None
+    """A recording of yours to train on: a folder, or a tracks file (.npz)."""
+    test: Annotated[Path | None, tyro.conf.arg(metavar="SEQUENCE", help_behavior_hint="")] = None
+    """Another of the same camera to test on."""
+    settings: Annotated[Table12Config, tyro.conf.arg(name="")] = field(default_factory=Table12Config)
+
+
+@dataclass(frozen=True)
+class Table13Arguments:
+    """PROBE-GK trained by EM on a loop of which no pose is known, run on others: thesis Table 1.3 and Fig. 1.20.
+
+    Writes table_1_3 with the published figures beside ours, as .html, which also shows how likelihood and loop closure
+    go from turn to turn of EM, .csv, .json, .tex and .txt, the recordings/, which a second call does not render again,
+    the trained models/, and runs/ with the files of each run.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results. What an earlier run of the experiment left there is replaced."""
+    loops: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="SEQUENCE…", help_behavior_hint="")] = ()
+    """Recordings of yours that end where they began, or whose truth says where, instead of rendered ones. The first is
+    trained on."""
+    settings: Annotated[Table13Config, tyro.conf.arg(name="")] = field(default_factory=Table13Config)
+
+
+@dataclass(frozen=True)
 class PaperArguments:
     """Repeat an experiment of the papers. `probevo paper EXPERIMENT --help` shows its options."""
 
     experiment: Annotated[
         Annotated[BlurArguments, tyro.conf.subcommand("blur")]
-        | Annotated[TableIArguments, tyro.conf.subcommand("table-i")],
+        | Annotated[TableIArguments, tyro.conf.subcommand("table-i")]
+        | Annotated[Table12Arguments, tyro.conf.subcommand("table-1.2")]
+        | Annotated[Table13Arguments, tyro.conf.subcommand("table-1.3")],
         tyro.conf.arg(name=""),
     ]
 
@@ -66,8 +107,25 @@ def main(words: list[str]) -> None:
     from probevo.output.files import check_folder
 
     check_folder(arguments.out, "--out")
-    lines = _blur(arguments) if isinstance(arguments, BlurArguments) else _table_i(arguments)
+    if isinstance(arguments, BlurArguments):
+        lines = _blur(arguments)
+    elif isinstance(arguments, TableIArguments):
+        lines = _table_i(arguments)
+    elif isinstance(arguments, Table12Arguments):
+        lines = _table_1_2(arguments)
+    else:
+        lines = paper_kernel.table_1_3(checked(arguments.settings), arguments.loops, arguments.out)
     print("\n".join(lines))
+
+
+def _table_1_2(arguments: Table12Arguments) -> list[str]:
+    settings, own = checked(arguments.settings), None
+    if arguments.train is not None and arguments.test is not None:
+        own = arguments.train, arguments.test
+    elif arguments.train is not None or arguments.test is not None:
+        given, other = ("--train", "--test") if arguments.test is None else ("--test", "--train")
+        raise InputError(given, f"is given without {other}.", "A row of your own needs both.")
+    return paper_kernel.table_1_2(settings, own, arguments.out)
 
 
 def _blur(arguments: BlurArguments) -> list[str]:

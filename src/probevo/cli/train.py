@@ -9,20 +9,23 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from probevo.cli.arguments import checked, parse
-from probevo.cli.text import columns, table
+from probevo.cli.train_summary import summary
 from probevo.errors import InputError
 from probevo.training.settings import TrainSettings
 
 if TYPE_CHECKING:
-    from probevo.noise.nearest_neighbors import NearestNeighbors
+    from probevo.noise.model_io import Learned
 
 
 @dataclass(frozen=True)
 class TrainArguments:
-    """Learn from recordings how far to trust each feature (PROBE).
+    """Learn from recordings how far to trust each feature (PROBE, PROBE-GK).
 
     Writes one file, the model; `probevo run … --noise MODEL` uses it, `probevo inspect` shows it. Stopped at any moment
     and called again with the same words, it goes on where it was; what is done so far lies in MODEL.work.
+
+    What kind of model it is, --kind says. The options from --base to --exponent are for knn alone, those of the section
+    gk for the other two; a kind refuses what it has no use for.
     """
 
     sequences: Annotated[
@@ -46,7 +49,7 @@ def main(words: list[str]) -> None:
     print("\n".join(summary(model, arguments.out)))
 
 
-def train_with_progress(recordings: tuple[Path, ...], settings: TrainSettings, out: Path) -> NearestNeighbors:
+def train_with_progress(recordings: tuple[Path, ...], settings: TrainSettings, out: Path) -> Learned:
     """Open the recordings, learn from them, and show how far it is on stderr."""
     import cv2
 
@@ -65,29 +68,3 @@ def train_with_progress(recordings: tuple[Path, ...], settings: TrainSettings, o
             f"Recordings and iterations that are through are kept in {out}.work; the same command goes on from there."
         )
         raise
-
-
-def summary(model: NearestNeighbors, out: Path) -> list[str]:
-    """A few lines on what was learned, and how K and γ came about."""
-    recordings = model.training["recordings"]
-    frames = sum(recording["frames"] for recording in recordings)
-    rows = [
-        ("samples", f"{len(model.index_.values):,} from {frames:,} frames of {len(recordings)} recordings"),
-        ("predictors", ", ".join(model.columns)),
-        ("K", f"{model.neighbors}"),
-        ("γ", f"{model.exponent:g}"),
-    ]
-    lines = [columns(rows)]
-    titles = {
-        "neighbors": ("K", "squared error of left-out samples", 1.0),
-        "exponent": ("γ", "mean error on the training drives, mm", 1e3),
-    }
-    for name, search in model.training["searches"].items():
-        title, meaning, factor = titles[name]
-        errors = [f"{factor * error:.4g}" for error in search["errors"]]
-        lines += ["", table((title, *(f"{c:g}" for c in search["candidates"])), [(meaning, *errors)])]
-    if model.exponent == 0.0:
-        lines += ["", "γ is 0: nothing shows that any feature is better than another; the model is the static one."]
-        if model.training["settings"]["supervision"] in ("gt", "sparse"):
-            lines += ["A truth that jumps from frame to frame hides it: try --supervision none."]
-    return [*lines, "", f"model: {out}"]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from probevo import __version__
+from probevo.experiments.table_files import write_table_files
 from probevo.experiments.table_i import ESTIMATORS, TRIALS, Plan, Trial
 from probevo.output.comparison import Comparison, Entry, truth_note
-from probevo.output.comparison_files import flat_record, record, write_csv
 from probevo.output.comparison_page import write_comparison
-from probevo.output.files import write_atomically, write_json
-from probevo.output.trial_table import UNKNOWN, TrialRow, TrialTable, errors_of, trials_latex
+from probevo.output.trial_table import UNKNOWN, TrialRow, TrialTable, errors_of
 
 _BY_NAME = {trial.drive.name: trial for trial in TRIALS}
 
@@ -45,16 +44,8 @@ def write_table(out: Path, comparison: Comparison, table: TrialTable, text: str)
     Raises:
         InputError: a file cannot be written.
     """
-    write_csv(out / "table_i.csv", map(_flat, comparison.entries))
-    runs = [_published(entry) | record(entry, out) for entry in comparison.entries]
-    write_json(out / "table_i.json", {"probevo": __version__, "notes": table.notes, "runs": runs})
-    write_atomically(out / "table_i.tex", trials_latex(table))
-    write_atomically(out / "table_i.txt", text)
+    write_table_files(out / "table_i", comparison, table, text, _published)
     write_comparison(out / "table_i.html", comparison, "PROBE Table I on KITTI", {"probevo": __version__}, table)
-
-
-def _flat(entry: Entry) -> dict[str, object]:
-    return _published(entry) | flat_record(entry)
 
 
 def _published(entry: Entry) -> dict[str, object]:

@@ -101,8 +101,7 @@ def solve_reprojection(
     parameter = loss.parameters(dof)
 
     seen, point_cov = np.empty((count, 3)), np.zeros((count, 3, 3))
-    observed = np.ascontiguousarray(prev_px - bias) if propagate else np.ascontiguousarray(prev_px)
-    observation_to_point(observed, scale, propagate, seen, point_cov)
+    observation_to_point(np.ascontiguousarray(prev_px), scale, propagate, seen, point_cov)
     curr = np.ascontiguousarray(curr_px - bias)
 
     C, t = np.array(guess[:3, :3]), np.array(guess[:3, 3])

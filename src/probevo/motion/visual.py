@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import fdtr, fdtri
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
@@ -15,13 +16,15 @@ from probevo.motion.estimate import Status
 from probevo.motion.first_guess import enough, first_guess
 from probevo.motion.motion_model import ExpectedMotion
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
-from probevo.motion.robust import RobustLoss
+from probevo.motion.robust import RESIDUAL_DIM, RobustLoss
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
 DROP_BELOW = 0.1
 """Robust weight below which a track is no longer followed."""
+USUAL_DOF = 5.0
+"""Degrees of freedom for which the two bounds hold: those of the shipped Student-t."""
 TRUSTED = 0.5
 """A track that keeps this much of its robust weight counts as trusted."""
 
@@ -99,9 +102,9 @@ def estimate_motion(
     prior = rotation if config.gyro.prior else None
     predicted = noise.predict(predictors[used])
     solution = solve(tracks.kept(used), predicted, start.T_curr_prev, camera, prior, config.solver)
-    weights[used] = solution.weight
+    weights[used] = trust(solution, predicted.dof) if config.solver.loss == "noise" else solution.weight
     clock.lap("solve")
-    status = _judge(solution, expected, config)
+    status = _judge(solution, weights[used], expected, config)
     foreign = None
     if predicted.foreign is not None:
         foreign = np.zeros_like(used)
@@ -148,7 +151,24 @@ def solve(
     return replace(solution, cov=aligned.cov, iterations=aligned.iterations, converged=aligned.converged)
 
 
-def _judge(solution: ReprojectionSolution, expected: ExpectedMotion, config: OdometryConfig) -> Status:
+def trust(solution: ReprojectionSolution, dof: FloatArray) -> FloatArray:
+    """How far each feature is trusted, [N], 0 to 1, whatever the tails of its noise, dof ν [N].
+
+    Its robust weight against a perfect feature's, ν/(ν + s), says how usual a residual is only for one ν: half of all
+    good features have less than a third of it at ν = 1.6. So s counts as the one that is as rare at USUAL_DOF. Gaussian
+    features keep all their weight.
+    """
+    robust = np.isfinite(dof) & (dof != USUAL_DOF) & (solution.weight > 0.0)
+    nu = np.where(robust, dof, USUAL_DOF)
+    rank = fdtr(RESIDUAL_DIM, nu, solution.squared / RESIDUAL_DIM)
+    usual = RESIDUAL_DIM * fdtri(RESIDUAL_DIM, USUAL_DOF, rank)
+    trusted: FloatArray = np.where(robust, USUAL_DOF / (USUAL_DOF + usual), solution.weight)
+    return trusted
+
+
+def _judge(
+    solution: ReprojectionSolution, weights: FloatArray, expected: ExpectedMotion, config: OdometryConfig
+) -> Status:
     """Whether a solve fixed all six degrees of freedom, reached its optimum, and makes sense."""
     if not np.isfinite(solution.cov).all():
         return Status.DEGENERATE
@@ -159,7 +179,7 @@ def _judge(solution: ReprojectionSolution, expected: ExpectedMotion, config: Odo
         or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
     ):
         return Status.DEGENERATE
-    if (solution.weight >= TRUSTED).sum() < config.solver.min_tracks:
+    if (weights >= TRUSTED).sum() < config.solver.min_tracks:
         return Status.TOO_FEW_TRACKS
     if not solution.converged or expected.is_absurd(solution.T_curr_prev, solution.cov):
         return Status.NOT_CONVERGED

@@ -23,7 +23,7 @@ class StereoNoise:
     dof: FloatArray
     """Degrees of freedom, [N]; np.inf is Gaussian."""
     bias: FloatArray
-    """Expected error, [N, 4], px."""
+    """Expected residual, [N, 4], px, whatever the scale refers to."""
     refers_to: Refers = "residual"
     """What the scale describes: the residual y' − f(T g(y)) as a whole (learned models), or each single observation y
     and y' (classical models), from which the solver derives the residual's, the triangulated point's noise included."""

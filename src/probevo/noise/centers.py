@@ -17,6 +17,8 @@ from probevo.noise.student_fit import Students
 
 Single = NDArray[np.float32]
 
+LARGEST_LOGARITHM = 100.0
+"""Of a σ in pixels, or of degrees of freedom: no number of a sound model."""
 NEAREST = 4
 _ROW, _COLUMN = np.tril_indices(4)
 _DIAGONAL = _ROW == _COLUMN
@@ -33,6 +35,16 @@ class Centers:
     values: Single
     """Bias [4], Cholesky factor [10] with ln of its diagonal, ln ν, and Σk, the errors that it was learned from, in the
     order of ``tril_indices``, [C, 16]."""
+
+    @property
+    def logarithms(self) -> Single:
+        """Those of the Cholesky factor's diagonal and of the degrees of freedom, [C, 5]."""
+        return self.values[:, [*(4 + np.flatnonzero(_DIAGONAL)), 14]]
+
+    @property
+    def counts(self) -> Single:
+        """Σk of each, [C]."""
+        return self.values[:, 15]
 
     @staticmethod
     def of(places: FloatArray, students: Students, counts: FloatArray) -> Centers:
@@ -76,7 +88,7 @@ def _mix(queries: Single, places: Single, values: Single, mixed: FloatArray, squ
     count = places.shape[1]
     nearest = min(4, count)
     distance = np.empty(count, np.float32)
-    best, index = np.empty(4, np.float32), np.empty(4, np.int64)
+    best, index = np.empty(4, np.float32), np.zeros(4, np.int64)
     for n in range(len(queries)):
         distance[:] = 0.0
         for m in range(len(places)):
@@ -92,6 +104,10 @@ def _mix(queries: Single, places: Single, values: Single, mixed: FloatArray, squ
                     best[place], index[place] = best[place - 1], index[place - 1]
                     place -= 1
                 best[place], index[place] = distance[i], i
+        squared[n] = best[0]
+        if not best[nearest - 1] < np.inf:  # beyond single precision: as far as can be
+            mixed[n], squared[n] = values[0], np.inf
+            continue
         mixed[n] = 0.0
         total = 0.0
         for k in range(nearest):  # inverse squares, bounded at a tenth of the farthest of the four
@@ -101,4 +117,3 @@ def _mix(queries: Single, places: Single, values: Single, mixed: FloatArray, squ
                 mixed[n, j] += weight * values[index[k], j]
         for j in range(16):
             mixed[n, j] /= total
-        squared[n] = best[0]

@@ -1,4 +1,4 @@
-"""PROBE-GK: the full noise of each feature, by a generalized kernel over the prediction space (PROBE-GK; thesis 4.4)."""
+"""PROBE-GK: the full noise of each feature, by a generalized kernel over the prediction space (thesis 4.4)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.noise.base import Refers, StereoNoise
-from probevo.noise.centers import Centers
+from probevo.noise.centers import LARGEST_LOGARITHM, Centers
 from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
-from probevo.noise.kernel_search import choose_shape
+from probevo.noise.kernel_search import LARGEST_WEIGHT, check_given, choose_shape
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import ModelFile
 from probevo.noise.student_fit import DIM, Students, check_errors
@@ -95,7 +95,7 @@ class GeneralizedKernel:
     ) -> Self:
         """Take in N samples, and choose whatever was not given by the likelihood of groups left out.
 
-        Sets ``metric_``, ``shape_``, ``posterior_``, ``prior_``, ``centers_``, ``samples_`` and ``search_``.
+        Sets ``metric_``, ``weights_``, ``shape_``, ``posterior_``, ``prior_``, ``centers_``, ``samples_``, ``search_``.
 
         Args:
             predictors: places of the samples, [N, M].
@@ -108,25 +108,28 @@ class GeneralizedKernel:
             on_progress: called with how many steps of the search are done, and how many there are at most.
 
         Raises:
-            InputError: no samples, shapes that do not fit, or NaN where it may not be.
+            InputError: no samples or columns, shapes that do not fit, NaN where it may not be, or a given shape of the
+                kernel that is none.
         """
-        check_errors(residuals)
+        check_errors(residuals, spread)
         if not len(predictors) == len(residuals) == len(residuals if groups is None else groups):
             what = f"{len(predictors)} places, {len(residuals)} residuals"
             raise InputError("training data", f"{what} and {len(residuals if groups is None else groups)} groups.")
         self.metric_ = metric or _metric(predictors)
         published = self.variant == "published"
-        weights, shape, self.search_ = choose_shape(
+        check_given(self._given() | {"centers": self.centers}, len(self.columns), published)
+        self.weights_, shape, self.search_ = choose_shape(
             self.metric_.coordinates(predictors), residuals, spread, groups, self._given(), published, on_progress
         )
-        self.metric_ = replace(self.metric_, weight=self.metric_.weight * weights)
+        self.metric_ = replace(self.metric_, weight=self.metric_.weight * self.weights_)
         coordinates = self.metric_.coordinates(predictors)
         self.posterior_ = KernelPosterior.of(coordinates, residuals, spread, published=published)
         chosen = np.unique(np.linspace(0, len(residuals) - 1, min(self.centers, len(residuals))).astype(np.int64))
         if not np.isfinite(shape.reach):
             radius = self.posterior_.radius(coordinates[chosen], shape.neighbors)
             shape = replace(shape, reach=max(REACH * float(np.quantile(radius, 0.99)), 1e-6))
-        self.shape_, self.prior_, self.samples_ = shape, self._prior(), len(residuals)
+        self.shape_, self.samples_ = shape, len(residuals)
+        self.prior_ = self._prior()
         self.centers_ = Centers.of(coordinates[chosen], *self.posterior_.at(coordinates[chosen], shape))
         return self
 
@@ -223,6 +226,9 @@ class GeneralizedKernel:
             all(a.shape == shape and a.dtype == dtype and np.isfinite(a).all() for a, shape, dtype in expected)
             and len(set(self.columns)) == dimension == len(metric.may_be_undefined)
             and (metric.spread > 0.0).all()
+            and (np.abs(centers.logarithms) < LARGEST_LOGARITHM).all()
+            and (centers.counts >= 0.0).all()
+            and ((metric.weight >= 0.0) & (metric.weight <= LARGEST_WEIGHT)).all()
             and count > 0
             and (prior.dof > 0.0).all()
             and bool(np.linalg.eigvalsh(prior.scale)[0, 0] > 0.0)

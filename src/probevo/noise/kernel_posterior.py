@@ -18,10 +18,18 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from probevo.arrays import FloatArray
-from probevo.noise.student_fit import DIM, LEAST_SIGMA_PX, Neighborhoods, StudentPrior, Students, fit_static, fit_students
+from probevo.noise.student_fit import (
+    DIM,
+    Neighborhoods,
+    StudentPrior,
+    Students,
+    fit_static,
+    fit_students,
+    floored,
+)
 
-BLOCK = 2000
-"""Places whose neighbours are held in memory at a time."""
+BLOCK, MOST_PAIRS = 2000, 4_000_000
+"""Places whose neighbours are held in memory at a time, and pairs of a place and a neighbour, in the worst case."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +77,11 @@ class KernelPosterior:
 
     def at(self, places: FloatArray, shape: KernelShape, iterations: int = 12) -> tuple[Students, FloatArray]:
         """The noise at n places, [n, M], and Σk of each, [n]."""
+        neighbors = len(self.errors) if self.published else min(shape.neighbors, len(self.errors))
+        block = min(max(MOST_PAIRS // neighbors, 1), BLOCK)
         parts = [
-            self._fit(self._around(places[start : start + BLOCK], shape), shape, iterations)
-            for start in range(0, max(len(places), 1), BLOCK)
+            self._fit(self._around(places[start : start + block], shape), shape, iterations)
+            for start in range(0, max(len(places), 1), block)
         ]
         students = Students(
             *(np.concatenate([getattr(p[0], name) for p in parts]) for name in ("scale", "dof", "bias"))
@@ -84,7 +94,6 @@ class KernelPosterior:
         return np.asarray(distance[:, 0], dtype=np.float64)
 
     def _around(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
-        count = len(self.errors) if self.published else min(shape.neighbors, len(self.errors))
         if self.published:
             found = self.tree.query_ball_point(places, shape.reach, return_sorted=True)
             first = np.cumsum([0, *(len(indices) for indices in found)])
@@ -92,6 +101,7 @@ class KernelPosterior:
             owner = np.repeat(np.arange(len(places)), np.diff(first))
             squared = np.sum((self.coordinates[index] - places[owner]) ** 2, axis=1)
             return Neighborhoods(first, index, 1.0 - squared / shape.reach**2)
+        count = min(shape.neighbors, len(self.errors))
         distance, near = self.tree.query(places, k=np.arange(1, count + 1), distance_upper_bound=shape.reach)
         found = np.isfinite(distance)
         # The K-th itself has a little say, and where all K lie at the very place, all have.
@@ -120,5 +130,4 @@ def prior_of(errors: FloatArray, spread: FloatArray | None = None, *, published:
     if not published:
         return fit_static(errors, spread=spread)
     squares = errors.T @ errors + (0.0 if spread is None else spread.sum(axis=0))
-    scale = squares / len(errors) + LEAST_SIGMA_PX**2 * np.eye(DIM)
-    return Students(scale[None], np.array([np.inf]), np.zeros((1, DIM)))
+    return Students(floored(squares / len(errors))[None], np.array([np.inf]), np.zeros((1, DIM)))

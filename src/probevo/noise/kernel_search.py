@@ -11,22 +11,27 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
 from probevo.noise.kernel_posterior import KernelPosterior, KernelShape, prior_of
-from probevo.noise.student_fit import Students, fit_static
+from probevo.noise.student_fit import DIM, Students, fit_static
 
+LARGEST_WEIGHT = 1e6
+"""Of a column, so that squares of distances stay within single precision."""
 FOLDS = 5
 MOST_SAMPLES, MOST_QUERIES = 12_000, 600
 """Of a fold, to learn from and to judge by while weights are chosen."""
 FACTORS = (0.5, 2.0)
 """By which a column's weight is tried, once the columns are chosen."""
+SEARCH_ITERATIONS = 6
+"""Of each fit; the chosen shape is fitted with more."""
 LEAST_GAIN = 2e-3
 """Nats a feature that a change must gain."""
 CANDIDATES: dict[str, tuple[float, ...]] = {
     "neighbors": (50, 100, 200, 400, 800, 1600),
     "bias_counts": (np.inf, 10.0, 100.0),
-    "prior_counts": (4.0, 16.0, 64.0),
-    "dof_counts": (np.inf, 30.0, 100.0, 300.0),
+    "prior_counts": (1.0, 4.0, 16.0, 64.0),
+    "dof_counts": (np.inf, 10.0, 30.0, 100.0, 300.0),
 }
 PUBLISHED: dict[str, tuple[float, ...]] = {
     "reach": (0.125, 0.25, 0.5, 1.0, 2.0),
@@ -50,6 +55,29 @@ class _Fold:
     prior: Students
     static: float
     """Mean log-likelihood of the asked under the one Student-t of the samples."""
+
+
+def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> None:
+    """Refuse a shape that is none, for places of M columns.
+
+    Raises:
+        InputError: names what is wrong.
+    """
+    if dimension == 0:
+        raise InputError("predictors", "there is no column.", "Without any, StudentT says the same.")
+    least = {"neighbors": 1, "centers": 1, "prior_counts": np.nextafter(DIM - 1.0 if published else 0.0, np.inf)}
+    for name, value in given.items():
+        if name == "weights":
+            continue
+        if not value >= least.get(name, np.nextafter(0.0, np.inf)):
+            raise InputError("generalized kernel", f"{name} is {value}, which is too small.", "Leave it to be chosen.")
+        if name in ("neighbors", "prior_counts") and not np.isfinite(value):
+            raise InputError("generalized kernel", f"{name} is {value}, which is no number.", "Leave it to be chosen.")
+    weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
+    fits = weights.shape == (dimension,) and bool(((weights >= 0.0) & (weights <= LARGEST_WEIGHT)).all())
+    if not fits or not weights.any():
+        what = f"weights are {weights}, where {dimension} from 0 to {LARGEST_WEIGHT:g} are expected, not all of them 0."
+        raise InputError("generalized kernel", what, "Leave them to be chosen.")
 
 
 def choose_shape(
@@ -81,16 +109,16 @@ def choose_shape(
     folds = _folds(coordinates, errors, spread, groups, published)
     if len(folds) < 2:
         return weights, shape, {}
+    # The search learns from fewer samples, where K as large would reach farther.
+    fewer = max(1.0, len(errors) / MOST_SAMPLES) ** NEIGHBORS_GROW
+    shape = replace(shape, neighbors=max(1, round(shape.neighbors / fewer))) if "neighbors" in given else shape
     search, is_free = _Search(folds, published, on_progress), "weights" not in given and not published
     search.total = (dimension * (dimension + 1) // 2 if is_free else 0) + len(candidates)
     if is_free:
         weights = search.choose_weights(dimension, shape)
     for name, values in candidates.items():
         shape = search.choose(name, values, weights, shape)
-    if "neighbors" in candidates:  # more data allow a narrower kernel of more samples
-        more = max(1.0, len(errors) / MOST_SAMPLES)
-        shape = replace(shape, neighbors=round(shape.neighbors * more**NEIGHBORS_GROW))
-    return weights, shape, search.found
+    return weights, replace(shape, neighbors=given.get("neighbors", round(shape.neighbors * fewer))), search.found
 
 
 class _Search:
@@ -142,7 +170,7 @@ class _Search:
         posterior = KernelPosterior(
             coordinates, fold.errors, fold.spread, self.published, fold.prior, KDTree(coordinates)
         )
-        students, _ = posterior.at(places, shape, iterations=8)
+        students, _ = posterior.at(places, shape, iterations=SEARCH_ITERATIONS)
         noise = StereoNoise(students.scale, students.dof, students.bias)
         return float(noise.log_likelihood(fold.asked).mean()) - fold.static
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Protocol
 
 from probevo.errors import InputError
-from probevo.noise.model_file import ModelFile, read_model_file, write_model_file
 from probevo.noise.generalized_kernel import GeneralizedKernel
+from probevo.noise.model_file import ModelFile, read_model_file, write_model_file
 from probevo.noise.nearest_neighbors import NearestNeighbors
 from probevo.noise.student_t import StudentT
 

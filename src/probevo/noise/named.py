@@ -7,6 +7,7 @@ from collections.abc import Collection
 from difflib import get_close_matches
 from pathlib import Path
 
+from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel
 from probevo.noise.fixed import Fixed
@@ -35,6 +36,20 @@ def noise_model(spec: str, others: Collection[str] = ()) -> NoiseModel:
     from probevo.noise.model_io import load_model  # here: the classical models need no safetensors
 
     return load_model(Path(spec))
+
+
+def check_model_camera(spec: str, model: NoiseModel, camera: StereoCamera) -> None:
+    """Refuse a camera for which the noise model that ``spec`` names does not hold, and say which file it is.
+
+    Raises:
+        InputError: the model was learned with another camera.
+    """
+    try:
+        model.check_camera(camera)
+    except InputError as error:
+        if spec in BASES:
+            raise
+        raise InputError(spec, error.what, error.cure) from error
 
 
 def portable(spec: str) -> str:

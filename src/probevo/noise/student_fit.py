@@ -21,7 +21,10 @@ LEAST_DOF, MOST_DOF = 1.0, 200.0
 """Of a fit: below, a mean says nothing; above, the data cannot tell it from a Gaussian."""
 LEAST_SIGMA_PX = 1e-3
 """No error is known better: added to each axis, so that errors that are all zero, or all alike, leave a distribution."""
+MOST_PX = 1e12
+"""No error is larger: its square would overflow before long."""
 DIM = 4
+_ROW, _COLUMN = np.tril_indices(DIM)
 
 
 @dataclass(frozen=True)
@@ -98,14 +101,13 @@ def fit_students(
     """
     count = len(near.first) - 1
     scale, dof, bias = np.empty((count, DIM, DIM)), np.empty(count), np.zeros((count, DIM))
-    floor = LEAST_SIGMA_PX**2 * np.eye(DIM)
     _fit(
         np.ascontiguousarray(errors, np.float64),
-        np.zeros((0, DIM, DIM)) if spread is None else np.ascontiguousarray(spread, np.float64),
+        np.zeros((0, 10)) if spread is None else np.ascontiguousarray(spread[:, _ROW, _COLUMN], np.float64),
         near.first.astype(np.int64),
         near.index.astype(np.int64),
         near.kernel.astype(np.float64),
-        np.ascontiguousarray(prior.scale, np.float64) + floor,
+        floored(np.asarray(prior.scale, np.float64)),
         (float(prior.dof), float(prior.counts), float(prior.dof_counts), float(prior.bias_counts)),
         iterations if robust else 1,
         robust,
@@ -113,35 +115,50 @@ def fit_students(
         dof,
         bias,
     )
-    return Students(scale + floor, dof, bias)
+    return Students(floored(scale), dof, bias)
+
+
+def floored(scale: FloatArray) -> FloatArray:
+    """Matrices [..., 4, 4], px², positive semidefinite but for rounding, made positive definite in double precision."""
+    least = LEAST_SIGMA_PX**2 + 1e-12 * np.trace(scale, axis1=-2, axis2=-1)
+    floor: FloatArray = scale + least[..., None, None] * np.eye(DIM)
+    return floor
 
 
 def fit_static(errors: FloatArray, spread: FloatArray | None = None, iterations: int = 50) -> Students:
     """The one Student-t of all errors [N, 4], px, without bias: C = 1.
 
     Raises:
-        InputError: there is no error, or one is not finite.
+        InputError: there is no error, one is not finite, or a spread is not.
     """
-    check_errors(errors)
+    check_errors(errors, spread)
     start = np.diag(np.maximum(np.median(errors**2, axis=0), LEAST_SIGMA_PX**2))
     # The prior counts as a hundredth of an error: enough for a distribution, too little to be noticed.
     prior = StudentPrior(start, dof=5.0, counts=0.01, dof_counts=0.01, bias_counts=np.inf)
     return fit_students(errors, Neighborhoods.all_of(len(errors)), prior, spread=spread, iterations=iterations)
 
 
-def check_errors(errors: FloatArray) -> None:
+def check_errors(errors: FloatArray, spread: FloatArray | None = None) -> None:
     """Refuse what no distribution can be fitted to.
 
     Raises:
-        InputError: the shape is wrong, there is no error, or one is not finite.
+        InputError: a shape is wrong, there is no error, or one is not finite or absurd, or its spread is not finite.
     """
     if errors.ndim != 2 or errors.shape[1] != DIM:
         raise InputError("residuals", f"their shape is {errors.shape}, where [N, {DIM}] is expected.")
     if not len(errors):
         raise InputError("residuals", "there is none.", "Give at least one.")
-    if not np.isfinite(errors).all():
-        row = int(np.argwhere(~np.isfinite(errors))[0, 0])
+    known = np.abs(errors) < MOST_PX
+    if not known.all():
+        row = int(np.argwhere(~known)[0, 0])
         raise InputError("residuals", f"that of feature {row} (from 0) is {errors[row]}.", "Leave out what is unknown.")
+    if spread is None:
+        return
+    if spread.shape != (len(errors), DIM, DIM):
+        expected = f"{(len(errors), DIM, DIM)} is expected"
+        raise InputError("spread", f"its shape is {spread.shape}, where {expected}.")
+    if not (np.abs(spread) < MOST_PX**2).all():
+        raise InputError("spread", "it is not finite.", "Leave out what is unknown.")
 
 
 @compiled
@@ -195,11 +212,12 @@ def _fit(
     dof: FloatArray,
     bias: FloatArray,
 ) -> None:
+    """The scale is divided by Σ k w rather than Σ k (PX-EM; Liu, Rubin & Wu 1998): the same limit, far sooner."""
     prior_dof, counts, dof_counts, bias_counts = prior
-    has_spread, has_bias = len(spread) > 0, bias_counts < np.inf
-    prior_log_weight = -_dof_slope(prior_dof)
-    W, lower, A = np.empty((4, 4)), np.zeros((4, 4)), np.empty((4, 4))
-    e, pulled = np.empty(4), np.empty(4)
+    has_spread, has_bias = len(spread) > 0, robust and bias_counts < np.inf
+    learns_dof = robust and dof_counts < np.inf
+    prior_log_weight = -_dof_slope(prior_dof) if learns_dof else 0.0
+    W, lower, total = np.empty((4, 4)), np.zeros((4, 4)), 0.0
     for c in range(len(dof)):
         S, b, nu = scale[c], bias[c], prior_dof
         S[:] = prior_scale
@@ -209,36 +227,63 @@ def _fit(
         for _ in range(iterations if total > 0.0 else 0):
             if not invert_symmetric_4(S, W, lower):
                 break
-            for i in range(4):
-                pulled[i] = 0.0
-                for j in range(4):
-                    A[i, j] = counts * prior_scale[i, j]
-            weights, log_weights = 0.0, 0.0
+            w00, w11, w22, w33 = W[0, 0], W[1, 1], W[2, 2], W[3, 3]
+            w01, w02, w03, w12, w13, w23 = (
+                2.0 * W[0, 1], 2.0 * W[0, 2], 2.0 * W[0, 3], 2.0 * W[1, 2], 2.0 * W[1, 3], 2.0 * W[2, 3],
+            )  # fmt: skip
+            b0, b1, b2, b3 = b
+            a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = a33 = 0.0
+            p0 = p1 = p2 = p3 = weights = log_weights = 0.0
             for m in range(first[c], first[c + 1]):
-                n, w, s = index[m], 1.0, 0.0
-                for i in range(4):
-                    e[i] = errors[n, i] - b[i]
+                n = index[m]
+                e0, e1, e2, e3 = errors[n, 0] - b0, errors[n, 1] - b1, errors[n, 2] - b2, errors[n, 3] - b3
+                q00, q01, q02, q03, q11 = e0 * e0, e0 * e1, e0 * e2, e0 * e3, e1 * e1
+                q12, q13, q22, q23, q33 = e1 * e2, e1 * e3, e2 * e2, e2 * e3, e3 * e3
+                if has_spread:
+                    q00 += spread[n, 0]
+                    q01 += spread[n, 1]
+                    q11 += spread[n, 2]
+                    q02 += spread[n, 3]
+                    q12 += spread[n, 4]
+                    q22 += spread[n, 5]
+                    q03 += spread[n, 6]
+                    q13 += spread[n, 7]
+                    q23 += spread[n, 8]
+                    q33 += spread[n, 9]
+                w = kernel[m]
                 if robust:
-                    for i in range(4):
-                        row = 0.0
-                        for j in range(4):
-                            row += W[i, j] * e[j]
-                            if has_spread:
-                                s += W[i, j] * spread[n, i, j]
-                        s += row * e[i]
-                    w = (nu + 4.0) / (nu + s)
-                    log_weights += kernel[m] * (math.log(w) - w)
-                w *= kernel[m]
+                    squared = (
+                        w00 * q00 + w11 * q11 + w22 * q22 + w33 * q33
+                        + w01 * q01 + w02 * q02 + w03 * q03 + w12 * q12 + w13 * q13 + w23 * q23
+                    )  # fmt: skip
+                    robust_weight = (nu + 4.0) / (nu + squared)
+                    if learns_dof:
+                        log_weights += w * (math.log(robust_weight) - robust_weight)
+                    w *= robust_weight
                 weights += w
-                for i in range(4):
-                    pulled[i] += w * errors[n, i]
-                    for j in range(i + 1):
-                        A[i, j] += w * (e[i] * e[j] + (spread[n, i, j] if has_spread else 0.0))
+                p0 += w * e0
+                p1 += w * e1
+                p2 += w * e2
+                p3 += w * e3
+                a00 += w * q00
+                a01 += w * q01
+                a02 += w * q02
+                a03 += w * q03
+                a11 += w * q11
+                a12 += w * q12
+                a13 += w * q13
+                a22 += w * q22
+                a23 += w * q23
+                a33 += w * q33
+            S[0, 0], S[1, 1], S[2, 2], S[3, 3] = a00, a11, a22, a33
+            S[0, 1], S[0, 2], S[0, 3], S[1, 2], S[1, 3], S[2, 3] = a01, a02, a03, a12, a13, a23
             for i in range(4):
-                for j in range(i + 1):
-                    S[i, j] = S[j, i] = A[i, j] / (counts + total)
-                if has_bias:
-                    b[i] = pulled[i] / (weights + bias_counts)
-            if robust and dof_counts < np.inf:
+                for j in range(i, 4):
+                    S[i, j] = S[j, i] = (S[i, j] + counts * prior_scale[i, j]) / (weights + counts)
+            if has_bias:
+                share = 1.0 / (weights + bias_counts)
+                b[0], b[1] = share * (p0 + weights * b0), share * (p1 + weights * b1)
+                b[2], b[3] = share * (p2 + weights * b2), share * (p3 + weights * b3)
+            if learns_dof:
                 nu = _dof_of((log_weights + dof_counts * prior_log_weight) / (total + dof_counts))
         dof[c] = nu

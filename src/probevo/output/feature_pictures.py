@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from probevo.arrays import AnyArray, FloatArray, Image
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image
 from probevo.output.drawing import TRUST_COLORS_BGR
 from probevo.output.metrics_table import readable
 
@@ -23,7 +23,7 @@ READABLE_PX = 960
 """Smaller images are enlarged, by a whole factor, to about this width."""
 _QUANTILE = 0.02
 """Outermost share of the values on either side that has the colour of the end: single values would fade all others."""
-_GROUND, _DIMMED, _RING, _OUTLINE = 70, 0.75, (190, 190, 190), (25, 25, 25)
+_GROUND, _DIMMED, _RING, _OUTLINE, _MARK = 70, 0.75, (190, 190, 190), (25, 25, 25), (225, 80, 255)
 _DPI, _BAR_FROM_PX, _DARK, _BRIGHT = 110, 96, "#1f2933", "#f5f7f9"
 _SHIFT = 4
 """Fractional bits of the coordinates that OpenCV draws at."""
@@ -44,9 +44,11 @@ class Shades:
     """Number in its middle."""
 
 
-def value_shades(name: str, unit: str, values: FloatArray) -> Shades:
+def value_shades(name: str, unit: str, values: FloatArray, *, logarithmic: bool = False) -> Shades:
     """From dark blue to yellow, which the colour-blind tell apart too; NaN is undefined."""
     low, high, ends = _limits(values)
+    if logarithmic and low > 0.0:
+        low, high, values = float(np.log(low)), float(np.log(high)), np.log(values)
     colors = matplotlib.colormaps["viridis"](np.linspace(0.06, 1.0, 256))[:, 2::-1] * 255.0
     title = f"{name}, {unit}" if unit else name
     if high > low:
@@ -67,7 +69,9 @@ def weight_shades(beta: FloatArray) -> Shades:
     return Shades(place, colors, "β, by which the noise is scaled: trusted … distrusted", ends, "1")
 
 
-def draw_features(left: Image | None, size_px: tuple[int, int], uv: FloatArray, shades: Shades) -> bytes:
+def draw_features(
+    left: Image | None, size_px: tuple[int, int], uv: FloatArray, shades: Shades, foreign: BoolArray | None = None
+) -> bytes:
     """The left image with a dot at each feature, a hollow grey ring where it has no value, and the legend below.
 
     Args:
@@ -76,6 +80,7 @@ def draw_features(left: Image | None, size_px: tuple[int, int], uv: FloatArray, 
             ``legend_height`` comes below.
         uv: places of the features, [N, 2], px.
         shades: their colours.
+        foreign: which are out of a model's domain, [N]: they get a magenta ring, and the legend counts them.
 
     Returns:
         A JPEG file.
@@ -96,7 +101,11 @@ def draw_features(left: Image | None, size_px: tuple[int, int], uv: FloatArray, 
     for (u, v), color in zip(centers[~unknown][order].tolist(), colors[order].tolist(), strict=True):
         _circle(picture, (u, v), 3.8 * size, _OUTLINE, cv2.FILLED)
         _circle(picture, (u, v), 3.0 * size, color, cv2.FILLED)
-    legend = _legend(picture.shape[1], shades, int(unknown.sum()))
+    num_foreign = 0 if foreign is None else int(foreign.sum())
+    if foreign is not None:
+        for u, v in centers[foreign].tolist():
+            _circle(picture, (u, v), 5.6 * size, _MARK, max(1, round(1.4 * size)))
+    legend = _legend(picture.shape[1], shades, int(unknown.sum()), num_foreign)
     return cv2.imencode(".jpg", np.vstack([picture, legend]), [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
 
 
@@ -129,8 +138,11 @@ def _circle(picture: AnyArray, center: tuple[int, int], radius: float, color: Se
     cv2.circle(picture, center, round(radius * 2**_SHIFT), color, thickness, cv2.LINE_AA, _SHIFT)
 
 
-def _legend(width_px: int, shades: Shades, num_unknown: int) -> Image:
-    """What the colour means, how many features have none, and the bar with its numbers; laid out at REFERENCE_PX."""
+def _legend(width_px: int, shades: Shades, num_unknown: int, num_foreign: int) -> Image:
+    """What the colour means, how many features have none or are foreign, and the bar with its numbers.
+
+    It is laid out at REFERENCE_PX.
+    """
     dpi, width = _DPI * width_px / REFERENCE_PX, REFERENCE_PX
     # A hundredth more, lest rounding lose a pixel.
     figure = Figure(((width_px + 0.01) / dpi, (legend_height(width_px) + 0.01) / dpi), dpi, facecolor=_DARK)
@@ -140,6 +152,10 @@ def _legend(width_px: int, shades: Shades, num_unknown: int) -> Image:
     axes.text(12, 14, shades.name, **words)
     if num_unknown:
         axes.text(width - 12, 14, f"○ {num_unknown} of {len(shades.place)} undefined", ha="right", **words)
+    if num_foreign:
+        place, color = width - 12 - 165 * bool(num_unknown), "#{:02x}{:02x}{:02x}".format(*_MARK[::-1])
+        text = f"○ {num_foreign} of {len(shades.place)} foreign"
+        axes.text(place, 14, text, ha="right", **(words | {"color": color}))
     if any(shades.ends):
         start, end, row = _BAR_FROM_PX, width - _BAR_FROM_PX, 33
         bar = np.clip(shades.colors_bgr[None, :, ::-1] / 255.0, 0.0, 1.0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray, Image
+from probevo.noise.base import StereoNoise
 from probevo.noise.nearest_neighbors import NearestNeighbors
 from probevo.output.profiles import Profile, profile_along
 
@@ -91,9 +92,11 @@ class FrameView:
     phi: FloatArray
     """Their places in the prediction space, [N, M]; NaN where undefined."""
     beta: FloatArray | None = None
-    """Weight of each, [N]; None without a model."""
+    """Weight of each, [N]; None without a model of such."""
     radius: FloatArray | None = None
-    """Distance to the K-th nearest training sample of each, [N]; None without a model."""
+    """Distance to the K-th nearest training sample of each, [N]; None without a model of weights."""
+    noise: StereoNoise | None = None
+    """What a generalized kernel predicts of each, [N]; None without one."""
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from probevo.output.inspection_data import ColumnSummary, FrameView, ModelView, is_the_same
+from probevo.output.inspection_data import ColumnSummary, FrameView, ModelView
 from probevo.output.inspection_plots import (
     correlation_figure,
     distances_figure,
@@ -20,14 +18,20 @@ from probevo.output.inspection_plots import (
     searches_figure,
     weights_figure,
 )
+from probevo.output.inspection_sections import (
+    CARDS,
+    frame_facts,
+    origin,
+    page_title,
+    percent,
+    pictures_section,
+    settings_section,
+    summary_section,
+    training_section,
+)
 from probevo.output.metrics_table import readable
 from probevo.output.page import grid, panel, write_page
 from probevo.output.svg import figure_style
-
-SUMMARY_HEAD = ("column", "unit", "training", "this frame", "undefined")
-_SHORT_HASH = 12
-_CARDS = '<div class="frames" style="grid-template-columns:repeat(auto-fill,minmax(min(100%,360px),1fr));gap:0 14px">'
-_PICTURES = '<div class="frames" style="grid-template-columns:repeat(auto-fill,minmax(min(100%,560px),1fr))">'
 
 _IF_RELATIVE = " It is relative to others of the same step: what all features of a step share cannot show."
 _IF_LEANING = " Subsets lean to one side, so that extremes are more frequent among samples than among features."
@@ -55,75 +59,24 @@ def write_inspection(
     """
     if model is None and frame is None:
         raise ValueError("an inspection needs a model or a frame")
-    sections = [_pictures_section(frame, pictures)] if frame is not None else []
+    sections = [pictures_section(frame, pictures)] if frame is not None else []
     with figure_style():
         if model is not None and frame is not None:
             sections.append(grid(_frame_panels(model, frame)))
-        sections.append(_summary_section(summaries, model, frame))
+        sections.append(summary_section(summaries, trained=model is not None, has_frame=frame is not None))
         if model is not None:
             sections += _model_sections(model, frame)
-    write_page(path, _title(model, frame), _facts(model, frame), sections)
-
-
-def summary_rows(summaries: Sequence[ColumnSummary]) -> list[tuple[str, ...]]:
-    """A row for each column, under ``SUMMARY_HEAD``."""
-    return [
-        (
-            column.name,
-            column.unit,
-            "–" if column.training is None else "{} ± {}".format(*map(readable, column.training)),
-            "–" if column.frame_mean is None else readable(column.frame_mean),
-            percent(column.undefined) if column.undefined > 0.0 else "–",
-        )
-        for column in summaries
-    ]
-
-
-def percent(share: float) -> str:
-    """A share in words; what is more than nothing never reads as nothing."""
-    return "0 %" if share == 0.0 else "< 0.1 %" if share < 0.001 else f"{100.0 * share:.1f} %"
-
-
-def _title(model: ModelView | None, frame: FrameView | None) -> str:
-    if frame is None:
-        return f"What {model.name} learned" if model else ""
-    return f"{frame.recording}, frame {frame.index}" + (f", as {model.name} sees it" if model else "")
+    write_page(path, page_title(model.name if model else None, frame), _facts(model, frame), sections)
 
 
 def _facts(model: ModelView | None, frame: FrameView | None) -> dict[str, str]:
-    facts = {}
-    if frame is not None:
-        facts["Features"] = f"{len(frame.uv):,}"
-        facts["Image"] = ("none; area of " if frame.left is None else "") + "{}×{} px".format(*frame.size_px)
+    facts = frame_facts(frame)
     if model is not None:
         inner = model.model
-        recordings = inner.training.get("recordings", [])
-        frames = sum(recording["frames"] for recording in recordings)
-        origin = f" from {frames:,} frames of {len(recordings)} recording{'s' * (len(recordings) != 1)}"
-        facts["Samples"] = f"{len(model.log_alpha):,}" + (origin if recordings else "")
+        facts["Samples"] = f"{len(model.log_alpha):,}{origin(inner.training)}"
         facts |= {"K": f"{inner.neighbors}", "γ": f"{inner.exponent:g}", "Average of α": inner.average}
         facts["Scaled noise"] = str(inner.to_file().facts["base"]["name"])
     return facts
-
-
-def _pictures_section(frame: FrameView, pictures: Mapping[str, tuple[str, bytes]]) -> str:
-    others = []
-    constant = [name for name, values in zip(frame.columns, frame.phi.T, strict=True) if is_the_same(values)]
-    if constant:
-        others.append(f" The same for all features, and so not drawn: {', '.join(constant)}.")
-    figures = "\n".join(
-        f'<figure><img alt="{escape(caption)}" src="data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-        for name, (caption, jpeg) in pictures.items()
-        if name not in constant
-    )
-    note = (
-        "The ends of each bar are the 2 % and 98 % quantiles of this frame; ≤ and ≥ say that there are values beyond, "
-        f"in the same colour. Hollow grey rings: the predictor is undefined.{''.join(others)}"
-    )
-    return (
-        f'<section class="panel"><h2>Its features</h2><p class="note">{note}</p>\n{_PICTURES}{figures}</div></section>'
-    )
 
 
 def _frame_panels(model: ModelView, frame: FrameView) -> list[str]:
@@ -164,8 +117,8 @@ def _model_sections(model: ModelView, frame: FrameView | None) -> list[str]:
         + _IF_LEANING * bool(settings.get("contrast"))
         + " What is undefined stands apart at the left; its bar may be cut off."
     )
-    profiles = f'<p class="note">{note}</p>\n{_CARDS}\n' + "\n".join(cards) + "\n</div>"
-    return [heading, profiles, *_density_sections(model, frame), _settings_section(model)]
+    profiles = f'<p class="note">{note}</p>\n{CARDS}\n' + "\n".join(cards) + "\n</div>"
+    return [heading, profiles, *_density_sections(model, frame), settings_section(model.model.training)]
 
 
 def _profile_panel(model: ModelView, m: int, frame: FrameView | None) -> str:
@@ -182,7 +135,7 @@ def _density_sections(model: ModelView, frame: FrameView | None) -> list[str]:
     if searches:
         note = "By cross-validation over blocks of time (K), and by the motion’s error with each (γ); lower is better."
         panels.append(panel("How K and γ were chosen", note, searches_figure(searches)))
-    panels.append(_training_section(model))
+    panels.append(training_section(model.model.training))
     note = "Spearman’s, over the training samples; the strongest column first. Columns alike tell the same twice."
     panels.append(panel("Correlation of the columns", note, correlation_figure(model)))
     sections = [grid(panels)]
@@ -191,45 +144,3 @@ def _density_sections(model: ModelView, frame: FrameView | None) -> list[str]:
         title = "Where the data lies, over the most telling columns"
         sections.append(panel(title, shown, pairs_figure(model, frame), "pairs"))
     return sections
-
-
-def _summary_section(summaries: Sequence[ColumnSummary], model: ModelView | None, frame: FrameView | None) -> str:
-    wanted = (model is not None, frame is not None, True)
-    name, _, *titles = SUMMARY_HEAD
-    head = f"<th>{name}</th>" + "".join(f"<th>{title}</th>" for title, want in zip(titles, wanted, strict=True) if want)
-    body = []
-    for name, unit, *cells in summary_rows(summaries):
-        shown = "".join(f"<td>{escape(cell)}</td>" for cell, want in zip(cells, wanted, strict=True) if want)
-        body.append(f'<tr><th>{escape(name)} <small style="color:var(--muted)">{escape(unit)}</small></th>{shown}</tr>')
-    rows = "\n".join(body)
-    whose = "the frame’s features" if frame is not None else "the training samples"
-    training = "Training: mean ± standard deviation of all features. " if model is not None else ""
-    note = f"{training}Undefined: share of {whose}."
-    return (
-        f'<section class="panel"><h2>The predictors in figures</h2><p class="note">{note}</p>\n'
-        f'<table class="figures"><thead><tr>{head}</tr></thead><tbody>\n{rows}\n</tbody></table></section>'
-    )
-
-
-def _training_section(model: ModelView) -> str:
-    recordings: Sequence[Mapping[str, Any]] = model.model.training.get("recordings", [])
-    if not recordings:
-        return ""
-    rows = "\n".join(
-        f"<tr><th>{escape(str(recording['name']))}</th><td>{recording['frames']:,}</td>"
-        f"<td>{escape(str(recording['sha256'])[:_SHORT_HASH])}…</td></tr>"
-        for recording in recordings
-    )
-    head = "<th>recording</th><th>frames</th><th>SHA-256</th>"
-    return (
-        '<section class="panel"><h2>Trained on</h2>'
-        f'<table class="figures"><thead><tr>{head}</tr></thead><tbody>\n{rows}\n</tbody></table></section>'
-    )
-
-
-def _settings_section(model: ModelView) -> str:
-    settings = model.model.training.get("settings")
-    if not settings:
-        return ""
-    text = yaml.safe_dump(settings, sort_keys=True, allow_unicode=True)
-    return f'<details class="panel"><summary>Settings of the training</summary><pre>{escape(text)}</pre></details>'

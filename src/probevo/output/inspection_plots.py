@@ -30,12 +30,12 @@ def profile_figure(view: ModelView, m: int, frame: FrameView | None) -> Figure:
     figure = Figure(figsize=(NARROW_IN, 2.9))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))
     profile, values = view.profiles[m], view.places[:, m]
-    low, high = _window(values)
+    low, high = window_of(values)
     apart = low - 0.07 * (high - low)
     _draw_profile(above, profile, apart)
     above.set(ylim=_common_limits(view.profiles), ylabel="mean ln(α/ᾱ)")
     drawn = [(values, GREY, True)] + ([] if frame is None else [(frame.phi[:, m], ORANGE, False)])
-    top = max(_draw_shares(below, column, (low, high), apart, color, fill) for column, color, fill in drawn)
+    top = max(draw_shares(below, column, (low, high), apart, color, fill) for column, color, fill in drawn)
     some_undefined = any(np.isnan(column).any() for column, *_ in drawn)
     margin = 0.03 * (high - low)
     below.set(xlabel=view.units.get(view.columns[m], ""), ylim=(0, 1.08 * top + 1e-6), yticks=[])
@@ -55,7 +55,7 @@ def _draw_profile(axes: Axes, profile: Profile, apart: float) -> None:
         axes.errorbar(apart, mean, 2.0 * error, color=BLUE, fmt="o", mfc="white", ms=4, lw=1.2)
 
 
-def _draw_shares(
+def draw_shares(
     axes: Axes, values: FloatArray, window: tuple[float, float], apart: float, color: str, fill: bool
 ) -> float:
     """Histogram as a share of all, and a bar of its own for what is undefined; returns the largest share of a bin."""
@@ -69,7 +69,7 @@ def _draw_shares(
     return float(shares.max())
 
 
-def _window(values: FloatArray) -> tuple[float, float]:
+def window_of(values: FloatArray) -> tuple[float, float]:
     """What of a column is shown; never of no width."""
     known = values[np.isfinite(values)]
     low, high = np.quantile(known, _SHOWN).tolist() if len(known) else (0.0, 0.0)
@@ -139,7 +139,7 @@ def pairs_figure(view: ModelView, frame: FrameView | None) -> Figure:
     figure = Figure(figsize=(1.04 * NARROW_IN * across, 2.9 * down))
     for axes, (m, n) in zip(np.ravel(figure.subplots(down, across)), pairs, strict=False):
         x, y = view.places[:, m], view.places[:, n]
-        window = (_window(x), _window(y))
+        window = (window_of(x), window_of(y))
         counts, *edges = np.histogram2d(x, y, 45, window)
         shares = np.where(counts > 0, counts, np.nan).T
         axes.pcolormesh(*edges, shares, cmap="Blues", norm=LogNorm(0.3, max(counts.max(), 1.0)), rasterized=True)
@@ -162,7 +162,7 @@ def weights_figure(view: ModelView, frame: FrameView) -> Figure:
     frame_beta = np.zeros(0) if frame.beta is None else frame.beta
     logs = np.log10(np.concatenate([view.beta, frame_beta]))
     reach = max(float(np.quantile(np.abs(logs), 0.998)), 0.35)
-    figure, axes = _two_histograms(np.log10(view.beta), np.log10(frame_beta), (-reach, reach))
+    figure, axes = two_histograms(np.log10(view.beta), np.log10(frame_beta), (-reach, reach))
     axes.axvline(0.0, color=INK, lw=0.8)
     axes.set_xlabel("β: trusted < 1 < distrusted", color=MUTED)
     ticks = [n * 10.0**k for k in range(-4, 5) for n in ((1, 2, 5) if reach < 1.5 else (1,))]
@@ -175,7 +175,7 @@ def distances_figure(view: ModelView, frame: FrameView) -> Figure:
     """Distance to the K-th nearest training sample: of the frame's features, and of the training samples themselves."""
     radius = np.zeros(0) if frame.radius is None else frame.radius
     top = 1.02 * max(float(radius.max(initial=0.0)), float(view.radius.max()), 1e-3)
-    figure, axes = _two_histograms(view.radius, radius, (0.0, top))
+    figure, axes = two_histograms(view.radius, radius, (0.0, top))
     axes.axvline(view.far_radius, color=INK, lw=0.9, ls="--")
     axes.set_xlabel("distance, standard deviations")
     place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
@@ -183,7 +183,8 @@ def distances_figure(view: ModelView, frame: FrameView) -> Figure:
     return figure
 
 
-def _two_histograms(training: FloatArray, frame: FloatArray, window: tuple[float, float]) -> tuple[Figure, Axes]:
+def two_histograms(training: FloatArray, frame: FloatArray, window: tuple[float, float]) -> tuple[Figure, Axes]:
+    """Of the training samples, filled, and of the frame's features; what lies beyond the window is in its end bins."""
     figure = Figure(figsize=(WIDTH_IN, 2.5))
     axes = figure.add_subplot(ylabel="share in a bin, %", xlim=window)
     for values, name in ((training, "training samples"), (frame, "this frame")):

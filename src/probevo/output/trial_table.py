@@ -1,4 +1,4 @@
-"""The form of PROBE Table I: a row a trial, of each estimator its ARMSE and final error; as text, HTML and LaTeX."""
+"""The form of the papers' tables: a row a trial, of each estimator its errors; as text, HTML and LaTeX."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from html import escape
 
 from probevo.output.comparison import Comparison, Entry, figure_text, reads_least, truth_note
 
-Errors = tuple[float | None, float | None]
-"""ARMSE and final error, m; None where unknown."""
+Errors = tuple[float | None, ...]
+"""One of each measure of the table; None where unknown."""
 UNKNOWN: Errors = (None, None)
+PROBE_MEASURES = (("ARMSE", "m"), ("final error", "m"))
+"""Those of PROBE Table I."""
 _LATEX = {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
@@ -52,6 +54,10 @@ class TrialTable:
     rows: tuple[TrialRow, ...]
     notes: tuple[str, ...] = ()
     """What a reader should know, one sentence each."""
+    measures: tuple[tuple[str, str], ...] = PROBE_MEASURES
+    """Name and unit of the errors of an estimator; the less, the better."""
+    form: str = "PROBE Table I"
+    """The published table that this is shaped as."""
 
     @property
     def has_kinds(self) -> bool:
@@ -60,7 +66,7 @@ class TrialTable:
 
 
 def errors_of(entry: Entry) -> Errors:
-    """The two figures of a run."""
+    """Of a run, the figures of ``PROBE_MEASURES``."""
     return (entry.metrics.armse_m, entry.metrics.final_error_m) if entry.metrics else UNKNOWN
 
 
@@ -76,22 +82,22 @@ def trial_table(comparison: Comparison) -> TrialTable:
 
 
 def trials_text(table: TrialTable) -> list[tuple[str, ...]]:
-    """Head and rows of the table as text, both errors of an estimator in one column."""
+    """Head and rows of the table as text, all errors of an estimator in one column."""
     kinds = ("type",) if table.has_kinds else ()
     head = ("trial", *kinds, "length m", *table.estimators)
-    columns = [_paired([row.errors[k] for row in table.rows]) for k in range(len(table.estimators))]
+    columns = [_joined([row.errors[k] for row in table.rows]) for k in range(len(table.estimators))]
     rows = []
-    for row, *pairs in zip(table.rows, *columns, strict=True):
+    for row, *errors in zip(table.rows, *columns, strict=True):
         kind = (row.kind,) if kinds else ()
-        rows.append((f"  {row.name}" if row.is_aside else row.name, *kind, length_text(row), *pairs))
+        rows.append((f"  {row.name}" if row.is_aside else row.name, *kind, length_text(row), *errors))
     return [head, *rows]
 
 
-def _paired(errors: list[Errors]) -> list[str]:
-    """Two numbers a cell, so wide that those of all cells stand below each other."""
-    texts = [tuple(map(figure_text, pair)) for pair in errors]
-    widths = [max((len(pair[k]) for pair in texts), default=0) for k in (0, 1)]
-    return [f"{first:>{widths[0]}} / {second:>{widths[1]}}" for first, second in texts]
+def _joined(errors: list[Errors]) -> list[str]:
+    """All numbers of an estimator in a cell, so wide that those of all cells stand below each other."""
+    columns = [[figure_text(value) for value in column] for column in zip(*errors, strict=True)]
+    widths = [max(map(len, column), default=0) for column in columns]
+    return [" / ".join(map(str.rjust, texts, widths)) for texts in zip(*columns, strict=True)]
 
 
 def length_text(row: TrialRow) -> str:
@@ -102,14 +108,15 @@ def length_text(row: TrialRow) -> str:
 def trials_section(table: TrialTable) -> str:
     """The table as a section of a page."""
     kinds = '<th rowspan="2">type</th>' if table.has_kinds else ""
-    names = "".join(f'<th colspan="2">{escape(name)}</th>' for name in table.estimators)
+    names = "".join(f'<th colspan="{len(table.measures)}">{escape(name)}</th>' for name in table.estimators)
     head = f'<tr><th rowspan="2">trial</th>{kinds}<th rowspan="2">length m</th>{names}</tr>\n'
-    cells = f"<th {_NOT_FIRST}>ARMSE m</th><th>final error m</th>" * len(table.estimators)
-    head += f"<tr>{cells}</tr>"
+    first, *others = (f"{escape(name)} {escape(unit)}" for name, unit in table.measures)
+    cells = f"<th {_NOT_FIRST}>{first}</th>" + "".join(f"<th>{other}</th>" for other in others)
+    head += f"<tr>{cells * len(table.estimators)}</tr>"
     rows = "\n".join(_html_row(row, table.has_kinds) for row in table.rows)
     notes = "<br/>\n".join(map(escape, ("Bold: the least of a row.", *table.notes)))
     body = f'<table class="figures"><thead>{head}</thead>\n<tbody>\n{rows}\n</tbody></table>'
-    return f'<section class="panel"><h2>In the form of PROBE Table I</h2><p class="note">{notes}</p>\n{body}</section>'
+    return f'<section class="panel"><h2>In the form of {table.form}</h2><p class="note">{notes}</p>\n{body}</section>'
 
 
 def _html_row(row: TrialRow, has_kinds: bool) -> str:
@@ -123,15 +130,16 @@ def trials_latex(table: TrialTable) -> str:
     """The table as a plain ``tabular`` that needs no package; notes go into comments above it."""
     kinds = 1 if table.has_kinds else 0
     before = " & " * (1 + kinds)
-    groups = " & ".join(rf"\multicolumn{{2}}{{c}}{{{latex(name)}}}" for name in table.estimators)
+    each = len(table.measures)
+    groups = " & ".join(rf"\multicolumn{{{each}}}{{c}}{{{latex(name)}}}" for name in table.estimators)
     head = [
         "Trial",
         *(["Type"] if kinds else []),
         "Length [m]",
-        *["ARMSE [m]", "Final error [m]"] * len(table.estimators),
+        *[f"{name[:1].upper()}{name[1:]} [{unit}]" for name, unit in table.measures] * len(table.estimators),
     ]
     lines = [f"% {' '.join(note.split())}" for note in table.notes]
-    lines += [rf"\begin{{tabular}}{{l{'l' * kinds}r{'rr' * len(table.estimators)}}}", r"\hline"]
+    lines += [rf"\begin{{tabular}}{{l{'l' * kinds}r{'r' * each * len(table.estimators)}}}", r"\hline"]
     lines += [rf"{before}& {groups} \\".lstrip(), rf"{' & '.join(head)} \\", r"\hline"]
     lines += [_latex_row(row, table.has_kinds) for row in table.rows]
     return "\n".join([*lines, r"\hline", r"\end{tabular}", ""])
@@ -150,8 +158,7 @@ def latex(text: str) -> str:
 
 
 def _cells(row: TrialRow) -> Iterator[tuple[str, bool]]:
-    """Both errors of each estimator as text, and whether it is the least of its row."""
-    best = [reads_least([pair[k] for pair in row.errors]) for k in (0, 1)]
-    for pair, armse_best, final_best in zip(row.errors, *best, strict=True):
-        yield figure_text(pair[0]), armse_best
-        yield figure_text(pair[1]), final_best
+    """All errors of each estimator as text, and whether it is the least of its row."""
+    best = [reads_least(column) for column in zip(*row.errors, strict=True)]
+    for errors, are_best in zip(row.errors, zip(*best, strict=True), strict=True):
+        yield from zip(map(figure_text, errors), are_best, strict=True)

@@ -15,8 +15,8 @@ from probevo.errors import InputError
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.noise.named import BASES
-from probevo.output.files import check_folder
 from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.output.files import check_folder
 from probevo.predictors import Needs, PredictionSpace, Predictor, prediction_space
 from probevo.runner import check_imu
 from probevo.sequences.base import Sequence
@@ -27,6 +27,7 @@ from probevo.training.expectation_maximization import learn_kernel, learn_studen
 from probevo.training.fitting import fit_model
 from probevo.training.samples import gather
 from probevo.training.settings import DEFAULT, KERNEL, TrainSettings
+from probevo.training.settings_check import check_settings
 from probevo.training.subsets import Learner
 from probevo.training.supervision import Supervision, supervision_of
 
@@ -68,10 +69,11 @@ def train_model(
 
     Raises:
         InputError: a recording is faulty, lacks what the supervision or a predictor needs, or has another camera; K is
-            larger than the data; or ``out`` cannot be written to.
+            larger than the data; settings do not go together; or ``out`` cannot be written to.
     """
     if not sequences:
         raise InputError("SEQUENCE", "no recording is named.", "Give the folder of at least one.")
+    check_settings(settings)
     space = PredictionSpace((*_known_predictors(settings, sequences), *own_predictors))
     lessons = _lessons(sequences, settings, space)
     check_folder(out.parent, "--out")
@@ -99,6 +101,9 @@ def train_model(
         turns += 1
         show(frames * (1 + turns))
 
+    def within_turn(done: int, total: int) -> None:
+        show(frames * (1 + turns) + frames * done // max(total, 1))
+
     if settings.kind == "knn":
         save_model(_learn_neighbors(lessons, drives, metric, settings, work, recordings, next_turn), out)
     else:
@@ -107,7 +112,7 @@ def train_model(
             for lesson, drive in zip(lessons, drives, strict=True)
         ]
         if settings.kind == "gk":
-            save_model(learn_kernel(known, metric, settings, recordings, next_turn), out)
+            save_model(learn_kernel(known, metric, settings, recordings, next_turn, within_turn), out)
         else:
             save_model(learn_student_t(known, settings, recordings, next_turn), out)
     work.remove()

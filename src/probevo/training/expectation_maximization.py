@@ -71,8 +71,9 @@ def learn_kernel(
     settings: TrainSettings,
     recordings: Sequence[Mapping[str, Any]],
     on_turn: Callable[[], None] | None = None,
+    on_search: Callable[[int, int], None] | None = None,
 ) -> GeneralizedKernel:
-    """The generalized kernel of the drives. Its shape is chosen at the first turn, and again at the last.
+    """The generalized kernel of the drives. Its shape is chosen at the first turn.
 
     Args:
         lessons: the drives.
@@ -80,28 +81,30 @@ def learn_kernel(
         settings: all settings.
         recordings: what the model should remember of each recording.
         on_turn: called after each of ``num_turns``.
+        on_search: called within a turn, with how many steps of a search are done, and how many there are at most.
     """
     static = learn_student_t(lessons, settings, recordings, on_turn)
     noises = [static.predict(lesson.drive.phi) for lesson in lessons]
     turns: list[dict[str, float]] = []
-    given, model = settings.gk.given(), GeneralizedKernel()
+    given, model, searches = settings.gk.given(), GeneralizedKernel(), {}
     for turn in range(settings.gk.turns):
         expectations = _expect(lessons, noises, settings)
         turns.append(_progress(lessons, expectations))
         errors, spread = _samples(expectations)
-        shape = given if turn in (0, settings.gk.turns - 1) else given | chosen
         model = GeneralizedKernel(
-            settings.gk.variant, **shape, centers=settings.gk.centers, refers_to=settings.gk.refers_to
+            settings.gk.variant, **given, centers=settings.gk.centers, refers_to=settings.gk.refers_to
         )
         phi = np.concatenate([lesson.drive.phi[e.features] for lesson, e in zip(lessons, expectations, strict=True)])
-        model.fit(phi, errors, _groups(lessons, expectations), spread=spread, metric=metric)
-        chosen = model.shape_.as_given() | {"weights": model.metric_.weight / metric.weight}
+        model.fit(phi, errors, _groups(lessons, expectations), spread=spread, metric=metric, on_progress=on_search)
+        if turn == 0:
+            searches = model.search_
+            given = model.shape_.as_given() | {"weights": model.weights_}
         noises = [model.predict(lesson.drive.phi) for lesson in lessons]
         if on_turn is not None:
             on_turn()
     turns.append(_progress(lessons, _expect(lessons, noises, settings)))
     model.camera = lessons[0].camera
-    model.training = _training(settings, recordings, turns, model.search_)
+    model.training = _training(settings, recordings, turns, searches)
     return model
 
 

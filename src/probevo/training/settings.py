@@ -35,7 +35,11 @@ class KernelSettings(Settings):
         None, gt=0, le=1e6, description="ρ, in standard deviations; farther samples have no say."
     )
     prior_counts: float | None = Field(None, gt=3, le=1e9, description="How many errors the static model counts for.")
-    bias: bool = Field(True, description="Learn what errors are on average too, not only how they scatter.")
+    bias: bool = Field(
+        False,
+        description="Learn what errors are on average too, not only how they scatter. It makes residuals more likely, but"
+        " without truth a bias cannot be told from a motion, and each turn of EM moves both a little further.",
+    )
     centers: int = Field(
         4000, ge=1, le=1_000_000, description="Places that the model is distilled into; the cost of a run goes by it."
     )
