@@ -21,7 +21,7 @@ from probevo.output.model_facts import gained, scale_rows, signed, turn_rows, us
 
 COLUMNS = ("x", "idle", "holey")
 SEARCHES: dict[str, Any] = {
-    "weights": {"candidates": [2, 0], "gains": [0.3, 0.5], "chosen": [1.0, 0.0, 2.0]},
+    "weights": {"candidates": ["holey", "x"], "gains": [0.3, 0.5], "chosen": {"x": 1.0, "idle": 0.0, "holey": 2.0}},
     "dof_counts": {"candidates": ["none", 30.0], "gains": [0.61, 0.58], "chosen": "none"},
     "neighbors": {"candidates": [50, 100], "gains": [0.55, 0.52], "chosen": 50},
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import asdict, replace
 from typing import Any, Literal, Self
 
@@ -69,7 +70,7 @@ class GeneralizedKernel:
         dof_counts: float | None = None,
         bias_counts: float | None = None,
         weights: FloatArray | None = None,
-        centers: int = 4000,
+        centers: int = 2000,
         refers_to: Refers = "residual",
         camera: StereoCamera | None = None,
         training: Mapping[str, Any] | None = None,
@@ -121,8 +122,14 @@ class GeneralizedKernel:
         self.weights_, shape, self.search_ = choose_shape(
             self.metric_.coordinates(predictors), residuals, spread, groups, self._given(), published, on_progress
         )
+        if "weights" in self.search_:  # by name: the model may be cut down to fewer columns
+            found = self.search_["weights"]
+            found["candidates"] = [self.columns[m] for m in found["candidates"]]
+            found["chosen"] = dict(zip(self.columns, self.weights_.tolist(), strict=True))
         self.metric_ = replace(self.metric_, weight=self.metric_.weight * self.weights_)
-        coordinates = self.metric_.coordinates(predictors)
+        if not self.metric_.weight.any():
+            raise InputError("predictors", "no column that has a weight has one in the metric too.")
+        coordinates = self._coordinates(predictors)
         self.posterior_ = KernelPosterior.of(coordinates, residuals, spread, published=published)
         chosen = np.unique(np.linspace(0, len(residuals) - 1, min(self.centers, len(residuals))).astype(np.int64))
         if not np.isfinite(shape.reach):
@@ -135,15 +142,26 @@ class GeneralizedKernel:
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """The noise of N features from their places in the prediction space, [N, M]; N does not matter to its cost."""
-        coordinates = self.metric_.coordinates(predictors)
+        coordinates = self._coordinates(predictors)
         students, foreign = self.centers_.at(coordinates, self.shape_.reach, self.prior_, self.shape_.prior_counts)
         return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, foreign)
 
     def predict_exact(self, predictors: FloatArray) -> StereoNoise:
         """The same from all samples instead of the centers; only of a model that was not read from a file."""
-        coordinates = self.metric_.coordinates(predictors)
+        coordinates = self._coordinates(predictors)
         students, counts = self.posterior_.at(coordinates, self.shape_)
         return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, counts == 0.0)
+
+    def kept(self, columns: IntArray) -> GeneralizedKernel:
+        """The same model on some of its columns only, the others being of weight 0; no longer exact."""
+        metric, model = self.metric_, copy(self)
+        if metric.weight[np.setdiff1d(np.arange(len(self.columns)), columns)].any():
+            raise ValueError("a column that has a say cannot be left out")
+        model.metric_ = Metric(
+            tuple(metric.columns[m] for m in columns), tuple(metric.may_be_undefined[m] for m in columns),
+            metric.mean[columns], metric.spread[columns], metric.weight[columns],
+        )  # fmt: skip
+        return model
 
     def check_camera(self, camera: StereoCamera) -> None:
         """Refuse a camera unlike that of the training data.
@@ -198,6 +216,10 @@ class GeneralizedKernel:
         model._check_arrays()
         return model
 
+    def _coordinates(self, predictors: FloatArray) -> FloatArray:
+        """Places [N, M] in the columns that have a say."""
+        return np.ascontiguousarray(self.metric_.coordinates(predictors)[:, self.metric_.weight > 0.0])
+
     def _given(self) -> dict[str, Any]:
         names = ("neighbors", "reach", "prior_counts", "dof_counts", "bias_counts", "weights")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
@@ -213,9 +235,9 @@ class GeneralizedKernel:
     def _check_arrays(self) -> None:
         """Arrays that do not fit together would be read beyond their ends."""
         metric, centers, prior, dimension = self.metric_, self.centers_, self.prior_, len(self.columns)
-        count = centers.places.shape[-1]
+        count = len(centers.values) if centers.values.ndim else 0
         expected: list[tuple[AnyArray, tuple[int, ...], type]] = [
-            (centers.places, (dimension, count), np.float32),
+            (centers.places, (int((metric.weight > 0.0).sum()), count), np.float32),
             (centers.values, (count, 16), np.float32),
             (prior.scale, (1, DIM, DIM), np.float64),
             (prior.dof, (1,), np.float64),

@@ -11,13 +11,14 @@ K-th and at ρ at the latest; the prior is the Student-t of all errors.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.noise.student_fit import (
     DIM,
     Neighborhoods,
@@ -79,10 +80,9 @@ class KernelPosterior:
         """The noise at n places, [n, M], and Σk of each, [n]."""
         neighbors = len(self.errors) if self.published else min(shape.neighbors, len(self.errors))
         block = min(max(MOST_PAIRS // neighbors, 1), BLOCK)
-        parts = [
-            self._fit(self._around(places[start : start + block], shape), shape, iterations)
-            for start in range(0, max(len(places), 1), block)
-        ]
+        blocks = [places[start : start + block] for start in range(0, max(len(places), 1), block)]
+        with ThreadPoolExecutor(2) as pool:
+            parts = list(pool.map(lambda part: self._fit(self._around(part, shape), shape, iterations), blocks))
         students = Students(
             *(np.concatenate([getattr(p[0], name) for p in parts]) for name in ("scale", "dof", "bias"))
         )
@@ -90,25 +90,31 @@ class KernelPosterior:
 
     def radius(self, places: FloatArray, neighbors: int) -> FloatArray:
         """Distance from each place, [n, M], to its K-th nearest sample, [n]."""
-        distance = self.tree.query(places, k=[min(neighbors, len(self.errors))])[0]
-        return np.asarray(distance[:, 0], dtype=np.float64)
+        distance: FloatArray = np.asarray(self.tree.query(places, [min(neighbors, len(self.errors))])[0])
+        return distance[:, 0]
 
     def _around(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
-        if self.published:
-            found = self.tree.query_ball_point(places, shape.reach, return_sorted=True)
-            first = np.cumsum([0, *(len(indices) for indices in found)])
-            index = np.concatenate([np.zeros(0, np.int64), *(np.asarray(i, np.int64) for i in found)])
-            owner = np.repeat(np.arange(len(places)), np.diff(first))
-            squared = np.sum((self.coordinates[index] - places[owner]) ** 2, axis=1)
-            return Neighborhoods(first, index, 1.0 - squared / shape.reach**2)
-        count = min(shape.neighbors, len(self.errors))
-        distance, near = self.tree.query(places, k=np.arange(1, count + 1), distance_upper_bound=shape.reach)
+        return self._within(places, shape) if self.published else self._nearest(places, shape)
+
+    def _within(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
+        """All samples within ρ."""
+        lists = [np.asarray(own, np.int64) for own in self.tree.query_ball_point(places, shape.reach, return_sorted=True)]
+        first: IntArray = np.cumsum([0, *map(len, lists)])
+        index = np.concatenate([np.zeros(0, np.int64), *lists])
+        owner = np.repeat(np.arange(len(places)), np.diff(first))
+        squared = np.sum((self.coordinates[index] - places[owner]) ** 2, axis=1)
+        return Neighborhoods(first, index, 1.0 - squared / shape.reach**2)
+
+    def _nearest(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
+        """The K nearest samples within ρ; the kernel ends at the K-th."""
+        ranks = np.arange(1, min(shape.neighbors, len(self.errors)) + 1)
+        distance, near = map(np.asarray, self.tree.query(places, ranks, distance_upper_bound=shape.reach))
         found = np.isfinite(distance)
         # The K-th itself has a little say, and where all K lie at the very place, all have.
         support = np.where(found[:, -1:], distance[:, -1:], shape.reach) * (1.0 + 1e-3) + 1e-12
         kernel = np.where(found, 1.0 - (np.where(found, distance, 0.0) / support) ** 2, 0.0)
-        first = np.concatenate([[0], np.cumsum(found.sum(axis=1))])
-        return Neighborhoods(first, near[found], kernel[found])
+        first: IntArray = np.concatenate([[0], np.cumsum(found.sum(axis=1))])
+        return Neighborhoods(first, near[found].astype(np.int64), kernel[found])
 
     def _fit(self, near: Neighborhoods, shape: KernelShape, iterations: int) -> tuple[Students, FloatArray]:
         counts = near.counts
@@ -126,7 +132,7 @@ class KernelPosterior:
 
 
 def prior_of(errors: FloatArray, spread: FloatArray | None = None, *, published: bool) -> Students:
-    """What holds where nothing is known: the Student-t of all errors; as published R̂ of Ψ₀ = ν₀ R̂, their mean square."""
+    """What holds where nothing is known: the Student-t of all errors; R̂ of Ψ₀ = ν₀ R̂, their mean square, as published."""
     if not published:
         return fit_static(errors, spread=spread)
     squares = errors.T @ errors + (0.0 if spread is None else spread.sum(axis=0))

@@ -136,9 +136,9 @@ class _Search:
     def choose_weights(self, dimension: int, shape: KernelShape) -> FloatArray:
         """Column after column, that which gains the most beside those before; then each one's weight."""
         weights, best, order = np.zeros(dimension), 0.0, []
-        while not weights.all():
-            free = np.flatnonzero(weights == 0.0)
-            gains = [self.gain(_with(weights, m, 1.0), shape) for m in free]
+        varies = np.any([np.ptp(fold.coordinates, axis=0) > 0.0 for fold in self.folds], axis=0)
+        while len(free := np.flatnonzero(varies & (weights == 0.0))):
+            gains = [self.gain(_with(weights, m, 1.0), shape) for m in free.tolist()]
             self._step(len(free))
             if max(gains) < best + LEAST_GAIN:
                 break
@@ -156,7 +156,8 @@ class _Search:
 
     def choose(self, name: str, values: tuple[float, ...], weights: FloatArray, shape: KernelShape) -> KernelShape:
         """One hyperparameter; of those that are as good, the first."""
-        options = [replace(shape, **{name: int(value) if name == "neighbors" else value}) for value in values]
+        changes: list[dict[str, Any]] = [{name: int(v) if name == "neighbors" else v} for v in values]
+        options = [replace(shape, **change) for change in changes]
         gains = [self.gain(weights, option) for option in options]
         chosen = int(np.argmax(np.array(gains) > max(gains) - LEAST_GAIN))
         plain = [value if np.isfinite(value) else "none" for value in values]

@@ -42,7 +42,7 @@ class KernelView:
         coordinates = model.centers_.places.T.astype(np.float64)
         students, foreign = model.centers_.at(coordinates, model.shape_.reach, model.prior_, model.shape_.prior_counts)
         chosen = [column.index for column in used]
-        standard = coordinates[:, chosen] / metric.weight[chosen]
+        standard = coordinates[:, np.searchsorted(np.flatnonzero(metric.weight), chosen)] / metric.weight[chosen]
         # Stored in single precision; no value that is defined lies so close by more than chance.
         undefined = np.array(metric.may_be_undefined)[chosen] & (np.abs(standard - UNDEFINED) < 1e-5)
         places = np.where(undefined, np.nan, standard * metric.spread[chosen] + metric.mean[chosen])

@@ -128,7 +128,7 @@ def gains_figure(view: KernelView, searches: Mapping[str, Mapping[str, Any]]) ->
     for axes, name in zip(grid, shown, strict=False):
         search = searches[name]
         places, is_weights = np.arange(len(search["gains"])), name == "weights"
-        names = [view.model.columns[m] if is_weights else _plain(m) for m in search["candidates"]]
+        names = [str(m) if is_weights else _plain(m) for m in search["candidates"]]
         axes.plot(places, search["gains"], color=BLUE, lw=1.4, marker="o", ms=3.5)
         turned: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if is_weights else {}
         if is_weights:

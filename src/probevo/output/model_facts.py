@@ -43,9 +43,11 @@ def used_columns(model: GeneralizedKernel) -> tuple[UsedColumn, ...]:
     weights = model.metric_.weight
     search = model.training.get("searches", {}).get("weights", {"candidates": [], "gains": []})
     gains = dict(zip(search["candidates"], np.diff([0.0, *search["gains"]]).tolist(), strict=True))
-    chosen = [m for m in gains if weights[m] > 0.0]
-    others = sorted((m for m in np.flatnonzero(weights).tolist() if m not in gains), key=lambda m: -weights[m])
-    return tuple(UsedColumn(m, model.columns[m], float(weights[m]), gains.get(m)) for m in (*chosen, *others))
+    chosen = [model.columns.index(name) for name in gains]
+    others = sorted((m for m in np.flatnonzero(weights).tolist() if m not in chosen), key=lambda m: -weights[m])
+    return tuple(
+        UsedColumn(m, model.columns[m], float(weights[m]), gains.get(model.columns[m])) for m in (*chosen, *others)
+    )
 
 
 def gained(searches: Mapping[str, Mapping[str, Any]]) -> float | None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from probevo.arrays import FloatArray, IntArray
 from probevo.camera.likeness import difference
 from probevo.errors import InputError
 from probevo.noise.metric import Metric
@@ -112,7 +113,8 @@ def train_model(
             for lesson, drive in zip(lessons, drives, strict=True)
         ]
         if settings.kind == "gk":
-            save_model(learn_kernel(known, metric, settings, recordings, next_turn, within_turn), out)
+            model = learn_kernel(known, metric, settings, recordings, next_turn, within_turn)
+            save_model(model.kept(_of_use(space, model.metric_.weight)), out)
         else:
             save_model(learn_student_t(known, settings, recordings, next_turn), out)
     work.remove()
@@ -149,6 +151,12 @@ def _known_predictors(settings: TrainSettings, sequences: Collection[Sequence]) 
     images = all(sequence.camera.size_px is not None for sequence in sequences)
     suited = prediction_space(DEFAULT if settings.kind == "knn" else KERNEL).predictors
     return tuple(p for p in suited if images or not p.needs & (Needs.LEFT | Needs.PREVIOUS_LEFT))
+
+
+def _of_use(space: PredictionSpace, weight: FloatArray) -> IntArray:
+    """Columns of the predictors that have a say, as a whole or in part; a run need not compute the others."""
+    owner = np.repeat(np.arange(len(space.predictors)), [len(predictor.columns) for predictor in space.predictors])
+    return np.flatnonzero(np.isin(owner, owner[weight > 0.0]))
 
 
 def _lessons(sequences: Collection[Sequence], settings: TrainSettings, space: PredictionSpace) -> list[_Lesson]:

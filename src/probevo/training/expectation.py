@@ -100,7 +100,14 @@ def expect(
     if not features:
         nothing = np.zeros((0, 4))
         return Expectation(motions, alone, np.zeros(0, np.int64), nothing, np.zeros((0, 4, 4)), np.zeros(0))
-    return Expectation(motions, alone, *(np.concatenate(part) for part in (features, errors, spreads, likelihoods)))
+    return Expectation(
+        motions,
+        alone,
+        np.concatenate(features),
+        np.concatenate(errors),
+        np.concatenate(spreads),
+        np.concatenate(likelihoods),
+    )
 
 
 def conditioned(
@@ -167,7 +174,7 @@ def _errors(
     Where it speaks of observations, with scale R, the residual e is brought back to the size of one: R^½ Σ^-½ e has the
     scale R if e has Σ. The bias, which the solution has taken off, is put back.
     """
-    sigma = np.linalg.inv(solution.information[chosen])
+    sigma: FloatArray = np.linalg.inv(solution.information[chosen]).astype(np.float64)
     errors, moved = solution.residuals[chosen], solution.jacobian[chosen]
     if noise.refers_to == "observation":
         back = np.linalg.cholesky(noise.scale[chosen]) @ np.linalg.inv(np.linalg.cholesky(sigma))

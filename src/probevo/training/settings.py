@@ -18,10 +18,11 @@ PUBLISHED = ("acceleration", "turn_rate", "blur", "entropy", "frequency", "flow_
 DEFAULT = ("blur", "entropy", "frequency", "flow_variance", "place", "disparity", "disparity_change", "residual_flow",
            "row_offset", "forward_backward", "structure")  # fmt: skip
 """No accelerometer: a model that needs one is of no use to a recording that has none."""
-KERNEL = ("place", "disparity", "last_residual", "flow", "age", "turn_rate", "flow_variance", "blur", "entropy",
-          "frequency", "structure", "forward_backward", "window_difference")  # fmt: skip
-"""Of these the kernel chooses. None compares with the expected motion, as ``residual_flow`` does: what agrees with it
-then counts most, which predicts residuals well and makes the motions worse."""
+KERNEL = ("place", "last_residual", "age", "turn_rate", "blur", "entropy", "frequency", "structure", "forward_backward",
+          "window_difference")  # fmt: skip
+"""Of these the kernel chooses. None is made of the very measurements whose noise is predicted: a weight that goes with
+the error of a disparity, or with how well a feature agrees with the expected motion (``disparity``, ``flow``,
+``residual_flow``), makes residuals more likely and motions worse."""
 
 
 class KernelSettings(Settings):
@@ -41,7 +42,7 @@ class KernelSettings(Settings):
         " without truth a bias cannot be told from a motion, and each turn of EM moves both a little further.",
     )
     centers: int = Field(
-        4000, ge=1, le=1_000_000, description="Places that the model is distilled into; the cost of a run goes by it."
+        2000, ge=1, le=1_000_000, description="Places that the model is distilled into; the cost of a run goes by it."
     )
     turns: int = Field(5, ge=1, le=1000, description="Of EM: motions given the noise, the noise given their residuals.")
     quadratic: bool = Field(
@@ -71,8 +72,8 @@ class TrainSettings(Settings):
 
     kind: Literal["knn", "gk", "student-t"] = Field(
         "knn",
-        description="PROBE: weights from the nearest neighbours in the prediction space; gk is PROBE-GK: a covariance and"
-        " a loss of its own for each feature; student-t one for all, fitted to the same data.",
+        description="PROBE: weights from the nearest neighbours in the prediction space; gk is PROBE-GK: a covariance"
+        " and a loss of its own for each feature; student-t one for all, fitted to the same data.",
     )
     supervision: SupervisionName = Field(
         "gt",
