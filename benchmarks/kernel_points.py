@@ -1,6 +1,6 @@
 """PROBE-GK in the point world: error and honesty of the motion against the best static Student-t and the oracle.
 
-python benchmarks/kernel_points.py [seeds] [law …]            20 seeds of every law by default
+python benchmarks/kernel_points.py [seeds] [law …]    20 seeds of every law by default
 
 Outliers: 5 % of the landmarks, ±20 px. Training and test worlds are independent, the rig is flawless, and all start from
 the same RANSAC. *Best-scaled*: the isotropic Student-t (ν = 5) whose scale has the least ARMSE on the test itself, with
@@ -39,9 +39,8 @@ def config_of(law: str, seed: int) -> PointConfig:
 
 
 def trained(folder: Path, kind: str, supervision: SupervisionName, kernel: KernelSettings) -> pv.noise.NoiseModel:
-    settings = TrainSettings(
-        kind=kind, supervision=supervision, predictors=PREDICTORS, gk=kernel, odometry=OFF
-    )
+    predictors = PREDICTORS if kind == "gk" else None
+    settings = TrainSettings(kind=kind, supervision=supervision, predictors=predictors, gk=kernel, odometry=OFF)
     return pv.load_model(pv.train_model([pv.open_sequence(folder / "train.npz")], settings, folder / "m.safetensors"))
 
 
@@ -85,7 +84,8 @@ def main() -> None:
         "GK-GT": ("gk", "gt", KernelSettings()),
         "GK-EM": ("gk", "none", KernelSettings()),
     }
-    print("| law | estimator | ARMSE, m | RMS of a step, mm | ANEES | features within 50 / 90 / 95 / 99 % |\n" + "|---" * 6 + "|")
+    head = ("law", "estimator", "ARMSE, m", "RMS of a step, mm", "ANEES", "features within 50 / 90 / 95 / 99 %")
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for law in sys.argv[2:] or LAWS:
         rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
         honesty: dict[str, list[list[float]]] = defaultdict(list)
@@ -107,7 +107,7 @@ def main() -> None:
                 rows["oracle"].append((metrics.armse_m, 1e3 * metrics.rpe_t_m, metrics.anees))
         for label, values in rows.items():
             armse, step, anees = np.mean(values, axis=0)
-            shares = " / ".join(f"{100 * share:.1f}" for share in np.mean(honesty[label], axis=0)) if label in honesty else ""
+            shares = " / ".join(f"{100 * share:.1f}" for share in np.mean(honesty.get(label, [[]]), axis=0))
             print(f"| {law} | {label} | {armse:.4f} | {step:.2f} | {anees:.2f} | {shares} |", flush=True)
 
 

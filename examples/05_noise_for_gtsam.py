@@ -34,8 +34,9 @@ def solve(odometry: pv.StereoOdometry, start: np.ndarray) -> tuple[np.ndarray, n
     values.insert(1, gtsam.Pose3(se3.inverse(start)))
     robust.addPriorPose3(0, gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 1e-6))
     honest, Gaussian = robust.clone(), gtsam.noiseModel.Gaussian.Covariance
-    for camera, pixels, its in ((0, prev, exact if noise.refers_to == "residual" else noise), (1, curr, noise)):
-        features = zip(*merge_rows(pixels[keep] - its.bias, its.scale), np.minimum(its.dof, 1e9), strict=True)
+    before = exact if noise.refers_to == "residual" else noise  # the bias is that of the residual: the later one has it
+    for camera, pixels, its in ((0, prev[keep], before), (1, curr[keep] - noise.bias, noise)):
+        features = zip(*merge_rows(pixels, its.scale), np.minimum(its.dof, 1e9), strict=True)
         for point, (merged, R, s, dof) in enumerate(features, start=2):
             seen, cauchy = gtsam.StereoPoint2(*merged), gtsam.noiseModel.mEstimator.Cauchy(np.sqrt(dof + 4.0))
             student_t = gtsam.noiseModel.Robust.Create(cauchy, Gaussian((dof + s) / (dof + 4.0) * R))

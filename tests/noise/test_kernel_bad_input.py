@@ -206,7 +206,8 @@ def test_no_query_no_noise() -> None:
 
 
 @pytest.mark.parametrize(
-    "spread", [np.zeros((59, 4, 4)), np.zeros((COUNT, 4)), np.full((COUNT, 4, 4), np.nan), np.full((COUNT, 4, 4), np.inf)]
+    "spread",
+    [np.zeros((59, 4, 4)), np.zeros((COUNT, 4)), np.full((COUNT, 4, 4), np.nan), np.full((COUNT, 4, 4), np.inf)],
 )
 def test_a_spread_that_is_none_is_refused(spread: FloatArray) -> None:
     """Compiled code would read beyond its end."""

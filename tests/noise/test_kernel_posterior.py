@@ -24,9 +24,7 @@ def posterior(seed: int = 0, *, published: bool = False, spread: FloatArray | No
     return KernelPosterior.of(*samples(seed), spread, published=published)
 
 
-def published_by_hand(
-    place: FloatArray, shape: KernelShape, seed: int = 0
-) -> tuple[FloatArray, float]:
+def published_by_hand(place: FloatArray, shape: KernelShape, seed: int = 0) -> tuple[FloatArray, float]:
     """Ψ* and ν* (PROBE-GK eqs. 8, 9), sample after sample."""
     places, errors = samples(seed)
     psi, nu = shape.prior_counts * errors.T @ errors / len(errors), shape.prior_counts
@@ -79,9 +77,7 @@ def robust_by_hand(place: FloatArray, shape: KernelShape) -> tuple[Students, flo
     support = (distance[near[-1]] if whole else shape.reach) * (1.0 + 1e-3)
     kernel = 1.0 - (distance[near] / support) ** 2
     static = fit_static(errors)
-    prior = StudentPrior(
-        static.scale[0], float(static.dof[0]), shape.prior_counts, shape.dof_counts, shape.bias_counts
-    )
+    prior = StudentPrior(static.scale[0], float(static.dof[0]), shape.prior_counts, shape.dof_counts, shape.bias_counts)
     return fit_students(errors, Neighborhoods(np.array([0, len(near)]), near, kernel), prior), float(kernel.sum())
 
 

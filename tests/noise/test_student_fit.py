@@ -11,16 +11,14 @@ from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.noise import StereoNoise
 from probevo.noise.student_fit import (
-    LEAST_DOF,
     LEAST_SIGMA_PX,
-    MOST_DOF,
     Neighborhoods,
     StudentPrior,
     Students,
-    digamma,
     fit_static,
     fit_students,
 )
+from probevo.noise.student_kernels import LEAST_DOF, MOST_DOF, digamma
 
 SCALE = np.array([[1.0, 0.1, 0.8, 0.0], [0.1, 0.5, 0.0, 0.2], [0.8, 0.0, 1.2, -0.1], [0.0, 0.2, -0.1, 0.3]])
 """px²; left and right image go together."""

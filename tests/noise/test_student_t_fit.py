@@ -1,4 +1,4 @@
-"""The static Student-t, fitted: the full scale matrix and the dof of the errors, whatever their predictors; its file."""
+"""The static Student-t, fitted: the full scale matrix and the dof of all errors, whatever their place; its file."""
 
 import copy
 from pathlib import Path

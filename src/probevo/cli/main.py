@@ -27,7 +27,7 @@ probevo {__version__}: stereo odometry that learns how far to trust each feature
   probevo info SEQUENCE             what a recording is, whether its calibration is sane, what will be used
   probevo simulate WORLD --out DIR  a recording of a simulated world, point or scene, whose truth is known
   probevo paper EXPERIMENT --out DIR
-                                    an experiment of the papers repeated: blur in simulation, table-i on KITTI
+                                    an experiment of the papers repeated: blur, table-i, table-1.2, table-1.3
   probevo demo --out DIR            two simulated drives, each noise model on both, side by side on one page
 
 `probevo COMMAND --help` shows the options of a command; `probevo --version` the version."""

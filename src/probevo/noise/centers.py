@@ -6,6 +6,7 @@ by its logarithm, so that every mixture is positive definite and σ of 0.1 and 1
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +23,6 @@ LARGEST_LOGARITHM = 100.0
 NEAREST = 4
 _ROW, _COLUMN = np.tril_indices(4)
 _DIAGONAL = _ROW == _COLUMN
-_VALUES = 16
-"""Of a center: the bias, the Cholesky factor, ln ν, and Σk."""
 
 
 @dataclass(frozen=True)
@@ -69,25 +68,30 @@ class Centers:
             the distributions, and which places are out of reach, [n].
         """
         count = len(queries)
-        mixed, squared = np.empty((count, _VALUES)), np.empty(count)
-        _mix(np.ascontiguousarray(queries, np.float32), self.places, self.values, mixed, squared)
-        known = mixed[:, 15] * np.maximum(0.0, 1.0 - squared / reach**2)
-        share = known / (known + prior_counts) * (mixed[:, 15] + prior_counts) / np.maximum(mixed[:, 15], 1e-12)
+        scale, dof, bias, squared = np.empty((count, 4, 4)), np.empty(count), np.empty((count, 4)), np.empty(count)
         own = Centers.of(np.zeros((1, len(self.places))), prior, np.zeros(1)).values[0]
-        mixed = own + share[:, None] * (mixed - own)
-        lower = np.zeros((count, 4, 4))
-        mixed[:, 4:14][:, _DIAGONAL] = np.exp(mixed[:, 4:14][:, _DIAGONAL])
-        lower[:, _ROW, _COLUMN] = mixed[:, 4:14]
-        students = Students(lower @ np.swapaxes(lower, 1, 2), np.exp(mixed[:, 14]), mixed[:, :4].copy())
-        return students, np.asarray(squared >= reach**2)
+        places = np.ascontiguousarray(queries, np.float32)
+        _predict(places, self.places, self.values, own, reach, prior_counts, scale, dof, bias, squared)
+        return Students(scale, dof, bias), np.asarray(squared >= reach**2)
 
 
 @compiled
-def _mix(queries: Single, places: Single, values: Single, mixed: FloatArray, squared: FloatArray) -> None:
-    """Mean value of the nearest centers, and the squared distance to the nearest one."""
+def _predict(
+    queries: Single,
+    places: Single,
+    values: Single,
+    own: Single,
+    reach: float,
+    prior_counts: float,
+    scale: FloatArray,
+    dof: FloatArray,
+    bias: FloatArray,
+    squared: FloatArray,
+) -> None:
+    """Fill in the distributions, and the squared distance to the nearest center."""
     count = places.shape[1]
     nearest = min(4, count)
-    distance = np.empty(count, np.float32)
+    distance, mixed, lower = np.empty(count, np.float32), np.empty(16), np.zeros((4, 4))
     best, index = np.empty(4, np.float32), np.zeros(4, np.int64)
     for n in range(len(queries)):
         distance[:] = 0.0
@@ -106,14 +110,28 @@ def _mix(queries: Single, places: Single, values: Single, mixed: FloatArray, squ
                 best[place], index[place] = distance[i], i
         squared[n] = best[0]
         if not best[nearest - 1] < np.inf:  # beyond single precision: as far as can be
-            mixed[n], squared[n] = values[0], np.inf
-            continue
-        mixed[n] = 0.0
+            best[:], index[:], squared[n] = 1e38, 0, np.inf
+        mixed[:] = 0.0
         total = 0.0
-        for k in range(nearest):  # inverse squares, bounded at a tenth of the farthest of the four
+        for k in range(nearest):  # inverse squares, bounded at a hundredth of the farthest of the four
             weight = 1.0 / (best[k] + 0.01 * best[nearest - 1] + 1e-12)
             total += weight
             for j in range(16):
-                mixed[n, j] += weight * values[index[k], j]
-        for j in range(16):
-            mixed[n, j] /= total
+                mixed[j] += weight * values[index[k], j]
+        counts = mixed[15] / total
+        known = counts * max(0.0, 1.0 - squared[n] / (reach * reach))
+        share = known / (known + prior_counts) * (counts + prior_counts) / max(counts, 1e-12)
+        for j in range(15):
+            mixed[j] = own[j] + share * (mixed[j] / total - own[j])
+        for i in range(4):
+            bias[n, i] = mixed[i]
+            for j in range(i + 1):
+                factor = mixed[4 + i * (i + 1) // 2 + j]
+                lower[i, j] = math.exp(factor) if i == j else factor
+        for i in range(4):
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(j + 1):
+                    total += lower[i, k] * lower[j, k]
+                scale[n, i, j] = scale[n, j, i] = total
+        dof[n] = math.exp(mixed[14])
