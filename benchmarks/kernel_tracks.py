@@ -34,9 +34,7 @@ def likelihood(drive: Drive, noise: pv.noise.StereoNoise, camera: pv.StereoCamer
         chosen = rows.start + np.flatnonzero(drive.used[rows])
         if len(chosen):
             own, tracks = noise.of(chosen), drive.tracks(step).kept(chosen - rows.start)
-            solution = solve_reprojection(
-                tracks.prev_px, tracks.curr_px, own, motions[step], camera, max_iterations=0
-            )
+            solution = solve_reprojection(tracks.prev_px, tracks.curr_px, own, motions[step], camera, max_iterations=0)
             front = solution.information[:, 0, 0] > 0.0
             scale = np.linalg.inv(solution.information[front])
             residual_noise = pv.noise.StereoNoise(scale, own.dof[front], np.zeros((front.sum(), 4)))
@@ -66,11 +64,13 @@ def main() -> None:
         drive = record_drive(sequence, space, settings.odometry, len(sequence))
         lessons.append(Lesson(drive, sequence.camera, supervision_of(sequence, "none", 0.0, len(sequence))))
     ratios, gains = [], []
-    print("| left out | nats: fitted Student-t | gk | gain | own Student-t | drift, %: Student-t | gk | rotation, °/m: "
-          "Student-t | gk | shipped student-t |\n|" + "---|" * 10)
+    print(
+        "| left out | nats: fitted Student-t | gk | gain | own Student-t | drift, %: Student-t | gk | rotation, °/m: "
+        "Student-t | gk | shipped student-t |\n|" + "---|" * 10
+    )
     for number, path in enumerate(paths):
         rest, own = [lesson for n, lesson in enumerate(lessons) if n != number], lessons[number]
-        metric = Metric.fitted(np.concatenate([l.drive.phi for l in rest]), space.columns, space.may_be_undefined)
+        metric = Metric.fitted(np.concatenate([each.drive.phi for each in rest]), space.columns, space.may_be_undefined)
         static, kernel = learn_student_t(rest, settings, []), learn_kernel(rest, metric, settings, [])
         oneself = learn_student_t([own], settings, [])
         motions, _ = solve_drive(own.drive, static.predict(own.drive.phi), own.camera, settings.odometry.solver)
@@ -81,12 +81,18 @@ def main() -> None:
         a, b, c = run(path, static), run(path, kernel), run(path, pv.noise.StudentT())
         ratios.append((b.short_t_percent / a.short_t_percent, b.short_r_deg_per_m / a.short_r_deg_per_m))
         gains.append((nats[1] - nats[0], nats[1] - nats[2]))
-        print(f"| {path.stem} | {nats[0]:.2f} | {nats[1]:.2f} | {gains[-1][0]:+.2f} | {nats[2]:.2f} | "
-              f"{a.short_t_percent:.2f} | {b.short_t_percent:.2f} | {a.short_r_deg_per_m:.4f} | "
-              f"{b.short_r_deg_per_m:.4f} | {c.short_t_percent:.2f}, {c.short_r_deg_per_m:.4f} |", flush=True)
+        print(
+            f"| {path.stem} | {nats[0]:.2f} | {nats[1]:.2f} | {gains[-1][0]:+.2f} | {nats[2]:.2f} | "
+            f"{a.short_t_percent:.2f} | {b.short_t_percent:.2f} | {a.short_r_deg_per_m:.4f} | "
+            f"{b.short_r_deg_per_m:.4f} | {c.short_t_percent:.2f}, {c.short_r_deg_per_m:.4f} |",
+            flush=True,
+        )
     drift, rotation = np.exp(np.log(ratios).mean(axis=0))
-    print(f"\ngain {np.mean(gains, axis=0).round(3)} nats over the fitted Student-t, and over that of the drive itself; "
-          f"drift × {drift:.3f}, rotation × {rotation:.3f}")
+    over_static, over_own = np.mean(gains, axis=0)
+    print(
+        f"\ngain {over_static:.2f} nats over the fitted Student-t, {over_own:.2f} over that of the drive itself; "
+        f"drift × {drift:.3f}, rotation × {rotation:.3f}"
+    )
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtr, fdtri
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
@@ -16,17 +15,17 @@ from probevo.motion.estimate import Status
 from probevo.motion.first_guess import enough, first_guess
 from probevo.motion.motion_model import ExpectedMotion
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
-from probevo.motion.robust import RESIDUAL_DIM, RobustLoss
+from probevo.motion.robust import RobustLoss
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
 DROP_BELOW = 0.1
-"""Robust weight below which a track is no longer followed."""
+"""Trust below which a track is no longer followed."""
 USUAL_DOF = 5.0
 """Degrees of freedom for which the two bounds hold: those of the shipped Student-t."""
 TRUSTED = 0.5
-"""A track that keeps this much of its robust weight counts as trusted."""
+"""A track with this much trust counts as trusted."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class VisualMotion:
 
     status: Status
     weights: FloatArray
-    """How far each track was trusted, [N]: 0 for an outlier of the consensus, else its robust weight, at most 1."""
+    """How far each track was trusted, [N]: 0 for an outlier of the consensus, else by how usual its residual is, to 1."""
     used: BoolArray
     """Which tracks the solve used, [N]; the others were turned away before."""
     solution: ReprojectionSolution | None
@@ -154,16 +153,27 @@ def solve(
 def trust(solution: ReprojectionSolution, dof: FloatArray) -> FloatArray:
     """How far each feature is trusted, [N], 0 to 1, whatever the tails of its noise, dof ν [N].
 
-    Its robust weight against a perfect feature's, ν/(ν + s), says how usual a residual is only for one ν: half of all
-    good features have less than a third of it at ν = 1.6. So s counts as the one that is as rare at USUAL_DOF. Gaussian
-    features keep all their weight.
+    Its robust weight against a perfect feature's, y = ν/(ν + s), says how usual a residual is only for one ν: half of
+    all good features have less than a third at ν = 1.6. So the trust is the y that a residual as rare would have at
+    USUAL_DOF; rarer ones are met with probability y^(ν/2) (1 + ν (1 − y)/2), the F distribution's tail for d = 4. What
+    is Gaussian by its model, as that of ``fixed`` is, has no robust weight, and all is trusted.
     """
     robust = np.isfinite(dof) & (dof != USUAL_DOF) & (solution.weight > 0.0)
     nu = np.where(robust, dof, USUAL_DOF)
-    rank = fdtr(RESIDUAL_DIM, nu, solution.squared / RESIDUAL_DIM)
-    usual = RESIDUAL_DIM * fdtri(RESIDUAL_DIM, USUAL_DOF, rank)
-    trusted: FloatArray = np.where(robust, USUAL_DOF / (USUAL_DOF + usual), solution.weight)
+    trusted: FloatArray = np.where(
+        robust, np.interp(_rarity(nu / (nu + solution.squared), nu), _RARITIES, _TRUSTS), solution.weight
+    )
     return trusted
+
+
+def _rarity(share: FloatArray, dof: FloatArray | float) -> FloatArray:
+    """Probability of a residual of s or more, from y = ν/(ν + s)."""
+    rarity: FloatArray = share ** (0.5 * dof) * (1.0 + 0.5 * dof * (1.0 - share))
+    return rarity
+
+
+_TRUSTS = np.linspace(0.0, 1.0, 4001)
+_RARITIES = _rarity(_TRUSTS, USUAL_DOF)
 
 
 def _judge(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.compiled import compiled
@@ -20,7 +21,11 @@ Single = NDArray[np.float32]
 
 LARGEST_LOGARITHM = 100.0
 """Of a σ in pixels, or of degrees of freedom: no number of a sound model."""
-NEAREST = 4
+VALUES = 15
+MOST_SAMPLES, MARGIN, LEAST_EDGE = 0.999, 1.5, 1e-6
+"""The domain ends so many times as far from the nearest center as that share of the training data lies at most."""
+FADE = MARGIN / (MARGIN - 1.0)
+"""What is known begins to fade where that share of the data ends."""
 _ROW, _COLUMN = np.tril_indices(4)
 _DIAGONAL = _ROW == _COLUMN
 
@@ -32,47 +37,45 @@ class Centers:
     places: Single
     """[M, C]."""
     values: Single
-    """Bias [4], Cholesky factor [10] with ln of its diagonal, ln ν, and Σk, the errors that it was learned from, in the
-    order of ``tril_indices``, [C, 16]."""
+    """Bias [4], Cholesky factor [10] in the order of ``tril_indices``, with ln of its diagonal, and ln ν, [C, VALUES]."""
 
     @property
     def logarithms(self) -> Single:
         """Those of the Cholesky factor's diagonal and of the degrees of freedom, [C, 5]."""
         return self.values[:, [*(4 + np.flatnonzero(_DIAGONAL)), 14]]
 
-    @property
-    def counts(self) -> Single:
-        """Σk of each, [C]."""
-        return self.values[:, 15]
-
     @staticmethod
-    def of(places: FloatArray, students: Students, counts: FloatArray) -> Centers:
-        """Take up what was fitted at C places [C, M], from Σk errors each, [C]."""
+    def of(places: FloatArray, students: Students) -> Centers:
+        """Take up what was fitted at C places [C, M]."""
         lower = np.linalg.cholesky(students.scale)[:, _ROW, _COLUMN]
         lower[:, _DIAGONAL] = np.log(lower[:, _DIAGONAL])
-        values = np.column_stack([students.bias, lower, np.log(students.dof), counts])
+        values = np.column_stack([students.bias, lower, np.log(students.dof)])
         return Centers(np.ascontiguousarray(places.T, np.float32), np.ascontiguousarray(values, np.float32))
 
-    def at(self, queries: FloatArray, reach: float, prior: Students, prior_counts: float) -> tuple[Students, BoolArray]:
+    def edge_of(self, samples: FloatArray) -> float:
+        """Distance from the nearest center at which the domain of samples [N, M], none a center, ends."""
+        distance = KDTree(self.places.T).query(samples)[0] if len(samples) else np.ones(1)
+        return max(MARGIN * float(np.quantile(distance, MOST_SAMPLES)), LEAST_EDGE)
+
+    def at(self, queries: FloatArray, edge: float, prior: Students) -> tuple[Students, BoolArray]:
         """The distributions at n places, [n, M].
 
-        Away from the nearest center, what is known fades as (1 − (distance/reach)²), and the prior takes over.
+        Over the outermost part of the way from the nearest center to the edge, the prior takes over.
 
         Args:
             queries: finite.
-            reach: distance from the nearest center at which nothing is known.
+            edge: distance from the nearest center at which nothing is known.
             prior: C = 1; what holds beyond.
-            prior_counts: errors that it counts for.
 
         Returns:
-            the distributions, and which places are out of reach, [n].
+            the distributions, and which places are beyond the edge, [n].
         """
         count = len(queries)
         scale, dof, bias, squared = np.empty((count, 4, 4)), np.empty(count), np.empty((count, 4)), np.empty(count)
-        own = Centers.of(np.zeros((1, len(self.places))), prior, np.zeros(1)).values[0]
+        own = Centers.of(np.zeros((1, len(self.places))), prior).values[0]
         places = np.ascontiguousarray(queries, np.float32)
-        _predict(places, self.places, self.values, own, reach, prior_counts, scale, dof, bias, squared)
-        return Students(scale, dof, bias), np.asarray(squared >= reach**2)
+        _predict(places, self.places, self.values, own, edge, scale, dof, bias, squared)
+        return Students(scale, dof, bias), np.asarray(squared >= edge**2)
 
 
 @compiled
@@ -81,8 +84,7 @@ def _predict(
     places: Single,
     values: Single,
     own: Single,
-    reach: float,
-    prior_counts: float,
+    edge: float,
     scale: FloatArray,
     dof: FloatArray,
     bias: FloatArray,
@@ -91,7 +93,7 @@ def _predict(
     """Fill in the distributions, and the squared distance to the nearest center."""
     count = places.shape[1]
     nearest = min(4, count)
-    distance, mixed, lower = np.empty(count, np.float32), np.empty(16), np.zeros((4, 4))
+    distance, mixed, lower = np.empty(count, np.float32), np.empty(15), np.zeros((4, 4))
     best, index = np.empty(4, np.float32), np.zeros(4, np.int64)
     for n in range(len(queries)):
         distance[:] = 0.0
@@ -116,11 +118,9 @@ def _predict(
         for k in range(nearest):  # inverse squares, bounded at a hundredth of the farthest of the four
             weight = 1.0 / (best[k] + 0.01 * best[nearest - 1] + 1e-12)
             total += weight
-            for j in range(16):
+            for j in range(15):
                 mixed[j] += weight * values[index[k], j]
-        counts = mixed[15] / total
-        known = counts * max(0.0, 1.0 - squared[n] / (reach * reach))
-        share = known / (known + prior_counts) * (counts + prior_counts) / max(counts, 1e-12)
+        share = min(1.0, max(0.0, FADE * (1.0 - math.sqrt(squared[n]) / edge)))
         for j in range(15):
             mixed[j] = own[j] + share * (mixed[j] / total - own[j])
         for i in range(4):

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import asdict, replace
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -16,7 +16,7 @@ from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.noise.base import Refers, StereoNoise
-from probevo.noise.centers import LARGEST_LOGARITHM, Centers
+from probevo.noise.centers import LARGEST_LOGARITHM, VALUES, Centers
 from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
 from probevo.noise.kernel_search import LARGEST_WEIGHT, check_given, choose_shape
 from probevo.noise.metric import Metric
@@ -25,6 +25,8 @@ from probevo.noise.student_fit import DIM, Students, check_errors
 from probevo.settings import Settings
 
 Variant = Literal["robust", "published"]
+MOST_TO_SEE = 5000
+"""Samples by which it is seen where the domain ends."""
 REACH = 2.0
 """Without one given, ρ is so many times the distance within which 99 % of the training data have their K nearest."""
 
@@ -38,6 +40,7 @@ class _Facts(Settings):
     variant: Variant
     neighbors: int = Field(ge=1)
     reach: float = Field(gt=0)
+    edge: float = Field(gt=0)
     prior_counts: float = Field(gt=0)
     refers_to: Refers
     samples: int = Field(ge=1)
@@ -96,7 +99,8 @@ class GeneralizedKernel:
     ) -> Self:
         """Take in N samples, and choose whatever was not given by the likelihood of groups left out.
 
-        Sets ``metric_``, ``weights_``, ``shape_``, ``posterior_``, ``prior_``, ``centers_``, ``samples_``, ``search_``.
+        Sets ``metric_``, ``weights_``, ``shape_``, ``posterior_``, ``prior_``, ``centers_``, ``edge_``, ``samples_``
+        and ``search_``.
 
         Args:
             predictors: places of the samples, [N, M].
@@ -112,6 +116,9 @@ class GeneralizedKernel:
             InputError: no samples or columns, shapes that do not fit, NaN where it may not be, or a given shape of the
                 kernel that is none.
         """
+        if self.variant not in get_args(Variant) or self.refers_to not in get_args(Refers):
+            what = f"variant {self.variant!r}, refers_to {self.refers_to!r}."
+            raise InputError("generalized kernel", what, f"Known are {get_args(Variant)} and {get_args(Refers)}.")
         check_errors(residuals, spread)
         if not len(predictors) == len(residuals) == len(residuals if groups is None else groups):
             what = f"{len(predictors)} places, {len(residuals)} residuals"
@@ -136,14 +143,17 @@ class GeneralizedKernel:
             radius = self.posterior_.radius(coordinates[chosen], shape.neighbors)
             shape = replace(shape, reach=max(REACH * float(np.quantile(radius, 0.99)), 1e-6))
         self.shape_, self.samples_ = shape, len(residuals)
-        self.prior_ = self._prior()
-        self.centers_ = Centers.of(coordinates[chosen], *self.posterior_.at(coordinates[chosen], shape))
+        students, _ = self.posterior_.at(coordinates[chosen], shape)
+        self.centers_ = Centers.of(coordinates[chosen], students)
+        others = np.setdiff1d(np.arange(len(residuals)), chosen)
+        self.edge_ = self.centers_.edge_of(coordinates[others[:: max(1, len(others) // MOST_TO_SEE)]])
+        self.prior_ = self._beyond(students)
         return self
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """The noise of N features from their places in the prediction space, [N, M]; N does not matter to its cost."""
         coordinates = self._coordinates(predictors)
-        students, foreign = self.centers_.at(coordinates, self.shape_.reach, self.prior_, self.shape_.prior_counts)
+        students, foreign = self.centers_.at(coordinates, self.edge_, self.prior_)
         return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, foreign)
 
     def predict_exact(self, predictors: FloatArray) -> StereoNoise:
@@ -153,7 +163,7 @@ class GeneralizedKernel:
         return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, counts == 0.0)
 
     def kept(self, columns: IntArray) -> GeneralizedKernel:
-        """The same model on some of its columns only, the others being of weight 0; no longer exact."""
+        """The same model on some of its columns only, the others being of weight 0."""
         metric, model = self.metric_, copy(self)
         if metric.weight[np.setdiff1d(np.arange(len(self.columns)), columns)].any():
             raise ValueError("a column that has a say cannot be left out")
@@ -161,6 +171,7 @@ class GeneralizedKernel:
             tuple(metric.columns[m] for m in columns), tuple(metric.may_be_undefined[m] for m in columns),
             metric.mean[columns], metric.spread[columns], metric.weight[columns],
         )  # fmt: skip
+        model.weights_ = self.weights_[columns]
         return model
 
     def check_camera(self, camera: StereoCamera) -> None:
@@ -185,6 +196,7 @@ class GeneralizedKernel:
             "variant": self.variant,
             "neighbors": shape.neighbors,
             "reach": shape.reach,
+            "edge": self.edge_,
             "prior_counts": shape.prior_counts,
             "refers_to": self.refers_to,
             "samples": self.samples_,
@@ -212,7 +224,7 @@ class GeneralizedKernel:
         model.centers_ = Centers(arrays["places"], arrays["values"])
         model.prior_ = Students(arrays["prior_scale"], arrays["prior_dof"], arrays["prior_bias"])
         model.shape_ = KernelShape(facts.reach, facts.neighbors, facts.prior_counts)
-        model.samples_ = facts.samples
+        model.samples_, model.edge_ = facts.samples, facts.edge
         model._check_arrays()
         return model
 
@@ -224,13 +236,14 @@ class GeneralizedKernel:
         names = ("neighbors", "reach", "prior_counts", "dof_counts", "bias_counts", "weights")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
-    def _prior(self) -> Students:
-        """What holds out of reach."""
+    def _beyond(self, students: Students) -> Students:
+        """What holds beyond the edge: the prior, as wide as the worst tenth of the centers at least."""
         prior = self.posterior_.prior
-        if self.variant == "robust":
-            return prior
-        dof = self.shape_.prior_counts - DIM + 1.0
-        return Students(prior.scale * self.shape_.prior_counts / dof, np.array([dof]), prior.bias)
+        if self.variant == "published":
+            dof = self.shape_.prior_counts - DIM + 1.0
+            return Students(prior.scale * self.shape_.prior_counts / dof, np.array([dof]), prior.bias)
+        size, own = (np.exp(np.linalg.slogdet(part.scale)[1] / DIM) for part in (students, prior))
+        return Students(prior.scale * max(1.0, float(np.quantile(size, 0.9) / own[0])), prior.dof, prior.bias)
 
     def _check_arrays(self) -> None:
         """Arrays that do not fit together would be read beyond their ends."""
@@ -238,7 +251,7 @@ class GeneralizedKernel:
         count = len(centers.values) if centers.values.ndim else 0
         expected: list[tuple[AnyArray, tuple[int, ...], type]] = [
             (centers.places, (int((metric.weight > 0.0).sum()), count), np.float32),
-            (centers.values, (count, 16), np.float32),
+            (centers.values, (count, VALUES), np.float32),
             (prior.scale, (1, DIM, DIM), np.float64),
             (prior.dof, (1,), np.float64),
             (prior.bias, (1, DIM), np.float64),
@@ -249,7 +262,6 @@ class GeneralizedKernel:
             and len(set(self.columns)) == dimension == len(metric.may_be_undefined)
             and (metric.spread > 0.0).all()
             and (np.abs(centers.logarithms) < LARGEST_LOGARITHM).all()
-            and (centers.counts >= 0.0).all()
             and ((metric.weight >= 0.0) & (metric.weight <= LARGEST_WEIGHT)).all()
             and count > 0
             and (prior.dof > 0.0).all()

@@ -5,8 +5,8 @@ prior: Ψ* = Ψ₀ + Σ k e eᵀ, ν* = ν₀ + Σ k [1.8, 1.9], and the noise i
 scale Ψ*/(ν* − d + 1) [1.12]. One gross outlier then inflates Ψ* for all its neighbours, and ν* grows with the number of
 samples, whatever their tails: the loss becomes quadratic.
 
-Ours is the fit of a Student-t with a bias to the K nearest errors, weighed by the same kernel, whose support ends at the
-K-th and at ρ at the latest; the prior is the Student-t of all errors.
+Ours is the fit of a Student-t with a bias to the K nearest errors, weighed by the same kernel, whose support ends at
+the K-th and at ρ at the latest; the prior is the Student-t of all errors.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from probevo.noise.student_fit import (
     floored,
 )
 
-BLOCK, MOST_PAIRS = 2000, 4_000_000
+THREADS, BLOCK, MOST_PAIRS = 2, 2000, 4_000_000
 """Places whose neighbours are held in memory at a time, and pairs of a place and a neighbour, in the worst case."""
 
 
@@ -79,9 +79,9 @@ class KernelPosterior:
     def at(self, places: FloatArray, shape: KernelShape, iterations: int = 12) -> tuple[Students, FloatArray]:
         """The noise at n places, [n, M], and Σk of each, [n]."""
         neighbors = len(self.errors) if self.published else min(shape.neighbors, len(self.errors))
-        block = min(max(MOST_PAIRS // neighbors, 1), BLOCK)
+        block = max(min(MOST_PAIRS // neighbors, BLOCK, -(-len(places) // THREADS)), 1)
         blocks = [places[start : start + block] for start in range(0, max(len(places), 1), block)]
-        with ThreadPoolExecutor(2) as pool:
+        with ThreadPoolExecutor(THREADS) as pool:
             parts = list(pool.map(lambda part: self._fit(self._around(part, shape), shape, iterations), blocks))
         students = Students(
             *(np.concatenate([getattr(p[0], name) for p in parts]) for name in ("scale", "dof", "bias"))
@@ -98,7 +98,8 @@ class KernelPosterior:
 
     def _within(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
         """All samples within ρ."""
-        lists = [np.asarray(own, np.int64) for own in self.tree.query_ball_point(places, shape.reach, return_sorted=True)]
+        found = self.tree.query_ball_point(places, shape.reach, return_sorted=True)
+        lists = [np.asarray(own, np.int64) for own in found]
         first: IntArray = np.cumsum([0, *map(len, lists)])
         index = np.concatenate([np.zeros(0, np.int64), *lists])
         owner = np.repeat(np.arange(len(places)), np.diff(first))
@@ -132,7 +133,7 @@ class KernelPosterior:
 
 
 def prior_of(errors: FloatArray, spread: FloatArray | None = None, *, published: bool) -> Students:
-    """What holds where nothing is known: the Student-t of all errors; R̂ of Ψ₀ = ν₀ R̂, their mean square, as published."""
+    """What holds where nothing is known: the Student-t of all errors; as published R̂ = Ψ₀/ν₀, their mean square."""
     if not published:
         return fit_static(errors, spread=spread)
     squares = errors.T @ errors + (0.0 if spread is None else spread.sum(axis=0))

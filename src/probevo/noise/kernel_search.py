@@ -28,10 +28,10 @@ SEARCH_ITERATIONS = 6
 LEAST_GAIN = 2e-3
 """Nats a feature that a change must gain."""
 CANDIDATES: dict[str, tuple[float, ...]] = {
-    "neighbors": (50, 100, 200, 400, 800, 1600),
-    "bias_counts": (np.inf, 10.0, 100.0),
-    "prior_counts": (1.0, 4.0, 16.0, 64.0),
-    "dof_counts": (np.inf, 10.0, 30.0, 100.0, 300.0),
+    "neighbors": (1600, 800, 400, 200, 100, 50),
+    "bias_counts": (np.inf, 100.0, 10.0),
+    "prior_counts": (64.0, 16.0, 4.0, 1.0),
+    "dof_counts": (np.inf, 300.0, 100.0, 30.0, 10.0),
 }
 PUBLISHED: dict[str, tuple[float, ...]] = {
     "reach": (0.125, 0.25, 0.5, 1.0, 2.0),
@@ -106,6 +106,8 @@ def choose_shape(
     if published and "reach" not in given:
         shape = replace(shape, reach=0.5)
     candidates = {name: c for name, c in (PUBLISHED if published else CANDIDATES).items() if name not in given}
+    if not candidates and "weights" in given:
+        return weights, shape, {}
     folds = _folds(coordinates, errors, spread, groups, published)
     if len(folds) < 2:
         return weights, shape, {}
@@ -155,7 +157,7 @@ class _Search:
         return weights if weights.any() else np.ones(dimension)
 
     def choose(self, name: str, values: tuple[float, ...], weights: FloatArray, shape: KernelShape) -> KernelShape:
-        """One hyperparameter; of those that are as good, the first."""
+        """One hyperparameter; of those that are as good, the first: the stiffest."""
         changes: list[dict[str, Any]] = [{name: int(v) if name == "neighbors" else v} for v in values]
         options = [replace(shape, **change) for change in changes]
         gains = [self.gain(weights, option) for option in options]

@@ -12,7 +12,11 @@ from probevo.noise.nearest_neighbors import NearestNeighbors
 from probevo.noise.student_t import StudentT
 
 Learned = GeneralizedKernel | NearestNeighbors | StudentT
-_KINDS: dict[str, type[GeneralizedKernel] | type[NearestNeighbors] | type[StudentT]] = {"gk": GeneralizedKernel, "knn": NearestNeighbors, "student-t": StudentT}
+_KINDS: dict[str, type[GeneralizedKernel] | type[NearestNeighbors] | type[StudentT]] = {
+    "gk": GeneralizedKernel,
+    "knn": NearestNeighbors,
+    "student-t": StudentT,
+}
 
 
 class Storable(Protocol):

@@ -64,7 +64,10 @@ def fit_all(
     dof: FloatArray,
     bias: FloatArray,
 ) -> None:
-    """The scale is divided by Σ k w rather than Σ k (PX-EM; Liu, Rubin & Wu 1998): the same limit, far sooner."""
+    """The scale is divided by Σ k w rather than Σ k (PX-EM; Liu, Rubin & Wu 1998): the same limit, far sooner.
+
+    The prior counts as errors of weight one whose mean square is its scale.
+    """
     prior_dof, counts, dof_counts, bias_counts = prior
     has_spread, has_bias = len(spread) > 0, robust and bias_counts < np.inf
     learns_dof = robust and dof_counts < np.inf

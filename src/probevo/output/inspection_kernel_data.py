@@ -40,7 +40,7 @@ class KernelView:
         """Take all that is shown from a fitted model."""
         used, metric = used_columns(model), model.metric_
         coordinates = model.centers_.places.T.astype(np.float64)
-        students, foreign = model.centers_.at(coordinates, model.shape_.reach, model.prior_, model.shape_.prior_counts)
+        students, foreign = model.centers_.at(coordinates, model.edge_, model.prior_)
         chosen = [column.index for column in used]
         standard = coordinates[:, np.searchsorted(np.flatnonzero(metric.weight), chosen)] / metric.weight[chosen]
         # Stored in single precision; no value that is defined lies so close by more than chance.

@@ -21,6 +21,7 @@ UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 """Of a step whose features fix no motion, m and rad."""
 LEAST_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
 """No truth is better than that, m and rad."""
+FEW_STRETCHES = 20
 LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
 """How well a loop is known to close, m and rad: it is parked by hand."""
 
@@ -87,9 +88,9 @@ def expect(
     features, errors, spreads, likelihoods = [], [], [], []
     for step, chosen, tracks in _solvable(drive, solver):
         own = noise.of(chosen)
-        solution = solve_reprojection(
-            tracks.prev_px, tracks.curr_px, own, motions[step], camera, max_iterations=0
-        )
+        if cov[step, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:  # neither solved nor known: its residuals say nothing
+            continue
+        solution = solve_reprojection(tracks.prev_px, tracks.curr_px, own, motions[step], camera, max_iterations=0)
         in_front = np.flatnonzero(solution.information[:, 0, 0] > 0.0)
         error, spread, sigma = _errors(solution, own, cov[step], in_front)
         features.append(chosen[in_front])
@@ -148,10 +149,15 @@ def _chain(
 
 
 def _sigma_of_truth(chains: list[tuple[int, int, FloatArray, FloatArray, FloatArray]]) -> FloatArray:
-    """What the scatter of the truth around the features' motions is, beyond what these are off by, [6]; by medians."""
-    scatter = (1.4826 * np.median([np.abs(chain[4]) for chain in chains], axis=0)) ** 2
-    own = np.median([np.diagonal(chain[3]) for chain in chains], axis=0)
-    sigma: FloatArray = np.sqrt(np.maximum(scatter - own, 0.0))
+    """What the scatter of the truth around the features' motions is, beyond what these are off by, [6], by medians.
+
+    Few stretches may scatter little by chance: then the truth is taken to be no better than the features.
+    """
+    distances = np.abs([chain[4] for chain in chains]).reshape(-1, 2, 3)  # translations, rotations
+    scatter = (1.4826 * np.median(distances, axis=(0, 2))) ** 2
+    own = np.median(np.reshape([np.diagonal(chain[3]) for chain in chains], (-1, 2, 3)), axis=(0, 2))
+    least = own if len(chains) < FEW_STRETCHES else np.zeros(2)
+    sigma: FloatArray = np.repeat(np.sqrt(np.maximum(scatter - own, least)), 3)
     return sigma
 
 

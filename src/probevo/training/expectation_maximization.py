@@ -1,7 +1,9 @@
 """PROBE-GK from drives: motions given the noise, the noise given their residuals, in turns (PROBE-GK Alg. 3).
 
 With truth that is exact one turn would do (Alg. 1): the motions are known. Without, the noise starts as the static
-Student-t, itself fitted so, and every turn is a step of EM.
+Student-t, itself fitted so. A turn is EM in spirit: motions enter as Gaussians around the solve, residuals of
+observation noise by a fixed point (``expectation``), and the gyro has no say. The likelihood of a turn is that of the
+residuals at its motions.
 """
 
 from __future__ import annotations
@@ -161,7 +163,7 @@ def _progress(lessons: Sequence[Lesson], expectations: Sequence[Expectation]) ->
 
 
 def _loop_error_m(supervision: Supervision, T_curr_prev: FloatArray) -> float:
-    """How far motions [K − 1, 4, 4] end from where the last known pose is against the first; NaN if neither is known."""
+    """How far motions [K − 1, 4, 4] end from where the last known pose is against the first; NaN if one is unknown."""
     first, last = supervision.frames[[0, -1]]
     start, end = path(T_curr_prev)[[first, last]]
     true_start, true_end = supervision.T_world_cam[[0, -1]]

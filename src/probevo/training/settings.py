@@ -35,18 +35,18 @@ class KernelSettings(Settings):
     reach: float | None = Field(
         None, gt=0, le=1e6, description="ρ, in standard deviations; farther samples have no say."
     )
-    prior_counts: float | None = Field(None, gt=3, le=1e9, description="How many errors the static model counts for.")
+    prior_counts: float | None = Field(None, gt=0, le=1e9, description="How many errors the static model counts for.")
     bias: bool = Field(
         False,
-        description="Learn what errors are on average too, not only how they scatter. It makes residuals more likely, but"
-        " without truth a bias cannot be told from a motion, and each turn of EM moves both a little further.",
+        description="Learn what errors are on average too, not only how they scatter. It makes residuals more likely,"
+        " but without truth a bias cannot be told from a motion, and each turn of EM moves both a little further.",
     )
     centers: int = Field(
         2000, ge=1, le=1_000_000, description="Places that the model is distilled into; the cost of a run goes by it."
     )
     turns: int = Field(5, ge=1, le=1000, description="Of EM: motions given the noise, the noise given their residuals.")
     quadratic: bool = Field(
-        False, description="Solve for the motions of EM by least squares, as PROBE-GK derives it, not by its robust loss."
+        False, description="Solve for the motions of EM by least squares, as PROBE-GK derives it, not by its loss."
     )
     refers_to: Literal["observation", "residual"] = Field(
         "observation",
@@ -59,6 +59,13 @@ class KernelSettings(Settings):
     truth_sigma_deg: float | None = Field(
         None, ge=0, le=180, description="The same for attitudes; to be given together with the other."
     )
+
+    @staticmethod
+    def published() -> KernelSettings:
+        """As in PROBE-GK: the noise of residuals, an inverse Wishart, least squares in EM, truth that is exact."""
+        return KernelSettings(
+            variant="published", refers_to="residual", quadratic=True, truth_sigma_m=0.0, truth_sigma_deg=0.0
+        )
 
     def given(self) -> dict[str, Any]:
         """What need not be chosen, as ``GeneralizedKernel`` takes it."""
