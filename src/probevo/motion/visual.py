@@ -34,7 +34,7 @@ class VisualMotion:
 
     status: Status
     weights: FloatArray
-    """How far each track was trusted, [N]: 0 for an outlier of the consensus, else by how usual its residual is, to 1."""
+    """How far each track was trusted, [N]: 0 for an outlier of the consensus, to 1 for a usual residual."""
     used: BoolArray
     """Which tracks the solve used, [N]; the others were turned away before."""
     solution: ReprojectionSolution | None

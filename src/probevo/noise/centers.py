@@ -37,7 +37,7 @@ class Centers:
     places: Single
     """[M, C]."""
     values: Single
-    """Bias [4], Cholesky factor [10] in the order of ``tril_indices``, with ln of its diagonal, and ln ν, [C, VALUES]."""
+    """Bias [4], Cholesky factor [10] as by ``tril_indices``, with ln of its diagonal, and ln ν, [C, VALUES]."""
 
     @property
     def logarithms(self) -> Single:

@@ -6,46 +6,27 @@ import json
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import asdict, replace
-from typing import Any, Literal, Self, get_args
+from typing import Any, Self, get_args
 
 import numpy as np
-from pydantic import ConfigDict, Field
 
 from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.noise.base import Refers, StereoNoise
-from probevo.noise.centers import LARGEST_LOGARITHM, VALUES, Centers
+from probevo.noise.centers import Centers
+from probevo.noise.kernel_file import KernelFacts, Variant, check_arrays
 from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
-from probevo.noise.kernel_search import LARGEST_WEIGHT, check_given, choose_shape
+from probevo.noise.kernel_search import check_given, choose_shape
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import ModelFile
 from probevo.noise.student_fit import DIM, Students, check_errors
-from probevo.settings import Settings
 
-Variant = Literal["robust", "published"]
 MOST_TO_SEE = 5000
 """Samples by which it is seen where the domain ends."""
 REACH = 2.0
 """Without one given, ρ is so many times the distance within which 99 % of the training data have their K nearest."""
-
-
-class _Facts(Settings):
-    """What a file says beside its arrays; of no other type than it is written."""
-
-    model_config = ConfigDict(strict=True)
-    columns: tuple[str, ...]
-    may_be_undefined: tuple[bool, ...]
-    variant: Variant
-    neighbors: int = Field(ge=1)
-    reach: float = Field(gt=0)
-    edge: float = Field(gt=0)
-    prior_counts: float = Field(gt=0)
-    refers_to: Refers
-    samples: int = Field(ge=1)
-    camera: StereoCamera | None
-    training: dict[str, Any]
 
 
 class GeneralizedKernel:
@@ -119,6 +100,7 @@ class GeneralizedKernel:
         if self.variant not in get_args(Variant) or self.refers_to not in get_args(Refers):
             what = f"variant {self.variant!r}, refers_to {self.refers_to!r}."
             raise InputError("generalized kernel", what, f"Known are {get_args(Variant)} and {get_args(Refers)}.")
+        predictors, residuals = np.asarray(predictors, dtype=np.float64), np.asarray(residuals, dtype=np.float64)
         check_errors(residuals, spread)
         if not len(predictors) == len(residuals) == len(residuals if groups is None else groups):
             what = f"{len(predictors)} places, {len(residuals)} residuals"
@@ -212,7 +194,7 @@ class GeneralizedKernel:
         Raises:
             KeyError, ValueError, InputError: the file does not hold such a model.
         """
-        facts, arrays = _Facts.model_validate_json(json.dumps(dict(file.facts))), file.arrays
+        facts, arrays = KernelFacts.model_validate_json(json.dumps(dict(file.facts))), file.arrays
         if facts.camera is not None:
             check_camera(facts.camera, "camera")
         model = GeneralizedKernel(
@@ -225,7 +207,7 @@ class GeneralizedKernel:
         model.prior_ = Students(arrays["prior_scale"], arrays["prior_dof"], arrays["prior_bias"])
         model.shape_ = KernelShape(facts.reach, facts.neighbors, facts.prior_counts)
         model.samples_, model.edge_ = facts.samples, facts.edge
-        model._check_arrays()
+        check_arrays(model.metric_, model.centers_, model.prior_)
         return model
 
     def _coordinates(self, predictors: FloatArray) -> FloatArray:
@@ -244,31 +226,6 @@ class GeneralizedKernel:
             return Students(prior.scale * self.shape_.prior_counts / dof, np.array([dof]), prior.bias)
         size, own = (np.exp(np.linalg.slogdet(part.scale)[1] / DIM) for part in (students, prior))
         return Students(prior.scale * max(1.0, float(np.quantile(size, 0.9) / own[0])), prior.dof, prior.bias)
-
-    def _check_arrays(self) -> None:
-        """Arrays that do not fit together would be read beyond their ends."""
-        metric, centers, prior, dimension = self.metric_, self.centers_, self.prior_, len(self.columns)
-        count = len(centers.values) if centers.values.ndim else 0
-        expected: list[tuple[AnyArray, tuple[int, ...], type]] = [
-            (centers.places, (int((metric.weight > 0.0).sum()), count), np.float32),
-            (centers.values, (count, VALUES), np.float32),
-            (prior.scale, (1, DIM, DIM), np.float64),
-            (prior.dof, (1,), np.float64),
-            (prior.bias, (1, DIM), np.float64),
-            *((array, (dimension,), np.float64) for array in (metric.mean, metric.spread, metric.weight)),
-        ]
-        fits = (
-            all(a.shape == shape and a.dtype == dtype and np.isfinite(a).all() for a, shape, dtype in expected)
-            and len(set(self.columns)) == dimension == len(metric.may_be_undefined)
-            and (metric.spread > 0.0).all()
-            and (np.abs(centers.logarithms) < LARGEST_LOGARITHM).all()
-            and ((metric.weight >= 0.0) & (metric.weight <= LARGEST_WEIGHT)).all()
-            and count > 0
-            and (prior.dof > 0.0).all()
-            and bool(np.linalg.eigvalsh(prior.scale)[0, 0] > 0.0)
-        )
-        if not fits:
-            raise ValueError("its arrays do not fit together")
 
 
 def _metric(predictors: FloatArray) -> Metric:

@@ -66,7 +66,7 @@ class StudentT:
         Raises:
             InputError: there is no residual, or one is not finite.
         """
-        fitted = fit_static(residuals, spread=spread)
+        fitted = fit_static(np.asarray(residuals, dtype=np.float64), spread)
         self.scale_, self.dof_ = fitted.scale[0], float(fitted.dof[0])
         return self
 

@@ -52,11 +52,11 @@ def train_model(
     on_progress: Progress | None = None,
     own_predictors: Collection[Predictor] = (),
 ) -> Path:
-    """Learn a noise model from recordings and write it (PROBE Fig. 2).
+    """Learn a noise model from recordings and write it (PROBE Fig. 2; PROBE-GK Algs. 1 and 3).
 
     What is done is kept in a folder beside ``out`` until the end, so that a training that was stopped goes on from
-    there: after the last recording that was through, and the last iteration. The same recordings and settings give the
-    same bytes, however often it was stopped.
+    there: after the last recording that was through, and the last iteration of PROBE; EM, which takes a minute or two,
+    starts anew. The same recordings and settings give the same bytes on one machine, however often it was stopped.
 
     Args:
         sequences: the recordings, of one camera.

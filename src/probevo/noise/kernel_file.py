@@ -1,0 +1,66 @@
+"""What the file of a generalized kernel says, and whether its arrays fit together."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from probevo.arrays import AnyArray
+from probevo.camera.stereo import StereoCamera
+from probevo.noise.base import Refers
+from probevo.noise.centers import LARGEST_LOGARITHM, VALUES, Centers
+from probevo.noise.kernel_search import LARGEST_WEIGHT
+from probevo.noise.metric import Metric
+from probevo.noise.student_fit import DIM, Students
+from probevo.settings import Settings
+
+Variant = Literal["robust", "published"]
+
+
+class KernelFacts(Settings):
+    """What a file says beside its arrays; of no other type than it is written."""
+
+    model_config = ConfigDict(strict=True)
+    columns: tuple[str, ...]
+    may_be_undefined: tuple[bool, ...]
+    variant: Variant
+    neighbors: int = Field(ge=1)
+    reach: float = Field(gt=0)
+    edge: float = Field(gt=0)
+    prior_counts: float = Field(gt=0)
+    refers_to: Refers
+    samples: int = Field(ge=1)
+    camera: StereoCamera | None
+    training: dict[str, Any]
+
+
+def check_arrays(metric: Metric, centers: Centers, prior: Students) -> None:
+    """Refuse arrays that do not fit together: they would be read beyond their ends.
+
+    Raises:
+        ValueError: they do not.
+    """
+    dimension = len(metric.columns)
+    count = len(centers.values) if centers.values.ndim else 0
+    expected: list[tuple[AnyArray, tuple[int, ...], type]] = [
+        (centers.places, (int((metric.weight > 0.0).sum()), count), np.float32),
+        (centers.values, (count, VALUES), np.float32),
+        (prior.scale, (1, DIM, DIM), np.float64),
+        (prior.dof, (1,), np.float64),
+        (prior.bias, (1, DIM), np.float64),
+        *((array, (dimension,), np.float64) for array in (metric.mean, metric.spread, metric.weight)),
+    ]
+    fits = (
+        all(a.shape == shape and a.dtype == dtype and np.isfinite(a).all() for a, shape, dtype in expected)
+        and len(set(metric.columns)) == dimension == len(metric.may_be_undefined)
+        and (metric.spread > 0.0).all()
+        and (np.abs(centers.logarithms) < LARGEST_LOGARITHM).all()
+        and ((metric.weight >= 0.0) & (metric.weight <= LARGEST_WEIGHT)).all()
+        and count > 0
+        and (prior.dof > 0.0).all()
+        and bool(np.linalg.eigvalsh(prior.scale)[0, 0] > 0.0)
+    )
+    if not fits:
+        raise ValueError("its arrays do not fit together")
