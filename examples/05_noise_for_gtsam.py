@@ -14,8 +14,7 @@ from probevo.noise.named import noise_model
 
 def merge_rows(pixels: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of observations [N, 4], px: (u_l, u_r, v) [N, 3], scale [N, 3, 3], px², s of what the rows disagree in [N]."""
-    H = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # to (u_l, v, u_r, v)
-    weight = np.linalg.inv(scale)
+    H, weight = np.eye(3)[[0, 2, 1, 2]], np.linalg.inv(scale)  # H: to (u_l, v, u_r, v)
     R = np.linalg.inv(H.T @ weight @ H)
     merged = (R @ H.T @ weight @ pixels[..., None])[..., 0]
     return merged, R, np.einsum("ni,nij,nj->n", pixels, weight, pixels - merged @ H.T)
@@ -34,7 +33,7 @@ def solve(odometry: pv.StereoOdometry, start: np.ndarray) -> tuple[np.ndarray, n
     values.insert(1, gtsam.Pose3(se3.inverse(start)))
     robust.addPriorPose3(0, gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 1e-6))
     honest, Gaussian = robust.clone(), gtsam.noiseModel.Gaussian.Covariance
-    before = exact if noise.refers_to == "residual" else noise  # the bias is that of the residual: the later one has it
+    before = exact if noise.refers_to == "residual" else noise
     for camera, pixels, its in ((0, prev[keep], before), (1, curr[keep] - noise.bias, noise)):
         features = zip(*merge_rows(pixels, its.scale), np.minimum(its.dof, 1e9), strict=True)
         for point, (merged, R, s, dof) in enumerate(features, start=2):

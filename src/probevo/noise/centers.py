@@ -53,8 +53,15 @@ class Centers:
         return Centers(np.ascontiguousarray(places.T, np.float32), np.ascontiguousarray(values, np.float32))
 
     def edge_of(self, samples: FloatArray) -> float:
-        """Distance from the nearest center at which the domain of samples [N, M], none a center, ends."""
-        distance = KDTree(self.places.T).query(samples)[0] if len(samples) else np.ones(1)
+        """Distance from the nearest center at which the domain of samples [N, M] ends; no center is among them.
+
+        Without any, that of each center from the next one has to do.
+        """
+        tree = KDTree(self.places.T)
+        if len(samples):
+            distance = tree.query(samples)[0]
+        else:
+            distance = np.ravel(tree.query(self.places.T, [2])[0]) if len(self.values) > 1 else np.ones(1)
         return max(MARGIN * float(np.quantile(distance, MOST_SAMPLES)), LEAST_EDGE)
 
     def at(self, queries: FloatArray, edge: float, prior: Students) -> tuple[Students, BoolArray]:
