@@ -127,6 +127,13 @@ MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "centers for knn": (["--gk.centers", "9"], ["--gk.centers: --kind knn does not take it."]),
     "centers for student-t": (["--kind", "student-t", "--gk.centers", "9"], ["--gk.centers: --kind student-t"]),
     "predictors for student-t": (["--kind", "student-t", "--predictors", "place"], ["--predictors: student-t takes"]),
+    "too light a prior as published": (
+        ["--kind", "gk", "--gk.variant", "published", "--gk.prior-counts", "3"],
+        ["--gk.prior-counts: 3 is too few", "needs more than 3"],
+    ),
+    "K as published": (
+        ["--kind", "gk", "--gk.variant", "published", "--gk.neighbors", "9"], ["all within --gk.reach have a say"],
+    ),
     "half a truth": (
         ["--kind", "gk", "--gk.truth-sigma-deg", "1"],
         ["--gk.truth-sigma-deg: it means nothing without --gk.truth-sigma-m."],

@@ -178,7 +178,7 @@ def _origin_panels(view: KernelView) -> list[str]:
         panels.append(panel("How it was chosen", note, gains_figure(view, searches)))
     prior_note = (
         f"What holds where no sample is near: ν = {readable(float(model.prior_.dof[0]))}, and the scale matrix as σ "
-        f"and correlations. Elsewhere, it has the weight of {model.shape_.prior_counts:g} errors."
+        f"and correlations. Elsewhere, it counts as much as {model.shape_.prior_counts:g} of the errors."
     )
     panels.append(table_section("The prior", prior_note, SCALE_HEAD, scale_rows(model.prior_.scale[0])))
     return [*panels, training_section(training)]

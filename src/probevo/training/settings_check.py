@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from probevo.errors import InputError
-from probevo.training.settings import TrainSettings
+from probevo.training.settings import KernelSettings, TrainSettings
 
 NEIGHBORS_ONLY = (
     "base", "iterations", "subset", "contrast", "relative", "average", "neighbors", "exponent"
@@ -30,10 +30,20 @@ def check_settings(settings: TrainSettings) -> None:
     wrong += [f"gk.{n}" for n in fields if getattr(kernel, n) != getattr(default.gk, n)]
     if wrong:
         raise InputError(f"--{wrong[0].replace('_', '-')}", f"--kind {kind} does not take it.", _cure(wrong[0], kind))
+    if kernel.variant == "published":
+        _check_published(kernel)
     if (kernel.truth_sigma_m is None) != (kernel.truth_sigma_deg is None):
         given, other = ("m", "deg") if kernel.truth_sigma_deg is None else ("deg", "m")
         what = f"it means nothing without --gk.truth-sigma-{other}."
         raise InputError(f"--gk.truth-sigma-{given}", what, "Give both, or none to have them estimated.")
+
+
+def _check_published(kernel: KernelSettings) -> None:
+    if kernel.neighbors is not None:
+        raise InputError("--gk.neighbors", "as published, all within --gk.reach have a say.", "Leave it out.")
+    if kernel.prior_counts is not None and kernel.prior_counts <= 3.0:
+        what = f"{kernel.prior_counts:g} is too few: an inverse Wishart of four dimensions needs more than 3."
+        raise InputError("--gk.prior-counts", what, "Take more, or leave it out.")
 
 
 def _cure(name: str, kind: str) -> str:
