@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from probevo.arrays import BoolArray, FloatArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.compiled import compiled
+from probevo.noise.center_search import Leaves, Single
 from probevo.noise.student_fit import Students
-
-Single = NDArray[np.float32]
 
 LARGEST_LOGARITHM = 100.0
 """Of a σ in pixels, or of degrees of freedom: no number of a sound model."""
@@ -78,58 +77,43 @@ class Centers:
             the distributions, and which places are beyond the edge, [n].
         """
         count = len(queries)
-        scale, dof, bias, squared = np.empty((count, 4, 4)), np.empty(count), np.empty((count, 4)), np.empty(count)
+        scale, dof, bias = np.empty((count, 4, 4)), np.empty(count), np.empty((count, 4))
         own = Centers.of(np.zeros((1, len(self.places))), prior).values[0]
-        places = np.ascontiguousarray(queries, np.float32)
-        _predict(places, self.places, self.values, own, edge, scale, dof, bias, squared)
-        return Students(scale, dof, bias), np.asarray(squared >= edge**2)
+        index, squared = self._leaves.nearest(queries)
+        _mix(index, squared, self.values, own, edge, scale, dof, bias)
+        return Students(scale, dof, bias), np.asarray(squared[:, 0] >= edge**2)
+
+    @cached_property
+    def _leaves(self) -> Leaves:
+        return Leaves.of(self.places.T.astype(np.float64))
 
 
 @compiled
-def _predict(
-    queries: Single,
-    places: Single,
+def _mix(
+    index: IntArray,
+    squared: Single,
     values: Single,
     own: Single,
     edge: float,
     scale: FloatArray,
     dof: FloatArray,
     bias: FloatArray,
-    squared: FloatArray,
 ) -> None:
-    """Fill in the distributions, and the squared distance to the nearest center."""
-    count = places.shape[1]
-    nearest = min(4, count)
-    distance, mixed, lower = np.empty(count, np.float32), np.empty(15), np.zeros((4, 4))
-    best, index = np.empty(4, np.float32), np.zeros(4, np.int64)
-    for n in range(len(queries)):
-        distance[:] = 0.0
-        for m in range(len(places)):
-            row, q = places[m], queries[n, m]
-            for i in range(count):
-                difference = row[i] - q
-                distance[i] += difference * difference
-        best[:] = np.inf
-        for i in range(count):
-            if distance[i] < best[nearest - 1]:
-                place = nearest - 1
-                while place > 0 and best[place - 1] > distance[i]:
-                    best[place], index[place] = best[place - 1], index[place - 1]
-                    place -= 1
-                best[place], index[place] = distance[i], i
-        squared[n] = best[0]
-        if not best[nearest - 1] < np.inf:  # beyond single precision: as far as can be
-            best[:], index[:], squared[n] = 1e38, 0, np.inf
+    """Fill in the distributions from the nearest centers and their squared distances, [n, k]."""
+    count, nearest = index.shape
+    mixed, lower = np.empty(VALUES), np.zeros((4, 4))
+    for n in range(count):
         mixed[:] = 0.0
-        total = 0.0
-        for k in range(nearest):  # inverse squares, bounded at a hundredth of the farthest of the four
-            weight = 1.0 / (best[k] + 0.01 * best[nearest - 1] + 1e-12)
-            total += weight
-            for j in range(15):
-                mixed[j] += weight * values[index[k], j]
-        share = min(1.0, max(0.0, FADE * (1.0 - math.sqrt(squared[n]) / edge)))
-        for j in range(15):
-            mixed[j] = own[j] + share * (mixed[j] / total - own[j])
+        total, farthest = 0.0, squared[n, nearest - 1]
+        if farthest < np.inf:
+            for k in range(nearest):  # inverse squares, bounded at a hundredth of the farthest
+                weight = 1.0 / (squared[n, k] + 0.01 * farthest + 1e-12)
+                total += weight
+                for j in range(VALUES):
+                    mixed[j] += weight * values[index[n, k], j]
+        share = min(1.0, max(0.0, FADE * (1.0 - math.sqrt(squared[n, 0]) / edge))) if total > 0.0 else 0.0
+        for j in range(VALUES):
+            mixed[j] = own[j] + (share * (mixed[j] / total - own[j]) if share > 0.0 else 0.0)
         for i in range(4):
             bias[n, i] = mixed[i]
             for j in range(i + 1):
@@ -137,8 +121,8 @@ def _predict(
                 lower[i, j] = math.exp(factor) if i == j else factor
         for i in range(4):
             for j in range(i + 1):
-                total = 0.0
+                product = 0.0
                 for k in range(j + 1):
-                    total += lower[i, k] * lower[j, k]
-                scale[n, i, j] = scale[n, j, i] = total
+                    product += lower[i, k] * lower[j, k]
+                scale[n, i, j] = scale[n, j, i] = product
         dof[n] = math.exp(mixed[14])

@@ -1,0 +1,134 @@
+"""The few centers nearest to each feature, exactly, without looking at most of the others.
+
+Distances stay what they are when the space is turned. Turned onto the principal axes of the centers, the first few
+coordinates hold most of every distance, so that they alone rule out most centers. Those that lie together are stored
+together, in leaves, and a leaf is passed over if the box around it is farther away than what has been found so far.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.compiled import compiled
+
+Single = NDArray[np.float32]
+
+LEAF = 64
+"""Centers of a leaf."""
+HEAD = 8
+"""Coordinates by which a center is ruled out; the search spells them out."""
+NEAREST = 4
+"""Centers that are found."""
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """C centers in a space of M columns, turned onto their principal axes, leaf by leaf."""
+
+    axes: FloatArray
+    """[M, M]."""
+    centers: IntArray
+    """Which center each is, [C]."""
+    head: Single
+    """First coordinates, [C / LEAF rounded up, HEAD, LEAF]; 0 if there are fewer, ∞ where no center is."""
+    tail: Single
+    """The other coordinates, [C, M − HEAD]."""
+    boxes: Single
+    """Least and largest of the first coordinates of each leaf, [2, HEAD, C / LEAF]."""
+
+    @staticmethod
+    def of(places: FloatArray) -> Leaves:
+        """Sort C centers [C, M]."""
+        apart = places - places.mean(axis=0)
+        axes = np.linalg.eigh(apart.T @ apart)[1][:, ::-1].astype(float)  # the widest first
+        turned = places @ axes
+        centers = _together(turned[:, :HEAD])
+        count, leaves = len(places), -(-len(places) // LEAF)
+        head = np.zeros((leaves * LEAF, HEAD), np.float32)
+        head[:count, : axes.shape[1]] = turned[centers, :HEAD]
+        starts = np.arange(0, count, LEAF)
+        boxes = np.array([side.reduceat(head[:count], starts).T for side in (np.minimum, np.maximum)])
+        head[count:] = np.inf
+        by_leaf = np.ascontiguousarray(head.reshape(leaves, LEAF, HEAD).transpose(0, 2, 1))
+        return Leaves(axes, centers, by_leaf, np.ascontiguousarray(turned[centers, HEAD:], np.float32), boxes)
+
+    def nearest(self, queries: FloatArray) -> tuple[IntArray, Single]:
+        """The NEAREST centers of n places [n, M], or all if there are fewer, and their squared distances, [n, NEAREST].
+
+        The nearest comes first. A distance beyond single precision is ∞, and its center anyone.
+        """
+        count = min(NEAREST, len(self.centers))
+        index, squared = np.zeros((len(queries), count), np.int64), np.full((len(queries), count), np.inf, np.float32)
+        with np.errstate(over="ignore"):
+            turned = (queries @ self.axes).astype(np.float32)
+        head = np.zeros((len(queries), HEAD), np.float32)
+        head[:, : self.axes.shape[1]] = turned[:, :HEAD]
+        _find(head, np.ascontiguousarray(turned[:, HEAD:]), self.head, self.tail, self.boxes, index, squared)
+        return self.centers[index], squared
+
+
+def _together(places: FloatArray) -> IntArray:
+    """An order of places [C, M] in which those of a leaf lie close together: halves, again and again."""
+    done: list[IntArray] = []
+    waiting = [np.arange(len(places))]
+    while waiting:
+        part = waiting.pop()
+        if len(part) <= LEAF:
+            done.append(part)
+            continue
+        column = int(np.argmax(np.ptp(places[part], axis=0)))
+        order = part[np.argsort(places[part, column], kind="stable")]
+        middle = LEAF * -(-len(part) // (2 * LEAF))
+        waiting += [order[middle:], order[:middle]]
+    return np.concatenate(done)
+
+
+@compiled
+def _find(
+    query_head: Single, query_tail: Single, head: Single, tail: Single, boxes: Single, index: IntArray, squared: Single
+) -> None:
+    """Fill in the nearest centers; in one piece, since to hand rows of arrays on would take longer than the search."""
+    last, width, leaves, nothing = squared.shape[1] - 1, tail.shape[1], len(head), np.float32(0.0)
+    bound, distance = np.empty(leaves, np.float32), np.empty(LEAF, np.float32)
+    for n in range(len(query_head)):
+        bound[:] = nothing  # how near, squared, each box comes
+        for m in range(HEAD):
+            q = query_head[n, m]
+            for leaf in range(leaves):
+                below, above = boxes[0, m, leaf] - q, q - boxes[1, m, leaf]
+                outside = below if below > above else above
+                outside = outside if outside > nothing else nothing
+                bound[leaf] += outside * outside
+        nearest = 0
+        for leaf in range(leaves):
+            if bound[leaf] < bound[nearest]:
+                nearest = leaf
+        q0, q1, q2, q3 = query_head[n, 0], query_head[n, 1], query_head[n, 2], query_head[n, 3]
+        q4, q5, q6, q7 = query_head[n, 4], query_head[n, 5], query_head[n, 6], query_head[n, 7]
+        worst = squared[n, last]
+        for turn in range(-1, leaves):  # the leaf whose box is nearest, then the others
+            leaf = nearest if turn < 0 else turn
+            if turn == nearest or bound[leaf] >= worst:
+                continue
+            rows = head[leaf]
+            for i in range(LEAF):
+                d0, d1, d2, d3 = rows[0, i] - q0, rows[1, i] - q1, rows[2, i] - q2, rows[3, i] - q3
+                d4, d5, d6, d7 = rows[4, i] - q4, rows[5, i] - q5, rows[6, i] - q6, rows[7, i] - q7
+                distance[i] = d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3 + d4 * d4 + d5 * d5 + d6 * d6 + d7 * d7
+            for i in range(LEAF):
+                if distance[i] < worst:
+                    center, total = leaf * LEAF + i, distance[i]
+                    for m in range(width):
+                        difference = tail[center, m] - query_tail[n, m]
+                        total += difference * difference
+                    if total < worst:
+                        place = last
+                        while place > 0 and squared[n, place - 1] > total:
+                            squared[n, place], index[n, place] = squared[n, place - 1], index[n, place - 1]
+                            place -= 1
+                        squared[n, place], index[n, place] = total, center
+                        worst = squared[n, last]
