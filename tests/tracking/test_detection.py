@@ -5,13 +5,17 @@ import pytest
 
 from probevo.arrays import FloatArray, Image, IntArray
 from probevo.config import TrackingConfig
-from probevo.tracking.detection import BORDER_PX, detect_corners
+from probevo.tracking.detection import BORDER_PX, corners_in_room, strongest_corners
 
 HEIGHT_PX, WIDTH_PX, CELL_PX = 120, 160, 40
 COLUMNS, ROWS = 4, 3
 NOBODY = np.zeros((0, 2))
 TWO_A_CELL = TrackingConfig(num_features=2 * COLUMNS * ROWS)
 """As many features as make the cells CELL_PX wide: 2 · 160 · 120 / 24 = 40²."""
+
+
+def detect_corners(image: Image, occupied_px: FloatArray, config: TrackingConfig) -> FloatArray:
+    return corners_in_room(strongest_corners(image, config), occupied_px, image.shape, config)
 
 
 def noise_image() -> Image:

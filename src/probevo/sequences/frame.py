@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.errors import InputError
+
+if TYPE_CHECKING:
+    from probevo.tracking.preparation import PreparedImages
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,8 @@ class Frame:
     where its samples leave a part of the interval uncovered."""
     decode_ms: float = field(default=0.0, compare=False)
     """Time that a worker thread spent to read, decode and rectify the pair."""
+    prepared: PreparedImages | None = field(default=None, compare=False, repr=False)
+    """What tracking has already done with the images, if it was given the time (``tracking.preparation``)."""
 
 
 def check_order(before: Frame, frame: Frame) -> float:

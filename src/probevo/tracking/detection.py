@@ -17,57 +17,74 @@ BORDER_PX = 8
 """Corners closer to the border than this could not be tracked with a whole window."""
 
 
-def detect_corners(image: Image, occupied_px: FloatArray, config: TrackingConfig) -> FloatArray:
-    """FAST corners, the strongest ones of each grid cell that has fewer than its share of features.
+def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
+    """The strongest FAST corners of each grid cell.
 
     Args:
         image: [height, width], uint8.
-        occupied_px: (u, v) of the features already there, [N, 2], px.
         config: number of features, threshold.
+
+    Returns:
+        (u, v) of the corners, [rows, columns, FEATURES_PER_CELL, 2], px, the strongest first; NaN where a cell has no
+        more.
+    """
+    cell_px, rows, columns = _grid(image.shape, config)
+    keypoints = cv2.FastFeatureDetector.create(config.fast_threshold).detect(image)
+    if not keypoints:
+        return np.full((rows, columns, FEATURES_PER_CELL, 2), np.nan)
+    corners = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
+    strength = np.array([keypoint.response for keypoint in keypoints])
+    best = np.full((rows * columns, FEATURES_PER_CELL), -1)
+    height, width = image.shape
+    _fill_cells(corners, strength, cell_px, columns, height, width, best)
+    strongest: FloatArray = np.where(best[:, :, None] < 0, np.nan, corners[best])
+    return strongest.reshape(rows, columns, FEATURES_PER_CELL, 2)
+
+
+def corners_in_room(
+    strongest: FloatArray, occupied_px: FloatArray, shape: tuple[int, int], config: TrackingConfig
+) -> FloatArray:
+    """Of each cell's strongest corners, as many as it takes to fill the share that the features there leave.
+
+    Args:
+        strongest: from ``strongest_corners``.
+        occupied_px: (u, v) of the features already there, [N, 2], px.
+        shape: [height, width] of the image.
+        config: the same settings.
 
     Returns:
         (u, v) of the new corners, [M, 2], px.
     """
-    height, width = image.shape
+    cell_px, rows, columns = _grid(shape, config)
+    column, row = np.clip(occupied_px // cell_px, 0, [columns - 1, rows - 1]).astype(np.int64).T
+    taken = np.bincount(row * columns + column, minlength=rows * columns).reshape(rows, columns, 1)
+    chosen = (np.arange(FEATURES_PER_CELL) < FEATURES_PER_CELL - taken) & np.isfinite(strongest[..., 0])
+    corners: FloatArray = strongest[chosen]
+    return corners
+
+
+def _grid(shape: tuple[int, int], config: TrackingConfig) -> tuple[float, int, int]:
+    """Side of the square cells, px, and how many rows and columns of them there are."""
+    height, width = shape
     cell_px = math.sqrt(FEATURES_PER_CELL * width * height / config.num_features)
-    columns, rows = math.ceil(width / cell_px), math.ceil(height / cell_px)
-    room = np.full(columns * rows, FEATURES_PER_CELL, np.int64)
-    occupied = np.clip(occupied_px // cell_px, 0, [columns - 1, rows - 1]).astype(np.int64)
-    np.subtract.at(room, occupied[:, 1] * columns + occupied[:, 0], 1)
-    keypoints = cv2.FastFeatureDetector.create(config.fast_threshold).detect(image)
-    if not keypoints:
-        return np.zeros((0, 2))
-    corners = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
-    strength = np.array([keypoint.response for keypoint in keypoints])
-    chosen = _strongest_per_cell(corners, strength, room, cell_px, columns, width, height)
-    found: FloatArray = corners[chosen]
-    return found
+    return cell_px, math.ceil(height / cell_px), math.ceil(width / cell_px)
 
 
 @compiled
-def _strongest_per_cell(
-    corners: FloatArray,
-    strength: FloatArray,
-    room: IntArray,
-    cell_px: float,
-    columns: int,
-    width: int,
-    height: int,
-) -> IntArray:
-    """Indices of the corners that fill each cell's room, strongest first; ties go to the earlier corner."""
-    best = np.full((len(room), FEATURES_PER_CELL), -1)
+def _fill_cells(
+    corners: FloatArray, strength: FloatArray, cell_px: float, columns: int, height: int, width: int, best: IntArray
+) -> None:
+    """Indices of each cell's strongest corners, [cells, FEATURES_PER_CELL]; ties go to the earlier corner."""
     for n in range(len(corners)):
         u, v = corners[n, 0], corners[n, 1]
         if u < BORDER_PX or v < BORDER_PX or u >= width - BORDER_PX or v >= height - BORDER_PX:
             continue
         cell = int(v // cell_px) * columns + int(u // cell_px)
         candidate = n
-        for place in range(room[cell]):
+        for place in range(FEATURES_PER_CELL):
             holder = best[cell, place]
             if holder < 0 or strength[candidate] > strength[holder]:
                 best[cell, place] = candidate
                 if holder < 0:
                     break
                 candidate = holder
-    chosen: IntArray = best.ravel()[best.ravel() >= 0]
-    return chosen

@@ -13,7 +13,8 @@ from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
-from probevo.tracking.detection import detect_corners
+from probevo.tracking.detection import corners_in_room
+from probevo.tracking.preparation import PreparedImages, prepared
 from probevo.tracking.tracks import Tracks
 
 MIN_EIGENVALUE = 1e-4
@@ -50,6 +51,7 @@ class ImageTracker:
         self._before: _Followed | None = None
         self._now: _Followed | None = None
         self._now_stamp_ns: int | None = None
+        self._images: PreparedImages | None = None
 
     def track(self, frame: Frame, expected: FloatArray) -> Tracks:
         """The features of the previous frame that are found in this one. Called again for a frame, it starts over.
@@ -58,16 +60,15 @@ class ImageTracker:
             frame: with both images.
             expected: T_curr_prev that the search starts from, [4, 4].
         """
-        if frame.left is None or frame.right is None:
-            raise ValueError(f"frame {frame.index} has no images")
-        if frame.stamp_ns != self._now_stamp_ns:
+        if self._images is None or frame.stamp_ns != self._now_stamp_ns:
+            self._images = prepared(frame, self._config)
             self._before, self._now_stamp_ns = self._now, frame.stamp_ns
-        left, right = _high_pass(frame.left, self._config), _high_pass(frame.right, self._config)
+        left, right = self._images.left, self._images.right
         rejected: Counter[str] = Counter()
         before = self._before or _Followed(left, np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64), 0)
         next_id = before.next_id
         before, left_px, disparity, in_time = self._follow_in_time(before, left, expected, rejected)
-        corners = detect_corners(left, left_px, self._config)
+        corners = corners_in_room(self._images.corners, left_px, left.shape, self._config)
         right_px, matched, in_stereo = self._match_right(
             left,
             right,
@@ -129,14 +130,6 @@ class ImageTracker:
         matched = _alike(difference, level & ahead, self._config)
         rejected["no stereo match"] += int((level & ahead & ~matched).sum())
         return right_px, matched, difference
-
-
-def _high_pass(image: Image, config: TrackingConfig) -> Image:
-    """The image less its local mean, around 128: exposure and vignetting drop out of the brightness constancy."""
-    if config.high_pass_px == 0:
-        return image
-    mean = cv2.blur(image, (config.high_pass_px, config.high_pass_px))
-    return np.asarray(cv2.addWeighted(image, 1.0, mean, -1.0, 128.0), dtype=np.uint8)
 
 
 def _predict(

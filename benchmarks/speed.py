@@ -1,0 +1,134 @@
+"""Time of a frame, decoding included, against the yardstick in the same run: one core and two, and by stage.
+
+python benchmarks/speed.py [--repeats 3] [--frames 154]
+
+Ours predicts the noise of each feature from all default predictors by a generalized kernel of 2,000 centers. Both read
+the same files and go over them in turn; a frame's time is that from one motion to the next. Each line is a process of
+its own, held to so many cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+FIRST = 5
+"""Frames of a pass that do not count: there is no motion yet, or the compiled code is being loaded."""
+
+
+def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
+    """In a process of its own: print what was measured as JSON."""
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
+    import cv2
+    import numpy as np
+
+    import probevo as pv
+
+    cv2.setNumThreads(cores)
+    sequence = pv.open_sequence(path)
+    model = kernel(sequence, frames)
+    stages: list[dict[str, float]] = []
+    ours, theirs = [], []
+    for _ in range(repeats):
+        ours += gaps(ours_over(sequence, model, stages.append), frames)
+        theirs += gaps(theirs_over(sequence), frames)
+    own = {name: float(np.median([s.get(name, 0.0) for s in stages])) for name in stages[-1]}
+    found = {
+        "ours": float(np.median(ours)), "p99": float(np.percentile(ours, 99)), "theirs": float(np.median(theirs)),
+        "stages": own, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }  # fmt: skip
+    print(json.dumps(found))
+
+
+def kernel(sequence, frames: int):
+    """A model with all default predictors, none of them cut away, from the recording itself."""
+    import numpy as np
+
+    import probevo as pv
+    from probevo.predictors import prediction_space
+    from probevo.training.drive import record_drive
+    from probevo.training.expectation import expect
+    from probevo.training.settings import KERNEL
+    from probevo.training.supervision import supervision_of
+
+    count = min(frames, len(sequence), 60)
+    space, config = prediction_space(KERNEL), pv.OdometryConfig()
+    drive = record_drive(sequence, space, config, count)
+    unknown = supervision_of(sequence, "none", 0.0, count)
+    noise = pv.noise.StudentT().predict(drive.phi)
+    found = expect(drive, noise, sequence.camera, config.solver, unknown, None)
+    metric = pv.noise.metric.Metric.fitted(drive.phi, space.columns, space.may_be_undefined)
+    model = pv.noise.GeneralizedKernel(
+        neighbors=400, prior_counts=16.0, dof_counts=30.0, bias_counts=np.inf, weights=np.ones(len(space.columns)),
+        refers_to="observation",
+    )  # fmt: skip
+    return model.fit(drive.phi[found.features], found.errors, spread=found.spread, metric=metric)
+
+
+def ours_over(sequence, model, keep: Callable[[dict[str, float]], None]) -> Iterator[None]:
+    import probevo as pv
+
+    odometry = pv.StereoOdometry(sequence.camera, model, sequence.imu)
+    for frame in sequence:
+        motion = odometry.step(frame)
+        if frame.index >= FIRST:
+            keep(dict(motion.stage_ms))
+        yield
+
+
+def theirs_over(sequence) -> Iterator[None]:
+    import cv2
+    from opencv_odometry import OpenCvOdometry
+
+    odometry = OpenCvOdometry(sequence.camera)
+    for left, right in zip(sequence.left_files, sequence.right_files, strict=True):
+        odometry.step(*(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in (left, right)))
+        yield
+
+
+def gaps(motions: Iterator[None], frames: int) -> list[float]:
+    """Milliseconds from each motion to the next."""
+    times, before = [], time.perf_counter()
+    for number, _ in enumerate(motions, start=1):
+        now = time.perf_counter()
+        times.append(1e3 * (now - before))
+        before = now
+        if number == frames:
+            break
+    return times[FIRST:]
+
+
+def main() -> None:
+    from recordings import available
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--frames", type=int, default=154)
+    parser.add_argument("--measure", nargs=2, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.measure:
+        measure(Path(given.measure[0]), int(given.measure[1]), given.repeats, given.frames)
+        return
+    print(f"{'recording':12} cores  ours  p99  yardstick  ratio  p99/median  peak, MB   stages, ms")
+    for name, path in available().items():
+        for cores in (1, 2):
+            words = [sys.executable, __file__, "--measure", str(path), str(cores)]
+            words += ["--repeats", str(given.repeats), "--frames", str(given.frames)]
+            done = subprocess.run(words, env=os.environ | THREADS, capture_output=True, text=True, check=True)
+            found = json.loads(done.stdout)
+            ours, p99, theirs = found["ours"], found["p99"], found["theirs"]
+            row = f"{name:12} {cores:5} {ours:5.1f} {p99:5.1f} {theirs:9.1f} {ours / theirs:6.2f} {p99 / ours:8.2f}"
+            stages = "  ".join(f"{stage} {ms:.2f}" for stage, ms in found["stages"].items())
+            print(f"{row} {found['peak_mb']:9.0f}   {stages}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

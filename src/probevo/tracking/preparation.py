@@ -1,0 +1,56 @@
+"""What tracking does with a frame's images before it knows of any motion, so that it can be done ahead of time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from probevo.arrays import FloatArray, Image
+from probevo.config import TrackingConfig
+from probevo.sequences.frame import Frame
+from probevo.sequences.read_ahead import read_ahead
+from probevo.tracking.detection import strongest_corners
+
+
+@dataclass(frozen=True)
+class PreparedImages:
+    """A stereo pair as it is tracked in."""
+
+    left: Image
+    """Less its local mean, [height, width], uint8."""
+    right: Image
+    corners: FloatArray
+    """The strongest of each cell of the left image, as from ``strongest_corners``."""
+    config: TrackingConfig
+    """The settings that it was prepared with."""
+
+
+def prepared_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[Frame]:
+    """The same frames, prepared in a thread of their own while the consumer works on the one before."""
+    return read_ahead(lambda frame: with_prepared(frame, config), frames, ahead=1, threads=1)
+
+
+def with_prepared(frame: Frame, config: TrackingConfig) -> Frame:
+    """The frame with its prepared images, if it has any."""
+    return frame if frame.left is None or frame.right is None else replace(frame, prepared=prepared(frame, config))
+
+
+def prepared(frame: Frame, config: TrackingConfig) -> PreparedImages:
+    """Those that the frame brings along, or else prepared now."""
+    if frame.left is None or frame.right is None:
+        raise ValueError(f"frame {frame.index} has no images")
+    if frame.prepared is not None and frame.prepared.config == config:
+        return frame.prepared
+    left, right = _high_pass(frame.left, config), _high_pass(frame.right, config)
+    return PreparedImages(left, right, strongest_corners(left, config), config)
+
+
+def _high_pass(image: Image, config: TrackingConfig) -> Image:
+    """The image less its local mean, around 128: exposure and vignetting drop out of the brightness constancy."""
+    if config.high_pass_px == 0:
+        return image
+    mean = cv2.blur(image, (config.high_pass_px, config.high_pass_px))
+    return np.asarray(cv2.addWeighted(image, 1.0, mean, -1.0, 128.0), dtype=np.uint8)
