@@ -8,7 +8,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 
-_SERIES_TERMS = 9  # the first term left out is below 1e-17 of the sum for angles under 1 rad
+_SERIES = [
+    [(-1) ** k / factorial(2 * k + order) for k in reversed(range(9))] for order in range(6)
+]  # the first term left out is below 1e-17 of the sum for angles under 1 rad
 
 
 def stumpff(order: int, angle_sq: FloatArray) -> FloatArray:
@@ -18,16 +20,19 @@ def stumpff(order: int, angle_sq: FloatArray) -> FloatArray:
     That recursion cancels near 0, where the series takes over.
 
     Args:
-        order: n ≥ 0.
+        order: n, 0 … 5.
         angle_sq: θ², [...], rad².
     """
-    is_small = angle_sq < 1.0
-    safe_sq = np.where(is_small, 1.0, angle_sq)
-    angle = np.sqrt(safe_sq)
+    small_sq = np.minimum(angle_sq, 1.0)
+    series = np.full_like(small_sq, _SERIES[order][0])
+    for coefficient in _SERIES[order][1:]:
+        series = series * small_sq + coefficient
+    is_large = angle_sq > 1.0
+    if not is_large.any():
+        return series
+    large_sq = np.maximum(angle_sq, 1.0)
+    angle = np.sqrt(large_sq)
     closed_form = np.sin(angle) / angle if order % 2 else np.cos(angle)
     for n in range(order % 2, order, 2):
-        closed_form = (1.0 / factorial(n) - closed_form) / safe_sq
-
-    coefficients = [(-1) ** k / factorial(2 * k + order) for k in reversed(range(_SERIES_TERMS))]
-    series = np.polyval(coefficients, np.minimum(angle_sq, 1.0))
-    return np.where(is_small, series, closed_form)
+        closed_form = (1.0 / factorial(n) - closed_form) / large_sq
+    return np.where(is_large, closed_form, series)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.camera.stereo import StereoCamera
+from probevo.compiled import compiled
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
 from probevo.tracking.detection import corners_in_room
@@ -146,12 +146,17 @@ def _predict(
     return np.column_stack([u, v]), camera.fu_px * camera.baseline_m * rho / depth, ahead
 
 
+@compiled
 def _of_nearest(corners: FloatArray, left_px: FloatArray, disparity: FloatArray) -> FloatArray:
     """Disparity [M] to start with at new corners [M, 2]: the one [N] expected of the nearest feature [N, 2]."""
-    if len(left_px) == 0 or len(corners) == 0:
-        return np.zeros(len(corners))
-    nearest: FloatArray = disparity[cKDTree(left_px).query(corners)[1]]
-    return nearest
+    found = np.zeros(len(corners))
+    for m in range(len(corners)):
+        nearest = np.inf
+        for n in range(len(left_px)):
+            du, dv = left_px[n, 0] - corners[m, 0], left_px[n, 1] - corners[m, 1]
+            if du * du + dv * dv < nearest:
+                nearest, found[m] = du * du + dv * dv, disparity[n]
+    return found
 
 
 def _lucas_kanade(
