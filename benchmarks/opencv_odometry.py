@@ -8,7 +8,8 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 
-CELL_PX = 40
+CELL_PX, CORNERS_PER_CELL = 40, 2
+"""As many corners as probevo looks for: 600 at KITTI's size."""
 WINDOW = {"winSize": (21, 21), "maxLevel": 3}
 
 
@@ -44,7 +45,7 @@ class OpenCvOdometry:
 
 
 def strongest_corners(image: Image) -> FloatArray:
-    """The four strongest FAST corners of each cell, [N, 2], px."""
+    """The strongest FAST corners of each cell, [N, 2], px."""
     keypoints = cv2.FastFeatureDetector.create(20).detect(image)
     corners = cv2.KeyPoint.convert(keypoints)
     strength = np.array([keypoint.response for keypoint in keypoints])
@@ -52,7 +53,7 @@ def strongest_corners(image: Image) -> FloatArray:
     cell = row * 1000 + column
     order = np.lexsort((-strength, cell))
     rank = np.arange(len(order)) - np.searchsorted(cell[order], cell[order])
-    return corners[order[rank < 4]]
+    return corners[order[rank < CORNERS_PER_CELL]]
 
 
 def follow(a: Image, b: Image, points: FloatArray) -> tuple[FloatArray, BoolArray]:

@@ -97,12 +97,19 @@ def system(
 
 
 def fold_noise(
-    T: FloatArray, seen: FloatArray, point_cov: FloatArray, curr: FloatArray, scale: FloatArray, refined: FloatArray
+    T: FloatArray,
+    seen: FloatArray,
+    point_cov: FloatArray,
+    curr: FloatArray,
+    scale: FloatArray,
+    refined: FloatArray,
+    lasting: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Refined points [N, 3], offsets [N, 4] and information [N, 4, 4] of one pass, from ``refined``."""
     refined, offset, information = refined.copy(), np.full((len(seen), 4), np.nan), np.full((len(seen), 4, 4), np.nan)
     C, t = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
-    linearize_noise(C, t, CONSTANTS, seen, point_cov, curr, scale, refined, offset, information)
+    lasting = np.zeros(len(seen)) if lasting is None else lasting
+    linearize_noise(C, t, CONSTANTS, seen, point_cov, curr, scale, lasting, refined, offset, information)
     return refined, offset, information
 
 
@@ -239,6 +246,29 @@ def test_noise_of_points_is_propagated_by_the_derivative_of_the_warp(scenes: lis
             relative_error(offset, (A @ (scene.seen - refined)[..., None])[..., 0]),
         )
     assert worst < 1e-6
+
+
+def test_a_lasting_error_enters_by_the_joint_gaussian_of_both_frames(scenes: list[Scene]) -> None:
+    """Errors (p, n', δ) of point, observation and disparity: e = n' − δ (0, 0, 1, 0) − A (p + (0, 0, δ)), by means."""
+    rng = np.random.default_rng(8)
+    S, R = random_covariances(rng, NUM_POINTS, 3, 0.2), random_covariances(rng, NUM_POINTS, 4, 0.2)
+    lasting = rng.uniform(0.0, 1.0, NUM_POINTS)
+    for scene in scenes[:50]:
+        curr = warp(scene.T, scene.seen) + rng.normal(scale=0.3, size=(NUM_POINTS, 4))
+        refined, _, information = fold_noise(scene.T, scene.seen, S, curr, R, scene.seen, lasting)
+        A = np.stack(
+            [(warp(scene.T, scene.seen + h) - warp(scene.T, scene.seen - h)) / 2e-4 for h in 1e-4 * np.eye(3)], axis=-1
+        )
+        to_error = np.concatenate(
+            [-A, np.broadcast_to(np.eye(4), (NUM_POINTS, 4, 4)), -A[..., 2:] - np.array([[0], [0], [1], [0]])], axis=2
+        )
+        joint = np.zeros((NUM_POINTS, 8, 8))
+        joint[:, :3, :3], joint[:, 3:7, 3:7], joint[:, 7, 7] = S, R, lasting
+        sigma = to_error @ joint @ to_error.mT
+        mean = (joint @ to_error.mT @ np.linalg.solve(sigma, (curr - warp(scene.T, scene.seen))[..., None]))[..., 0]
+        mean[:, 2] += mean[:, 7]  # both errors of the disparity seen
+        np.testing.assert_allclose(information @ sigma, np.broadcast_to(np.eye(4), sigma.shape), atol=1e-5)
+        np.testing.assert_allclose(refined, scene.seen - mean[:, :3], atol=1e-5)
 
 
 def test_points_without_noise_stay_where_they_are_seen() -> None:

@@ -206,3 +206,27 @@ def test_points_that_pass_behind_the_camera_have_no_say() -> None:
     solution = solve(seen, Fixed())
     assert solution.weight[-1] == 0.0
     assert np.abs(se3.log(solution.T_curr_prev @ se3.inverse(T_CURR_PREV))).max() < 1e-6
+
+
+def with_lasting_error(rng: np.random.Generator, clean: Scene, sigma_px: float, lasting_px: float) -> Scene:
+    """New noise in every observation, and an error of the disparity that is the same in both frames."""
+    seen, error = with_noise(rng, clean, sigma_px**2 * np.eye(4), np.inf), np.zeros((len(clean.prev_px), 4))
+    error[:, 2] = -rng.normal(scale=lasting_px, size=len(error))
+    return Scene(seen.prev_px + error, seen.curr_px + error)
+
+
+@pytest.mark.parametrize(("depth_m", "lasting_px"), [((5.0, 60.0), 0.5), ((20.0, 80.0), 0.7)])
+def test_an_error_that_lasts_makes_a_motion_overconfident_unless_it_is_told(
+    depth_m: tuple[float, float], lasting_px: float
+) -> None:
+    """Disparities known to 0.1 px from frame to frame, but those of each feature off by one and the same 0.5 px."""
+    rng, scale = np.random.default_rng(9), 0.1**2 * np.eye(4)
+    seen = [with_lasting_error(rng, scene(rng, 200, depth_m=depth_m), 0.1, lasting_px) for _ in range(300)]
+    nees = {}
+    for told_px in (lasting_px, 0.0):
+        solutions = [solve(one, StudentT(1e6, scale, lasting_px=told_px)) for one in seen]
+        nees[told_px] = np.mean([normalized_error_squared(T_CURR_PREV, s.T_curr_prev, s.cov) for s in solutions])
+        lengths = np.array([-s.T_curr_prev[2, 3] for s in solutions])
+        assert abs(np.mean(lengths) / -T_CURR_PREV[2, 3] - 1.0) < 0.002
+    assert 5.5 < nees[lasting_px] < 6.5
+    assert nees[0.0] > 8.0

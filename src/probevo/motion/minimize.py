@@ -28,6 +28,7 @@ def minimize(
     point_cov: FloatArray,
     curr: FloatArray,
     scale: FloatArray,
+    lasting: FloatArray,
     kind: int,
     parameter: FloatArray,
     C_prior: FloatArray,
@@ -57,7 +58,7 @@ def minimize(
         if stale:
             if moved > RENEW_AFTER and renewals < MAX_RENEWALS:
                 renewals, moved = renewals + 1, 0.0
-                linearize_noise(C, t, camera, seen, point_cov, curr, scale, refined, offset, information)
+                linearize_noise(C, t, camera, seen, point_cov, curr, scale, lasting, refined, offset, information)
             cost = normal_equations(
                 C, t, camera, refined, offset, curr, information, kind, parameter, near, hessian, gradient, squared
             ) + _add_rotation_prior(C, C_prior, prior_information, hessian, gradient, phi)

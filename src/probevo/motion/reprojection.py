@@ -10,8 +10,9 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.motion.minimize import minimize
 from probevo.motion.normal_equations import BEHIND
-from probevo.motion.reprojection_kernels import observation_to_point, residual_jacobians, sum_information
+from probevo.motion.reprojection_kernels import residual_jacobians, sum_information
 from probevo.motion.robust import RobustLoss
+from probevo.motion.seen_points import observation_to_point
 from probevo.noise.base import StereoNoise
 
 CONVERGED_BELOW = 1e-3
@@ -77,8 +78,9 @@ def solve_reprojection(
     """Most likely motion T_curr_prev given N features in two frames.
 
     Minimises Σ ρ(eᵀ Σ⁻¹ e) over T, where e = y' − f(T g(y)) is the residual. If the noise refers to single
-    observations, R, then Σ = R + A S Aᵀ with S the noise of the triangulated point and A = ∂(f ∘ T)/∂(u, v, d); if it
-    refers to the residual, Σ is the scale itself.
+    observations, R, then Σ = R + A S Aᵀ with S the noise of the triangulated point and A = ∂(f ∘ T)/∂(u, v, d), and
+    what lasts of the disparity's error from frame to frame comes in too (``linearize_noise``); if it refers to the
+    residual, Σ is the scale itself.
 
     Args:
         prev_px, curr_px: observations y and y', [N, 4], px. The disparity may be zero or slightly negative: a point at
@@ -98,6 +100,7 @@ def solve_reprojection(
     bias = np.broadcast_to(noise.bias, (count, 4))
     scale = np.ascontiguousarray(np.broadcast_to(noise.scale, (count, 4, 4)))
     dof = np.ascontiguousarray(np.broadcast_to(noise.dof, (count,)))
+    lasting = np.zeros(count) if noise.lasting is None else np.ascontiguousarray(noise.lasting, np.float64)
     parameter = loss.parameters(dof)
 
     seen, point_cov = np.empty((count, 3)), np.zeros((count, 3, 3))
@@ -110,7 +113,7 @@ def solve_reprojection(
     C_prior = np.eye(3) if prior is None else np.ascontiguousarray(prior.C_curr_prev)
     prior_information = np.zeros((3, 3)) if prior is None else np.linalg.inv(prior.cov).astype(float)
     iterations, converged, _ = minimize(
-        C, t, intrinsics, seen, point_cov, curr, scale, int(loss.kind), parameter, C_prior, prior_information,
+        C, t, intrinsics, seen, point_cov, curr, scale, lasting, int(loss.kind), parameter, C_prior, prior_information,
         max_iterations, CONVERGED_BELOW, refined, offset, information, squared,
     )  # fmt: skip
     residuals, disparity_jacobian = np.empty((count, 4)), np.empty((count, 4))
@@ -121,7 +124,8 @@ def solve_reprojection(
     has_say = squared < BEHIND
     weight = np.where(has_say, loss.weight(squared, dof), 0.0)
     curvature = np.where(has_say, loss.curvature(squared, dof), 0.0)
-    hessian, information_sum = _information(jacobian, white, weight, curvature, refined, seen, point_cov)
+    disparity_noise = point_cov[:, 2, 2] + lasting
+    hessian, information_sum = _information(jacobian, white, weight, curvature, refined, seen, disparity_noise)
     variance_factor = _variance_factor(squared, weight, curvature, loss, dof)
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = C, t
@@ -151,7 +155,7 @@ def _information(
     curvature: FloatArray,
     refined: FloatArray,
     seen: FloatArray,
-    point_cov: FloatArray,
+    disparity_noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Σ w Jᵀ Σ⁻¹ J, and Σ a Jᵀ Σ⁻¹ J without what the noise of the disparities alone would lend to the translation.
 
@@ -160,7 +164,7 @@ def _information(
     disparities are mostly noise does that matter, and there it tells a blind translation from a known one.
     """
     disparity = np.where(np.abs(refined[:, 2]) > 1e-9, refined[:, 2], np.inf)
-    share, lent = seen[:, 2] / disparity, point_cov[:, 2, 2] / disparity**2
+    share, lent = seen[:, 2] / disparity, disparity_noise / disparity**2
     hessian, information = np.empty((6, 6)), np.empty((6, 6))
     sum_information(jacobian, white, weight, curvature, share, lent, hessian, information)
     return hessian, information

@@ -9,65 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.compiled import compiled, invert_symmetric_4, solve_positive_definite
+from probevo.compiled import compiled, invert_symmetric_4
 
 NEAREST = 1e-3
 """A point whose scaled depth q_z falls below this is behind the camera or in it, and has no say."""
-
-
-@compiled
-def observation_to_point(
-    observed: FloatArray, scale: FloatArray, propagate: bool, seen: FloatArray, point_cov: FloatArray
-) -> None:
-    """The point s = (u, v, d) behind each stereo observation y, and its scale matrix S.
-
-    With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale R: the two rows are
-    averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the rows plainly, as g does, and S is 0.
-    Fills seen [N, 3] from observed [N, 4], px, and point_cov [N, 3, 3] from scale [N, 4, 4], px².
-    """
-    inverse, lower = np.empty((4, 4)), np.zeros((4, 4))
-    normal, lower_3, unit, column = np.empty((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    K = np.zeros((3, 4))
-    K[0, 0] = K[2, 0] = 1.0
-    K[2, 2] = -1.0
-    K[1, 1] = K[1, 3] = 0.5
-    for n in range(len(observed)):
-        is_new = n == 0
-        for i in range(4):  # most models give all features one scale
-            for j in range(4):
-                is_new = is_new or scale[n, i, j] != scale[n - 1, i, j]
-        if propagate and is_new:
-            if not invert_symmetric_4(scale[n], inverse, lower):
-                inverse[:] = 0.0
-            # H maps (u, v, d) to (u, v, u − d, v)
-            normal[0, 0] = inverse[0, 0] + 2.0 * inverse[0, 2] + inverse[2, 2]
-            normal[1, 1] = inverse[1, 1] + 2.0 * inverse[1, 3] + inverse[3, 3]
-            normal[2, 2] = inverse[2, 2]
-            normal[0, 1] = normal[1, 0] = inverse[0, 1] + inverse[0, 3] + inverse[2, 1] + inverse[2, 3]
-            normal[0, 2] = normal[2, 0] = -inverse[0, 2] - inverse[2, 2]
-            normal[1, 2] = normal[2, 1] = -inverse[1, 2] - inverse[3, 2]
-            for k in range(4):  # K = (Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹, column by column
-                unit[0], unit[1], unit[2] = (
-                    inverse[0, k] + inverse[2, k],
-                    inverse[1, k] + inverse[3, k],
-                    -inverse[2, k],
-                )
-                if solve_positive_definite(normal, unit, lower_3, column):
-                    K[:, k] = column
-            for k in range(3):
-                unit[:] = 0.0
-                unit[k] = 1.0
-                if solve_positive_definite(normal, unit, lower_3, column):
-                    point_cov[n, :, k] = column
-        elif propagate:
-            point_cov[n] = point_cov[n - 1]
-        for i in range(3):
-            seen[n, i] = (
-                K[i, 0] * observed[n, 0]
-                + K[i, 1] * observed[n, 1]
-                + K[i, 2] * observed[n, 2]
-                + K[i, 3] * observed[n, 3]
-            )
 
 
 @compiled
@@ -79,6 +24,7 @@ def linearize_noise(
     point_cov: FloatArray,
     curr: FloatArray,
     scale: FloatArray,
+    lasting: FloatArray,
     refined: FloatArray,
     offset: FloatArray,
     information: FloatArray,
@@ -91,6 +37,10 @@ def linearize_noise(
     shortens the motion estimated from small disparities (errors-in-variables attenuation). For points whose noise is
     not propagated, S = 0 and nothing changes.
 
+    An error of the disparity that is the same in both frames, of variance τ², moves y' along −(0, 0, 1, 0) and h(s)
+    along the last column a of A. With l = −(0, 0, 1, 0) − a, it adds τ² l lᵀ to Σ, and −τ² lᵀ Σ⁻¹ e to the disparity of
+    ŝ. Stereo matching errs so: a window that straddles an edge is matched as wrongly in the next frame.
+
     Args:
         C, t: current estimate of the motion, [3, 3], [3].
         camera: (fu, fv, cu, cv, fu b).
@@ -98,6 +48,7 @@ def linearize_noise(
         point_cov: S, [N, 3, 3], px².
         curr: y', bias removed, [N, 4], px.
         scale: R', [N, 4, 4], px².
+        lasting: τ², [N], px².
         refined: in and out, ŝ, [N, 3], px.
         offset: out, A (s − ŝ), by which the residual at ŝ differs from the one at s, [N, 4], px.
         information: out, Σ⁻¹, [N, 4, 4]; zero where the point is behind the camera.
@@ -145,6 +96,12 @@ def linearize_noise(
         for i in range(4):
             for j in range(i + 1):
                 sigma[i, j] = scale[n, i, j] + point[i if i < 3 else 1, j if j < 3 else 1]
+        l_0, l_1, l_2 = -A[0, 2], -A[1, 2], -1.0 - A[2, 2]
+        if lasting[n] > 0.0:
+            for i in range(4):
+                l_i = lasting[n] * (l_0 if i == 0 else l_2 if i == 2 else l_1)
+                for j in range(i + 1):
+                    sigma[i, j] += l_i * (l_0 if j == 0 else l_2 if j == 2 else l_1)
         _set_offset(A, seen[n], refined[n], offset[n])
         if not invert_symmetric_4(sigma, information[n], lower):
             information[n] = 0.0
@@ -158,6 +115,7 @@ def linearize_noise(
             g[i] = W[i, 0] * e[0] + W[i, 1] * e[1] + W[i, 2] * e[2] + W[i, 3] * e[3]
         for j in range(3):
             refined[n, j] = seen[n, j] + AS[0, j] * g[0] + AS[1, j] * (g[1] + g[3]) + AS[2, j] * g[2]
+        refined[n, 2] -= lasting[n] * (l_0 * g[0] + l_1 * (g[1] + g[3]) + l_2 * g[2])
         _set_offset(A, seen[n], refined[n], offset[n])
 
 

@@ -30,15 +30,20 @@ class StereoNoise:
     foreign: BoolArray | None = None
     """Which of the N features lie where the model has seen no training data, [N]; None for models that have seen none,
     which are at home everywhere."""
+    lasting: FloatArray | None = None
+    """Variance of the error of each feature's disparity that is the same in both frames, [N], px², beside ``scale``,
+    which is new in each; None if there is none. Only of noise that refers to single observations."""
 
     def of(self, chosen: IntArray) -> StereoNoise:
         """The noise of some of the features, by their indices."""
         foreign = None if self.foreign is None else self.foreign[chosen]
-        return StereoNoise(self.scale[chosen], self.dof[chosen], self.bias[chosen], self.refers_to, foreign)
+        lasting = None if self.lasting is None else self.lasting[chosen]
+        return StereoNoise(self.scale[chosen], self.dof[chosen], self.bias[chosen], self.refers_to, foreign, lasting)
 
     def scaled(self, factors: FloatArray) -> StereoNoise:
         """The same noise, the scale of each feature times a factor, [N]."""
-        return replace(self, scale=factors[:, None, None] * self.scale)
+        lasting = None if self.lasting is None else factors * self.lasting
+        return replace(self, scale=factors[:, None, None] * self.scale, lasting=lasting)
 
     def log_likelihood(self, residuals: FloatArray) -> FloatArray:
         """Log density of residuals [N, 4], px, in nats, [N]."""

@@ -26,21 +26,22 @@ class Storable(Protocol):
         """What the file needs to hold."""
 
 
-def save_model(model: Storable, path: Path) -> None:
+def save_model(model: Storable, path: Path | str) -> None:
     """Write a fitted model; the same model gives the same bytes.
 
     Raises:
         InputError: the file cannot be written.
     """
-    write_model_file(path, model.to_file())
+    write_model_file(Path(path), model.to_file())
 
 
-def load_model(path: Path) -> Learned:
+def load_model(path: Path | str) -> Learned:
     """Read a model. A file is data only: nothing in it is ever run.
 
     Raises:
         InputError: the file is missing, damaged, or no noise model of a known kind.
     """
+    path = Path(path)
     file = read_model_file(path)
     if file.kind not in _KINDS:
         raise InputError(path, f"a noise model of kind {file.kind!r}.", f"Known are {', '.join(_KINDS)}.")
