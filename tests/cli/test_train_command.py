@@ -201,7 +201,7 @@ def test_unfinished_work_with_other_settings_names_its_folder(
     assert main(["train", str(tracks), "--out", str(out), *FLAGS]) == 0
 
 
-@pytest.mark.parametrize("name", ["drive-0.npz", "iteration-0.npz", "plan.json"])
+@pytest.mark.parametrize("name", ["drive-0-0.npz", "drive-0.json", "iteration-0.npz", "plan.json"])
 def test_damaged_work_is_named(tracks: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "m.safetensors"
     assert main(["train", str(tracks), "--out", str(out), *FLAGS, "--neighbors", "9999"]) == 2

@@ -22,11 +22,11 @@ from probevo.training.drive import Drive
 from probevo.training.expectation import solve_drive
 from probevo.training.expectation_maximization import (
     STATIC_TURNS,
-    Lesson,
     learn_kernel,
     learn_student_t,
     num_turns,
 )
+from probevo.training.lesson import HeldLesson
 from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervision import Supervision
 from training.lessons import drive_of, known, point_world, rmse_m, true_motions
@@ -61,11 +61,11 @@ def drive(seed: int = 0, frames: int = FRAMES) -> Drive:
     return drive_of(world(seed, frames), seed=seed)
 
 
-def lesson(kind: str = "none", seed: int = 0, frames: int = FRAMES) -> Lesson:
+def lesson(kind: str = "none", seed: int = 0, frames: int = FRAMES) -> HeldLesson:
     there = world(seed, frames)
     nothing = Supervision("none", np.arange(frames), np.full((frames, 4, 4), np.nan))
     supervision = nothing if kind == "none" else known(there, kind, 10 if kind == "sparse" else 1)
-    return Lesson(drive(seed, frames), there.camera, supervision)
+    return HeldLesson(drive(seed, frames), there.camera, supervision)
 
 
 def settings_of(**gk: Any) -> TrainSettings:
@@ -76,7 +76,7 @@ def metric() -> Metric:
     return Metric.fitted(drive().phi, ("ln_sigma", "random"))
 
 
-def learn(lessons: list[Lesson], **gk: Any) -> Taught:
+def learn(lessons: list[HeldLesson], **gk: Any) -> Taught:
     settings = settings_of(**gk)
     return Taught(learn_kernel(lessons, metric(), settings, RECORDINGS), settings)
 
@@ -201,14 +201,14 @@ def test_a_bias_is_left_out_unless_it_is_asked_for() -> None:
     np.testing.assert_allclose(with_bias.mean(axis=0), [0.4, 0.0, 0.4, 0.0], atol=0.12)
 
 
-def correlated(rho: float) -> Lesson:
+def correlated(rho: float) -> HeldLesson:
     """Errors in the left and the right image of that correlation, and of σ = 0.4 px and 4 dof."""
     noise = {"law": "constant", "sigma_low_px": 0.4, "sigma_high_px": 0.4, "correlation": rho, "dof": 4.0}
     config = PointConfig.model_validate(
         {"radius_m": 3.0, "height_m": 5.0, "landmarks": 800, "noise": noise, "outliers": {"fraction": 0.0}}
     )
     there = simulate_points(config, 4.0, np.random.default_rng(0))
-    return Lesson(drive_of(there), there.camera, known(there))
+    return HeldLesson(drive_of(there), there.camera, known(there))
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
@@ -253,9 +253,7 @@ def test_how_far_a_loop_is_from_closing_is_told_where_it_is_known() -> None:
 def test_every_turn_is_told() -> None:
     turns, within = [], []
     settings = settings_of(turns=2)
-    learn_kernel(
-        [lesson(frames=20)], metric(), settings, RECORDINGS, lambda: turns.append(1), lambda *d: within.append(d)
-    )
+    learn_kernel([lesson(frames=20)], metric(), settings, RECORDINGS, lambda: turns.append(1), within.append)
     assert len(turns) == num_turns(settings) == STATIC_TURNS + 2
     assert within
 
@@ -275,7 +273,7 @@ def test_a_drive_that_shows_too_little_is_refused() -> None:
 
 def test_a_drive_of_a_single_step_will_do() -> None:
     there = world(0, 2)
-    single = Lesson(drive(0, 2), there.camera, known(there))
+    single = HeldLesson(drive(0, 2), there.camera, known(there))
     noise = learn([single], turns=1).model.predict(drive(1).phi)
     assert (np.linalg.eigvalsh(noise.scale) > 0.0).all()
 
