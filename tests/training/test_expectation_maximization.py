@@ -22,6 +22,7 @@ from probevo.training.drive import Drive
 from probevo.training.expectation import solve_drive
 from probevo.training.expectation_maximization import (
     STATIC_TURNS,
+    Course,
     learn_kernel,
     learn_student_t,
     num_turns,
@@ -253,7 +254,8 @@ def test_how_far_a_loop_is_from_closing_is_told_where_it_is_known() -> None:
 def test_every_turn_is_told() -> None:
     turns, within = [], []
     settings = settings_of(turns=2)
-    learn_kernel([lesson(frames=20)], metric(), settings, RECORDINGS, lambda: turns.append(1), within.append)
+    course = Course(on_turn=lambda: turns.append(1), on_part=within.append)
+    learn_kernel([lesson(frames=20)], metric(), settings, RECORDINGS, course)
     assert len(turns) == num_turns(settings) == STATIC_TURNS + 2
     assert within
 
@@ -312,3 +314,26 @@ def test_a_recording_gives_the_same_bytes_whenever(
     assert (np.linalg.eigvalsh(noise.scale) > 0.0).all()
     odometry = pv.StereoOdometry(recordings[0].camera, model)
     assert all(np.isfinite(odometry.step(frame).T_curr_prev).all() for frame in recordings[0])
+
+
+@pytest.mark.parametrize("kind", ["gk", "student-t"])
+def test_stopped_after_any_turn_and_resumed_it_gives_the_same_bytes(
+    recordings: list[Sequence], tmp_path: Path, kind: Any
+) -> None:
+    """And what is done is not done again: where it was stopped in the last turn, that alone is left."""
+    gk = KernelSettings(**SMALL) if kind == "gk" else KernelSettings()
+    settings = TrainSettings(kind=kind, supervision="none", predictors=("place",) if kind == "gk" else None, gk=gk)
+    whole, turns = tmp_path / "whole.safetensors", num_turns(settings)
+    pv.train_model(recordings, settings, whole)
+    for stop in range(1, turns):
+        out = tmp_path / f"{stop}.safetensors"
+
+        def show(done: int, total: int, after: int = stop) -> None:
+            if done > total * (1 + after) / (1 + turns):
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            pv.train_model(recordings, settings, out, show)
+        kept = sorted(path.name for path in out.with_name(out.name + ".work").glob("turn-*"))
+        assert kept == [f"turn-{number}.safetensors" for number in range(stop)]
+        assert pv.train_model(recordings, settings, out).read_bytes() == whole.read_bytes()

@@ -22,8 +22,8 @@ class TrainArguments:
     """Learn from recordings how far to trust each feature (PROBE, PROBE-GK).
 
     Writes one file, the model; `probevo run … --noise MODEL` uses it, `probevo inspect` shows it. Stopped at any moment
-    and called again with the same words, it goes on after the last recording that was through, knn after the
-    last iteration too; what is done so far lies in MODEL.work.
+    and called again with the same words, it goes on after the last recording that was through, and after the last
+    iteration of knn or turn of the others; what is done so far lies in MODEL.work.
 
     What kind of model it is, --kind says. The options from --base to --exponent are for knn alone, those of the section
     gk for the other two; a kind refuses what it has no use for.

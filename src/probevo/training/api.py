@@ -17,7 +17,7 @@ from probevo.noise.model_io import save_model
 from probevo.output.files import check_folder
 from probevo.predictors import PredictionSpace, Predictor
 from probevo.training.checkpoint import Checkpoint
-from probevo.training.expectation_maximization import learn_kernel, learn_student_t, num_turns
+from probevo.training.expectation_maximization import Course, learn_kernel, learn_student_t, num_turns
 from probevo.training.neighbors import learn_neighbors
 from probevo.training.recording import record_all
 from probevo.training.settings import TrainSettings
@@ -43,7 +43,7 @@ def train_model(
     """Learn a noise model from recordings and write it (PROBE Fig. 2; PROBE-GK Algs. 1 and 3).
 
     What is done is kept in a folder beside ``out`` until the end, so that a training that was stopped goes on from
-    there: after the last recording that was through, and the last iteration of PROBE; EM starts anew. The same
+    there: after the last recording that was through, and the last iteration of PROBE or turn of EM. The same
     recordings and settings give the same bytes on machines of one kind, however often it was stopped, and whoever and
     how many the workers are.
 
@@ -82,13 +82,14 @@ def train_model(
         {"name": source.path.resolve().name, "frames": source.num_frames, "sha256": fact.digest}
         for source, fact in zip(sources, facts, strict=True)
     ]
+    course = Course(workers, work, bar.next_turn, bar.within_turn)
     if settings.kind == "knn":
         save_model(learn_neighbors(lessons, metric, settings, known, work, bar.next_turn, workers), out)
     elif settings.kind == "gk":
-        model = learn_kernel(lessons, metric, settings, known, bar.next_turn, bar.within_turn, workers)
+        model = learn_kernel(lessons, metric, settings, known, course)
         save_model(model.kept(_of_use(space, model.metric_.weight)), out)
     else:
-        save_model(learn_student_t(lessons, settings, known, bar.next_turn, bar.within_turn, workers), out)
+        save_model(learn_student_t(lessons, settings, known, course), out)
     work.remove()
     return out
 

@@ -15,6 +15,7 @@ from probevo import __version__
 from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
+from probevo.noise.model_io import Learned, Storable, load_model, save_model
 from probevo.output.files import remove_stale, write_atomically
 from probevo.training.lesson import StoredLesson, whole
 from probevo.training.recording import TICKET
@@ -25,8 +26,8 @@ Iteration = list[tuple[IntArray, FloatArray]]
 
 
 PLAN = "plan.json"
-TRUTH, ITERATIONS = "truth-*.npz", "iteration-*.npz"
-KINDS = (PLAN, TICKET, "drive-*.json", "drive-*.npz", "drive-*.frames", TRUTH, ITERATIONS)
+TRUTH, ITERATIONS, TURNS = "truth-*.npz", "iteration-*.npz", "turn-*.safetensors"
+KINDS = (PLAN, TICKET, "drive-*.json", "drive-*.npz", "drive-*.frames", TRUTH, ITERATIONS, TURNS)
 OWN = tuple(f"{name}{end}" for name in KINDS for end in ("", ".part", ".*.part"))
 """All that is ever written into the folder, and so all that is ever removed from it."""
 
@@ -66,7 +67,7 @@ class Checkpoint:
                 what = "a training that was stopped here had other recordings, predictors or odometry."
                 raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
         elif before.get("iterations") != chosen:
-            checkpoint._remove(TRUTH, ITERATIONS)
+            checkpoint._remove(TRUTH, ITERATIONS, TURNS)
         if not before:  # ``remove`` was stopped
             checkpoint._remove(*OWN)
         checkpoint._remove("*.part", "drive-*.frames")
@@ -94,6 +95,15 @@ class Checkpoint:
             arrays |= {f"features_{k}": features, f"alphas_{k}": alphas}
         np.savez(buffer, allow_pickle=False, **arrays)
         write_atomically(self._iteration(number), buffer.getvalue())
+
+    def turn(self, number: int) -> Learned | None:
+        """The model after a turn of EM that is done."""
+        path = self._turn(number)
+        return load_model(path) if path.exists() else None
+
+    def keep_turn(self, number: int, model: Storable) -> None:
+        """Write it."""
+        save_model(model, self._turn(number))
 
     def remove(self) -> None:
         """The model is written: nothing of this is needed any more."""
@@ -124,6 +134,9 @@ class Checkpoint:
         for pattern in patterns:
             for path in sorted(self.folder.glob(pattern)):
                 remove_stale(path)
+
+    def _turn(self, number: int) -> Path:
+        return self.folder / f"turn-{number}.safetensors"
 
     def _iteration(self, number: int) -> Path:
         return self.folder / f"iteration-{number}.npz"

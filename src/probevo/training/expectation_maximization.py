@@ -9,41 +9,83 @@ residuals at its motions.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
 
 from probevo.noise.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
+from probevo.noise.model_io import Learned
 from probevo.noise.student_t import StudentT
-from probevo.training.evidence import Evidence, gather_evidence
+from probevo.training.evidence import gather_evidence
 from probevo.training.lesson import Lesson
-from probevo.training.settings import KernelSettings, TrainSettings
+from probevo.training.settings import TrainSettings
 from probevo.training.workers import Workers
 
 STATIC_TURNS = 5
-HERE = Workers()
-OnTurn = Callable[[], None]
-"""Called after each of ``num_turns``."""
-OnPart = Callable[[float], None]
-"""Called within a turn with the share of it that is done."""
+Model = StudentT | GeneralizedKernel
+
+
+class Memory(Protocol):
+    """Where models are kept from turn to turn; a ``Checkpoint`` is one."""
+
+    def turn(self, number: int) -> Learned | None:
+        """The model after that turn, if it is kept."""
+
+    def keep_turn(self, number: int, model: Model) -> None:
+        """Keep it."""
+
+
+class Oblivion:
+    """No memory at all."""
+
+    def turn(self, number: int) -> Learned | None:
+        """None."""
+
+    def keep_turn(self, number: int, model: Model) -> None:
+        """Forget it."""
+
+
+HERE, NOWHERE = Workers(), Oblivion()
+
+
+@dataclass(frozen=True)
+class Course:
+    """What goes on around the turns of EM."""
+
+    workers: Workers = HERE
+    """Who goes through the drives; the fit to what they find is this process's."""
+    memory: Memory = NOWHERE
+    """Turns that are there need not be done."""
+    on_turn: Callable[[], None] = lambda: None
+    """Called after each turn."""
+    on_part: Callable[[float], None] = lambda share: None
+    """Called within a turn with the share of it that is done."""
+
+
+ALONE = Course()
 
 
 def learn_student_t(
     lessons: Sequence[Lesson],
     settings: TrainSettings,
     recordings: Sequence[Mapping[str, Any]],
-    on_turn: OnTurn = lambda: None,
-    on_part: OnPart = lambda share: None,
-    workers: Workers = HERE,
+    course: Course = ALONE,
 ) -> StudentT:
     """The one Student-t, with its full scale matrix, that the drives are most likely under. Arguments as below."""
-    model = StudentT(refers_to=settings.gk.refers_to, camera=lessons[0].camera)
-    turns: list[dict[str, float]] = []
-    for _ in range(STATIC_TURNS):
-        evidence = gather_evidence(lessons, model, settings, workers, on_part)
-        turns.append(evidence.progress)
-        model.fit(evidence.phi, evidence.errors, spread=evidence.spread)
-        on_turn()
-    model.training = _training(settings, recordings, turns, {})
+    model = StudentT(refers_to=settings.gk.refers_to, camera=lessons[0].camera, training={"turns": []})
+    for number in range(STATIC_TURNS):
+        kept = course.memory.turn(number)
+        if isinstance(kept, StudentT):
+            model = kept
+        else:
+            evidence = gather_evidence(lessons, model, settings, course.workers, course.on_part)
+            model.fit(evidence.phi, evidence.errors, spread=evidence.spread)
+            model.training = {"turns": [*model.training["turns"], evidence.progress]}
+            course.memory.keep_turn(number, model)
+        course.on_turn()
+    model.training = _training(settings, recordings, model.training["turns"], {})
     return model
 
 
@@ -52,9 +94,7 @@ def learn_kernel(
     metric: Metric,
     settings: TrainSettings,
     recordings: Sequence[Mapping[str, Any]],
-    on_turn: OnTurn = lambda: None,
-    on_part: OnPart = lambda share: None,
-    workers: Workers = HERE,
+    course: Course = ALONE,
 ) -> GeneralizedKernel:
     """The generalized kernel of the drives. Its shape is chosen at the first turn.
 
@@ -63,44 +103,68 @@ def learn_kernel(
         metric: of the prediction space.
         settings: all settings.
         recordings: what the model should remember of each recording.
-        on_turn, on_part: how far it is.
-        workers: who goes through the drives; the fit to what they find is this process's.
+        course: who does it, who hears of it, and what is done already.
     """
-    static = learn_student_t(lessons, settings, recordings, on_turn, on_part, workers)
-    model, turns = GeneralizedKernel(), list[dict[str, float]]()
-    given, searches = settings.gk.given(), {}
-    for turn in range(settings.gk.turns):
-        before = model if turn else static
-        evidence = gather_evidence(lessons, before, settings, workers, lambda share: on_part(0.5 * share))
-        turns.append(evidence.progress)
-        fitted = _fitted(evidence, given, metric, settings.gk, lambda share: on_part(0.5 + 0.5 * share))
-        if turn == 0:
-            searches, given = fitted.search_, fitted.shape_.as_given() | {"weights": fitted.weights_}
-        model = fitted.without_samples()
-        del evidence, fitted  # before the samples of the next turn come in
-        on_turn()
-    turns.append(gather_evidence(lessons, model, settings, workers, lambda share: None).progress)
-    model.camera = lessons[0].camera
-    model.training = _training(settings, recordings, turns, searches)
+    static = learn_student_t(lessons, settings, recordings, course)
+    model = GeneralizedKernel(training={"turns": [], "searches": {}})
+    given = settings.gk.given()
+    for number in range(STATIC_TURNS, num_turns(settings)):
+        kept = course.memory.turn(number)
+        if isinstance(kept, GeneralizedKernel):
+            model = kept
+        else:
+            before = model if number > STATIC_TURNS else static
+            model = _turn(lessons, before, model.training, metric, settings, given, course)
+            course.memory.keep_turn(number, model)
+        given = _restored(model.training["given"])
+        model.weights_ = given["weights"]
+        course.on_turn()
+    last = gather_evidence(lessons, model, settings, course.workers, lambda share: None).progress
+    model.camera, turns = lessons[0].camera, [*model.training["turns"], last]
+    model.training = _training(settings, recordings, turns, model.training["searches"])
     return model
 
 
-def _fitted(
-    evidence: Evidence, given: Mapping[str, Any], metric: Metric, settings: KernelSettings, on_part: OnPart
+def _turn(
+    lessons: Sequence[Lesson],
+    before: Model,
+    training: Mapping[str, Any],
+    metric: Metric,
+    settings: TrainSettings,
+    given: Mapping[str, Any],
+    course: Course,
 ) -> GeneralizedKernel:
-    model = GeneralizedKernel(settings.variant, **given, centers=settings.centers, refers_to=settings.refers_to)
-    return model.fit(
+    """The next model, without its samples; ``training`` tells of the turns so far, and then of this one too."""
+    evidence = gather_evidence(lessons, before, settings, course.workers, lambda share: course.on_part(0.5 * share))
+    gk = settings.gk
+    model = GeneralizedKernel(gk.variant, **given, centers=gk.centers, refers_to=gk.refers_to).fit(
         evidence.phi,
         evidence.errors,
         evidence.groups,
         spread=evidence.spread,
         metric=metric,
-        on_progress=lambda done, total: on_part(done / max(total, 1)),
+        on_progress=lambda done, total: course.on_part(0.5 + 0.5 * done / max(total, 1)),
     )
+    model.training = {
+        "turns": [*training["turns"], evidence.progress],
+        "searches": training["searches"] or model.search_,
+        "given": _plain(model.shape_.as_given() | {"weights": model.weights_.tolist()}),
+    }
+    return model.without_samples()
+
+
+def _plain(given: Mapping[str, Any]) -> dict[str, Any]:
+    """For JSON, which knows no infinity."""
+    return {name: None if value == np.inf else value for name, value in given.items()}
+
+
+def _restored(plain: Mapping[str, Any]) -> dict[str, Any]:
+    given = {name: np.inf if value is None else value for name, value in plain.items()}
+    return given | {"weights": np.array(given["weights"])}
 
 
 def num_turns(settings: TrainSettings) -> int:
-    """How often ``on_turn`` is called."""
+    """How many turns there are."""
     return STATIC_TURNS + (settings.gk.turns if settings.kind == "gk" else 0)
 
 
