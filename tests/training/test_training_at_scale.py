@@ -17,13 +17,15 @@ from probevo.predictors import Needs, Predictor, Step, prediction_space
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
 from probevo.simulation.point_world import write_points
-from probevo.training import evidence, extraction
+from probevo.training import evidence, extraction, thinning
 from probevo.training.drive import Drive, joined
 from probevo.training.expectation import Expectation, expect
+from probevo.training.expectation_maximization import learn_student_t
 from probevo.training.extraction import Extraction
 from probevo.training.lesson import HeldLesson, StoredLesson
 from probevo.training.settings import KernelSettings
 from probevo.training.supervision import Supervision
+from probevo.training.thinning import thinned
 from probevo.training.workers import Workers
 from training.lessons import drive_of, known, point_world
 
@@ -161,10 +163,8 @@ class CutLesson(HeldLesson):
 
     def parts(self) -> Iterator[Drive]:
         for first in range(0, len(self.drive.T_curr_prev), 5):
-            places = self.drive.first_of_step[first : first + 6]
-            rows = slice(places[0], places[-1])
-            features = {name: getattr(self.drive, name)[rows] for name in ("prev_px", "curr_px", "phi", "used")}
-            yield Drive(self.drive.T_curr_prev[first : first + 5], places - places[0], **features)
+            steps = np.arange(len(self.drive.T_curr_prev))
+            yield self.drive.kept((steps >= first) & (steps < first + 5))
 
 
 @pytest.mark.parametrize("share", [1.0, 0.3])
@@ -212,3 +212,30 @@ def test_a_lesson_on_disk_needs_no_more_than_its_number(tmp_path: Path) -> None:
     assert found.facts.digest == "abc"
     np.testing.assert_array_equal(found.supervision.T_world_cam, known(world).T_world_cam)
     assert found.facts.features == len(drive_of(world).phi)
+
+
+def test_of_many_drives_some_steps_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whole ones, the same for whomever and in whatever parts; and of one that shows too little, perhaps none."""
+    monkeypatch.setattr(thinning, "MOST_FEATURES", 500)
+    world = point_world(frames=60, landmarks=400)
+    drive, nothing = drive_of(world), Supervision("none", np.arange(60), np.full((60, 4, 4), np.nan))
+    found = []
+    for name, parts, workers in (("a", 1, Workers()), ("b", 12, TWO)):
+        lesson = StoredLesson(tmp_path / name, 0, world.camera)
+        pieces = np.array_split(np.arange(59), parts)
+        lesson.keep_drive((drive.kept(np.isin(np.arange(59), piece)) for piece in pieces), str, 2)
+        lesson.keep_supervision(nothing)
+        short = StoredLesson(tmp_path / name, 1, world.camera)
+        short.keep_drive([drive.kept(np.arange(59) == 7)], str, 2)
+        short.keep_supervision(nothing)
+        thin = thinned([lesson, short], 0, workers)
+        model = learn_student_t(thin, pv.TrainSettings(kind="student-t", supervision="none"), [])
+        found.append((joined(thin[0].parts()), model.scale_))
+    (one, scale), (other, other_scale) = found
+    for mine, theirs in zip(vars(one).values(), vars(other).values(), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    np.testing.assert_array_equal(scale, other_scale)
+    share = thinning.STEPS_PER_FEATURE * 500 / drive.used.sum()
+    assert abs(len(one.T_curr_prev) - 59 * share) < 4 * np.sqrt(59 * share * (1 - share))
+    taken = [k for k in range(59) if (one.T_curr_prev == drive.T_curr_prev[k]).all(axis=(1, 2)).any()]
+    np.testing.assert_allclose(one.curr_px, drive.kept(np.isin(np.arange(59), taken)).curr_px, atol=1e-4)

@@ -23,6 +23,7 @@ from probevo.training.recording import record_all
 from probevo.training.settings import TrainSettings
 from probevo.training.settings_check import check_settings
 from probevo.training.sources import Recording, checked_sources, known_predictors
+from probevo.training.thinning import thinned
 from probevo.training.workers import Workers
 
 Progress = Callable[[int, int], None]
@@ -82,6 +83,8 @@ def train_model(
         {"name": source.path.resolve().name, "frames": source.num_frames, "sha256": fact.digest}
         for source, fact in zip(sources, facts, strict=True)
     ]
+    if settings.kind != "knn" and settings.supervision == "none":
+        lessons = thinned(lessons, settings.odometry.seed, workers)
     course = Course(workers, work, bar.next_turn, bar.within_turn)
     if settings.kind == "knn":
         save_model(learn_neighbors(lessons, metric, settings, known, work, bar.next_turn, workers), out)

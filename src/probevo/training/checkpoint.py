@@ -26,8 +26,9 @@ Iteration = list[tuple[IntArray, FloatArray]]
 
 
 PLAN = "plan.json"
-TRUTH, ITERATIONS, TURNS = "truth-*.npz", "iteration-*.npz", "turn-*.safetensors"
-KINDS = (PLAN, TICKET, "drive-*.json", "drive-*.npz", "drive-*.frames", TRUTH, ITERATIONS, TURNS)
+DRIVES = ("drive-[0-9]*.json", "drive-[0-9]*.npz", "drive-[0-9]*.frames")
+MADE_OF_DRIVES = ("drive-truth-*.npz", "thin-*.json", "thin-*.npz", "iteration-*.npz", "turn-*.safetensors")
+KINDS = (PLAN, TICKET, *DRIVES, *MADE_OF_DRIVES)
 OWN = tuple(f"{name}{end}" for name in KINDS for end in ("", ".part", ".*.part"))
 """All that is ever written into the folder, and so all that is ever removed from it."""
 
@@ -63,14 +64,14 @@ class Checkpoint:
         }
         before = checkpoint._plan()
         if before and any(before.get(part) != facts[part] for part in ("probevo", "drives")):
-            if any(checkpoint.folder.glob("drive-*.npz")):
+            if any(checkpoint.folder.glob("drive-[0-9]*.npz")):
                 what = "a training that was stopped here had other recordings, predictors or odometry."
                 raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
         elif before.get("iterations") != chosen:
-            checkpoint._remove(TRUTH, ITERATIONS, TURNS)
+            checkpoint._remove(*MADE_OF_DRIVES)
         if not before:  # ``remove`` was stopped
             checkpoint._remove(*OWN)
-        checkpoint._remove("*.part", "drive-*.frames")
+        checkpoint._remove("*.part", "*.frames")
         write_atomically(checkpoint.folder / PLAN, json.dumps(facts, indent=1) + "\n")
         return checkpoint
 

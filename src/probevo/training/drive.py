@@ -48,6 +48,13 @@ class Drive:
         """The step that each feature belongs to, [n]."""
         return np.repeat(np.arange(len(self.T_curr_prev)), np.diff(self.first_of_step))
 
+    def kept(self, steps: BoolArray) -> Drive:
+        """Only the steps that are marked, [K − 1]."""
+        rows = steps[self.step_of_feature]
+        features = {name: getattr(self, name)[rows] for name in ("prev_px", "curr_px", "phi", "used")}
+        counts = np.diff(self.first_of_step)[steps]
+        return Drive(self.T_curr_prev[steps], np.concatenate([[0], np.cumsum(counts)]), **features)
+
 
 def joined(parts: Iterable[Drive]) -> Drive:
     """One after another as one."""

@@ -98,7 +98,7 @@ def _evidence(task: _Task) -> Evidence:
     sigma = _truth_sigma(settings.gk)
     expectation = expect(task.lesson, task.model.predict, _solver(settings), sigma, task.share, seed)
     left, steps = expectation.left_over, len(expectation.T_alone)
-    groups = task.number * BLOCKS_A_DRIVE + left.steps * BLOCKS_A_DRIVE // steps
+    groups = task.number * BLOCKS_A_DRIVE + left.steps * BLOCKS_A_DRIVE // max(steps, 1)
     gap_m = _loop_error_m(supervision, expectation.T_alone)
     gaps_m = np.array([gap_m] if np.isfinite(gap_m) else [])
     return Evidence(left.phi, left.errors, left.spread, groups, left.log_likelihood, gaps_m)

@@ -91,33 +91,35 @@ class StoredLesson:
     folder: Path
     number: int
     camera: StereoCamera
+    name: str = "drive"
+    """How its files' names begin."""
 
     @property
     def is_whole(self) -> bool:
         """Whether the drive is through. Its facts are written last."""
-        return self._path("drive", ".json").exists()
+        return self._path(self.name, ".json").exists()
 
     @property
     def is_complete(self) -> bool:
         """Whether what is known of it is there too."""
-        return self.is_whole and self._path("truth", ".npz").exists()
+        return self.is_whole and self._path(f"{self.name}-truth", ".npz").exists()
 
     @property
     def frames_done(self) -> int:
         """How many frames a worker was through when it last told."""
         try:
-            return int(self._path("drive", ".frames").read_text("utf-8"))
+            return int(self._path(self.name, ".frames").read_text("utf-8"))
         except OSError:
             return 0
 
     def tell(self, frames: int) -> None:
         """That so many frames are done."""
-        self._write(self._path("drive", ".frames"), str(frames).encode())
+        self._write(self._path(self.name, ".frames"), str(frames).encode())
 
     @property
     def facts(self) -> DriveFacts:
         """Of the drive."""
-        path = self._path("drive", ".json")
+        path = self._path(self.name, ".json")
         with whole(path):
             found = json.loads(path.read_text("utf-8"))
             arrays = {name: np.array(value) for name, value in found["moments"].items()}
@@ -126,14 +128,14 @@ class StoredLesson:
     @property
     def supervision(self) -> Supervision:
         """What is known of it."""
-        path = self._path("truth", ".npz")
+        path = self._path(f"{self.name}-truth", ".npz")
         with whole(path), np.load(path, allow_pickle=False) as archive:
             return Supervision(str(archive["kind"]), archive["frames"], archive["T_world_cam"])  # type: ignore[arg-type]
 
     def parts(self) -> Iterator[Drive]:
         """The drive, one file after another."""
         for k in range(self.facts.parts):
-            path = self._path("drive", f"-{k}.npz")
+            path = self._path(self.name, f"-{k}.npz")
             with whole(path):
                 part = load_drive(path)
             yield part
@@ -143,16 +145,16 @@ class StoredLesson:
 
         def kept() -> Iterator[Drive]:
             for k, part in enumerate(parts):
-                self._write(self._path("drive", f"-{k}.npz"), drive_bytes(part))
+                self._write(self._path(self.name, f"-{k}.npz"), drive_bytes(part))
                 yield part
 
         facts = asdict(DriveFacts.of(kept(), digest, columns))
         facts["moments"] = {name: np.asarray(value).tolist() for name, value in facts["moments"].items()}
-        self._write(self._path("drive", ".json"), json.dumps(facts, indent=1).encode())
+        self._write(self._path(self.name, ".json"), json.dumps(facts, indent=1).encode())
 
     def keep_supervision(self, supervision: Supervision) -> None:
         """Write what is known of it, unless it is there."""
-        path, buffer = self._path("truth", ".npz"), io.BytesIO()
+        path, buffer = self._path(f"{self.name}-truth", ".npz"), io.BytesIO()
         if not path.exists():
             known: dict[str, Any] = {name: np.asarray(value) for name, value in vars(supervision).items()}
             np.savez(buffer, allow_pickle=False, **known)
