@@ -17,9 +17,11 @@ from probevo.motion.reprojection import solve_reprojection
 from probevo.noise.metric import Metric
 from probevo.output.run_result import RunRecorder
 from probevo.predictors import Needs, PredictionSpace, prediction_space
-from probevo.training.drive import Drive, record_drive
+from probevo.training.drive import Drive, joined
 from probevo.training.expectation import solve_drive
-from probevo.training.expectation_maximization import Lesson, learn_kernel, learn_student_t
+from probevo.training.expectation_maximization import learn_kernel, learn_student_t
+from probevo.training.extraction import Extraction
+from probevo.training.lesson import HeldLesson
 from probevo.training.settings import KERNEL, KernelSettings, TrainSettings
 from probevo.training.supervision import supervision_of
 
@@ -61,8 +63,8 @@ def main() -> None:
     lessons = []
     for path in paths:
         sequence = pv.open_sequence(path)
-        drive = record_drive(sequence, space, settings.odometry, len(sequence))
-        lessons.append(Lesson(drive, sequence.camera, supervision_of(sequence, "none", 0.0, len(sequence))))
+        drive = joined(Extraction(sequence, space, settings.odometry, len(sequence)))
+        lessons.append(HeldLesson(drive, sequence.camera, supervision_of(sequence, "none", 0.0, len(sequence))))
     ratios, gains = [], []
     print(
         "| left out | nats: fitted Student-t | gk | gain | own Student-t | drift, %: Student-t | gk | rotation, °/m: "

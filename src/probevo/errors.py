@@ -26,3 +26,7 @@ class InputError(ProbevoError):
         self.what = what
         self.cure = cure
         super().__init__(f"{self.where}: {what}" + (f"\n         {cure}" if cure else ""))
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """Raised in a worker, it comes back as what it is."""
+        return type(self), (self.where, self.what, self.cure)

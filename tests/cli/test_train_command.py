@@ -65,6 +65,26 @@ def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(
     assert lines[-1] == f"model: {out}"
 
 
+def test_more_processes_give_the_same_model(tracks: Path, model: Path, tmp_path: Path) -> None:
+    out = tmp_path / "m.safetensors"
+    assert main(["train", str(tracks), "--out", str(out), *FLAGS, "--jobs", "2"]) == 0
+    assert out.read_bytes() == model.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--jobs", "-1"], "--jobs: is -1."),
+        (["--jobs", "2", "--cluster", "tcp://127.0.0.1:9"], "--jobs: means nothing with --cluster"),
+    ],
+)
+def test_workers_that_there_cannot_be_are_refused(
+    tracks: Path, tmp_path: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", str(tracks), "--out", str(tmp_path / "m.safetensors"), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
 def test_given_k_and_gamma_are_not_searched_for(
     tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -201,7 +221,7 @@ def test_unfinished_work_with_other_settings_names_its_folder(
     assert main(["train", str(tracks), "--out", str(out), *FLAGS]) == 0
 
 
-@pytest.mark.parametrize("name", ["drive-0.npz", "iteration-0.npz", "plan.json"])
+@pytest.mark.parametrize("name", ["drive-0-0.npz", "drive-0.json", "iteration-0.npz", "plan.json"])
 def test_damaged_work_is_named(tracks: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "m.safetensors"
     assert main(["train", str(tracks), "--out", str(out), *FLAGS, "--neighbors", "9999"]) == 2

@@ -85,7 +85,6 @@ def drive_of(world: PointWorld, *, base: NoiseModel | None = None, seed: int = 0
         phi.append(np.column_stack([np.log(sigma_of(step)), rng.normal(size=len(step.tracks))]))
     counts = [len(step.tracks) for step in steps]
     return Drive(
-        digest="",
         T_curr_prev=np.array(motions),
         first_of_step=np.cumsum([0, *counts]),
         prev_px=np.concatenate([step.tracks.prev_px for step in steps]),

@@ -9,13 +9,23 @@ import pytest
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.training.checkpoint import Checkpoint, Iteration
-from probevo.training.drive import Drive
+from probevo.training.drive import Drive, joined
 from probevo.training.settings import TrainSettings
-from training.lessons import Recording, drive_of, point_world, recording
+from training.lessons import Recording, drive_of, known, point_world, recording
+from worlds import CAMERA
+
+
+def rounded(drive: Drive) -> Drive:
+    """As it lies on disk, so that it comes back as it was."""
+    single = {name: getattr(drive, name).astype(np.float32) for name in ("prev_px", "curr_px", "phi")}
+    return replace(drive, **{name: array.astype(np.float64) for name, array in single.items()})
+
 
 SETTINGS = TrainSettings(predictors=("place",))
 RECORDINGS = [recording(None), recording(None, frames=7)]
-DRIVE = drive_of(point_world(frames=4))
+WORLD = point_world(frames=4)
+DRIVE = rounded(drive_of(WORLD))
+SUPERVISION = known(WORLD)
 ITERATION: Iteration = [
     (np.array([3, 1, 4]), np.array([0.1, 0.2, 1e-6])),
     (np.zeros(0, np.int64), np.zeros(0)),
@@ -34,7 +44,29 @@ def opened(
     recordings: list[Recording] = RECORDINGS,
     columns: tuple[str, ...] = ("x", "y"),
 ) -> Checkpoint:
-    return Checkpoint.opened(out, recordings, settings, columns)
+    facts = [[str(r.path.resolve()), len(r), r.stamps_ns[[0, -1]].tolist()] for r in recordings]
+    return Checkpoint.opened(out, facts, settings, columns)
+
+
+def keep(work: Checkpoint, number: int, drive: Drive = DRIVE, digest: str = "") -> None:
+    """The drive in two parts, of which the second may have no step; and what is known of it."""
+    lesson, cut = work.lesson(number, CAMERA), len(drive.T_curr_prev) // 2
+    lesson.keep_drive([part_of(drive, 0, cut), part_of(drive, cut, None)], lambda: digest, drive.phi.shape[1])
+    lesson.keep_supervision(SUPERVISION)
+
+
+def part_of(drive: Drive, first: int, last: int | None) -> Drive:
+    """Steps from the first up to the last."""
+    places = drive.first_of_step[first : None if last is None else last + 1]
+    rows = slice(places[0], places[-1])
+    features = {name: getattr(drive, name)[rows] for name in ("prev_px", "curr_px", "phi", "used")}
+    return Drive(drive.T_curr_prev[first:last], places - places[0], **features)
+
+
+def drive_of_number(work: Checkpoint, number: int) -> Drive | None:
+    """The whole drive, if it is through."""
+    lesson = work.lesson(number, CAMERA)
+    return joined(lesson.parts()) if lesson.is_whole else None
 
 
 def test_it_lies_beside_the_model(out: Path) -> None:
@@ -44,7 +76,7 @@ def test_it_lies_beside_the_model(out: Path) -> None:
 
 def test_at_first_nothing_is_done(out: Path) -> None:
     work = opened(out)
-    assert work.drive(0) is None
+    assert drive_of_number(work, 0) is None
     assert work.iteration(0) is None
 
 
@@ -59,20 +91,20 @@ def assert_same(a: Drive, b: Drive) -> None:
 
 
 def test_a_drive_comes_back(out: Path) -> None:
-    drive = replace(DRIVE, digest="0123456789abcdef", phi=np.where(DRIVE.phi > 1.0, np.nan, DRIVE.phi))
-    opened(out).keep_drive(1, drive)
+    drive = replace(DRIVE, phi=np.where(DRIVE.phi > 1.0, np.nan, DRIVE.phi))
+    keep(opened(out), 1, drive)
     work = opened(out)
-    found = work.drive(1)
+    found = drive_of_number(work, 1)
     assert found is not None
     assert_same(found, drive)
-    assert work.drive(0) is None
+    assert drive_of_number(work, 0) is None
 
 
 def test_a_drive_without_any_feature_comes_back(out: Path) -> None:
     nothing = {name: getattr(DRIVE, name)[:0] for name in ("prev_px", "curr_px", "phi", "used")}
     drive = replace(DRIVE, first_of_step=np.zeros(4, np.int64), **nothing)
-    opened(out).keep_drive(0, drive)
-    found = opened(out).drive(0)
+    keep(opened(out), 0, drive)
+    found = drive_of_number(opened(out), 0)
     assert found is not None
     assert_same(found, drive)
     assert len(found.tracks(2)) == 0
@@ -100,12 +132,12 @@ def test_the_order_of_many_drives_is_kept(out: Path) -> None:
 
 def test_what_was_being_written_when_it_was_stopped_does_not_count(out: Path) -> None:
     work = opened(out)
-    work.keep_drive(0, DRIVE)
-    content = (work.folder / "drive-0.npz").read_bytes()
-    (work.folder / "drive-1.npz.part").write_bytes(content[: len(content) // 2])
+    keep(work, 0)
+    content = (work.folder / "drive-0-0.npz").read_bytes()
+    (work.folder / "drive-1-0.npz.0123abcd.part").write_bytes(content[: len(content) // 2])
     (work.folder / "iteration-0.npz.part").write_bytes(b"")
-    assert opened(out).drive(0) is not None
-    assert opened(out).drive(1) is None
+    assert drive_of_number(opened(out), 0) is not None
+    assert drive_of_number(opened(out), 1) is None
     assert opened(out).iteration(0) is None
 
 
@@ -128,7 +160,7 @@ def test_another_training_is_refused(
 ) -> None:
     """The folder to delete is named; what lies in it stays as it is."""
     work = opened(out)
-    work.keep_drive(0, DRIVE)
+    keep(work, 0)
     before = {path.name: path.read_bytes() for path in work.folder.iterdir()}
     with pytest.raises(InputError) as caught:
         opened(out, settings, recordings, columns)
@@ -136,14 +168,14 @@ def test_another_training_is_refused(
     assert "a training that was stopped here had other recordings, predictors or odometry." in str(caught.value)
     assert "delete this folder" in caught.value.cure
     assert {path.name: path.read_bytes() for path in work.folder.iterdir()} == before
-    assert opened(out).drive(0) is not None
+    assert drive_of_number(opened(out), 0) is not None
 
 
 def test_where_nothing_was_done_yet_other_settings_are_welcome(out: Path) -> None:
     """A recording that was refused for a predictor it has no images for leaves no work, and no obstacle."""
     opened(out)
     other = opened(out, SETTINGS.model_copy(update={"predictors": ("disparity",)}))
-    other.keep_drive(0, DRIVE)
+    keep(other, 0)
     with pytest.raises(InputError, match="other recordings, predictors or odometry"):
         opened(out)
 
@@ -151,9 +183,9 @@ def test_where_nothing_was_done_yet_other_settings_are_welcome(out: Path) -> Non
 def test_the_rest_of_a_removal_that_was_stopped_is_no_work(out: Path) -> None:
     """Drives of other settings must not pass for those of these."""
     work = opened(out)
-    work.keep_drive(0, DRIVE)
+    keep(work, 0)
     (work.folder / "plan.json").unlink()
-    assert opened(out, SETTINGS.model_copy(update={"subset": 9})).drive(0) is None
+    assert drive_of_number(opened(out, SETTINGS.model_copy(update={"subset": 9})), 0) is None
 
 
 @pytest.mark.parametrize(
@@ -170,10 +202,10 @@ def test_the_rest_of_a_removal_that_was_stopped_is_no_work(out: Path) -> None:
 def test_what_concerns_the_iterations_alone_drops_those_alone(out: Path, changes: dict[str, object]) -> None:
     """And they do not come back with the settings that made them."""
     work = opened(out)
-    work.keep_drive(0, DRIVE)
+    keep(work, 0)
     work.keep_iteration(0, ITERATION)
     other = opened(out, SETTINGS.model_copy(update=changes))
-    assert other.drive(0) is not None
+    assert drive_of_number(other, 0) is not None
     assert other.iteration(0) is None
     assert opened(out).iteration(0) is None
 
@@ -181,23 +213,23 @@ def test_what_concerns_the_iterations_alone_drops_those_alone(out: Path, changes
 @pytest.mark.parametrize("changes", [{"iterations": 9}, {"neighbors": 3}, {"exponent": 1.0}, {"average": "arithmetic"}])
 def test_what_comes_after_the_iterations_drops_nothing(out: Path, changes: dict[str, object]) -> None:
     work = opened(out)
-    work.keep_drive(0, DRIVE)
+    keep(work, 0)
     work.keep_iteration(0, ITERATION)
     other = opened(out, SETTINGS.model_copy(update=changes))
-    assert other.drive(0) is not None
+    assert drive_of_number(other, 0) is not None
     assert other.iteration(0) is not None
 
 
 @pytest.mark.parametrize("content", [b"{", b"[1]", b"null", b"\xff", b""])
 def test_a_broken_plan_is_said_to_be_damaged(out: Path, content: bytes) -> None:
     work = opened(out)
-    work.keep_drive(0, DRIVE)
+    keep(work, 0)
     plan = work.folder / "plan.json"
     plan.write_bytes(content)
     with pytest.raises(InputError) as caught:
         opened(out)
     assert_damaged(caught.value, plan)
-    assert (work.folder / "drive-0.npz").exists()
+    assert (work.folder / "drive-0-0.npz").exists()
 
 
 def assert_damaged(error: InputError, path: Path) -> None:
@@ -209,9 +241,17 @@ def assert_damaged(error: InputError, path: Path) -> None:
 @pytest.mark.parametrize("part", [0.0, 0.5, 0.99])
 def test_a_file_cut_short_is_said_to_be_damaged(out: Path, part: float) -> None:
     work = opened(out)
-    work.keep_drive(0, DRIVE)
+
+    def whole_drive(number: int) -> Drive | None:
+        return drive_of_number(work, number)
+
+    keep(work, 0)
     work.keep_iteration(0, ITERATION)
-    for name, read in (("drive-0.npz", work.drive), ("iteration-0.npz", work.iteration)):
+    for name, read in (
+        ("drive-0-0.npz", whole_drive),
+        ("drive-0.json", whole_drive),
+        ("iteration-0.npz", work.iteration),
+    ):
         content = (work.folder / name).read_bytes()
         (work.folder / name).write_bytes(content[: int(part * len(content))])
         with pytest.raises(InputError) as caught:
@@ -221,16 +261,17 @@ def test_a_file_cut_short_is_said_to_be_damaged(out: Path, part: float) -> None:
 
 def test_a_file_that_lacks_an_array_is_said_to_be_damaged(out: Path) -> None:
     work = opened(out)
-    np.savez(work.folder / "drive-0.npz", phi=DRIVE.phi)
+    keep(work, 0)
+    np.savez(work.folder / "drive-0-0.npz", phi=DRIVE.phi)
     with pytest.raises(InputError) as caught:
-        work.drive(0)
-    assert_damaged(caught.value, work.folder / "drive-0.npz")
+        drive_of_number(work, 0)
+    assert_damaged(caught.value, work.folder / "drive-0-0.npz")
 
 
 def test_what_is_not_ours_is_refused_and_nothing_is_removed(out: Path) -> None:
     """Whoever named the model like that keeps his notes; and our work, until he has moved them."""
     work = opened(out)
-    work.keep_drive(0, DRIVE)
+    keep(work, 0)
     (work.folder / "notes.txt").write_text("mine")
     before = {path.name: path.read_bytes() for path in work.folder.iterdir()}
     for settings in (SETTINGS, SETTINGS.model_copy(update={"subset": 9})):
@@ -241,12 +282,12 @@ def test_what_is_not_ours_is_refused_and_nothing_is_removed(out: Path) -> None:
     (work.folder / "plan.json").unlink()
     with pytest.raises(InputError, match=r"notes\.txt"):
         opened(out)
-    assert (work.folder / "drive-0.npz").exists()
+    assert (work.folder / "drive-0-0.npz").exists()
 
 
 def test_what_is_not_ours_is_not_removed_with_the_rest(out: Path) -> None:
     work = opened(out)
-    work.keep_drive(0, DRIVE)
+    keep(work, 0)
     (work.folder / "notes.txt").write_text("mine")
     work.remove()
     assert [path.name for path in work.folder.iterdir()] == ["notes.txt"]
@@ -254,12 +295,12 @@ def test_what_is_not_ours_is_not_removed_with_the_rest(out: Path) -> None:
 
 def test_removed_it_leaves_nothing(out: Path) -> None:
     work = opened(out)
-    work.keep_drive(0, DRIVE)
+    keep(work, 0)
     work.keep_iteration(0, ITERATION)
     work.remove()
     assert list(out.parent.iterdir()) == []
     work.remove()
-    assert opened(out).drive(0) is None
+    assert drive_of_number(opened(out), 0) is None
 
 
 def test_a_file_in_its_place_is_refused(out: Path) -> None:

@@ -12,6 +12,7 @@ from probevo.noise import StereoNoise
 from probevo.simulation.point_world import PointWorld
 from probevo.training.drive import Drive
 from probevo.training.expectation import LOOP_SIGMA, UNSOLVED_SIGMA, Expectation, conditioned, expect, solve_drive
+from probevo.training.lesson import HeldLesson
 from probevo.training.supervision import Supervision, path
 from training.lessons import drive_of, known, point_world, true_motions
 
@@ -210,7 +211,7 @@ def right_noise(drive: Drive, refers_to: str = "observation", bias: FloatArray |
 def expected(world: PointWorld, drive: Drive, noise: StereoNoise, kind: str = "gt") -> Expectation:
     nothing = Supervision("none", np.arange(len(world)), np.full((len(world), 4, 4), np.nan))
     supervision = nothing if kind == "none" else known(world, kind)
-    return expect(drive, noise, world.camera, SolverConfig(), supervision, EXACT)
+    return expect(HeldLesson(drive, world.camera, supervision), lambda _: noise, SolverConfig(), EXACT)
 
 
 def test_motions_without_truth_are_those_of_the_solver(world: PointWorld, drive: Drive) -> None:
@@ -231,18 +232,19 @@ def test_errors_of_observations_have_the_covariance_of_one(world: PointWorld, dr
     """Though residuals are larger, by the noise of the point: 5,000 errors at the true motion scatter as R, within 6 %,
     and so do those of the nearest and of the farthest half alone."""
     found = expected(world, drive, right_noise(drive))
-    assert len(found.errors) > 4000
-    disparity = drive.prev_px[found.features, 0] - drive.prev_px[found.features, 2]
+    assert len(found.left_over.errors) > 4000
+    disparity = drive.prev_px[found.left_over.features, 0] - drive.prev_px[found.left_over.features, 2]
     near = disparity > np.median(disparity)
     for some in (near, ~near):
-        scatter = found.errors[some].T @ found.errors[some] / some.sum()
+        scatter = found.left_over.errors[some].T @ found.left_over.errors[some] / some.sum()
         assert np.linalg.norm(scatter - R) < 0.06 * np.linalg.norm(R)
 
 
 def test_residuals_are_larger_than_errors_of_observations(world: PointWorld, drive: Drive) -> None:
     """By the noise of the earlier observation, which a moved point carries along: more than half as much again."""
     residuals, errors = (
-        expected(world, drive, right_noise(drive, refers_to)).errors for refers_to in ("residual", "observation")
+        expected(world, drive, right_noise(drive, refers_to)).left_over.errors
+        for refers_to in ("residual", "observation")
     )
     assert np.sum(residuals**2) > 1.5 * np.sum(errors**2)
 
@@ -261,26 +263,27 @@ def test_the_spread_is_what_the_doubt_about_the_motion_makes_of_the_errors(
         """With the motion given, as if it were the exact truth."""
         poses = path(T[None])
         frames = np.array([step, step + 1])
-        given = expect(drive, noise, world.camera, SolverConfig(), Supervision("sparse", frames, poses), EXACT)
-        return given.errors[drive.step_of_feature[given.features] == step]
+        lesson = HeldLesson(drive, world.camera, Supervision("sparse", frames, poses))
+        given = expect(lesson, lambda _: noise, SolverConfig(), EXACT)
+        return given.left_over.errors[drive.step_of_feature[given.left_over.features] == step]
 
-    at, T = drive.step_of_feature[found.features] == step, found.T_curr_prev[step]
+    at, T = drive.step_of_feature[found.left_over.features] == step, found.T_curr_prev[step]
     # Exact truth is off by 1e-4 at best, so that a motion follows it by a gain only, which is taken out again.
     J = np.stack(
         [(errors_at(se3.exp(h * axis) @ T) - errors_at(se3.exp(-h * axis) @ T)) for axis in np.eye(6)], axis=-1
     )
     gain = cov[step] @ np.linalg.inv(cov[step] + np.diag(np.r_[np.full(3, 1e-4), np.full(3, 1e-5)] ** 2))
     J = J / (2.0 * h) @ np.linalg.inv(gain)
-    by_differences, spread = J @ cov[step] @ J.mT, found.spread[at]
+    by_differences, spread = J @ cov[step] @ J.mT, found.left_over.spread[at]
     assert np.linalg.norm(spread - by_differences) < off * np.linalg.norm(by_differences)
 
 
 def test_errors_and_spread_together_scatter_as_the_noise_does(world: PointWorld, drive: Drive) -> None:
     """Without truth, the motion follows the features, and residuals are too small: by just the spread, within 4 %."""
     found = expected(world, drive, right_noise(drive), "none")
-    scatter = found.errors.T @ found.errors / len(found.errors)
+    scatter = found.left_over.errors.T @ found.left_over.errors / len(found.left_over.errors)
     assert np.trace(scatter) < 0.99 * np.trace(R)
-    whole = scatter + found.spread.mean(axis=0)
+    whole = scatter + found.left_over.spread.mean(axis=0)
     assert np.linalg.norm(whole - R) < 0.04 * np.linalg.norm(R)
 
 
@@ -290,16 +293,16 @@ def test_errors_hold_the_bias_that_the_noise_takes_off(world: PointWorld, drive:
     bias = np.array([0.5, -0.3, 0.5, -0.3])
     off = replace(drive, curr_px=drive.curr_px + bias)
     found = expected(world, off, right_noise(off, refers_to, bias))
-    np.testing.assert_allclose(found.errors.mean(axis=0), bias, atol=0.05)
+    np.testing.assert_allclose(found.left_over.errors.mean(axis=0), bias, atol=0.05)
     plain = expected(world, drive, right_noise(drive, refers_to))
-    np.testing.assert_allclose(found.log_likelihood.mean(), plain.log_likelihood.mean(), rtol=1e-6)
+    np.testing.assert_allclose(found.left_over.log_likelihood.mean(), plain.left_over.log_likelihood.mean(), rtol=1e-6)
 
 
 def test_the_right_noise_is_the_likeliest(world: PointWorld, drive: Drive) -> None:
     """Of observations, though what is judged are residuals."""
     noise = right_noise(drive)
     likelihoods = [
-        expected(world, drive, noise.scaled(np.full(len(drive.phi), factor))).log_likelihood.mean()
+        expected(world, drive, noise.scaled(np.full(len(drive.phi), factor))).left_over.log_likelihood.mean()
         for factor in (0.8, 1.0, 1.25)
     ]
     assert likelihoods[1] > max(likelihoods[0], likelihoods[2])
@@ -315,19 +318,27 @@ def test_a_step_of_too_few_features_keeps_its_motion_and_teaches_nothing(world: 
     np.testing.assert_array_equal(T[4], drive.T_curr_prev[4])
     np.testing.assert_array_equal(cov[4], np.diag(UNSOLVED_SIGMA**2))
     found = expected(world, few, noise)
-    assert not (drive.step_of_feature[found.features] == 4).any()
+    assert not (drive.step_of_feature[found.left_over.features] == 4).any()
     assert np.isfinite(found.T_curr_prev).all()
 
 
 def test_of_features_that_are_not_used_nothing_is_learned(world: PointWorld, drive: Drive) -> None:
     used = np.arange(len(drive.phi)) % 3 > 0
     found = expected(world, replace(drive, used=used), right_noise(drive))
-    assert used[found.features].all()
-    assert (np.diff(found.features) > 0).all()
+    assert used[found.left_over.features].all()
+    assert (np.diff(found.left_over.features) > 0).all()
 
 
 def test_without_any_step_to_solve_there_is_nothing(world: PointWorld, drive: Drive) -> None:
     blind = replace(drive, used=np.zeros_like(drive.used))
     found = expected(world, blind, right_noise(drive), "none")
-    assert [len(part) for part in (found.features, found.errors, found.spread, found.log_likelihood)] == [0] * 4
+    assert [
+        len(part)
+        for part in (
+            found.left_over.features,
+            found.left_over.errors,
+            found.left_over.spread,
+            found.left_over.log_likelihood,
+        )
+    ] == [0] * 4
     np.testing.assert_array_equal(found.T_curr_prev, drive.T_curr_prev)

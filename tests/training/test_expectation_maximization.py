@@ -22,11 +22,12 @@ from probevo.training.drive import Drive
 from probevo.training.expectation import solve_drive
 from probevo.training.expectation_maximization import (
     STATIC_TURNS,
-    Lesson,
+    Course,
     learn_kernel,
     learn_student_t,
     num_turns,
 )
+from probevo.training.lesson import HeldLesson
 from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervision import Supervision
 from training.lessons import drive_of, known, point_world, rmse_m, true_motions
@@ -61,11 +62,11 @@ def drive(seed: int = 0, frames: int = FRAMES) -> Drive:
     return drive_of(world(seed, frames), seed=seed)
 
 
-def lesson(kind: str = "none", seed: int = 0, frames: int = FRAMES) -> Lesson:
+def lesson(kind: str = "none", seed: int = 0, frames: int = FRAMES) -> HeldLesson:
     there = world(seed, frames)
     nothing = Supervision("none", np.arange(frames), np.full((frames, 4, 4), np.nan))
     supervision = nothing if kind == "none" else known(there, kind, 10 if kind == "sparse" else 1)
-    return Lesson(drive(seed, frames), there.camera, supervision)
+    return HeldLesson(drive(seed, frames), there.camera, supervision)
 
 
 def settings_of(**gk: Any) -> TrainSettings:
@@ -76,7 +77,7 @@ def metric() -> Metric:
     return Metric.fitted(drive().phi, ("ln_sigma", "random"))
 
 
-def learn(lessons: list[Lesson], **gk: Any) -> Taught:
+def learn(lessons: list[HeldLesson], **gk: Any) -> Taught:
     settings = settings_of(**gk)
     return Taught(learn_kernel(lessons, metric(), settings, RECORDINGS), settings)
 
@@ -201,14 +202,14 @@ def test_a_bias_is_left_out_unless_it_is_asked_for() -> None:
     np.testing.assert_allclose(with_bias.mean(axis=0), [0.4, 0.0, 0.4, 0.0], atol=0.12)
 
 
-def correlated(rho: float) -> Lesson:
+def correlated(rho: float) -> HeldLesson:
     """Errors in the left and the right image of that correlation, and of σ = 0.4 px and 4 dof."""
     noise = {"law": "constant", "sigma_low_px": 0.4, "sigma_high_px": 0.4, "correlation": rho, "dof": 4.0}
     config = PointConfig.model_validate(
         {"radius_m": 3.0, "height_m": 5.0, "landmarks": 800, "noise": noise, "outliers": {"fraction": 0.0}}
     )
     there = simulate_points(config, 4.0, np.random.default_rng(0))
-    return Lesson(drive_of(there), there.camera, known(there))
+    return HeldLesson(drive_of(there), there.camera, known(there))
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
@@ -253,9 +254,8 @@ def test_how_far_a_loop_is_from_closing_is_told_where_it_is_known() -> None:
 def test_every_turn_is_told() -> None:
     turns, within = [], []
     settings = settings_of(turns=2)
-    learn_kernel(
-        [lesson(frames=20)], metric(), settings, RECORDINGS, lambda: turns.append(1), lambda *d: within.append(d)
-    )
+    course = Course(on_turn=lambda: turns.append(1), on_part=within.append)
+    learn_kernel([lesson(frames=20)], metric(), settings, RECORDINGS, course)
     assert len(turns) == num_turns(settings) == STATIC_TURNS + 2
     assert within
 
@@ -275,7 +275,7 @@ def test_a_drive_that_shows_too_little_is_refused() -> None:
 
 def test_a_drive_of_a_single_step_will_do() -> None:
     there = world(0, 2)
-    single = Lesson(drive(0, 2), there.camera, known(there))
+    single = HeldLesson(drive(0, 2), there.camera, known(there))
     noise = learn([single], turns=1).model.predict(drive(1).phi)
     assert (np.linalg.eigvalsh(noise.scale) > 0.0).all()
 
@@ -314,3 +314,26 @@ def test_a_recording_gives_the_same_bytes_whenever(
     assert (np.linalg.eigvalsh(noise.scale) > 0.0).all()
     odometry = pv.StereoOdometry(recordings[0].camera, model)
     assert all(np.isfinite(odometry.step(frame).T_curr_prev).all() for frame in recordings[0])
+
+
+@pytest.mark.parametrize("kind", ["gk", "student-t"])
+def test_stopped_after_any_turn_and_resumed_it_gives_the_same_bytes(
+    recordings: list[Sequence], tmp_path: Path, kind: Any
+) -> None:
+    """And what is done is not done again: where it was stopped in the last turn, that alone is left."""
+    gk = KernelSettings(**SMALL) if kind == "gk" else KernelSettings()
+    settings = TrainSettings(kind=kind, supervision="none", predictors=("place",) if kind == "gk" else None, gk=gk)
+    whole, turns = tmp_path / "whole.safetensors", num_turns(settings)
+    pv.train_model(recordings, settings, whole)
+    for stop in range(1, turns):
+        out = tmp_path / f"{stop}.safetensors"
+
+        def show(done: int, total: int, after: int = stop) -> None:
+            if done > total * (1 + after) / (1 + turns):
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            pv.train_model(recordings, settings, out, show)
+        kept = sorted(path.name for path in out.with_name(out.name + ".work").glob("turn-*"))
+        assert kept == [f"turn-{number}.safetensors" for number in range(stop)]
+        assert pv.train_model(recordings, settings, out).read_bytes() == whole.read_bytes()

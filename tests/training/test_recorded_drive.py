@@ -8,7 +8,8 @@ import probevo as pv
 from probevo.noise import StudentT
 from probevo.predictors import prediction_space
 from probevo.simulation.point_world import write_points
-from probevo.training.drive import record_drive
+from probevo.training.drive import joined
+from probevo.training.extraction import Extraction
 from training.lessons import point_world
 
 SPACE = prediction_space(["place", "row_offset"])
@@ -31,7 +32,7 @@ def write_drive(path: Path, *, swapped: bool) -> Path:
 def test_a_step_that_was_refused_teaches_nothing(tmp_path: Path) -> None:
     """Its features are kept, but none of them counts as used."""
     sequence = pv.open_sequence(write_drive(tmp_path / "drive.npz", swapped=True))
-    drive = record_drive(sequence, SPACE, CONFIG, len(sequence))
+    drive = joined(Extraction(sequence, SPACE, CONFIG, len(sequence)))
     odometry = pv.StereoOdometry(sequence.camera, config=CONFIG)
     status = [odometry.step(frame).status for frame in sequence][1:]
     refused = [step for step, each in enumerate(status) if each is not pv.Status.OK]
@@ -45,7 +46,7 @@ def test_a_step_that_was_refused_teaches_nothing(tmp_path: Path) -> None:
 def test_it_keeps_what_the_odometry_saw(tmp_path: Path) -> None:
     """Motion, features and predictors of every step; and how many frames are done, as it goes."""
     sequence, done = pv.open_sequence(write_drive(tmp_path / "drive.npz", swapped=False)), list[int]()
-    drive = record_drive(sequence, SPACE, CONFIG, len(sequence), done.append)
+    drive = joined(Extraction(sequence, SPACE, CONFIG, len(sequence), done.append))
     assert done == list(range(1, 17))
     odometry = pv.StereoOdometry(sequence.camera, StudentT(), config=CONFIG, predictors=SPACE)
     for step, frame in enumerate(sequence, start=-1):

@@ -22,8 +22,8 @@ class TrainArguments:
     """Learn from recordings how far to trust each feature (PROBE, PROBE-GK).
 
     Writes one file, the model; `probevo run … --noise MODEL` uses it, `probevo inspect` shows it. Stopped at any moment
-    and called again with the same words, it goes on after the last recording that was through, knn after the
-    last iteration too; what is done so far lies in MODEL.work.
+    and called again with the same words, it goes on after the last recording that was through, and after the last
+    iteration of knn or turn of the others; what is done so far lies in MODEL.work.
 
     What kind of model it is, --kind says. The options from --base to --exponent are for knn alone, those of the section
     gk for the other two; a kind refuses what it has no use for.
@@ -35,6 +35,11 @@ class TrainArguments:
     """Recordings to learn from, all of one camera: folders, or tracks files (.npz)."""
     out: Annotated[Path, tyro.conf.arg(metavar="MODEL")]
     """The model file, *.safetensors; an earlier one is replaced."""
+    jobs: int = 1
+    """Processes that go through the recordings, one each; 0 takes all cores. The model is the same."""
+    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    """Leave that to the workers of a Dask cluster, by the address of its scheduler, such as tcp://10.0.0.1:8786. They
+    must see recordings and MODEL.work under the same paths."""
     settings: Annotated[TrainSettings, tyro.conf.arg(name="")] = field(default_factory=TrainSettings)
 
 
@@ -46,24 +51,30 @@ def main(words: list[str]) -> None:
         raise InputError(
             "--out", f"is {str(arguments.out)!r}.", "Give the model file a name that ends in .safetensors."
         )
-    model = train_with_progress(arguments.sequences, settings, arguments.out)
+    if arguments.jobs < 0:
+        raise InputError("--jobs", f"is {arguments.jobs}.", "Give the number of processes, or 0 for all cores.")
+    if arguments.cluster and arguments.jobs != 1:
+        raise InputError("--jobs", "means nothing with --cluster, all of whose workers work.", "Leave one of them out.")
+    model = train_with_progress(arguments.sequences, settings, arguments.out, arguments.jobs, arguments.cluster)
     print("\n".join(summary(model, arguments.out)))
 
 
-def train_with_progress(recordings: tuple[Path, ...], settings: TrainSettings, out: Path) -> Learned:
-    """Open the recordings, learn from them, and show how far it is on stderr."""
+def train_with_progress(
+    recordings: tuple[Path, ...], settings: TrainSettings, out: Path, jobs: int = 1, cluster: str = ""
+) -> Learned:
+    """Learn from recordings, and show how far it is on stderr."""
     import cv2
 
     from probevo.cli.progress import progress_bar
     from probevo.noise.model_io import load_model
-    from probevo.sequences import open_sequence
     from probevo.training.api import train_model
+    from probevo.training.workers import Workers
 
     cv2.setNumThreads(1)
-    sequences = [open_sequence(path) for path in recordings]
+    workers = Workers(jobs, cluster)
     try:
         with progress_bar(f"training {out.name}", "starting (the first time of all compiles for 20 s)") as show:
-            return load_model(train_model(sequences, settings, out, show))
+            return load_model(train_model(recordings, settings, out, show, workers=workers))
     except KeyboardInterrupt as stop:
         stop.add_note(
             f"Recordings and iterations that are through are kept in {out}.work; the same command goes on from there."

@@ -144,6 +144,12 @@ class GeneralizedKernel:
         students, counts = self.posterior_.at(coordinates, self.shape_)
         return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, counts == 0.0)
 
+    def without_samples(self) -> GeneralizedKernel:
+        """The same model, but for ``predict_exact``: what is left takes no more room than its file."""
+        model = copy(self)
+        del model.posterior_
+        return model
+
     def kept(self, columns: IntArray) -> GeneralizedKernel:
         """The same model on some of its columns only, the others being of weight 0."""
         metric, model = self.metric_, copy(self)

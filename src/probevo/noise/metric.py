@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.noise.moments import Moments
 
 UNDEFINED = -4.0
 """Where an undefined value lies, in standard deviations: a place of its own, in which it is near to its like only.
@@ -58,18 +59,34 @@ class Metric:
         """
         if predictors.ndim != 2:
             raise InputError("predictors", f"their shape is {predictors.shape}, where [N, M] is expected.")
-        count = predictors.shape[1]
-        names = tuple(columns) or tuple(f"column {m}" for m in range(count))
-        may_be = tuple(may_be_undefined) or (False,) * count
-        weight = np.ones(count) if weight is None else weight
-        blank = Metric(names, may_be, np.zeros(count), np.ones(count), weight)
-        blank._check(predictors)
-        for name, column in zip(names, predictors.T, strict=True):
-            if np.isfinite(column).sum() < FEWEST_DEFINED:
-                what = f"it is undefined for all but {np.isfinite(column).sum()} of {len(column)} features."
+        names = tuple(columns) or tuple(f"column {m}" for m in range(predictors.shape[1]))
+        check_defined(predictors, names, may_be_undefined)
+        return Metric.of_moments(Moments.of(predictors), names, may_be_undefined, weight)
+
+    @staticmethod
+    def of_moments(
+        moments: Moments,
+        columns: Sequence[str],
+        may_be_undefined: Sequence[bool] = (),
+        weight: FloatArray | None = None,
+    ) -> Metric:
+        """The same from the moments of training data that ``check_defined`` has let through.
+
+        Raises:
+            InputError: nearly all of a column is undefined.
+        """
+        for name, count in zip(columns, moments.count.tolist(), strict=True):
+            if count < FEWEST_DEFINED:
+                what = f"it is undefined for all but {count} of {moments.rows} features."
                 raise InputError(f"predictor {name}", what, "Leave it out.")
-        mean, spread = np.nanmean(predictors, axis=0), np.nanstd(predictors, axis=0)
-        return Metric(names, may_be, mean, np.where(spread > CONSTANT_BELOW * np.abs(mean), spread, 1.0), weight)
+        mean, spread = moments.mean, moments.spread
+        return Metric(
+            tuple(columns),
+            tuple(may_be_undefined) or (False,) * len(columns),
+            mean,
+            np.where(spread > CONSTANT_BELOW * np.abs(mean), spread, 1.0),
+            np.ones(len(columns)) if weight is None else weight,
+        )
 
     def coordinates(self, predictors: FloatArray) -> FloatArray:
         """Places in which the distance is Euclidean, [N, M], finite, at most FARTHEST standard deviations out.
@@ -77,16 +94,23 @@ class Metric:
         Raises:
             InputError: not M columns, or a value is infinite, or NaN where it must not be.
         """
-        self._check(predictors)
+        check_defined(predictors, self.columns, self.may_be_undefined)
         standard = np.clip((predictors - self.mean) / self.spread, -FARTHEST, FARTHEST)
         return np.where(np.isnan(standard), UNDEFINED, standard) * self.weight
 
-    def _check(self, predictors: FloatArray) -> None:
-        if predictors.ndim != 2 or predictors.shape[1] != len(self.columns):
-            expected = f"[N, {len(self.columns)}]: {', '.join(self.columns)}"
-            raise InputError("predictors", f"their shape is {predictors.shape}, where the model takes {expected}.")
-        wrong = np.where(self.may_be_undefined, np.isinf(predictors), ~np.isfinite(predictors))
-        if wrong.any():
-            row, m = np.argwhere(wrong)[0].tolist()
-            what = f"feature {row} (from 0) has the value {predictors[row, m]}."
-            raise InputError(f"predictor {self.columns[m]}", what, "Only a predictor that may be undefined can be NaN.")
+
+def check_defined(predictors: FloatArray, columns: Sequence[str], may_be_undefined: Sequence[bool] = ()) -> None:
+    """Refuse places that are not [N, M], or infinite, or NaN in a column that must not be.
+
+    Raises:
+        InputError: gives the shape, or names the column.
+    """
+    if predictors.ndim != 2 or predictors.shape[1] != len(columns):
+        expected = f"[N, {len(columns)}]: {', '.join(columns)}"
+        raise InputError("predictors", f"their shape is {predictors.shape}, where the model takes {expected}.")
+    may_be = tuple(may_be_undefined) or (False,) * len(columns)
+    wrong = np.where(may_be, np.isinf(predictors), ~np.isfinite(predictors))
+    if wrong.any():
+        row, m = np.argwhere(wrong)[0].tolist()
+        what = f"feature {row} (from 0) has the value {predictors[row, m]}."
+        raise InputError(f"predictor {columns[m]}", what, "Only a predictor that may be undefined can be NaN.")

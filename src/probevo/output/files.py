@@ -38,13 +38,14 @@ def check_folder(folder: Path, option: str) -> None:
         raise InputError(option, f"{place} cannot be written to.", "Choose another output folder.")
 
 
-def write_atomically(path: Path, content: bytes | str) -> None:
+def write_atomically(path: Path, content: bytes | str, writer: str = "") -> None:
     """Write beside ``path`` and rename, so that an interrupted run leaves the old file or the new one, never half.
 
-    Missing folders are made. Raises InputError if the place cannot be written to.
+    Missing folders are made. Where two may write the same file at a time, each names itself as ``writer``. Raises
+    InputError if the place cannot be written to.
     """
     data = content.encode() if isinstance(content, str) else content
-    partial = path.with_name(path.name + ".part")
+    partial = path.with_name(f"{path.name}{writer}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_bytes(data)

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import io
 import json
-import zlib
-from collections.abc import Iterator
-from collections.abc import Sequence as Collection
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from probevo import __version__
 from probevo.arrays import AnyArray, FloatArray, IntArray
+from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
+from probevo.noise.model_io import Learned, Storable, load_model, save_model
 from probevo.output.files import remove_stale, write_atomically
-from probevo.sequences.base import Sequence
-from probevo.training.drive import Drive, load_drive, save_drive
+from probevo.training.lesson import StoredLesson, whole
+from probevo.training.recording import TICKET
 from probevo.training.settings import TrainSettings
 
 Iteration = list[tuple[IntArray, FloatArray]]
@@ -28,7 +26,10 @@ Iteration = list[tuple[IntArray, FloatArray]]
 
 
 PLAN = "plan.json"
-OWN = tuple(f"{name}{end}" for name in (PLAN, "drive-*.npz", "iteration-*.npz") for end in ("", ".part"))
+DRIVES = ("drive-[0-9]*.json", "drive-[0-9]*.npz", "drive-[0-9]*.frames")
+MADE_OF_DRIVES = ("drive-truth-*.npz", "thin-*.json", "thin-*.npz", "iteration-*.npz", "turn-*.safetensors")
+KINDS = (PLAN, TICKET, *DRIVES, *MADE_OF_DRIVES)
+OWN = tuple(f"{name}{end}" for name in KINDS for end in ("", ".part", ".*.part"))
 """All that is ever written into the folder, and so all that is ever removed from it."""
 
 
@@ -39,10 +40,14 @@ class Checkpoint:
     folder: Path
 
     @staticmethod
-    def opened(
-        out: Path, sequences: Collection[Sequence], settings: TrainSettings, columns: tuple[str, ...]
-    ) -> Checkpoint:
-        """The work so far for this model file, or none yet. Iterations that other settings made are dropped.
+    def opened(out: Path, recordings: list[list[Any]], settings: TrainSettings, columns: tuple[str, ...]) -> Checkpoint:
+        """The work so far for this model file, or none yet. What other settings made of the drives is dropped.
+
+        Args:
+            out: the model file.
+            recordings: the facts of each ``Source``.
+            settings: all settings.
+            columns: of the prediction space.
 
         Raises:
             InputError: what lies there belongs to other recordings, predictors or settings of the odometry, is damaged
@@ -52,7 +57,6 @@ class Checkpoint:
         checkpoint._refuse_foreign()
         chosen = settings.model_dump(mode="json", exclude={"neighbors", "exponent", "average", "iterations"})
         of_drives = {name: chosen.pop(name) for name in ("odometry", "max_frames", "predictors")}
-        recordings = [[str(s.path.resolve()), len(s), s.stamps_ns[[0, -1]].tolist()] for s in sequences]
         facts = {
             "probevo": __version__,
             "drives": {**of_drives, "columns": list(columns), "recordings": recordings},
@@ -60,34 +64,27 @@ class Checkpoint:
         }
         before = checkpoint._plan()
         if before and any(before.get(part) != facts[part] for part in ("probevo", "drives")):
-            if any(checkpoint.folder.glob("*.npz")):
+            if any(checkpoint.folder.glob("drive-[0-9]*.npz")):
                 what = "a training that was stopped here had other recordings, predictors or odometry."
                 raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
         elif before.get("iterations") != chosen:
-            checkpoint._remove("iteration-*.npz")
+            checkpoint._remove(*MADE_OF_DRIVES)
         if not before:  # ``remove`` was stopped
             checkpoint._remove(*OWN)
+        checkpoint._remove("*.part", "*.frames")
         write_atomically(checkpoint.folder / PLAN, json.dumps(facts, indent=1) + "\n")
         return checkpoint
 
-    def drive(self, number: int) -> Drive | None:
-        """A recording that is through."""
-        path = self._drive(number)
-        if not path.exists():
-            return None
-        with _whole(path):
-            return load_drive(path)
-
-    def keep_drive(self, number: int, drive: Drive) -> None:
-        """Write it."""
-        save_drive(self._drive(number), drive)
+    def lesson(self, number: int, camera: StereoCamera) -> StoredLesson:
+        """The recording of that number, whatever there is of it."""
+        return StoredLesson(self.folder, number, camera)
 
     def iteration(self, number: int) -> Iteration | None:
         """An iteration that is done."""
         path = self._iteration(number)
         if not path.exists():
             return None
-        with _whole(path), np.load(path, allow_pickle=False) as archive:
+        with whole(path), np.load(path, allow_pickle=False) as archive:
             count = len(archive.files) // 2
             return [(archive[f"features_{k}"], archive[f"alphas_{k}"]) for k in range(count)]
 
@@ -100,6 +97,15 @@ class Checkpoint:
         np.savez(buffer, allow_pickle=False, **arrays)
         write_atomically(self._iteration(number), buffer.getvalue())
 
+    def turn(self, number: int) -> Learned | None:
+        """The model after a turn of EM that is done."""
+        path = self._turn(number)
+        return load_model(path) if path.exists() else None
+
+    def keep_turn(self, number: int, model: Storable) -> None:
+        """Write it."""
+        save_model(model, self._turn(number))
+
     def remove(self) -> None:
         """The model is written: nothing of this is needed any more."""
         self._remove(*OWN)  # the plan first, lest a rest of this pass for work to go on with
@@ -110,7 +116,7 @@ class Checkpoint:
         path = self.folder / PLAN
         if not path.exists():
             return {}
-        with _whole(path):
+        with whole(path):
             plan = json.loads(path.read_text("utf-8"))
             if not (isinstance(plan, dict) and "drives" in plan):
                 raise ValueError("it is no plan of a training")
@@ -130,17 +136,8 @@ class Checkpoint:
             for path in sorted(self.folder.glob(pattern)):
                 remove_stale(path)
 
-    def _drive(self, number: int) -> Path:
-        return self.folder / f"drive-{number}.npz"
+    def _turn(self, number: int) -> Path:
+        return self.folder / f"turn-{number}.safetensors"
 
     def _iteration(self, number: int) -> Path:
         return self.folder / f"iteration-{number}.npz"
-
-
-@contextmanager
-def _whole(path: Path) -> Iterator[None]:
-    """Say which file it is if it cannot be read."""
-    try:
-        yield
-    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error) as error:
-        raise InputError(path, f"this is damaged ({error}).", f"Delete the folder {path.parent}.") from error

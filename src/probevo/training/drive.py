@@ -2,42 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from itertools import islice
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from probevo.config import OdometryConfig
-from probevo.motion.estimate import Status
-from probevo.noise import StudentT
-from probevo.odometry import StereoOdometry
-from probevo.output.files import write_atomically
-from probevo.predictors import PredictionSpace
-from probevo.sequences.base import Sequence
-from probevo.sequences.frame import Frame
-from probevo.sequences.left_right import FRAMES_TO_SEE, check_left_right, count_matches
 from probevo.tracking.tracks import Tracks
-
-
-class Digest(Protocol):
-    """What hashlib's objects do."""
-
-    def update(self, data: bytes, /) -> None:
-        """Take in more bytes."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """K frames, K − 1 steps between them, and the n features of all steps, one step after another."""
+    """K − 1 consecutive steps of a recording, all of them or a part, and the n features of all steps, in their order.
 
-    digest: str
-    """SHA-256 of all that the odometry was given: stamps, images or features, IMU samples."""
+    On disk, pixels and predictors are of single precision: half the size, and 0.0001 px at most.
+    """
+
     T_curr_prev: FloatArray
     """Motion of each step as all its features give it, [K − 1, 4, 4]."""
     first_of_step: IntArray
@@ -66,77 +48,33 @@ class Drive:
         """The step that each feature belongs to, [n]."""
         return np.repeat(np.arange(len(self.T_curr_prev)), np.diff(self.first_of_step))
 
-
-def record_drive(
-    sequence: Sequence,
-    space: PredictionSpace,
-    config: OdometryConfig,
-    num_frames: int,
-    on_frame: Callable[[int], None] | None = None,
-) -> Drive:
-    """Run the odometry with static robust noise over a recording, and keep every step's features with their predictors.
-
-    Args:
-        sequence: the recording.
-        space: the predictors.
-        config: all settings of the odometry.
-        num_frames: how many of its frames, at least 2.
-        on_frame: called with how many frames are done.
-
-    Raises:
-        InputError: the recording is faulty, its left and right images are swapped, or it lacks what a predictor needs.
-    """
-    odometry = StereoOdometry(sequence.camera, StudentT(), sequence.imu, config, space)
-    digest, motions, steps = hashlib.sha256(), [], []
-    matches = np.zeros(2, np.int64)
-    for frame in islice(sequence, num_frames):
-        _take_in(digest, frame)
-        motion = odometry.step(frame)
-        if frame.index > 0:
-            motions.append(motion.T_curr_prev)
-            tracks = odometry.tracks
-            used = odometry.used & (motion.status is Status.OK)  # a step that was carried on teaches nothing
-            steps.append((tracks.prev_px, tracks.curr_px, odometry.phi, used))
-        matches += count_matches(odometry.tracks)
-        if frame.index == min(FRAMES_TO_SEE, num_frames - 1):
-            check_left_right(int(matches[0]), int(matches[1]), sequence.path)
-        if on_frame is not None:
-            on_frame(frame.index + 1)
-    prev_px, curr_px, phi, used = (np.concatenate(part) for part in zip(*steps, strict=True))
-    return Drive(
-        digest=digest.hexdigest(),
-        T_curr_prev=np.array(motions),
-        first_of_step=np.cumsum([0, *(len(step[0]) for step in steps)]),
-        prev_px=prev_px,
-        curr_px=curr_px,
-        phi=phi,
-        used=used,
-    )
+    def kept(self, steps: BoolArray) -> Drive:
+        """Only the steps that are marked, [K − 1]."""
+        rows = steps[self.step_of_feature]
+        features = {name: getattr(self, name)[rows] for name in ("prev_px", "curr_px", "phi", "used")}
+        counts = np.diff(self.first_of_step)[steps]
+        return Drive(self.T_curr_prev[steps], np.concatenate([[0], np.cumsum(counts)]), **features)
 
 
-def _take_in(digest: Digest, frame: Frame) -> None:
-    digest.update(np.int64(frame.stamp_ns).tobytes())
-    arrays: list[AnyArray | None] = [frame.left, frame.right]
-    if frame.features is not None:
-        arrays += [frame.features.ids, frame.features.pixels]
-    if frame.imu is not None:
-        arrays += [frame.imu.stamps_ns, frame.imu.gyro_rad_s, frame.imu.accel_m_s2]
-    for array in arrays:
-        if array is not None:
-            digest.update(np.ascontiguousarray(array).tobytes())
+def joined(parts: Iterable[Drive]) -> Drive:
+    """One after another as one."""
+    found = list(parts)
+    arrays = {field.name: np.concatenate([getattr(part, field.name) for part in found]) for field in fields(Drive)}
+    counts = np.concatenate([np.diff(part.first_of_step) for part in found])
+    return Drive(**arrays | {"first_of_step": np.concatenate([[0], np.cumsum(counts)])})
 
 
-def save_drive(path: Path, drive: Drive) -> None:
-    """Write a drive as an ``.npz`` file, whole or not at all."""
+def drive_bytes(drive: Drive) -> bytes:
+    """An ``.npz`` file."""
+    arrays: dict[str, AnyArray] = {field.name: getattr(drive, field.name) for field in fields(Drive)}
+    arrays |= {name: arrays[name].astype(np.float32) for name in ("prev_px", "curr_px", "phi")}
     buffer = io.BytesIO()
-    np.savez(
-        buffer, allow_pickle=False, **{field.name: np.asarray(getattr(drive, field.name)) for field in fields(Drive)}
-    )
-    write_atomically(path, buffer.getvalue())
+    np.savez(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
 
 
 def load_drive(path: Path) -> Drive:
-    """Read what ``save_drive`` wrote."""
+    """Read what ``drive_bytes`` gave."""
     with np.load(path, allow_pickle=False) as archive:
         arrays = {field.name: archive[field.name] for field in fields(Drive)}
-    return Drive(**arrays | {"digest": str(arrays["digest"])})
+    return Drive(**arrays | {name: arrays[name].astype(np.float64) for name in ("prev_px", "curr_px", "phi")})

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
 from probevo.geometry import se3
@@ -15,6 +16,7 @@ from probevo.motion.visual import solve
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 from probevo.training.drive import Drive
+from probevo.training.lesson import Lesson
 from probevo.training.supervision import Supervision
 
 UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
@@ -26,22 +28,42 @@ LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
 """How well a loop is known to close, m and rad: it is parked by hand."""
 
 
-@dataclass(frozen=True)
-class Expectation:
-    """The motions of a drive's K − 1 steps, and the errors of m of its features."""
+Predict = Callable[[FloatArray], StereoNoise]
+"""Noise of n features from their predictors, [n, M]."""
 
-    T_curr_prev: FloatArray
-    """[K − 1, 4, 4]."""
-    T_alone: FloatArray
-    """The same from the features alone, without any truth."""
+
+@dataclass(frozen=True)
+class LeftOver:
+    """The errors of m features at the motions."""
+
+    steps: IntArray
+    """The step of each, [m]."""
     features: IntArray
     """Which of the drive's features these are, [m]."""
+    phi: FloatArray
+    """Their places in the prediction space, [m, M]."""
     errors: FloatArray
     """What the noise model is to describe: residuals, or errors of single observations, [m, 4], px."""
     spread: FloatArray
     """What the doubt about the motions makes of them: their covariance, [m, 4, 4], px²."""
     log_likelihood: FloatArray
     """Of the residuals under the noise that the motions were solved with, [m], nats."""
+
+    @staticmethod
+    def joined(parts: Sequence[LeftOver]) -> LeftOver:
+        """One after another as one."""
+        return LeftOver(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(LeftOver)))
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """The motions of a drive's K − 1 steps, and what errors they leave."""
+
+    T_curr_prev: FloatArray
+    """[K − 1, 4, 4]."""
+    T_alone: FloatArray
+    """The same from the features alone, without any truth."""
+    left_over: LeftOver
 
 
 def solve_drive(
@@ -60,55 +82,43 @@ def solve_drive(
 
 
 def expect(
-    drive: Drive,
-    noise: StereoNoise,
-    camera: StereoCamera,
+    lesson: Lesson,
+    predict: Predict,
     solver: SolverConfig,
-    supervision: Supervision,
     truth_sigma: FloatArray | None,
+    share: float = 1.0,
+    seed: tuple[int, ...] = (),
 ) -> Expectation:
     """Motions as the features and the truth together give them, and the errors that are left.
 
     The truth is a Gaussian prior on the motion over each stretch of the supervision: known exactly it decides (GK-GT),
-    unknown it says nothing (GK-EM), and KITTI's, off by more than the features are, lies between.
+    unknown it says nothing (GK-EM), and KITTI's, off by more than the features are, lies between. Stretches may be as
+    long as the drive, but between features and motions nothing is held of it but motions and covariances.
 
     Args:
-        drive: the features.
-        noise: of all n of them.
-        camera: the rectified camera.
+        lesson: the drive, which is read twice, and what is known of it; nothing, if its kind is ``none``.
+        predict: the noise of n features from their predictors [n, M].
         solver: settings of the solve.
-        supervision: what is known of the drive; nothing, if its kind is ``none``.
         truth_sigma: standard deviation of the truth over a stretch, m and rad, [6]; None to estimate it from how far it
             is from what the features say.
+        share: of the features, how many are to be given errors; they are drawn.
+        seed: of the draw: the same ones, however the drive is cut into parts.
     """
-    alone, cov = solve_drive(drive, noise, camera, solver)
+    camera, supervision = lesson.camera, lesson.supervision
+    solved = [solve_drive(part, predict(part.phi), camera, solver) for part in lesson.parts()]
+    alone, cov = (np.concatenate(arrays) for arrays in zip(*solved, strict=True))
     motions = alone
     if supervision.kind != "none":
         motions, cov = conditioned(alone, cov, supervision, truth_sigma)
-    features, errors, spreads, likelihoods = [], [], [], []
-    for step, chosen, tracks in _solvable(drive, solver):
-        own = noise.of(chosen)
-        if cov[step, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:  # neither solved nor known: its residuals say nothing
-            continue
-        solution = solve_reprojection(tracks.prev_px, tracks.curr_px, own, motions[step], camera, max_iterations=0)
-        in_front = np.flatnonzero(solution.information[:, 0, 0] > 0.0)
-        error, spread, sigma = _errors(solution, own, cov[step], in_front)
-        features.append(chosen[in_front])
-        errors.append(error)
-        spreads.append(spread)
-        residual_noise = StereoNoise(sigma, own.dof[in_front], np.zeros_like(error))
-        likelihoods.append(residual_noise.log_likelihood(solution.residuals[in_front]))
-    if not features:
-        nothing = np.zeros((0, 4))
-        return Expectation(motions, alone, np.zeros(0, np.int64), nothing, np.zeros((0, 4, 4)), np.zeros(0))
-    return Expectation(
-        motions,
-        alone,
-        np.concatenate(features),
-        np.concatenate(errors),
-        np.concatenate(spreads),
-        np.concatenate(likelihoods),
-    )
+    rng, found, step, feature = np.random.default_rng([*seed]), [], 0, 0
+    for part in lesson.parts():
+        steps = slice(step, step + len(part.T_curr_prev))
+        wanted = part.used & (rng.random(len(part.used)) < share)
+        at = replace(part, T_curr_prev=motions[steps])
+        left = _left_over(at, cov[steps], predict(part.phi), camera, solver, wanted)
+        found.append(replace(left, steps=left.steps + step, features=left.features + feature))
+        step, feature = steps.stop, feature + len(part.phi)
+    return Expectation(motions, alone, LeftOver.joined(found))
 
 
 def conditioned(
@@ -170,6 +180,27 @@ def _solvable(drive: Drive, solver: SolverConfig) -> list[tuple[int, IntArray, T
         if len(own) >= solver.min_tracks:
             found.append((step, rows.start + own, drive.tracks(step).kept(own)))
     return found
+
+
+def _left_over(
+    drive: Drive, cov: FloatArray, noise: StereoNoise, camera: StereoCamera, solver: SolverConfig, wanted: BoolArray
+) -> LeftOver:
+    """Of the wanted ones of a drive's features, at its motions, whose covariances are given."""
+    nothing = np.zeros(0, np.int64)
+    found = [LeftOver(nothing, nothing, drive.phi[:0], np.zeros((0, 4)), np.zeros((0, 4, 4)), np.zeros(0))]
+    for step, chosen, tracks in _solvable(drive, solver):
+        own = noise.of(chosen)
+        if cov[step, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:  # neither solved nor known: its residuals say nothing
+            continue
+        T_curr_prev = drive.T_curr_prev[step]
+        solution = solve_reprojection(tracks.prev_px, tracks.curr_px, own, T_curr_prev, camera, max_iterations=0)
+        kept = np.flatnonzero((solution.information[:, 0, 0] > 0.0) & wanted[chosen])  # those in front
+        error, spread, sigma = _errors(solution, own, cov[step], kept)
+        residual_noise = StereoNoise(sigma, own.dof[kept], np.zeros_like(error))
+        likelihood = residual_noise.log_likelihood(solution.residuals[kept])
+        features = chosen[kept]
+        found.append(LeftOver(np.full(len(kept), step), features, drive.phi[features], error, spread, likelihood))
+    return LeftOver.joined(found)
 
 
 def _errors(

@@ -10,60 +10,82 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
-from probevo.camera.stereo import StereoCamera
-from probevo.errors import InputError
-from probevo.geometry import se3
-from probevo.noise.base import StereoNoise
 from probevo.noise.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
+from probevo.noise.model_io import Learned
 from probevo.noise.student_t import StudentT
-from probevo.training.drive import Drive
-from probevo.training.expectation import Expectation, expect
-from probevo.training.settings import KernelSettings, TrainSettings
-from probevo.training.supervision import Supervision, path
+from probevo.training.evidence import gather_evidence
+from probevo.training.lesson import Lesson
+from probevo.training.settings import TrainSettings
+from probevo.training.workers import Workers
 
-BLOCKS_A_DRIVE = 10
 STATIC_TURNS = 5
+Model = StudentT | GeneralizedKernel
+
+
+class Memory(Protocol):
+    """Where models are kept from turn to turn; a ``Checkpoint`` is one."""
+
+    def turn(self, number: int) -> Learned | None:
+        """The model after that turn, if it is kept."""
+
+    def keep_turn(self, number: int, model: Model) -> None:
+        """Keep it."""
+
+
+class Oblivion:
+    """No memory at all."""
+
+    def turn(self, number: int) -> Learned | None:
+        """None."""
+
+    def keep_turn(self, number: int, model: Model) -> None:
+        """Forget it."""
+
+
+HERE, NOWHERE = Workers(), Oblivion()
 
 
 @dataclass(frozen=True)
-class Lesson:
-    """A drive, and what is known of it."""
+class Course:
+    """What goes on around the turns of EM."""
 
-    drive: Drive
-    camera: StereoCamera
-    supervision: Supervision
+    workers: Workers = HERE
+    """Who goes through the drives; the fit to what they find is this process's."""
+    memory: Memory = NOWHERE
+    """Turns that are there need not be done."""
+    on_turn: Callable[[], None] = lambda: None
+    """Called after each turn."""
+    on_part: Callable[[float], None] = lambda share: None
+    """Called within a turn with the share of it that is done."""
 
-    @property
-    def group_of_step(self) -> IntArray:
-        """Block of time of each step, [K − 1]."""
-        steps = len(self.drive.T_curr_prev)
-        blocks: IntArray = np.arange(steps) * BLOCKS_A_DRIVE // steps
-        return blocks
+
+ALONE = Course()
 
 
 def learn_student_t(
     lessons: Sequence[Lesson],
     settings: TrainSettings,
     recordings: Sequence[Mapping[str, Any]],
-    on_turn: Callable[[], None] | None = None,
+    course: Course = ALONE,
 ) -> StudentT:
-    """The one Student-t, with its full scale matrix, that the drives are most likely under."""
-    model = StudentT(refers_to=settings.gk.refers_to, camera=lessons[0].camera)
-    turns: list[dict[str, float]] = []
-    for _ in range(STATIC_TURNS):
-        expectations = _expect(lessons, [model.predict(lesson.drive.phi) for lesson in lessons], settings)
-        turns.append(_progress(lessons, expectations))
-        errors, spread = _samples(expectations)
-        model.fit(np.zeros((len(errors), 0)), errors, spread=spread)
-        if on_turn is not None:
-            on_turn()
-    model.training = _training(settings, recordings, turns, {})
+    """The one Student-t, with its full scale matrix, that the drives are most likely under. Arguments as below."""
+    model = StudentT(refers_to=settings.gk.refers_to, camera=lessons[0].camera, training={"turns": []})
+    for number in range(STATIC_TURNS):
+        kept = course.memory.turn(number)
+        if isinstance(kept, StudentT):
+            model = kept
+        else:
+            evidence = gather_evidence(lessons, model, settings, course.workers, course.on_part)
+            model.fit(evidence.phi, evidence.errors, spread=evidence.spread)
+            model.training = {"turns": [*model.training["turns"], evidence.progress]}
+            course.memory.keep_turn(number, model)
+        course.on_turn()
+    model.training = _training(settings, recordings, model.training["turns"], {})
     return model
 
 
@@ -72,103 +94,78 @@ def learn_kernel(
     metric: Metric,
     settings: TrainSettings,
     recordings: Sequence[Mapping[str, Any]],
-    on_turn: Callable[[], None] | None = None,
-    on_search: Callable[[int, int], None] | None = None,
+    course: Course = ALONE,
 ) -> GeneralizedKernel:
     """The generalized kernel of the drives. Its shape is chosen at the first turn.
 
     Args:
-        lessons: the drives.
+        lessons: the drives, and what is known of them.
         metric: of the prediction space.
         settings: all settings.
         recordings: what the model should remember of each recording.
-        on_turn: called after each of ``num_turns``.
-        on_search: called within a turn, with how many steps of a search are done, and how many there are at most.
+        course: who does it, who hears of it, and what is done already.
     """
-    static = learn_student_t(lessons, settings, recordings, on_turn)
-    noises = [static.predict(lesson.drive.phi) for lesson in lessons]
-    turns: list[dict[str, float]] = []
-    given, model, searches = settings.gk.given(), GeneralizedKernel(), {}
-    for turn in range(settings.gk.turns):
-        expectations = _expect(lessons, noises, settings)
-        turns.append(_progress(lessons, expectations))
-        errors, spread = _samples(expectations)
-        model = GeneralizedKernel(
-            settings.gk.variant, **given, centers=settings.gk.centers, refers_to=settings.gk.refers_to
-        )
-        phi = np.concatenate([lesson.drive.phi[e.features] for lesson, e in zip(lessons, expectations, strict=True)])
-        model.fit(phi, errors, _groups(lessons, expectations), spread=spread, metric=metric, on_progress=on_search)
-        if turn == 0:
-            searches = model.search_
-            given = model.shape_.as_given() | {"weights": model.weights_}
-        noises = [model.predict(lesson.drive.phi) for lesson in lessons]
-        if on_turn is not None:
-            on_turn()
-    turns.append(_progress(lessons, _expect(lessons, noises, settings)))
-    model.camera = lessons[0].camera
-    model.training = _training(settings, recordings, turns, searches)
+    static = learn_student_t(lessons, settings, recordings, course)
+    model = GeneralizedKernel(training={"turns": [], "searches": {}})
+    given = settings.gk.given()
+    for number in range(STATIC_TURNS, num_turns(settings)):
+        kept = course.memory.turn(number)
+        if isinstance(kept, GeneralizedKernel):
+            model = kept
+        else:
+            before = model if number > STATIC_TURNS else static
+            model = _turn(lessons, before, model.training, metric, settings, given, course)
+            course.memory.keep_turn(number, model)
+        given = _restored(model.training["given"])
+        model.weights_ = given["weights"]
+        course.on_turn()
+    last = gather_evidence(lessons, model, settings, course.workers, lambda share: None).progress
+    model.camera, turns = lessons[0].camera, [*model.training["turns"], last]
+    model.training = _training(settings, recordings, turns, model.training["searches"])
     return model
 
 
+def _turn(
+    lessons: Sequence[Lesson],
+    before: Model,
+    training: Mapping[str, Any],
+    metric: Metric,
+    settings: TrainSettings,
+    given: Mapping[str, Any],
+    course: Course,
+) -> GeneralizedKernel:
+    """The next model, without its samples; ``training`` tells of the turns so far, and then of this one too."""
+    evidence = gather_evidence(lessons, before, settings, course.workers, lambda share: course.on_part(0.5 * share))
+    gk = settings.gk
+    model = GeneralizedKernel(gk.variant, **given, centers=gk.centers, refers_to=gk.refers_to).fit(
+        evidence.phi,
+        evidence.errors,
+        evidence.groups,
+        spread=evidence.spread,
+        metric=metric,
+        on_progress=lambda done, total: course.on_part(0.5 + 0.5 * done / max(total, 1)),
+    )
+    model.training = {
+        "turns": [*training["turns"], evidence.progress],
+        "searches": training["searches"] or model.search_,
+        "given": _plain(model.shape_.as_given() | {"weights": model.weights_.tolist()}),
+    }
+    return model.without_samples()
+
+
+def _plain(given: Mapping[str, Any]) -> dict[str, Any]:
+    """For JSON, which knows no infinity."""
+    return {name: None if value == np.inf else value for name, value in given.items()}
+
+
+def _restored(plain: Mapping[str, Any]) -> dict[str, Any]:
+    given = {name: np.inf if value is None else value for name, value in plain.items()}
+    return given | {"weights": np.array(given["weights"])}
+
+
 def num_turns(settings: TrainSettings) -> int:
-    """How often ``on_turn`` is called."""
+    """How many turns there are."""
     return STATIC_TURNS + (settings.gk.turns if settings.kind == "gk" else 0)
-
-
-def _expect(lessons: Sequence[Lesson], noises: Sequence[StereoNoise], settings: TrainSettings) -> list[Expectation]:
-    solver = settings.odometry.solver
-    if settings.gk.quadratic:
-        solver = solver.model_copy(update={"loss": "l2"})
-    sigma = _truth_sigma(settings.gk)
-    found = [
-        expect(lesson.drive, noise, lesson.camera, solver, lesson.supervision, sigma)
-        for lesson, noise in zip(lessons, noises, strict=True)
-    ]
-    if not any(len(expectation.features) for expectation in found):
-        what = f"no step has {solver.min_tracks} features to learn from."
-        raise InputError("training data", what, "Give other recordings.")
-    return found
-
-
-def _truth_sigma(given: KernelSettings) -> FloatArray | None:
-    """Standard deviation of the truth over a stretch, m and rad, [6]; None if it is to be estimated."""
-    if given.truth_sigma_m is None or given.truth_sigma_deg is None:
-        return None
-    return np.repeat([given.truth_sigma_m, np.deg2rad(given.truth_sigma_deg)], 3)
-
-
-def _samples(expectations: Sequence[Expectation]) -> tuple[FloatArray, FloatArray]:
-    errors, spread = (np.concatenate([getattr(e, name) for e in expectations]) for name in ("errors", "spread"))
-    return errors, spread
-
-
-def _groups(lessons: Sequence[Lesson], expectations: Sequence[Expectation]) -> IntArray:
-    """Block of time and drive of each sample; blocks of one drive after those of another."""
-    groups = [
-        number * BLOCKS_A_DRIVE + lesson.group_of_step[lesson.drive.step_of_feature[expectation.features]]
-        for number, (lesson, expectation) in enumerate(zip(lessons, expectations, strict=True))
-    ]
-    return np.concatenate(groups)
-
-
-def _progress(lessons: Sequence[Lesson], expectations: Sequence[Expectation]) -> dict[str, float]:
-    """What a turn is judged by (PROBE-GK Fig. 8): likelihood a feature, and how far loops are from closing."""
-    progress = {"log_likelihood": float(np.mean(np.concatenate([e.log_likelihood for e in expectations])))}
-    gaps = [
-        gap
-        for lesson, expectation in zip(lessons, expectations, strict=True)
-        if np.isfinite(gap := _loop_error_m(lesson.supervision, expectation.T_alone))
-    ]
-    return progress | ({"loop_error_m": float(np.mean(gaps))} if gaps else {})
-
-
-def _loop_error_m(supervision: Supervision, T_curr_prev: FloatArray) -> float:
-    """How far motions [K − 1, 4, 4] end from where the last known pose is against the first; NaN if one is unknown."""
-    first, last = supervision.frames[[0, -1]]
-    start, end = path(T_curr_prev)[[first, last]]
-    true_start, true_end = supervision.T_world_cam[[0, -1]]
-    apart = se3.inverse(start) @ end - se3.inverse(true_start) @ true_end
-    return float(np.linalg.norm(apart[:3, 3]))
 
 
 def _training(

@@ -1,0 +1,139 @@
+"""What training costs by how much there is to learn from: time a sample, peak memory, two workers against one.
+
+python benchmarks/training_scale.py [samples …]    10,000 to 1,000,000 by default; 10,000,000 takes half an hour
+python benchmarks/training_scale.py --workers      recording by one process and by two
+
+A sample is a feature of a step. Drives of the point world of 100,000 samples each lie on disk as tracks files; each
+size is a process of its own, whose peak memory the system tells. CPU time is given beside the time on the clock, as
+others may be using the machine.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # before NumPy is imported: one core
+
+import json
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import numpy as np
+
+import probevo as pv
+from probevo.config import OdometryConfig
+from probevo.predictors import prediction_space
+from probevo.simulation.point_config import PointConfig
+from probevo.simulation.point_world import simulate_points, write_points
+from probevo.training.checkpoint import Checkpoint
+from probevo.training.recording import record_all
+from probevo.training.settings import TrainSettings
+from probevo.training.sources import checked_sources
+from probevo.training.workers import Workers
+
+PREDICTORS = ("place", "last_residual", "age", "flow")
+SETTINGS = TrainSettings(
+    kind="gk", supervision="none", predictors=PREDICTORS, odometry=OdometryConfig(self_calibration=False)
+)
+SAMPLES_A_DRIVE = 100_000
+WORLD = PointConfig(landmarks=1600, outliers={"fraction": 0.05})  # type: ignore[arg-type]
+SAMPLES_A_STEP = 190
+
+
+def write_drives(folder: Path, samples: int) -> list[Path]:
+    """Tracks files with about so many samples in all."""
+    paths = []
+    for number in range(-(-samples // SAMPLES_A_DRIVE)):
+        wanted = min(SAMPLES_A_DRIVE, samples - number * SAMPLES_A_DRIVE)
+        paths.append(folder / f"{number}.npz")
+        rng = np.random.default_rng(number)
+        write_points(simulate_points(WORLD, wanted / SAMPLES_A_STEP / WORLD.rate_hz, rng), paths[-1])
+    return paths
+
+
+def cpu_s() -> float:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(part.ru_utime + part.ru_stime for part in used)
+
+
+def train(folder: Path) -> None:
+    """In a process of its own: says what it cost as JSON."""
+    phases: list[tuple[int, float]] = []
+    start, cpu = perf_counter(), cpu_s()
+
+    def show(done: int, total: int) -> None:
+        phases.append((done, cpu_s() - cpu))
+
+    paths = sorted(folder.glob("*.npz"))
+    model = pv.load_model(pv.train_model(paths, SETTINGS, folder / "m.safetensors", show))
+    frames = sum(entry["frames"] for entry in model.training["recordings"])
+    until = [max((s for done, s in phases if done <= turns * frames), default=0.0) for turns in (1, 6, 6.5, 7, 11)]
+    facts = {
+        "samples": model.samples_,
+        "features": sum(len(pv.open_sequence(path).features.ids) for path in paths),
+        "clock": perf_counter() - start,
+        "cpu": cpu_s() - cpu,
+        "recording": until[0],
+        "search": until[3] - until[2],
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+    }
+    print(json.dumps(facts))
+
+
+def print_sizes(sizes: list[int]) -> None:
+    head = ("samples", "fitted to", "s", "CPU s", "recording", "search and first fit", "the rest, µs a sample",
+            "all, µs a sample", "peak MB")  # fmt: skip
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
+    for size in sizes:
+        with TemporaryDirectory() as name:
+            write_drives(Path(name), size)
+            done = subprocess.run([sys.executable, __file__, "--train", name], stdout=subprocess.PIPE, check=True)
+        cost = json.loads(done.stdout)
+        rest = cost["cpu"] - cost["search"]
+        print(
+            f"| {size:,} | {cost['samples']:,} | {cost['clock']:.0f} | {cost['cpu']:.0f} | {cost['recording']:.1f}"
+            f" | {cost['search']:.1f} | {1e6 * rest / size:.0f} | {1e6 * cost['cpu'] / size:.0f}"
+            f" | {cost['peak_mb']:.0f} |",
+            flush=True,
+        )
+
+
+def record(folder: Path, workers: Workers) -> float:
+    """Seconds to record all drives of a folder."""
+    paths = sorted(folder.glob("*.npz"))
+    space = prediction_space(PREDICTORS)
+    sources = checked_sources(paths, SETTINGS, space)
+    with TemporaryDirectory() as name:
+        facts = [source.facts for source in sources]
+        work = Checkpoint.opened(Path(name, "m.safetensors"), facts, SETTINGS, space.columns)
+        lessons = [work.lesson(number, source.camera) for number, source in enumerate(sources)]
+        start = perf_counter()
+        record_all(sources, lessons, space, SETTINGS, workers, lambda done: None)
+        return perf_counter() - start
+
+
+def print_workers() -> None:
+    """The faster of three each: others may be using the machine."""
+    with TemporaryDirectory() as name:
+        write_drives(Path(name), 4 * SAMPLES_A_DRIVE)
+        for workers in (Workers(), Workers(2)):  # compiled, and the processes started
+            record(Path(name), workers)
+        one, two = (min(record(Path(name), Workers(jobs)) for _ in range(3)) for jobs in (1, 2))
+    print(f"recording: one process {one:.1f} s, two {two:.1f} s: {one / two:.2f} times as fast")
+
+
+def main() -> None:
+    if sys.argv[1:2] == ["--train"]:
+        train(Path(sys.argv[2]))
+    elif sys.argv[1:2] == ["--workers"]:
+        print_workers()
+    else:
+        print_sizes([int(float(word)) for word in sys.argv[1:]] or [10_000, 100_000, 1_000_000])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,85 @@
+"""PROBE from drives: motions of random subsets of their features, iteration after iteration, then K and γ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.noise.metric import Metric
+from probevo.noise.named import BASES
+from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.training.checkpoint import Checkpoint
+from probevo.training.drive import joined
+from probevo.training.fitting import fit_model
+from probevo.training.lesson import Lesson
+from probevo.training.samples import gather
+from probevo.training.settings import TrainSettings
+from probevo.training.subsets import Learner
+from probevo.training.workers import Workers
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A drive in an iteration."""
+
+    number: int
+    lesson: Lesson
+    metric: Metric
+    settings: TrainSettings
+    iteration: int
+
+
+def learn_neighbors(
+    lessons: Sequence[Lesson],
+    metric: Metric,
+    settings: TrainSettings,
+    recordings: Sequence[Mapping[str, Any]],
+    work: Checkpoint,
+    on_turn: Callable[[], None],
+    workers: Workers,
+) -> NearestNeighbors:
+    """The model of the drives.
+
+    Args:
+        lessons: the drives, and what is known of them. In the end all are held in memory: the model is made of them.
+        metric: of the prediction space.
+        settings: all settings.
+        recordings: what the model should remember of each recording.
+        work: what is done so far.
+        on_turn: called after each iteration.
+        workers: who goes through the drives.
+    """
+    names = [recording["name"] for recording in recordings]
+    iterations = []
+    for iteration in range(settings.iterations):
+        done = work.iteration(iteration)
+        if done is None:
+            tasks = [_Task(n, lesson, metric, settings, iteration) for n, lesson in enumerate(lessons)]
+            done = workers.map(_iterate, tasks, names)
+            work.keep_iteration(iteration, done)
+        iterations.append(done)
+        on_turn()
+    learners = [_learner(n, lesson, metric, settings) for n, lesson in enumerate(lessons)]
+    return fit_model(gather(iterations, learners, settings), learners, metric, settings, recordings)
+
+
+def _iterate(task: _Task) -> tuple[IntArray, FloatArray]:
+    return _learner(task.number, task.lesson, task.metric, task.settings).iterate(task.iteration)
+
+
+def _learner(number: int, lesson: Lesson, metric: Metric, settings: TrainSettings) -> Learner:
+    drive = joined(lesson.parts())
+    return Learner(
+        drive=drive,
+        coordinates=metric.coordinates(drive.phi),
+        supervision=lesson.supervision.completed(drive.T_curr_prev),
+        camera=lesson.camera,
+        base=BASES[settings.base](),
+        solver=settings.odometry.solver,
+        subset=settings.subset,
+        contrast=settings.contrast,
+        relative=settings.relative,
+        seed=(settings.odometry.seed, number),
+    )

@@ -1,0 +1,57 @@
+"""Of more drives than EM can make use of, some of the steps: what the rest cost is to record them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probevo.training.drive import Drive
+from probevo.training.evidence import MOST_FEATURES
+from probevo.training.lesson import StoredLesson
+from probevo.training.supervision import Supervision
+from probevo.training.workers import Workers
+
+STEPS_PER_FEATURE = 4
+"""Steps are kept with so many times the features that a model is fitted to, of which ``evidence`` then draws: features
+of one step have much in common, so that some of many steps tell more than all of a few."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    lesson: StoredLesson
+    share: float
+    seed: tuple[int, ...]
+
+
+def thinned(lessons: Sequence[StoredLesson], seed: int, workers: Workers) -> list[StoredLesson]:
+    """Lessons of which nothing is known but the drive, so that each step is for itself, with fewer steps each.
+
+    Args:
+        lessons: the drives.
+        seed: of the draw, which is the same however the drives are cut into parts.
+        workers: who does it.
+    """
+    used = sum(lesson.facts.used for lesson in lessons)
+    share = STEPS_PER_FEATURE * MOST_FEATURES / max(used, 1)
+    if share >= 1.0:
+        return list(lessons)
+    tasks = [_Task(lesson, share, (seed, number, 1)) for number, lesson in enumerate(lessons)]
+    return workers.map(_thin, tasks, [f"recording {number + 1}" for number in range(len(tasks))])
+
+
+def _thin(task: _Task) -> StoredLesson:
+    thin = replace(task.lesson, name="thin")
+    if not thin.is_complete:
+        rng = np.random.default_rng(task.seed)
+
+        def parts() -> Iterator[Drive]:
+            for part in task.lesson.parts():
+                yield part.kept(rng.random(len(part.T_curr_prev)) < task.share)
+
+        facts = task.lesson.facts
+        thin.keep_drive(parts(), lambda: facts.digest, len(facts.moments.mean))
+        nothing = np.full((2, 4, 4), np.nan)
+        thin.keep_supervision(Supervision("none", np.zeros(2, np.int64), nothing))
+    return thin

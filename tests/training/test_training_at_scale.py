@@ -1,0 +1,241 @@
+"""A training by many workers: the same bytes as by one, also with a worker killed midway; parts that stay small."""
+
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import probevo as pv
+from probevo.config import SolverConfig
+from probevo.errors import InputError
+from probevo.noise import StudentT
+from probevo.predictors import Needs, Predictor, Step, prediction_space
+from probevo.sequences.base import Sequence
+from probevo.sequences.frame import Frame
+from probevo.simulation.point_world import write_points
+from probevo.training import evidence, extraction, thinning
+from probevo.training.drive import Drive, joined
+from probevo.training.expectation import Expectation, expect
+from probevo.training.expectation_maximization import learn_student_t
+from probevo.training.extraction import Extraction
+from probevo.training.lesson import HeldLesson, StoredLesson
+from probevo.training.settings import KernelSettings
+from probevo.training.supervision import Supervision
+from probevo.training.thinning import thinned
+from probevo.training.workers import Workers
+from training.lessons import drive_of, known, point_world
+
+FRAMES = 16
+GK = pv.TrainSettings(
+    kind="gk",
+    predictors=("place",),
+    supervision="sparse",
+    every_s=0.5,
+    gk=KernelSettings(neighbors=50, prior_counts=8.0, turns=1, centers=100),
+)
+STATIC = GK.model_copy(update={"kind": "student-t", "predictors": None, "gk": KernelSettings()})
+KNN = pv.TrainSettings(predictors=("place", "row_offset"), iterations=3, subset=6)
+TWO = Workers(jobs=2)
+
+
+@pytest.fixture(scope="module")
+def tracks(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three short drives through different worlds, some 75 landmarks a frame."""
+    folder = tmp_path_factory.mktemp("tracks")
+    for seed in range(3):
+        write_points(point_world("column", seed=seed, frames=FRAMES, landmarks=400), folder / f"{seed}.npz")
+    return [folder / f"{seed}.npz" for seed in range(3)]
+
+
+@pytest.mark.parametrize("settings", [GK, KNN], ids=["gk", "knn"])
+def test_two_processes_give_the_bytes_of_one(tracks: list[Path], tmp_path: Path, settings: pv.TrainSettings) -> None:
+    """Told of recordings, or given them open."""
+    one = pv.train_model([pv.open_sequence(path) for path in tracks], settings, tmp_path / "one.safetensors")
+    shown: list[tuple[int, int]] = []
+    two = pv.train_model(tracks, settings, tmp_path / "two.safetensors", lambda *d: shown.append(d), workers=TWO)
+    assert two.read_bytes() == one.read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.safetensors", "two.safetensors"]
+    assert shown == sorted(shown)
+    assert shown[-1][0] <= shown[-1][1]
+
+
+@dataclass(frozen=True)
+class Deadly:
+    """A recording that once kills the process that looks at its tenth frame, unless that is this one."""
+
+    inner: Sequence
+    grave: Path
+    spared: int
+
+    def __getattr__(self, name: str) -> object:
+        if name.startswith("__") or name == "inner":  # while it is unpickled
+            raise AttributeError(name)
+        return getattr(self.inner, name)
+
+    def __len__(self) -> int:
+        return len(self.inner)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self.inner:
+            if frame.index == 9 and os.getpid() != self.spared and not self.grave.exists():
+                self.grave.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+            yield frame
+
+
+def test_with_a_worker_killed_midway_they_are_the_same(
+    tracks: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = pv.train_model(tracks, STATIC, tmp_path / "one.safetensors")
+    sequences = [pv.open_sequence(path) for path in tracks]
+    deadly: Sequence = Deadly(sequences[1], tmp_path / "grave", os.getpid())  # type: ignore[assignment]
+    killed = pv.train_model([sequences[0], deadly, sequences[2]], STATIC, tmp_path / "m.safetensors", workers=TWO)
+    assert (tmp_path / "grave").exists()
+    assert killed.read_bytes() == alone.read_bytes()
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_cluster_gives_them_too(tracks: list[Path], tmp_path: Path, killed: bool) -> None:
+    """Two workers of Dask on this machine, one of which is killed midway."""
+    distributed = pytest.importorskip("distributed")
+    alone = pv.train_model(tracks, STATIC, tmp_path / "one.safetensors")
+    sequences = [pv.open_sequence(path) for path in tracks]
+    if killed:
+        sequences[1] = Deadly(sequences[1], tmp_path / "grave", os.getpid())  # type: ignore[assignment]
+    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
+        workers = Workers(cluster=cluster.scheduler_address)
+        there = pv.train_model(sequences, STATIC, tmp_path / "m.safetensors", workers=workers)
+    assert (tmp_path / "grave").exists() == killed
+    assert there.read_bytes() == alone.read_bytes()
+
+
+def infinite(step: Step) -> np.ndarray:
+    return np.full(len(step.tracks), np.inf)
+
+
+def test_what_a_worker_refuses_is_refused(tracks: list[Path], tmp_path: Path) -> None:
+    """As in one process; and what the others did is kept."""
+    own = Predictor("own", {"own": "1"}, "test", Needs.TRACKS, infinite)
+    with pytest.raises(InputError) as caught:
+        pv.train_model(tracks, KNN, tmp_path / "m.safetensors", own_predictors=[own], workers=TWO)
+    assert str(caught.value).startswith("predictor own: feature 0 (from 0) has the value inf.")
+    assert "may be undefined" in caught.value.cure
+
+
+def extracted(path: Path) -> list[Drive]:
+    sequence = pv.open_sequence(path)
+    return list(Extraction(sequence, prediction_space(["place"]), pv.OdometryConfig(), len(sequence)))
+
+
+def test_parts_are_no_larger_than_they_may_be(tracks: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither in steps nor in bytes; and together they are the drive, whatever they are cut into."""
+    (whole,) = extracted(tracks[0])
+    monkeypatch.setattr(extraction, "MOST_STEPS", 4)
+    parts = extracted(tracks[0])
+    assert [len(part.T_curr_prev) for part in parts] == [4, 4, 4, 3]
+    monkeypatch.setattr(extraction, "MOST_BYTES", 8_000)
+    smaller = extracted(tracks[0])
+    assert len(smaller) > 4
+    for cut in (parts, smaller):
+        for one, other in zip(vars(joined(cut)).values(), vars(whole).values(), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_what_is_written_takes_as_much_as_was_reckoned(
+    tracks: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But for the headers of the arrays, 2 kB."""
+    monkeypatch.setattr(extraction, "MOST_BYTES", 20_000)
+    lesson = StoredLesson(tmp_path, 3, pv.open_sequence(tracks[0]).camera)
+    lesson.keep_drive(extracted(tracks[0]), str, 2)
+    sizes = [path.stat().st_size for path in tmp_path.glob("drive-3-*.npz")]
+    assert len(sizes) == lesson.facts.parts == 3
+    assert max(sizes) < 22_000
+
+
+@dataclass(frozen=True)
+class CutLesson(HeldLesson):
+    """In parts of five steps."""
+
+    def parts(self) -> Iterator[Drive]:
+        for first in range(0, len(self.drive.T_curr_prev), 5):
+            steps = np.arange(len(self.drive.T_curr_prev))
+            yield self.drive.kept((steps >= first) & (steps < first + 5))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3])
+@pytest.mark.parametrize(("kind", "every"), [("gt", 1), ("sparse", 7), ("loop", 1), ("none", 1)])
+def test_stretches_may_go_on_from_part_to_part(kind: str, every: int, share: float) -> None:
+    """Motions, errors and which features are drawn are the same as those of a drive in one piece, to the last bit."""
+    world = point_world(frames=24)
+    drive = drive_of(world)
+    nothing = Supervision("none", np.arange(24), np.full((24, 4, 4), np.nan))
+    supervision = nothing if kind == "none" else known(world, kind, every)
+
+    def expected(lesson: HeldLesson) -> Expectation:
+        return expect(lesson, StudentT().predict, SolverConfig(), None, share, (0, 7))
+
+    whole, cut = (expected(way(drive, world.camera, supervision)) for way in (HeldLesson, CutLesson))
+    np.testing.assert_array_equal(cut.T_curr_prev, whole.T_curr_prev)
+    np.testing.assert_array_equal(cut.T_alone, whole.T_alone)
+    for one, other in zip(vars(cut.left_over).values(), vars(whole.left_over).values(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert abs(len(whole.left_over.features) / drive.used.sum() - share) < 0.05
+
+
+def test_of_more_features_than_a_model_takes_some_are_drawn(
+    tracks: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same ones by whomever; and not all of them."""
+    monkeypatch.setattr(evidence, "MOST_FEATURES", 1000)
+    one, two = (
+        pv.train_model(tracks, STATIC, tmp_path / f"{workers.jobs}.safetensors", workers=workers)
+        for workers in (Workers(), TWO)
+    )
+    assert one.read_bytes() == two.read_bytes()
+    monkeypatch.undo()
+    assert pv.train_model(tracks, STATIC, tmp_path / "all.safetensors").read_bytes() != one.read_bytes()
+
+
+def test_a_lesson_on_disk_needs_no_more_than_its_number(tmp_path: Path) -> None:
+    world = point_world(frames=4)
+    lesson = StoredLesson(tmp_path, 5, world.camera)
+    assert not lesson.is_complete
+    lesson.keep_drive([drive_of(world)], lambda: "abc", 2)
+    lesson.keep_supervision(known(world))
+    found = replace(lesson)
+    assert found.is_complete
+    assert found.facts.digest == "abc"
+    np.testing.assert_array_equal(found.supervision.T_world_cam, known(world).T_world_cam)
+    assert found.facts.features == len(drive_of(world).phi)
+
+
+def test_of_many_drives_some_steps_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whole ones, the same for whomever and in whatever parts; and of one that shows too little, perhaps none."""
+    monkeypatch.setattr(thinning, "MOST_FEATURES", 500)
+    world = point_world(frames=60, landmarks=400)
+    drive, nothing = drive_of(world), Supervision("none", np.arange(60), np.full((60, 4, 4), np.nan))
+    found = []
+    for name, parts, workers in (("a", 1, Workers()), ("b", 12, TWO)):
+        lesson = StoredLesson(tmp_path / name, 0, world.camera)
+        pieces = np.array_split(np.arange(59), parts)
+        lesson.keep_drive((drive.kept(np.isin(np.arange(59), piece)) for piece in pieces), str, 2)
+        lesson.keep_supervision(nothing)
+        short = StoredLesson(tmp_path / name, 1, world.camera)
+        short.keep_drive([drive.kept(np.arange(59) == 7)], str, 2)
+        short.keep_supervision(nothing)
+        thin = thinned([lesson, short], 0, workers)
+        model = learn_student_t(thin, pv.TrainSettings(kind="student-t", supervision="none"), [])
+        found.append((joined(thin[0].parts()), model.scale_))
+    (one, scale), (other, other_scale) = found
+    for mine, theirs in zip(vars(one).values(), vars(other).values(), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    np.testing.assert_array_equal(scale, other_scale)
+    share = thinning.STEPS_PER_FEATURE * 500 / drive.used.sum()
+    assert abs(len(one.T_curr_prev) - 59 * share) < 4 * np.sqrt(59 * share * (1 - share))
+    taken = [k for k in range(59) if (one.T_curr_prev == drive.T_curr_prev[k]).all(axis=(1, 2)).any()]
+    np.testing.assert_allclose(one.curr_px, drive.kept(np.isin(np.arange(59), taken)).curr_px, atol=1e-4)

@@ -1,0 +1,128 @@
+"""Tasks in other processes: the same results, whatever becomes of the processes; errors that arrive as they were."""
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from probevo.errors import InputError
+from probevo.training import workers as workers_module
+from probevo.training.workers import Workers
+
+HERE, TWO = Workers(), Workers(jobs=2)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Workers]:
+    """Two workers of a Dask cluster on this machine."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as found:
+        yield Workers(cluster=found.scheduler_address)
+
+
+@pytest.fixture(params=["here", "two", "cluster"])
+def workers(request: pytest.FixtureRequest) -> Workers:
+    found: Workers = {"here": HERE, "two": TWO}.get(request.param) or request.getfixturevalue("cluster")
+    return found
+
+
+@pytest.fixture(params=["two", "cluster"])
+def others(request: pytest.FixtureRequest) -> Workers:
+    """Not this process."""
+    found: Workers = TWO if request.param == "two" else request.getfixturevalue("cluster")
+    return found
+
+
+def squared(number: int) -> tuple[int, int]:
+    time.sleep(0.02 * (number % 3))
+    return number**2, os.getpid()
+
+
+def mapped(workers: Workers, count: int = 7) -> list[int]:
+    names = [f"task {number}" for number in range(count)]
+    done: list[int] = []
+    found = workers.map(squared, range(count), names, done.append)
+    assert sorted(done) == list(range(count))
+    assert (os.getpid() in {process for _, process in found}) == (workers.are_here and count > 0)
+    return [result for result, _ in found]
+
+
+def test_results_come_in_the_order_of_the_tasks(workers: Workers) -> None:
+    assert mapped(workers) == [number**2 for number in range(7)]
+
+
+def test_of_no_tasks_there_are_no_results(workers: Workers) -> None:
+    assert mapped(workers, 0) == []
+
+
+def refuse(number: int) -> int:
+    if number == 3:
+        raise InputError("recording 3", "its left eye is shut.", "Open it.")
+    return number
+
+
+def test_an_input_error_arrives_as_it_was(workers: Workers) -> None:
+    with pytest.raises(InputError) as caught:
+        workers.map(refuse, range(6), [""] * 6)
+    error = caught.value
+    assert (error.where, error.what, error.cure) == ("recording 3", "its left eye is shut.", "Open it.")
+
+
+def die_once(task: tuple[int, Path]) -> int:
+    """The worker of the second task is killed when it comes to it first."""
+    number, grave = task
+    if number == 1 and not grave.exists():
+        grave.touch()
+        os._exit(1)
+    time.sleep(0.05)
+    return number
+
+
+def test_what_a_killed_worker_had_is_done_again(others: Workers, tmp_path: Path) -> None:
+    tasks = [(number, tmp_path / "grave") for number in range(6)]
+    done: list[int] = []
+    assert others.map(die_once, tasks, [""] * 6, done.append) == list(range(6))
+    assert sorted(done) == list(range(6))
+    assert (tmp_path / "grave").exists()
+
+
+def die_always(task: tuple[int, Path]) -> int:
+    number, graves = task
+    if number == 1:
+        (graves / f"{os.getpid()}").touch()
+        os._exit(1)
+    return number
+
+
+def test_a_task_that_kills_every_worker_is_given_up_and_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After all others are through. Here it is given up at the first loss, to save time."""
+    monkeypatch.setattr(workers_module, "MOST_LOSSES", 1)
+    done: list[int] = []
+    with pytest.raises(InputError) as caught:
+        TWO.map(die_always, [(number, tmp_path) for number in range(4)], list("abcd"), done.append)
+    assert caught.value.where == "b"
+    assert "each time of 1, the worker that had it to itself was lost" in caught.value.what
+    assert "goes on from what is done" in caught.value.cure
+    assert sorted(done) == [0, 2, 3]
+    assert len(list(tmp_path.iterdir())) >= 2
+
+
+def test_whoever_stops_it_in_between_is_not_kept_waiting(workers: Workers) -> None:
+    """As Ctrl-C does; and the same workers can be given other work."""
+
+    def stop(_number: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        workers.map(squared, range(50), [""] * 50, stop)
+    assert mapped(workers) == [number**2 for number in range(7)]
+
+
+def test_a_cluster_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(workers_module, "CONNECT_S", 0.5)
+    for address in ("tcp://127.0.0.1:9", "nowhere"):
+        with pytest.raises(InputError, match=f"--cluster: no Dask scheduler answers at '{address}'"):
+            Workers(cluster=address).map(squared, [1], ["one"])
