@@ -134,6 +134,19 @@ def test_noise_for_gtsam(noise: str, within_sigma: float, tmp_path: Path) -> Non
     assert np.abs(apart).max() < within_sigma
 
 
+@pytest.mark.parametrize("speed", ["2", "50"])
+def test_live(speed: str) -> None:
+    """Each frame is processed or counted as dropped, the last one is never dropped, and the path holds together."""
+    words = [EXAMPLES / "06_live.py", speed]
+    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
+    *estimates, summary = done.stdout.splitlines()
+    frames, processed, dropped = (int(part.split()[0]) for part in summary.split(";")[0].split(", "))
+    assert processed == len(estimates)
+    assert processed + dropped == frames
+    assert [int(line.split()[0]) for line in (estimates[0], estimates[-1])] == [0, frames - 1]
+    assert speed == "50" or float(summary.split()[-3]) < 50.0
+
+
 @pytest.mark.parametrize("dof", [5.0, np.inf])
 def test_noise_of_residuals_for_gtsam(dof: float) -> None:
     """With the points held where they were seen, GTSAM minimises probevo's own cost, of a Student-t as well."""

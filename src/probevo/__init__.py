@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from probevo import predictors as predictors
     from probevo.camera.stereo import StereoCamera as StereoCamera
     from probevo.config import OdometryConfig as OdometryConfig
+    from probevo.live import LiveEstimate as LiveEstimate
+    from probevo.live import LiveOdometry as LiveOdometry
     from probevo.motion.estimate import MotionEstimate as MotionEstimate
     from probevo.motion.estimate import Status as Status
     from probevo.noise.model_io import load_model as load_model
@@ -28,6 +30,8 @@ _HOMES = {
     "Frame": "probevo.sequences.frame",
     "ImuCalibration": "probevo.sequences.frame",
     "ImuSamples": "probevo.sequences.frame",
+    "LiveEstimate": "probevo.live",
+    "LiveOdometry": "probevo.live",
     "MotionEstimate": "probevo.motion.estimate",
     "OdometryConfig": "probevo.config",
     "Status": "probevo.motion.estimate",

@@ -29,7 +29,6 @@ from probevo.output.files import (
     write_tum,
 )
 from probevo.output.motions_file import write_motions
-from probevo.output.report import write_report
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.predictors import space_for
@@ -136,6 +135,8 @@ def check_imu(sequence: Sequence, config: OdometryConfig) -> None:
 
 
 def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures) -> Run:
+    from probevo.output.report import write_report  # only now: importing Matplotlib would hold up the first frame
+
     # Absolute, so that --config finds the recording and the noise model from any directory.
     found = {"sequence": (config.sequence or sequence.path).resolve(), "noise": portable(config.noise)}
     settings = config_text(config.model_copy(update=found))

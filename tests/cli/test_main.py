@@ -1,7 +1,9 @@
 """The dispatcher: what it imports, and how it turns errors into messages."""
 
+import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -27,6 +29,21 @@ def test_help_of_a_command_needs_neither_scipy_nor_opencv(command: str) -> None:
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert f"usage: probevo {command}" in done.stdout
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("4", "4")])
+def test_blas_gets_one_thread_unless_told_otherwise(
+    given: str | None, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "")  # so that it is put back
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    if given:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
+    command = SimpleNamespace(main=lambda words: seen.append(os.environ["OPENBLAS_NUM_THREADS"]))
+    monkeypatch.setattr(cli, "import_module", lambda name: command)
+    assert cli.main(["run"]) == 0
+    assert seen == [expected]
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from probevo.errors import InputError
+from probevo.sequences.frame import ImuSamples
 from probevo.sequences.imu import ImuStream, hold_over_interval
 
 PERIOD_NS = 10_000_000
@@ -72,3 +73,25 @@ def test_held_samples_integrate_to_rate_times_interval() -> None:
     assert (np.diff(held_ns) > 0).all()
     areas = np.trapezoid(held.reshape(3, 2, 3), held_ns.reshape(3, 2, 1), axis=1)
     np.testing.assert_allclose(areas, rates[1:] * np.diff(stamps_ns)[:, None], rtol=1e-7)
+
+
+@pytest.mark.parametrize("middle_ns", [5 * PERIOD_NS, 5 * PERIOD_NS + 1, 6 * PERIOD_NS - 1])
+def test_slices_of_consecutive_intervals_join_to_that_of_both(middle_ns: int) -> None:
+    imu = stream(PERIOD_NS * np.arange(100))
+    before, after = imu.between(7, middle_ns), imu.between(middle_ns, 8 * PERIOD_NS + 3)
+    both = imu.between(7, 8 * PERIOD_NS + 3)
+    assert before is not None
+    assert after is not None
+    assert both is not None
+    joined = before.followed_by(after)
+    np.testing.assert_array_equal(joined.stamps_ns, both.stamps_ns)
+    np.testing.assert_array_equal(joined.gyro_rad_s, both.gyro_rad_s)
+    np.testing.assert_array_equal(joined.accel_m_s2, both.accel_m_s2)
+
+
+def test_no_samples_join_to_those_of_the_other() -> None:
+    nothing = ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    samples = stream(PERIOD_NS * np.arange(100)).between(7, 5 * PERIOD_NS)
+    assert samples is not None
+    for joined in (nothing.followed_by(samples), samples.followed_by(nothing)):
+        np.testing.assert_array_equal(joined.stamps_ns, samples.stamps_ns)

@@ -65,6 +65,8 @@ def _dispatch(words: list[str]) -> int:
         close = get_close_matches(first, COMMANDS, n=1)
         cure = f"Did you mean {close[0]}?" if close else f"Commands are {', '.join(COMMANDS)}; see `probevo --help`."
         raise InputError(first, "this is not a command.", cure)
+    # No step has a product of matrices that OpenBLAS would share out, but it starts a thread for each core of the host.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import_module(f"probevo.cli.{first}").main(words[1:])
     return 0
 

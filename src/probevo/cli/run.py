@@ -72,10 +72,12 @@ def run_with_progress(sequence: Sequence, config: RunConfig, out: Path, threads:
     """Run over a recording, and show on stderr how far it is; ``name``, if not the recording's, says what is run."""
     import cv2
 
+    from probevo.allocator import keep_freed_memory
     from probevo.cli.progress import progress_bar
     from probevo.runner import run_sequence
 
     cv2.setNumThreads(threads)
+    keep_freed_memory()
     total = min(len(sequence), config.max_frames or len(sequence))
     with progress_bar(name or sequence.path.name, "starting (the first run of all compiles for 15 s)") as show:
         done = count(1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -58,12 +59,15 @@ class RunResult:
 
 
 class RunRecorder:
-    """Collects the estimates of a run as they come; ``result`` may be asked for at any time."""
+    """Collects the estimates of a run as they come, 700 bytes each; ``result`` may be asked for at any time."""
 
     def __init__(self) -> None:
-        self._stamps_ns: list[int] = []
-        self._motions: list[MotionEstimate] = []
-        self._total_ms: list[float] = []
+        # Arrays that grow, of plain numbers: as objects, the same would take four times the memory.
+        self._stamps_ns, self._total_ms = array("q"), array("d")
+        self._T_curr_prev, self._cov, self._shared = array("d"), array("d"), array("d")
+        self._counts = array("q")
+        """Status, tracks, trusted, used, foreign (−1 for None) of each step."""
+        self._stage_ms: dict[str, array[float]] = {}
         self._rejected: Counter[str] = Counter()
 
     def add(
@@ -83,32 +87,39 @@ class RunRecorder:
             rejected: points turned away at this step, by the check's name.
         """
         self._stamps_ns.append(stamp_ns)
-        self._motions.append(motion)
-        self._total_ms.append(sum(motion.stage_ms.values()) if total_ms is None else total_ms)
         self._rejected.update(rejected or {})
+        if len(self._stamps_ns) == 1:
+            return
+        for name in motion.stage_ms:
+            if name not in self._stage_ms:
+                self._stage_ms[name] = array("d", bytes(8 * len(self._total_ms)))  # zeros
+        for name, times_ms in self._stage_ms.items():
+            times_ms.append(motion.stage_ms.get(name, 0.0))
+        self._total_ms.append(sum(motion.stage_ms.values()) if total_ms is None else total_ms)
+        self._T_curr_prev.frombytes(motion.T_curr_prev.tobytes())
+        self._cov.frombytes(motion.cov.tobytes())
+        self._shared.frombytes(motion.shared.tobytes())
+        foreign = -1 if motion.num_foreign is None else motion.num_foreign
+        self._counts.extend((motion.status, motion.num_tracks, motion.num_inliers, motion.num_used, foreign))
 
     def result(self) -> RunResult:
         """All that was taken in so far."""
-        steps = self._motions[1:]
-        T_curr_prev = np.array([m.T_curr_prev for m in steps]).reshape(-1, 4, 4)
-        foreign = None
-        if any(m.num_foreign is not None for m in steps):
-            foreign = np.array([m.num_foreign or 0 for m in steps], dtype=np.int64)
-        stages = dict.fromkeys(name for m in steps for name in m.stage_ms)
+        T_curr_prev = np.array(self._T_curr_prev).reshape(-1, 4, 4)
+        status, num_tracks, num_inliers, num_used, foreign = np.array(self._counts).reshape(-1, 5).T.copy()
         return RunResult(
-            stamps_ns=np.array(self._stamps_ns, dtype=np.int64),
+            stamps_ns=np.array(self._stamps_ns),
             T_world_cam=chain_motions(T_curr_prev)[: len(self._stamps_ns)],
             T_curr_prev=T_curr_prev,
-            cov=np.array([m.cov for m in steps]).reshape(-1, 6, 6),
-            shared=np.array([m.shared for m in steps]).reshape(-1, 6, 3),
-            status=np.array([int(m.status) for m in steps], dtype=np.int64),
-            num_tracks=np.array([m.num_tracks for m in steps], dtype=np.int64),
-            num_inliers=np.array([m.num_inliers for m in steps], dtype=np.int64),
-            stage_ms={name: np.array([m.stage_ms.get(name, 0.0) for m in steps]) for name in stages},
-            total_ms=np.array(self._total_ms[1:], dtype=np.float64),
+            cov=np.array(self._cov).reshape(-1, 6, 6),
+            shared=np.array(self._shared).reshape(-1, 6, 3),
+            status=status,
+            num_tracks=num_tracks,
+            num_inliers=num_inliers,
+            stage_ms={name: np.array(times_ms) for name, times_ms in self._stage_ms.items()},
+            total_ms=np.array(self._total_ms),
             rejected=dict(self._rejected),
-            num_used=np.array([m.num_used for m in steps], dtype=np.int64),
-            num_foreign=foreign,
+            num_used=num_used,
+            num_foreign=np.maximum(foreign, 0) if (foreign >= 0).any() else None,
         )
 
 

@@ -25,6 +25,15 @@ class ImuSamples:
     accel_m_s2: FloatArray
     """Specific force (gravity included) in the IMU frame, [J, 3]; NaN where not recorded."""
 
+    def followed_by(self, later: ImuSamples) -> ImuSamples:
+        """The samples of two consecutive intervals as those of one; what both hold around their border counts once."""
+        new = later.stamps_ns > self.stamps_ns.max(initial=np.iinfo(np.int64).min)
+        return ImuSamples(
+            np.concatenate([self.stamps_ns, later.stamps_ns[new]]),
+            np.concatenate([self.gyro_rad_s, later.gyro_rad_s[new]]),
+            np.concatenate([self.accel_m_s2, later.accel_m_s2[new]]),
+        )
+
 
 @dataclass(frozen=True)
 class ImuCalibration:

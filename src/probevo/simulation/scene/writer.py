@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import cv2
 import numpy as np
 import yaml
 
+from probevo.cores import available_cores
 from probevo.errors import InputError
 from probevo.output.files import check_folder, remove_stale, write_atomically, write_kitti_poses
 from probevo.sequences.folder import IMU_HEADER
@@ -67,7 +67,7 @@ def write_scene(
         return not _has_images(out, index) or (pixel_truth and not _truth_file(out, index).exists())
 
     missing = [index for index in range(len(recording)) if is_missing(index)]
-    threads = min(jobs or _cores(), len(recording))
+    threads = min(jobs or available_cores(), len(recording))
     written = read_ahead(write, missing, ahead=2 * threads, threads=threads)
     for done, _ in enumerate(written, start=len(recording) - len(missing) + 1):
         if on_frame is not None:
@@ -80,11 +80,6 @@ def settings_text(config: SceneConfig) -> str:
     """Everything that decides the images, as YAML: two scenes with the same text look the same."""
     decisive = config.model_dump(exclude={"truth"})
     return yaml.safe_dump({"renderer": RENDERER_VERSION, **decisive}, sort_keys=False)
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _check_out(settings: str, out: Path) -> None:

@@ -1,0 +1,322 @@
+"""Live odometry: which frames it drops, when estimates come, what ends it. Steps wait for a word; nothing is timed."""
+
+import gc
+import threading
+import weakref
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import islice, pairwise
+from pathlib import Path
+from queue import Queue
+from threading import Semaphore
+from time import sleep
+
+import numpy as np
+import pytest
+
+import probevo as pv
+from probevo.errors import InputError
+from probevo.evaluation.metrics import evaluate
+from probevo.geometry import so3
+from probevo.live import MOST_UNREAD
+from probevo.output.run_result import chain_motions
+from probevo.sequences.frame import Frame
+from probevo.sequences.imu import ImuStream
+from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, blind_frame, drive
+
+PATIENCE_S = 60.0
+"""A test that would wait for longer has failed."""
+
+
+class Gated:
+    """An odometry whose every step says that it has begun, and ends when it is told to."""
+
+    def __init__(self, step: Callable[[Frame], pv.MotionEstimate] | None = None) -> None:
+        self.begun: Queue[Frame] = Queue()
+        self.go = Semaphore(0)
+        self._step = step or (lambda frame: pv.MotionEstimate(np.eye(4), np.eye(6), pv.Status.OK, 0))
+
+    def step(self, frame: Frame) -> pv.MotionEstimate:
+        self.begun.put(frame)
+        assert self.go.acquire(timeout=PATIENCE_S)
+        return self._step(frame)
+
+    def has_begun(self, index: int) -> None:
+        assert self.begun.get(timeout=PATIENCE_S).index == index
+
+
+def free(step: Callable[[Frame], pv.MotionEstimate] | None = None) -> Gated:
+    """One that need not be told."""
+    gated = Gated(step)
+    gated.go = Semaphore(10**9)
+    return gated
+
+
+def indices(live: pv.LiveOdometry) -> list[int]:
+    return [estimate.index for estimate in live.estimates()]
+
+
+def test_who_keeps_up_drops_nothing() -> None:
+    odometry = Gated()
+    with pv.LiveOdometry(odometry) as live:
+        estimates = live.estimates()
+        for index in range(5):
+            live.push(blind_frame(index))
+            odometry.go.release()
+            estimate = next(estimates)
+            assert (estimate.index, estimate.stamp_ns) == (index, START_NS + index * FRAME_NS)
+            assert estimate.prev_stamp_ns == (estimate.stamp_ns - FRAME_NS if index else None)
+            assert estimate.num_dropped == 0
+            assert estimate.latency_ms >= 0.0
+    assert live.num_dropped == 0
+    assert list(estimates) == []
+
+
+@pytest.mark.parametrize("waiting", [1, 2, 3])
+def test_the_oldest_waiting_frame_is_dropped(waiting: int) -> None:
+    odometry = Gated()
+    with pv.LiveOdometry(odometry, waiting=waiting) as live:
+        live.push(blind_frame(0))
+        odometry.has_begun(0)
+        for index in range(1, 10):
+            live.push(blind_frame(index))  # returns, although no step does
+        odometry.go.release(10)
+    estimates = list(live.estimates())
+    assert [estimate.index for estimate in estimates] == [0, *range(10 - waiting, 10)]
+    assert [estimate.num_dropped for estimate in estimates] == [0, 9 - waiting, *[0] * (waiting - 1)]
+    assert live.num_dropped == 9 - waiting
+    for before, estimate in pairwise(estimates):
+        assert estimate.prev_stamp_ns == before.stamp_ns
+
+
+@pytest.mark.parametrize("waiting", [1, 2, 3])
+def test_an_estimate_comes_at_most_waiting_plus_one_steps_after_its_frame(waiting: int) -> None:
+    """However many frames are pushed during a step: between the push of a frame and its estimate, so many steps end."""
+    odometry, steps_ended, pushed_at, late = Gated(), 0, {}, []
+    rng, index = np.random.default_rng(0), 0
+    with pv.LiveOdometry(odometry, waiting=waiting) as live:
+        estimates = live.estimates()
+        for _ in range(200):
+            for _ in range(rng.integers(1, 5)):
+                pushed_at[index] = steps_ended
+                live.push(blind_frame(index))
+                index += 1
+            odometry.begun.get(timeout=PATIENCE_S)
+            odometry.go.release()
+            steps_ended += 1
+            late.append(steps_ended - pushed_at[next(estimates).index])
+        odometry.go.release(waiting)
+    assert max(late) <= waiting + 1
+    assert live.num_dropped > 100
+
+
+def test_estimates_go_to_the_callback() -> None:
+    seen: list[pv.LiveEstimate] = []
+    with pv.LiveOdometry(free(), waiting=20, on_estimate=seen.append) as live:
+        for index in range(20):
+            live.push(blind_frame(index))
+    assert [estimate.index for estimate in seen] == list(range(20))
+    with pytest.raises(RuntimeError, match="on_estimate"):
+        next(live.estimates())
+
+
+def test_the_callback_may_close() -> None:
+    seen: list[int] = []
+
+    def stop_at_two(estimate: pv.LiveEstimate) -> None:
+        seen.append(estimate.index)
+        if estimate.index == 2:
+            live.close(drain=False)
+
+    odometry = Gated()
+    live = pv.LiveOdometry(odometry, waiting=9, on_estimate=stop_at_two)
+    for index in range(5):
+        live.push(blind_frame(index))
+    odometry.go.release(9)
+    live.close()
+    assert seen == [0, 1, 2]
+    assert live.num_dropped == 2
+
+
+def test_who_does_not_read_loses_frames_but_no_motion_and_keeps_no_memory() -> None:
+    """The step after the last that has room is not begun; frames are dropped, and let go of."""
+    odometry = free()
+    live, images = pv.LiveOdometry(odometry), []
+    for index in range(MOST_UNREAD):
+        live.push(blind_frame(index))
+        odometry.has_begun(index)
+    for index in range(MOST_UNREAD, 100):
+        image = np.zeros((4, 4), np.uint8)
+        images.append(weakref.ref(image))
+        live.push(replace(blind_frame(index), left=image))
+    del image
+    gc.collect()
+    assert odometry.begun.empty()
+    assert sum(image() is not None for image in images) == 1
+    live.close()
+    estimates = list(live.estimates())
+    assert [estimate.index for estimate in estimates] == [*range(MOST_UNREAD), 99]
+    assert estimates[-1].prev_stamp_ns == estimates[-2].stamp_ns
+    assert sum(estimate.num_dropped for estimate in estimates) == live.num_dropped == 99 - MOST_UNREAD
+
+
+def test_closing_processes_what_waits_or_drops_it() -> None:
+    for drain, expected in ((True, [0, 1, 2]), (False, [0])):
+        odometry = Gated()
+        live = pv.LiveOdometry(odometry, waiting=2)
+        for index in range(3):
+            live.push(blind_frame(index))
+            if index == 0:
+                odometry.has_begun(0)
+        closing = threading.Thread(target=live.close, kwargs={"drain": drain})
+        closing.start()
+        while live.num_dropped < 3 - len(expected):  # until what waits is dropped
+            sleep(0.001)
+        odometry.go.release(3)
+        closing.join(PATIENCE_S)
+        assert indices(live) == expected
+        with pytest.raises(RuntimeError, match="after close"):
+            live.push(blind_frame(9))
+        live.close()  # once more does no harm
+
+
+def test_an_exception_in_the_body_stops_at_once() -> None:
+    odometry = Gated()
+    live = pv.LiveOdometry(odometry, waiting=5)
+    for index in range(4):
+        live.push(blind_frame(index))
+    odometry.has_begun(0)
+    odometry.go.release()  # of the step under way alone: the others would wait for ever
+    with pytest.raises(KeyError), live:
+        raise KeyError
+    assert live.num_dropped + len(indices(live)) == 4
+
+
+def failing(frame: Frame) -> pv.MotionEstimate:
+    raise InputError("the camera", "is dead.", "Buy another.")
+
+
+def test_the_exception_of_a_step_comes_out_wherever_it_is_asked_for() -> None:
+    live = pv.LiveOdometry(free(failing))
+    live.push(blind_frame(0))
+    for ask in (lambda: next(live.estimates()), lambda: live.push(blind_frame(1)), live.close, live.close):
+        with pytest.raises(InputError, match="Buy another"):
+            ask()
+    depth = []
+    for _ in range(3):
+        with pytest.raises(InputError) as error:
+            live.close()
+        depth.append(len(error.traceback))
+    assert depth[0] == depth[2]  # it does not grow by being raised
+
+
+def test_the_exception_of_a_step_does_not_hide_another() -> None:
+    live = pv.LiveOdometry(free(failing))
+    live.push(blind_frame(0))
+    with pytest.raises(KeyError), live:
+        raise KeyError
+
+
+def test_what_was_estimated_before_a_failure_can_still_be_read() -> None:
+    odometry = free(lambda frame: failing(frame) if frame.index == 2 else pv.StereoOdometry(CAMERA).step(frame))
+    live = pv.LiveOdometry(odometry, waiting=5)
+    for index in range(3):
+        live.push(blind_frame(index))
+    estimates = live.estimates()
+    assert [next(estimates).index, next(estimates).index] == [0, 1]
+    with pytest.raises(InputError):
+        next(estimates)
+
+
+def test_a_frame_out_of_order_is_refused_and_the_next_is_taken() -> None:
+    with pv.LiveOdometry(free(), waiting=3) as live:
+        live.push(blind_frame(5))
+        for index in (5, 4):
+            with pytest.raises(InputError, match="is not after that of the frame before"):
+                live.push(blind_frame(index))
+        live.push(blind_frame(6))
+    assert indices(live) == [5, 6]
+
+
+def test_at_least_one_frame_waits() -> None:
+    with pytest.raises(ValueError, match="waiting is 0"):
+        pv.LiveOdometry(free(), waiting=0)
+
+
+GYRO = pv.ImuCalibration(np.eye(3), 2e-4, 0.01)
+
+
+def felt(frames: list[Frame]) -> ImuStream:
+    """A gyro at 200 Hz, its stamps between those of the frames, that feels the turn of FORWARD and trembles."""
+    stamps_ns = np.arange(frames[0].stamp_ns - 7_000_000, frames[-1].stamp_ns + 9_000_000, 5_000_000)
+    trembling = 0.002 * np.sin(1e-9 * (stamps_ns - START_NS)[:, None] * np.array([70.0, 110.0, 130.0]))
+    rates = trembling - so3.log(FORWARD[:3, :3]) / (1e-9 * FRAME_NS)
+    return ImuStream.checked(stamps_ns, rates, np.zeros_like(rates), np.array([f.stamp_ns for f in frames]), "gyro")
+
+
+def with_gyro(frames: list[Frame], stream: ImuStream) -> list[Frame]:
+    slices = (stream.between(prev.stamp_ns, now.stamp_ns) for prev, now in pairwise(frames))
+    return frames[:1] + [replace(frame, imu=imu) for frame, imu in zip(frames[1:], slices, strict=True)]
+
+
+def estimates_of_every_third(odometry: pv.StereoOdometry, frames: Iterable[Frame]) -> list[pv.LiveEstimate]:
+    """Three frames come during each step, and then a third of them is all that is processed."""
+    gated, estimates = Gated(odometry.step), []
+    with pv.LiveOdometry(gated, on_estimate=estimates.append) as live:
+        for frame in frames:
+            live.push(frame)
+            if frame.index % 3 == 0:
+                if frame.index:
+                    gated.go.release()
+                gated.has_begun(frame.index)
+        gated.go.release()
+    return estimates
+
+
+def test_dropped_frames_leave_their_gyro_to_the_next() -> None:
+    """Motion, covariance and bias are, to the last bit, those of a recording that never had the dropped frames."""
+    frames = drive(np.random.default_rng(1), 31)
+    stream = felt(frames)
+    ours, theirs = (pv.StereoOdometry(CAMERA, imu=GYRO) for _ in range(2))
+    estimates = estimates_of_every_third(ours, with_gyro(frames, stream))
+    assert [estimate.index for estimate in estimates] == list(range(0, 31, 3))
+    for estimate, frame in zip(estimates, with_gyro(frames[::3], stream), strict=True):
+        motion = theirs.step(frame)
+        assert estimate.motion.status is (pv.Status.OK if frame.index else pv.Status.FIRST)
+        assert estimate.motion.T_curr_prev.tobytes() == motion.T_curr_prev.tobytes()
+        assert estimate.motion.cov.tobytes() == motion.cov.tobytes()
+    assert ours.gyro_bias is not None
+    assert theirs.gyro_bias is not None
+    assert ours.gyro_bias.mean.tobytes() == theirs.gyro_bias.mean.tobytes()
+
+
+def test_a_dropped_frame_without_gyro_leaves_the_interval_uncovered() -> None:
+    """What the gyro felt in a part of it does not tell the whole rotation."""
+    frames = with_gyro(drive(np.random.default_rng(2), 4), felt(drive(np.random.default_rng(2), 4)))
+    frames[2] = replace(frames[2], imu=None)
+    odometry = Gated()
+    with pv.LiveOdometry(odometry) as live:
+        live.push(frames[0])
+        odometry.has_begun(0)
+        for frame in frames[1:]:
+            live.push(frame)
+        odometry.go.release(2)
+        assert odometry.begun.get(timeout=PATIENCE_S).imu is None
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["kitti_odometry/sequences/06", "kitti_raw/2011_09_26/2011_09_26_drive_0005_sync"], ids=["06", "0005"]
+)
+def test_tracking_survives_dropped_frames(name: str, data_root: Path) -> None:
+    """With two of three frames missing, every motion is solved from the images, and the path is as good as any."""
+    sequence = pv.open_sequence(data_root / name)
+    frames = islice(sequence, 3 * (len(sequence) // 3) - 2)
+    estimates = estimates_of_every_third(pv.StereoOdometry(sequence.camera, imu=sequence.imu), frames)
+    assert len(estimates) == len(sequence) // 3
+    assert all(estimate.motion.status is pv.Status.OK for estimate in estimates[1:])
+    assert sequence.truth is not None
+    path = chain_motions(estimate.motion.T_curr_prev for estimate in estimates[1:])
+    metrics = evaluate(path, sequence.truth.T_world_cam[[estimate.index for estimate in estimates]])
+    assert (metrics.short_r_deg_per_m or np.inf) <= 0.016
