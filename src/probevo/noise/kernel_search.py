@@ -38,7 +38,7 @@ CANDIDATES: dict[str, tuple[float, ...]] = {
     "neighbors": (1600, 800, 400, 200, 100, 50),
     "bias_counts": (np.inf, 100.0, 10.0),
     "prior_counts": (64.0, 16.0, 4.0, 1.0, 0.25, 0.0625),
-    "dof_counts": (np.inf, 300.0, 100.0, 30.0, 10.0, 3.0),
+    "dof_counts": (np.inf, 300.0, 100.0, 30.0, 10.0),
 }
 PUBLISHED: dict[str, tuple[float, ...]] = {
     "reach": (0.125, 0.25, 0.5, 1.0, 2.0),
