@@ -96,7 +96,7 @@ class StereoOdometry:
             status = Status.GAP
         solved, refused = (T_curr_prev, cov) if status is Status.OK else None, visual.status is Status.NOT_CONVERGED
         self._model = self._model.after(duration_s, solved, refused=refused)
-        self._residuals = LastResiduals.left_by(tracks, T_curr_prev, self.camera) if solved else LastResiduals.none()
+        self._residuals = LastResiduals.left_by(tracks, visual.T_judging if solved else None, self.camera)
         clock.lap("learn")
         counts, support = (visual.num_trusted, visual.num_iterations), (visual.num_used, visual.num_foreign)
         return MotionEstimate(T_curr_prev, cov, status, len(tracks), *counts, shared, clock.times_ms, *support)

@@ -14,7 +14,7 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.motion.estimate import Status
 from probevo.motion.motion_model import ExpectedMotion, MotionModel
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
-from probevo.motion.visual import VisualMotion, estimate_motion, solve
+from probevo.motion.visual import VisualMotion, confirmed, estimate_motion, solve
 from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
@@ -289,3 +289,44 @@ def test_without_iterations_the_guess_is_kept() -> None:
     plain = tracks.curr_px - predicted
     assert np.corrcoef(there.residuals.ravel(), plain.ravel())[0, 1] > 0.99
     assert np.isfinite(there.cov).all()
+
+
+def street_and_car(sigma_px: tuple[float, float], T_car: FloatArray) -> Tracks:
+    """120 features of a street and 30 of a car, with their noise, and how the camera moves by the car's word."""
+    rng = np.random.default_rng(30)
+    return both(
+        seen_twice(rng, 120, sigma_px=sigma_px[0]),
+        seen_twice(rng, 30, T_car, sigma_px=sigma_px[1], depth_m=(5.0, 15.0)),
+    )
+
+
+def noise_of(sigma_px: tuple[float, float]) -> StereoNoise:
+    scale = np.repeat(sigma_px, [120, 30])[:, None, None] ** 2 * np.eye(4)
+    return StereoNoise(scale, np.full(150, 20.0), np.zeros((150, 4)), refers_to="observation")
+
+
+SIDEWAYS = se3.exp(np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])) @ FORWARD
+
+
+def test_a_noise_that_went_with_a_car_is_contradicted_by_the_street() -> None:
+    tracks = street_and_car((0.2, 0.2), SIDEWAYS)
+    fooled = solve(tracks, noise_of((3.0, 0.1)), FORWARD, CAMERA, None, CONFIG.solver)
+    assert np.linalg.norm(motion_error(fooled.T_curr_prev, SIDEWAYS)[:3]) < 0.1
+    judging = confirmed(fooled, tracks, FORWARD, CAMERA, None, CONFIG.solver)
+    assert np.linalg.norm(motion_error(judging)[:3]) < 0.05
+
+
+def test_a_noise_that_is_right_has_the_word() -> None:
+    sigma_px = 0.6, 0.1
+    tracks = street_and_car(sigma_px, FORWARD)
+    solution = solve(tracks, noise_of(sigma_px), FORWARD, CAMERA, None, CONFIG.solver)
+    judging = confirmed(solution, tracks, FORWARD, CAMERA, None, CONFIG.solver)
+    np.testing.assert_array_equal(judging, solution.T_curr_prev)
+
+
+def test_a_motion_that_cannot_be_contradicted_stands() -> None:
+    """Two tracks say nothing of their own."""
+    tracks = street_and_car((0.2, 0.2), SIDEWAYS)
+    solution = solve(tracks, noise_of((3.0, 0.1)), FORWARD, CAMERA, None, CONFIG.solver)
+    judging = confirmed(solution, tracks.kept(np.arange(2)), FORWARD, CAMERA, None, CONFIG.solver)
+    np.testing.assert_array_equal(judging, solution.T_curr_prev)

@@ -11,6 +11,7 @@ import pytest
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.errors import InputError
+from probevo.evaluation.consistency import feature_coverage
 from probevo.noise import GeneralizedKernel, StereoNoise, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import ModelFile, write_model_file
@@ -112,6 +113,22 @@ def test_heavy_tails_are_learned_where_they_are() -> None:
     dof = GeneralizedKernel(**given).fit(places, errors).predict(np.array([[-0.6], [0.6]])).dof
     assert dof[0] == pytest.approx(3.0, rel=0.25)
     assert dof[1] > 20.0
+
+
+@pytest.mark.parametrize(("dof", "least", "most"), [(np.inf, 60.0, 200.0), (5.0, 4.0, 6.5)])
+def test_tails_are_those_within_a_place_not_of_the_mixture_of_places(dof: float, least: float, most: float) -> None:
+    places, errors = samples(6000, dof=dof)
+    assert StudentT().fit(places, errors).dof_ < 3.0
+    noise = GeneralizedKernel(bias_counts=np.inf).fit(places, errors).predict(INSIDE)
+    assert least < np.median(noise.dof) < most
+
+
+@pytest.mark.parametrize("dof", [np.inf, 5.0])
+def test_regions_hold_as_many_errors_held_out_as_they_should(dof: float) -> None:
+    model = GeneralizedKernel(bias_counts=np.inf).fit(*samples(6000, dof=dof))
+    places, errors = samples(20_000, seed=1, dof=dof)
+    for percent, share in feature_coverage(model.predict(places), errors).items():
+        assert share == pytest.approx(float(percent) / 100.0, abs=0.02)
 
 
 def test_a_bias_is_learned_where_it_is() -> None:
@@ -226,10 +243,10 @@ def test_columns_without_a_say_may_be_left_out() -> None:
 
 def test_what_is_given_is_not_searched_for() -> None:
     model = trained()
-    assert model.search_ == {}
+    assert model.search_.keys() == {"dof"}  # which is estimated at each turn of EM
     assert (model.shape_.neighbors, model.shape_.prior_counts, model.shape_.dof_counts) == (60, 8.0, 30.0)
     assert set(GeneralizedKernel().fit(*samples(500)).search_) == {
-        "weights", "neighbors", "bias_counts", "prior_counts", "dof_counts"
+        "weights", "dof", "neighbors", "bias_counts", "prior_counts", "dof_counts"
     }  # fmt: skip
 
 

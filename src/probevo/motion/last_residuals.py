@@ -11,10 +11,13 @@ from probevo.camera.stereo import StereoCamera
 from probevo.motion.reprojection_kernels import NEAREST
 from probevo.tracking.tracks import Tracks
 
+LAST_RESIDUAL = "last_residual"
+"""Name of the predictor that goes by them."""
+
 
 @dataclass(frozen=True)
 class LastResiduals:
-    """How large the residuals of n features were in the step before, at the motion that was believed then."""
+    """How large the residuals of n features were in the step before, at the motion that was to judge them then."""
 
     ids: IntArray
     """Identity of each feature, [n]; no two are the same."""
@@ -27,8 +30,10 @@ class LastResiduals:
         return LastResiduals(np.zeros(0, np.int64), np.zeros(0))
 
     @staticmethod
-    def left_by(tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera) -> LastResiduals:
-        """Of all tracks of a step, those too that its motion T_curr_prev, [4, 4], was not solved with."""
+    def left_by(tracks: Tracks, T_curr_prev: FloatArray | None, camera: StereoCamera) -> LastResiduals:
+        """Of all tracks of a step, those too that its motion T_curr_prev, [4, 4], was not solved with; none without."""
+        if T_curr_prev is None:
+            return LastResiduals.none()
         return LastResiduals(tracks.ids, _residual_sizes(tracks, T_curr_prev, camera))
 
     def of(self, ids: IntArray) -> FloatArray:

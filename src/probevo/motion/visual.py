@@ -10,13 +10,16 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig, SolverConfig
 from probevo.errors import InputError
+from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.motion.alignment import solve_alignment
 from probevo.motion.estimate import Status
 from probevo.motion.first_guess import enough, first_guess
+from probevo.motion.last_residuals import LAST_RESIDUAL
 from probevo.motion.motion_model import ExpectedMotion
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
 from probevo.motion.robust import RobustLoss
 from probevo.noise.base import NoiseModel, StereoNoise
+from probevo.noise.student_t import StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
@@ -26,6 +29,9 @@ USUAL_DOF = 5.0
 """Degrees of freedom for which the two bounds hold: those of the shipped Student-t."""
 TRUSTED = 0.5
 """A track with this much trust counts as trusted."""
+
+BY_CHANCE = 22.46
+"""Squared distance of two motions of the same tracks, in standard deviations: 99.9 % of χ²(6)."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,8 @@ class VisualMotion:
     foreign: BoolArray | None = None
     """Which of the tracks used lie where the noise model has seen no training data, [N]; None if it knows of no such
     place, or if there was no solve."""
+    T_judging: FloatArray | None = None
+    """The motion by which to judge features in the next step, [4, 4]; None if there was no solve."""
 
     @property
     def astray(self) -> BoolArray:
@@ -108,7 +116,11 @@ def estimate_motion(
     if predicted.foreign is not None:
         foreign = np.zeros_like(used)
         foreign[used] = predicted.foreign
-    return VisualMotion(status, weights, used, None if status is Status.DEGENERATE else solution, foreign)
+    judging = solution.T_curr_prev
+    if LAST_RESIDUAL in noise.columns:
+        judging = confirmed(solution, tracks.kept(used), start.T_curr_prev, camera, prior, config.solver)
+    believed = None if status is Status.DEGENERATE else solution
+    return VisualMotion(status, weights, used, believed, foreign, judging)
 
 
 def solve(
@@ -148,6 +160,33 @@ def solve(
     if aligned is None:
         return solution
     return replace(solution, cov=aligned.cov, iterations=aligned.iterations, converged=aligned.converged)
+
+
+def confirmed(
+    solution: ReprojectionSolution,
+    tracks: Tracks,
+    guess: FloatArray,
+    camera: StereoCamera,
+    prior: RotationPrior | None,
+    config: SolverConfig,
+) -> FloatArray:
+    """The motion under a learned noise, unless N tracks, all trusted alike, contradict it: then what they say, [4, 4].
+
+    A model that trusts those features that agreed with the last motion confirms that motion: once it has gone with a
+    car, it is the street that seems to be off. The judge must be one whom it cannot persuade. But it is the coarser
+    one too, so that it has the word only where the two are farther apart than chance explains.
+
+    Args:
+        solution: under the learned noise.
+        tracks, guess, camera, prior, config: as of ``solve``.
+    """
+    noise = StudentT().predict(np.zeros((len(tracks), 0)))
+    plain = solve(tracks, noise, guess, camera, prior, config)
+    cov = plain.cov + solution.cov
+    if not (plain.converged and np.isfinite(cov).all()):
+        return solution.T_curr_prev
+    apart = normalized_error_squared(plain.T_curr_prev[None], solution.T_curr_prev[None], cov[None])[0]
+    return solution.T_curr_prev if apart < BY_CHANCE else plain.T_curr_prev
 
 
 def trust(solution: ReprojectionSolution, dof: FloatArray) -> FloatArray:

@@ -44,13 +44,16 @@ class KernelShape:
     prior_counts: float = 16.0
     """How many errors the prior counts for."""
     dof_counts: float = 100.0
-    """The same for the degrees of freedom; np.inf holds them at those of all errors together."""
+    """The same for the degrees of freedom; np.inf holds them."""
     bias_counts: float = 100.0
     """The same for the bias, which is zero; np.inf holds it there."""
+    dof: float | None = None
+    """What they shrink to: those of errors held against the scale of their own place. None takes those of all errors
+    against one scale, which are fewer: a mixture of good and bad places looks heavy-tailed, whatever each of them."""
 
     def as_given(self) -> dict[str, Any]:
-        """As ``GeneralizedKernel`` takes what it need not choose."""
-        return asdict(self)
+        """As ``GeneralizedKernel`` takes what it need not choose; ``dof`` it always estimates."""
+        return {name: value for name, value in asdict(self).items() if name != "dof"}
 
 
 @dataclass(frozen=True)
@@ -119,9 +122,8 @@ class KernelPosterior:
 
     def _fit(self, near: Neighborhoods, shape: KernelShape, iterations: int) -> tuple[Students, FloatArray]:
         counts = near.counts
-        prior = StudentPrior(
-            self.prior.scale[0], float(self.prior.dof[0]), shape.prior_counts, shape.dof_counts, shape.bias_counts
-        )
+        prior_dof = float(self.prior.dof[0]) if shape.dof is None else shape.dof
+        prior = StudentPrior(self.prior.scale[0], prior_dof, shape.prior_counts, shape.dof_counts, shape.bias_counts)
         fitted = fit_students(
             self.errors, near, prior, spread=self.spread, iterations=iterations, robust=not self.published
         )

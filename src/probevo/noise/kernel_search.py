@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,24 +14,30 @@ from scipy.spatial import KDTree
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
-from probevo.noise.kernel_posterior import KernelPosterior, KernelShape, prior_of
-from probevo.noise.student_fit import DIM, Students, fit_static
+from probevo.noise.kernel_folds import MOST_SAMPLES, Fold, folds_of
+from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
+from probevo.noise.student_fit import DIM
+from probevo.noise.student_kernels import LEAST_DOF, MOST_DOF
 
 LARGEST_WEIGHT = 1e6
 """Of a column, so that squares of distances stay within single precision."""
-FOLDS = 5
-MOST_SAMPLES, MOST_QUERIES = 12_000, 600
-"""Of a fold, to learn from and to judge by while weights are chosen."""
 FACTORS = (0.5, 2.0)
 """By which a column's weight is tried, once the columns are chosen."""
 SEARCH_ITERATIONS = 6
 """Of each fit; the chosen shape is fitted with more."""
 LEAST_GAIN = 2e-3
-"""Nats a feature that a change must gain."""
+"""Nats a feature that another column, or another weight of one, must gain."""
+TIE = 2e-4
+"""Nats a feature by which shapes of the kernel are as good as each other. It is small, as the few best features carry
+the motion: a prior that is too heavy for them alone, or a K too large, hardly shows in the mean over all."""
+LIGHT = 1.0
+"""Errors that the prior counts for while the rest is chosen: under a heavier one small K look worse than they are."""
+DOF_TOLERANCE = 0.1
+"""Of ln ν."""
 CANDIDATES: dict[str, tuple[float, ...]] = {
     "neighbors": (1600, 800, 400, 200, 100, 50),
     "bias_counts": (np.inf, 100.0, 10.0),
-    "prior_counts": (64.0, 16.0, 4.0, 1.0),
+    "prior_counts": (64.0, 16.0, 4.0, 1.0, 0.25, 0.0625),
     "dof_counts": (np.inf, 300.0, 100.0, 30.0, 10.0),
 }
 PUBLISHED: dict[str, tuple[float, ...]] = {
@@ -41,20 +48,6 @@ NEIGHBORS_GROW = 0.5
 """K goes with this power of the number of samples: as N^(4/(4 + M)) is best for M of four effective columns."""
 Search = dict[str, dict[str, Any]]
 """By the name of what was chosen: candidates, nats a feature that each gains over the static model, and the chosen."""
-
-
-@dataclass(frozen=True)
-class _Fold:
-    """Samples to learn from, and such of other groups to judge by."""
-
-    coordinates: FloatArray
-    errors: FloatArray
-    spread: FloatArray | None
-    places: FloatArray
-    asked: FloatArray
-    prior: Students
-    static: float
-    """Mean log-likelihood of the asked under the one Student-t of the samples."""
 
 
 def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> None:
@@ -106,25 +99,30 @@ def choose_shape(
     if published and "reach" not in given:
         shape = replace(shape, reach=0.5)
     candidates = {name: c for name, c in (PUBLISHED if published else CANDIDATES).items() if name not in given}
-    if not candidates and "weights" in given:
+    if not candidates and "weights" in given and published:
         return weights, shape, {}
-    folds = _folds(coordinates, errors, spread, groups, published)
+    folds = folds_of(coordinates, errors, spread, groups, published)
     if len(folds) < 2:
         return weights, shape, {}
     # The search learns from fewer samples, where K as large would reach farther.
+    shape = shape if published or "prior_counts" in given else replace(shape, prior_counts=LIGHT)
     fewer = max(1.0, len(errors) / MOST_SAMPLES) ** NEIGHBORS_GROW
     shape = replace(shape, neighbors=max(1, round(shape.neighbors / fewer))) if "neighbors" in given else shape
     search, is_free = _Search(folds, published, on_progress), "weights" not in given and not published
     search.total = (dimension * (dimension + 1) // 2 if is_free else 0) + len(candidates)
     if is_free:
         weights = search.choose_weights(dimension, shape)
+    if candidates and not published:
+        shape = search.choose_dof(weights, shape)
     for name, values in candidates.items():
         shape = search.choose(name, values, weights, shape)
+    if not published:  # again, for the neighbourhoods that were chosen
+        shape = search.choose_dof(weights, shape)
     return weights, replace(shape, neighbors=given.get("neighbors", round(shape.neighbors * fewer))), search.found
 
 
 class _Search:
-    def __init__(self, folds: list[_Fold], published: bool, on_progress: Callable[[int, int], None] | None) -> None:
+    def __init__(self, folds: list[Fold], published: bool, on_progress: Callable[[int, int], None] | None) -> None:
         self.folds, self.published, self.on_progress = folds, published, on_progress
         self.found: Search = {}
         self.done = self.total = 0
@@ -161,13 +159,30 @@ class _Search:
         changes: list[dict[str, Any]] = [{name: int(v) if name == "neighbors" else v} for v in values]
         options = [replace(shape, **change) for change in changes]
         gains = [self.gain(weights, option) for option in options]
-        chosen = int(np.argmax(np.array(gains) > max(gains) - LEAST_GAIN))
+        chosen = int(np.argmax(np.array(gains) > max(gains) - TIE))
         plain = [value if np.isfinite(value) else "none" for value in values]
         self.found[name] = {"candidates": plain, "gains": gains, "chosen": plain[chosen]}
         self._step()
         return options[chosen]
 
-    def _gain_of_fold(self, fold: _Fold, weights: FloatArray, shape: KernelShape) -> float:
+    def choose_dof(self, weights: FloatArray, shape: KernelShape) -> KernelShape:
+        """The degrees of freedom under which errors are the most likely, each against the scale of its own place.
+
+        They have no stiff end that a tie should go to: too few take the scale down with them, and then half of all
+        errors are outside the region that should hold them.
+        """
+        from scipy.optimize import minimize_scalar  # slow to load, and only training needs it
+
+        held = replace(shape, dof_counts=np.inf)
+        best = minimize_scalar(
+            lambda logarithm: -self.gain(weights, replace(held, dof=math.exp(logarithm))),
+            bounds=(math.log(LEAST_DOF), math.log(MOST_DOF)), method="bounded", options={"xatol": DOF_TOLERANCE},
+        )  # fmt: skip
+        dof = math.exp(best.x)
+        self.found["dof"] = {"candidates": [dof], "gains": [-float(best.fun)], "chosen": dof}
+        return replace(shape, dof=dof)
+
+    def _gain_of_fold(self, fold: Fold, weights: FloatArray, shape: KernelShape) -> float:
         used = weights > 0.0
         coordinates, places = (np.ascontiguousarray((x * weights)[:, used]) for x in (fold.coordinates, fold.places))
         posterior = KernelPosterior(
@@ -185,35 +200,3 @@ class _Search:
 
 def _with(weights: FloatArray, column: int, weight: float) -> FloatArray:
     return np.where(np.arange(len(weights)) == column, weight, weights)
-
-
-def _folds(
-    coordinates: FloatArray,
-    errors: FloatArray,
-    spread: FloatArray | None,
-    groups: IntArray | None,
-    published: bool,
-) -> list[_Fold]:
-    count = len(errors)
-    if groups is None:
-        groups = np.arange(count) * 2 * FOLDS // max(count, 1)
-    fold = np.unique(groups, return_inverse=True)[1] % FOLDS
-    found = []
-    for number in np.unique(fold):
-        own, other = (
-            _evenly(np.flatnonzero(fold == number), MOST_QUERIES),
-            _evenly(np.flatnonzero(fold != number), MOST_SAMPLES),
-        )
-        if not len(other):
-            continue
-        parts = errors[other], None if spread is None else spread[other]
-        prior, student = prior_of(*parts, published=published), fit_static(*parts)
-        noise = StereoNoise(student.scale, student.dof, student.bias)
-        static = float(noise.log_likelihood(errors[own]).mean())
-        found.append(_Fold(coordinates[other], *parts, coordinates[own], errors[own], prior, static))
-    return found
-
-
-def _evenly(indices: IntArray, most: int) -> IntArray:
-    chosen: IntArray = indices[np.unique(np.linspace(0, len(indices) - 1, min(most, len(indices))).astype(np.int64))]
-    return chosen

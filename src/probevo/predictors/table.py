@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.motion.last_residuals import LAST_RESIDUAL
 from probevo.predictors.acceleration import acceleration
 from probevo.predictors.age import age
 from probevo.predictors.base import Needs, PredictionSpace, Predictor, Step
@@ -71,7 +72,7 @@ _TABLE = (
     Predictor("flow", {"flow": "ln(1 + px)"}, "ours", Needs.TRACKS, lambda s: flow(s.tracks.prev_px, s.tracks.curr_px)),
     Predictor("residual_flow", {"residual_flow": "ln(1 + px)"}, "ours", Needs.TRACKS,
               lambda s: residual_flow(s.tracks.prev_px, s.tracks.curr_px, s.expected, s.camera)),
-    Predictor("last_residual", {"last_residual": "ln(0.1 + px)"}, "ours", Needs.TRACKS,
+    Predictor(LAST_RESIDUAL, {LAST_RESIDUAL: "ln(0.1 + px)"}, "ours", Needs.TRACKS,
               lambda s: last_residual(s.last_residual_px),
               undefined="where the step before left none"),
     Predictor("row_offset", {"row_offset": "px"}, "ours", Needs.TRACKS, lambda s: row_offset(s.tracks.curr_px)),
