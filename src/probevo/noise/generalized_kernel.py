@@ -10,7 +10,7 @@ from typing import Any, Self, get_args
 
 import numpy as np
 
-from probevo.arrays import AnyArray, FloatArray, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
@@ -43,6 +43,7 @@ class GeneralizedKernel:
         refers_to: what the errors are: residuals, or errors of single observations.
         camera: the camera of the training data; None if that is not known.
         training: how the training data came about, in plain values that JSON can hold.
+        lasting_px: standard deviation of the disparity's error that is the same in both frames; training sets it.
     """
 
     def __init__(
@@ -58,10 +59,12 @@ class GeneralizedKernel:
         refers_to: Refers = "residual",
         camera: StereoCamera | None = None,
         training: Mapping[str, Any] | None = None,
+        lasting_px: float = 0.0,
     ) -> None:
         self.variant, self.neighbors, self.reach, self.prior_counts = variant, neighbors, reach, prior_counts
         self.dof_counts, self.bias_counts, self.weights, self.centers = dof_counts, bias_counts, weights, centers
         self.refers_to, self.camera, self.training = refers_to, camera, training or {}
+        self.lasting_px = lasting_px
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -135,14 +138,13 @@ class GeneralizedKernel:
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """The noise of N features from their places in the prediction space, [N, M]; N does not matter to its cost."""
         coordinates = self._coordinates(predictors)
-        students, foreign = self.centers_.at(coordinates, self.edge_, self.prior_)
-        return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, foreign)
+        return self._noise(*self.centers_.at(coordinates, self.edge_, self.prior_))
 
     def predict_exact(self, predictors: FloatArray) -> StereoNoise:
         """The same from all samples instead of the centers; only of a model that was not read from a file."""
         coordinates = self._coordinates(predictors)
         students, counts = self.posterior_.at(coordinates, self.shape_)
-        return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, counts == 0.0)
+        return self._noise(students, counts == 0.0)
 
     def without_samples(self) -> GeneralizedKernel:
         """The same model, but for ``predict_exact``: what is left takes no more room than its file."""
@@ -187,6 +189,7 @@ class GeneralizedKernel:
             "edge": self.edge_,
             "prior_counts": shape.prior_counts,
             "refers_to": self.refers_to,
+            "lasting_px": self.lasting_px,
             "samples": self.samples_,
             "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
             "training": dict(self.training),
@@ -204,8 +207,9 @@ class GeneralizedKernel:
         if facts.camera is not None:
             check_camera(facts.camera, "camera")
         model = GeneralizedKernel(
-            facts.variant, refers_to=facts.refers_to, camera=facts.camera, training=facts.training
-        )
+            facts.variant, refers_to=facts.refers_to, camera=facts.camera, training=facts.training,
+            lasting_px=facts.lasting_px,
+        )  # fmt: skip
         model.metric_ = Metric(
             facts.columns, facts.may_be_undefined, arrays["mean"], arrays["spread"], arrays["weight"]
         )
@@ -215,6 +219,10 @@ class GeneralizedKernel:
         model.samples_, model.edge_ = facts.samples, facts.edge
         check_arrays(model.metric_, model.centers_, model.prior_)
         return model
+
+    def _noise(self, students: Students, foreign: BoolArray) -> StereoNoise:
+        lasting = np.full(len(students.dof), self.lasting_px**2) if self.lasting_px else None
+        return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, foreign, lasting)
 
     def _coordinates(self, predictors: FloatArray) -> FloatArray:
         """Places [N, M] in the columns that have a say."""

@@ -37,6 +37,8 @@ class Evidence:
     """Block of time and drive of each; blocks of one drive after those of another, [N]."""
     log_likelihood: FloatArray
     """Of their residuals under the model, [N], nats."""
+    profile: FloatArray
+    """What they tell of how much lasts of the disparity's error, as from ``lasting_profile``, [N, 4]."""
     gaps_m: FloatArray
     """Of each drive with both ends known, how far its motions end from there."""
 
@@ -101,7 +103,7 @@ def _evidence(task: _Task) -> Evidence:
     groups = task.number * BLOCKS_A_DRIVE + left.steps * BLOCKS_A_DRIVE // max(steps, 1)
     gap_m = _loop_error_m(supervision, expectation.T_alone)
     gaps_m = np.array([gap_m] if np.isfinite(gap_m) else [])
-    return Evidence(left.phi, left.errors, left.spread, groups, left.log_likelihood, gaps_m)
+    return Evidence(left.phi, left.errors, left.spread, groups, left.log_likelihood, left.profile, gaps_m)
 
 
 def _solver(settings: TrainSettings) -> SolverConfig:

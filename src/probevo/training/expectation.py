@@ -16,6 +16,7 @@ from probevo.motion.visual import solve
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 from probevo.training.drive import Drive
+from probevo.training.lasting import lasting_profile
 from probevo.training.lesson import Lesson
 from probevo.training.supervision import Supervision
 
@@ -48,6 +49,8 @@ class LeftOver:
     """What the doubt about the motions makes of them: their covariance, [m, 4, 4], px²."""
     log_likelihood: FloatArray
     """Of the residuals under the noise that the motions were solved with, [m], nats."""
+    profile: FloatArray
+    """What they tell of how much lasts of the disparity's error, as from ``lasting_profile``, [m, 4]."""
 
     @staticmethod
     def joined(parts: Sequence[LeftOver]) -> LeftOver:
@@ -187,7 +190,9 @@ def _left_over(
 ) -> LeftOver:
     """Of the wanted ones of a drive's features, at its motions, whose covariances are given."""
     nothing = np.zeros(0, np.int64)
-    found = [LeftOver(nothing, nothing, drive.phi[:0], np.zeros((0, 4)), np.zeros((0, 4, 4)), np.zeros(0))]
+    found = [
+        LeftOver(nothing, nothing, drive.phi[:0], np.zeros((0, 4)), np.zeros((0, 4, 4)), np.zeros(0), np.zeros((0, 4)))
+    ]
     for step, chosen, tracks in _solvable(drive, solver):
         own = noise.of(chosen)
         if cov[step, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:  # neither solved nor known: its residuals say nothing
@@ -198,8 +203,9 @@ def _left_over(
         error, spread, sigma = _errors(solution, own, cov[step], kept)
         residual_noise = StereoNoise(sigma, own.dof[kept], np.zeros_like(error))
         likelihood = residual_noise.log_likelihood(solution.residuals[kept])
-        features = chosen[kept]
-        found.append(LeftOver(np.full(len(kept), step), features, drive.phi[features], error, spread, likelihood))
+        features, profile = chosen[kept], lasting_profile(solution, own, kept)
+        steps = np.full(len(kept), step)
+        found.append(LeftOver(steps, features, drive.phi[features], error, spread, likelihood, profile))
     return LeftOver.joined(found)
 
 

@@ -19,6 +19,7 @@ from probevo.noise.metric import Metric
 from probevo.noise.model_io import Learned
 from probevo.noise.student_t import StudentT
 from probevo.training.evidence import gather_evidence
+from probevo.training.lasting import most_likely_px
 from probevo.training.lesson import Lesson
 from probevo.training.settings import TrainSettings
 from probevo.training.workers import Workers
@@ -74,7 +75,8 @@ def learn_student_t(
     course: Course = ALONE,
 ) -> StudentT:
     """The one Student-t, with its full scale matrix, that the drives are most likely under. Arguments as below."""
-    model = StudentT(refers_to=settings.gk.refers_to, camera=lessons[0].camera, training={"turns": []})
+    gk, start = settings.gk, None if settings.gk.learns_lasting else 0.0
+    model = StudentT(refers_to=gk.refers_to, camera=lessons[0].camera, training={"turns": []}, lasting_px=start)
     for number in range(STATIC_TURNS):
         kept = course.memory.turn(number)
         if isinstance(kept, StudentT):
@@ -82,6 +84,7 @@ def learn_student_t(
         else:
             evidence = gather_evidence(lessons, model, settings, course.workers, course.on_part)
             model.fit(evidence.phi, evidence.errors, spread=evidence.spread)
+            model.lasting_px = most_likely_px(evidence.profile) if gk.learns_lasting else 0.0
             model.training = {"turns": [*model.training["turns"], evidence.progress]}
             course.memory.keep_turn(number, model)
         course.on_turn()
@@ -145,6 +148,7 @@ def _turn(
         metric=metric,
         on_progress=lambda done, total: course.on_part(0.5 + 0.5 * done / max(total, 1)),
     )
+    model.lasting_px = most_likely_px(evidence.profile) if gk.learns_lasting else 0.0
     model.training = {
         "turns": [*training["turns"], evidence.progress],
         "searches": training["searches"] or model.search_,

@@ -53,12 +53,22 @@ class KernelSettings(Settings):
         description="Learn the noise of single observations, from which the solver derives that of the residual for any"
         " depth and speed; or that of the residual as a whole, as published.",
     )
+    lasting: bool = Field(
+        True,
+        description="Learn how much of the error of a disparity is the same in both frames, beside what is new in each;"
+        " the noise of a residual as a whole has no such part.",
+    )
     truth_sigma_m: float | None = Field(
         None, ge=0, le=1000, description="How far the true positions are off, between two of them; left out, estimated."
     )
     truth_sigma_deg: float | None = Field(
         None, ge=0, le=180, description="The same for attitudes; to be given together with the other."
     )
+
+    @property
+    def learns_lasting(self) -> bool:
+        """Whether there is such a part, and it is to be learned."""
+        return self.lasting and self.refers_to == "observation"
 
     @staticmethod
     def published() -> KernelSettings:
