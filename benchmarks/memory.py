@@ -1,9 +1,10 @@
 """Resident memory over many frames: a recording played back and forth, its stamps going on.
 
-python benchmarks/memory.py [--frames 20000] [--of images|tracks] [--noise NAME|MODEL] [--recorded]
+python benchmarks/memory.py [--frames 20000] [--of images|tracks] [--noise NAME|MODEL] [--recorded] [--live]
 
 `images` are those of raw 0005, `tracks` those of the tracks file of the same drive; --recorded also keeps of each frame
-what `probevo run` keeps. The slope is fitted after the first 1,000 frames; wanted is less than 1 MB per 1,000 frames.
+what `probevo run` keeps, and --live steps in the thread of a LiveOdometry. The slope is fitted after the first 1,000
+frames; wanted is less than 1 MB per 1,000 frames.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count, islice
 from pathlib import Path
@@ -22,6 +23,7 @@ import numpy as np
 from recordings import RECORDINGS, ROOT
 
 import probevo as pv
+from probevo.allocator import keep_freed_memory
 from probevo.noise.named import noise_model
 from probevo.output.run_result import RunRecorder
 
@@ -50,14 +52,30 @@ def back_and_forth(frames: list[pv.Frame]) -> Iterator[pv.Frame]:
             yield replace(now, index=next(index), stamp_ns=stamp_ns, imu=imu)
 
 
-def main(source: str, num_frames: int, noise: str, recorded: bool) -> None:
+def steps_of(odometry: pv.StereoOdometry, live: bool) -> Callable[[pv.Frame], pv.MotionEstimate]:
+    """Its ``step``; live, each frame waits for the estimate of the one before, so that none is dropped."""
+    if not live:
+        return odometry.step
+    thread = pv.LiveOdometry(odometry)
+    estimates = thread.estimates()
+
+    def step(frame: pv.Frame) -> pv.MotionEstimate:
+        thread.push(frame)
+        return next(estimates).motion
+
+    return step
+
+
+def main(source: str, num_frames: int, noise: str, recorded: bool, live: bool) -> None:
     cv2.setNumThreads(1)
+    keep_freed_memory()
     sequence = pv.open_sequence(SOURCES[source])
     frames = list(sequence)
     odometry, recorder = pv.StereoOdometry(sequence.camera, noise_model(noise), sequence.imu), RunRecorder()
+    step = steps_of(odometry, live)
     statuses, seen, start = Counter(), [], perf_counter()
     for frame in islice(back_and_forth(frames), num_frames):
-        motion = odometry.step(frame)
+        motion = step(frame)
         statuses[motion.status.name] += 1
         if recorded:
             recorder.add(frame.stamp_ns, motion, rejected=odometry.tracks.rejected)
@@ -76,5 +94,6 @@ if __name__ == "__main__":
     parser.add_argument("--frames", type=int, default=20_000)
     parser.add_argument("--noise", default="student-t")
     parser.add_argument("--recorded", action="store_true")
+    parser.add_argument("--live", action="store_true")
     given = parser.parse_args()
-    main(given.of, given.frames, given.noise, given.recorded)
+    main(given.of, given.frames, given.noise, given.recorded, given.live)

@@ -67,3 +67,20 @@ def test_totals_and_stages_that_come_and_go() -> None:
     assert {name: ms.tolist() for name, ms in run.stage_ms.items()} == {"track": [5.0, 4.0], "solve": [0.0, 1.0]}
     assert run.total_ms.tolist() == [5.0, 7.5]
     assert run.rejected == {"flow": 3}
+
+
+def test_long_runs_with_a_stage_that_comes_late() -> None:
+    """Several blocks of rows, and one filled to the last."""
+    recorder = RunRecorder()
+    for k in range(2048):
+        stages = {"track": float(k)} | ({"solve": -float(k)} if k >= 1500 else {})
+        T_curr_prev = se3.exp(np.array([0.0, 0.0, 1e-3 * k, 0.0, 0.0, 0.0]))
+        recorder.add(k, MotionEstimate(T_curr_prev, k * np.eye(6), Status.OK, k, stage_ms=stages))
+    run, numbers = recorder.result(), np.arange(1, 2048)
+    assert len(run) == len(run.T_world_cam) == 2048
+    np.testing.assert_array_equal(run.stamps_ns, np.arange(2048))
+    np.testing.assert_array_equal(run.num_tracks, numbers)
+    np.testing.assert_array_equal(run.T_curr_prev[:, 2, 3], 1e-3 * numbers)
+    np.testing.assert_array_equal(run.cov[:, 5, 5], numbers)
+    np.testing.assert_array_equal(run.stage_ms["track"], numbers)
+    np.testing.assert_array_equal(run.stage_ms["solve"], np.where(numbers < 1500, 0, -numbers))

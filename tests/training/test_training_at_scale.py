@@ -17,13 +17,14 @@ from probevo.predictors import Needs, Predictor, Step, prediction_space
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
 from probevo.simulation.point_world import write_points
-from probevo.training import evidence, extraction, thinning
+from probevo.training import evidence, extraction, recording, thinning
 from probevo.training.drive import Drive, joined
 from probevo.training.expectation import Expectation, expect
 from probevo.training.expectation_maximization import learn_student_t
 from probevo.training.extraction import Extraction
 from probevo.training.lesson import HeldLesson, StoredLesson
 from probevo.training.settings import KernelSettings
+from probevo.training.sources import checked_sources
 from probevo.training.supervision import Supervision
 from probevo.training.thinning import thinned
 from probevo.training.workers import Workers
@@ -124,6 +125,40 @@ def test_what_a_worker_refuses_is_refused(tracks: list[Path], tmp_path: Path) ->
         pv.train_model(tracks, KNN, tmp_path / "m.safetensors", own_predictors=[own], workers=TWO)
     assert str(caught.value).startswith("predictor own: feature 0 (from 0) has the value inf.")
     assert "may be undefined" in caught.value.cure
+
+
+def test_a_worker_that_nobody_waits_for_goes_home(tracks: list[Path], tmp_path: Path) -> None:
+    """As one of a cluster after Ctrl-C, which cannot be interrupted: at the first frame after that."""
+    asked: list[int] = []
+
+    @dataclass(frozen=True)
+    class Watched:
+        inner: Sequence
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self.inner, name)
+
+        def __len__(self) -> int:
+            return len(self.inner)
+
+        def __iter__(self) -> Iterator[Frame]:
+            for frame in self.inner:
+                asked.append(frame.index)
+                yield frame
+
+    space, sequence = prediction_space(["place"]), Watched(pv.open_sequence(tracks[0]))
+    (source,) = checked_sources([sequence], GK, space)  # type: ignore[list-item]
+    lesson = StoredLesson(tmp_path, 0, source.camera)
+    with recording._issued(tmp_path) as ticket:
+        pass
+    with pytest.raises(recording._GoneError):
+        recording._record_elsewhere(recording._Task(source, lesson, space, GK, ticket))
+    assert asked == [0]
+    assert not lesson.is_whole
+    with recording._issued(tmp_path) as ticket:
+        recording._record_elsewhere(recording._Task(source, lesson, space, GK, ticket))
+    assert lesson.is_complete
+    assert lesson.frames_done == FRAMES
 
 
 def extracted(path: Path) -> list[Drive]:

@@ -49,7 +49,9 @@ def mapped(workers: Workers, count: int = 7) -> list[int]:
     return [result for result, _ in found]
 
 
-def test_results_come_in_the_order_of_the_tasks(workers: Workers) -> None:
+def test_results_come_in_the_order_of_the_tasks(workers: Workers, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where a cluster does not get all at a time."""
+    monkeypatch.setattr(workers_module, "MOST_SUBMITTED", 3)
     assert mapped(workers) == [number**2 for number in range(7)]
 
 
@@ -96,12 +98,14 @@ def die_always(task: tuple[int, Path]) -> int:
     return number
 
 
-def test_a_task_that_kills_every_worker_is_given_up_and_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_that_kills_every_worker_is_given_up_and_named(
+    others: Workers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """After all others are through. Here it is given up at the first loss, to save time."""
     monkeypatch.setattr(workers_module, "MOST_LOSSES", 1)
     done: list[int] = []
     with pytest.raises(InputError) as caught:
-        TWO.map(die_always, [(number, tmp_path) for number in range(4)], list("abcd"), done.append)
+        others.map(die_always, [(number, tmp_path) for number in range(4)], list("abcd"), done.append)
     assert caught.value.where == "b"
     assert "each time of 1, the worker that had it to itself was lost" in caught.value.what
     assert "goes on from what is done" in caught.value.cure

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.geometry import se3
@@ -59,15 +60,14 @@ class RunResult:
 
 
 class RunRecorder:
-    """Collects the estimates of a run as they come, 700 bytes each; ``result`` may be asked for at any time."""
+    """Collects the estimates of a run as they come, 0.7 kB each; ``result`` may be asked for at any time."""
 
     def __init__(self) -> None:
-        # Arrays that grow, of plain numbers: as objects, the same would take four times the memory.
-        self._stamps_ns, self._total_ms = array("q"), array("d")
-        self._T_curr_prev, self._cov, self._shared = array("d"), array("d"), array("d")
-        self._counts = array("q")
-        """Status, tracks, trusted, used, foreign (−1 for None) of each step."""
-        self._stage_ms: dict[str, array[float]] = {}
+        self._numbers = _Rows(np.float64, 16 + 36 + 18 + 1)
+        """T_curr_prev, cov, shared, wall time of the step."""
+        self._counts = _Rows(np.int64, 6)
+        """Stamp, status, tracks, trusted, used, foreign (−1 for None)."""
+        self._stage_ms: dict[str, _Rows] = {}
         self._rejected: Counter[str] = Counter()
 
     def add(
@@ -86,41 +86,62 @@ class RunRecorder:
             total_ms: wall time of the step; the sum of its stages by default.
             rejected: points turned away at this step, by the check's name.
         """
-        self._stamps_ns.append(stamp_ns)
-        self._rejected.update(rejected or {})
-        if len(self._stamps_ns) == 1:
-            return
-        for name in motion.stage_ms:
-            if name not in self._stage_ms:
-                self._stage_ms[name] = array("d", bytes(8 * len(self._total_ms)))  # zeros
-        for name, times_ms in self._stage_ms.items():
-            times_ms.append(motion.stage_ms.get(name, 0.0))
-        self._total_ms.append(sum(motion.stage_ms.values()) if total_ms is None else total_ms)
-        self._T_curr_prev.frombytes(motion.T_curr_prev.tobytes())
-        self._cov.frombytes(motion.cov.tobytes())
-        self._shared.frombytes(motion.shared.tobytes())
+        total = sum(motion.stage_ms.values()) if total_ms is None else total_ms
+        arrays = (motion.T_curr_prev, motion.cov, motion.shared)
+        self._numbers.add(np.concatenate([*(array.ravel() for array in arrays), [total]]))
         foreign = -1 if motion.num_foreign is None else motion.num_foreign
-        self._counts.extend((motion.status, motion.num_tracks, motion.num_inliers, motion.num_used, foreign))
+        self._counts.add((stamp_ns, motion.status, motion.num_tracks, motion.num_inliers, motion.num_used, foreign))
+        first, num_before = len(self._counts) == 1, len(self._counts) - 1
+        for name in () if first else motion.stage_ms:
+            if name not in self._stage_ms:
+                self._stage_ms[name] = _Rows(np.float64, 1, zeros=num_before)
+        for name, times_ms in self._stage_ms.items():
+            times_ms.add(motion.stage_ms.get(name, 0.0))
+        self._rejected.update(rejected or {})
 
     def result(self) -> RunResult:
         """All that was taken in so far."""
-        T_curr_prev = np.array(self._T_curr_prev).reshape(-1, 4, 4)
-        status, num_tracks, num_inliers, num_used, foreign = np.array(self._counts).reshape(-1, 5).T.copy()
+        counts, numbers = self._counts.table(), self._numbers.table()[1:]
+        stamps_ns, (_, status, num_tracks, num_inliers, num_used, foreign) = counts[:, 0].copy(), counts[1:].T.copy()
+        T_curr_prev = numbers[:, :16].reshape(-1, 4, 4)
         return RunResult(
-            stamps_ns=np.array(self._stamps_ns),
-            T_world_cam=chain_motions(T_curr_prev)[: len(self._stamps_ns)],
+            stamps_ns=stamps_ns,
+            T_world_cam=chain_motions(T_curr_prev)[: len(counts)],
             T_curr_prev=T_curr_prev,
-            cov=np.array(self._cov).reshape(-1, 6, 6),
-            shared=np.array(self._shared).reshape(-1, 6, 3),
+            cov=numbers[:, 16:52].reshape(-1, 6, 6),
+            shared=numbers[:, 52:70].reshape(-1, 6, 3),
             status=status,
             num_tracks=num_tracks,
             num_inliers=num_inliers,
-            stage_ms={name: np.array(times_ms) for name, times_ms in self._stage_ms.items()},
-            total_ms=np.array(self._total_ms),
+            stage_ms={name: times_ms.table()[1:, 0] for name, times_ms in self._stage_ms.items()},
+            total_ms=numbers[:, 70].copy(),
             rejected=dict(self._rejected),
             num_used=num_used,
             num_foreign=np.maximum(foreign, 0) if (foreign >= 0).any() else None,
         )
+
+
+class _Rows:
+    """A table that grows by rows, in blocks that stay where they are: one that is moved to grow leaves holes."""
+
+    BLOCK = 1024
+
+    def __init__(self, dtype: type[np.float64 | np.int64], columns: int, zeros: int = 0) -> None:
+        self._blocks = [np.zeros((self.BLOCK, columns), dtype) for _ in range(1 + zeros // self.BLOCK)]
+        self._len = zeros
+
+    def __len__(self) -> int:
+        return self._len
+
+    def add(self, row: ArrayLike) -> None:
+        if self._len == self.BLOCK * len(self._blocks):
+            self._blocks.append(np.zeros_like(self._blocks[0]))
+        self._blocks[-1][self._len % self.BLOCK] = row
+        self._len += 1
+
+    def table(self) -> Any:
+        """All rows, [len, columns], a copy."""
+        return np.concatenate(self._blocks)[: self._len]
 
 
 def chain_motions(T_curr_prev: Iterable[FloatArray]) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from collections.abc import Sequence as Collection
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -91,7 +91,7 @@ def _record_elsewhere(task: _Task) -> None:
         nonlocal due_s
         if time.monotonic() < due_s:
             return
-        if _ticket(task.lesson.folder) != task.ticket:
+        if not _is_good(task.ticket, task.lesson.folder):
             raise _GoneError
         task.lesson.tell(frames)
         due_s = time.monotonic() + REPORT_S
@@ -109,15 +109,15 @@ def _issued(folder: Path) -> Iterator[str]:
     try:
         yield ticket
     finally:
-        with suppress(OSError):
-            (folder / TICKET).unlink()
+        write_atomically(folder / TICKET, "none is good")
 
 
-def _ticket(folder: Path) -> str:
+def _is_good(ticket: str, folder: Path) -> bool:
+    """Whether it is the one that was issued last; if that cannot be told, as on a slow file system, it is."""
     try:
-        return (folder / TICKET).read_text("utf-8")
+        return (folder / TICKET).read_text("utf-8") == ticket
     except OSError:
-        return ""
+        return True
 
 
 @contextmanager

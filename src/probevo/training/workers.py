@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Generic, TypeVar
 
 from probevo.errors import InputError
@@ -20,6 +21,8 @@ Run = Callable[[Callable[[Any], Any], Numbered], Generator[tuple[int, Any], None
 MOST_LOSSES = 3
 """Times in a row that a worker may be lost before any task is through; then each gets one to itself as often."""
 
+MOST_SUBMITTED = 1000
+"""To a cluster at a time: each task brings its model along."""
 CONNECT_S = 10.0
 
 
@@ -127,14 +130,19 @@ def _on_cluster(work: Callable[[Any], Any], tasks: Numbered, client: Any) -> Gen
     # Not joblib's backend for Dask: where a task takes down one worker after another, that waits for ever (1.6.0).
     from distributed import KilledWorker, as_completed
 
-    futures = [client.submit(_numbered, work, *numbered, pure=False) for numbered in tasks]
+    def submitted(count: int) -> list[Any]:
+        return [client.submit(_numbered, work, *numbered, pure=False) for numbered in islice(waiting, count)]
+
+    waiting = iter(tasks)
+    running = as_completed(submitted(MOST_SUBMITTED), loop=client.loop)
     try:
-        for future in as_completed(futures, loop=client.loop):
+        for future in running:
             yield future.result()
+            running.update(submitted(1))
     except KilledWorker as error:
         raise LostWorkerError from error
     finally:
-        client.cancel(futures)
+        client.cancel(list(running.futures))
 
 
 def _numbered(work: Callable[[Any], Any], number: int, task: Any) -> tuple[int, Any]:
