@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -224,7 +225,7 @@ def test_an_error_that_lasts_makes_a_motion_overconfident_unless_it_is_told(
     seen = [with_lasting_error(rng, scene(rng, 200, depth_m=depth_m), 0.1, lasting_px) for _ in range(300)]
     nees = {}
     for told_px in (lasting_px, 0.0):
-        solutions = [solve(one, StudentT(1e6, scale, lasting_px=told_px)) for one in seen]
+        solutions = [solve(one, StudentT(1e6, scale, lasting=told_px / (0.1 * math.sqrt(2.0)))) for one in seen]
         nees[told_px] = np.mean([normalized_error_squared(T_CURR_PREV, s.T_curr_prev, s.cov) for s in solutions])
         lengths = np.array([-s.T_curr_prev[2, 3] for s in solutions])
         assert abs(np.mean(lengths) / -T_CURR_PREV[2, 3] - 1.0) < 0.002

@@ -58,7 +58,7 @@ def _of_neighbors(model: NearestNeighbors) -> list[str]:
 
 
 def _of_kernel(model: GeneralizedKernel) -> list[str]:
-    from probevo.output.model_facts import gained, signed, used_columns
+    from probevo.output.model_facts import gained, lasting_text, signed, used_columns
 
     used, searches, shape = used_columns(model), model.training["searches"], model.shape_
     unused = [name for name in model.columns if name not in {column.name for column in used}]
@@ -68,6 +68,7 @@ def _of_kernel(model: GeneralizedKernel) -> list[str]:
         *([("not used", ", ".join(unused))] if unused else []),
         ("K", f"{shape.neighbors}" if model.variant == "robust" else f"all within ρ = {shape.reach:.3g}"),
         ("ν", f"{float(model.prior_.dof[0]):.3g} of the prior, which has the weight of {shape.prior_counts:g} errors"),
+        ("what lasts", lasting_text(model)),
     ]
     gain = gained(searches)
     if gain is not None:
@@ -82,9 +83,9 @@ def _of_kernel(model: GeneralizedKernel) -> list[str]:
 
 
 def _of_student_t(model: StudentT) -> list[str]:
-    from probevo.output.model_facts import SCALE_HEAD, scale_rows
+    from probevo.output.model_facts import SCALE_HEAD, lasting_text, scale_rows
 
-    rows = [("trained on", _source(model)), ("ν", f"{model.dof_:.3g}")]
+    rows = [("trained on", _source(model)), ("ν", f"{model.dof_:.3g}"), ("what lasts", lasting_text(model))]
     scale = table(SCALE_HEAD, scale_rows(model.scale_))
     return [columns(rows), "", scale, *_turns(model, "not trained")]
 

@@ -63,6 +63,12 @@ class StereoNoise:
         return likelihood
 
 
+def disparity_variance(scale: FloatArray) -> FloatArray:
+    """That of u_l − u_r under scales of single observations [..., 4, 4], px²: [...]."""
+    variance: FloatArray = scale[..., 0, 0] + scale[..., 2, 2] - 2.0 * scale[..., 0, 2]
+    return variance
+
+
 class NoiseModel(Protocol):
     """Predictors in, the noise of each feature out. ``predict`` is pure."""
 

@@ -14,7 +14,7 @@ from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
-from probevo.noise.base import Refers, StereoNoise
+from probevo.noise.base import Refers, StereoNoise, disparity_variance
 from probevo.noise.centers import Centers
 from probevo.noise.kernel_file import KernelFacts, Variant, check_arrays
 from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
@@ -43,7 +43,8 @@ class GeneralizedKernel:
         refers_to: what the errors are: residuals, or errors of single observations.
         camera: the camera of the training data; None if that is not known.
         training: how the training data came about, in plain values that JSON can hold.
-        lasting_px: standard deviation of the disparity's error that is the same in both frames; training sets it.
+        lasting: how many times as large the error of a disparity is that is the same in both frames, as the one that
+            is new in each; ``fit`` does not choose it.
     """
 
     def __init__(
@@ -59,12 +60,12 @@ class GeneralizedKernel:
         refers_to: Refers = "residual",
         camera: StereoCamera | None = None,
         training: Mapping[str, Any] | None = None,
-        lasting_px: float = 0.0,
+        lasting: float = 0.0,
     ) -> None:
         self.variant, self.neighbors, self.reach, self.prior_counts = variant, neighbors, reach, prior_counts
         self.dof_counts, self.bias_counts, self.weights, self.centers = dof_counts, bias_counts, weights, centers
         self.refers_to, self.camera, self.training = refers_to, camera, training or {}
-        self.lasting_px = lasting_px
+        self.lasting = lasting
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -189,7 +190,7 @@ class GeneralizedKernel:
             "edge": self.edge_,
             "prior_counts": shape.prior_counts,
             "refers_to": self.refers_to,
-            "lasting_px": self.lasting_px,
+            "lasting": self.lasting,
             "samples": self.samples_,
             "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
             "training": dict(self.training),
@@ -208,7 +209,7 @@ class GeneralizedKernel:
             check_camera(facts.camera, "camera")
         model = GeneralizedKernel(
             facts.variant, refers_to=facts.refers_to, camera=facts.camera, training=facts.training,
-            lasting_px=facts.lasting_px,
+            lasting=facts.lasting,
         )  # fmt: skip
         model.metric_ = Metric(
             facts.columns, facts.may_be_undefined, arrays["mean"], arrays["spread"], arrays["weight"]
@@ -221,7 +222,7 @@ class GeneralizedKernel:
         return model
 
     def _noise(self, students: Students, foreign: BoolArray) -> StereoNoise:
-        lasting = np.full(len(students.dof), self.lasting_px**2) if self.lasting_px else None
+        lasting = self.lasting**2 * disparity_variance(students.scale) if self.lasting else None
         return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, foreign, lasting)
 
     def _coordinates(self, predictors: FloatArray) -> FloatArray:

@@ -31,7 +31,7 @@ class KernelFacts(Settings):
     edge: float = Field(gt=0)
     prior_counts: float = Field(gt=0)
     refers_to: Refers
-    lasting_px: float = Field(0.0, ge=0)
+    lasting: float = Field(0.0, ge=0)
     samples: int = Field(ge=1)
     camera: StereoCamera | None
     training: dict[str, Any]

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field
 from probevo.arrays import FloatArray
 from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera, check_camera
-from probevo.noise.base import Refers, StereoNoise
+from probevo.noise.base import Refers, StereoNoise, disparity_variance
 from probevo.noise.fixed import OBSERVATION_SIGMA_PX
 from probevo.noise.model_file import ModelFile
 from probevo.noise.student_fit import fit_static
@@ -26,13 +26,13 @@ class _Facts(Settings):
     model_config = ConfigDict(strict=True)
     dof: float = Field(gt=0)
     refers_to: Refers
-    lasting_px: float = Field(0.0, ge=0)
+    lasting: float = Field(0.0, ge=0)
     camera: StereoCamera | None
     training: dict[str, Any]
 
 
-LASTING_PX = 0.2
-"""By likelihood, on both of KITTI's recordings with images that this was tried on; sparser tracks have up to 0.6."""
+LASTING = 0.7
+"""By likelihood, on both of KITTI's recordings with images that this was tried on: 0.2 px. Sparse tracks have more."""
 
 
 class StudentT:
@@ -44,8 +44,8 @@ class StudentT:
         refers_to: whether that is the noise of an observation, or of the residual.
         camera: the camera of the training data; None if it was not trained.
         training: how the training data came about, in plain values that JSON can hold.
-        lasting_px: standard deviation of the disparity's error that is the same in both frames; by default, 0 for a
-            scale that is given. The noise of a residual as a whole has none.
+        lasting: how many times as large the error of a disparity is that is the same in both frames, as the one that
+            is new in each; by default, 0 for a scale that is given. The noise of a residual as a whole has none.
     """
 
     columns: tuple[str, ...] = ()
@@ -57,10 +57,10 @@ class StudentT:
         refers_to: Refers = "observation",
         camera: StereoCamera | None = None,
         training: Mapping[str, Any] | None = None,
-        lasting_px: float | None = None,
+        lasting: float | None = None,
     ) -> None:
-        shipped = LASTING_PX if scale is None and refers_to == "observation" else 0.0
-        self.lasting_px = shipped if lasting_px is None else lasting_px
+        shipped = LASTING if scale is None and refers_to == "observation" else 0.0
+        self.lasting = shipped if lasting is None else lasting
         self.dof = self.dof_ = dof
         self.scale = self.scale_ = np.diag(np.square(OBSERVATION_SIGMA_PX)) if scale is None else scale
         self.refers_to, self.camera, self.training = refers_to, camera, training or {}
@@ -84,7 +84,7 @@ class StudentT:
         """The same noise for each of N features, whatever their predictors [N, M]."""
         count = len(predictors)
         scale = np.broadcast_to(np.asarray(self.scale_, dtype=np.float64), (count, 4, 4))
-        lasting = np.full(count, self.lasting_px**2) if self.lasting_px else None
+        lasting = self.lasting**2 * disparity_variance(scale) if self.lasting else None
         return StereoNoise(scale, np.full(count, self.dof_), np.zeros((count, 4)), self.refers_to, lasting=lasting)
 
     def check_camera(self, camera: StereoCamera) -> None:
@@ -100,7 +100,7 @@ class StudentT:
         facts = {
             "dof": self.dof_,
             "refers_to": self.refers_to,
-            "lasting_px": self.lasting_px,
+            "lasting": self.lasting,
             "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
             "training": dict(self.training),
         }
@@ -118,4 +118,4 @@ class StudentT:
             check_camera(facts.camera, "camera")
         if scale.shape != (4, 4) or scale.dtype != np.float64 or not np.linalg.eigvalsh(scale)[0] > 0.0:
             raise ValueError("its scale is no positive definite matrix")
-        return StudentT(facts.dof, scale, facts.refers_to, facts.camera, facts.training, facts.lasting_px)
+        return StudentT(facts.dof, scale, facts.refers_to, facts.camera, facts.training, facts.lasting)

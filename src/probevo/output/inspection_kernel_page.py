@@ -30,7 +30,7 @@ from probevo.output.inspection_sections import (
     training_section,
 )
 from probevo.output.metrics_table import readable
-from probevo.output.model_facts import END_ERROR, SCALE_HEAD, gained, scale_rows, signed
+from probevo.output.model_facts import END_ERROR, SCALE_HEAD, gained, lasting_text, scale_rows, signed
 from probevo.output.page import grid, panel, write_page
 from probevo.output.profiles import profile_along
 from probevo.output.svg import figure_style
@@ -97,6 +97,7 @@ def _facts(view: KernelView, frame: FrameView | None) -> dict[str, str]:
     facts["Samples"] = f"{model.samples_:,}{origin(model.training)}"
     facts |= {"Form": model.variant} if model.variant == "published" else {"K": f"{shape.neighbors:,}"}
     facts |= {"ρ": f"{readable(shape.reach)} standard deviations", "Centers": f"{len(view.places):,}"}
+    facts["What lasts"] = lasting_text(model)
     facts["ν of the prior"] = readable(float(model.prior_.dof[0]))
     facts["Noise of"] = "single observations" if model.refers_to == "observation" else "residuals as a whole"
     return facts | ({"Gain over the static model": f"{signed(gain)} nats a feature"} if gain is not None else {})

@@ -19,7 +19,7 @@ from probevo.output.inspection_sections import (
     training_section,
 )
 from probevo.output.metrics_table import readable
-from probevo.output.model_facts import END_ERROR, SCALE_HEAD, scale_rows
+from probevo.output.model_facts import END_ERROR, SCALE_HEAD, lasting_text, scale_rows
 from probevo.output.page import grid, panel, write_page
 from probevo.output.svg import figure_style
 
@@ -51,6 +51,7 @@ def write_student_inspection(
         sections = [pictures_section(frame, pictures, more), summary_section(summaries, trained=False, has_frame=True)]
     source = origin(training).removeprefix(" from ") or "not known"
     facts = frame_facts(frame) | {"Trained on": source, "ν": readable(model.dof_)}
+    facts["What lasts"] = lasting_text(model)
     facts["Noise of"] = "single observations" if model.refers_to == "observation" else "residuals as a whole"
     panels = [table_section("The scale matrix", _spread(model), SCALE_HEAD, scale_rows(model.scale_))]
     with figure_style():

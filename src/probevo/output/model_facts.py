@@ -10,6 +10,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.noise.generalized_kernel import GeneralizedKernel
+from probevo.noise.student_t import StudentT
 
 SEARCHED = {
     "weights": "predictors",
@@ -88,6 +89,11 @@ def scale_rows(scale: FloatArray) -> list[tuple[str, ...]]:
         rows.append((name, f"{sigma[i]:.3f}", *shown))
     disparity = np.sqrt(scale[0, 0] + scale[2, 2] - 2.0 * scale[0, 2])
     return [*rows, ("disparity, u_l − u_r", f"{disparity:.3f}", "", "", "")]
+
+
+def lasting_text(model: GeneralizedKernel | StudentT) -> str:
+    """How much of the error of a disparity is the same in both frames."""
+    return f"{model.lasting:.2g} times what is new of a disparity's error in a frame" if model.lasting else "none"
 
 
 def signed(value: float | None) -> str:

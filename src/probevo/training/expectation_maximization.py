@@ -18,10 +18,10 @@ from probevo.noise.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import Learned
 from probevo.noise.student_t import StudentT
-from probevo.training.evidence import gather_evidence
-from probevo.training.lasting import most_likely_px
+from probevo.training.evidence import Evidence, gather_evidence
+from probevo.training.lasting import most_likely_ratio
 from probevo.training.lesson import Lesson
-from probevo.training.settings import TrainSettings
+from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.workers import Workers
 
 STATIC_TURNS = 5
@@ -76,7 +76,7 @@ def learn_student_t(
 ) -> StudentT:
     """The one Student-t, with its full scale matrix, that the drives are most likely under. Arguments as below."""
     gk, start = settings.gk, None if settings.gk.learns_lasting else 0.0
-    model = StudentT(refers_to=gk.refers_to, camera=lessons[0].camera, training={"turns": []}, lasting_px=start)
+    model = StudentT(refers_to=gk.refers_to, camera=lessons[0].camera, training={"turns": []}, lasting=start)
     for number in range(STATIC_TURNS):
         kept = course.memory.turn(number)
         if isinstance(kept, StudentT):
@@ -84,7 +84,7 @@ def learn_student_t(
         else:
             evidence = gather_evidence(lessons, model, settings, course.workers, course.on_part)
             model.fit(evidence.phi, evidence.errors, spread=evidence.spread)
-            model.lasting_px = most_likely_px(evidence.profile) if gk.learns_lasting else 0.0
+            model.lasting = _lasting(evidence, model, gk)
             model.training = {"turns": [*model.training["turns"], evidence.progress]}
             course.memory.keep_turn(number, model)
         course.on_turn()
@@ -148,13 +148,19 @@ def _turn(
         metric=metric,
         on_progress=lambda done, total: course.on_part(0.5 + 0.5 * done / max(total, 1)),
     )
-    model.lasting_px = most_likely_px(evidence.profile) if gk.learns_lasting else 0.0
+    model.lasting = _lasting(evidence, before, gk)
     model.training = {
         "turns": [*training["turns"], evidence.progress],
         "searches": training["searches"] or model.search_,
         "given": _plain(model.shape_.as_given() | {"weights": model.weights_.tolist()}),
     }
     return model.without_samples()
+
+
+def _lasting(evidence: Evidence, before: Model, settings: KernelSettings) -> float:
+    """Half the way from what the last turn held to what is most likely: scale and κ explain the same residuals, and
+    would overshoot together."""
+    return 0.5 * (before.lasting + most_likely_ratio(evidence.profile)) if settings.learns_lasting else 0.0
 
 
 def _plain(given: Mapping[str, Any]) -> dict[str, Any]:
