@@ -89,7 +89,7 @@ def main() -> None:
         drift, rotation = ([getattr(r, name) for r in runs] for name in ("short_t_percent", "short_r_deg_per_m"))
         ratios.append([[values[2] / values[n] for values in (drift, rotation)] for n in (0, 1)])
         gains.append(nats[2] - np.array(nats)[[0, 1, 3]])
-        figures = [
+        figures = [f"{value:.2f}" for value in (*nats[:3], *drift[:3])] + [f"{value:.4f}" for value in rotation[:3]]
             *(f"{n:.2f}" for n in nats[:3]),
             *(f"{d:.2f}" for d in drift[:3]),
             *(f"{r:.4f}" for r in rotation[:3]),
