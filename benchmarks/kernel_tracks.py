@@ -90,10 +90,6 @@ def main() -> None:
         ratios.append([[values[2] / values[n] for values in (drift, rotation)] for n in (0, 1)])
         gains.append(nats[2] - np.array(nats)[[0, 1, 3]])
         figures = [f"{value:.2f}" for value in (*nats[:3], *drift[:3])] + [f"{value:.4f}" for value in rotation[:3]]
-            *(f"{n:.2f}" for n in nats[:3]),
-            *(f"{d:.2f}" for d in drift[:3]),
-            *(f"{r:.4f}" for r in rotation[:3]),
-        ]
         shipped = f"{drift[3]:.2f}, {rotation[3]:.4f}"
         print(f"| {path.stem} | {' | '.join(figures)} | {nats[3]:.2f} | {shipped} |", flush=True)
     print("\ngain over the three, nats: " + ", ".join(f"{gain:.2f}" for gain in np.mean(gains, axis=0)))
