@@ -2,6 +2,7 @@
 
 python benchmarks/training_scale.py [samples …]    10,000 to 1,000,000 by default; 10,000,000 takes a quarter of an hour
 python benchmarks/training_scale.py --workers      recording by one process and by two
+python benchmarks/training_scale.py --fitted       what a kernel loses that is fitted to some of the samples
 
 A sample is a feature of a step. Drives of the point world of 100,000 samples each lie on disk as tracks files; each
 size is a process of its own, whose peak memory the system tells. CPU time is given beside the time on the clock, as
@@ -134,11 +135,39 @@ def print_workers() -> None:
     )
 
 
+def errors_of(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Correlated places in eight columns, three of which σ goes by, and errors of five dof, px."""
+    places = rng.normal(size=(count, 5)) @ np.random.default_rng(1).normal(size=(5, 8))
+    places += 0.5 * rng.normal(size=(count, 8))
+    x, y, z = (places / places.std(axis=0))[:, :3].T
+    sigma = 0.3 * np.exp(0.6 * np.tanh(2.0 * x) + 0.3 * np.sin(3.0 * y) + 0.2 * z)
+    return places, sigma[:, None] * rng.standard_t(5, size=(count, 4))
+
+
+def print_fitted() -> None:
+    """Likelihood of other samples; K grows with the square root of their number, as the search lets it."""
+    rng = np.random.default_rng(0)
+    asked, residuals = errors_of(40_000, rng)
+    print("| fitted to | nats a feature | CPU s | peak MB |\n|---|---|---|---|")
+    for count in (30_000, 100_000, 300_000, 500_000, 1_000_000):
+        places, errors = errors_of(count, rng)
+        shape = {"prior_counts": 4.0, "dof_counts": 10.0, "bias_counts": np.inf}
+        weights, neighbors = np.array([1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0]), round(7.3 * count**0.5)
+        spread, start = np.tile(1e-4 * np.eye(4), (count, 1, 1)), process_time()
+        model = pv.noise.GeneralizedKernel(neighbors=neighbors, weights=weights, **shape)
+        model.fit(places, errors, spread=spread)
+        cpu, nats = process_time() - start, model.predict(asked).log_likelihood(residuals).mean()
+        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        print(f"| {count:,} | {nats:.4f} | {cpu:.1f} | {peak_mb:.0f} |", flush=True)
+
+
 def main() -> None:
     if sys.argv[1:2] == ["--train"]:
         train(Path(sys.argv[2]))
     elif sys.argv[1:2] == ["--workers"]:
         print_workers()
+    elif sys.argv[1:2] == ["--fitted"]:
+        print_fitted()
     else:
         print_sizes([int(float(word)) for word in sys.argv[1:]] or [10_000, 100_000, 1_000_000])
 
