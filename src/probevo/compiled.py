@@ -24,6 +24,17 @@ def compiled(function: Function) -> Function:
 
 
 @compiled
+def copy_into(target: FloatArray, source: FloatArray) -> None:
+    """target[:] = source, both contiguous and of one shape.
+
+    With the slice comes a message about unlike shapes, which takes Numba 2 s to compile in the first run of all.
+    """
+    to, values = target.ravel(), source.ravel()
+    for i in range(len(to)):
+        to[i] = values[i]
+
+
+@compiled
 def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArray) -> bool:
     """Inverse of a 4×4 symmetric positive definite matrix by Cholesky; False if it is not one."""
     for i in range(4):
@@ -116,7 +127,11 @@ def perturb(xi: FloatArray, C: FloatArray, t: FloatArray, C_out: FloatArray, t_o
 @compiled
 def rotation_error(C: FloatArray, C_prior: FloatArray, error: FloatArray) -> None:
     """Error φ = Log(C C_priorᵀ), the angle from both sine and cosine; C must not be half a turn from C_prior."""
-    D = C @ C_prior.T
+    D = np.zeros((3, 3))  # C C_priorᵀ
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                D[i, j] += C[i, k] * C_prior[j, k]
     x, y, z = 0.5 * (D[2, 1] - D[1, 2]), 0.5 * (D[0, 2] - D[2, 0]), 0.5 * (D[1, 0] - D[0, 1])
     sine, cosine = math.sqrt(x * x + y * y + z * z), 0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0)
     ratio = math.atan2(sine, cosine) / sine if sine > 1e-9 else 1.0

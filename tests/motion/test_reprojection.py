@@ -13,9 +13,11 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.motion.minimize import minimize
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
 from probevo.motion.robust import RobustLoss
 from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
+from worlds import seen_twice
 
 CAMERA = StereoCamera(fu_px=707.0, fv_px=709.0, cu_px=601.0, cv_px=183.0, baseline_m=0.537)
 T_CURR_PREV = se3.exp(np.array([0.02, 0.01, -1.2, 0.003, 0.01, -0.002]))
@@ -231,3 +233,19 @@ def test_an_error_that_lasts_makes_a_motion_overconfident_unless_it_is_told(
         assert abs(np.mean(lengths) / -T_CURR_PREV[2, 3] - 1.0) < 0.002
     assert 5.5 < nees[lasting_px] < 6.5
     assert nees[0.0] > 8.0
+
+
+def test_every_noise_model_uses_the_same_compiled_solve() -> None:
+    """One scale for all or one each, read-only or not: Numba compiles for each kind of array anew, which takes 10 s."""
+    tracks = seen_twice(np.random.default_rng(0), 20)
+    scale = 0.04 * np.eye(4)
+    each = np.tile(scale, (20, 1, 1))
+    locked = each.copy()
+    locked.setflags(write=False)
+    compiled = set()
+    for given in (np.broadcast_to(scale, (20, 4, 4)), each, locked):
+        for dof in (np.full(20, 5.0), np.broadcast_to(5.0, (20,))):
+            noise = StereoNoise(given, dof, np.zeros((20, 4)), "observation")
+            solve_reprojection(tracks.prev_px, tracks.curr_px, noise, np.eye(4), CAMERA)
+            compiled.add(len(minimize.signatures))
+    assert len(compiled) == 1

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.compiled import compiled, perturb, rotation_error, solve_positive_definite
+from probevo.compiled import compiled, copy_into, perturb, rotation_error, solve_positive_definite
 from probevo.motion.normal_equations import normal_equations
 from probevo.motion.reprojection_kernels import linearize_noise
 
@@ -52,7 +52,8 @@ def minimize(
     trial_hessian, trial_gradient, trial_squared = np.empty((6, 6)), np.empty(6), np.empty(len(squared))
     lower, step, damped = np.zeros((6, 6)), np.zeros(6), np.empty((6, 6))
     trial_C, trial_t, phi = np.empty((3, 3)), np.empty(3), np.empty(3)
-    damping, accepted, cost, stale, near = 1e-6, 0, 0.0, True, False
+    damping, accepted, cost, stale = 1e-6, 0, 0.0, True
+    near = damping > 1.0  # False, but no literal: normal_equations would be compiled for that, too
     renewals, moved = 0, math.inf
     for iteration in range(max(max_iterations, 1)):
         if stale:
@@ -65,7 +66,7 @@ def minimize(
             stale = False
         if max_iterations == 0:
             return 0, True, cost
-        damped[:] = hessian
+        copy_into(damped, hessian)
         for i in range(6):
             damped[i, i] += damping * hessian[i, i]
         if not solve_positive_definite(damped, gradient, lower, step):
@@ -85,8 +86,11 @@ def minimize(
                 damping = max(1e-3, 10.0 * damping)
             continue
         decrement = float(np.sum(step * gradient))
-        C[:], t[:] = trial_C, trial_t
-        hessian[:], gradient[:], squared[:] = trial_hessian, trial_gradient, trial_squared
+        copy_into(C, trial_C)
+        copy_into(t, trial_t)
+        copy_into(hessian, trial_hessian)
+        copy_into(gradient, trial_gradient)
+        copy_into(squared, trial_squared)
         cost, damping, accepted, near = trial_cost, 0.1 * damping, accepted + 1, accepted > 1 and damping < 1e-3
         moved += decrement
         stale = moved > RENEW_AFTER and renewals < MAX_RENEWALS

@@ -9,7 +9,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.compiled import compiled, perturb, solve_positive_definite
+from probevo.compiled import compiled, copy_into, perturb, solve_positive_definite
 from probevo.motion.normal_equations import normal_equations
 from probevo.motion.reprojection_kernels import NEAREST
 
@@ -102,29 +102,35 @@ def _best_sample(
     information = np.zeros((size, 4, 4))
     for i in range(3):
         information[:, i, i] = 1.0
+    near = threshold < 0.0  # False, but no literal: normal_equations would be compiled for that, too
+    kind = int(near)
     hessian, gradient, lower, step = np.empty((6, 6)), np.empty(6), np.zeros((6, 6)), np.zeros(6)
     best = _truncated_cost(start_C, start_t, points, curr, camera, threshold, np.inf, inliers)
     for k in range(len(samples)):
         for i in range(size):
-            seen[i], observed[i] = points[samples[k, i]], curr[samples[k, i]]
-        C[:], t[:] = start_C, start_t
+            copy_into(seen[i], points[samples[k, i]])
+            copy_into(observed[i], curr[samples[k, i]])
+        copy_into(C, start_C)
+        copy_into(t, start_t)
         solvable = True
         for _ in range(6):
             normal_equations(
-                C, t, camera, seen, offset, observed, information, 0, parameter, False, hessian, gradient, squared
+                C, t, camera, seen, offset, observed, information, kind, parameter, near, hessian, gradient, squared
             )
-            solvable = solve_positive_definite(hessian[:free, :free], gradient[:free], lower, step)
+            solvable = solve_positive_definite(hessian, gradient[:free], lower, step)
             if not solvable:
                 break
             perturb(step, C, t, C_new, t_new)
-            C[:], t[:] = C_new, t_new
+            copy_into(C, C_new)
+            copy_into(t, t_new)
             if np.sum(step * step) < 1e-8:
                 break
         if solvable:
             cost = _truncated_cost(C, t, points, curr, camera, threshold, best, inliers)
             if cost < best:
                 best = cost
-                best_C[:], best_t[:] = C, t
+                copy_into(best_C, C)
+                copy_into(best_t, t)
     _truncated_cost(best_C, best_t, points, curr, camera, threshold, np.inf, inliers)
 
 

@@ -98,9 +98,10 @@ def solve_reprojection(
     intrinsics = np.array([camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, fb])
     propagate = noise.refers_to == "observation"
     bias = np.broadcast_to(noise.bias, (count, 4))
-    scale = np.ascontiguousarray(np.broadcast_to(noise.scale, (count, 4, 4)))
-    dof = np.ascontiguousarray(np.broadcast_to(noise.dof, (count,)))
-    lasting = np.zeros(count) if noise.lasting is None else np.ascontiguousarray(noise.lasting, np.float64)
+    # Copies: a view of broadcast_to is read-only, for which Numba would compile the whole solve once more.
+    scale = np.array(np.broadcast_to(noise.scale, (count, 4, 4)), order="C")
+    dof = np.array(np.broadcast_to(noise.dof, (count,)))
+    lasting = np.zeros(count) if noise.lasting is None else np.array(noise.lasting, np.float64)
     parameter = loss.parameters(dof)
 
     seen, point_cov = np.empty((count, 3)), np.zeros((count, 3, 3))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.compiled import compiled, invert_symmetric_4, solve_positive_definite
+from probevo.compiled import compiled, copy_into, invert_symmetric_4, solve_positive_definite
 
 
 @compiled
@@ -46,14 +46,14 @@ def observation_to_point(
                     -inverse[2, k],
                 )
                 if solve_positive_definite(normal, unit, lower_3, column):
-                    K[:, k] = column
+                    K[0, k], K[1, k], K[2, k] = column
             for k in range(3):
                 unit[:] = 0.0
                 unit[k] = 1.0
                 if solve_positive_definite(normal, unit, lower_3, column):
-                    point_cov[n, :, k] = column
+                    point_cov[n, 0, k], point_cov[n, 1, k], point_cov[n, 2, k] = column
         elif propagate:
-            point_cov[n] = point_cov[n - 1]
+            copy_into(point_cov[n], point_cov[n - 1])
         for i in range(3):
             seen[n, i] = (
                 K[i, 0] * observed[n, 0]
