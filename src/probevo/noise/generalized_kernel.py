@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any, Self, get_args
 
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.camera.likeness import refuse_other_camera
-from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import Refers, StereoNoise, disparity_variance
 from probevo.noise.centers import Centers
@@ -21,6 +20,7 @@ from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
 from probevo.noise.kernel_search import check_given, choose_shape
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import ModelFile
+from probevo.noise.origin import origin_facts
 from probevo.noise.student_fit import DIM, Students, check_errors
 
 MOST_TO_SEE = 5000
@@ -192,8 +192,7 @@ class GeneralizedKernel:
             "refers_to": self.refers_to,
             "lasting": self.lasting,
             "samples": self.samples_,
-            "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
-            "training": dict(self.training),
+            **origin_facts(self.camera, self.training),
         }
         return ModelFile("gk", arrays, facts)
 
@@ -204,9 +203,7 @@ class GeneralizedKernel:
         Raises:
             KeyError, ValueError, InputError: the file does not hold such a model.
         """
-        facts, arrays = KernelFacts.model_validate_json(json.dumps(dict(file.facts))), file.arrays
-        if facts.camera is not None:
-            check_camera(facts.camera, "camera")
+        facts, arrays = KernelFacts.of(file), file.arrays
         model = GeneralizedKernel(
             facts.variant, refers_to=facts.refers_to, camera=facts.camera, training=facts.training,
             lasting=facts.lasting,

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from probevo.arrays import AnyArray
-from probevo.camera.stereo import StereoCamera
 from probevo.noise.base import Refers
 from probevo.noise.centers import LARGEST_LOGARITHM, VALUES, Centers
 from probevo.noise.kernel_search import LARGEST_WEIGHT
 from probevo.noise.metric import Metric
+from probevo.noise.origin import OriginFacts
 from probevo.noise.student_fit import DIM, Students
-from probevo.settings import Settings
 
 Variant = Literal["robust", "published"]
 
 
-class KernelFacts(Settings):
-    """What a file says beside its arrays; of no other type than it is written."""
+class KernelFacts(OriginFacts):
+    """What a file says beside its arrays."""
 
-    model_config = ConfigDict(strict=True)
     columns: tuple[str, ...]
     may_be_undefined: tuple[bool, ...]
     variant: Variant
@@ -33,8 +31,6 @@ class KernelFacts(Settings):
     refers_to: Refers
     lasting: float = Field(0.0, ge=0)
     samples: int = Field(ge=1)
-    camera: StereoCamera | None
-    training: dict[str, Any]
 
 
 def check_arrays(metric: Metric, centers: Centers, prior: Students) -> None:

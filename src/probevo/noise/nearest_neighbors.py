@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import fields
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.likeness import refuse_other_camera
-from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
 from probevo.noise.fixed import Fixed
@@ -20,6 +19,7 @@ from probevo.noise.metric import UNDEFINED, Metric
 from probevo.noise.model_file import ModelFile
 from probevo.noise.named import BASES
 from probevo.noise.neighbors import NeighborIndex
+from probevo.noise.origin import OriginFacts, origin_facts
 from probevo.noise.student_t import StudentT
 from probevo.settings import Settings
 
@@ -32,10 +32,9 @@ class _Base(Settings):
     name: Literal["fixed", "student-t"]
 
 
-class _Facts(Settings):
-    """What a file says beside its arrays; of no other type than it is written."""
+class _Facts(OriginFacts):
+    """What a file says beside its arrays."""
 
-    model_config = ConfigDict(strict=True)
     columns: tuple[str, ...]
     may_be_undefined: tuple[bool, ...]
     neighbors: int = Field(ge=1)
@@ -43,8 +42,6 @@ class _Facts(Settings):
     average: Average
     log_mean_alpha: float
     base: _Base
-    camera: StereoCamera | None
-    training: dict[str, Any]
 
 
 class NearestNeighbors:
@@ -156,8 +153,7 @@ class NearestNeighbors:
             "average": self.average,
             "log_mean_alpha": self.log_mean_alpha_,
             "base": {"name": next(name for name, kind in BASES.items() if kind is type(self.base))},
-            "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
-            "training": dict(self.training),
+            **origin_facts(self.camera, self.training),
         }
         return ModelFile("knn", arrays, facts)
 
@@ -168,9 +164,7 @@ class NearestNeighbors:
         Raises:
             KeyError, ValueError, InputError: the file does not hold such a model.
         """
-        facts, arrays = _Facts.model_validate_json(json.dumps(dict(file.facts))), file.arrays
-        if facts.camera is not None:
-            check_camera(facts.camera, "camera")
+        facts, arrays = _Facts.of(file), file.arrays
         base = BASES[facts.base.name]()
         model = NearestNeighbors(facts.neighbors, facts.exponent, facts.average, base, facts.camera, facts.training)
         model.log_mean_alpha_ = facts.log_mean_alpha

@@ -2,37 +2,32 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from probevo.arrays import FloatArray
 from probevo.camera.likeness import refuse_other_camera
-from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.camera.stereo import StereoCamera
 from probevo.noise.base import Refers, StereoNoise, disparity_variance
 from probevo.noise.fixed import OBSERVATION_SIGMA_PX
 from probevo.noise.model_file import ModelFile
+from probevo.noise.origin import OriginFacts, origin_facts
 from probevo.noise.student_fit import fit_static
-from probevo.settings import Settings
-
-
-class _Facts(Settings):
-    """What a file says beside its arrays; of no other type than it is written."""
-
-    model_config = ConfigDict(strict=True)
-    dof: float = Field(gt=0)
-    refers_to: Refers
-    lasting: float = Field(0.0, ge=0)
-    camera: StereoCamera | None
-    training: dict[str, Any]
 
 
 LASTING = 0.7
 """By likelihood, on both of KITTI's recordings with images that this was tried on: 0.2 px. Sparse tracks have more."""
+
+
+class _Facts(OriginFacts):
+    """What a file says beside its arrays."""
+
+    dof: float = Field(gt=0)
+    refers_to: Refers
+    lasting: float = Field(0.0, ge=0)
 
 
 class StudentT:
@@ -101,8 +96,7 @@ class StudentT:
             "dof": self.dof_,
             "refers_to": self.refers_to,
             "lasting": self.lasting,
-            "camera": json.loads(json.dumps(asdict(self.camera))) if self.camera else None,
-            "training": dict(self.training),
+            **origin_facts(self.camera, self.training),
         }
         return ModelFile("student-t", {"scale": np.asarray(self.scale_, dtype=np.float64)}, facts)
 
@@ -113,9 +107,7 @@ class StudentT:
         Raises:
             KeyError, ValueError, InputError: the file does not hold such a model.
         """
-        facts, scale = _Facts.model_validate_json(json.dumps(dict(file.facts))), file.arrays["scale"]
-        if facts.camera is not None:
-            check_camera(facts.camera, "camera")
+        facts, scale = _Facts.of(file), file.arrays["scale"]
         if scale.shape != (4, 4) or scale.dtype != np.float64 or not np.linalg.eigvalsh(scale)[0] > 0.0:
             raise ValueError("its scale is no positive definite matrix")
         return StudentT(facts.dof, scale, facts.refers_to, facts.camera, facts.training, facts.lasting)

@@ -1,0 +1,39 @@
+"""Where a learned noise model comes from, as its file says it: the camera, and the training."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Self
+
+from pydantic import ConfigDict
+
+from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.noise.model_file import ModelFile
+from probevo.settings import Settings
+
+
+def origin_facts(camera: StereoCamera | None, training: Mapping[str, Any]) -> dict[str, Any]:
+    """What ``OriginFacts`` reads."""
+    return {"camera": json.loads(json.dumps(asdict(camera))) if camera else None, "training": dict(training)}
+
+
+class OriginFacts(Settings):
+    """What the file of every learned model says beside its arrays; of no other type than it is written."""
+
+    model_config = ConfigDict(strict=True)
+    camera: StereoCamera | None
+    training: dict[str, Any]
+
+    @classmethod
+    def of(cls, file: ModelFile) -> Self:
+        """Those of a file.
+
+        Raises:
+            ValueError, InputError: it does not hold such facts, or a camera that cannot be.
+        """
+        facts = cls.model_validate_json(json.dumps(dict(file.facts)))
+        if facts.camera is not None:
+            check_camera(facts.camera, "camera")
+        return facts
