@@ -17,7 +17,6 @@ from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts
 from probevo.noise.student_fit import fit_static
 
-
 LASTING = 0.7
 """By likelihood, on both of KITTI's recordings with images that this was tried on: 0.2 px. Sparse tracks have more."""
 
