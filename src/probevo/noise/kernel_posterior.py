@@ -85,7 +85,7 @@ class KernelPosterior:
         block = max(min(MOST_PAIRS // neighbors, BLOCK, -(-len(places) // THREADS)), 1)
         blocks = [places[start : start + block] for start in range(0, max(len(places), 1), block)]
         with ThreadPoolExecutor(THREADS) as pool:
-            parts = list(pool.map(lambda part: self._fit(self._around(part, shape), shape, iterations), blocks))
+            parts = list(pool.map(lambda part: self.fit(self.around(part, shape), shape, iterations), blocks))
         students = Students(
             *(np.concatenate([getattr(p[0], name) for p in parts]) for name in ("scale", "dof", "bias"))
         )
@@ -96,7 +96,8 @@ class KernelPosterior:
         distance: FloatArray = np.asarray(self.tree.query(places, [min(neighbors, len(self.errors))])[0])
         return distance[:, 0]
 
-    def _around(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
+    def around(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
+        """The samples that have a say at n places, [n, M], and how much of one."""
         return self._within(places, shape) if self.published else self._nearest(places, shape)
 
     def _within(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
@@ -120,7 +121,8 @@ class KernelPosterior:
         first: IntArray = np.concatenate([[0], np.cumsum(found.sum(axis=1))])
         return Neighborhoods(first, near[found].astype(np.int64), kernel[found])
 
-    def _fit(self, near: Neighborhoods, shape: KernelShape, iterations: int) -> tuple[Students, FloatArray]:
+    def fit(self, near: Neighborhoods, shape: KernelShape, iterations: int) -> tuple[Students, FloatArray]:
+        """The noise of places around which these samples are, and Σk of each, [n]."""
         counts = near.counts
         prior_dof = float(self.prior.dof[0]) if shape.dof is None else shape.dof
         prior = StudentPrior(self.prior.scale[0], prior_dof, shape.prior_counts, shape.dof_counts, shape.bias_counts)

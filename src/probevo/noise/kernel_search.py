@@ -16,7 +16,7 @@ from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
 from probevo.noise.kernel_folds import MOST_SAMPLES, Fold, folds_of
 from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
-from probevo.noise.student_fit import DIM
+from probevo.noise.student_fit import DIM, Neighborhoods
 from probevo.noise.student_kernels import LEAST_DOF, MOST_DOF
 
 LARGEST_WEIGHT = 1e6
@@ -125,12 +125,20 @@ class _Search:
     def __init__(self, folds: list[Fold], published: bool, on_progress: Callable[[int, int], None] | None) -> None:
         self.folds, self.published, self.on_progress = folds, published, on_progress
         self.found: Search = {}
+        self._at: tuple[bytes, int, float] | None = None
+        self._near: list[tuple[KernelPosterior, Neighborhoods]] = []
         self.done = self.total = 0
 
     def gain(self, weights: FloatArray, shape: KernelShape) -> float:
         """Mean log-likelihood over that of the static model, nats a feature."""
         with ThreadPoolExecutor(2) as pool:
-            gains = list(pool.map(lambda fold: self._gain_of_fold(fold, weights, shape), self.folds))
+            # Most shapes that are tried differ in the prior alone; to find neighbourhoods takes as long as to fit to them.
+            if self._at != (at := (weights.tobytes(), shape.neighbors, shape.reach)):
+                self._near = list(pool.map(lambda fold: self._neighborhoods(fold, weights, shape), self.folds))
+                self._at = at
+            gains = list(
+                pool.map(lambda fold, near: _gain_of_fold(fold, near[0], near[1], shape), self.folds, self._near)
+            )
         return float(np.average(gains, weights=[len(fold.asked) for fold in self.folds]))
 
     def choose_weights(self, dimension: int, shape: KernelShape) -> FloatArray:
@@ -182,20 +190,26 @@ class _Search:
         self.found["dof"] = {"candidates": [dof], "gains": [-float(best.fun)], "chosen": dof}
         return replace(shape, dof=dof)
 
-    def _gain_of_fold(self, fold: Fold, weights: FloatArray, shape: KernelShape) -> float:
+    def _neighborhoods(
+        self, fold: Fold, weights: FloatArray, shape: KernelShape
+    ) -> tuple[KernelPosterior, Neighborhoods]:
         used = weights > 0.0
         coordinates, places = (np.ascontiguousarray((x * weights)[:, used]) for x in (fold.coordinates, fold.places))
         posterior = KernelPosterior(
             coordinates, fold.errors, fold.spread, self.published, fold.prior, KDTree(coordinates)
         )
-        students, _ = posterior.at(places, shape, iterations=SEARCH_ITERATIONS)
-        noise = StereoNoise(students.scale, students.dof, students.bias)
-        return float(noise.log_likelihood(fold.asked).mean()) - fold.static
+        return posterior, posterior.around(places, shape)
 
     def _step(self, steps: int = 1) -> None:
         self.done += steps
         if self.on_progress is not None:
             self.on_progress(self.done, self.total)
+
+
+def _gain_of_fold(fold: Fold, posterior: KernelPosterior, near: Neighborhoods, shape: KernelShape) -> float:
+    students, _ = posterior.fit(near, shape, SEARCH_ITERATIONS)
+    noise = StereoNoise(students.scale, students.dof, students.bias)
+    return float(noise.log_likelihood(fold.asked).mean()) - fold.static
 
 
 def _with(weights: FloatArray, column: int, weight: float) -> FloatArray:
