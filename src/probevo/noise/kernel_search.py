@@ -132,7 +132,7 @@ class _Search:
     def gain(self, weights: FloatArray, shape: KernelShape) -> float:
         """Mean log-likelihood over that of the static model, nats a feature."""
         with ThreadPoolExecutor(2) as pool:
-            # Most shapes that are tried differ in the prior alone; to find neighbourhoods takes as long as to fit to them.
+            # Most shapes that are tried share their neighbourhoods, which take as long to find as to fit to.
             if self._at != (at := (weights.tobytes(), shape.neighbors, shape.reach)):
                 self._near = list(pool.map(lambda fold: self._neighborhoods(fold, weights, shape), self.folds))
                 self._at = at
