@@ -31,7 +31,9 @@ def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
     import numpy as np
 
     import probevo as pv
+    from probevo.allocator import keep_freed_memory
 
+    keep_freed_memory()  # as ``probevo run`` does; both gain by it
     cv2.setNumThreads(cores)
     sequence = pv.open_sequence(path)
     model = kernel(sequence, frames)

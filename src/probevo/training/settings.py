@@ -68,7 +68,7 @@ class KernelSettings(Settings):
     @property
     def learns_lasting(self) -> bool:
         """Whether there is such a part, and it is to be learned."""
-        return self.lasting and self.refers_to == "observation"
+        return self.lasting and self.refers_to == "observation" and self.variant == "robust"
 
     @staticmethod
     def published() -> KernelSettings:
