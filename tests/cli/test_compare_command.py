@@ -52,7 +52,7 @@ def _loader() -> Any:
 @pytest.fixture
 def without_reports(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of the single runs take most of the time."""
-    monkeypatch.setattr("probevo.runner.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
 
 
 @pytest.fixture(scope="module")

@@ -33,5 +33,5 @@ def stand_ins(turns: list[dict[str, float]] | None = None) -> Iterator[SimpleNam
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("probevo.cli.simulate.render_with_progress", put_a_wall)
         patch.setattr("probevo.cli.train.train_with_progress", train)
-        patch.setattr("probevo.runner.write_report", lambda path, *_: path.touch())
+        patch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
         yield calls

@@ -34,7 +34,7 @@ def trial_of(name: str) -> Drive:
 @pytest.fixture(autouse=True)
 def _without_reports(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of the single runs take most of the time."""
-    monkeypatch.setattr("probevo.runner.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
 
 
 @pytest.fixture
