@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -13,7 +13,7 @@ Result = TypeVar("Result")
 
 def read_ahead(
     read: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 4, threads: int = 2
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """``map(read, items)`` with up to ``ahead`` results in the making while the consumer works.
 
     Results come in order, and an error comes where its result would have. Work is only handed out when the consumer

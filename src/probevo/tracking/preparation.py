@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import count
 
 import cv2
 import numpy as np
@@ -29,8 +31,21 @@ class PreparedImages:
 
 
 def prepared_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[Frame]:
-    """The same frames, prepared in a thread of their own while the consumer works on the one before."""
-    return read_ahead(lambda frame: with_prepared(frame, config), frames, ahead=1, threads=1)
+    """The same frames, prepared in a thread of their own while the consumer works on the one before.
+
+    What reading a frame raises comes where the frame would have.
+    """
+    source = iter(frames)
+
+    def following(_: int) -> Frame | None:
+        frame = next(source, None)
+        return None if frame is None else with_prepared(frame, config)
+
+    with closing(read_ahead(following, count(), ahead=1, threads=1)) as ahead:
+        for frame in ahead:
+            if frame is None:
+                return
+            yield frame
 
 
 def with_prepared(frame: Frame, config: TrackingConfig) -> Frame:
