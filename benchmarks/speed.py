@@ -56,23 +56,24 @@ def kernel(sequence, frames: int):
 
     import probevo as pv
     from probevo.predictors import prediction_space
-    from probevo.training.drive import record_drive
+    from probevo.training.drive import joined
     from probevo.training.expectation import expect
+    from probevo.training.extraction import Extraction
+    from probevo.training.lesson import HeldLesson
     from probevo.training.settings import KERNEL
     from probevo.training.supervision import supervision_of
 
     count = min(frames, len(sequence), 60)
     space, config = prediction_space(KERNEL), pv.OdometryConfig()
-    drive = record_drive(sequence, space, config, count)
-    unknown = supervision_of(sequence, "none", 0.0, count)
-    noise = pv.noise.StudentT().predict(drive.phi)
-    found = expect(drive, noise, sequence.camera, config.solver, unknown, None)
+    drive = joined(Extraction(sequence, space, config, count))
+    lesson = HeldLesson(drive, sequence.camera, supervision_of(sequence, "none", 0.0, count))
+    found = expect(lesson, pv.noise.StudentT().predict, config.solver, None).left_over
     metric = pv.noise.metric.Metric.fitted(drive.phi, space.columns, space.may_be_undefined)
     model = pv.noise.GeneralizedKernel(
-        neighbors=400, prior_counts=16.0, dof_counts=30.0, bias_counts=np.inf, weights=np.ones(len(space.columns)),
-        refers_to="observation",
+        neighbors=400, prior_counts=1.0, dof_counts=30.0, bias_counts=np.inf, weights=np.ones(len(space.columns)),
+        refers_to="observation", lasting=1.0,
     )  # fmt: skip
-    return model.fit(drive.phi[found.features], found.errors, spread=found.spread, metric=metric)
+    return model.fit(found.phi, found.errors, spread=found.spread, metric=metric)
 
 
 def ours_over(sequence, model, keep: Callable[[dict[str, float]], None]) -> Iterator[None]:
@@ -125,7 +126,7 @@ def main() -> None:
         for cores in (1, 2):
             words = [sys.executable, __file__, "--measure", str(path), str(cores)]
             words += ["--repeats", str(given.repeats), "--frames", str(given.frames)]
-            done = subprocess.run(words, env=os.environ | THREADS, capture_output=True, text=True, check=True)
+            done = subprocess.run(words, env=os.environ | THREADS, stdout=subprocess.PIPE, text=True, check=True)
             found = json.loads(done.stdout)
             ours, p99, theirs = found["ours"], found["p99"], found["theirs"]
             row = f"{name:12} {cores:5} {ours:5.1f} {p99:5.1f} {theirs:9.1f} {ours / theirs:6.2f} {p99 / ours:8.2f}"
