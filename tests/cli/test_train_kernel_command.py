@@ -110,10 +110,10 @@ def test_the_bar_moves_within_a_search(tracks: Path, tmp_path: Path) -> None:
     sequence = open_sequence(tracks)
     train_model([sequence], settings, tmp_path / "m.safetensors", lambda done, total: seen.append((done, total)))
     done = [number for number, _ in seen]
-    assert {total for _, total in seen} == {FRAMES * 7}
+    assert {total for _, total in seen} == {FRAMES * 12}
     assert done == sorted(done)
-    assert done[-1] == FRAMES * 7
-    assert len({number for number in done if FRAMES * 6 < number < FRAMES * 7}) >= 2
+    assert done[-1] == FRAMES * 12
+    assert len({number for number in done if FRAMES * 11 < number < FRAMES * 12}) >= 2
 
 
 MISTAKES: dict[str, tuple[list[str], list[str]]] = {

@@ -116,7 +116,7 @@ def test_each_turn_makes_the_residuals_likelier(kind: str) -> None:
 
 def test_the_static_fit_gets_likelier_too() -> None:
     likelihoods = [turn["log_likelihood"] for turn in static().training["turns"]]
-    assert len(likelihoods) == STATIC_TURNS
+    assert len(likelihoods) == STATIC_TURNS + 1  # the last, with and without what lasts, is judged too
     assert (np.diff(likelihoods) > -2e-3).all()
     assert likelihoods[-1] > likelihoods[0] + 0.1
 
@@ -256,7 +256,7 @@ def test_every_turn_is_told() -> None:
     settings = settings_of(turns=2)
     course = Course(on_turn=lambda: turns.append(1), on_part=within.append)
     learn_kernel([lesson(frames=20)], metric(), settings, RECORDINGS, course)
-    assert len(turns) == num_turns(settings) == STATIC_TURNS + 2
+    assert len(turns) == num_turns(settings) == 2 * STATIC_TURNS + 2
     assert within
 
 
@@ -334,6 +334,6 @@ def test_stopped_after_any_turn_and_resumed_it_gives_the_same_bytes(
 
         with pytest.raises(KeyboardInterrupt):
             pv.train_model(recordings, settings, out, show)
-        kept = sorted(path.name for path in out.with_name(out.name + ".work").glob("turn-*"))
-        assert kept == [f"turn-{number}.safetensors" for number in range(stop)]
+        kept = {path.name for path in out.with_name(out.name + ".work").glob("turn-*")}
+        assert kept == {f"turn-{number}.safetensors" for number in range(stop)}
         assert pv.train_model(recordings, settings, out).read_bytes() == whole.read_bytes()
