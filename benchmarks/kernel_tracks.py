@@ -14,13 +14,13 @@ import numpy as np
 
 import probevo as pv
 from probevo.arrays import FloatArray
+from probevo.config import OdometryConfig
 from probevo.evaluation.metrics import Metrics, evaluate
-from probevo.motion.reprojection import solve_reprojection
 from probevo.noise.metric import Metric
 from probevo.output.run_result import RunRecorder
 from probevo.predictors import Needs, PredictionSpace, prediction_space
-from probevo.training.drive import Drive, joined
-from probevo.training.expectation import solve_drive
+from probevo.training.drive import joined
+from probevo.training.expectation import left_over, solve_drive
 from probevo.training.expectation_maximization import learn_kernel, learn_student_t
 from probevo.training.extraction import Extraction
 from probevo.training.lesson import HeldLesson
@@ -30,20 +30,11 @@ from probevo.training.supervision import supervision_of
 TRACKS = Path("../shared/data/kitti_tracks")
 
 
-def likelihood(drive: Drive, noise: pv.noise.StereoNoise, camera: pv.StereoCamera, motions: FloatArray) -> FloatArray:
-    """Of the residuals at these motions, nats a feature."""
-    found = []
-    for step in range(len(motions)):
-        rows = drive.rows(step)
-        chosen = rows.start + np.flatnonzero(drive.used[rows])
-        if len(chosen):
-            own, tracks = noise.of(chosen), drive.tracks(step).kept(chosen - rows.start)
-            solution = solve_reprojection(tracks.prev_px, tracks.curr_px, own, motions[step], camera, max_iterations=0)
-            front = solution.information[:, 0, 0] > 0.0
-            scale = np.linalg.inv(solution.information[front])
-            residual_noise = pv.noise.StereoNoise(scale, own.dof[front], np.zeros((front.sum(), 4)))
-            found.append(residual_noise.log_likelihood(solution.residuals[front]))
-    return np.concatenate(found)
+def likelihood(lesson: HeldLesson, model: pv.noise.NoiseModel, motions: FloatArray, cov: FloatArray) -> float:
+    """Of the residuals at these motions, each given all before it, nats a feature."""
+    solver, rng = OdometryConfig().solver, np.random.default_rng(0)
+    found = left_over(lesson.parts(), motions, cov, model.predict, lesson.camera, solver, 1.0, rng)
+    return float(found.log_likelihood.mean())
 
 
 def run(path: Path, noise: pv.noise.NoiseModel) -> Metrics:
@@ -80,11 +71,8 @@ def main() -> None:
             learn_kernel(rest, metric, settings, []),
         ]
         oneself = learn_student_t([own], settings, [])
-        motions, _ = solve_drive(own.drive, models[0].predict(own.drive.phi), own.camera, settings.odometry.solver)
-        nats = [
-            likelihood(own.drive, model.predict(own.drive.phi), own.camera, motions).mean()
-            for model in (*models, oneself)
-        ]
+        at = solve_drive(own.parts(), models[0].predict, own.camera, settings.odometry.solver)
+        nats = [likelihood(own, model, *at) for model in (*models, oneself)]
         runs = [run(path, model) for model in (*models, pv.noise.StudentT())]
         drift, rotation = ([getattr(r, name) for r in runs] for name in ("short_t_percent", "short_r_deg_per_m"))
         ratios.append([[values[2] / values[n] for values in (drift, rotation)] for n in (0, 1)])

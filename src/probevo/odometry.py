@@ -10,6 +10,7 @@ from probevo.config import OdometryConfig
 from probevo.motion.estimate import MotionEstimate, Status
 from probevo.motion.gyro import GyroBias, GyroRotation, integrate_gyro
 from probevo.motion.last_residuals import LastResiduals
+from probevo.motion.memory import DisparityMemory
 from probevo.motion.motion_model import MotionModel
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior
 from probevo.motion.self_calibration import SelfCalibration
@@ -49,7 +50,7 @@ class StereoOdometry:
         self.gyro_bias = GyroBias.initial(imu) if imu else None
         self.predictors = space_for(self.noise.columns, predictors)
         self.tracks, self.phi = Tracks.none(), np.zeros((0, len(self.predictors.columns)))
-        self.used, self.weights = np.zeros(0, np.bool_), np.zeros(0)
+        self.used, self.weights, self._memory = np.zeros(0, np.bool_), np.zeros(0), DisparityMemory.none()
         self._model, self._residuals = MotionModel.at_start(self.config.motion_model), LastResiduals.none()
         self._tracker: Tracker | None = None
         self._before: Frame | None = None
@@ -63,8 +64,7 @@ class StereoOdometry:
         Raises:
             InputError: the frame is not later than the one before.
         """
-        clock = StageClock(decode=frame.decode_ms)
-        before = self._before
+        clock, before = StageClock(decode=frame.decode_ms), self._before
         if before is None or self._tracker is None:
             self._before, self._tracker = frame, tracker_for(frame, self.camera, self.config.tracking)
             self._tracker.track(frame, np.eye(4))
@@ -82,8 +82,8 @@ class StereoOdometry:
             clock.lap("calibrate")
         phi = self.predictors(Step(tracks, self.camera, expected.T_curr_prev, before, frame, self._residuals))  # [N, M]
         clock.lap("predict")
-        rng = np.random.default_rng([self.config.seed, frame.index])
-        visual = estimate_motion(tracks, phi, self.noise, self.camera, expected, rotation, self.config, rng, clock)
+        known, rng = (expected, rotation, self._memory), np.random.default_rng([self.config.seed, frame.index])
+        visual = estimate_motion(tracks, phi, self.noise, self.camera, *known, self.config, rng, clock)
         self.tracks, self.phi, self.used, self.weights, self._before = tracks, phi, visual.used, visual.weights, frame
         T_curr_prev = self._model.carried_on(expected, visual.solution)
         status, cov, shared = visual.status, expected.cov, np.zeros((6, 3))
@@ -95,11 +95,11 @@ class StereoOdometry:
         elif self._model.is_gap(duration_s):
             status = Status.GAP
         solved, refused = (T_curr_prev, cov) if status is Status.OK else None, visual.status is Status.NOT_CONVERGED
-        self._model = self._model.after(duration_s, solved, refused=refused)
+        self._model, self._memory = self._model.after(duration_s, solved, refused=refused), visual.memory
         self._residuals = LastResiduals.left_by(tracks, visual.T_judging if solved else None, self.camera)
         clock.lap("learn")
-        counts, support = (visual.num_trusted, visual.num_iterations), (visual.num_used, visual.num_foreign)
-        return MotionEstimate(T_curr_prev, cov, status, len(tracks), *counts, shared, clock.times_ms, *support)
+        counts, times_ms = (len(tracks), visual.num_trusted, visual.num_iterations), clock.times_ms
+        return MotionEstimate(T_curr_prev, cov, status, *counts, shared, times_ms, visual.num_used, visual.num_foreign)
 
     def _integrate_gyro(self, since_ns: int, frame: Frame) -> GyroRotation | None:
         """The gyro's rotation since the last frame, less the bias believed in."""

@@ -108,8 +108,13 @@ def fold_noise(
     """Refined points [N, 3], offsets [N, 4] and information [N, 4, 4] of one pass, from ``refined``."""
     refined, offset, information = refined.copy(), np.full((len(seen), 4), np.nan), np.full((len(seen), 4, 4), np.nan)
     C, t = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
-    lasting = np.zeros(len(seen)) if lasting is None else lasting
-    linearize_noise(C, t, CONSTANTS, seen, point_cov, curr, scale, lasting, refined, offset, information)
+    joint = np.zeros((len(seen), 4, 4))
+    joint[:, :3, :3] = point_cov
+    if lasting is not None:
+        joint[:, 2:, 2:] += lasting[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    linearize_noise(
+        C, t, CONSTANTS, seen, joint, curr, scale, refined, offset, information, np.empty((len(seen), 4, 2))
+    )
     return refined, offset, information
 
 

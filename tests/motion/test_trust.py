@@ -8,7 +8,7 @@ from scipy.stats import f as f_distribution
 
 from probevo.arrays import FloatArray
 from probevo.motion.reprojection import ReprojectionSolution
-from probevo.motion.visual import TRUSTED, USUAL_DOF, trust
+from probevo.motion.trust import TRUSTED, USUAL_DOF, trust
 
 
 def solution(squared: FloatArray, dof: float) -> ReprojectionSolution:

@@ -12,6 +12,7 @@ from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.motion.estimate import Status
+from probevo.motion.memory import DisparityMemory
 from probevo.motion.motion_model import ExpectedMotion, MotionModel
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
 from probevo.motion.visual import VisualMotion, confirmed, estimate_motion, solve
@@ -36,7 +37,9 @@ def look(
 ) -> VisualMotion:
     predictors, rng = np.zeros((len(tracks), 0)), np.random.default_rng(0)
     clock = clock or StageClock()
-    return estimate_motion(tracks, predictors, noise or StudentT(), CAMERA, expected, rotation, config, rng, clock)
+    return estimate_motion(
+        tracks, predictors, noise or StudentT(), CAMERA, expected, rotation, DisparityMemory.none(), config, rng, clock
+    )
 
 
 def test_good_tracks_give_the_motion() -> None:

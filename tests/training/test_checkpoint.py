@@ -59,7 +59,7 @@ def part_of(drive: Drive, first: int, last: int | None) -> Drive:
     """Steps from the first up to the last."""
     places = drive.first_of_step[first : None if last is None else last + 1]
     rows = slice(places[0], places[-1])
-    features = {name: getattr(drive, name)[rows] for name in ("prev_px", "curr_px", "phi", "used")}
+    features = {name: getattr(drive, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")}
     return Drive(drive.T_curr_prev[first:last], places - places[0], **features)
 
 
@@ -101,7 +101,7 @@ def test_a_drive_comes_back(out: Path) -> None:
 
 
 def test_a_drive_without_any_feature_comes_back(out: Path) -> None:
-    nothing = {name: getattr(DRIVE, name)[:0] for name in ("prev_px", "curr_px", "phi", "used")}
+    nothing = {name: getattr(DRIVE, name)[:0] for name in ("prev_px", "curr_px", "ids", "phi", "used")}
     drive = replace(DRIVE, first_of_step=np.zeros(4, np.int64), **nothing)
     keep(opened(out), 0, drive)
     found = drive_of_number(opened(out), 0)

@@ -173,7 +173,7 @@ def test_steps_that_no_half_can_solve_have_no_say() -> None:
         whole.drive,
         T_curr_prev=whole.drive.T_curr_prev[:end],
         first_of_step=whole.drive.first_of_step[: end + 1],
-        **{name: getattr(whole.drive, name)[:first] for name in ("prev_px", "curr_px", "phi", "used")},
+        **{name: getattr(whole.drive, name)[:first] for name in ("prev_px", "curr_px", "ids", "phi", "used")},
     )
     log_sigma, searches = whole.drive.phi[:, 0] - whole.drive.phi[:, 0].mean(), []
     for drive in (lost, short):

@@ -26,7 +26,7 @@ def learner(drive: Drive = DRIVE, kind: str = "gt", **options: object) -> Learne
 def shortened(count: int) -> Drive:
     """The first two steps with their first features."""
     rows = np.concatenate([np.arange(count) + first for first in DRIVE.first_of_step[:2]])
-    arrays = {name: getattr(DRIVE, name)[rows] for name in ("prev_px", "curr_px", "phi", "used")}
+    arrays = {name: getattr(DRIVE, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")}
     return replace(DRIVE, T_curr_prev=DRIVE.T_curr_prev[:2], first_of_step=np.array([0, count, 2 * count]), **arrays)
 
 

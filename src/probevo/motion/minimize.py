@@ -28,7 +28,6 @@ def minimize(
     point_cov: FloatArray,
     curr: FloatArray,
     scale: FloatArray,
-    lasting: FloatArray,
     kind: int,
     parameter: FloatArray,
     C_prior: FloatArray,
@@ -38,15 +37,16 @@ def minimize(
     refined: FloatArray,
     offset: FloatArray,
     information: FloatArray,
+    shared: FloatArray,
     squared: FloatArray,
 ) -> tuple[int, bool, float]:
     """Levenberg–Marquardt on SE(3) over Σ ρ(eᵀ Σ⁻¹ e) + ½ φᵀ Λ φ, with φ = Log(C C_priorᵀ).
 
-    C and t are the guess on entry and the solution on return; refined, offset, information and squared are those of
-    ``linearize_noise`` and ``normal_equations`` there. Σ is renewed when the motion has moved by a good part of its own
-    standard deviation, and else kept, so that the cost is one function near the optimum. Returns the iterations,
-    whether the last step was shorter than the tolerance times its own standard deviation, and the cost. Without any
-    iterations the guess stays, and all else is filled in at it.
+    C and t are the guess on entry and the solution on return; refined, offset, information, shared and squared are
+    those of ``linearize_noise`` and ``normal_equations`` there. Σ is renewed when the motion has moved by a good part
+    of its own standard deviation, and else kept, so that the cost is one function near the optimum. Returns the
+    iterations, whether the last step was shorter than the tolerance times its own standard deviation, and the cost.
+    Without any iterations the guess stays, and all else is filled in at it.
     """
     hessian, gradient = np.empty((6, 6)), np.empty(6)
     trial_hessian, trial_gradient, trial_squared = np.empty((6, 6)), np.empty(6), np.empty(len(squared))
@@ -59,7 +59,7 @@ def minimize(
         if stale:
             if moved > RENEW_AFTER and renewals < MAX_RENEWALS:
                 renewals, moved = renewals + 1, 0.0
-                linearize_noise(C, t, camera, seen, point_cov, curr, scale, lasting, refined, offset, information)
+                linearize_noise(C, t, camera, seen, point_cov, curr, scale, refined, offset, information, shared)
             cost = normal_equations(
                 C, t, camera, refined, offset, curr, information, kind, parameter, near, hessian, gradient, squared
             ) + _add_rotation_prior(C, C_prior, prior_information, hessian, gradient, phi)

@@ -12,7 +12,7 @@ from probevo.motion.minimize import minimize
 from probevo.motion.normal_equations import BEHIND
 from probevo.motion.reprojection_kernels import residual_jacobians, sum_information
 from probevo.motion.robust import RobustLoss
-from probevo.motion.seen_points import observation_to_point
+from probevo.motion.seen_points import KnownDisparities, SeenPoints
 from probevo.noise.base import StereoNoise
 
 CONVERGED_BELOW = 1e-3
@@ -43,6 +43,8 @@ class ReprojectionSolution:
     """Robust weight of each feature against that of a perfect one, [N], in [0, 1]."""
     irls_weight: FloatArray
     """Robust weight w itself, [N]; 0 for a feature without a say."""
+    points: SeenPoints
+    """The N points, before the solve."""
     refined: FloatArray
     """Most likely (u, v, disparity) of each feature in the previous frame given both observations, [N, 3], px."""
     residuals: FloatArray
@@ -55,6 +57,8 @@ class ReprojectionSolution:
     """Σ w Jᵀ Σ⁻¹ J plus the prior's information, w the IRLS weight, [6, 6]. Its inverse is not the covariance."""
     information: FloatArray
     """Σ⁻¹ of each feature, [N, 4, 4], px⁻²."""
+    shared: FloatArray
+    """Covariance (scale) of its residual with its disparity d and the error δ of that, [N, 4, 2], px²."""
     iterations: int
     converged: bool
 
@@ -74,6 +78,7 @@ def solve_reprojection(
     loss: RobustLoss | None = None,
     prior: RotationPrior | None = None,
     max_iterations: int = 20,
+    known: KnownDisparities | None = None,
 ) -> ReprojectionSolution:
     """Most likely motion T_curr_prev given N features in two frames.
 
@@ -91,6 +96,7 @@ def solve_reprojection(
         loss: robust loss; by default that of the noise's own Student-t.
         prior: rotation known from elsewhere.
         max_iterations: of Levenberg–Marquardt; 0 keeps the guess and says everything else about the features at it.
+        known: what earlier frames say of some of the disparities.
     """
     loss = RobustLoss.student_t() if loss is None else loss
     count = len(prev_px)
@@ -101,21 +107,23 @@ def solve_reprojection(
     # Copies: a view of broadcast_to is read-only, for which Numba would compile the whole solve once more.
     scale = np.array(np.broadcast_to(noise.scale, (count, 4, 4)), order="C")
     dof = np.array(np.broadcast_to(noise.dof, (count,)))
-    lasting = np.zeros(count) if noise.lasting is None else np.array(noise.lasting, np.float64)
     parameter = loss.parameters(dof)
 
-    seen, point_cov = np.empty((count, 3)), np.zeros((count, 3, 3))
-    observation_to_point(np.ascontiguousarray(prev_px), scale, propagate, seen, point_cov)
+    points = SeenPoints.of(prev_px, scale, propagate, noise.lasting)
+    if known is not None:
+        points = points.knowing(known)
+    seen, point_cov = points.seen, points.cov
     curr = np.ascontiguousarray(curr_px - bias)
+    curr[:, 2] += points.error
 
     C, t = np.array(guess[:3, :3]), np.array(guess[:3, 3])
     refined, offset, information = seen.copy(), np.zeros((count, 4)), np.zeros((count, 4, 4))
-    squared = np.zeros(count)
+    squared, shared = np.zeros(count), np.zeros((count, 4, 2))
     C_prior = np.eye(3) if prior is None else np.ascontiguousarray(prior.C_curr_prev)
     prior_information = np.zeros((3, 3)) if prior is None else np.linalg.inv(prior.cov).astype(float)
     iterations, converged, _ = minimize(
-        C, t, intrinsics, seen, point_cov, curr, scale, lasting, int(loss.kind), parameter, C_prior, prior_information,
-        max_iterations, CONVERGED_BELOW, refined, offset, information, squared,
+        C, t, intrinsics, seen, point_cov, curr, scale, int(loss.kind), parameter, C_prior, prior_information,
+        max_iterations, CONVERGED_BELOW, refined, offset, information, shared, squared,
     )  # fmt: skip
     residuals, disparity_jacobian = np.empty((count, 4)), np.empty((count, 4))
     jacobian, white = np.empty((count, 4, 6)), np.empty((count, 4, 6))
@@ -125,7 +133,7 @@ def solve_reprojection(
     has_say = squared < BEHIND
     weight = np.where(has_say, loss.weight(squared, dof), 0.0)
     curvature = np.where(has_say, loss.curvature(squared, dof), 0.0)
-    disparity_noise = point_cov[:, 2, 2] + lasting
+    disparity_noise = point_cov[:, 2, 2]
     hessian, information_sum = _information(jacobian, white, weight, curvature, refined, seen, disparity_noise)
     variance_factor = _variance_factor(squared, weight, curvature, loss, dof)
     motion = np.eye(4)
@@ -138,12 +146,14 @@ def solve_reprojection(
         squared=squared,
         weight=weight / np.maximum(loss.weight(np.zeros(count), dof), 1e-12),
         irls_weight=weight,
+        points=points,
         refined=refined,
         residuals=residuals,
         jacobian=jacobian,
         disparity_jacobian=disparity_jacobian,
         hessian=hessian + prior_block,
         information=information,
+        shared=shared,
         iterations=iterations,
         converged=converged,
     )

@@ -24,10 +24,10 @@ def linearize_noise(
     point_cov: FloatArray,
     curr: FloatArray,
     scale: FloatArray,
-    lasting: FloatArray,
     refined: FloatArray,
     offset: FloatArray,
     information: FloatArray,
+    shared: FloatArray,
 ) -> None:
     """Fold the noise of the triangulated points into that of the residuals, at the motion (C, t).
 
@@ -37,28 +37,26 @@ def linearize_noise(
     shortens the motion estimated from small disparities (errors-in-variables attenuation). For points whose noise is
     not propagated, S = 0 and nothing changes.
 
-    An error of the disparity that is the same in both frames, of variance τ², moves y' along −(0, 0, 1, 0) and h(s)
-    along the last column a of A. With l = −(0, 0, 1, 0) − a, it adds τ² l lᵀ to Σ, and −τ² lᵀ Σ⁻¹ e to the disparity of
-    ŝ. Stereo matching errs so: a window that straddles an edge is matched as wrongly in the next frame.
+    The error δ of the disparity that is the same in both frames moves y' along −(0, 0, 1, 0), so that s and δ are taken
+    together: with P their covariance and H = [A, −(0, 0, 1, 0)], Σ = R' + H P Hᵀ. For a point of which nothing is known
+    but its observation, d and δ are off by opposite amounts, of variance τ², and that is R' + A S Aᵀ + τ² l lᵀ, with
+    l = −(0, 0, 1, 0) − ∂h/∂d. Stereo matching errs so: a window that straddles an edge is matched as wrongly in the
+    next frame.
 
     Args:
         C, t: current estimate of the motion, [3, 3], [3].
         camera: (fu, fv, cu, cv, fu b).
         seen: s of each point, [N, 3], px.
-        point_cov: S, [N, 3, 3], px².
-        curr: y', bias removed, [N, 4], px.
+        point_cov: P, that of (u, v, d, δ), [N, 4, 4], px².
+        curr: y', less the bias and what δ is taken for, [N, 4], px.
         scale: R', [N, 4, 4], px².
-        lasting: τ², [N], px².
         refined: in and out, ŝ, [N, 3], px.
         offset: out, A (s − ŝ), by which the residual at ŝ differs from the one at s, [N, 4], px.
         information: out, Σ⁻¹, [N, 4, 4]; zero where the point is behind the camera.
+        shared: out, the last two columns of H P: the covariance of the residual with (d, δ), [N, 4, 2], px².
     """
     fu, fv, cu, cv, fb = camera
-    A, AS, point = (
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-    )  # rows u_l, v, u_r: the rows v_l and v_r are alike
+    A, HP, point = np.empty((3, 3)), np.empty((3, 4)), np.empty((3, 3))  # rows u_l, v, u_r: v_l and v_r are alike
     sigma, lower, e, g = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4), np.empty(4)
     for n in range(len(seen)):
         mx, my, rho = (refined[n, 0] - cu) / fu, (refined[n, 1] - cv) / fv, refined[n, 2] / fb
@@ -86,22 +84,20 @@ def linearize_noise(
             A[0, 1] + d * iz * C[2, 1] / fv,
             A[0, 2] - iz + d * t[2] * c,
         )
-        S = point_cov[n]
+        P = point_cov[n]
         for i in range(3):
-            for j in range(3):
-                AS[i, j] = A[i, 0] * S[0, j] + A[i, 1] * S[1, j] + A[i, 2] * S[2, j]
+            for j in range(4):
+                HP[i, j] = A[i, 0] * P[0, j] + A[i, 1] * P[1, j] + A[i, 2] * P[2, j]
+                if i == 2:
+                    HP[i, j] -= P[3, j]
         for i in range(3):
             for j in range(i + 1):
-                point[i, j] = point[j, i] = AS[i, 0] * A[j, 0] + AS[i, 1] * A[j, 1] + AS[i, 2] * A[j, 2]
+                product = HP[i, 0] * A[j, 0] + HP[i, 1] * A[j, 1] + HP[i, 2] * A[j, 2]
+                point[i, j] = point[j, i] = product - HP[i, 3] if j == 2 else product
         for i in range(4):
+            shared[n, i, 0], shared[n, i, 1] = HP[i if i < 3 else 1, 2], HP[i if i < 3 else 1, 3]
             for j in range(i + 1):
                 sigma[i, j] = scale[n, i, j] + point[i if i < 3 else 1, j if j < 3 else 1]
-        l_0, l_1, l_2 = -A[0, 2], -A[1, 2], -1.0 - A[2, 2]
-        if lasting[n] > 0.0:
-            for i in range(4):
-                l_i = lasting[n] * (l_0 if i == 0 else l_2 if i == 2 else l_1)
-                for j in range(i + 1):
-                    sigma[i, j] += l_i * (l_0 if j == 0 else l_2 if j == 2 else l_1)
         _set_offset(A, seen[n], refined[n], offset[n])
         if not invert_symmetric_4(sigma, information[n], lower):
             information[n] = 0.0
@@ -114,8 +110,7 @@ def linearize_noise(
         for i in range(4):
             g[i] = W[i, 0] * e[0] + W[i, 1] * e[1] + W[i, 2] * e[2] + W[i, 3] * e[3]
         for j in range(3):
-            refined[n, j] = seen[n, j] + AS[0, j] * g[0] + AS[1, j] * (g[1] + g[3]) + AS[2, j] * g[2]
-        refined[n, 2] -= lasting[n] * (l_0 * g[0] + l_1 * (g[1] + g[3]) + l_2 * g[2])
+            refined[n, j] = seen[n, j] + HP[0, j] * g[0] + HP[1, j] * (g[1] + g[3]) + HP[2, j] * g[2]
         _set_offset(A, seen[n], refined[n], offset[n])
 
 

@@ -1,11 +1,70 @@
-"""The point behind a stereo observation, and how noisy it is: a compiled inner loop of the reprojection solve."""
+"""The points behind stereo observations, and how noisy they are, before the solve of a motion."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled, copy_into, invert_symmetric_4, solve_positive_definite
+
+
+@dataclass(frozen=True)
+class KnownDisparities:
+    """What is known of the disparities of M features in the previous frame beside their observation there."""
+
+    rows: IntArray
+    """Which features these are, [M]."""
+    disparity: FloatArray
+    """The true disparity d, [M], px."""
+    error: FloatArray
+    """By how much the measured ones are larger, in both frames, δ, [M], px."""
+    cov: FloatArray
+    """Covariance of (d, δ), [M, 2, 2], px²."""
+
+    @staticmethod
+    def none() -> KnownDisparities:
+        """Of no feature."""
+        return KnownDisparities(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 2, 2)))
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """N points before a solve: s = (u, v, d) in the previous frame, and the error δ of the disparities measured."""
+
+    seen: FloatArray
+    """s, [N, 3], px."""
+    error: FloatArray
+    """δ, [N], px."""
+    cov: FloatArray
+    """Covariance (scale matrix) of (u, v, d, δ), [N, 4, 4], px²."""
+
+    @staticmethod
+    def of(observed: FloatArray, scale: FloatArray, propagate: bool, lasting: FloatArray | None) -> SeenPoints:
+        """By their observations y alone, [N, 4], px, which have the scale R [N, 4, 4] and lasting errors [N], px².
+
+        A point of which nothing else is known has d as measured, and δ = 0: what is wrong of the one is that of the
+        other. Without ``propagate`` the points are taken to be free of noise.
+        """
+        count = len(observed)
+        seen, cov = np.empty((count, 3)), np.zeros((count, 4, 4))
+        observation_to_point(np.ascontiguousarray(observed), scale, propagate, seen, cov)
+        if lasting is not None:
+            cov[:, 2, 2] += lasting
+            cov[:, 3, 3] = lasting
+            cov[:, 2, 3] = cov[:, 3, 2] = -lasting
+        return SeenPoints(seen, np.zeros(count), cov)
+
+    def knowing(self, known: KnownDisparities) -> SeenPoints:
+        """The same, with the disparities that are known better; these are independent of u and v."""
+        if not len(known.rows):
+            return self
+        seen, error, cov = self.seen.copy(), self.error.copy(), self.cov.copy()
+        seen[known.rows, 2], error[known.rows] = known.disparity, known.error
+        cov[known.rows, :2, 2:] = cov[known.rows, 2:, :2] = 0.0
+        cov[known.rows, 2:, 2:] = known.cov
+        return SeenPoints(seen, error, cov)
 
 
 @compiled
@@ -16,7 +75,7 @@ def observation_to_point(
 
     With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale R: the two rows are
     averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the rows plainly, as g does, and S is 0.
-    Fills seen [N, 3] from observed [N, 4], px, and point_cov [N, 3, 3] from scale [N, 4, 4], px².
+    Fills seen [N, 3] from observed [N, 4], px, and that part of point_cov [N, 4, 4] from scale [N, 4, 4], px².
     """
     inverse, lower = np.empty((4, 4)), np.zeros((4, 4))
     normal, lower_3, unit, column = np.empty((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)

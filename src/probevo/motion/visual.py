@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,20 +15,16 @@ from probevo.motion.alignment import solve_alignment
 from probevo.motion.estimate import Status
 from probevo.motion.first_guess import enough, first_guess
 from probevo.motion.last_residuals import LAST_RESIDUAL
+from probevo.motion.memory import DisparityMemory, remember
 from probevo.motion.motion_model import ExpectedMotion
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
 from probevo.motion.robust import RobustLoss
+from probevo.motion.seen_points import KnownDisparities
+from probevo.motion.trust import DROP_BELOW, TRUSTED, weights_of
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.student_t import StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
-
-DROP_BELOW = 0.1
-"""Trust below which a track is no longer followed."""
-USUAL_DOF = 5.0
-"""Degrees of freedom for which the two bounds hold: those of the shipped Student-t."""
-TRUSTED = 0.5
-"""A track with this much trust counts as trusted."""
 
 BY_CHANCE = 22.46
 """Squared distance of two motions of the same tracks, in standard deviations: 99.9 % of χ²(6)."""
@@ -50,6 +46,8 @@ class VisualMotion:
     place, or if there was no solve."""
     T_judging: FloatArray | None = None
     """The motion by which to judge features in the next step, [4, 4]; None if there was no solve."""
+    memory: DisparityMemory = field(default_factory=DisparityMemory.none)
+    """What the tracks used, and still trusted, have taught of their disparities, in terms of the current frame."""
 
     @property
     def astray(self) -> BoolArray:
@@ -84,6 +82,7 @@ def estimate_motion(
     camera: StereoCamera,
     expected: ExpectedMotion,
     rotation: RotationPrior | None,
+    memory: DisparityMemory,
     config: OdometryConfig,
     rng: np.random.Generator,
     clock: StageClock,
@@ -97,6 +96,7 @@ def estimate_motion(
         camera: the rectified camera.
         expected: motion before looking.
         rotation: the gyro's rotation, if there is one.
+        memory: what the steps before have taught of the tracks' disparities.
         config: settings of RANSAC, solver and gyro.
         rng: source of the samples.
         clock: takes the times of the stages ``consensus`` and ``solve``.
@@ -108,8 +108,13 @@ def estimate_motion(
         return VisualMotion(Status.TOO_FEW_TRACKS, weights, np.zeros_like(used), None)
     prior = rotation if config.gyro.prior else None
     predicted = noise.predict(predictors[used])
-    solution = solve(tracks.kept(used), predicted, start.T_curr_prev, camera, prior, config.solver)
-    weights[used] = trust(solution, predicted.dof) if config.solver.loss == "noise" else solution.weight
+    own = tracks.kept(used)
+    before = memory.of(own.ids)
+    solution = solve(own, predicted, start.T_curr_prev, camera, prior, config.solver, before.known)
+    weights[used] = weights_of(solution, predicted.dof, config.solver.loss)
+    memory = DisparityMemory.none()
+    if config.solver.method == "reprojection":
+        solution, memory = remember(own, predicted, solution, camera, weights[used] >= TRUSTED, before)
     clock.lap("solve")
     status = _judge(solution, weights[used], expected, config)
     foreign = None
@@ -118,9 +123,10 @@ def estimate_motion(
         foreign[used] = predicted.foreign
     judging = solution.T_curr_prev
     if LAST_RESIDUAL in noise.columns:
-        judging = confirmed(solution, tracks.kept(used), start.T_curr_prev, camera, prior, config.solver)
+        judging = confirmed(solution, own, start.T_curr_prev, camera, prior, config.solver)
     believed = None if status is Status.DEGENERATE else solution
-    return VisualMotion(status, weights, used, believed, foreign, judging)
+    memory = memory if status is Status.OK else DisparityMemory.none()
+    return VisualMotion(status, weights, used, believed, foreign, judging, memory)
 
 
 def solve(
@@ -130,6 +136,7 @@ def solve(
     camera: StereoCamera,
     prior: RotationPrior | None,
     config: SolverConfig,
+    known: KnownDisparities | None = None,
 ) -> ReprojectionSolution:
     """The motion of N tracks by the method of the settings, from a guess T_curr_prev [4, 4].
 
@@ -156,6 +163,7 @@ def solve(
         loss=RobustLoss.named(config.loss),
         prior=prior,
         max_iterations=iterations,
+        known=known,
     )
     if aligned is None:
         return solution
@@ -187,32 +195,6 @@ def confirmed(
         return solution.T_curr_prev
     apart = normalized_error_squared(plain.T_curr_prev[None], solution.T_curr_prev[None], cov[None])[0]
     return solution.T_curr_prev if apart < BY_CHANCE else plain.T_curr_prev
-
-
-def trust(solution: ReprojectionSolution, dof: FloatArray) -> FloatArray:
-    """How far each feature is trusted, [N], 0 to 1, whatever the tails of its noise, dof ν [N].
-
-    Its robust weight against a perfect feature's, y = ν/(ν + s), says how usual a residual is only for one ν: half of
-    all good features have less than a third at ν = 1.6. So the trust is the y that a residual as rare would have at
-    USUAL_DOF; rarer ones are met with probability y^(ν/2) (1 + ν (1 − y)/2), the F distribution's tail for d = 4. What
-    is Gaussian by its model, as that of ``fixed`` is, has no robust weight, and all is trusted.
-    """
-    robust = np.isfinite(dof) & (dof != USUAL_DOF) & (solution.weight > 0.0)
-    nu = np.where(robust, dof, USUAL_DOF)
-    trusted: FloatArray = np.where(
-        robust, np.interp(_rarity(nu / (nu + solution.squared), nu), _RARITIES, _TRUSTS), solution.weight
-    )
-    return trusted
-
-
-def _rarity(share: FloatArray, dof: FloatArray | float) -> FloatArray:
-    """Probability of a residual of s or more, from y = ν/(ν + s)."""
-    rarity: FloatArray = share ** (0.5 * dof) * (1.0 + 0.5 * dof * (1.0 - share))
-    return rarity
-
-
-_TRUSTS = np.linspace(0.0, 1.0, 4001)
-_RARITIES = _rarity(_TRUSTS, USUAL_DOF)
 
 
 def _judge(

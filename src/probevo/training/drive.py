@@ -12,6 +12,9 @@ import numpy as np
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.tracking.tracks import Tracks
 
+SINGLE = ("prev_px", "curr_px", "phi")
+"""What is of single precision on disk."""
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -28,6 +31,8 @@ class Drive:
     """(u_l, v_l, u_r, v_r) of each feature in the frame before, corrected, [n, 4]."""
     curr_px: FloatArray
     """The same in the current frame."""
+    ids: IntArray
+    """Identity of its track, [n]."""
     phi: FloatArray
     """Its place in the prediction space, [n, M]."""
     used: BoolArray
@@ -38,10 +43,11 @@ class Drive:
         return slice(*self.first_of_step[step : step + 2].tolist())
 
     def tracks(self, step: int) -> Tracks:
-        """The features of a step; their identities and ages are not kept."""
+        """The features of a step; their ages are not kept."""
         rows = self.rows(step)
-        nothing = np.zeros(rows.stop - rows.start, np.int64)
-        return Tracks(self.prev_px[rows], self.curr_px[rows], nothing, nothing)
+        return Tracks(
+            self.prev_px[rows], self.curr_px[rows], self.ids[rows], np.zeros(rows.stop - rows.start, np.int64)
+        )
 
     @property
     def step_of_feature(self) -> IntArray:
@@ -51,7 +57,7 @@ class Drive:
     def kept(self, steps: BoolArray) -> Drive:
         """Only the steps that are marked, [K − 1]."""
         rows = steps[self.step_of_feature]
-        features = {name: getattr(self, name)[rows] for name in ("prev_px", "curr_px", "phi", "used")}
+        features = {name: getattr(self, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")}
         counts = np.diff(self.first_of_step)[steps]
         return Drive(self.T_curr_prev[steps], np.concatenate([[0], np.cumsum(counts)]), **features)
 
@@ -67,7 +73,7 @@ def joined(parts: Iterable[Drive]) -> Drive:
 def drive_bytes(drive: Drive) -> bytes:
     """An ``.npz`` file."""
     arrays: dict[str, AnyArray] = {field.name: getattr(drive, field.name) for field in fields(Drive)}
-    arrays |= {name: arrays[name].astype(np.float32) for name in ("prev_px", "curr_px", "phi")}
+    arrays |= {name: arrays[name].astype(np.float32) for name in SINGLE} | {"ids": drive.ids.astype(np.int32)}
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()
@@ -77,4 +83,5 @@ def load_drive(path: Path) -> Drive:
     """Read what ``drive_bytes`` gave."""
     with np.load(path, allow_pickle=False) as archive:
         arrays = {field.name: archive[field.name] for field in fields(Drive)}
-    return Drive(**arrays | {name: arrays[name].astype(np.float64) for name in ("prev_px", "curr_px", "phi")})
+    wide: dict[str, AnyArray] = {name: arrays[name].astype(np.float64) for name in SINGLE}
+    return Drive(**arrays | wide | {"ids": arrays["ids"].astype(np.int64)})

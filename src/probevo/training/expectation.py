@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
 from probevo.geometry import se3
+from probevo.motion.memory import DisparityMemory, carried_on, remember
 from probevo.motion.reprojection import ReprojectionSolution, solve_reprojection
+from probevo.motion.trust import TRUSTED, trust, weights_of
 from probevo.motion.visual import solve
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -53,6 +55,12 @@ class LeftOver:
     """What they tell of how much lasts of the disparity's error, as from ``lasting_profile``, [m, 4]."""
 
     @staticmethod
+    def none(columns: int) -> LeftOver:
+        """Of no features, of so many columns."""
+        nothing, steps = np.zeros((0, 4)), np.zeros(0, np.int64)
+        return LeftOver(steps, steps, np.zeros((0, columns)), nothing, np.zeros((0, 4, 4)), np.zeros(0), nothing)
+
+    @staticmethod
     def joined(parts: Sequence[LeftOver]) -> LeftOver:
         """One after another as one."""
         return LeftOver(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(LeftOver)))
@@ -70,18 +78,28 @@ class Expectation:
 
 
 def solve_drive(
-    drive: Drive, noise: StereoNoise, camera: StereoCamera, solver: SolverConfig
+    parts: Iterable[Drive], predict: Predict, camera: StereoCamera, solver: SolverConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """Motions T_curr_prev [K − 1, 4, 4] under the noise of the drive's n features, and their covariances [K − 1, 6, 6].
+    """Motions T_curr_prev [K − 1, 4, 4] of a drive under the predicted noise, and their covariances [K − 1, 6, 6].
 
     A step that cannot be solved keeps the drive's own motion, with UNSOLVED_SIGMA.
     """
-    motions, cov = drive.T_curr_prev.copy(), np.tile(np.diag(UNSOLVED_SIGMA**2), (len(drive.T_curr_prev), 1, 1))
-    for step, chosen, tracks in _solvable(drive, solver):
-        solution = solve(tracks, noise.of(chosen), motions[step], camera, None, solver)
-        if solution.converged and np.isfinite(solution.cov).all():
-            motions[step], cov[step] = solution.T_curr_prev, solution.cov
-    return motions, cov
+    memory, motions, cov = DisparityMemory.none(), [np.zeros((0, 4, 4))], [np.zeros((0, 6, 6))]
+    for part in parts:
+        noise = predict(part.phi)
+        motions.append(part.T_curr_prev.copy())
+        cov.append(np.tile(np.diag(UNSOLVED_SIGMA**2), (len(part.T_curr_prev), 1, 1)))
+        for step, chosen, tracks in _steps(part):
+            before, memory = memory.of(tracks.ids), DisparityMemory.none()
+            if len(chosen) < solver.min_tracks:
+                continue
+            own = noise.of(chosen)
+            solution = solve(tracks, own, part.T_curr_prev[step], camera, None, solver, before.known)
+            if solution.converged and np.isfinite(solution.cov).all():
+                trusted = weights_of(solution, own.dof, solver.loss) >= TRUSTED
+                solution, memory = remember(tracks, own, solution, camera, trusted, before)
+                motions[-1][step], cov[-1][step] = solution.T_curr_prev, solution.cov
+    return np.concatenate(motions), np.concatenate(cov)
 
 
 def expect(
@@ -108,20 +126,12 @@ def expect(
         seed: of the draw: the same ones, however the drive is cut into parts.
     """
     camera, supervision = lesson.camera, lesson.supervision
-    solved = [solve_drive(part, predict(part.phi), camera, solver) for part in lesson.parts()]
-    alone, cov = (np.concatenate(arrays) for arrays in zip(*solved, strict=True))
+    alone, cov = solve_drive(lesson.parts(), predict, camera, solver)
     motions = alone
     if supervision.kind != "none":
         motions, cov = conditioned(alone, cov, supervision, truth_sigma)
-    rng, found, step, feature = np.random.default_rng([*seed]), [], 0, 0
-    for part in lesson.parts():
-        steps = slice(step, step + len(part.T_curr_prev))
-        wanted = part.used & (rng.random(len(part.used)) < share)
-        at = replace(part, T_curr_prev=motions[steps])
-        left = _left_over(at, cov[steps], predict(part.phi), camera, solver, wanted)
-        found.append(replace(left, steps=left.steps + step, features=left.features + feature))
-        step, feature = steps.stop, feature + len(part.phi)
-    return Expectation(motions, alone, LeftOver.joined(found))
+    rng = np.random.default_rng([*seed])
+    return Expectation(motions, alone, left_over(lesson.parts(), motions, cov, predict, camera, solver, share, rng))
 
 
 def conditioned(
@@ -174,38 +184,50 @@ def _sigma_of_truth(chains: list[tuple[int, int, FloatArray, FloatArray, FloatAr
     return sigma
 
 
-def _solvable(drive: Drive, solver: SolverConfig) -> list[tuple[int, IntArray, Tracks]]:
-    """Steps with features enough, which these are among the drive's, and their tracks."""
-    found = []
+def _steps(drive: Drive) -> Iterator[tuple[int, IntArray, Tracks]]:
+    """Each step, which of the drive's features may be used in it, and their tracks."""
     for step in range(len(drive.T_curr_prev)):
         rows = drive.rows(step)
         own = np.flatnonzero(drive.used[rows])
-        if len(own) >= solver.min_tracks:
-            found.append((step, rows.start + own, drive.tracks(step).kept(own)))
-    return found
+        yield step, rows.start + own, drive.tracks(step).kept(own)
 
 
-def _left_over(
-    drive: Drive, cov: FloatArray, noise: StereoNoise, camera: StereoCamera, solver: SolverConfig, wanted: BoolArray
+def left_over(
+    parts: Iterable[Drive],
+    T_curr_prev: FloatArray,
+    cov: FloatArray,
+    predict: Predict,
+    camera: StereoCamera,
+    solver: SolverConfig,
+    share: float,
+    rng: np.random.Generator,
 ) -> LeftOver:
-    """Of the wanted ones of a drive's features, at its motions, whose covariances are given."""
-    nothing = np.zeros(0, np.int64)
-    found = [
-        LeftOver(nothing, nothing, drive.phi[:0], np.zeros((0, 4)), np.zeros((0, 4, 4)), np.zeros(0), np.zeros((0, 4)))
-    ]
-    for step, chosen, tracks in _solvable(drive, solver):
-        own = noise.of(chosen)
-        if cov[step, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:  # neither solved nor known: its residuals say nothing
-            continue
-        T_curr_prev = drive.T_curr_prev[step]
-        solution = solve_reprojection(tracks.prev_px, tracks.curr_px, own, T_curr_prev, camera, max_iterations=0)
-        kept = np.flatnonzero((solution.information[:, 0, 0] > 0.0) & wanted[chosen])  # those in front
-        error, spread, sigma = _errors(solution, own, cov[step], kept)
-        residual_noise = StereoNoise(sigma, own.dof[kept], np.zeros_like(error))
-        likelihood = residual_noise.log_likelihood(solution.residuals[kept])
-        features, profile = chosen[kept], lasting_profile(solution, own, kept)
-        steps = np.full(len(kept), step)
-        found.append(LeftOver(steps, features, drive.phi[features], error, spread, likelihood, profile))
+    """Of a share of a drive's features, drawn, at these motions [K − 1, 4, 4] with covariances [K − 1, 6, 6]."""
+    memory, found, first_step, first_feature = DisparityMemory.none(), [], 0, 0
+    for part in parts:
+        noise = predict(part.phi)
+        wanted = part.used & (rng.random(len(part.used)) < share)
+        found.append(LeftOver.none(part.phi.shape[1]))
+        for step, chosen, tracks in _steps(part):
+            before, memory, at = memory.of(tracks.ids), DisparityMemory.none(), first_step + step
+            if len(chosen) < solver.min_tracks or cov[at, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:
+                continue  # neither solved nor known: its residuals say nothing
+            own = noise.of(chosen)
+            solution = solve_reprojection(
+                tracks.prev_px, tracks.curr_px, own, T_curr_prev[at], camera, max_iterations=0, known=before.known
+            )
+            memory = carried_on(tracks, own, solution, camera, trust(solution, own.dof) >= TRUSTED, before)
+            kept = np.flatnonzero((solution.information[:, 0, 0] > 0.0) & wanted[chosen])  # those in front
+            error, spread, sigma = _errors(solution, own, cov[at], kept)
+            residual_noise = StereoNoise(sigma, own.dof[kept], np.zeros_like(error))
+            likelihood = residual_noise.log_likelihood(solution.residuals[kept])
+            profile = lasting_profile(solution, own, kept)
+            profile[np.isin(kept, before.known.rows), 1:3] = (
+                0.0  # of κ, only a first sight says anything in so simple a form
+            )
+            features, steps = first_feature + chosen[kept], np.full(len(kept), at)
+            found.append(LeftOver(steps, features, part.phi[chosen[kept]], error, spread, likelihood, profile))
+        first_step, first_feature = first_step + len(part.T_curr_prev), first_feature + len(part.phi)
     return LeftOver.joined(found)
 
 

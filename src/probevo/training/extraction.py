@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.config import OdometryConfig
 from probevo.motion.estimate import Status
 from probevo.noise import StudentT
@@ -18,6 +18,7 @@ from probevo.predictors import PredictionSpace
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
 from probevo.sequences.left_right import FRAMES_TO_SEE, check_left_right, count_matches
+from probevo.tracking.tracks import Tracks
 from probevo.training.drive import Drive
 
 MOST_STEPS, MOST_BYTES = 1000, 32_000_000
@@ -70,7 +71,7 @@ class Extraction:
             if len(part) and (len(part) == MOST_STEPS or size + added > MOST_BYTES):
                 yield part.drive()
                 part, size = _Part(), 0
-            part.add(motion[0], (odometry.tracks.prev_px, odometry.tracks.curr_px, odometry.phi, used))
+            part.add(motion[0], odometry.tracks, odometry.phi, used)
             size += added
         yield part.drive()
 
@@ -92,25 +93,25 @@ class _Part:
 
     def __init__(self) -> None:
         self.motions: list[FloatArray] = []
-        self.steps: list[tuple[FloatArray, FloatArray, FloatArray, BoolArray]] = []
+        self.steps: list[tuple[FloatArray, FloatArray, IntArray, FloatArray, BoolArray]] = []
 
     def __len__(self) -> int:
         return len(self.steps)
 
-    def add(self, T_curr_prev: FloatArray, features: tuple[FloatArray, FloatArray, FloatArray, BoolArray]) -> None:
+    def add(self, T_curr_prev: FloatArray, tracks: Tracks, phi: FloatArray, used: BoolArray) -> None:
         self.motions.append(T_curr_prev)
-        self.steps.append(features)
+        self.steps.append((tracks.prev_px, tracks.curr_px, tracks.ids, phi, used))
 
     def drive(self) -> Drive:
-        prev_px, curr_px, phi, used = (np.concatenate(part) for part in zip(*self.steps, strict=True))
+        prev_px, curr_px, ids, phi, used = (np.concatenate(part) for part in zip(*self.steps, strict=True))
         first_of_step = np.cumsum([0, *(len(step[0]) for step in self.steps)])
-        return Drive(np.array(self.motions), first_of_step, prev_px, curr_px, phi, used)
+        return Drive(np.array(self.motions), first_of_step, prev_px, curr_px, ids, phi, used)
 
 
 def _bytes(phi: FloatArray) -> int:
-    """What a step takes on disk: its features' observations, predictors and mark, its motion and place."""
+    """What a step takes on disk: its features' observations, identities, predictors and marks, its motion and place."""
     count, columns = map(int, phi.shape)
-    return count * (4 * (4 + 4 + columns) + 1) + 136
+    return count * (4 * (4 + 4 + 1 + columns) + 1) + 136
 
 
 def _take_in(digest: hashlib._Hash, frame: Frame) -> None:

@@ -1,0 +1,172 @@
+"""What a track's past says of its disparity: it is the joint Gaussian, and motions are as sure as they say."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.geometry import se3
+from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.motion.memory import WANDERING, DisparityMemory, carried_on, remember
+from probevo.motion.reprojection import ReprojectionSolution, solve_reprojection
+from probevo.motion.seen_points import KnownDisparities
+from probevo.noise import StudentT
+from probevo.tracking.tracks import Tracks
+from worlds import CAMERA
+
+STEP = se3.exp(np.array([0.02, 0.01, -0.8, 0.002, 0.008, -0.001]))
+SCALE = np.diag([0.04, 0.04, 0.05, 0.05])
+NOISE = StudentT(np.inf, SCALE, lasting=3.0)
+SLIP_PX = 0.07
+
+
+def points_m(rng: np.random.Generator, count: int) -> FloatArray:
+    """From 6 to 40 m ahead, all over the image."""
+    z = rng.uniform(6.0, 40.0, count)
+    return np.column_stack([rng.uniform(-0.6, 0.6, count) * z, rng.uniform(-0.2, 0.2, count) * z, z])
+
+
+def views(points: FloatArray, steps: int) -> list[FloatArray]:
+    """True observations of the points from the start and after each step, [N, 4] each, px."""
+    places = [points]
+    for _ in range(steps):
+        places.append(se3.transform(STEP, places[-1]))
+    return [CAMERA.project(place) for place in places]
+
+
+def tracks_of(prev_px: FloatArray, curr_px: FloatArray, ids: IntArray | None = None) -> Tracks:
+    own = np.arange(len(prev_px)) if ids is None else ids
+    return Tracks(prev_px, curr_px, own, np.full(len(own), 2))
+
+
+def solve_at(tracks: Tracks, model: StudentT, memory: DisparityMemory) -> ReprojectionSolution:
+    """What there is to say at the true motion."""
+    noise, known = model.predict(np.zeros((len(tracks), 0))), memory.of(tracks.ids).known
+    return solve_reprojection(tracks.prev_px, tracks.curr_px, noise, STEP, CAMERA, max_iterations=0, known=known)
+
+
+def carried(
+    tracks: Tracks, model: StudentT, solution: ReprojectionSolution, before: DisparityMemory
+) -> DisparityMemory:
+    """The memory after a step whose motion is known."""
+    noise, trusted = model.predict(np.zeros((len(tracks), 0))), np.ones(len(tracks), np.bool_)
+    return carried_on(tracks, noise, solution, CAMERA, trusted, before.of(tracks.ids))
+
+
+def test_true_disparities_are_carried_along_with_the_motion() -> None:
+    seen = views(points_m(np.random.default_rng(0), 50), 3)
+    memory = DisparityMemory.none()
+    for before, now in pairwise(seen):
+        tracks = tracks_of(before, now)
+        memory = carried(tracks, NOISE, solve_at(tracks, NOISE, memory), memory)
+        np.testing.assert_allclose(memory.known.disparity, now[:, 0] - now[:, 2], rtol=1e-9)
+        np.testing.assert_allclose(memory.known.error, 0.0, atol=1e-9)
+
+
+def test_knowing_what_the_observation_says_anyway_changes_nothing() -> None:
+    """Where u and v are independent of the disparity, as they are for what is known beside it."""
+    scale = np.diag([1e-9, 0.04, 0.05, 0.05])
+    model, rng = StudentT(5.0, scale, lasting=2.0), np.random.default_rng(1)
+    before, now = (px + rng.normal(scale=0.2, size=px.shape) for px in views(points_m(rng, 40), 1))
+    noise = model.predict(np.zeros((40, 0)))
+    alone = solve_reprojection(before, now, noise, STEP, CAMERA)
+    variance, tau = scale[0, 0] + scale[2, 2], noise.lasting
+    assert tau is not None
+    cov = np.array([[variance, 0.0], [0.0, 0.0]]) + tau[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    known = KnownDisparities(np.arange(40), before[:, 0] - before[:, 2], np.zeros(40), cov)
+    told = solve_reprojection(before, now, noise, STEP, CAMERA, known=known)
+    np.testing.assert_allclose(told.T_curr_prev, alone.T_curr_prev, atol=1e-7)
+    np.testing.assert_allclose(told.cov, alone.cov, rtol=1e-3)
+
+
+def test_it_is_the_posterior_of_the_joint_gaussian() -> None:
+    """Three frames of one point, at known motions, against the least squares of all its observations at once.
+
+    The disparity in each frame follows from that in the first; the left image is exact, so that only u_r has a say.
+    """
+    scale = np.diag([1e-8, 1e-8, 0.05, 1e-8])
+    model = StudentT(np.inf, scale, lasting=3.0)
+    tau = 9.0 * (scale[0, 0] + scale[2, 2])
+    rng, point = np.random.default_rng(2), np.array([[1.5, -0.5, 9.0]])
+    straight = se3.exp(np.array([0.0, 0.0, -0.8, 0.0, 0.0, 0.0]))
+    true = [CAMERA.project(point), CAMERA.project(se3.transform(straight, point))]
+    true.append(CAMERA.project(se3.transform(straight @ straight, point)))
+    seen = [px + np.array([0.0, 0.0, rng.normal(scale=0.5), 0.0]) for px in true]
+    noise, memory = model.predict(np.zeros((1, 0))), DisparityMemory.none()
+    for before, now in pairwise(seen):
+        tracks = tracks_of(before, now)
+        solution = solve_reprojection(
+            before, now, noise, straight, CAMERA, max_iterations=0, known=memory.of(tracks.ids).known
+        )
+        memory = carried(tracks, model, solution, memory)
+    # The left image, exact, fixes the disparity by parallax; the three errors tell of δ: one and the same within a
+    # step, it wanders between two.
+    errors = np.array([(px[0, 0] - px[0, 2]) - (at[0, 0] - at[0, 2]) for px, at in zip(seen, true, strict=True)])
+    prior = tau * (np.ones((3, 3)) + np.diag([0.0, 0.0, WANDERING]))
+    gain = prior[2] @ np.linalg.inv(prior + scale[2, 2] * np.eye(3))
+    assert memory.known.disparity[0] == pytest.approx(true[2][0, 0] - true[2][0, 2], abs=1e-2)
+    assert memory.known.error[0] == pytest.approx(gain @ errors, abs=0.02)
+    assert memory.known.cov[0, 1, 1] == pytest.approx(prior[2, 2] - gain @ prior[2] + WANDERING * tau, rel=0.05)
+
+
+def drive(rng: np.random.Generator, steps: int, tau_px: float) -> list[Tracks]:
+    """Patches that slip by 0.07 px from frame to frame; what lasts of their disparities' errors is tau, new 0.14 px."""
+    points, lasting, seen = points_m(rng, 300) + np.array([0.0, 0.0, 6.0]), rng.normal(scale=tau_px, size=300), []
+    for frame in range(steps + 1):
+        new = np.zeros((300, 4))
+        new[:, 2:] = rng.normal(scale=[0.1 * np.sqrt(2.0), 0.1], size=(300, 2))
+        new[:, 2] -= lasting
+        seen.append(CAMERA.project(points) + new)
+        if frame:  # the first two sights share the error, as those of a track of two frames are taken to
+            lasting = lasting + np.sqrt(WANDERING) * rng.normal(scale=tau_px, size=300)
+        points[:, :2] += rng.normal(scale=SLIP_PX, size=(300, 2)) * points[:, 2:] / CAMERA.fu_px
+        points = se3.transform(STEP, points)
+    return [tracks_of(before, now) for before, now in pairwise(seen)]
+
+
+def test_it_makes_better_motions_that_are_as_sure_as_they_say() -> None:
+    tau_px, errors, nees = 1.0, {}, {}
+    slip = 0.5 * SLIP_PX**2 * np.tile(np.eye(2), (2, 2))
+    model = StudentT(np.inf, slip + np.diag([1e-6, 1e-6, 0.02, 0.01]), lasting=tau_px / np.sqrt(0.02))
+    for remembers in (False, True):
+        found = []
+        for tracks_of_drive in [drive(np.random.default_rng(seed), 8, tau_px) for seed in range(60)]:
+            memory = DisparityMemory.none()
+            for tracks in tracks_of_drive:
+                noise = model.predict(np.zeros((len(tracks), 0)))
+                before = memory.of(tracks.ids)
+                solution = solve_reprojection(tracks.prev_px, tracks.curr_px, noise, STEP, CAMERA, known=before.known)
+                if remembers:
+                    solution, memory = remember(tracks, noise, solution, CAMERA, np.ones(300, np.bool_), before)
+            found.append(solution)  # of the last step
+        T, cov = np.array([s.T_curr_prev for s in found]), np.array([s.cov for s in found])
+        true = np.broadcast_to(STEP, T.shape)
+        nees[remembers] = float(np.mean(normalized_error_squared(true, T, cov)))
+        errors[remembers] = float(np.sqrt(np.mean(np.sum((T - true)[:, :3, 3] ** 2, axis=1))))
+    assert errors[True] < 0.8 * errors[False]
+    assert 4.8 < nees[True] < 7.2
+
+
+def test_only_what_is_trusted_and_in_front_is_remembered() -> None:
+    seen = views(points_m(np.random.default_rng(4), 6), 1)
+    tracks = tracks_of(seen[0], seen[1], np.array([9, 4, 7, 1, 3, 8]))
+    noise = NOISE.predict(np.zeros((6, 0)))
+    solution = solve_at(tracks, NOISE, DisparityMemory.none())
+    solution.information[3] = 0.0
+    trusted = np.array([True, False, True, True, True, True])
+    memory = carried_on(tracks, noise, solution, CAMERA, trusted, DisparityMemory.none())
+    assert memory.ids.tolist() == [3, 7, 8, 9]
+    known = memory.of(np.array([8, 2, 9, 100, 0])).known
+    assert known.rows.tolist() == [0, 2]
+    np.testing.assert_array_equal(known.disparity, memory.known.disparity[[2, 3]])
+
+
+def test_nothing_is_remembered_where_no_error_lasts() -> None:
+    seen = views(points_m(np.random.default_rng(5), 6), 1)
+    tracks, model = tracks_of(seen[0], seen[1]), StudentT(5.0, SCALE)
+    nothing = DisparityMemory.none()
+    assert not len(carried(tracks, model, solve_at(tracks, model, nothing), nothing).ids)
+    assert not len(nothing.of(np.arange(3)).ids)
