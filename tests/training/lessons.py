@@ -89,6 +89,7 @@ def drive_of(world: PointWorld, *, base: NoiseModel | None = None, seed: int = 0
         first_of_step=np.cumsum([0, *counts]),
         prev_px=np.concatenate([step.tracks.prev_px for step in steps]),
         curr_px=np.concatenate([step.tracks.curr_px for step in steps]),
+        ids=np.concatenate([step.tracks.ids for step in steps]),
         phi=np.concatenate(phi),
         used=np.ones(sum(counts), np.bool_),
     )

@@ -216,7 +216,7 @@ def expected(world: PointWorld, drive: Drive, noise: StereoNoise, kind: str = "g
 
 def test_motions_without_truth_are_those_of_the_solver(world: PointWorld, drive: Drive) -> None:
     noise = right_noise(drive)
-    alone, _ = solve_drive(drive, noise, world.camera, SolverConfig())
+    alone, _ = solve_drive([drive], lambda _: noise, world.camera, SolverConfig())
     found = expected(world, drive, noise, "none")
     np.testing.assert_array_equal(found.T_curr_prev, alone)
     np.testing.assert_array_equal(found.T_alone, alone)
@@ -257,7 +257,7 @@ def test_the_spread_is_what_the_doubt_about_the_motion_makes_of_the_errors(
     observations hang on the motion by the Σ that they are scaled with, too, by some 4 %, which is left aside."""
     noise, step, h = right_noise(drive, refers_to), 5, 1e-6
     found = expected(world, drive, noise, "none")
-    _, cov = solve_drive(drive, noise, world.camera, SolverConfig())
+    _, cov = solve_drive([drive], lambda _: noise, world.camera, SolverConfig())
 
     def errors_at(T: FloatArray) -> FloatArray:
         """With the motion given, as if it were the exact truth."""
@@ -314,7 +314,7 @@ def test_a_step_of_too_few_features_keeps_its_motion_and_teaches_nothing(world: 
     used[drive.rows(4)] = False
     used[drive.rows(4).start : drive.rows(4).start + 2] = True
     few, noise = replace(drive, used=used), right_noise(drive)
-    T, cov = solve_drive(few, noise, world.camera, SolverConfig())
+    T, cov = solve_drive([few], lambda _: noise, world.camera, SolverConfig())
     np.testing.assert_array_equal(T[4], drive.T_curr_prev[4])
     np.testing.assert_array_equal(cov[4], np.diag(UNSOLVED_SIGMA**2))
     found = expected(world, few, noise)

@@ -94,7 +94,7 @@ def static() -> StudentT:
 
 def error_m(model: NoiseModel) -> float:
     """RMS of the steps of another drive, through a world of its own."""
-    motions, _ = solve_drive(drive(1), model.predict(drive(1).phi), world(1).camera, SolverConfig())
+    motions, _ = solve_drive([drive(1)], model.predict, world(1).camera, SolverConfig())
     return rmse_m(motions, true_motions(world(1)))
 
 
