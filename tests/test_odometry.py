@@ -150,8 +150,8 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 
 def test_a_frame_s_randomness_does_not_depend_on_those_before() -> None:
-    """Seeded by its index: a run that starts at frame 5 draws the same samples there. With noise of which nothing lasts:
-    else the tracks remember the frames before."""
+    """Seeded by its index: a run that starts at frame 5 draws the same samples there. Of its noise nothing lasts, or
+    tracks would remember the frames before."""
     frames, noise = drive(np.random.default_rng(11), 12), pv.noise.StudentT(lasting=0.0)
     whole, late = run(frames, PLAIN, noise), run(frames[5:], PLAIN, noise)
     np.testing.assert_allclose(whole[-1].T_curr_prev, late[-1].T_curr_prev, atol=1e-6)

@@ -98,8 +98,8 @@ class StereoOdometry:
         self._model, self._memory = self._model.after(duration_s, solved, refused=refused), visual.memory
         self._residuals = LastResiduals.left_by(tracks, visual.T_judging if solved else None, self.camera)
         clock.lap("learn")
-        counts, times_ms = (len(tracks), visual.num_trusted, visual.num_iterations), clock.times_ms
-        return MotionEstimate(T_curr_prev, cov, status, *counts, shared, times_ms, visual.num_used, visual.num_foreign)
+        facts = len(tracks), visual.num_trusted, visual.num_iterations, shared, visual.memory.tied, clock.times_ms
+        return MotionEstimate(T_curr_prev, cov, status, *facts, visual.num_used, visual.num_foreign)
 
     def _integrate_gyro(self, since_ns: int, frame: Frame) -> GyroRotation | None:
         """The gyro's rotation since the last frame, less the bias believed in."""

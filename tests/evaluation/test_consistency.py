@@ -116,6 +116,11 @@ def test_coverage_tells_heavy_tails_and_too_small_a_scale_from_the_truth() -> No
     assert feature_coverage(StereoNoise(scale, np.full(count, 3.0), bias), errors)["95"] > 0.99
 
 
+def untied(steps: int) -> FloatArray:
+    """Motions that have nothing to do with those before."""
+    return np.zeros((steps, 6, 6))
+
+
 def test_drift_of_many_runs_fits_its_covariance() -> None:
     """Average NEES of the pose after 20 noisy steps, over 300 runs, lies in the 99 % interval of χ²(6)/300."""
     rng = np.random.default_rng(3)
@@ -123,7 +128,7 @@ def test_drift_of_many_runs_fits_its_covariance() -> None:
     for _ in range(300):
         true, est = noisy_motions(rng, 20)
         error = drift_errors(_trajectory(est), _trajectory(true))[-1]
-        cov = drift_covariances(est, np.tile(COV, (20, 1, 1)), np.zeros((20, 6, 1)))[-1]
+        cov = drift_covariances(est, np.tile(COV, (20, 1, 1)), np.zeros((20, 6, 1)), untied(20))[-1]
         nees.append(error @ np.linalg.solve(cov, error))
     consistency = Consistency(np.array(nees))
     low, high = consistency.anees_interval(0.99)
@@ -140,7 +145,7 @@ def test_errors_that_all_steps_share_add_up() -> None:
         columns = np.moveaxis(shared, 0, -1)
         true = se3.exp(columns @ rng.normal(size=2)) @ true
         error = drift_errors(_trajectory(est), _trajectory(true))[-1]
-        cov = drift_covariances(est, COV + columns @ columns.mT, columns)[-1]
+        cov = drift_covariances(est, COV + columns @ columns.mT, columns, untied(len(est)))[-1]
         nees.append(error @ np.linalg.solve(cov, error))
     low, high = Consistency(np.array(nees)).anees_interval(0.99)
     assert low < np.mean(nees) < high
@@ -148,14 +153,27 @@ def test_errors_that_all_steps_share_add_up() -> None:
 
 def test_a_constant_shared_error_grows_with_the_length_and_not_with_its_root() -> None:
     columns = np.tile(np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])[:, None], (100, 1, 1))
-    cov = drift_covariances(np.tile(np.eye(4), (100, 1, 1)), 1e-12 * np.eye(6) + columns @ columns.mT, columns)
+    cov = 1e-12 * np.eye(6) + columns @ columns.mT
+    cov = drift_covariances(np.tile(np.eye(4), (100, 1, 1)), cov, columns, untied(100))
     assert np.sqrt(cov[-1, 2, 2]) == pytest.approx(1.0, rel=1e-3)
+
+
+def test_a_step_that_takes_back_what_the_one_before_was_off_by_adds_nothing() -> None:
+    """Independent errors of the poses: each step's is the new one less the old one."""
+    tied = np.tile(-COV, (20, 1, 1))
+    tied[0] = 0.0
+    cov = np.tile(2.0 * COV, (20, 1, 1))
+    cov[0] = COV
+    drift = drift_covariances(np.tile(np.eye(4), (20, 1, 1)), cov, np.zeros((20, 6, 1)), tied)
+    np.testing.assert_allclose(drift[1:], np.tile(COV, (20, 1, 1)), atol=1e-12 * np.abs(COV).max())
 
 
 def test_drift_starts_certain() -> None:
     none = np.zeros((3, 6, 1))
-    np.testing.assert_array_equal(drift_covariances(np.tile(np.eye(4), (3, 1, 1)), np.tile(COV, (3, 1, 1)), none)[0], 0)
-    assert drift_covariances(np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.empty((0, 6, 1))).shape == (1, 6, 6)
+    three = drift_covariances(np.tile(np.eye(4), (3, 1, 1)), np.tile(COV, (3, 1, 1)), none, untied(3))
+    np.testing.assert_array_equal(three[0], 0)
+    nowhere = drift_covariances(np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.empty((0, 6, 1)), untied(0))
+    assert nowhere.shape == (1, 6, 6)
 
 
 def _trajectory(T_curr_prev: FloatArray) -> FloatArray:

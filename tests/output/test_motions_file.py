@@ -37,6 +37,7 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
         "num_used": ((4,), "<i8"),
         "num_foreign": ((4,), "<i8"),
         "shared": ((4, 6, 3), "<f8"),
+        "tied": ((4, 6, 6), "<f8"),
         "total_ms": ((4,), "<f8"),
         "ms_track": ((4,), "<f8"),
         "ms_solve": ((4,), "<f8"),

@@ -10,7 +10,7 @@ from scipy.special import bdtr, bdtrik, chdtr, chdtri, fdtr
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.geometry.uncertainty import compound_chain, invert, normalized_error_squared
+from probevo.geometry.uncertainty import normalized_error_squared
 
 if TYPE_CHECKING:
     from probevo.noise import StereoNoise
@@ -104,24 +104,26 @@ def drift_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> F
     return se3.log(se3.inverse(T_world_cam_true) @ T_world_cam_est)
 
 
-def drift_covariances(T_curr_prev: FloatArray, cov: FloatArray, shared: FloatArray) -> FloatArray:
+def drift_covariances(T_curr_prev: FloatArray, cov: FloatArray, shared: FloatArray, tied: FloatArray) -> FloatArray:
     """Covariance that N-1 motions, [N-1, 4, 4] with [N-1, 6, 6], add up to.
 
     Args:
         T_curr_prev, cov: the motions and their covariances.
         shared: columns along which errors that all steps have in common move each motion, [N-1, 6, K]; cov contains
-            shared sharedᵀ. The rest is taken as independent from step to step: it grows with the root of the
-            length, the shared part with the length itself.
+            shared sharedᵀ. They grow with the length itself, the rest with its root.
+        tied: covariance of each motion's error with that of all before it, [N-1, 6, 6] (``MotionEstimate.tied``). Where
+            the first of these motions is not the first of the run, it tells a little of what was before, too.
 
     Returns:
         Covariance of the left perturbation of T_cam_world, along the axes of each camera, [N, 6, 6]; 0 at the first.
     """
-    _, cov_cam = invert(*compound_chain(T_curr_prev, cov - shared @ shared.mT))
-    adjoints, column = se3.adjoint(T_curr_prev), np.zeros(shared.shape[1:])
-    for k, moved in enumerate(shared):
+    adjoints, column, path = se3.adjoint(T_curr_prev), np.zeros(shared.shape[1:]), np.zeros((6, 6))
+    drift = np.zeros((len(cov) + 1, 6, 6))
+    for k, (step, moved) in enumerate(zip(cov, shared, strict=True)):
         column = moved + adjoints[k] @ column
-        cov_cam[k] += column @ column.T
-    return np.concatenate([np.zeros((1, 6, 6)), cov_cam])
+        path = adjoints[k] @ path @ adjoints[k].T + step - moved @ moved.T + tied[k] + tied[k].T
+        drift[k + 1] = path + column @ column.T
+    return drift
 
 
 def _binomial_quantile(q: float, count: int, probability: FloatArray) -> FloatArray:

@@ -48,11 +48,18 @@ class DisparityMemory:
     """Of each of them, in terms of the last frame."""
     common: FloatArray
     """U: what the errors in common do to (d, δ), [M, 2, 6], px."""
+    path: FloatArray
+    """Covariance of the path's error, along the axes of the last frame, with the errors in common, [6, 6]."""
+    tied: FloatArray
+    """Covariance of the path's error before the last step, along the same axes, with that of the step, [6, 6]."""
 
     @staticmethod
     def none() -> DisparityMemory:
         """Before the first step, and after one that failed."""
-        return DisparityMemory(np.zeros(0, np.int64), KnownDisparities.none(), np.zeros((0, 2, SHARED)))
+        nothing = np.zeros((6, SHARED))
+        return DisparityMemory(
+            np.zeros(0, np.int64), KnownDisparities.none(), np.zeros((0, 2, SHARED)), nothing, np.zeros((6, 6))
+        )
 
     def of(self, ids: IntArray) -> DisparityMemory:
         """What is known of tracks with these identities, [N]; ``known.rows`` says of which of them."""
@@ -60,7 +67,7 @@ class DisparityMemory:
         rows = np.flatnonzero(self.ids[place] == ids) if len(self.ids) else place[:0]
         place, known = place[rows], self.known
         found = KnownDisparities(rows, known.disparity[place], known.error[place], known.cov[place])
-        return DisparityMemory(ids[rows], found, self.common[place])
+        return DisparityMemory(ids[rows], found, self.common[place], self.path, self.tied)
 
 
 @dataclass(frozen=True)
@@ -167,18 +174,21 @@ def carried_on(
     cov = cov * forward[:, :, None] * forward[:, None, :]
     cov[:, 1, 1] += WANDERING * noise.lasting[chosen]
     common = common * forward[:, :, None]
+    path, tied = np.zeros((6, SHARED)), np.zeros((6, 6))
     if together is not None:
         common[:, 0, :6] += solution.jacobian[chosen, 0] - solution.jacobian[chosen, 2]
-        common, cov = _most_felt(common @ together.root, cov)
+        common, cov, kept = _most_felt(common @ together.root, cov)
+        step, passed_on, before_it = together.root[:6], together.root[6:], se3.adjoint(T) @ before.path
+        path, tied = (before_it @ passed_on + step) @ kept, before_it @ passed_on @ step.T
     known = KnownDisparities(np.arange(len(chosen)), x[:, 0] / depth, x[:, 1], cov)
-    return DisparityMemory(tracks.ids[chosen], known, common[:, :, :SHARED])
+    return DisparityMemory(tracks.ids[chosen], known, common[:, :, :SHARED], path, tied)
 
 
-def _most_felt(common: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _most_felt(common: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Of twelve errors in common, [M, 2, 12], the six directions that matter most against the tracks' own covariances
-    [M, 2, 2], [M, 2, 6]; and the latter with the others added."""
+    [M, 2, 2], [M, 2, 6]; the latter with the others added; and these directions, [12, 6]."""
     white = np.linalg.solve(np.linalg.cholesky(cov), common)
     _, directions = np.linalg.eigh(sum_products(white, white))
-    turned = common @ directions[:, ::-1]
-    rest = turned[:, :, SHARED:]
-    return turned[:, :, :SHARED], cov + rest @ np.swapaxes(rest, 1, 2)
+    kept, dropped = directions[:, SHARED:], directions[:, :SHARED]
+    rest = common @ dropped
+    return common @ kept, cov + rest @ np.swapaxes(rest, 1, 2), kept

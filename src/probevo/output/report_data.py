@@ -58,7 +58,8 @@ def drift_of(result: RunResult, truth: FloatArray | None) -> Drift:
         origin = int(known[0])
         T_world_cam_true = result.T_world_cam[origin] @ se3.inverse(truth[origin]) @ truth
         error = drift_errors(result.T_world_cam, T_world_cam_true)
-    cov = drift_covariances(result.T_curr_prev[origin:], result.cov[origin:], result.shared[origin:])
+    steps = (result.T_curr_prev, result.cov, result.shared, result.tied)
+    cov = drift_covariances(*(array[origin:] for array in steps))
     return Drift(
         time_s=(result.stamps_ns - result.stamps_ns[0]) * 1e-9,
         distance_m=distance_along_path(result.T_world_cam),

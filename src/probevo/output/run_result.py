@@ -29,6 +29,8 @@ class RunResult:
     """Covariance of the left perturbation [ρ; φ] of each motion, [N-1, 6, 6], m and rad."""
     shared: FloatArray
     """Columns of the errors that all motions share, [N-1, 6, 3]: see ``MotionEstimate.shared``."""
+    tied: FloatArray
+    """Covariances of each motion with the path before it, [N-1, 6, 6]: see ``MotionEstimate.tied``."""
     status: IntArray
     """``motion.estimate.Status`` of each motion, [N-1]."""
     num_tracks: IntArray
@@ -60,11 +62,11 @@ class RunResult:
 
 
 class RunRecorder:
-    """Collects the estimates of a run as they come, 0.7 kB each; ``result`` may be asked for at any time."""
+    """Collects the estimates of a run as they come, 1 kB each; ``result`` may be asked for at any time."""
 
     def __init__(self) -> None:
-        self._numbers = _Rows(np.float64, 16 + 36 + 18 + 1)
-        """T_curr_prev, cov, shared, wall time of the step."""
+        self._numbers = _Rows(np.float64, 16 + 36 + 18 + 36 + 1)
+        """T_curr_prev, cov, shared, tied, wall time of the step."""
         self._counts = _Rows(np.int64, 6)
         """Stamp, status, tracks, trusted, used, foreign (−1 for None)."""
         self._stage_ms: dict[str, _Rows] = {}
@@ -87,7 +89,7 @@ class RunRecorder:
             rejected: points turned away at this step, by the check's name.
         """
         total = sum(motion.stage_ms.values()) if total_ms is None else total_ms
-        arrays = (motion.T_curr_prev, motion.cov, motion.shared)
+        arrays = (motion.T_curr_prev, motion.cov, motion.shared, motion.tied)
         self._numbers.add(np.concatenate([*(array.ravel() for array in arrays), [total]]))
         foreign = -1 if motion.num_foreign is None else motion.num_foreign
         self._counts.add((stamp_ns, motion.status, motion.num_tracks, motion.num_inliers, motion.num_used, foreign))
@@ -110,11 +112,12 @@ class RunRecorder:
             T_curr_prev=T_curr_prev,
             cov=numbers[:, 16:52].reshape(-1, 6, 6),
             shared=numbers[:, 52:70].reshape(-1, 6, 3),
+            tied=numbers[:, 70:106].reshape(-1, 6, 6),
             status=status,
             num_tracks=num_tracks,
             num_inliers=num_inliers,
             stage_ms={name: times_ms.table()[1:, 0] for name, times_ms in self._stage_ms.items()},
-            total_ms=numbers[:, 70].copy(),
+            total_ms=numbers[:, 106].copy(),
             rejected=dict(self._rejected),
             num_used=num_used,
             num_foreign=np.maximum(foreign, 0) if (foreign >= 0).any() else None,
