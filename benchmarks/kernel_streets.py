@@ -12,9 +12,11 @@ import sys
 from pathlib import Path
 
 import cv2
-from probe import OUT, Trial, run, trials
+from probe import OUT, Trial, estimate, trials
+from recordings import RECORDINGS, by_velocities
 
 import probevo as pv
+from probevo.evaluation.metrics import evaluate
 from probevo.training.settings import KernelSettings, TrainSettings
 
 NAMES = ("city", "residential", "road", "kitti")
@@ -39,13 +41,18 @@ def models(trial: Trial) -> dict[str, pv.noise.NoiseModel]:
 
 def main() -> None:
     cv2.setNumThreads(1)
-    print("| | noise | what lasts | ARMSE, m | step, mm | drift, % | °/m | ANEES |\n|---|---|---|---|---|---|---|---|")
+    head = ("", "noise", "what lasts", "ARMSE, m", "step, mm", "drift, %", "°/m", "ANEES", "drift by INS velocities, %")
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for trial in trials(sys.argv[1:] or list(NAMES)):
         for name, model in models(trial).items():
             for test in trial.tests:
-                found = run(test, model, pv.OdometryConfig(), trial.half or 0)
+                result, rest = estimate(test, model, pv.OdometryConfig()), slice(trial.half or 0, None)
+                steps, motions = (result.T_curr_prev[rest], result.cov[rest]), result.T_world_cam[rest]
+                found = evaluate(motions, pv.open_sequence(test).truth.T_world_cam[rest], *steps)
                 figures = f"{found.armse_m:.3f} | {1e3 * found.rpe_t_m:.2f} | {found.short_t_percent:.3f}"
                 figures += f" | {found.short_r_deg_per_m:.4f} | {found.anees:.1f}"
+                if test == RECORDINGS["raw 0005"]:
+                    figures += f" | {evaluate(motions, by_velocities(test)[rest]).short_t_percent:.3f}"
                 print(f"| {trial.name}: {test.name} | {name} | {model.lasting:.1f} | {figures} |", flush=True)
 
 

@@ -23,7 +23,7 @@ import probevo as pv
 from probevo.cli.compare import aggressive
 from probevo.config import OdometryConfig
 from probevo.evaluation.metrics import Metrics, evaluate
-from probevo.output.run_result import RunRecorder
+from probevo.output.run_result import RunRecorder, RunResult
 from probevo.simulation.point_config import PointConfig
 from probevo.simulation.point_world import write_training_and_test
 from probevo.simulation.scene.config import Effects, PresetName, SceneConfig
@@ -97,13 +97,18 @@ def estimators(trial: Trial) -> Iterator[tuple[str, pv.noise.NoiseModel, Odometr
         yield f"{name} (K {model.neighbors}, γ {model.exponent:g})", model, chosen.odometry
 
 
-def run(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig, first: int) -> Metrics:
-    """Metrics over the frames from ``first`` on."""
+def estimate(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig) -> RunResult:
+    """A run over the whole recording."""
     sequence, recorder = pv.open_sequence(path), RunRecorder()
     odometry = pv.StereoOdometry(sequence.camera, noise, sequence.imu, config)
     for frame in islice(sequence, len(sequence)):
         recorder.add(frame.stamp_ns, odometry.step(frame))
-    result, truth = recorder.result(), sequence.truth.T_world_cam
+    return recorder.result()
+
+
+def run(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig, first: int) -> Metrics:
+    """Metrics over the frames from ``first`` on."""
+    result, truth = estimate(path, noise, config), pv.open_sequence(path).truth.T_world_cam
     return evaluate(result.T_world_cam[first:], truth[first:], result.T_curr_prev[first:], result.cov[first:])
 
 
