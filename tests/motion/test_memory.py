@@ -224,6 +224,27 @@ def test_only_what_is_trusted_and_in_front_is_remembered() -> None:
     np.testing.assert_array_equal(known.disparity, memory.known.disparity[[2, 3]])
 
 
+def test_where_nothing_is_trusted_nothing_is_left() -> None:
+    seen = views(points_m(np.random.default_rng(6), 40), 2)
+    memory, noise = DisparityMemory.none(), NOISE.predict(np.zeros((40, 0)))
+    for trusted in (True, False):
+        tracks = tracks_of(*seen[:2]) if trusted else tracks_of(*seen[1:])
+        before = memory.of(tracks.ids)
+        solution = solve_reprojection(tracks.prev_px, tracks.curr_px, noise, STEP, CAMERA, known=before.known)
+        solution, memory = remember(tracks, noise, solution, CAMERA, np.full(40, trusted), before)
+        np.testing.assert_allclose(solution.T_curr_prev, STEP, atol=1e-6)
+        assert len(memory.ids) == (40 if trusted else 0)
+
+
+def test_a_step_that_fixes_no_motion_is_left_as_it_is_and_forgets() -> None:
+    far = tracks_of(np.tile([300.0, 150.0, 300.0, 150.0], (9, 1)), np.tile([301.0, 150.0, 301.0, 150.0], (9, 1)))
+    noise, before = NOISE.predict(np.zeros((9, 0))), DisparityMemory.none()
+    solution = solve_reprojection(far.prev_px, far.curr_px, noise, np.eye(4), CAMERA)
+    same, memory = remember(far, noise, solution, CAMERA, np.ones(9, np.bool_), before)
+    assert same is solution
+    assert not len(memory.ids)
+
+
 def test_nothing_is_remembered_where_no_error_lasts() -> None:
     seen = views(points_m(np.random.default_rng(5), 6), 1)
     tracks, model = tracks_of(seen[0], seen[1]), StudentT(5.0, SCALE)

@@ -27,6 +27,7 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
 from probevo.motion.reprojection import ReprojectionSolution, sum_products
+from probevo.motion.reprojection_kernels import NEAREST
 from probevo.motion.seen_points import KnownDisparities
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -34,6 +35,8 @@ from probevo.tracking.tracks import Tracks
 WANDERING = 0.02
 """How much of τ² a lasting error wanders from frame to frame. By likelihood on KITTI: half as much costs 0.03 nats a
 feature, three times as much 0.04, and to pull the errors towards zero as well 0.01."""
+ROUNDING = 1e-9
+"""Of a variance, is left by whatever a residual says."""
 SHARED = 6
 """Errors in common. With three, the motions in a simulation are as good; with twelve no better."""
 
@@ -131,7 +134,7 @@ def remember(
         trusted: which of the tracks to remember, [N]; the others start anew.
         before: what was known of the tracks.
     """
-    if noise.lasting is None or not np.isfinite(solution.cov).all():
+    if noise.lasting is None or not (np.isfinite(solution.cov).all() and np.linalg.eigvalsh(solution.hessian)[0] > 0.0):
         return solution, DisparityMemory.none()
     together = Together.of(solution, before)
     T_curr_prev: FloatArray = se3.exp(together.mean[:6]) @ solution.T_curr_prev
@@ -167,6 +170,7 @@ def carried_on(
         common[:, :, 6:] += U[chosen]
     x += np.matmul(gain, residuals[:, :, None])[:, :, 0]
     cov = points.cov[chosen, 2:, 2:] - gain @ shared
+    cov[:, (0, 1), (0, 1)] += ROUNDING * points.cov[chosen][:, (2, 3), (2, 3)]
     T, px, jacobian = solution.T_curr_prev, tracks.prev_px[chosen], solution.disparity_jacobian[chosen]
     right, down = (px[:, 0] - camera.cu_px) / camera.fu_px, (px[:, 1] - camera.cv_px) / camera.fv_px
     depth = T[2, 0] * right + T[2, 1] * down + T[2, 2] + T[2, 3] * x[:, 0] / (camera.fu_px * camera.baseline_m)
@@ -180,8 +184,9 @@ def carried_on(
         common, cov, kept = _most_felt(common @ together.root, cov)
         step, passed_on, before_it = together.root[:6], together.root[6:], se3.adjoint(T) @ before.path
         path, tied = (before_it @ passed_on + step) @ kept, before_it @ passed_on @ step.T
-    known = KnownDisparities(np.arange(len(chosen)), x[:, 0] / depth, x[:, 1], cov)
-    return DisparityMemory(tracks.ids[chosen], known, common[:, :, :SHARED], path, tied)
+    ahead = depth > NEAREST
+    known = KnownDisparities(np.arange(int(ahead.sum())), x[ahead, 0] / depth[ahead], x[ahead, 1], cov[ahead])
+    return DisparityMemory(tracks.ids[chosen[ahead]], known, common[ahead, :, :SHARED], path, tied)
 
 
 def _most_felt(common: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
