@@ -29,12 +29,12 @@ def run(path: Path) -> list[pv.MotionEstimate]:
 
 def plot(motions: list[pv.MotionEstimate], picture: Path) -> None:
     """The path from above, and the standard deviation of the position along it."""
-    T_curr_prev, cov, shared = (
-        np.array([getattr(motion, name) for motion in motions[1:]]) for name in ("T_curr_prev", "cov", "shared")
-    )
-    x_m, _, z_m = chain_motions(T_curr_prev)[:, :3, 3].T
-    # Along the axes of each camera; the doubt about the calibration is one error for all steps, and adds up.
-    sigma_m = np.sqrt(np.diagonal(drift_covariances(T_curr_prev, cov, shared)[:, :3, :3], axis1=1, axis2=2))
+    names = ("T_curr_prev", "cov", "shared", "tied")
+    steps = [np.array([getattr(motion, name) for motion in motions[1:]]) for name in names]
+    x_m, _, z_m = chain_motions(steps[0])[:, :3, 3].T
+    # Along the axes of each camera. The doubt about the calibration is one error for all steps, and adds up; and what
+    # tracks remember ties each step to the path before it.
+    sigma_m = np.sqrt(np.diagonal(drift_covariances(*steps)[:, :3, :3], axis1=1, axis2=2))
 
     figure = Figure(figsize=(9, 4), layout="constrained")
     path, uncertainty = figure.subplots(1, 2)
