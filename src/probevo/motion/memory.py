@@ -25,7 +25,9 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
+from probevo.compiled import perturb
 from probevo.geometry import se3
+from probevo.motion.memory_kernels import renew
 from probevo.motion.reprojection import ReprojectionSolution, sum_products
 from probevo.motion.reprojection_kernels import NEAREST
 from probevo.motion.seen_points import KnownDisparities
@@ -35,8 +37,8 @@ from probevo.tracking.tracks import Tracks
 WANDERING = 0.02
 """How much of τ² a lasting error wanders from frame to frame. By likelihood on KITTI: half as much costs 0.03 nats a
 feature, three times as much 0.04, and to pull the errors towards zero as well 0.01."""
-ROUNDING = 1e-9
-"""Of a variance, is left by whatever a residual says."""
+LEAST_DISPARITY_PX = 0.1
+"""Below it, a disparity is no measure of another."""
 SHARED = 6
 """Errors in common. With three, the motions in a simulation are as good; with twelve no better."""
 
@@ -81,8 +83,6 @@ class Together:
     """[12]."""
     root: FloatArray
     """Of their covariance, [12, 12]."""
-    moved: FloatArray
-    """How they move the predicted observations, (J, H U), [N, 4, 12]."""
     common: FloatArray
     """U of the tracks that were known, at the disparities that the solve has refined, [M, 2, 6]."""
 
@@ -95,25 +95,31 @@ class Together:
         """
         rows, common = before.known.rows, before.common.copy()
         # A scale that is wrong for all would seem observable if it were taken of other disparities at every step.
-        common[:, 0] *= (solution.refined[rows, 2] / solution.points.seen[rows, 2])[:, None]
+        seen, refined = solution.points.seen[rows, 2], solution.refined[rows, 2]
+        common[:, 0] *= np.where(seen > LEAST_DISPARITY_PX, refined / np.maximum(seen, LEAST_DISPARITY_PX), 1.0)[
+            :, None
+        ]
         moved = np.zeros((len(solution.squared), 4, SHARED))
         moved[rows] = solution.disparity_jacobian[rows, :, None] * common[:, None, 0]
         moved[rows, 2] -= common[:, 1]
         white, residuals = solution.whitened(moved), solution.whitened(solution.residuals[:, :, None])
         cross, own = sum_products(solution.jacobian, white), sum_products(moved, white)
-        both = np.concatenate([solution.jacobian, moved], axis=2)
-        normal = np.block([[solution.hessian, cross], [cross.T, own + np.eye(SHARED)]])
-        mean = np.linalg.solve(normal, sum_products(both, residuals)[:, 0])
+        normal = _joint(solution.hessian, cross, own + np.eye(SHARED))
+        gradient = np.concatenate([sum_products(solution.jacobian, residuals), sum_products(moved, residuals)])
+        mean = np.linalg.solve(normal, gradient[:, 0])
         told, weighted = np.linalg.cholesky(np.linalg.inv(solution.cov)), np.linalg.cholesky(solution.hessian)
         change = told @ np.linalg.inv(weighted)  # takes the Hessian to the information
         factor = float(np.prod(np.diagonal(change))) ** (1.0 / 6.0)
-        information = np.block(
-            [
-                [told @ told.T, factor * change @ cross],
-                [factor * cross.T @ change.T, factor**2 * own + np.eye(SHARED)],
-            ]
-        )
-        return Together(mean.astype(float), np.linalg.cholesky(np.linalg.inv(information)).astype(float), both, common)
+        information = _joint(told @ told.T, factor * change @ cross, factor**2 * own + np.eye(SHARED))
+        root = np.linalg.cholesky(np.linalg.inv(information))
+        return Together(mean.astype(float), root.astype(float), common)
+
+
+def _joint(motion: FloatArray, cross: FloatArray, common: FloatArray) -> FloatArray:
+    """The symmetric matrix of these blocks, [12, 12]."""
+    joint = np.empty((12, 12))
+    joint[:6, :6], joint[:6, 6:], joint[6:, :6], joint[6:, 6:] = motion, cross, cross.T, common
+    return joint
 
 
 def remember(
@@ -137,7 +143,9 @@ def remember(
     if noise.lasting is None or not (np.isfinite(solution.cov).all() and np.linalg.eigvalsh(solution.hessian)[0] > 0.0):
         return solution, DisparityMemory.none()
     together = Together.of(solution, before)
-    T_curr_prev: FloatArray = se3.exp(together.mean[:6]) @ solution.T_curr_prev
+    T, T_curr_prev, C, t = solution.T_curr_prev, np.eye(4), np.empty((3, 3)), np.empty(3)
+    perturb(together.mean[:6].copy(), T[:3, :3].copy(), T[:3, 3].copy(), C, t)
+    T_curr_prev[:3, :3], T_curr_prev[:3, 3] = C, t
     cov: FloatArray = together.root[:6] @ together.root[:6].T
     better = replace(solution, T_curr_prev=T_curr_prev, cov=cov)
     return better, carried_on(tracks, noise, better, camera, trusted, before, together)
@@ -157,42 +165,35 @@ def carried_on(
         return DisparityMemory.none()
     order = np.argsort(tracks.ids)
     chosen = order[(trusted & (solution.information[:, 0, 0] > 0.0))[order]]
-    points, shared, residuals = solution.points, solution.shared[chosen], solution.residuals[chosen]
-    gain = np.swapaxes(shared, 1, 2) @ solution.information[chosen]
-    x = np.column_stack([points.seen[chosen, 2], points.error[chosen]])
-    common = np.zeros((len(chosen), 2, 2 * SHARED))
+    U, mean = np.zeros((len(tracks), 2, SHARED)), np.zeros(12)
     if together is not None:
-        U, moved = np.zeros((len(tracks), 2, SHARED)), together.moved[chosen]
-        U[before.known.rows] = together.common
-        x += U[chosen] @ together.mean[6:]
-        residuals = residuals - moved @ together.mean
-        common = -gain @ moved
-        common[:, :, 6:] += U[chosen]
-    x += np.matmul(gain, residuals[:, :, None])[:, :, 0]
-    cov = points.cov[chosen, 2:, 2:] - gain @ shared
-    cov[:, (0, 1), (0, 1)] += ROUNDING * points.cov[chosen][:, (2, 3), (2, 3)]
-    T, px, jacobian = solution.T_curr_prev, tracks.prev_px[chosen], solution.disparity_jacobian[chosen]
+        U[before.known.rows], mean = together.common, together.mean
+    x, cov, felt = np.empty((len(chosen), 2)), np.empty((len(chosen), 2, 2)), np.empty((len(chosen), 2, 12))
+    points, told = solution.points, (solution.shared, solution.information, solution.residuals)
+    jacobians = solution.jacobian, solution.disparity_jacobian
+    renew(chosen, points.seen, points.error, points.cov, *told, *jacobians, U, mean, x, cov, felt)
+    cov[:, 1, 1] += WANDERING * noise.lasting[chosen]
+    T, px = solution.T_curr_prev, tracks.prev_px[chosen]
     right, down = (px[:, 0] - camera.cu_px) / camera.fu_px, (px[:, 1] - camera.cv_px) / camera.fv_px
     depth = T[2, 0] * right + T[2, 1] * down + T[2, 2] + T[2, 3] * x[:, 0] / (camera.fu_px * camera.baseline_m)
-    forward = np.column_stack([jacobian[:, 0] - jacobian[:, 2], np.ones(len(chosen))])
-    cov = cov * forward[:, :, None] * forward[:, None, :]
-    cov[:, 1, 1] += WANDERING * noise.lasting[chosen]
-    common = common * forward[:, :, None]
-    path, tied = np.zeros((6, SHARED)), np.zeros((6, 6))
+    common, path, tied = np.zeros((len(chosen), 2, SHARED)), np.zeros((6, SHARED)), np.zeros((6, 6))
     if together is not None:
-        common[:, 0, :6] += solution.jacobian[chosen, 0] - solution.jacobian[chosen, 2]
-        common, cov, kept = _most_felt(common @ together.root, cov)
+        common, cov, kept = _most_felt(felt @ together.root, cov)
         step, passed_on, before_it = together.root[:6], together.root[6:], se3.adjoint(T) @ before.path
         path, tied = (before_it @ passed_on + step) @ kept, before_it @ passed_on @ step.T
     ahead = depth > NEAREST
     known = KnownDisparities(np.arange(int(ahead.sum())), x[ahead, 0] / depth[ahead], x[ahead, 1], cov[ahead])
-    return DisparityMemory(tracks.ids[chosen[ahead]], known, common[ahead, :, :SHARED], path, tied)
+    return DisparityMemory(tracks.ids[chosen[ahead]], known, common[ahead], path, tied)
 
 
 def _most_felt(common: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Of twelve errors in common, [M, 2, 12], the six directions that matter most against the tracks' own covariances
     [M, 2, 2], [M, 2, 6]; the latter with the others added; and these directions, [12, 6]."""
-    white = np.linalg.solve(np.linalg.cholesky(cov), common)
+    first = np.sqrt(cov[:, 0, 0])[:, None]  # the Cholesky factor of each, written out
+    across = cov[:, 1, :1] / first
+    white = np.empty_like(common)
+    white[:, 0] = common[:, 0] / first
+    white[:, 1] = (common[:, 1] - across * white[:, 0]) / np.sqrt(cov[:, 1, 1:] - across**2)
     _, directions = np.linalg.eigh(sum_products(white, white))
     kept, dropped = directions[:, SHARED:], directions[:, :SHARED]
     rest = common @ dropped
