@@ -27,7 +27,7 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.compiled import perturb
 from probevo.geometry import se3
-from probevo.motion.memory_kernels import renew
+from probevo.motion.memory_kernels import normal_parts, renew
 from probevo.motion.reprojection import ReprojectionSolution, sum_products
 from probevo.motion.reprojection_kernels import NEAREST
 from probevo.motion.seen_points import KnownDisparities
@@ -96,17 +96,14 @@ class Together:
         rows, common = before.known.rows, before.common.copy()
         # A scale that is wrong for all would seem observable if it were taken of other disparities at every step.
         seen, refined = solution.points.seen[rows, 2], solution.refined[rows, 2]
-        common[:, 0] *= np.where(seen > LEAST_DISPARITY_PX, refined / np.maximum(seen, LEAST_DISPARITY_PX), 1.0)[
-            :, None
-        ]
-        moved = np.zeros((len(solution.squared), 4, SHARED))
-        moved[rows] = solution.disparity_jacobian[rows, :, None] * common[:, None, 0]
-        moved[rows, 2] -= common[:, 1]
-        white, residuals = solution.whitened(moved), solution.whitened(solution.residuals[:, :, None])
-        cross, own = sum_products(solution.jacobian, white), sum_products(moved, white)
+        grown = np.where(seen > LEAST_DISPARITY_PX, refined / np.maximum(seen, LEAST_DISPARITY_PX), 1.0)
+        common[:, 0] *= grown[:, None]
+        cross, own, pull = np.empty((6, SHARED)), np.empty((SHARED, SHARED)), np.empty(SHARED)
+        solved = solution.jacobian, solution.disparity_jacobian, solution.information, solution.irls_weight
+        normal_parts(rows, *solved, solution.residuals, common, cross, own, pull)
         normal = _joint(solution.hessian, cross, own + np.eye(SHARED))
-        gradient = np.concatenate([sum_products(solution.jacobian, residuals), sum_products(moved, residuals)])
-        mean = np.linalg.solve(normal, gradient[:, 0])
+        # The motion is at its optimum, so that only the errors in common are pulled at.
+        mean = np.linalg.solve(normal, np.concatenate([np.zeros(6), pull]))
         told, weighted = np.linalg.cholesky(np.linalg.inv(solution.cov)), np.linalg.cholesky(solution.hessian)
         change = told @ np.linalg.inv(weighted)  # takes the Hessian to the information
         factor = float(np.prod(np.diagonal(change))) ** (1.0 / 6.0)
@@ -169,9 +166,9 @@ def carried_on(
     if together is not None:
         U[before.known.rows], mean = together.common, together.mean
     x, cov, felt = np.empty((len(chosen), 2)), np.empty((len(chosen), 2, 2)), np.empty((len(chosen), 2, 12))
-    points, told = solution.points, (solution.shared, solution.information, solution.residuals)
+    points, solved = solution.points, (solution.shared, solution.information, solution.residuals)
     jacobians = solution.jacobian, solution.disparity_jacobian
-    renew(chosen, points.seen, points.error, points.cov, *told, *jacobians, U, mean, x, cov, felt)
+    renew(chosen, points.seen, points.error, points.cov, *solved, *jacobians, U, mean, x, cov, felt)
     cov[:, 1, 1] += WANDERING * noise.lasting[chosen]
     T, px = solution.T_curr_prev, tracks.prev_px[chosen]
     right, down = (px[:, 0] - camera.cu_px) / camera.fu_px, (px[:, 1] - camera.cv_px) / camera.fv_px

@@ -81,3 +81,45 @@ def renew(
             felt[n, 0, k] *= growth
             if k < 6:
                 felt[n, 0, k] += jacobian[i, 0, k] - jacobian[i, 2, k]
+
+
+@compiled
+def normal_parts(
+    rows: IntArray,
+    jacobian: FloatArray,
+    disparity_jacobian: FloatArray,
+    information: FloatArray,
+    weight: FloatArray,
+    residuals: FloatArray,
+    common: FloatArray,
+    cross: FloatArray,
+    own: FloatArray,
+    pull: FloatArray,
+) -> None:
+    """What the errors in common add to the normal equations: Σ w Jᵀ Σ⁻¹ M, Σ w Mᵀ Σ⁻¹ M and Σ w Mᵀ Σ⁻¹ e, M = H U.
+
+    Args:
+        rows: the M tracks that feel them, among N.
+        jacobian, disparity_jacobian, information, weight, residuals: as of ``ReprojectionSolution``; the IRLS weight.
+        common: U of these tracks, [M, 2, 6], px.
+        cross, own, pull: out, [6, 6], [6, 6], [6].
+    """
+    cross[:], own[:], pull[:] = 0.0, 0.0, 0.0
+    moved, white = np.empty((4, 6)), np.empty((4, 6))
+    for n in range(len(rows)):
+        i = rows[n]
+        for r in range(4):
+            for k in range(6):
+                moved[r, k] = disparity_jacobian[i, r] * common[n, 0, k] - (common[n, 1, k] if r == 2 else 0.0)
+        for r in range(4):
+            for k in range(6):
+                total = 0.0
+                for q in range(4):
+                    total += information[i, r, q] * moved[q, k]
+                white[r, k] = weight[i] * total
+        for r in range(4):
+            for k in range(6):
+                pull[k] += white[r, k] * residuals[i, r]
+                for j in range(6):
+                    cross[j, k] += jacobian[i, r, j] * white[r, k]
+                    own[j, k] += moved[r, j] * white[r, k]
