@@ -86,6 +86,7 @@ def drive_of(world: PointWorld, *, base: NoiseModel | None = None, seed: int = 0
     counts = [len(step.tracks) for step in steps]
     return Drive(
         T_curr_prev=np.array(motions),
+        numbers=np.arange(len(motions)),
         first_of_step=np.cumsum([0, *counts]),
         prev_px=np.concatenate([step.tracks.prev_px for step in steps]),
         curr_px=np.concatenate([step.tracks.curr_px for step in steps]),

@@ -60,7 +60,7 @@ def part_of(drive: Drive, first: int, last: int | None) -> Drive:
     places = drive.first_of_step[first : None if last is None else last + 1]
     rows = slice(places[0], places[-1])
     features = {name: getattr(drive, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")}
-    return Drive(drive.T_curr_prev[first:last], places - places[0], **features)
+    return Drive(drive.T_curr_prev[first:last], drive.numbers[first:last], places - places[0], **features)
 
 
 def drive_of_number(work: Checkpoint, number: int) -> Drive | None:

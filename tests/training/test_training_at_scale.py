@@ -19,7 +19,7 @@ from probevo.sequences.frame import Frame
 from probevo.simulation.point_world import write_points
 from probevo.training import evidence, extraction, recording, thinning
 from probevo.training.drive import Drive, joined
-from probevo.training.expectation import Expectation, expect
+from probevo.training.expectation import Expectation, expect, solve_drive
 from probevo.training.expectation_maximization import learn_student_t
 from probevo.training.extraction import Extraction
 from probevo.training.lesson import HeldLesson, StoredLesson
@@ -250,8 +250,9 @@ def test_a_lesson_on_disk_needs_no_more_than_its_number(tmp_path: Path) -> None:
 
 
 def test_of_many_drives_some_steps_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whole ones, the same for whomever and in whatever parts; and of one that shows too little, perhaps none."""
+    """In stretches, the same for whomever and in whatever parts; and of one that shows too little, perhaps none."""
     monkeypatch.setattr(thinning, "MOST_FEATURES", 500)
+    monkeypatch.setattr(thinning, "STRETCH", 3)
     world = point_world(frames=60, landmarks=400)
     drive, nothing = drive_of(world), Supervision("none", np.arange(60), np.full((60, 4, 4), np.nan))
     found = []
@@ -261,7 +262,7 @@ def test_of_many_drives_some_steps_are_taken(tmp_path: Path, monkeypatch: pytest
         lesson.keep_drive((drive.kept(np.isin(np.arange(59), piece)) for piece in pieces), str, 2)
         lesson.keep_supervision(nothing)
         short = StoredLesson(tmp_path / name, 1, world.camera)
-        short.keep_drive([drive.kept(np.arange(59) == 7)], str, 2)
+        short.keep_drive([drive.kept(np.arange(59) == 0)], str, 2)
         short.keep_supervision(nothing)
         thin = thinned([lesson, short], 0, workers)
         model = learn_student_t(thin, pv.TrainSettings(kind="student-t", supervision="none"), [])
@@ -271,6 +272,20 @@ def test_of_many_drives_some_steps_are_taken(tmp_path: Path, monkeypatch: pytest
         np.testing.assert_array_equal(mine, theirs)
     np.testing.assert_array_equal(scale, other_scale)
     share = thinning.STEPS_PER_FEATURE * 500 / drive.used.sum()
-    assert abs(len(one.T_curr_prev) - 59 * share) < 4 * np.sqrt(59 * share * (1 - share))
+    assert abs(len(one.T_curr_prev) - 59 * share) < 4 * np.sqrt(3 * 59 * share * (1 - share))
     taken = [k for k in range(59) if (one.T_curr_prev == drive.T_curr_prev[k]).all(axis=(1, 2)).any()]
     np.testing.assert_allclose(one.curr_px, drive.kept(np.isin(np.arange(59), taken)).curr_px, atol=1e-4)
+
+
+def test_across_a_gap_nothing_is_remembered() -> None:
+    """A track that is seen again after steps that were not taken starts anew, as in a drive of its own."""
+    world = point_world(frames=24)
+    drive, model = drive_of(world), StudentT()
+    steps = np.arange(23)
+    second = drive.kept(steps >= 12)
+    with_gap = drive.kept((steps < 6) | (steps >= 12))
+    one, other = (solve_drive([part], model.predict, world.camera, SolverConfig()) for part in (with_gap, second))
+    np.testing.assert_array_equal(one[0][6:], other[0])
+    whole, _ = solve_drive([drive], model.predict, world.camera, SolverConfig())
+    np.testing.assert_array_equal(one[0][:6], whole[:6])
+    assert np.abs(whole[12:] - other[0]).max() > 1e-5

@@ -25,6 +25,8 @@ class Drive:
 
     T_curr_prev: FloatArray
     """Motion of each step as all its features give it, [K − 1, 4, 4]."""
+    numbers: IntArray
+    """Which step of the recording each is, ascending, [K − 1]; what is missing in between was not taken."""
     first_of_step: IntArray
     """Where the features of each step begin, and the end of the last, [K]."""
     prev_px: FloatArray
@@ -59,7 +61,7 @@ class Drive:
         rows = steps[self.step_of_feature]
         features = {name: getattr(self, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")}
         counts = np.diff(self.first_of_step)[steps]
-        return Drive(self.T_curr_prev[steps], np.concatenate([[0], np.cumsum(counts)]), **features)
+        return Drive(self.T_curr_prev[steps], self.numbers[steps], np.concatenate([[0], np.cumsum(counts)]), **features)
 
 
 def joined(parts: Iterable[Drive]) -> Drive:

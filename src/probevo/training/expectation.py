@@ -84,13 +84,15 @@ def solve_drive(
 
     A step that cannot be solved keeps the drive's own motion, with UNSOLVED_SIGMA.
     """
-    memory, motions, cov = DisparityMemory.none(), [np.zeros((0, 4, 4))], [np.zeros((0, 6, 6))]
+    memory, last = DisparityMemory.none(), -1
+    motions, cov = [np.zeros((0, 4, 4))], [np.zeros((0, 6, 6))]
     for part in parts:
         noise = predict(part.phi)
         motions.append(part.T_curr_prev.copy())
         cov.append(np.tile(np.diag(UNSOLVED_SIGMA**2), (len(part.T_curr_prev), 1, 1)))
         for step, chosen, tracks in _steps(part):
-            before, memory = memory.of(tracks.ids), DisparityMemory.none()
+            before = memory.of(tracks.ids) if part.numbers[step] == last + 1 else DisparityMemory.none()
+            memory, last = DisparityMemory.none(), int(part.numbers[step])
             if len(chosen) < solver.min_tracks:
                 continue
             own = noise.of(chosen)
@@ -203,13 +205,14 @@ def left_over(
     rng: np.random.Generator,
 ) -> LeftOver:
     """Of a share of a drive's features, drawn, at these motions [K − 1, 4, 4] with covariances [K − 1, 6, 6]."""
-    memory, found, first_step, first_feature = DisparityMemory.none(), [], 0, 0
+    memory, last, found, first_step, first_feature = DisparityMemory.none(), -1, [], 0, 0
     for part in parts:
         noise = predict(part.phi)
         wanted = part.used & (rng.random(len(part.used)) < share)
         found.append(LeftOver.none(part.phi.shape[1]))
         for step, chosen, tracks in _steps(part):
-            before, memory, at = memory.of(tracks.ids), DisparityMemory.none(), first_step + step
+            before = memory.of(tracks.ids) if part.numbers[step] == last + 1 else DisparityMemory.none()
+            memory, last, at = DisparityMemory.none(), int(part.numbers[step]), first_step + step
             if len(chosen) < solver.min_tracks or cov[at, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:
                 continue  # neither solved nor known: its residuals say nothing
             own = noise.of(chosen)
@@ -222,9 +225,7 @@ def left_over(
             residual_noise = StereoNoise(sigma, own.dof[kept], np.zeros_like(error))
             likelihood = residual_noise.log_likelihood(solution.residuals[kept])
             profile = lasting_profile(solution, own, kept)
-            profile[np.isin(kept, before.known.rows), 1:3] = (
-                0.0  # of κ, only a first sight says anything in so simple a form
-            )
+            profile[np.isin(kept, before.known.rows), 1:3] = 0.0  # only a first sight tells of κ in so simple a form
             features, steps = first_feature + chosen[kept], np.full(len(kept), at)
             found.append(LeftOver(steps, features, part.phi[chosen[kept]], error, spread, likelihood, profile))
         first_step, first_feature = first_step + len(part.T_curr_prev), first_feature + len(part.phi)

@@ -60,7 +60,7 @@ class Extraction:
             InputError: the recording is faulty, its left and right images are swapped, it lacks what a predictor needs,
                 or a predictor is undefined where it must not be.
         """
-        part, size = _Part(), 0
+        part, size, number = _Part(), 0, 0
         for frame in islice(self.sequence, self.num_frames):
             motion = self._step(frame)
             if motion is None:
@@ -69,11 +69,11 @@ class Extraction:
             used = odometry.used & motion[1]  # a step that was carried on teaches nothing
             added = _bytes(odometry.phi)
             if len(part) and (len(part) == MOST_STEPS or size + added > MOST_BYTES):
-                yield part.drive()
-                part, size = _Part(), 0
+                yield part.drive(number)
+                part, size, number = _Part(), 0, number + len(part)
             part.add(motion[0], odometry.tracks, odometry.phi, used)
             size += added
-        yield part.drive()
+        yield part.drive(number)
 
     def _step(self, frame: Frame) -> tuple[FloatArray, bool] | None:
         """Motion to this frame, and whether it was solved; None of the first."""
@@ -102,10 +102,12 @@ class _Part:
         self.motions.append(T_curr_prev)
         self.steps.append((tracks.prev_px, tracks.curr_px, tracks.ids, phi, used))
 
-    def drive(self) -> Drive:
+    def drive(self, first: int) -> Drive:
+        """The part; the number of its first step."""
         prev_px, curr_px, ids, phi, used = (np.concatenate(part) for part in zip(*self.steps, strict=True))
         first_of_step = np.cumsum([0, *(len(step[0]) for step in self.steps)])
-        return Drive(np.array(self.motions), first_of_step, prev_px, curr_px, ids, phi, used)
+        numbers = np.arange(first, first + len(self.motions))
+        return Drive(np.array(self.motions), numbers, first_of_step, prev_px, curr_px, ids, phi, used)
 
 
 def _bytes(phi: FloatArray) -> int:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from probevo.arrays import BoolArray
 from probevo.training.drive import Drive
 from probevo.training.evidence import MOST_FEATURES
 from probevo.training.lesson import StoredLesson
@@ -16,17 +17,19 @@ from probevo.training.workers import Workers
 STEPS_PER_FEATURE = 4
 """Steps are kept with so many times the features that a model is fitted to, of which ``evidence`` then draws: features
 of one step have much in common, so that some of many steps tell more than all of a few."""
+STRETCH = 20
+"""Steps are kept in stretches of so many, as what tracks remember goes on from step to step."""
 
 
 @dataclass(frozen=True)
 class _Task:
     lesson: StoredLesson
-    share: float
-    seed: tuple[int, ...]
+    steps: BoolArray
+    """Which to keep, [K − 1]."""
 
 
 def thinned(lessons: Sequence[StoredLesson], seed: int, workers: Workers) -> list[StoredLesson]:
-    """Lessons of which nothing is known but the drive, so that each step is for itself, with fewer steps each.
+    """Lessons of which nothing is known but the drive, so that no truth links its steps, with fewer steps each.
 
     Args:
         lessons: the drives.
@@ -37,20 +40,27 @@ def thinned(lessons: Sequence[StoredLesson], seed: int, workers: Workers) -> lis
     share = STEPS_PER_FEATURE * MOST_FEATURES / max(used, 1)
     if share >= 1.0:
         return list(lessons)
-    tasks = [_Task(lesson, share, (seed, number, 1)) for number, lesson in enumerate(lessons)]
+    tasks = [
+        _Task(lesson, _drawn(lesson.facts.steps, share, np.random.default_rng((seed, number, 1))))
+        for number, lesson in enumerate(lessons)
+    ]
     return workers.map(_thin, tasks, [f"recording {number + 1}" for number in range(len(tasks))])
+
+
+def _drawn(steps: int, share: float, rng: np.random.Generator) -> BoolArray:
+    """Stretches of all these steps, whole ones, about as many as make this share."""
+    return np.repeat(rng.random(steps // STRETCH + 1) < share, STRETCH)[:steps]
 
 
 def _thin(task: _Task) -> StoredLesson:
     thin = replace(task.lesson, name="thin")
     if not thin.is_complete:
-        rng = np.random.default_rng(task.seed)
+        facts = task.lesson.facts
 
         def parts() -> Iterator[Drive]:
             for part in task.lesson.parts():
-                yield part.kept(rng.random(len(part.T_curr_prev)) < task.share)
+                yield part.kept(task.steps[part.numbers])
 
-        facts = task.lesson.facts
         thin.keep_drive(parts(), lambda: facts.digest, len(facts.moments.mean))
         nothing = np.full((2, 4, 4), np.nan)
         thin.keep_supervision(Supervision("none", np.zeros(2, np.int64), nothing))
