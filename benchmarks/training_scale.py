@@ -31,6 +31,7 @@ from probevo.predictors import prediction_space
 from probevo.simulation.point_config import PointConfig
 from probevo.simulation.point_world import simulate_points, write_points
 from probevo.training.checkpoint import Checkpoint
+from probevo.training.expectation_maximization import num_turns
 from probevo.training.recording import record_all
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import checked_sources
@@ -77,7 +78,9 @@ def train(folder: Path) -> None:
     paths = sorted(folder.glob("*.npz"))
     model = pv.load_model(pv.train_model(paths, SETTINGS, folder / "m.safetensors", show))
     frames = sum(entry["frames"] for entry in model.training["recordings"])
-    until = [max((s for done, s in phases if done <= turns * frames), default=0.0) for turns in (1, 6, 6.5, 7, 11)]
+    first = 1 + num_turns(SETTINGS) - SETTINGS.gk.turns  # phases before the kernel's first turn: recording, static ones
+    ends = (1.0, first, first + 0.5, first + 1.0, first + SETTINGS.gk.turns)
+    until = [max((s for done, s in phases if done <= turns * frames), default=0.0) for turns in ends]
     facts = {
         "samples": model.samples_,
         "features": sum(len(pv.open_sequence(path).features.ids) for path in paths),
