@@ -45,7 +45,9 @@ def _blur(image: Image, uv: FloatArray, half: int, values: FloatArray) -> None:
         top = patch_start(uv[n, 1], half, size, image.shape[0])
         if left >= 0 and top >= 0:
             copy_patch(image, top - REACH, left - REACH, patch)
-            turned[:] = patch.T
+            for row in range(len(patch)):  # no slice as target: that alone would take Numba 3 s to compile
+                for column in range(len(patch)):
+                    turned[row, column] = patch[column, row]
             kept = max(_kept_along_rows(patch), _kept_along_rows(turned))
             values[n] = kept if kept >= 0.0 else 1.0
 
