@@ -8,7 +8,7 @@ import probevo as pv
 from probevo.noise import StudentT
 from probevo.predictors import prediction_space
 from probevo.simulation.point_world import write_points
-from probevo.training.drive import joined
+from probevo.training.drive import drive_bytes, joined, load_drive
 from probevo.training.extraction import Extraction
 from training.lessons import point_world
 
@@ -56,3 +56,21 @@ def test_it_keeps_what_the_odometry_saw(tmp_path: Path) -> None:
             np.testing.assert_array_equal(drive.tracks(step).curr_px, odometry.tracks.curr_px)
             np.testing.assert_array_equal(drive.phi[drive.rows(step)], odometry.phi)
             np.testing.assert_array_equal(drive.used[drive.rows(step)], odometry.used)
+
+
+def test_a_drive_comes_back_from_disk_with_the_largest_of_identities(tmp_path: Path) -> None:
+    """Whoever writes a tracks file may number tracks as he likes, up to 2⁶³ − 1."""
+    write_points(point_world(frames=4), tmp_path / "drive.npz")
+    with np.load(tmp_path / "drive.npz") as archive:
+        arrays = dict(archive)
+    arrays["track"] = np.iinfo(np.int64).max - arrays["track"]
+    np.savez(tmp_path / "drive.npz", **arrays)
+    sequence = pv.open_sequence(tmp_path / "drive.npz")
+    drive = joined(Extraction(sequence, SPACE, CONFIG, len(sequence)))
+    (tmp_path / "part.npz").write_bytes(drive_bytes(drive))
+    read = load_drive(tmp_path / "part.npz")
+    assert drive.ids.max() > 2**62
+    for name in ("ids", "first_of_step", "numbers", "T_curr_prev", "used"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(drive, name))
+    for name in ("prev_px", "curr_px", "phi"):
+        np.testing.assert_allclose(getattr(read, name), getattr(drive, name), rtol=1e-6)

@@ -75,7 +75,7 @@ def joined(parts: Iterable[Drive]) -> Drive:
 def drive_bytes(drive: Drive) -> bytes:
     """An ``.npz`` file."""
     arrays: dict[str, AnyArray] = {field.name: getattr(drive, field.name) for field in fields(Drive)}
-    arrays |= {name: arrays[name].astype(np.float32) for name in SINGLE} | {"ids": drive.ids.astype(np.int32)}
+    arrays |= {name: arrays[name].astype(np.float32) for name in SINGLE}
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()
@@ -86,4 +86,4 @@ def load_drive(path: Path) -> Drive:
     with np.load(path, allow_pickle=False) as archive:
         arrays = {field.name: archive[field.name] for field in fields(Drive)}
     wide: dict[str, AnyArray] = {name: arrays[name].astype(np.float64) for name in SINGLE}
-    return Drive(**arrays | wide | {"ids": arrays["ids"].astype(np.int64)})
+    return Drive(**arrays | wide)

@@ -113,7 +113,7 @@ class _Part:
 def _bytes(phi: FloatArray) -> int:
     """What a step takes on disk: its features' observations, identities, predictors and marks, its motion and place."""
     count, columns = map(int, phi.shape)
-    return count * (4 * (4 + 4 + 1 + columns) + 1) + 136
+    return count * (4 * (4 + 4 + columns) + 8 + 1) + 136
 
 
 def _take_in(digest: hashlib._Hash, frame: Frame) -> None:
