@@ -103,17 +103,17 @@ def _find(
                 outside = below if below > above else above
                 outside = outside if outside > nothing else nothing
                 bound[leaf] += outside * outside
-        nearest = 0
-        for leaf in range(leaves):
-            if bound[leaf] < bound[nearest]:
-                nearest = leaf
         q0, q1, q2, q3 = query_head[n, 0], query_head[n, 1], query_head[n, 2], query_head[n, 3]
         q4, q5, q6, q7 = query_head[n, 4], query_head[n, 5], query_head[n, 6], query_head[n, 7]
         worst = squared[n, last]
-        for turn in range(-1, leaves):  # the leaf whose box is nearest, then the others
-            leaf = nearest if turn < 0 else turn
-            if turn == nearest or bound[leaf] >= worst:
-                continue
+        for _ in range(leaves):  # the leaf whose box is nearest first: the more are ruled out by what it holds
+            leaf, least = 0, np.float32(np.inf)
+            for other in range(leaves):
+                if bound[other] < least:
+                    leaf, least = other, bound[other]
+            if least >= worst:
+                break
+            bound[leaf] = np.inf
             rows = head[leaf]
             for i in range(LEAF):
                 d0, d1, d2, d3 = rows[0, i] - q0, rows[1, i] - q1, rows[2, i] - q2, rows[3, i] - q3

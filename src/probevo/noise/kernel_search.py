@@ -15,7 +15,7 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
 from probevo.noise.kernel_folds import MOST_SAMPLES, Fold, folds_of
-from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
+from probevo.noise.kernel_posterior import LEAF, KernelPosterior, KernelShape
 from probevo.noise.student_fit import DIM, Neighborhoods
 from probevo.noise.student_kernels import LEAST_DOF, MOST_DOF
 
@@ -196,7 +196,7 @@ class _Search:
         used = weights > 0.0
         coordinates, places = (np.ascontiguousarray((x * weights)[:, used]) for x in (fold.coordinates, fold.places))
         posterior = KernelPosterior(
-            coordinates, fold.errors, fold.spread, self.published, fold.prior, KDTree(coordinates)
+            coordinates, fold.errors, fold.spread, self.published, fold.prior, KDTree(coordinates, LEAF)
         )
         return posterior, posterior.around(places, shape)
 

@@ -11,6 +11,8 @@ from probevo.compiled import compiled, invert_symmetric_4
 
 LEAST_DOF, MOST_DOF = 1.0, 200.0
 """Of a fit: below, a mean says nothing; above, the data cannot tell it from a Gaussian."""
+DOF_TOLERANCE = 1e-9
+"""Of ln ν."""
 
 
 @compiled
@@ -34,19 +36,93 @@ def _dof_slope(dof: float) -> float:
 
 @compiled
 def _dof_of(mean_log_weight: float) -> float:
-    """ν at which the derivative is zero, by halving ln ν; it falls from the smallest ν on."""
+    """ν at which the derivative is zero: its only root from LEAST_DOF on, by false position in ln ν (Illinois)."""
     low, high = math.log(LEAST_DOF), math.log(MOST_DOF)
-    if _dof_slope(math.exp(high)) + mean_log_weight >= 0.0:
-        return math.exp(high)
-    if _dof_slope(math.exp(low)) + mean_log_weight <= 0.0:
-        return math.exp(low)
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        if _dof_slope(math.exp(middle)) + mean_log_weight > 0.0:
-            low = middle
+    above, below = _dof_slope(LEAST_DOF) + mean_log_weight, _dof_slope(MOST_DOF) + mean_log_weight
+    if below >= 0.0:
+        return MOST_DOF
+    if above <= 0.0:
+        return LEAST_DOF
+    middle, side = low, 0
+    for _ in range(60):
+        before, middle = middle, (low * below - high * above) / (below - above)
+        if abs(middle - before) < DOF_TOLERANCE:
+            break
+        value = _dof_slope(math.exp(middle)) + mean_log_weight
+        if value > 0.0:
+            low, above, below, side = middle, value, below * 0.5 if side == 1 else below, 1
         else:
-            high = middle
-    return math.exp(0.5 * (low + high))
+            high, below, above, side = middle, value, above * 0.5 if side == -1 else above, -1
+    return math.exp(middle)
+
+
+@compiled
+def _gather(
+    errors: FloatArray, spread: FloatArray, index: IntArray, errors_of: FloatArray, spread_of: FloatArray
+) -> None:
+    """The errors that are asked for, and their spread, as rows: loops over a row do several errors at once."""
+    for m in range(len(index)):
+        for i in range(4):
+            errors_of[i, m] = errors[index[m], i]
+    if len(spread):
+        for m in range(len(index)):
+            for i in range(10):
+                spread_of[i, m] = spread[index[m], i]
+
+
+@compiled
+def _weigh(
+    errors: FloatArray, spread: FloatArray, bias: FloatArray, W: FloatArray, dof: float, weight: FloatArray
+) -> None:
+    """w = (ν + d)/(ν + (e − b)ᵀ W (e − b) + tr W S) of each error."""
+    b0, b1, b2, b3 = bias
+    w00, w11, w22, w33 = W[0, 0], W[1, 1], W[2, 2], W[3, 3]
+    w01, w02, w03, w12, w13, w23 = W[0, 1], W[0, 2], W[0, 3], W[1, 2], W[1, 3], W[2, 3]
+    x0, x1, x2, x3 = errors
+    s00, s01, s11, s02, s12, s22, s03, s13, s23, s33 = spread
+    for m in range(len(weight)):
+        e0, e1, e2, e3 = x0[m] - b0, x1[m] - b1, x2[m] - b2, x3[m] - b3
+        squared = (
+            w00 * (e0 * e0 + s00[m]) + w11 * (e1 * e1 + s11[m]) + w22 * (e2 * e2 + s22[m]) + w33 * (e3 * e3 + s33[m])
+            + 2.0 * (w01 * (e0 * e1 + s01[m]) + w02 * (e0 * e2 + s02[m]) + w03 * (e0 * e3 + s03[m]))
+            + 2.0 * (w12 * (e1 * e2 + s12[m]) + w13 * (e1 * e3 + s13[m]) + w23 * (e2 * e3 + s23[m]))
+        )  # fmt: skip
+        weight[m] = (dof + 4.0) / (dof + squared)
+
+
+@compiled
+def _moments(
+    errors: FloatArray, spread: FloatArray, bias: FloatArray, weight: FloatArray, first: FloatArray, second: FloatArray
+) -> float:
+    """Σ w; ``first`` ← Σ w (e − b), ``second`` ← Σ w ((e − b)(e − b)ᵀ + S), its upper half."""
+    b0, b1, b2, b3 = bias
+    x0, x1, x2, x3 = errors
+    s00, s01, s11, s02, s12, s22, s03, s13, s23, s33 = spread
+    a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = a33 = 0.0
+    p0 = p1 = p2 = p3 = total = 0.0
+    for m in range(len(weight)):
+        w = weight[m]
+        e0, e1, e2, e3 = x0[m] - b0, x1[m] - b1, x2[m] - b2, x3[m] - b3
+        total += w
+        p0 += w * e0
+        p1 += w * e1
+        p2 += w * e2
+        p3 += w * e3
+        a00 += w * (e0 * e0 + s00[m])
+        a01 += w * (e0 * e1 + s01[m])
+        a02 += w * (e0 * e2 + s02[m])
+        a03 += w * (e0 * e3 + s03[m])
+        a11 += w * (e1 * e1 + s11[m])
+        a12 += w * (e1 * e2 + s12[m])
+        a13 += w * (e1 * e3 + s13[m])
+        a22 += w * (e2 * e2 + s22[m])
+        a23 += w * (e2 * e3 + s23[m])
+        a33 += w * (e3 * e3 + s33[m])
+    first[0], first[1], first[2], first[3] = p0, p1, p2, p3
+    second[0, 0], second[1, 1], second[2, 2], second[3, 3] = a00, a11, a22, a33
+    second[0, 1], second[0, 2], second[0, 3] = a01, a02, a03
+    second[1, 2], second[1, 3], second[2, 3] = a12, a13, a23
+    return total
 
 
 @compiled
@@ -69,76 +145,38 @@ def fit_all(
     The prior counts as errors of weight one whose mean square is its scale.
     """
     prior_dof, counts, dof_counts, bias_counts = prior
-    has_spread, has_bias = len(spread) > 0, robust and bias_counts < np.inf
-    learns_dof = robust and dof_counts < np.inf
+    has_bias, learns_dof = robust and bias_counts < np.inf, robust and dof_counts < np.inf
     prior_log_weight = -_dof_slope(prior_dof) if learns_dof else 0.0
-    W, lower, total = np.empty((4, 4)), np.zeros((4, 4)), 0.0
+    W, lower, mean = np.empty((4, 4)), np.zeros((4, 4)), np.zeros(4)
+    most = 0
+    for c in range(len(dof)):
+        most = max(most, first[c + 1] - first[c])
+    near, doubt, weight_of = np.empty((4, most)), np.zeros((10, most)), np.ones(most)
     for c in range(len(dof)):
         S, b, nu = scale[c], bias[c], prior_dof
         S[:] = prior_scale
-        total = 0.0
-        for m in range(first[c], first[c + 1]):
-            total += kernel[m]
+        k = kernel[first[c] : first[c + 1]]
+        weight = weight_of[: len(k)]
+        _gather(errors, spread, index[first[c] : first[c + 1]], near, doubt)
+        total = k.sum()
         for _ in range(iterations if total > 0.0 else 0):
             if not invert_symmetric_4(S, W, lower):
                 break
-            w00, w11, w22, w33 = W[0, 0], W[1, 1], W[2, 2], W[3, 3]
-            w01, w02, w03, w12, w13, w23 = (
-                2.0 * W[0, 1], 2.0 * W[0, 2], 2.0 * W[0, 3], 2.0 * W[1, 2], 2.0 * W[1, 3], 2.0 * W[2, 3],
-            )  # fmt: skip
-            b0, b1, b2, b3 = b
-            a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = a33 = 0.0
-            p0 = p1 = p2 = p3 = weights = log_weights = 0.0
-            for m in range(first[c], first[c + 1]):
-                n = index[m]
-                e0, e1, e2, e3 = errors[n, 0] - b0, errors[n, 1] - b1, errors[n, 2] - b2, errors[n, 3] - b3
-                q00, q01, q02, q03, q11 = e0 * e0, e0 * e1, e0 * e2, e0 * e3, e1 * e1
-                q12, q13, q22, q23, q33 = e1 * e2, e1 * e3, e2 * e2, e2 * e3, e3 * e3
-                if has_spread:
-                    q00 += spread[n, 0]
-                    q01 += spread[n, 1]
-                    q11 += spread[n, 2]
-                    q02 += spread[n, 3]
-                    q12 += spread[n, 4]
-                    q22 += spread[n, 5]
-                    q03 += spread[n, 6]
-                    q13 += spread[n, 7]
-                    q23 += spread[n, 8]
-                    q33 += spread[n, 9]
-                w = kernel[m]
-                if robust:
-                    squared = (
-                        w00 * q00 + w11 * q11 + w22 * q22 + w33 * q33
-                        + w01 * q01 + w02 * q02 + w03 * q03 + w12 * q12 + w13 * q13 + w23 * q23
-                    )  # fmt: skip
-                    robust_weight = (nu + 4.0) / (nu + squared)
-                    if learns_dof:
-                        log_weights += w * (math.log(robust_weight) - robust_weight)
-                    w *= robust_weight
-                weights += w
-                p0 += w * e0
-                p1 += w * e1
-                p2 += w * e2
-                p3 += w * e3
-                a00 += w * q00
-                a01 += w * q01
-                a02 += w * q02
-                a03 += w * q03
-                a11 += w * q11
-                a12 += w * q12
-                a13 += w * q13
-                a22 += w * q22
-                a23 += w * q23
-                a33 += w * q33
-            S[0, 0], S[1, 1], S[2, 2], S[3, 3] = a00, a11, a22, a33
-            S[0, 1], S[0, 2], S[0, 3], S[1, 2], S[1, 3], S[2, 3] = a01, a02, a03, a12, a13, a23
+            log_weights = 0.0
+            if robust:
+                _weigh(near, doubt, b, W, nu, weight)
+            if learns_dof:
+                for m in range(len(k)):
+                    log_weights += k[m] * (math.log(weight[m]) - weight[m])
+            for m in range(len(k)):
+                weight[m] = k[m] * weight[m] if robust else k[m]
+            weights = _moments(near, doubt, b, weight, mean, S)
             for i in range(4):
                 for j in range(i, 4):
                     S[i, j] = S[j, i] = (S[i, j] + counts * prior_scale[i, j]) / (weights + counts)
             if has_bias:
-                share = 1.0 / (weights + bias_counts)
-                b[0], b[1] = share * (p0 + weights * b0), share * (p1 + weights * b1)
-                b[2], b[3] = share * (p2 + weights * b2), share * (p3 + weights * b3)
+                for i in range(4):
+                    b[i] += mean[i] / (weights + bias_counts) - bias_counts / (weights + bias_counts) * b[i]
             if learns_dof:
                 nu = _dof_of((log_weights + dof_counts * prior_log_weight) / (total + dof_counts))
         dof[c] = nu
