@@ -115,6 +115,5 @@ class StereoOdometry:
             self.gyro_bias = learn(gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
         if not self.calibration:
             return np.zeros((6, 3))
-        shared = self.calibration.shared_error(solved, solution, self.camera)
-        self.calibration = self.calibration.with_motion(solved, solution, self.camera)
+        self.calibration, shared = self.calibration.with_motion(solved, solution, self.camera)
         return shared

@@ -68,7 +68,7 @@ def learn(
         belief = belief.with_rows(tracks.curr_px, CAMERA)
         corrected = belief.corrected_tracks(tracks, CAMERA)
         solution = solve(corrected, StudentT())
-        belief = belief.with_motion(corrected, solution, CAMERA)
+        belief, _ = belief.with_motion(corrected, solution, CAMERA)
         errors.append(motion_error(solution.T_curr_prev))
     return belief, np.array(errors)
 
@@ -147,7 +147,7 @@ def test_at_rest_nothing_is_learned() -> None:
     belief = SelfCalibration.initial()
     for _ in range(20):
         solution = solve(tracks, StudentT(), np.eye(4))
-        belief = belief.with_motion(tracks, solution, CAMERA)
+        belief, _ = belief.with_motion(tracks, solution, CAMERA)
     np.testing.assert_allclose(belief.disparity_information, np.diag(DISPARITY_SIGMA_PX**-2.0), atol=1e-9)
     np.testing.assert_allclose(belief.disparity, 0.0, atol=1e-9)
 
@@ -157,7 +157,7 @@ def test_noise_at_rest_teaches_hardly_anything() -> None:
     rng, belief = np.random.default_rng(13), SelfCalibration.initial()
     for _ in range(200):
         tracks = seen_twice(rng, 200, np.eye(4), sigma_px=0.2)
-        belief = belief.with_motion(tracks, solve(tracks, StudentT(), np.eye(4)), CAMERA)
+        belief, _ = belief.with_motion(tracks, solve(tracks, StudentT(), np.eye(4)), CAMERA)
     assert (sigma_of(belief.disparity_information) > 0.95 * DISPARITY_SIGMA_PX).all()
     assert np.abs(belief.disparity).max() < 0.15
 
@@ -184,7 +184,7 @@ def test_shared_error_is_the_spread_over_the_doubt() -> None:
     rng = np.random.default_rng(11)
     clean = seen_twice(rng, 100, depth_m=(4.0, 12.0))
     belief = replace(SelfCalibration.initial(), disparity_information=np.diag([0.4**-2.0, 0.6**-2.0]))
-    columns = belief.shared_error(clean, solve(clean, Fixed()), CAMERA)
+    _, columns = belief.with_motion(clean, solve(clean, Fixed()), CAMERA)
     claimed = columns @ columns.T
     errors = []
     for b in rng.normal(size=(400, 3)) * [CONSTANT_SIGMA_PX, 0.4, 0.6]:
@@ -200,7 +200,7 @@ def test_shared_error_shrinks_with_the_doubt_to_that_of_the_constant() -> None:
     clean = seen_twice(np.random.default_rng(12), 100)
     solution = solve(clean, Fixed())
     sure = replace(SelfCalibration.initial(), disparity_information=1e12 * np.eye(2))
-    columns = (b.shared_error(clean, solution, CAMERA) for b in (SelfCalibration.initial(), sure))
+    columns = (b.with_motion(clean, solution, CAMERA)[1] for b in (SelfCalibration.initial(), sure))
     doubtful, certain = (c @ c.T for c in columns)
     assert np.linalg.eigvalsh(doubtful - certain)[0] > -1e-12
     assert np.linalg.matrix_rank(certain / certain.max(), tol=1e-6) == 1

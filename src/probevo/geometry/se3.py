@@ -87,7 +87,7 @@ def _q_matrix(xi: FloatArray) -> FloatArray:
     Barfoot (2017) eq. (7.86b), its coefficients written as Stumpff functions, which need no special case at θ = 0.
     """
     angle_sq = np.sum(xi[..., 3:] ** 2, axis=-1)[..., None, None]
-    c_3, c_4, c_5 = (stumpff(order, angle_sq) for order in (3, 4, 5))
+    c_3, c_4, c_5 = stumpff((3, 4, 5), angle_sq)
     rho, phi = so3.wedge(xi[..., :3]), so3.wedge(xi[..., 3:])
     phi_rho, rho_phi = phi @ rho, rho @ phi
     phi_rho_phi = phi_rho @ phi

@@ -44,7 +44,9 @@ def left_jacobian(phi: FloatArray) -> FloatArray:
     """J(φ), with Exp(φ + δ) ≈ Exp(J δ) Exp(φ): [..., 3] to [..., 3, 3] (thesis eqs. 2.15, 2.20)."""
     angle_sq = np.sum(phi**2, axis=-1)[..., None, None]
     phi_wedge = wedge(phi)
-    return np.eye(3) + stumpff(2, angle_sq) * phi_wedge + stumpff(3, angle_sq) * phi_wedge @ phi_wedge
+    c_2, c_3 = stumpff((2, 3), angle_sq)
+    jacobian: FloatArray = np.eye(3) + c_2 * phi_wedge + c_3 * phi_wedge @ phi_wedge
+    return jacobian
 
 
 def left_jacobian_inverse(phi: FloatArray) -> FloatArray:
@@ -55,5 +57,6 @@ def left_jacobian_inverse(phi: FloatArray) -> FloatArray:
     """
     angle_sq = np.sum(phi**2, axis=-1)[..., None, None]
     phi_wedge = wedge(phi)
-    coefficient = (stumpff(3, angle_sq) - 2.0 * stumpff(4, angle_sq)) / (2.0 * stumpff(2, angle_sq))
-    return np.eye(3) - 0.5 * phi_wedge + coefficient * phi_wedge @ phi_wedge
+    c_2, c_3, c_4 = stumpff((2, 3, 4), angle_sq)
+    inverse: FloatArray = np.eye(3) - 0.5 * phi_wedge + (c_3 - 2.0 * c_4) / (2.0 * c_2) * phi_wedge @ phi_wedge
+    return inverse

@@ -84,34 +84,31 @@ class SelfCalibration:
             rows = np.linalg.solve(information, self.rows_information @ self.rows + weighted.T @ offsets).astype(float)
         return replace(self, rows=rows, rows_information=information)
 
-    def with_motion(self, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera) -> SelfCalibration:
-        """The belief after a solve on the corrected tracks: the part of the residuals that a change of b explains.
+    def with_motion(
+        self, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
+    ) -> tuple[SelfCalibration, FloatArray]:
+        """The belief after a solve on the corrected tracks, and how the doubt before moves the solved motion, [6, 3].
 
-        With D = ∂e/∂b and J = −∂e/∂ξ, the motion is eliminated from the joint normal equations (Schur complement).
+        With D = ∂e/∂b and J = −∂e/∂ξ, the belief takes in the part of the residuals that a change of b explains, the
+        motion being eliminated from the joint normal equations (Schur complement).
+
+        The second is the root of Schmidt's consider term, in columns for errors of unit variance. An error of the
+        calibration moves all features together, so that no number of them averages it out, and all steps alike, so
+        that it adds up along the path.
         """
-        sensitivity = disparity_sensitivity(tracks, solution, camera)[:, :, 1:]
+        sensitivity = disparity_sensitivity(tracks, solution, camera)
         weighted = solution.whitened(sensitivity)
         cross = sum_products(solution.jacobian, weighted)
-        hessian = sum_products(sensitivity, weighted)
-        gradient = -np.einsum("nij,ni->j", weighted, solution.residuals)
-        learned = (hessian - cross.T @ np.linalg.solve(solution.hessian, cross)) / CORRELATED_FEATURES
-        information = self.disparity_information + learned
-        step = np.linalg.solve(information, gradient / CORRELATED_FEATURES)
-        return replace(self, disparity=self.disparity + step, disparity_information=information)
-
-    def shared_error(self, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera) -> FloatArray:
-        """How the doubt about the disparities moves a solved motion, [6, 3] (Schmidt's consider term, its root).
-
-        An error of the calibration moves all features together, so that no number of them averages it out, and all
-        steps alike, so that it adds up along the path. The columns are for errors of unit variance.
-        """
-        weighted = solution.whitened(disparity_sensitivity(tracks, solution, camera))
-        gain = np.linalg.solve(solution.hessian, sum_products(solution.jacobian, weighted))
+        gain = np.linalg.solve(solution.hessian, cross)
         doubt = np.zeros((3, 3))
         doubt[0, 0] = CONSTANT_SIGMA_PX**2
         doubt[1:, 1:] = np.linalg.inv(self.disparity_information)
-        columns: FloatArray = gain @ np.linalg.cholesky(doubt)
-        return columns
+        hessian, gradient = sum_products(sensitivity, weighted), -np.einsum("nij,ni->j", weighted, solution.residuals)
+        learned = (hessian - cross.T @ gain)[1:, 1:] / CORRELATED_FEATURES
+        information = self.disparity_information + learned
+        step = np.linalg.solve(information, gradient[1:] / CORRELATED_FEATURES)
+        after = replace(self, disparity=self.disparity + step, disparity_information=information)
+        return after, gain @ np.linalg.cholesky(doubt)
 
 
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
