@@ -91,12 +91,13 @@ def _q_matrix(xi: FloatArray) -> FloatArray:
     rho, phi = so3.wedge(xi[..., :3]), so3.wedge(xi[..., 3:])
     phi_rho, rho_phi = phi @ rho, rho @ phi
     phi_rho_phi = phi_rho @ phi
-    return (
+    upper_right: FloatArray = (
         0.5 * rho
         + c_3 * (phi_rho + rho_phi + phi_rho_phi)
         + c_4 * (phi @ phi_rho + rho_phi @ phi - 3.0 * phi_rho_phi)
         + 0.5 * (c_4 - 3.0 * c_5) * (phi_rho_phi @ phi + phi @ phi_rho_phi)
     )
+    return upper_right
 
 
 def _block_triangular(diagonal: FloatArray, upper_right: FloatArray) -> FloatArray:
