@@ -5,7 +5,7 @@ import pytest
 
 from probevo.arrays import FloatArray, Image, IntArray
 from probevo.config import TrackingConfig
-from probevo.tracking.detection import BORDER_PX, corners_in_room, strongest_corners
+from probevo.tracking.detection import BORDER_PX, apart, corners_in_room, strongest_corners
 
 HEIGHT_PX, WIDTH_PX, CELL_PX = 120, 160, 40
 COLUMNS, ROWS = 4, 3
@@ -18,9 +18,12 @@ def detect_corners(image: Image, occupied_px: FloatArray, config: TrackingConfig
     return corners_in_room(strongest_corners(image, config), occupied_px, image.shape, config)
 
 
-def noise_image() -> Image:
-    """White noise: more FAST corners in each cell than any share used here."""
-    return np.random.default_rng(0).integers(0, 256, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8)
+def many_dots(height: int = HEIGHT_PX, width: int = WIDTH_PX) -> Image:
+    """A dot of some contrast every 10 px: more corners in each cell than any share used here, and all of them apart."""
+    image = np.full((height, width), 100, np.uint8)
+    spots = image[5::10, 5::10]
+    spots += np.random.default_rng(0).integers(30, 150, spots.shape, dtype=np.uint8)
+    return image
 
 
 def dots(*centers_and_contrast: tuple[int, int, int]) -> Image:
@@ -41,28 +44,27 @@ def as_set(corners: FloatArray) -> set[tuple[float, float]]:
 
 
 def test_every_cell_gets_its_share_and_no_more() -> None:
-    np.testing.assert_array_equal(count_per_cell(detect_corners(noise_image(), NOBODY, TWO_A_CELL)), 2)
+    np.testing.assert_array_equal(count_per_cell(detect_corners(many_dots(), NOBODY, TWO_A_CELL)), 2)
 
 
 @pytest.mark.parametrize("wanted", [100, 300, 777, 1500])
 def test_about_as_many_are_found_as_are_wanted(wanted: int) -> None:
-    image = np.random.default_rng(0).integers(0, 256, (375, 1242), dtype=np.uint8)
-    found = detect_corners(image, NOBODY, TrackingConfig(num_features=wanted))
-    assert wanted <= len(found) <= 1.25 * wanted
+    found = detect_corners(many_dots(375, 1242), NOBODY, TrackingConfig(num_features=wanted))
+    assert 0.99 * wanted <= len(found) <= 1.25 * wanted
 
 
 def test_a_cell_gets_only_what_its_features_leave() -> None:
     """Shares of 2, with 0, 1, 2 and 5 features already in the four cells of the middle row."""
     already = np.array([0, 1, 2, 5])
     occupied = np.vstack([np.tile([40.0 * column + 20.0, 60.0], (n, 1)) for column, n in enumerate(already)])
-    found = count_per_cell(detect_corners(noise_image(), occupied, TWO_A_CELL))
+    found = count_per_cell(detect_corners(many_dots(), occupied, TWO_A_CELL))
     np.testing.assert_array_equal(found, [2, 2, 2, 2, 2, 1, 0, 0, 2, 2, 2, 2])
 
 
 def test_features_outside_the_image_count_for_the_nearest_cell() -> None:
     """A tracked feature may lie a fraction of a pixel beyond the border: no index error, no other cell robbed."""
     occupied = np.array([[-0.5, -3.0], [WIDTH_PX + 0.5, HEIGHT_PX + 2.0]])
-    found = count_per_cell(detect_corners(noise_image(), occupied, TWO_A_CELL))
+    found = count_per_cell(detect_corners(many_dots(), occupied, TWO_A_CELL))
     np.testing.assert_array_equal(found, [1, *[2] * 10, 1])
 
 
@@ -74,6 +76,23 @@ def test_the_strongest_are_chosen() -> None:
 def test_strength_is_compared_within_a_cell_only() -> None:
     image = dots((52, 60, 150), (60, 60, 140), (68, 60, 130), (100, 60, 20))
     assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(52, 60), (60, 60), (100, 60)}
+
+
+def test_what_is_half_a_window_from_another_is_no_new_corner() -> None:
+    """Neither of the weaker one of two dots, nor of one beside a feature that is there."""
+    image = dots((60, 60, 90), (66, 54, 80), (100, 60, 90), (107, 60, 80))
+    assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(60, 60), (100, 60), (107, 60)}
+    assert as_set(detect_corners(image, np.array([[62.4, 58.2]]), TWO_A_CELL)) == {(100, 60), (107, 60)}
+    wide = TWO_A_CELL.model_copy(update={"window_px": 13})
+    assert as_set(detect_corners(image, NOBODY, wide)) == {(60, 60), (100, 60)}
+
+
+def test_of_features_that_have_met_the_first_is_kept() -> None:
+    """A chain: the third is near the second alone, which is gone."""
+    pixels = np.array([[50.0, 50.0], [55.0, 50.0], [60.0, 50.0], [50.2, 50.0], [50.0, 80.0]])
+    shape = (HEIGHT_PX, WIDTH_PX)
+    np.testing.assert_array_equal(apart(pixels, shape, TWO_A_CELL), [True, False, True, False, True])
+    assert len(apart(NOBODY, shape, TWO_A_CELL)) == 0
 
 
 def test_contrast_below_the_threshold_is_no_corner() -> None:
@@ -105,5 +124,5 @@ def test_a_size_that_is_no_multiple_of_the_cell_is_covered_to_its_edges() -> Non
 
 
 def test_the_same_image_gives_the_same_corners() -> None:
-    first, second = (detect_corners(noise_image(), NOBODY, TWO_A_CELL) for _ in range(2))
+    first, second = (detect_corners(many_dots(), NOBODY, TWO_A_CELL) for _ in range(2))
     np.testing.assert_array_equal(first, second)

@@ -8,7 +8,7 @@ from operator import attrgetter
 import cv2
 import numpy as np
 
-from probevo.arrays import FloatArray, Image, IntArray
+from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.compiled import compiled
 from probevo.config import TrackingConfig
 
@@ -45,7 +45,7 @@ def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
 def corners_in_room(
     strongest: FloatArray, occupied_px: FloatArray, shape: tuple[int, int], config: TrackingConfig
 ) -> FloatArray:
-    """Of each cell's strongest corners, as many as it takes to fill the share that the features there leave.
+    """Of each cell's strongest corners, those that are apart, as many as fill the share that the features there leave.
 
     Args:
         strongest: from ``strongest_corners``.
@@ -61,7 +61,35 @@ def corners_in_room(
     taken = np.bincount(row * columns + column, minlength=rows * columns).reshape(rows, columns, 1)
     chosen = (np.arange(FEATURES_PER_CELL) < FEATURES_PER_CELL - taken) & np.isfinite(strongest[..., 0])
     corners: FloatArray = strongest[chosen]
-    return corners
+    return corners[apart(np.vstack([occupied_px, corners]), shape, config)[len(occupied_px) :]]
+
+
+def apart(pixels: FloatArray, shape: tuple[int, int], config: TrackingConfig) -> BoolArray:
+    """Which features do not share most of their window with one before them that is kept, [N].
+
+    Two that do are one: their errors are alike, and counted as two they would make the motion look surer than it is.
+
+    Args:
+        pixels: (u, v) of the features, [N, 2], px.
+        shape: [height, width] of the image.
+        config: with the window.
+    """
+    keep = np.empty(len(pixels), np.bool_)
+    _keep_apart(np.round(pixels).astype(np.int64), config.window_px // 2 + 1, np.zeros(shape, np.bool_), keep)
+    return keep
+
+
+@compiled
+def _keep_apart(pixels: IntArray, reach: int, taken: BoolArray, keep: BoolArray) -> None:
+    """Mark the square around each feature that is kept."""
+    height, width = taken.shape
+    for n in range(len(pixels)):
+        u, v = min(max(pixels[n, 0], 0), width - 1), min(max(pixels[n, 1], 0), height - 1)
+        keep[n] = not taken[v, u]
+        if keep[n]:
+            for row in range(max(v - reach, 0), min(v + reach + 1, height)):
+                for column in range(max(u - reach, 0), min(u + reach + 1, width)):
+                    taken[row, column] = True
 
 
 def _grid(shape: tuple[int, int], config: TrackingConfig) -> tuple[float, int, int]:

@@ -13,7 +13,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
-from probevo.tracking.detection import corners_in_room
+from probevo.tracking.detection import apart, corners_in_room
 from probevo.tracking.preparation import PreparedImages, prepared
 from probevo.tracking.tracks import Tracks
 
@@ -113,7 +113,10 @@ class ImageTracker:
         rejected["left the view"] += int((~inside).sum())
         alike = _alike(difference, inside, self._config)
         rejected["looks different"] += int((inside & ~alike).sum())
-        return before.kept(alike), found_px[alike], disparity[alike], difference[alike]
+        kept = np.flatnonzero(alike)
+        kept = kept[apart(found_px[kept], left.shape, self._config)]  # of two, the older one: it comes first
+        rejected["met another"] += int(alike.sum()) - len(kept)
+        return before.kept(kept), found_px[kept], disparity[kept], difference[kept]
 
     def _match_right(
         self, left: Image, right: Image, left_px: FloatArray, disparity: FloatArray, rejected: Counter[str]
