@@ -9,7 +9,7 @@ demo: $(VENV)/.installed
 	$(BIN)/probevo demo --out out/demo
 
 test: check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 check: $(VENV)/.installed
 	$(BIN)/ruff check .
