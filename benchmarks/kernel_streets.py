@@ -2,8 +2,8 @@
 
 python benchmarks/kernel_streets.py [city|residential|road|kitti …, all of these by default]
 
-Trials as in ``probe.py``: trained on one drive, judged on another of another place; raw 0005 on its second half, and on
-odometry 06.
+Trials as in ``probe.py``: trained on one drive, judged on four of other places, whose mean comes last; raw 0005 on its
+second half, and on odometry 06.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import cv2
+import numpy as np
 from probe import OUT, Trial, estimate, trials
 from recordings import RECORDINGS, by_velocities
 
@@ -20,6 +21,7 @@ from probevo.evaluation.metrics import evaluate
 from probevo.training.settings import KernelSettings, TrainSettings
 
 NAMES = ("city", "residential", "road", "kitti")
+PLACES = 4
 TURNS = 3
 
 
@@ -43,17 +45,24 @@ def main() -> None:
     cv2.setNumThreads(1)
     head = ("", "noise", "what lasts", "ARMSE, m", "step, mm", "drift, %", "°/m", "ANEES", "drift by INS velocities, %")
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
-    for trial in trials(sys.argv[1:] or list(NAMES)):
+    for trial in trials(sys.argv[1:] or list(NAMES), PLACES):
         for name, model in models(trial).items():
+            start, found = f"| {name} | {model.lasting:.1f} |", list[tuple[float, ...]]()
             for test in trial.tests:
                 result, rest = estimate(test, model, pv.OdometryConfig()), slice(trial.half or 0, None)
                 steps, motions = (result.T_curr_prev[rest], result.cov[rest]), result.T_world_cam[rest]
-                found = evaluate(motions, pv.open_sequence(test).truth.T_world_cam[rest], *steps)
-                figures = f"{found.armse_m:.3f} | {1e3 * found.rpe_t_m:.2f} | {found.short_t_percent:.3f}"
-                figures += f" | {found.short_r_deg_per_m:.4f} | {found.anees:.1f}"
+                m = evaluate(motions, pv.open_sequence(test).truth.T_world_cam[rest], *steps)
+                found.append((m.armse_m, 1e3 * m.rpe_t_m, m.short_t_percent, m.short_r_deg_per_m, m.anees))
+                line = f"| {trial.name}: {test.name} {start} {figures(found[-1])} |"
                 if test == RECORDINGS["raw 0005"]:
-                    figures += f" | {evaluate(motions, by_velocities(test)[rest]).short_t_percent:.3f}"
-                print(f"| {trial.name}: {test.name} | {name} | {model.lasting:.1f} | {figures} |", flush=True)
+                    line += f" {evaluate(motions, by_velocities(test)[rest]).short_t_percent:.3f} |"
+                print(line, flush=True)
+            if len(found) > 1:
+                print(f"| {trial.name}: mean {start} {figures(tuple(np.mean(found, axis=0)))} |", flush=True)
+
+
+def figures(found: tuple[float, ...]) -> str:
+    return " | ".join(f"{value:{form}}" for value, form in zip(found, (".3f", ".2f", ".3f", ".4f", ".1f"), strict=True))
 
 
 if __name__ == "__main__":
