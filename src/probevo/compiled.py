@@ -67,7 +67,16 @@ def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArra
 @compiled
 def solve_positive_definite(matrix: FloatArray, vector: FloatArray, lower: FloatArray, solution: FloatArray) -> bool:
     """Solve matrix · solution = vector by Cholesky in the given work space; False if it is not positive definite."""
-    n = len(vector)
+    if not factor(matrix, lower):
+        return False
+    substitute(lower, vector, solution)
+    return True
+
+
+@compiled
+def factor(matrix: FloatArray, lower: FloatArray) -> bool:
+    """Cholesky factor of a symmetric matrix; False if it is not positive definite."""
+    n = len(matrix)
     for i in range(n):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -79,6 +88,13 @@ def solve_positive_definite(matrix: FloatArray, vector: FloatArray, lower: Float
                 lower[i, i] = math.sqrt(total)
             else:
                 lower[i, j] = total / lower[j, j]
+    return True
+
+
+@compiled
+def substitute(lower: FloatArray, vector: FloatArray, solution: FloatArray) -> None:
+    """Solve lower · lowerᵀ · solution = vector."""
+    n = len(vector)
     for i in range(n):
         total = vector[i]
         for k in range(i):
@@ -89,7 +105,6 @@ def solve_positive_definite(matrix: FloatArray, vector: FloatArray, lower: Float
         for k in range(i + 1, n):
             total -= lower[k, i] * solution[k]
         solution[i] = total / lower[i, i]
-    return True
 
 
 @compiled

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
@@ -14,13 +13,10 @@ from probevo.compiled import compiled
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
 from probevo.tracking.detection import apart, corners_in_room
+from probevo.tracking.lucas_kanade import find_again
 from probevo.tracking.preparation import PreparedImages, prepared
 from probevo.tracking.tracks import Tracks
-
-MIN_EIGENVALUE = 1e-4
-"""Smallest eigenvalue of the window's gradient matrix (over its area, in OpenCV's scaling) that can be tracked."""
-MAX_ITERATIONS, MAX_STEP_PX = 10, 0.03
-"""Lucas–Kanade stops here on each pyramid level."""
+from probevo.tracking.windows import Windows
 
 
 @dataclass(frozen=True)
@@ -31,10 +27,18 @@ class _Followed:
     pixels: FloatArray  # [N, 4]
     ids: IntArray
     age: IntArray
+    windows: Windows
     next_id: int
 
+    @staticmethod
+    def none(image: Image, config: TrackingConfig) -> _Followed:
+        nobody = np.zeros(0, np.int64)
+        windows = Windows.cut(image, np.zeros((0, 2)), config.window_px)
+        return _Followed(image, np.zeros((0, 4)), nobody, nobody, windows, 0)
+
     def kept(self, keep: BoolArray | IntArray) -> _Followed:
-        return _Followed(self.image, self.pixels[keep], self.ids[keep], self.age[keep], self.next_id)
+        windows = self.windows.kept(keep)
+        return _Followed(self.image, self.pixels[keep], self.ids[keep], self.age[keep], windows, self.next_id)
 
 
 class ImageTracker:
@@ -65,29 +69,29 @@ class ImageTracker:
             self._before, self._now_stamp_ns = self._now, frame.stamp_ns
         left, right = self._images.left, self._images.right
         rejected: Counter[str] = Counter()
-        before = self._before or _Followed(left, np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64), 0)
+        before = self._before or _Followed.none(left, self._config)
         next_id = before.next_id
-        before, left_px, disparity, in_time = self._follow_in_time(before, left, expected, rejected)
+        before, windows, left_px, disparity, in_time = self._follow_in_time(before, left, expected, rejected)
         corners = corners_in_room(self._images.corners, left_px, left.shape, self._config)
-        right_px, matched, in_stereo = self._match_right(
+        all_px = np.vstack([left_px, corners])
+        right_px, windows, matched, in_stereo = self._match_right(
             left,
             right,
-            np.vstack([left_px, corners]),
+            all_px,
             np.r_[disparity, _of_nearest(corners, left_px, disparity)],
+            windows.joined(Windows.cut(left, corners, self._config.window_px)),
             rejected,
         )
         survived, born = matched[: len(left_px)], matched[len(left_px) :]
-        pixels = np.hstack([np.vstack([left_px, corners]), right_px])
-        num_born = int(born.sum())
-        now = _Followed(
+        num, num_born = int(survived.sum()), int(born.sum())
+        self._now = now = _Followed(
             left,
-            pixels[matched],
+            np.hstack([all_px[matched], right_px]),
             np.r_[before.ids[survived], next_id + np.arange(num_born)],
             np.r_[before.age[survived] + 1, np.ones(num_born, np.int64)],
+            windows,
             next_id + num_born,
         )
-        self._now = now
-        num = int(survived.sum())
         difference = np.column_stack([in_time, in_stereo[: len(in_time)]])[survived]
         return Tracks(
             before.pixels[survived], now.pixels[:num], now.ids[:num], now.age[:num], dict(rejected), difference
@@ -100,53 +104,67 @@ class ImageTracker:
 
     def _follow_in_time(
         self, before: _Followed, left: Image, expected: FloatArray, rejected: Counter[str]
-    ) -> tuple[_Followed, FloatArray, FloatArray, FloatArray]:
-        """Features found again: what they were; now (u, v) [N, 2], expected disparity [N], window difference [N]."""
-        start, disparity = before.pixels[:, :2], before.pixels[:, 0] - before.pixels[:, 2]
-        if len(start):
-            predicted, disparity, ahead = _predict(before.pixels, expected, self._camera)
-            visible = ahead & _inside(predicted, left)
-            rejected["left the view"] += int((~visible).sum())
-            before, start, disparity = before.kept(visible), predicted[visible], disparity[visible]
-        found_px, difference = _lucas_kanade(before.image, left, before.pixels[:, :2], start, self._config)
+    ) -> tuple[_Followed, Windows, FloatArray, FloatArray, FloatArray]:
+        """Features found again: what they were; now windows, (u, v) [N, 2], expected disparity [N], difference [N]."""
+        predicted, growth, ahead = _predict(before.pixels, expected, self._camera)
+        visible = ahead & _inside(predicted, left)
+        rejected["left the view"] += int((~visible).sum())
+        before, growth = before.kept(visible), growth[visible]
+        found_px, difference = find_again(before.image, left, before.pixels[:, :2], predicted[visible], self._config)
         inside = _inside(found_px, left)
         rejected["left the view"] += int((~inside).sum())
         alike = _alike(difference, inside, self._config)
         rejected["looks different"] += int((inside & ~alike).sum())
-        kept = np.flatnonzero(alike)
-        kept = kept[apart(found_px[kept], left.shape, self._config)]  # of two, the older one: it comes first
-        rejected["met another"] += int(alike.sum()) - len(kept)
-        return before.kept(kept), found_px[kept], disparity[kept], difference[kept]
+        before, growth, difference = before.kept(alike), growth[alike], difference[alike]
+        found_px, windows = before.windows.found_in_left(left, found_px[alike], growth)
+        alone = apart(found_px, left.shape, self._config)  # of two, the older one: it comes first
+        rejected["met another"] += int((~alone).sum())
+        before, windows, found_px = before.kept(alone), windows.kept(alone), found_px[alone]
+        disparity = growth[alone] * np.maximum(before.pixels[:, 0] - before.pixels[:, 2], 0.0)
+        return before, windows, found_px, disparity, difference[alone]
 
     def _match_right(
-        self, left: Image, right: Image, left_px: FloatArray, disparity: FloatArray, rejected: Counter[str]
-    ) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """(u, v) in the right image of points in the left, [N, 2], which of them pass the checks, [N], and the
-        difference of the windows, [N]."""
+        self,
+        left: Image,
+        right: Image,
+        left_px: FloatArray,
+        disparity: FloatArray,
+        windows: Windows,
+        rejected: Counter[str],
+    ) -> tuple[FloatArray, Windows, BoolArray, FloatArray]:
+        """Of N points in the left image those M that pass the checks: (u, v) in the right one, [M, 2], their windows;
+        which they are, [N], and the difference of the windows, [N]."""
         start = left_px - np.column_stack([disparity, np.zeros(len(disparity))])
-        right_px, difference = _lucas_kanade(left, right, left_px, start, self._config)
-        level = np.abs(right_px[:, 1] - left_px[:, 1]) <= self._config.max_row_offset_px
+        right_px, difference = find_again(left, right, left_px, start, self._config)
+        level, ahead = self._consistent(left_px, right_px)
         rejected["rows differ"] += int((~level).sum())
-        ahead = left_px[:, 0] - right_px[:, 0] >= self._config.min_disparity_px
         rejected["negative disparity"] += int((level & ~ahead & (right_px[:, 0] > left_px[:, 0])).sum())
         rejected["too little disparity"] += int((level & ~ahead & (right_px[:, 0] <= left_px[:, 0])).sum())
         matched = _alike(difference, level & ahead, self._config)
         rejected["no stereo match"] += int((level & ahead & ~matched).sum())
-        return right_px, matched, difference
+        fitted_px, windows = windows.kept(matched).found_in_right(right, right_px[matched])
+        still = np.logical_and(*self._consistent(left_px[matched], fitted_px))
+        return np.where(still[:, None], fitted_px, right_px[matched]), windows, matched, difference
+
+    def _consistent(self, left_px: FloatArray, right_px: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Which matches [N, 2] are in about the same row, and which are far enough to the left, [N]."""
+        level: BoolArray = np.abs(right_px[:, 1] - left_px[:, 1]) <= self._config.max_row_offset_px
+        ahead: BoolArray = left_px[:, 0] - right_px[:, 0] >= self._config.min_disparity_px
+        return level, ahead
 
 
 def _predict(
     pixels: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Where a motion takes features [N, 4]: (u, v) [N, 2], disparity [N], and whether ahead of the camera [N]."""
+    """Where a motion takes features [N, 4]: (u, v) [N, 2], how they grow [N], and whether ahead of the camera [N]."""
     rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (camera.fu_px * camera.baseline_m)
     x, y = (pixels[:, 0] - camera.cu_px) / camera.fu_px, (pixels[:, 1] - camera.cv_px) / camera.fv_px
     q = np.column_stack([x, y, np.ones_like(x)]) @ T_curr_prev[:3, :3].T + rho[:, None] * T_curr_prev[:3, 3]
     ahead = q[:, 2] > 0.05
-    depth = np.where(ahead, q[:, 2], 1.0)
-    u = camera.fu_px * q[:, 0] / depth + camera.cu_px
-    v = camera.fv_px * q[:, 1] / depth + camera.cv_px
-    return np.column_stack([u, v]), camera.fu_px * camera.baseline_m * rho / depth, ahead
+    growth = 1.0 / np.where(ahead, q[:, 2], 1.0)
+    u = camera.fu_px * q[:, 0] * growth + camera.cu_px
+    v = camera.fv_px * q[:, 1] * growth + camera.cv_px
+    return np.column_stack([u, v]), growth, ahead
 
 
 @compiled
@@ -160,30 +178,6 @@ def _of_nearest(corners: FloatArray, left_px: FloatArray, disparity: FloatArray)
             if du * du + dv * dv < nearest:
                 nearest, found[m] = du * du + dv * dv, disparity[n]
     return found
-
-
-def _lucas_kanade(
-    template: Image, image: Image, template_px: FloatArray, start_px: FloatArray, config: TrackingConfig
-) -> tuple[FloatArray, FloatArray]:
-    """Pyramidal Lucas–Kanade of points [N, 2] from the given starts: where they end, [N, 2], px, and what is left.
-
-    That is the mean absolute difference of the window there, [N], grey levels; infinite where the search failed.
-    """
-    if len(template_px) == 0:
-        return np.zeros((0, 2)), np.zeros(0)
-    found_px, status, difference = cv2.calcOpticalFlowPyrLK(
-        template,
-        image,
-        template_px.astype(np.float32),
-        start_px.astype(np.float32),
-        winSize=(config.window_px, config.window_px),
-        maxLevel=config.pyramid_levels,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, MAX_ITERATIONS, MAX_STEP_PX),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        minEigThreshold=MIN_EIGENVALUE,
-    )
-    found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
-    return np.where(found[:, None], found_px, -1.0).astype(np.float64), np.where(found, difference[:, 0], np.inf)
 
 
 def _alike(difference: FloatArray, candidates: BoolArray, config: TrackingConfig) -> BoolArray:

@@ -1,0 +1,91 @@
+"""How features looked when they were first seen, and where an image shows that again.
+
+From one frame to the next a window seems to slip where it comes nearer, turns or slants, since its edges do not move
+as its middle does; and what slips is added up along a track. Fitted by an affine map to the first sight, it does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
+from probevo.tracking.window_kernels import cut, fit
+
+TIME_SPREAD, STEREO_SPREAD = 0.03, 0.1
+"""How far an affine map changes from frame to frame beyond its scale; how far from the left to the right image."""
+MAX_GROWTH = 1.5
+"""A window that has grown or shrunk by more than this is cut anew."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of N features: the part of the left image around each, in the frame that saw it first."""
+
+    first_sight: AnyArray
+    """[N, side + 2, side + 2], uint8, around a whole pixel."""
+    offset: FloatArray
+    """Of the feature from that pixel, [N, 2], px."""
+    affine: FloatArray
+    """What the window has become in the last left image, [N, 2, 2]."""
+    slant: FloatArray
+    """What the last left image becomes in the last right image, about each feature, [N, 2, 2]."""
+
+    @staticmethod
+    def cut(left: Image, pixels: FloatArray, side: int) -> Windows:
+        """Windows around features seen at (u, v), [N, 2], px, of a left image."""
+        center = np.round(pixels).astype(np.int64)
+        first_sight = np.empty((len(pixels), side + 2, side + 2), np.uint8)
+        cut(left, center, first_sight)
+        as_it_is = np.tile(np.eye(2), (len(pixels), 1, 1))
+        return Windows(first_sight, pixels - center, as_it_is, as_it_is)
+
+    def __len__(self) -> int:
+        """Number of features, N."""
+        return len(self.offset)
+
+    def kept(self, keep: BoolArray | IntArray) -> Windows:
+        """Only those of these features: a mask [N], or indices."""
+        return Windows(*(getattr(self, each.name)[keep] for each in fields(self)))
+
+    def joined(self, others: Windows) -> Windows:
+        """These and the others, [N + M]."""
+        return Windows(*(np.concatenate([getattr(w, each.name) for w in (self, others)]) for each in fields(self)))
+
+    def found_in_left(self, left: Image, pixels: FloatArray, growth: FloatArray) -> tuple[FloatArray, Windows]:
+        """Where the next left image has the features, and their windows there.
+
+        Where the first sight does not fit any more, the feature stays where it was thought to be and is cut anew.
+
+        Args:
+            left: the image.
+            pixels: about where, (u, v), [N, 2], px.
+            growth: of the distance of two points of a surface that faces the camera, since the frame before, [N].
+        """
+        grown = np.clip(growth, 1 / MAX_GROWTH, MAX_GROWTH)[:, None, None] * self.affine
+        found_px, affine, fitted = self._fitted(left, pixels, grown, TIME_SPREAD)
+        area = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
+        anew = ~fitted | (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
+        fresh = Windows.cut(left, found_px[anew], self.first_sight.shape[1] - 2)
+        followed = replace(self, first_sight=self.first_sight.copy(), offset=self.offset.copy(), affine=affine)
+        followed.first_sight[anew], followed.offset[anew], affine[anew] = fresh.first_sight, fresh.offset, fresh.affine
+        return found_px, followed
+
+    def found_in_right(self, right: Image, pixels: FloatArray) -> tuple[FloatArray, Windows]:
+        """Where the right image has the features; those that do not fit stay where they were thought to be.
+
+        Args:
+            right: the image.
+            pixels: about where, (u, v), [N, 2], px.
+        """
+        found_px, affine, fitted = self._fitted(right, pixels, self.slant @ self.affine, STEREO_SPREAD)
+        slant = np.where(fitted[:, None, None], affine @ np.linalg.inv(self.affine), self.slant)
+        return found_px, replace(self, slant=slant)
+
+    def _fitted(
+        self, image: Image, pixels: FloatArray, expected: FloatArray, spread: float
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        found_px, affine, fitted = pixels.copy(), np.empty((len(self), 2, 2)), np.empty(len(self), np.bool_)
+        fit(image, self.first_sight, self.offset, expected, spread, found_px, affine, fitted)
+        return found_px, affine, fitted
