@@ -94,7 +94,7 @@ def test_how_wrong_features_are() -> None:
 @pytest.mark.slow
 def test_learn_whom_to_trust() -> None:
     """What was learned in one street makes steps in another better."""
-    words = [EXAMPLES / "04_learn_whom_to_trust.py", "15"]
+    words = [EXAMPLES / "04_learn_whom_to_trust.py", "25"]
     done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
     mean_mm = {line.split()[0]: float(line.split()[1]) for line in done.stdout.splitlines()[1:]}
     assert list(mean_mm) == ["fixed", "student-t", "learned"]

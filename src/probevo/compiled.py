@@ -67,16 +67,15 @@ def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArra
 @compiled
 def solve_positive_definite(matrix: FloatArray, vector: FloatArray, lower: FloatArray, solution: FloatArray) -> bool:
     """Solve matrix · solution = vector by Cholesky in the given work space; False if it is not positive definite."""
-    if not factor(matrix, lower):
+    if not factor(matrix, len(vector), lower):
         return False
     substitute(lower, vector, solution)
     return True
 
 
 @compiled
-def factor(matrix: FloatArray, lower: FloatArray) -> bool:
-    """Cholesky factor of a symmetric matrix; False if it is not positive definite."""
-    n = len(matrix)
+def factor(matrix: FloatArray, n: int, lower: FloatArray) -> bool:
+    """Cholesky factor of the first n rows and columns of a symmetric matrix; False if not positive definite."""
     for i in range(n):
         for j in range(i + 1):
             total = matrix[i, j]

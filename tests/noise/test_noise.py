@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal, multivariate_t
 from probevo.arrays import FloatArray
 from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
 from probevo.noise.fixed import OBSERVATION_SIGMA_PX
+from probevo.noise.student_t import DOF, SIGMA_PX
 
 COUNT = 6
 
@@ -75,10 +76,15 @@ def test_no_features_have_no_likelihood() -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
-@pytest.mark.parametrize(("model", "dof"), [(Fixed(), np.inf), (StudentT(), 5.0), (StudentT(dof=3.0), 3.0)])
-def test_classical_models_say_the_same_of_every_feature(model: NoiseModel, dof: float, count: int) -> None:
+@pytest.mark.parametrize(
+    ("model", "dof", "sigma_px"),
+    [(Fixed(), np.inf, OBSERVATION_SIGMA_PX), (StudentT(), DOF, SIGMA_PX), (StudentT(dof=3.0), 3.0, SIGMA_PX)],
+)
+def test_classical_models_say_the_same_of_every_feature(
+    model: NoiseModel, dof: float, sigma_px: float, count: int
+) -> None:
     noise = model.predict(np.random.default_rng(4).normal(size=(count, 2)))
-    expected = np.diag(np.square(OBSERVATION_SIGMA_PX))
+    expected = np.square(sigma_px) * np.eye(4)
     np.testing.assert_array_equal(noise.scale, np.broadcast_to(expected, (count, 4, 4)))
     np.testing.assert_array_equal(noise.dof, np.full(count, dof))
     np.testing.assert_array_equal(noise.bias, np.zeros((count, 4)))

@@ -54,9 +54,10 @@ def test_a_window_is_found_under_an_affine_map(windows: Windows, A: FloatArray, 
     """From half a pixel off, and with the scale alone expected: to a few hundredths of a pixel, as is the map."""
     shift = np.array([0.4, -0.3])
     true = moved(GRID, A, shift)
-    found, now = windows.found_in_left(shown(A, shift), true + np.array([0.5, -0.4]), np.full(len(GRID), growth))
+    found, difference, now = windows.found_in_left(shown(A, shift), true + 0.5, np.full(len(GRID), growth))
     assert np.median(np.abs(found - true)) < 0.03
     assert np.median(np.abs(now.affine - A)) < 0.02
+    assert np.median(difference) < 2.0
 
 
 def test_a_part_of_a_pixel_stays_with_its_window() -> None:
@@ -64,7 +65,7 @@ def test_a_part_of_a_pixel_stays_with_its_window() -> None:
     features, A = GRID + np.array([0.37, -0.21]), 1.15 * np.eye(2)
     windows = Windows.cut(FIRST, features, SIDE)
     true = moved(features, A, np.zeros(2))
-    found, _ = windows.found_in_left(shown(A, np.zeros(2)), true + 0.3, np.full(len(GRID), 1.1))
+    found, _, _ = windows.found_in_left(shown(A, np.zeros(2)), true + 0.3, np.full(len(GRID), 1.1))
     assert np.median(np.abs(found - true)) < 0.03
 
 
@@ -73,7 +74,7 @@ def test_errors_do_not_add_up_over_many_frames(windows: Windows) -> None:
     pixels, before = GRID, np.eye(2)
     for k in range(1, 16):
         A = 1.02**k * np.eye(2)
-        pixels, windows = windows.found_in_left(
+        pixels, _, windows = windows.found_in_left(
             shown(A, np.zeros(2)), moved(pixels, A @ np.linalg.inv(before), np.zeros(2)), np.full(len(GRID), 1.02)
         )
         before = A
@@ -86,22 +87,23 @@ def test_the_right_image_shows_the_left_one_slanted(windows: Windows) -> None:
     """A disparity that grows by 0.1 px a row is found with its slope, and is expected in the next frame."""
     A, shift = np.array([[1.0, -0.1], [0.0, 1.0]]), np.array([-9.0, 0.0])
     true = moved(GRID, A, shift)
-    found, now = windows.found_in_right(shown(A, shift), true + np.array([0.6, 0.0]))
+    found, _, now = windows.found_in_right(shown(A, shift), true + np.array([0.6, 0.0]))
     assert np.median(np.abs(found - true)) < 0.03
     assert np.median(np.abs(now.slant - A)) < 0.02
-    again, _ = now.found_in_right(shown(A, shift), true + np.array([0.6, 0.0]))
+    again, _, _ = now.found_in_right(shown(A, shift), true + np.array([0.6, 0.0]))
     assert np.median(np.abs(again - true)) <= np.median(np.abs(found - true)) + 1e-3
 
 
 def test_what_does_not_fit_stays_and_is_cut_anew(windows: Windows) -> None:
     """Another texture: nothing converges nearby, and the window of the new image is the one to follow."""
     other = np.random.default_rng(0).integers(0, 256, (HEIGHT_PX, WIDTH_PX)).astype(np.uint8)
-    found, now = windows.found_in_left(other, GRID, np.ones(len(GRID)))
+    found, difference, now = windows.found_in_left(other, GRID, np.ones(len(GRID)))
     stayed = (found == GRID).all(axis=1)
     assert stayed.mean() > 0.8
+    np.testing.assert_array_equal(np.isinf(difference), stayed)
     np.testing.assert_array_equal(now.affine[stayed], np.broadcast_to(np.eye(2), (int(stayed.sum()), 2, 2)))
     np.testing.assert_array_equal(now.first_sight[stayed], Windows.cut(other, GRID[stayed], SIDE).first_sight)
-    right, same = windows.found_in_right(other, GRID)
+    right, _, same = windows.found_in_right(other, GRID)
     there = (right == GRID).all(axis=1)
     np.testing.assert_array_equal(same.slant[there], windows.slant[there])
 
@@ -112,16 +114,16 @@ def test_a_window_that_has_grown_much_is_cut_anew(windows: Windows) -> None:
     inside = ((true > 12) & (true < np.array([WIDTH_PX, HEIGHT_PX]) - 12)).all(axis=1)
     windows = Windows.cut(FIRST, GRID[inside], SIDE)
     windows = Windows(windows.first_sight, windows.offset, 1.2 * windows.affine, windows.slant)
-    _, now = windows.found_in_left(shown(A, np.zeros(2)), true[inside], np.full(int(inside.sum()), MAX_GROWTH))
+    _, _, now = windows.found_in_left(shown(A, np.zeros(2)), true[inside], np.full(int(inside.sum()), MAX_GROWTH))
     np.testing.assert_array_equal(now.affine, np.broadcast_to(np.eye(2), now.affine.shape))
 
 
 def test_features_at_the_border_and_without_texture_stay() -> None:
     at_border = np.array([[1.0, 80.0], [238.5, 3.0], [120.0, 159.0]])
-    found, _ = Windows.cut(FIRST, at_border, SIDE).found_in_left(FIRST, at_border, np.ones(3))
+    found, _, _ = Windows.cut(FIRST, at_border, SIDE).found_in_left(FIRST, at_border, np.ones(3))
     np.testing.assert_array_equal(found, at_border)
     grey = np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8)
-    found, now = Windows.cut(grey, GRID, SIDE).found_in_left(grey, GRID, np.ones(len(GRID)))
+    found, _, now = Windows.cut(grey, GRID, SIDE).found_in_left(grey, GRID, np.ones(len(GRID)))
     np.testing.assert_array_equal(found, GRID)
     assert np.isfinite(now.affine).all()
 
@@ -136,6 +138,6 @@ def test_windows_are_kept_and_joined(windows: Windows) -> None:
 
 def test_no_features_are_no_problem() -> None:
     nobody = Windows.cut(FIRST, np.zeros((0, 2)), SIDE)
-    found, now = nobody.found_in_left(FIRST, np.zeros((0, 2)), np.zeros(0))
+    found, _, now = nobody.found_in_left(FIRST, np.zeros((0, 2)), np.zeros(0))
     assert found.shape == (0, 2)
-    assert len(now.found_in_right(FIRST, found)[1]) == 0
+    assert len(now.found_in_right(FIRST, found)[2]) == 0

@@ -10,7 +10,7 @@ from probevo.motion.reprojection import ReprojectionSolution
 DROP_BELOW = 0.1
 """Trust below which a track is no longer followed."""
 USUAL_DOF = 5.0
-"""Degrees of freedom for which the two bounds hold: those of the shipped Student-t."""
+"""Degrees of freedom for which the two bounds hold."""
 TRUSTED = 0.5
 """A track with this much trust counts as trusted."""
 

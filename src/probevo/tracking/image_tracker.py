@@ -92,7 +92,7 @@ class ImageTracker:
             windows,
             next_id + num_born,
         )
-        difference = np.column_stack([in_time, in_stereo[: len(in_time)]])[survived]
+        difference = np.column_stack([in_time[survived], in_stereo[:num]])
         return Tracks(
             before.pixels[survived], now.pixels[:num], now.ids[:num], now.age[:num], dict(rejected), difference
         )
@@ -116,7 +116,8 @@ class ImageTracker:
         alike = _alike(difference, inside, self._config)
         rejected["looks different"] += int((inside & ~alike).sum())
         before, growth, difference = before.kept(alike), growth[alike], difference[alike]
-        found_px, windows = before.windows.found_in_left(left, found_px[alike], growth)
+        found_px, fitted, windows = before.windows.found_in_left(left, found_px[alike], growth)
+        difference = np.where(np.isfinite(fitted), fitted, difference)
         alone = apart(found_px, left.shape, self._config)  # of two, the older one: it comes first
         rejected["met another"] += int((~alone).sum())
         before, windows, found_px = before.kept(alone), windows.kept(alone), found_px[alone]
@@ -132,8 +133,8 @@ class ImageTracker:
         windows: Windows,
         rejected: Counter[str],
     ) -> tuple[FloatArray, Windows, BoolArray, FloatArray]:
-        """Of N points in the left image those M that pass the checks: (u, v) in the right one, [M, 2], their windows;
-        which they are, [N], and the difference of the windows, [N]."""
+        """Of N points in the left image those M that pass the checks: (u, v) in the right one, [M, 2], their windows,
+        which they are, [N], and how different they look, [M]."""
         start = left_px - np.column_stack([disparity, np.zeros(len(disparity))])
         right_px, difference = find_again(left, right, left_px, start, self._config)
         level, ahead = self._consistent(left_px, right_px)
@@ -142,9 +143,10 @@ class ImageTracker:
         rejected["too little disparity"] += int((level & ~ahead & (right_px[:, 0] <= left_px[:, 0])).sum())
         matched = _alike(difference, level & ahead, self._config)
         rejected["no stereo match"] += int((level & ahead & ~matched).sum())
-        fitted_px, windows = windows.kept(matched).found_in_right(right, right_px[matched])
+        fitted_px, fitted, windows = windows.kept(matched).found_in_right(right, right_px[matched])
         still = np.logical_and(*self._consistent(left_px[matched], fitted_px))
-        return np.where(still[:, None], fitted_px, right_px[matched]), windows, matched, difference
+        right_px = np.where(still[:, None], fitted_px, right_px[matched])
+        return right_px, windows, matched, np.where(np.isfinite(fitted), fitted, difference[matched])
 
     def _consistent(self, left_px: FloatArray, right_px: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Which matches [N, 2] are in about the same row, and which are far enough to the left, [N]."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
+from probevo.arrays import AnyArray, FloatArray, Image, IntArray
 from probevo.compiled import compiled, copy_into, factor, substitute
 
 BRIGHTNESS_NOISE = 4.0
@@ -40,7 +40,7 @@ def fit(
     spread: float,
     pixels: FloatArray,
     affine: FloatArray,
-    fitted: BoolArray,
+    difference: FloatArray,
 ) -> None:
     """Fit windows into an image by affine maps near the expected ones: inverse compositional Gauss–Newton.
 
@@ -56,12 +56,12 @@ def fit(
         spread: how far from it A may be.
         pixels: about where the features are, [N, 2], px; out: p, where fitted.
         affine: out: A, [N, 2, 2]; Â where not fitted.
-        fitted: out, [N].
+        difference: out: mean absolute difference of image and window, [N], grey levels; infinite where not fitted.
     """
     brightness = image.ravel()
     area = (windows.shape[1] - 2) * (windows.shape[2] - 2)
     place, descent = np.empty((2, area), np.float32), np.empty((6, area), np.float32)
-    window, difference = np.empty(area, np.float32), np.empty(area, np.float32)
+    window, error = np.empty(area, np.float32), np.empty(area, np.float32)
     corner, part = np.empty(area, np.int32), np.empty((2, area), np.float32)
     information, lower, slope, step = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
     A = np.empty((2, 2))
@@ -70,21 +70,21 @@ def fit(
         copy_into(affine[n], expected[n])
         copy_into(A, expected[n])
         u, v = pixels[n, 0], pixels[n, 1]
-        fitted[n] = False
+        difference[n] = np.inf
         _linearize(windows[n], offset[n], place, window, descent, information)
         for k in range(2, 6):
             information[k, k] += prior
-        if not factor(information, lower):
+        if not factor(information, 6, lower):
             continue
         for _ in range(MAX_ITERATIONS):
             near = abs(u - pixels[n, 0]) < MAX_MOVE_PX and abs(v - pixels[n, 1]) < MAX_MOVE_PX
             if not (near and _locate(u, v, A, place, image.shape, corner, part)):
                 break
-            _compare(brightness, image.shape[1], corner, part, window, difference)
+            _compare(brightness, image.shape[1], corner, part, window, error)
             for k in range(6):
                 total = np.float32(0.0)
                 for i in range(area):
-                    total += descent[k, i] * difference[i]
+                    total += descent[k, i] * error[i]
                 slope[k] = total
             _add_prior(prior, A, expected[n], slope)
             substitute(lower, slope, step)
@@ -93,7 +93,7 @@ def fit(
             u -= A[0, 0] * step[0] + A[0, 1] * step[1]
             v -= A[1, 0] * step[0] + A[1, 1] * step[1]
             if step[0] * step[0] + step[1] * step[1] < MAX_STEP_PX * MAX_STEP_PX:
-                fitted[n] = True
+                difference[n] = np.abs(error).mean()
                 pixels[n, 0], pixels[n, 1] = u, v
                 copy_into(affine[n], A)
                 break
@@ -157,7 +157,7 @@ def _locate(
 
 @compiled
 def _compare(
-    brightness: Image, width: int, corner: IntArray, part: FloatArray, window: FloatArray, difference: FloatArray
+    brightness: Image, width: int, corner: IntArray, part: FloatArray, window: FloatArray, error: FloatArray
 ) -> None:
     """The image there, bilinear between its pixels, less the window, [area]."""
     one, below = np.uintp(1), np.uintp(width)
@@ -167,7 +167,7 @@ def _compare(
         lower, lower_right = np.float32(brightness[k + below]), np.float32(brightness[k + below + one])
         upper += part[0, i] * (upper_right - upper)
         lower += part[0, i] * (lower_right - lower)
-        difference[i] = upper + part[1, i] * (lower - upper) - window[i]
+        error[i] = upper + part[1, i] * (lower - upper) - window[i]
 
 
 @compiled

@@ -53,8 +53,10 @@ class Windows:
         """These and the others, [N + M]."""
         return Windows(*(np.concatenate([getattr(w, each.name) for w in (self, others)]) for each in fields(self)))
 
-    def found_in_left(self, left: Image, pixels: FloatArray, growth: FloatArray) -> tuple[FloatArray, Windows]:
-        """Where the next left image has the features, and their windows there.
+    def found_in_left(
+        self, left: Image, pixels: FloatArray, growth: FloatArray
+    ) -> tuple[FloatArray, FloatArray, Windows]:
+        """Where the next left image has the features, how different they look there, and their windows now.
 
         Where the first sight does not fit any more, the feature stays where it was thought to be and is cut anew.
 
@@ -62,30 +64,35 @@ class Windows:
             left: the image.
             pixels: about where, (u, v), [N, 2], px.
             growth: of the distance of two points of a surface that faces the camera, since the frame before, [N].
+
+        Returns:
+            (u, v), [N, 2], px; mean absolute difference from the first sight, [N], grey levels, infinite where that
+            does not fit; the windows.
         """
         grown = np.clip(growth, 1 / MAX_GROWTH, MAX_GROWTH)[:, None, None] * self.affine
-        found_px, affine, fitted = self._fitted(left, pixels, grown, TIME_SPREAD)
+        found_px, affine, difference = self._fitted(left, pixels, grown, TIME_SPREAD)
         area = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
-        anew = ~fitted | (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
+        anew = ~np.isfinite(difference) | (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
         fresh = Windows.cut(left, found_px[anew], self.first_sight.shape[1] - 2)
-        followed = replace(self, first_sight=self.first_sight.copy(), offset=self.offset.copy(), affine=affine)
-        followed.first_sight[anew], followed.offset[anew], affine[anew] = fresh.first_sight, fresh.offset, fresh.affine
-        return found_px, followed
+        now = replace(self, first_sight=self.first_sight.copy(), offset=self.offset.copy(), affine=affine)
+        now.first_sight[anew], now.offset[anew], now.affine[anew] = fresh.first_sight, fresh.offset, fresh.affine
+        return found_px, difference, now
 
-    def found_in_right(self, right: Image, pixels: FloatArray) -> tuple[FloatArray, Windows]:
-        """Where the right image has the features; those that do not fit stay where they were thought to be.
+    def found_in_right(self, right: Image, pixels: FloatArray) -> tuple[FloatArray, FloatArray, Windows]:
+        """The same in the right image; features that do not fit stay where they were thought to be.
 
         Args:
             right: the image.
             pixels: about where, (u, v), [N, 2], px.
         """
-        found_px, affine, fitted = self._fitted(right, pixels, self.slant @ self.affine, STEREO_SPREAD)
-        slant = np.where(fitted[:, None, None], affine @ np.linalg.inv(self.affine), self.slant)
-        return found_px, replace(self, slant=slant)
+        found_px, affine, difference = self._fitted(right, pixels, self.slant @ self.affine, STEREO_SPREAD)
+        fits = np.isfinite(difference)[:, None, None]
+        slant = np.where(fits, affine @ np.linalg.inv(self.affine), self.slant)
+        return found_px, difference, replace(self, slant=slant)
 
     def _fitted(
         self, image: Image, pixels: FloatArray, expected: FloatArray, spread: float
-    ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        found_px, affine, fitted = pixels.copy(), np.empty((len(self), 2, 2)), np.empty(len(self), np.bool_)
-        fit(image, self.first_sight, self.offset, expected, spread, found_px, affine, fitted)
-        return found_px, affine, fitted
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        found_px, affine, difference = pixels.copy(), np.empty((len(self), 2, 2)), np.empty(len(self))
+        fit(image, self.first_sight, self.offset, expected, spread, found_px, affine, difference)
+        return found_px, affine, difference
