@@ -1,4 +1,4 @@
-"""How differently a feature looks from one image to the next."""
+"""How differently a feature looks from when it was first seen."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from probevo.tracking.tracks import Tracks
 
 
 def window_difference(tracks: Tracks) -> FloatArray:
-    """ln(1 + difference/grey level) that Lucas–Kanade leaves between the windows. Ours.
+    """ln(1 + difference/grey level) that is left between the windows when they are fitted. Ours.
 
     Args:
         tracks: N features.
 
     Returns:
-        From the previous frame to this one, and from left to right, [N, 2], ln(1 + grey levels); NaN where somebody
+        In the left and in the right image, [N, 2], ln(1 + grey levels); NaN where somebody
         else has tracked the features.
     """
     if tracks.difference is None:

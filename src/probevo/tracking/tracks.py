@@ -28,8 +28,9 @@ class Tracks:
     rejected: Mapping[str, int] = field(default_factory=dict)
     """How many candidate points each consistency check turned away on this step, by the check's name."""
     difference: FloatArray | None = None
-    """How differently each point looks from one frame to the next, and from the left to the right image: the mean
-    absolute difference of the two windows, [N, 2], grey levels; None where somebody else has tracked the points."""
+    """How differently each point looks from when it was first seen, in the left and in the right image: the mean
+    absolute difference of the windows, [N, 2], grey levels. Where that window does not fit: from the frame before, and
+    from the left image. None where somebody else has tracked the points."""
 
     def __len__(self) -> int:
         """Number of points, N."""

@@ -20,7 +20,7 @@ from probevo.noise.metric import Metric
 from probevo.noise.model_io import Learned
 from probevo.noise.student_t import StudentT
 from probevo.training.evidence import Evidence, gather_evidence
-from probevo.training.lasting import most_likely_ratio
+from probevo.training.lasting import smallest_likely_ratio
 from probevo.training.lesson import Lesson
 from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.workers import Workers
@@ -175,7 +175,7 @@ def _turn(
 def _lasting(evidence: Evidence, before: Model) -> float:
     """Half the way from what the last turn held to what is most likely: scale and κ explain the same residuals, and
     would overshoot together."""
-    return 0.5 * (before.lasting + most_likely_ratio(evidence.profile))
+    return 0.5 * (before.lasting + smallest_likely_ratio(evidence.profile))
 
 
 def _plain(given: Mapping[str, Any]) -> dict[str, Any]:
