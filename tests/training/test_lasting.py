@@ -58,7 +58,18 @@ def test_it_is_most_likely_what_it_was(ratio: float, dof: float) -> None:
     seen = observations(np.random.default_rng(1), 4000, ratio, dof)
     for told in (0.0, ratio):
         profile, _ = profile_of(seen, StudentT(dof, SIGMA_PX**2 * np.eye(4), lasting=told))
-        assert smallest_likely_ratio(profile) == pytest.approx(ratio, rel=0.1)
+        assert smallest_likely_ratio(profile, tie=0.0) == pytest.approx(ratio, rel=0.1)
+
+
+def test_of_those_as_likely_the_smallest_is_taken() -> None:
+    """It is as likely as it may be less, and of errors that hardly last there are none."""
+    seen = observations(np.random.default_rng(4), 4000, 1.0, 5.0)
+    profile, _ = profile_of(seen, StudentT(5.0, SIGMA_PX**2 * np.eye(4)))
+    likeliest, smallest = smallest_likely_ratio(profile, tie=0.0), smallest_likely_ratio(profile, tie=0.005)
+    assert 0.0 < smallest < likeliest
+    loss = log_likelihood(profile, likeliest) - log_likelihood(profile, smallest)
+    assert loss == pytest.approx(0.005, abs=1e-4)
+    assert smallest_likely_ratio(profile, tie=1.0) == 0.0
 
 
 def test_where_nothing_lasts_little_is_found() -> None:

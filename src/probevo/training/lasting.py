@@ -44,8 +44,8 @@ def lasting_profile(solution: ReprojectionSolution, noise: StereoNoise, chosen: 
     return np.column_stack([s + taken_out * a**2 / rest, a / rest, b / rest, noise.dof[chosen]])
 
 
-def smallest_likely_ratio(profile: FloatArray) -> float:
-    """The smallest κ under which residuals with these (s, a, b, ν), [m, 4], are as likely as under any, but for TIE."""
+def smallest_likely_ratio(profile: FloatArray, tie: float = TIE) -> float:
+    """The smallest κ under which residuals with these (s, a, b, ν), [m, 4], are as likely as under any but for a tie."""
 
     def cost(ratio: float) -> float:
         return -log_likelihood(profile, ratio)
@@ -53,7 +53,7 @@ def smallest_likely_ratio(profile: FloatArray) -> float:
     best = int(np.argmin([cost(ratio) for ratio in RATIOS]))
     around = RATIOS[max(best - 1, 0)], RATIOS[min(best + 1, len(RATIOS) - 1)]
     likeliest = minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-3})
-    limit = float(likeliest.fun) + TIE
+    limit = float(likeliest.fun) + tie
     if cost(0.0) <= limit:
         return 0.0
     return float(brentq(lambda ratio: cost(ratio) - limit, 0.0, float(likeliest.x), xtol=1e-3))
