@@ -45,9 +45,9 @@ def lasting_profile(solution: ReprojectionSolution, noise: StereoNoise, chosen: 
 
 
 def smallest_likely_ratio(profile: FloatArray, tie: float = TIE) -> float:
-    """The smallest κ under which residuals with these (s, a, b, ν), [m, 4], are as likely as they can be, but for a tie.
+    """The smallest κ under which residuals with these (s, a, b, ν), [m, 4], are hardly less likely than under any.
 
-    The tie is in nats a feature.
+    Hardly is by as much as the tie, nats a feature.
     """
 
     def cost(ratio: float) -> float:
