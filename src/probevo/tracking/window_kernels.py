@@ -13,7 +13,7 @@ from probevo.compiled import compiled, copy_into, factor, substitute
 
 BRIGHTNESS_NOISE = 4.0
 """Standard deviation of a pixel's brightness between two views of the same thing, grey levels."""
-MAX_ITERATIONS, MAX_STEP_PX = 10, 0.03
+MAX_ITERATIONS, MAX_STEP_PX = 8, 0.05
 """A fit is done when its step is shorter; without having got there, it has failed."""
 MAX_MOVE_PX = 2.0
 """What is further than this from where it was thought to be is something else."""
