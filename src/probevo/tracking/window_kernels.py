@@ -20,7 +20,7 @@ MAX_MOVE_PX = 2.0
 
 
 @compiled
-def cut(image: Image, center: IntArray, windows: AnyArray) -> None:
+def cut_windows(image: Image, center: IntArray, windows: AnyArray) -> None:
     """windows[n] = the image around center[n] = (u, v), [N, side, side], continued at the border by its last pixels."""
     height, width = image.shape
     reach = windows.shape[1] // 2

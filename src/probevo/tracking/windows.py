@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
-from probevo.tracking.window_kernels import cut, fit
+from probevo.tracking.window_kernels import cut_windows, fit
 
 TIME_SPREAD, STEREO_SPREAD = 0.03, 0.1
 """How far an affine map changes from frame to frame beyond its scale; how far from the left to the right image."""
@@ -37,7 +37,7 @@ class Windows:
         """Windows around features seen at (u, v), [N, 2], px, of a left image."""
         center = np.round(pixels).astype(np.int64)
         first_sight = np.empty((len(pixels), side + 2, side + 2), np.uint8)
-        cut(left, center, first_sight)
+        cut_windows(left, center, first_sight)
         as_it_is = np.tile(np.eye(2), (len(pixels), 1, 1))
         return Windows(first_sight, pixels - center, as_it_is, as_it_is)
 
