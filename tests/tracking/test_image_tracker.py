@@ -128,6 +128,25 @@ def test_no_identity_is_given_twice(frames: list[Frame]) -> None:
         largest = max([largest, *tracks.ids[tracks.age > 2], *tracks.ids])
 
 
+def test_what_no_longer_looks_as_at_first_sight_is_another_point() -> None:
+    """A window that reaches out of the image cannot be compared: the point is followed, under a new identity."""
+    sideways = np.array([-0.008, 0.0, 0.0, 0.0, 0.0, 0.0])  # 0.4 px a frame, to the left
+    T_right_left = se3.exp(np.array([-CAMERA.baseline_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    poses = [np.asarray(se3.exp(k * sideways)) for k in range(8)]
+    tracker, renamed = ImageTracker(CAMERA, CONFIG), 0
+    steps = [
+        tracker.track(Frame(k, 100_000_000 * k, render(T), render(T_right_left @ T)), se3.exp(sideways))
+        for k, T in enumerate(poses)
+    ]
+    for before, now in pairwise(steps[1:]):
+        at_border = before.curr_px[:, 2] < 5.9  # with half a window of 5 px, and the pixel next to it
+        followed = (now.prev_px[:, None] == before.curr_px[at_border]).all(axis=2).any(axis=1)
+        assert not np.isin(now.ids[followed], before.ids).any()
+        assert (now.age[followed] == 2).all()
+        renamed += int(followed.sum())
+    assert renamed > 5
+
+
 def test_dropped_points_are_not_followed(frames: list[Frame]) -> None:
     tracker = ImageTracker(CAMERA, CONFIG)
     tracks = [tracker.track(frame, se3.exp(STEP)) for frame in frames[:2]][-1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,17 +28,25 @@ class _Followed:
     ids: IntArray
     age: IntArray
     windows: Windows
+    same: BoolArray  # whether each still looks as at first sight, in both images
     next_id: int
 
     @staticmethod
     def none(image: Image, config: TrackingConfig) -> _Followed:
         nobody = np.zeros(0, np.int64)
         windows = Windows.cut(image, np.zeros((0, 2)), config.window_px)
-        return _Followed(image, np.zeros((0, 4)), nobody, nobody, windows, 0)
+        return _Followed(image, np.zeros((0, 4)), nobody, nobody, windows, np.zeros(0, np.bool_), 0)
 
     def kept(self, keep: BoolArray | IntArray) -> _Followed:
-        windows = self.windows.kept(keep)
-        return _Followed(self.image, self.pixels[keep], self.ids[keep], self.age[keep], windows, self.next_id)
+        arrays = self.pixels[keep], self.ids[keep], self.age[keep], self.windows.kept(keep), self.same[keep]
+        return _Followed(self.image, *arrays, self.next_id)
+
+    def renamed(self) -> _Followed:
+        """What does not look as at first sight is taken for another point from there on."""
+        others = ~self.same
+        ids, age = self.ids.copy(), self.age.copy()
+        ids[others], age[others] = self.next_id + np.arange(others.sum()), 1
+        return replace(self, ids=ids, age=age, next_id=self.next_id + int(others.sum()))
 
 
 class ImageTracker:
@@ -69,12 +77,12 @@ class ImageTracker:
             self._before, self._now_stamp_ns = self._now, frame.stamp_ns
         left, right = self._images.left, self._images.right
         rejected: Counter[str] = Counter()
-        before = self._before or _Followed.none(left, self._config)
+        before = (self._before or _Followed.none(left, self._config)).renamed()
         next_id = before.next_id
-        before, windows, left_px, disparity, in_time = self._follow_in_time(before, left, expected, rejected)
+        before, windows, left_px, disparity, *in_time = self._follow_in_time(before, left, expected, rejected)
         corners = corners_in_room(self._images.corners, left_px, left.shape, self._config)
         all_px = np.vstack([left_px, corners])
-        right_px, windows, matched, in_stereo = self._match_right(
+        right_px, windows, matched, *in_stereo = self._match_right(
             left,
             right,
             all_px,
@@ -84,15 +92,17 @@ class ImageTracker:
         )
         survived, born = matched[: len(left_px)], matched[len(left_px) :]
         num, num_born = int(survived.sum()), int(born.sum())
+        (looked, seen_again), (looked_right, matches) = in_time, in_stereo
         self._now = now = _Followed(
             left,
             np.hstack([all_px[matched], right_px]),
             np.r_[before.ids[survived], next_id + np.arange(num_born)],
             np.r_[before.age[survived] + 1, np.ones(num_born, np.int64)],
             windows,
+            np.r_[seen_again[survived], np.ones(num_born, np.bool_)] & matches,
             next_id + num_born,
         )
-        difference = np.column_stack([in_time[survived], in_stereo[:num]])
+        difference = np.column_stack([looked[survived], looked_right[:num]])
         return Tracks(
             before.pixels[survived], now.pixels[:num], now.ids[:num], now.age[:num], dict(rejected), difference
         )
@@ -104,8 +114,9 @@ class ImageTracker:
 
     def _follow_in_time(
         self, before: _Followed, left: Image, expected: FloatArray, rejected: Counter[str]
-    ) -> tuple[_Followed, Windows, FloatArray, FloatArray, FloatArray]:
-        """Features found again: what they were; now windows, (u, v) [N, 2], expected disparity [N], difference [N]."""
+    ) -> tuple[_Followed, Windows, FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Features found again: what they were; now windows, (u, v) [N, 2], expected disparity [N], difference [N], and
+        whether the first sight fits, [N]."""
         predicted, growth, ahead = _predict(before.pixels, expected, self._camera)
         visible = ahead & _inside(predicted, left)
         rejected["left the view"] += int((~visible).sum())
@@ -117,12 +128,13 @@ class ImageTracker:
         rejected["looks different"] += int((inside & ~alike).sum())
         before, growth, difference = before.kept(alike), growth[alike], difference[alike]
         found_px, fitted, windows = before.windows.found_in_left(left, found_px[alike], growth)
-        difference = np.where(np.isfinite(fitted), fitted, difference)
+        same = np.isfinite(fitted)
+        difference = np.where(same, fitted, difference)
         alone = apart(found_px, left.shape, self._config)  # of two, the older one: it comes first
         rejected["met another"] += int((~alone).sum())
         before, windows, found_px = before.kept(alone), windows.kept(alone), found_px[alone]
         disparity = growth[alone] * np.maximum(before.pixels[:, 0] - before.pixels[:, 2], 0.0)
-        return before, windows, found_px, disparity, difference[alone]
+        return before, windows, found_px, disparity, difference[alone], same[alone]
 
     def _match_right(
         self,
@@ -132,9 +144,9 @@ class ImageTracker:
         disparity: FloatArray,
         windows: Windows,
         rejected: Counter[str],
-    ) -> tuple[FloatArray, Windows, BoolArray, FloatArray]:
+    ) -> tuple[FloatArray, Windows, BoolArray, FloatArray, BoolArray]:
         """Of N points in the left image those M that pass the checks: (u, v) in the right one, [M, 2], their windows,
-        which they are, [N], and how different they look, [M]."""
+        which they are, [N], how different they look, [M], and whether the first sight fits, [M]."""
         start = left_px - np.column_stack([disparity, np.zeros(len(disparity))])
         right_px, difference = find_again(left, right, left_px, start, self._config)
         level, ahead = self._consistent(left_px, right_px)
@@ -146,7 +158,8 @@ class ImageTracker:
         fitted_px, fitted, windows = windows.kept(matched).found_in_right(right, right_px[matched])
         still = np.logical_and(*self._consistent(left_px[matched], fitted_px))
         right_px = np.where(still[:, None], fitted_px, right_px[matched])
-        return right_px, windows, matched, np.where(np.isfinite(fitted), fitted, difference[matched])
+        difference = np.where(np.isfinite(fitted), fitted, difference[matched])
+        return right_px, windows, matched, difference, np.isfinite(fitted) & still
 
     def _consistent(self, left_px: FloatArray, right_px: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Which matches [N, 2] are in about the same row, and which are far enough to the left, [N]."""

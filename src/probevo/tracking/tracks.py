@@ -22,7 +22,7 @@ class Tracks:
     curr_px: FloatArray
     """The same points in the current frame, [N, 4], px."""
     ids: IntArray
-    """Identity of each point, [N]."""
+    """Identity of each point, [N]. What no longer looks as at first sight goes on under another one."""
     age: IntArray
     """Number of frames, the current one included, that have seen the point in a row, [N]; at least 2."""
     rejected: Mapping[str, int] = field(default_factory=dict)
