@@ -79,10 +79,11 @@ class ImageTracker:
         rejected: Counter[str] = Counter()
         before = (self._before or _Followed.none(left, self._config)).renamed()
         next_id = before.next_id
-        before, windows, left_px, disparity, *in_time = self._follow_in_time(before, left, expected, rejected)
+        followed = self._follow_in_time(before, left, expected, rejected)
+        before, windows, left_px, disparity, difference, same = followed
         corners = corners_in_room(self._images.corners, left_px, left.shape, self._config)
         all_px = np.vstack([left_px, corners])
-        right_px, windows, matched, *in_stereo = self._match_right(
+        right_px, windows, matched, difference_right, same_right = self._match_right(
             left,
             right,
             all_px,
@@ -92,19 +93,18 @@ class ImageTracker:
         )
         survived, born = matched[: len(left_px)], matched[len(left_px) :]
         num, num_born = int(survived.sum()), int(born.sum())
-        (looked, seen_again), (looked_right, matches) = in_time, in_stereo
         self._now = now = _Followed(
             left,
             np.hstack([all_px[matched], right_px]),
             np.r_[before.ids[survived], next_id + np.arange(num_born)],
             np.r_[before.age[survived] + 1, np.ones(num_born, np.int64)],
             windows,
-            np.r_[seen_again[survived], np.ones(num_born, np.bool_)] & matches,
+            np.r_[same[survived], np.ones(num_born, np.bool_)] & same_right,
             next_id + num_born,
         )
-        difference = np.column_stack([looked[survived], looked_right[:num]])
+        differences = np.column_stack([difference[survived], difference_right[:num]])
         return Tracks(
-            before.pixels[survived], now.pixels[:num], now.ids[:num], now.age[:num], dict(rejected), difference
+            before.pixels[survived], now.pixels[:num], now.ids[:num], now.age[:num], dict(rejected), differences
         )
 
     def drop(self, ids: IntArray) -> None:
