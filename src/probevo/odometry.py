@@ -87,9 +87,12 @@ class StereoOdometry:
         self.tracks, self.phi, self.used, self.weights, self._before = tracks, phi, visual.used, visual.weights, frame
         T_curr_prev = self._model.carried_on(expected, visual.solution)
         status, cov, shared = visual.status, expected.cov, np.zeros((6, 3))
-        if status is Status.OK and visual.solution:
+        if status is Status.OK and visual.solution and visual.alone:
             T_curr_prev = visual.solution.T_curr_prev
-            shared = self._learn(tracks.kept(visual.used), visual.solution, gyro)
+            self._learn_gyro(gyro, visual.solution)
+            if self.calibration:
+                solved = tracks.kept(visual.used), visual.alone
+                self.calibration, shared = self.calibration.with_motion(*solved, self.camera)
             cov = visual.solution.cov + shared @ shared.T
             self._tracker.drop(tracks.ids[visual.astray])
         elif self._model.is_gap(duration_s):
@@ -108,12 +111,8 @@ class StereoOdometry:
         self.gyro_bias = self.gyro_bias.predicted(1e-9 * (frame.stamp_ns - since_ns), self.imu)
         return integrate_gyro(frame.imu, since_ns, frame.stamp_ns, self.imu, self.gyro_bias.mean)
 
-    def _learn(self, solved: Tracks, solution: ReprojectionSolution, gyro: GyroRotation | None) -> FloatArray:
-        """Take in what a step taught of gyro and calibration; how the latter's doubt moves the motion, [6, 3]."""
+    def _learn_gyro(self, gyro: GyroRotation | None, solution: ReprojectionSolution) -> None:
+        """Take in what a step taught of the gyro's bias."""
         if gyro and self.gyro_bias:
             learn = self.gyro_bias.updated if self.config.gyro.prior else self.gyro_bias.compared
             self.gyro_bias = learn(gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
-        if not self.calibration:
-            return np.zeros((6, 3))
-        self.calibration, shared = self.calibration.with_motion(solved, solution, self.camera)
-        return shared

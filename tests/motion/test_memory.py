@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -46,7 +46,7 @@ def tracks_of(prev_px: FloatArray, curr_px: FloatArray, ids: IntArray | None = N
 
 def solve_at(tracks: Tracks, model: StudentT, memory: DisparityMemory) -> ReprojectionSolution:
     """What there is to say at the true motion."""
-    noise, known = model.predict(np.zeros((len(tracks), 0))), memory.of(tracks.ids).known
+    noise, known = model.predict(np.zeros((len(tracks), 0))), memory.of(tracks).known
     return solve_reprojection(tracks.prev_px, tracks.curr_px, noise, STEP, CAMERA, max_iterations=0, known=known)
 
 
@@ -55,7 +55,7 @@ def carried(
 ) -> DisparityMemory:
     """The memory after a step whose motion is known."""
     noise, trusted = model.predict(np.zeros((len(tracks), 0))), np.ones(len(tracks), np.bool_)
-    return carried_on(tracks, noise, solution, CAMERA, trusted, before.of(tracks.ids))
+    return carried_on(tracks, noise, solution, CAMERA, trusted, before.of(tracks))
 
 
 def test_true_disparities_are_carried_along_with_the_motion() -> None:
@@ -101,7 +101,7 @@ def test_it_is_the_posterior_of_the_joint_gaussian() -> None:
     for before, now in pairwise(seen):
         tracks = tracks_of(before, now)
         solution = solve_reprojection(
-            before, now, noise, straight, CAMERA, max_iterations=0, known=memory.of(tracks.ids).known
+            before, now, noise, straight, CAMERA, max_iterations=0, known=memory.of(tracks).known
         )
         memory = carried(tracks, model, solution, memory)
     # The left image, exact, fixes the disparity by parallax; the three errors tell of δ: one and the same within a
@@ -165,7 +165,7 @@ class Driven:
     def along(steps: list[Tracks], *, remembers: bool) -> Driven:
         memory, solved, tied = DisparityMemory.none(), [], []
         for tracks in steps:
-            noise, before = SLIPPING.predict(np.zeros((len(tracks), 0))), memory.of(tracks.ids)
+            noise, before = SLIPPING.predict(np.zeros((len(tracks), 0))), memory.of(tracks)
             solution = solve_reprojection(tracks.prev_px, tracks.curr_px, noise, STEP, CAMERA, known=before.known)
             if remembers:
                 trusted = np.ones(len(tracks), np.bool_)
@@ -219,9 +219,24 @@ def test_only_what_is_trusted_and_in_front_is_remembered() -> None:
     trusted = np.array([True, False, True, True, True, True])
     memory = carried_on(tracks, noise, solution, CAMERA, trusted, DisparityMemory.none())
     assert memory.ids.tolist() == [3, 7, 8, 9]
-    known = memory.of(np.array([8, 2, 9, 100, 0])).known
+    ids = np.array([8, 2, 9, 100, 0])
+    known = memory.of(replace(tracks.kept(np.arange(5)), ids=ids)).known
     assert known.rows.tolist() == [0, 2]
     np.testing.assert_array_equal(known.disparity, memory.known.disparity[[2, 3]])
+
+
+def test_what_is_measured_otherwise_afterwards_was_an_error() -> None:
+    """The self-calibration corrects the last frame by 0.3 px more than before: d stays what it was, δ takes it up."""
+    seen = views(points_m(np.random.default_rng(8), 20), 2)
+    tracks = tracks_of(*seen[:2])
+    memory = carried(tracks, NOISE, solve_at(tracks, NOISE, DisparityMemory.none()), DisparityMemory.none())
+    same, other = tracks_of(*seen[1:]), tracks_of(*(px - np.array([0.0, 0.0, 0.3, 0.0]) for px in seen[1:]))
+    now, then = memory.of(other), memory.of(same)
+    np.testing.assert_allclose(now.known.error, then.known.error + 0.3, atol=1e-9)
+    np.testing.assert_array_equal(now.known.disparity, then.known.disparity)
+    np.testing.assert_allclose(
+        solve_at(other, NOISE, memory).residuals, solve_at(same, NOISE, memory).residuals, atol=1e-9
+    )
 
 
 def test_where_nothing_is_trusted_nothing_is_left() -> None:
@@ -229,7 +244,7 @@ def test_where_nothing_is_trusted_nothing_is_left() -> None:
     memory, noise = DisparityMemory.none(), NOISE.predict(np.zeros((40, 0)))
     for trusted in (True, False):
         tracks = tracks_of(*seen[:2]) if trusted else tracks_of(*seen[1:])
-        before = memory.of(tracks.ids)
+        before = memory.of(tracks)
         solution = solve_reprojection(tracks.prev_px, tracks.curr_px, noise, STEP, CAMERA, known=before.known)
         solution, memory = remember(tracks, noise, solution, CAMERA, np.full(40, trusted), before)
         np.testing.assert_allclose(solution.T_curr_prev, STEP, atol=1e-6)
@@ -250,4 +265,4 @@ def test_nothing_is_remembered_where_no_error_lasts() -> None:
     tracks, model = tracks_of(seen[0], seen[1]), StudentT(5.0, SCALE)
     nothing = DisparityMemory.none()
     assert not len(carried(tracks, model, solve_at(tracks, model, nothing), nothing).ids)
-    assert not len(nothing.of(np.arange(3)).ids)
+    assert not len(nothing.of(tracks).ids)

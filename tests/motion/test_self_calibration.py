@@ -162,6 +162,19 @@ def test_noise_at_rest_teaches_hardly_anything() -> None:
     assert np.abs(belief.disparity).max() < 0.15
 
 
+def test_what_is_learned_does_not_depend_on_the_motion_that_it_is_seen_from() -> None:
+    """At the optimum, or half a standard deviation beside it, where the motion is pulled back."""
+    rng = np.random.default_rng(14)
+    tracks = misrectified_tracks(seen_twice(rng, 300, sigma_px=0.1))
+    best = solve(tracks, Fixed())
+    beside = se3.exp(0.5 * np.linalg.cholesky(best.cov) @ rng.normal(size=6)) @ best.T_curr_prev
+    noise = Fixed().predict(np.zeros((300, 0)))
+    there = solve_reprojection(tracks.prev_px, tracks.curr_px, noise, beside, CAMERA, max_iterations=0)
+    learned = [SelfCalibration.initial().with_motion(tracks, each, CAMERA)[0].disparity for each in (best, there)]
+    assert np.abs(learned[0]).max() > 0.1
+    np.testing.assert_allclose(learned[1], learned[0], atol=0.02 * np.abs(learned[0]).max())
+
+
 def test_sensitivity_is_the_derivative_of_the_residuals() -> None:
     """∂e/∂b against central differences of y' − f(T g(y)), T held."""
     tracks = seen_twice(np.random.default_rng(10), 50)

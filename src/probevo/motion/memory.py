@@ -51,6 +51,8 @@ class DisparityMemory:
     """Identities of the tracks, ascending, [M]."""
     known: KnownDisparities
     """Of each of them, in terms of the last frame."""
+    measured: FloatArray
+    """The disparity measured in the last frame, [M], px."""
     common: FloatArray
     """U: what the errors in common do to (d, δ), [M, 2, 6], px."""
     path: FloatArray
@@ -62,17 +64,22 @@ class DisparityMemory:
     def none() -> DisparityMemory:
         """Before the first step, and after one that failed."""
         nothing = np.zeros((6, SHARED))
-        return DisparityMemory(
-            np.zeros(0, np.int64), KnownDisparities.none(), np.zeros((0, 2, SHARED)), nothing, np.zeros((6, 6))
-        )
+        nobody, no_one = np.zeros(0, np.int64), KnownDisparities.none()
+        return DisparityMemory(nobody, no_one, np.zeros(0), np.zeros((0, 2, SHARED)), nothing, np.zeros((6, 6)))
 
-    def of(self, ids: IntArray) -> DisparityMemory:
-        """What is known of tracks with these identities, [N]; ``known.rows`` says of which of them."""
+    def of(self, tracks: Tracks) -> DisparityMemory:
+        """What is known of N tracks in their previous frame; ``known.rows`` says of which of them.
+
+        The self-calibration may have learned since then, so that the same measurement is corrected to another one.
+        """
+        ids = tracks.ids
         place = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
         rows = np.flatnonzero(self.ids[place] == ids) if len(self.ids) else place[:0]
         place, known = place[rows], self.known
-        found = KnownDisparities(rows, known.disparity[place], known.error[place], known.cov[place])
-        return DisparityMemory(ids[rows], found, self.common[place], self.path, self.tied)
+        measured = tracks.prev_px[rows, 0] - tracks.prev_px[rows, 2]
+        error = known.error[place] + measured - self.measured[place]
+        found = KnownDisparities(rows, known.disparity[place], error, known.cov[place])
+        return DisparityMemory(ids[rows], found, measured, self.common[place], self.path, self.tied)
 
 
 @dataclass(frozen=True)
@@ -175,12 +182,14 @@ def carried_on(
     depth = T[2, 0] * right + T[2, 1] * down + T[2, 2] + T[2, 3] * x[:, 0] / (camera.fu_px * camera.baseline_m)
     common, path, tied = np.zeros((len(chosen), 2, SHARED)), np.zeros((6, SHARED)), np.zeros((6, 6))
     if together is not None:
-        common, cov, kept = _most_felt(felt @ together.root, cov)
+        common, cov, directions = _most_felt(felt @ together.root, cov)
         step, passed_on, before_it = together.root[:6], together.root[6:], se3.adjoint(T) @ before.path
-        path, tied = (before_it @ passed_on + step) @ kept, before_it @ passed_on @ step.T
+        path, tied = (before_it @ passed_on + step) @ directions, before_it @ passed_on @ step.T
     ahead = depth > NEAREST
     known = KnownDisparities(np.arange(int(ahead.sum())), x[ahead, 0] / depth[ahead], x[ahead, 1], cov[ahead])
-    return DisparityMemory(tracks.ids[chosen[ahead]], known, common[ahead], path, tied)
+    kept = chosen[ahead]
+    measured = tracks.curr_px[kept, 0] - tracks.curr_px[kept, 2]
+    return DisparityMemory(tracks.ids[kept], known, measured, common[ahead], path, tied)
 
 
 def _most_felt(common: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -90,20 +90,24 @@ class SelfCalibration:
         """The belief after a solve on the corrected tracks, and how the doubt before moves the solved motion, [6, 3].
 
         With D = ∂e/∂b and J = −∂e/∂ξ, the belief takes in the part of the residuals that a change of b explains, the
-        motion being eliminated from the joint normal equations (Schur complement).
+        motion being eliminated from the joint normal equations (Schur complement). The solution need not be at the
+        optimum, but must know of the tracks only what these two frames show: what earlier ones have told was told under
+        a belief of their time, and would confirm it.
 
         The second is the root of Schmidt's consider term, in columns for errors of unit variance. An error of the
         calibration moves all features together, so that no number of them averages it out, and all steps alike, so
         that it adds up along the path.
         """
         sensitivity = disparity_sensitivity(tracks, solution, camera)
-        weighted = solution.whitened(sensitivity)
+        weighted, residuals = solution.whitened(sensitivity), solution.residuals
         cross = sum_products(solution.jacobian, weighted)
         gain = np.linalg.solve(solution.hessian, cross)
         doubt = np.zeros((3, 3))
         doubt[0, 0] = CONSTANT_SIGMA_PX**2
         doubt[1:, 1:] = np.linalg.inv(self.disparity_information)
-        hessian, gradient = sum_products(sensitivity, weighted), -np.einsum("nij,ni->j", weighted, solution.residuals)
+        pull = np.einsum("nij,ni->j", solution.whitened(solution.jacobian), residuals)
+        hessian = sum_products(sensitivity, weighted)
+        gradient = gain.T @ pull - np.einsum("nij,ni->j", weighted, residuals)
         learned = (hessian - cross.T @ gain)[1:, 1:] / CORRELATED_FEATURES
         information = self.disparity_information + learned
         step = np.linalg.solve(information, gradient[1:] / CORRELATED_FEATURES)

@@ -46,6 +46,8 @@ class VisualMotion:
     place, or if there was no solve."""
     T_judging: FloatArray | None = None
     """The motion by which to judge features in the next step, [4, 4]; None if there was no solve."""
+    alone: ReprojectionSolution | None = None
+    """What the step says at that motion where nothing is known of the features but what it shows itself."""
     memory: DisparityMemory = field(default_factory=DisparityMemory.none)
     """What the tracks used, and still trusted, have taught of their disparities, in terms of the current frame."""
 
@@ -109,12 +111,15 @@ def estimate_motion(
     prior = rotation if config.gyro.prior else None
     predicted = noise.predict(predictors[used])
     own = tracks.kept(used)
-    before = memory.of(own.ids)
+    before = memory.of(own)
     solution = solve(own, predicted, start.T_curr_prev, camera, prior, config.solver, before.known)
     weights[used] = weights_of(solution, predicted.dof, config.solver.loss)
-    memory = DisparityMemory.none()
+    alone, memory = solution, DisparityMemory.none()
     if config.solver.method == "reprojection":
         solution, memory = remember(own, predicted, solution, camera, weights[used] >= TRUSTED, before)
+    if len(before.ids):
+        T, loss = solution.T_curr_prev, RobustLoss.named(config.solver.loss)
+        alone = solve_reprojection(own.prev_px, own.curr_px, predicted, T, camera, loss=loss, max_iterations=0)
     clock.lap("solve")
     status = _judge(solution, weights[used], expected, config)
     foreign = None
@@ -126,7 +131,7 @@ def estimate_motion(
         judging = confirmed(solution, own, start.T_curr_prev, camera, prior, config.solver)
     believed = None if status is Status.DEGENERATE else solution
     memory = memory if status is Status.OK else DisparityMemory.none()
-    return VisualMotion(status, weights, used, believed, foreign, judging, memory)
+    return VisualMotion(status, weights, used, believed, foreign, judging, alone, memory)
 
 
 def solve(

@@ -91,7 +91,7 @@ def solve_drive(
         motions.append(part.T_curr_prev.copy())
         cov.append(np.tile(np.diag(UNSOLVED_SIGMA**2), (len(part.T_curr_prev), 1, 1)))
         for step, chosen, tracks in _steps(part):
-            before = memory.of(tracks.ids) if part.numbers[step] == last + 1 else DisparityMemory.none()
+            before = memory.of(tracks) if part.numbers[step] == last + 1 else DisparityMemory.none()
             memory, last = DisparityMemory.none(), int(part.numbers[step])
             if len(chosen) < solver.min_tracks:
                 continue
@@ -211,7 +211,7 @@ def left_over(
         wanted = part.used & (rng.random(len(part.used)) < share)
         found.append(LeftOver.none(part.phi.shape[1]))
         for step, chosen, tracks in _steps(part):
-            before = memory.of(tracks.ids) if part.numbers[step] == last + 1 else DisparityMemory.none()
+            before = memory.of(tracks) if part.numbers[step] == last + 1 else DisparityMemory.none()
             memory, last, at = DisparityMemory.none(), int(part.numbers[step]), first_step + step
             if len(chosen) < solver.min_tracks or cov[at, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:
                 continue  # neither solved nor known: its residuals say nothing
