@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.motion.estimate import MotionEstimate, Status
@@ -91,8 +90,8 @@ class StereoOdometry:
             T_curr_prev = visual.solution.T_curr_prev
             self._learn_gyro(gyro, visual.solution)
             if self.calibration:
-                solved = tracks.kept(visual.used), visual.alone
-                self.calibration, shared = self.calibration.with_motion(*solved, self.camera)
+                used = tracks.kept(visual.used)
+                self.calibration, shared = self.calibration.with_motion(used, visual.alone, self.camera)
             cov = visual.solution.cov + shared @ shared.T
             self._tracker.drop(tracks.ids[visual.astray])
         elif self._model.is_gap(duration_s):
