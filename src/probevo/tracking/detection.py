@@ -34,7 +34,7 @@ def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
     if not keypoints:
         return np.full((rows, columns, FEATURES_PER_CELL, 2), np.nan)
     corners = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
-    strength = np.array(list(map(attrgetter("response"), keypoints)))
+    strength = np.fromiter(map(attrgetter("response"), keypoints), np.float64, len(keypoints))
     best = np.full((rows * columns, FEATURES_PER_CELL), -1)
     height, width = image.shape
     _fill_cells(corners, strength, cell_px, columns, height, width, best)
