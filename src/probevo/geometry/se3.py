@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
+from probevo.geometry.logarithms import log_translations
 from probevo.geometry.stumpff import stumpff
 
 
@@ -60,8 +61,15 @@ def exp(xi: FloatArray) -> FloatArray:
 def log(T: FloatArray) -> FloatArray:
     """ξ = Log(T): poses [..., 4, 4] to tangent vectors [..., 6], m and rad, with an angle of at most π."""
     phi = so3.log(T[..., :3, :3])
-    rho = (so3.left_jacobian_inverse(phi) @ T[..., :3, 3:])[..., 0]
-    return np.concatenate([rho, phi], axis=-1)
+    xi = np.empty((*phi.shape[:-1], 6))
+    turns, moves, rho = (
+        phi.reshape(-1, 3),
+        np.ascontiguousarray(T[..., :3, 3]).reshape(-1, 3),
+        np.empty((phi.size // 3, 3)),
+    )
+    log_translations(turns, moves, rho)
+    xi[..., :3], xi[..., 3:] = rho.reshape(phi.shape), phi
+    return xi
 
 
 def adjoint(T: FloatArray) -> FloatArray:

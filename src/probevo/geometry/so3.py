@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray
+from probevo.geometry.logarithms import log_rotations
 from probevo.geometry.stumpff import stumpff
 
 
@@ -37,7 +38,10 @@ def log(C: FloatArray) -> FloatArray:
     It goes through the quaternion and is accurate to rounding at every angle, 0 and π among them; at π itself, where φ
     and −φ are the same rotation, it returns either. A NaN matrix, an unknown rotation, gives a NaN vector.
     """
-    return Rotation.from_matrix(C, assume_valid=True).as_rotvec()
+    rotations = np.ascontiguousarray(C, np.float64).reshape(-1, 3, 3)
+    phi = np.empty((len(rotations), 3))
+    log_rotations(rotations, phi)
+    return phi.reshape(C.shape[:-1])
 
 
 def left_jacobian(phi: FloatArray) -> FloatArray:
