@@ -107,6 +107,22 @@ def substitute(lower: FloatArray, vector: FloatArray, solution: FloatArray) -> N
 
 
 @compiled
+def invert_positive_definite(matrix: FloatArray, lower: FloatArray, inverse: FloatArray) -> bool:
+    """Inverse by Cholesky; False if the matrix is not positive definite to working precision."""
+    n = len(matrix)
+    if not factor(matrix, n, lower):
+        return False
+    unit, column = np.zeros(n), np.empty(n)
+    for k in range(n):
+        unit[k] = 1.0
+        substitute(lower, unit, column)
+        unit[k] = 0.0
+        for i in range(n):
+            inverse[i, k] = column[i]
+    return True
+
+
+@compiled
 def perturb(xi: FloatArray, C: FloatArray, t: FloatArray, C_out: FloatArray, t_out: FloatArray) -> None:
     """(C_out, t_out) = Exp(ξ) (C, t), for ξ = [ρ; φ] (thesis eqs. 2.3, 2.14, 2.15)."""
     x, y, z = xi[3], xi[4], xi[5]

@@ -7,10 +7,37 @@ import math
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
 from probevo.motion.reprojection_kernels import NEAREST
-from probevo.motion.robust_kernels import STUDENT_T, robust_bend, robust_cost, robust_weight
+from probevo.motion.robust_kernels import STUDENT_T, robust_bend, robust_cost, robust_curvature, robust_weight
 
 BEHIND = 1e4
 """Squared Mahalanobis length of a point without a say: far enough for any loss, near enough to add up with others."""
+
+
+@compiled
+def weigh(
+    kind: int,
+    parameter: FloatArray,
+    squared: FloatArray,
+    weight: FloatArray,
+    curvature: FloatArray,
+    relative: FloatArray,
+) -> tuple[float, float]:
+    """Fill in IRLS weight w, curvature a = w + (2/d) w' s, and w against that of a perfect residual, [N] each, d = 4.
+
+    Returns Σ w² s / d, the scatter of the gradient, and Σ a. All are zero for a point without a say.
+    """
+    scatter, curved = 0.0, 0.0
+    for n in range(len(squared)):
+        s = squared[n]
+        if s >= BEHIND:
+            weight[n], curvature[n], relative[n] = 0.0, 0.0, 0.0
+            continue
+        weight[n] = robust_weight(kind, parameter[n], 4, s)
+        curvature[n] = robust_curvature(kind, parameter[n], 4, s)
+        relative[n] = weight[n] / robust_weight(kind, parameter[n], 4, 0.0)
+        scatter += weight[n] * weight[n] * s / 4.0
+        curved += curvature[n]
+    return scatter, curved
 
 
 @compiled

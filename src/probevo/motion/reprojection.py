@@ -8,8 +8,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
+from probevo.compiled import invert_positive_definite
 from probevo.motion.minimize import minimize
-from probevo.motion.normal_equations import BEHIND
+from probevo.motion.normal_equations import weigh
 from probevo.motion.reprojection_kernels import residual_jacobians, sum_information
 from probevo.motion.robust import RobustLoss
 from probevo.motion.seen_points import KnownDisparities, SeenPoints
@@ -130,12 +131,11 @@ def solve_reprojection(
     residual_jacobians(
         C, t, intrinsics, refined, offset, curr, information, residuals, jacobian, white, disparity_jacobian
     )
-    has_say = squared < BEHIND
-    weight = np.where(has_say, loss.weight(squared, dof), 0.0)
-    curvature = np.where(has_say, loss.curvature(squared, dof), 0.0)
+    weight, curvature, relative = np.empty(count), np.empty(count), np.empty(count)
+    scatter, curved = weigh(int(loss.kind), parameter, squared, weight, curvature, relative)
     disparity_noise = point_cov[:, 2, 2]
     hessian, information_sum = _information(jacobian, white, weight, curvature, refined, seen, disparity_noise)
-    variance_factor = _variance_factor(squared, weight, curvature, loss, dof)
+    variance_factor = _variance_factor(scatter, curved, loss, dof)
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = C, t
     prior_block = np.zeros((6, 6))
@@ -144,7 +144,7 @@ def solve_reprojection(
         T_curr_prev=motion,
         cov=_inverse_or_nan(information_sum / variance_factor + prior_block),
         squared=squared,
-        weight=weight / np.maximum(loss.weight(np.zeros(count), dof), 1e-12),
+        weight=relative,
         irls_weight=weight,
         points=points,
         refined=refined,
@@ -181,9 +181,7 @@ def _information(
     return hessian, information
 
 
-def _variance_factor(
-    squared: FloatArray, weight: FloatArray, curvature: FloatArray, loss: RobustLoss, dof: FloatArray
-) -> float:
+def _variance_factor(scatter: float, curved: float, loss: RobustLoss, dof: FloatArray) -> float:
     """How much larger the covariance of the motion is than the inverse of A = Σ a Jᵀ Σ⁻¹ J.
 
     The covariance of an M-estimate is A⁻¹ B A⁻¹, with a = w + (2/d) w' s, the curvature of the loss (over a Student-t
@@ -192,12 +190,11 @@ def _variance_factor(
     the residuals are. The sums start with the model's own a and b (``RobustLoss.moments``), as if a few features had
     shown them.
     """
-    count, dim = len(squared), 4
-    scatter = weight**2 * squared / dim
+    count, dim = len(dof), 4
     expected_curvature, expected_scatter = (float(np.mean(moment)) if count else 1.0 for moment in loss.moments(dof))
     spent = count * dim / max(count * dim - 6.0, 1.0)
-    shown = EXPECTED_FEATURES * expected_scatter + spent * float(scatter.sum())
-    return shown / (EXPECTED_FEATURES * expected_curvature + float(curvature.sum()))
+    shown = EXPECTED_FEATURES * expected_scatter + spent * scatter
+    return shown / (EXPECTED_FEATURES * expected_curvature + curved)
 
 
 def sum_products(left: FloatArray, right: FloatArray) -> FloatArray:
@@ -212,8 +209,8 @@ def _inverse_or_nan(information: FloatArray) -> FloatArray:
     if not (np.isfinite(information).all() and (diagonal > 0.0).all()):
         return np.full((6, 6), np.nan)
     scale = np.sqrt(diagonal)
-    eigenvalues, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    if eigenvalues[0] < 1e-12:
+    lower, inverse = np.zeros((6, 6)), np.empty((6, 6))
+    if not invert_positive_definite(information / np.outer(scale, scale), lower, inverse):
         return np.full((6, 6), np.nan)
-    covariance: FloatArray = (vectors / eigenvalues) @ vectors.T / np.outer(scale, scale)
+    covariance: FloatArray = inverse / np.outer(scale, scale)
     return covariance

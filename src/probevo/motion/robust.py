@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
 from probevo.errors import InputError
-from probevo.motion.robust_kernels import LossKind, robust_cost, robust_curvature, robust_weight
+from probevo.motion.robust_kernels import LossKind, robust_cost, robust_weight
 
 LossName = Literal["noise", "l2", "huber", "cauchy", "tukey"]
 
@@ -106,13 +106,6 @@ class RobustLoss:
         _fill_costs(int(self.kind), parameters.ravel(), squared.ravel(), costs.reshape(-1))
         return costs
 
-    def curvature(self, squared: ArrayLike, dof: ArrayLike = np.inf) -> FloatArray:
-        """w + (2/d) w' s at squared lengths s, [...], at least w/4. The arguments are those of ``weight``."""
-        parameters, squared = np.broadcast_arrays(self.parameters(dof), np.asarray(squared, dtype=np.float64))
-        curvatures = np.empty(squared.shape)
-        _fill_curvatures(int(self.kind), parameters.ravel(), squared.ravel(), curvatures.reshape(-1))
-        return curvatures
-
     def information_factor(self, dof: ArrayLike) -> FloatArray:
         """a²/b: what Σ_n Jᵀ Σ⁻¹ J must be multiplied by to be the inverse covariance of the M-estimate, [...].
 
@@ -178,9 +171,3 @@ def _fill_weights(kind: int, parameters: FloatArray, squared: FloatArray, weight
 def _fill_costs(kind: int, parameters: FloatArray, squared: FloatArray, costs: FloatArray) -> None:
     for n in range(len(squared)):
         costs[n] = robust_cost(kind, parameters[n], RESIDUAL_DIM, squared[n])
-
-
-@compiled
-def _fill_curvatures(kind: int, parameters: FloatArray, squared: FloatArray, curvatures: FloatArray) -> None:
-    for n in range(len(squared)):
-        curvatures[n] = robust_curvature(kind, parameters[n], RESIDUAL_DIM, squared[n])

@@ -106,14 +106,14 @@ def _find(
         q0, q1, q2, q3 = query_head[n, 0], query_head[n, 1], query_head[n, 2], query_head[n, 3]
         q4, q5, q6, q7 = query_head[n, 4], query_head[n, 5], query_head[n, 6], query_head[n, 7]
         worst = squared[n, last]
-        for _ in range(leaves):  # the leaf whose box is nearest first: the more are ruled out by what it holds
-            leaf, least = 0, np.float32(np.inf)
-            for other in range(leaves):
-                if bound[other] < least:
-                    leaf, least = other, bound[other]
-            if least >= worst:
-                break
-            bound[leaf] = np.inf
+        nearest = 0
+        for leaf in range(leaves):
+            if bound[leaf] < bound[nearest]:
+                nearest = leaf
+        for turn in range(leaves):  # that one first, in the place of the first: the more are ruled out by what it holds
+            leaf = nearest if turn == 0 else 0 if turn == nearest else turn
+            if bound[leaf] >= worst:
+                continue
             rows = head[leaf]
             for i in range(LEAF):
                 d0, d1, d2, d3 = rows[0, i] - q0, rows[1, i] - q1, rows[2, i] - q2, rows[3, i] - q3
