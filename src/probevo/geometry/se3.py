@@ -60,16 +60,10 @@ def exp(xi: FloatArray) -> FloatArray:
 
 def log(T: FloatArray) -> FloatArray:
     """ξ = Log(T): poses [..., 4, 4] to tangent vectors [..., 6], m and rad, with an angle of at most π."""
-    phi = so3.log(T[..., :3, :3])
-    xi = np.empty((*phi.shape[:-1], 6))
-    turns, moves, rho = (
-        phi.reshape(-1, 3),
-        np.ascontiguousarray(T[..., :3, 3]).reshape(-1, 3),
-        np.empty((phi.size // 3, 3)),
-    )
-    log_translations(turns, moves, rho)
-    xi[..., :3], xi[..., 3:] = rho.reshape(phi.shape), phi
-    return xi
+    phi, t = so3.log(T[..., :3, :3]), np.ascontiguousarray(T[..., :3, 3], np.float64)
+    rho = np.empty_like(phi)
+    log_translations(phi.reshape(-1, 3), t.reshape(-1, 3), rho.reshape(-1, 3))
+    return np.concatenate([rho, phi], axis=-1)
 
 
 def adjoint(T: FloatArray) -> FloatArray:

@@ -47,7 +47,7 @@ class VisualMotion:
     T_judging: FloatArray | None = None
     """The motion by which to judge features in the next step, [4, 4]; None if there was no solve."""
     alone: ReprojectionSolution | None = None
-    """What the step says at that motion where nothing is known of the features but what it shows itself."""
+    """What the step says at that motion where nothing is known, of features and gyro, but what it shows itself."""
     memory: DisparityMemory = field(default_factory=DisparityMemory.none)
     """What the tracks used, and still trusted, have taught of their disparities, in terms of the current frame."""
 
@@ -117,7 +117,7 @@ def estimate_motion(
     alone, memory = solution, DisparityMemory.none()
     if config.solver.method == "reprojection":
         solution, memory = remember(own, predicted, solution, camera, weights[used] >= TRUSTED, before)
-    if len(before.ids):
+    if len(before.ids) or prior is not None:
         T, loss = solution.T_curr_prev, RobustLoss.named(config.solver.loss)
         alone = solve_reprojection(own.prev_px, own.curr_px, predicted, T, camera, loss=loss, max_iterations=0)
     clock.lap("solve")
