@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import AnyArray
+from probevo.errors import InputError
 from probevo.sequences import open_sequence
 from sequences.damage import assert_refused, cut
 from sequences.recordings import tracks_arrays, write_tracks
@@ -52,6 +53,14 @@ def test_cut_tracks_file(kept: float, tmp_path: Path) -> None:
     write_tracks(tmp_path)
     cut("tracks.npz", kept)(tmp_path)
     assert_refused(tmp_path / "tracks.npz", ["tracks.npz", "not a readable .npz"])
+
+
+def test_nobody_is_advised_to_load_a_damaged_file_unsafely(tmp_path: Path) -> None:
+    (tmp_path / "tracks.npz").write_bytes(b"x")
+    with pytest.raises(InputError) as raised:
+        open_sequence(tmp_path / "tracks.npz")
+    assert "not a readable .npz" in str(raised.value)
+    assert "pickle" not in str(raised.value)
 
 
 def test_a_single_array_is_no_tracks_file(tmp_path: Path) -> None:

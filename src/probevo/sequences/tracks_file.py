@@ -105,7 +105,7 @@ def _load(path: Path) -> dict[str, AnyArray]:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in SHAPES if name in archive}
     except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        what = f"this is not a readable .npz file of plain arrays ({error})."
+        what = "this is not a readable .npz file of plain arrays."  # NumPy's own words advise to load it unsafely
         raise InputError(path, what, "If it was one, it is cut short or damaged: copy it again.") from error
 
 
