@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from operator import attrgetter
 
-import cv2
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.compiled import compiled
 from probevo.config import TrackingConfig
+from probevo.tracking.fast_corners import strongest_of_cells
 
 FEATURES_PER_CELL = 2
 """Cells are as large as it takes for this many features each to make the number wanted."""
@@ -29,17 +28,8 @@ def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
         (u, v) of the corners, [rows, columns, FEATURES_PER_CELL, 2], px, the strongest first; NaN where a cell has no
         more.
     """
-    cell_px, rows, columns = _grid(image.shape, config)
-    keypoints = cv2.FastFeatureDetector.create(config.fast_threshold).detect(image)
-    if not keypoints:
-        return np.full((rows, columns, FEATURES_PER_CELL, 2), np.nan)
-    corners = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
-    strength = np.fromiter(map(attrgetter("response"), keypoints), np.float64, len(keypoints))
-    best = np.full((rows * columns, FEATURES_PER_CELL), -1)
-    height, width = image.shape
-    _fill_cells(corners, strength, cell_px, columns, height, width, best)
-    strongest: FloatArray = np.where(best[:, :, None] < 0, np.nan, corners[best])
-    return strongest.reshape(rows, columns, FEATURES_PER_CELL, 2)
+    grid = _grid(image.shape, config)
+    return strongest_of_cells(image, config.fast_threshold, *grid, FEATURES_PER_CELL, BORDER_PX)
 
 
 def corners_in_room(
@@ -97,23 +87,3 @@ def _grid(shape: tuple[int, int], config: TrackingConfig) -> tuple[float, int, i
     height, width = shape
     cell_px = math.sqrt(FEATURES_PER_CELL * width * height / config.num_features)
     return cell_px, math.ceil(height / cell_px), math.ceil(width / cell_px)
-
-
-@compiled
-def _fill_cells(
-    corners: FloatArray, strength: FloatArray, cell_px: float, columns: int, height: int, width: int, best: IntArray
-) -> None:
-    """Indices of each cell's strongest corners, [cells, FEATURES_PER_CELL]; ties go to the earlier corner."""
-    for n in range(len(corners)):
-        u, v = corners[n, 0], corners[n, 1]
-        if u < BORDER_PX or v < BORDER_PX or u >= width - BORDER_PX or v >= height - BORDER_PX:
-            continue
-        cell = int(v // cell_px) * columns + int(u // cell_px)
-        candidate = n
-        for place in range(FEATURES_PER_CELL):
-            holder = best[cell, place]
-            if holder < 0 or strength[candidate] > strength[holder]:
-                best[cell, place] = candidate
-                if holder < 0:
-                    break
-                candidate = holder

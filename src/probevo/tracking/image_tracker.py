@@ -13,7 +13,7 @@ from probevo.compiled import compiled
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
 from probevo.tracking.detection import apart, corners_in_room
-from probevo.tracking.lucas_kanade import find_again
+from probevo.tracking.lucas_kanade import Pyramid, find_again
 from probevo.tracking.preparation import PreparedImages, prepared
 from probevo.tracking.tracks import Tracks
 from probevo.tracking.windows import Windows
@@ -23,7 +23,7 @@ from probevo.tracking.windows import Windows
 class _Followed:
     """Features alive in the last frame."""
 
-    image: Image
+    left: Pyramid
     pixels: FloatArray  # [N, 4]
     ids: IntArray
     age: IntArray
@@ -32,14 +32,14 @@ class _Followed:
     next_id: int
 
     @staticmethod
-    def none(image: Image, config: TrackingConfig) -> _Followed:
+    def none(left: Pyramid, config: TrackingConfig) -> _Followed:
         nobody = np.zeros(0, np.int64)
-        windows = Windows.cut(image, np.zeros((0, 2)), config.window_px)
-        return _Followed(image, np.zeros((0, 4)), nobody, nobody, windows, np.zeros(0, np.bool_), 0)
+        windows = Windows.cut(left[0], np.zeros((0, 2)), config.window_px)
+        return _Followed(left, np.zeros((0, 4)), nobody, nobody, windows, np.zeros(0, np.bool_), 0)
 
     def kept(self, keep: BoolArray | IntArray) -> _Followed:
         arrays = self.pixels[keep], self.ids[keep], self.age[keep], self.windows.kept(keep), self.same[keep]
-        return _Followed(self.image, *arrays, self.next_id)
+        return _Followed(self.left, *arrays, self.next_id)
 
     def renamed(self) -> _Followed:
         """What does not look as at first sight is taken for another point from there on."""
@@ -81,14 +81,14 @@ class ImageTracker:
         next_id = before.next_id
         followed = self._follow_in_time(before, left, expected, rejected)
         before, windows, left_px, disparity, difference, same = followed
-        corners = corners_in_room(self._images.corners, left_px, left.shape, self._config)
+        corners = corners_in_room(self._images.corners, left_px, left[0].shape, self._config)
         all_px = np.vstack([left_px, corners])
         right_px, windows, matched, difference_right, same_right = self._match_right(
             left,
             right,
             all_px,
             np.r_[disparity, _of_nearest(corners, left_px, disparity)],
-            windows.joined(Windows.cut(left, corners, self._config.window_px)),
+            windows.joined(Windows.cut(left[0], corners, self._config.window_px)),
             rejected,
         )
         survived, born = matched[: len(left_px)], matched[len(left_px) :]
@@ -113,24 +113,24 @@ class ImageTracker:
             self._now = self._now.kept(~np.isin(self._now.ids, ids))
 
     def _follow_in_time(
-        self, before: _Followed, left: Image, expected: FloatArray, rejected: Counter[str]
+        self, before: _Followed, left: Pyramid, expected: FloatArray, rejected: Counter[str]
     ) -> tuple[_Followed, Windows, FloatArray, FloatArray, FloatArray, BoolArray]:
         """Features found again: what they were; now windows, (u, v) [N, 2], expected disparity [N], difference [N], and
         whether the first sight fits, [N]."""
         predicted, growth, ahead = _predict(before.pixels, expected, self._camera)
-        visible = ahead & _inside(predicted, left)
+        visible = ahead & _inside(predicted, left[0])
         rejected["left the view"] += int((~visible).sum())
         before, growth = before.kept(visible), growth[visible]
-        found_px, difference = find_again(before.image, left, before.pixels[:, :2], predicted[visible], self._config)
-        inside = _inside(found_px, left)
+        found_px, difference = find_again(before.left, left, before.pixels[:, :2], predicted[visible], self._config)
+        inside = _inside(found_px, left[0])
         rejected["left the view"] += int((~inside).sum())
         alike = _alike(difference, inside, self._config)
         rejected["looks different"] += int((inside & ~alike).sum())
         before, growth, difference = before.kept(alike), growth[alike], difference[alike]
-        found_px, fitted, windows = before.windows.found_in_left(left, found_px[alike], growth)
+        found_px, fitted, windows = before.windows.found_in_left(left[0], found_px[alike], growth)
         same = np.isfinite(fitted)
         difference = np.where(same, fitted, difference)
-        alone = apart(found_px, left.shape, self._config)  # of two, the older one: it comes first
+        alone = apart(found_px, left[0].shape, self._config)  # of two, the older one: it comes first
         rejected["met another"] += int((~alone).sum())
         before, windows, found_px = before.kept(alone), windows.kept(alone), found_px[alone]
         disparity = growth[alone] * np.maximum(before.pixels[:, 0] - before.pixels[:, 2], 0.0)
@@ -138,8 +138,8 @@ class ImageTracker:
 
     def _match_right(
         self,
-        left: Image,
-        right: Image,
+        left: Pyramid,
+        right: Pyramid,
         left_px: FloatArray,
         disparity: FloatArray,
         windows: Windows,
@@ -155,7 +155,7 @@ class ImageTracker:
         rejected["too little disparity"] += int((level & ~ahead & (right_px[:, 0] <= left_px[:, 0])).sum())
         matched = _alike(difference, level & ahead, self._config)
         rejected["no stereo match"] += int((level & ahead & ~matched).sum())
-        fitted_px, fitted, windows = windows.kept(matched).found_in_right(right, right_px[matched])
+        fitted_px, fitted, windows = windows.kept(matched).found_in_right(right[0], right_px[matched])
         still = np.logical_and(*self._consistent(left_px[matched], fitted_px))
         right_px = np.where(still[:, None], fitted_px, right_px[matched])
         difference = np.where(np.isfinite(fitted), fitted, difference[matched])

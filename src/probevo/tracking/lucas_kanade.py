@@ -1,4 +1,4 @@
-"""Where the window around a point is found again, from afar: OpenCV's pyramidal Lucas–Kanade."""
+"""Where the window around a point is found again, from afar: OpenCV's Lucas–Kanade, on pyramids of our own."""
 
 from __future__ import annotations
 
@@ -13,26 +13,45 @@ MIN_EIGENVALUE = 1e-4
 MAX_ITERATIONS, MAX_STEP_PX = 10, 0.1
 """Lucas–Kanade stops here on each pyramid level."""
 
+Pyramid = tuple[Image, ...]
+"""An image, and each time half of it, [height / 2^level, width / 2^level], uint8."""
+
+
+def pyramid_of(image: Image, config: TrackingConfig) -> Pyramid:
+    """The image and the levels above it, as many as are asked for and hold a window."""
+    levels = [image]
+    while len(levels) <= config.pyramid_levels and min(levels[-1].shape) > 2 * config.window_px:
+        levels.append(np.asarray(cv2.pyrDown(levels[-1]), dtype=np.uint8))
+    return tuple(levels)
+
 
 def find_again(
-    template: Image, image: Image, template_px: FloatArray, start_px: FloatArray, config: TrackingConfig
+    template: Pyramid, image: Pyramid, template_px: FloatArray, start_px: FloatArray, config: TrackingConfig
 ) -> tuple[FloatArray, FloatArray]:
     """Pyramidal Lucas–Kanade of points [N, 2] from the given starts: where they end, [N, 2], px, and what is left.
 
     That is the mean absolute difference of the window there, [N], grey levels; infinite where the search failed.
+
+    OpenCV's own pyramids can't be handed to it from Python, so that each call would build both anew. Level by level it
+    needs none, and ends at the same place to the last bit.
     """
     if len(template_px) == 0:
         return np.zeros((0, 2)), np.zeros(0)
-    found_px, status, difference = cv2.calcOpticalFlowPyrLK(
-        template,
-        image,
-        template_px.astype(np.float32),
-        start_px.astype(np.float32),
-        winSize=(config.window_px, config.window_px),
-        maxLevel=config.pyramid_levels,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, MAX_ITERATIONS, MAX_STEP_PX),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        minEigThreshold=MIN_EIGENVALUE,
-    )
+    at_px, found_px = template_px.astype(np.float32), np.asarray(start_px, np.float32)
+    size, enough = (config.window_px, config.window_px), cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS
+    for level in reversed(range(len(template))):
+        scale = np.float32(0.5**level)
+        scaled_px, status, difference = cv2.calcOpticalFlowPyrLK(
+            template[level],
+            image[level],
+            at_px * scale,
+            found_px * scale,
+            winSize=size,
+            maxLevel=0,
+            criteria=(enough, MAX_ITERATIONS, MAX_STEP_PX),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW | (cv2.OPTFLOW_LK_GET_MIN_EIGENVALS if level else 0),
+            minEigThreshold=MIN_EIGENVALUE,
+        )
+        found_px = np.asarray(scaled_px / scale, np.float32)  # a point without texture on this level stays put
     found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
     return np.where(found[:, None], found_px, -1.0).astype(np.float64), np.where(found, difference[:, 0], np.inf)

@@ -15,15 +15,16 @@ from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
 from probevo.sequences.read_ahead import read_ahead
 from probevo.tracking.detection import strongest_corners
+from probevo.tracking.lucas_kanade import Pyramid, pyramid_of
 
 
 @dataclass(frozen=True)
 class PreparedImages:
     """A stereo pair as it is tracked in."""
 
-    left: Image
-    """Less its local mean, [height, width], uint8."""
-    right: Image
+    left: Pyramid
+    """Less its local mean, and the levels above it."""
+    right: Pyramid
     corners: FloatArray
     """The strongest of each cell of the left image, as from ``strongest_corners``."""
     config: TrackingConfig
@@ -59,8 +60,8 @@ def prepared(frame: Frame, config: TrackingConfig) -> PreparedImages:
         raise ValueError(f"frame {frame.index} has no images")
     if frame.prepared is not None and frame.prepared.config == config:
         return frame.prepared
-    left, right = _high_pass(frame.left, config), _high_pass(frame.right, config)
-    return PreparedImages(left, right, strongest_corners(left, config), config)
+    left, right = (pyramid_of(_high_pass(image, config), config) for image in (frame.left, frame.right))
+    return PreparedImages(left, right, strongest_corners(left[0], config), config)
 
 
 def _high_pass(image: Image, config: TrackingConfig) -> Image:
