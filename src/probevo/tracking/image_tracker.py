@@ -89,6 +89,7 @@ class ImageTracker:
             all_px,
             np.r_[disparity, _of_nearest(corners, left_px, disparity)],
             windows.joined(Windows.cut(left[0], corners, self._config.window_px)),
+            len(left_px),
             rejected,
         )
         survived, born = matched[: len(left_px)], matched[len(left_px) :]
@@ -143,12 +144,15 @@ class ImageTracker:
         left_px: FloatArray,
         disparity: FloatArray,
         windows: Windows,
+        num_followed: int,
         rejected: Counter[str],
     ) -> tuple[FloatArray, Windows, BoolArray, FloatArray, BoolArray]:
-        """Of N points in the left image those M that pass the checks: (u, v) in the right one, [M, 2], their windows,
-        which they are, [N], how different they look, [M], and whether the first sight fits, [M]."""
+        """Of N points in the left image, the followed ones first, those M that pass the checks: (u, v) in the right
+        one, [M, 2], their windows, which they are, [N], how different they look, [M], and whether the first sight
+        fits, [M]."""
         start = left_px - np.column_stack([disparity, np.zeros(len(disparity))])
-        right_px, difference = find_again(left, right, left_px, start, self._config)
+        followed = np.arange(len(left_px)) < num_followed  # their disparities are about known
+        right_px, difference = find_again(left, right, left_px, start, self._config, near=followed)
         level, ahead = self._consistent(left_px, right_px)
         rejected["rows differ"] += int((~level).sum())
         rejected["negative disparity"] += int((level & ~ahead & (right_px[:, 0] > left_px[:, 0])).sum())

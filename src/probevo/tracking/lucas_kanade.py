@@ -5,13 +5,15 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.config import TrackingConfig
 
 MIN_EIGENVALUE = 1e-4
 """Smallest eigenvalue of the window's gradient matrix (over its area, in OpenCV's scaling) that can be tracked."""
 MAX_ITERATIONS, MAX_STEP_PX = 10, 0.1
 """Lucas–Kanade stops here on each pyramid level."""
+LEVELS_IF_NEAR = 2
+"""Levels for a point that is within a pixel or two of its start."""
 
 Pyramid = tuple[Image, ...]
 """An image, and each time half of it, [height / 2^level, width / 2^level], uint8."""
@@ -26,32 +28,42 @@ def pyramid_of(image: Image, config: TrackingConfig) -> Pyramid:
 
 
 def find_again(
-    template: Pyramid, image: Pyramid, template_px: FloatArray, start_px: FloatArray, config: TrackingConfig
+    template: Pyramid,
+    image: Pyramid,
+    template_px: FloatArray,
+    start_px: FloatArray,
+    config: TrackingConfig,
+    near: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Pyramidal Lucas–Kanade of points [N, 2] from the given starts: where they end, [N, 2], px, and what is left.
 
-    That is the mean absolute difference of the window there, [N], grey levels; infinite where the search failed.
+    That is the mean absolute difference of the window there, [N], grey levels; infinite where the search failed. Which
+    starts are about right may be said, [N]: for these the lowest levels do.
 
     OpenCV's own pyramids can't be handed to it from Python, so that each call would build both anew. Level by level it
     needs none, and ends at the same place to the last bit.
     """
     if len(template_px) == 0:
         return np.zeros((0, 2)), np.zeros(0)
-    at_px, found_px = template_px.astype(np.float32), np.asarray(start_px, np.float32)
+    at_px, found_px = template_px.astype(np.float32), start_px.astype(np.float32)
+    everyone = np.arange(len(at_px))
+    far = everyone if near is None else np.flatnonzero(~near)
     size, enough = (config.window_px, config.window_px), cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS
     for level in reversed(range(len(template))):
-        scale = np.float32(0.5**level)
+        here, scale = everyone if level < LEVELS_IF_NEAR else far, np.float32(0.5**level)
+        if not len(here):
+            continue
         scaled_px, status, difference = cv2.calcOpticalFlowPyrLK(
             template[level],
             image[level],
-            at_px * scale,
-            found_px * scale,
+            at_px[here] * scale,
+            found_px[here] * scale,
             winSize=size,
             maxLevel=0,
             criteria=(enough, MAX_ITERATIONS, MAX_STEP_PX),
             flags=cv2.OPTFLOW_USE_INITIAL_FLOW | (cv2.OPTFLOW_LK_GET_MIN_EIGENVALS if level else 0),
             minEigThreshold=MIN_EIGENVALUE,
         )
-        found_px = np.asarray(scaled_px / scale, np.float32)  # a point without texture on this level stays put
+        found_px[here] = scaled_px / scale  # a point without texture on this level stays put
     found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
     return np.where(found[:, None], found_px, -1.0).astype(np.float64), np.where(found, difference[:, 0], np.inf)
