@@ -7,7 +7,7 @@ import pytest
 from probevo.arrays import Image
 from probevo.tracking.fast_corners import strongest_of_cells
 
-BORDER_PX, CELL_PX, PER_CELL = 8, 31.7, 3
+BORDER_PX, PER_CELL = 8, 3
 
 
 def textures() -> dict[str, Image]:
@@ -30,16 +30,20 @@ def opencv_strengths(image: Image, threshold: int) -> dict[tuple[int, int], int]
 
 
 @pytest.mark.parametrize("threshold", [1, 10, 60])
+@pytest.mark.parametrize("cell_px", [31.75, 2.25])  # with the smaller, whole cells are border
 @pytest.mark.parametrize("name", textures())
-def test_each_cell_holds_the_strongest_of_opencv_in_order(name: str, threshold: int) -> None:
+def test_each_cell_holds_the_strongest_of_opencv_in_order(name: str, cell_px: float, threshold: int) -> None:
     image = textures()[name]
     strengths = opencv_strengths(image, threshold)
-    rows, columns = (int(np.ceil(side / CELL_PX)) for side in image.shape)
-    found = strongest_of_cells(image, threshold, CELL_PX, rows, columns, PER_CELL, BORDER_PX)
+    rows, columns = (int(np.ceil(side / cell_px)) for side in image.shape)
+    found = strongest_of_cells(image, threshold, cell_px, rows, columns, PER_CELL, BORDER_PX)
     assert strengths
+    cells: dict[tuple[float, float], list[tuple[int, int]]] = {}
+    for corner in strengths:
+        cells.setdefault((corner[1] // cell_px, corner[0] // cell_px), []).append(corner)
     for row in range(rows):
         for column in range(columns):
-            inside = [c for c in strengths if (c[1] // CELL_PX, c[0] // CELL_PX) == (row, column)]
+            inside = cells.get((row, column), [])
             best = sorted(inside, key=lambda corner: (-strengths[corner], corner[1], corner[0]))[:PER_CELL]
             of_cell = found[row, column]
             assert [tuple(corner) for corner in of_cell[np.isfinite(of_cell[:, 0])]] == best
@@ -47,12 +51,12 @@ def test_each_cell_holds_the_strongest_of_opencv_in_order(name: str, threshold: 
 
 @pytest.mark.parametrize("shape", [(1, 1), (16, 200), (17, 17)])
 def test_an_image_that_is_hardly_more_than_border_is_no_error(shape: tuple[int, int]) -> None:
-    found = strongest_of_cells(np.zeros(shape, np.uint8), 10, CELL_PX, 1, 7, PER_CELL, BORDER_PX)
+    found = strongest_of_cells(np.zeros(shape, np.uint8), 10, 31.75, 1, 7, PER_CELL, BORDER_PX)
     assert np.isnan(found).all()
 
 
 def test_a_view_of_an_image_is_as_good_as_a_copy() -> None:
     image = textures()["blobs"]
     view = np.repeat(np.repeat(image, 2, axis=0), 2, axis=1)[::2, ::2]
-    first, second = (strongest_of_cells(i, 10, CELL_PX, 4, 5, PER_CELL, BORDER_PX) for i in (image, view))
+    first, second = (strongest_of_cells(i, 10, 31.75, 4, 5, PER_CELL, BORDER_PX) for i in (image, view))
     np.testing.assert_array_equal(first, second)

@@ -92,14 +92,11 @@ def _fill(
     rows, columns, per_cell = at.shape
     height = len(pixels) // width
     for row in range(rows):
+        top, bottom = _inner(row, cell_px, height, border_px)
         for column in range(columns):
-            held, places = strength[row, column], at[row, column]
-            first = max(border_px, math.ceil(column * cell_px))
-            last = min(width - border_px, math.ceil((column + 1) * cell_px))
-            least = threshold
-            for v in range(
-                max(border_px, math.ceil(row * cell_px)), min(height - border_px, math.ceil((row + 1) * cell_px))
-            ):
+            first, last = _inner(column, cell_px, width, border_px)
+            held, places, least = strength[row, column], at[row, column], threshold
+            for v in range(top, bottom):
                 bounds = bound[v - REACH_PX, first - REACH_PX : last - REACH_PX]
                 for i in range(len(bounds)):
                     if bounds[i] <= least:
@@ -114,6 +111,13 @@ def _fill(
                         place -= 1
                     held[place], places[place] = found, v * width + u
                     least = max(threshold, held[per_cell - 1])
+
+
+@compiled
+def _inner(cell: int, cell_px: float, side_px: int, border_px: int) -> tuple[int, int]:
+    """First pixel of a cell, and the one after its last, along a side of the image, without the border."""
+    first = max(border_px, math.ceil(cell * cell_px))
+    return first, max(first, min(side_px - border_px, math.ceil((cell + 1) * cell_px)))
 
 
 @compiled
