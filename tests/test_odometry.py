@@ -189,6 +189,17 @@ def test_the_gyro_s_bias_is_learned(prior: bool) -> None:
     assert (sigma < 0.002).all()
 
 
+def test_a_gyro_that_was_not_there_all_the_time_is_not_asked() -> None:
+    """Whoever leaves out frames, and their samples with them, gets what the images say."""
+    rng = np.random.default_rng(15)
+    plain = drive(rng, 21)[::2]
+    half = turning(plain, np.array([0.5, 0.5, 0.5]), np.eye(3), rng)  # wrong, and of the last tenth of a second alone
+    imu, config = ImuCalibration(np.eye(3), GYRO_NOISE, 1e-3), pv.OdometryConfig(gyro=GyroConfig(prior=True))
+    odometry = pv.StereoOdometry(CAMERA, imu=imu, config=config)
+    for frame, motion in zip(half, run(plain), strict=True):
+        np.testing.assert_array_equal(odometry.step(frame).T_curr_prev, motion.T_curr_prev)
+
+
 def model_of(columns: Sequence[str], exponent: float = 4.0) -> NearestNeighbors:
     """A noise model learned from random places and errors."""
     rng = np.random.default_rng(13)

@@ -7,7 +7,7 @@ import numpy as np
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.motion.estimate import MotionEstimate, Status
-from probevo.motion.gyro import GyroBias, GyroRotation, integrate_gyro
+from probevo.motion.gyro import GyroBias, GyroRotation, covers, integrate_gyro
 from probevo.motion.last_residuals import LastResiduals
 from probevo.motion.memory import DisparityMemory
 from probevo.motion.motion_model import MotionModel
@@ -104,8 +104,10 @@ class StereoOdometry:
         return MotionEstimate(T_curr_prev, cov, status, *facts, visual.num_used, visual.num_foreign)
 
     def _integrate_gyro(self, since_ns: int, frame: Frame) -> GyroRotation | None:
-        """The gyro's rotation since the last frame, less the bias believed in."""
+        """The gyro's rotation since the last frame, less the bias believed in; None if it does not cover that time."""
         if frame.imu is None or self.imu is None or self.gyro_bias is None:
+            return None
+        if not covers(frame.imu, since_ns, frame.stamp_ns):
             return None
         self.gyro_bias = self.gyro_bias.predicted(1e-9 * (frame.stamp_ns - since_ns), self.imu)
         return integrate_gyro(frame.imu, since_ns, frame.stamp_ns, self.imu, self.gyro_bias.mean)

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
-from probevo.motion.gyro import GyroBias, GyroRotation, integrate_gyro
+from probevo.motion.gyro import GyroBias, GyroRotation, covers, integrate_gyro
 from probevo.sequences.frame import ImuCalibration, ImuSamples
 from probevo.sequences.imu import hold_over_interval
 
@@ -196,3 +196,17 @@ def test_filtered_bias_is_consistent() -> None:
     nees = [filtered_bias_nees(rng, 20) for _ in range(150)]
     low, high = chi2.ppf([0.005, 0.995], df=3 * 150) / 150
     assert low < np.mean(nees) < high
+
+
+@pytest.mark.parametrize(
+    ("first_ns", "last_ns", "enough"),
+    [(0, 100, True), (-5, 104, True), (20, 100, True), (10, 90, True), (40, 100, False), (0, 60, False)],
+)
+def test_samples_cover_an_interval_but_for_a_little_at_its_ends(first_ns: int, last_ns: int, enough: bool) -> None:
+    stamps_ns = np.linspace(first_ns, last_ns, 5).astype(np.int64)
+    imu = ImuSamples(stamps_ns, np.zeros((5, 3)), np.full((5, 3), np.nan))
+    assert covers(imu, 0, 100) is enough
+
+
+def test_no_samples_cover_nothing() -> None:
+    assert not covers(ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3))), 0, 100)

@@ -10,6 +10,8 @@ from probevo.arrays import FloatArray
 from probevo.geometry import so3
 from probevo.sequences.frame import ImuCalibration, ImuSamples
 
+MOST_UNSEEN = 0.25
+"""Share of an interval that may lie before the first sample or after the last; these are held there."""
 _NO_BIAS = np.zeros(3)
 
 
@@ -24,6 +26,14 @@ class GyroRotation:
     bias_jacobian: FloatArray
     """J_b, with C_curr_prev(b + δb) ≈ Exp(J_b δb) C_curr_prev(b), [3, 3], s; the bias is in the IMU's frame."""
     duration_s: float
+
+
+def covers(imu: ImuSamples, start_ns: int, end_ns: int) -> bool:
+    """Whether the samples tell of the whole interval: those of frames that were skipped may be missing."""
+    if not len(imu.stamps_ns):
+        return False
+    unseen_ns = max(int(imu.stamps_ns[0]) - start_ns, 0) + max(end_ns - int(imu.stamps_ns[-1]), 0)
+    return unseen_ns <= MOST_UNSEEN * (end_ns - start_ns)
 
 
 def integrate_gyro(
