@@ -19,7 +19,7 @@ from probevo.predictors import PredictionSpace, Step, space_for
 from probevo.sequences.frame import Frame, ImuCalibration, check_order
 from probevo.stage_clock import StageClock
 from probevo.tracking import Tracker, Tracks, tracker_for
-from probevo.tracking.start import track_from_best
+from probevo.tracking.start import track_from_best, turned_starts
 
 
 class StereoOdometry:
@@ -73,6 +73,7 @@ class StereoOdometry:
         rotation = RotationPrior(gyro.C_curr_prev, self.gyro_bias.prior(gyro)) if gyro and self.gyro_bias else None
         expected = self._model.expected(duration_s, rotation)
         starts = self._model.starts(duration_s, expected)
+        starts += turned_starts(expected, before, frame, self.camera)
         tracks = track_from_best(self._tracker, frame, starts, self.camera, self.config)  # pixels → Tracks
         clock.lap("track")
         if self.calibration:

@@ -1,0 +1,63 @@
+"""Where tracking starts while the turn is not known: about where the images say."""
+
+import cv2
+import numpy as np
+import pytest
+
+from probevo.arrays import Image
+from probevo.camera.stereo import StereoCamera
+from probevo.geometry import se3
+from probevo.motion.motion_model import ExpectedMotion
+from probevo.sequences.frame import Frame
+from probevo.tracking.start import REACH_PX, seen_turn, turned_starts
+
+WIDTH_PX, HEIGHT_PX = 640, 240
+CAMERA = StereoCamera(500.0, 490.0, 320.0, 120.0, 0.5, (WIDTH_PX, HEIGHT_PX))
+
+
+def scene() -> Image:
+    """Blobs of all sizes, twice as large as the image."""
+    rng = np.random.default_rng(0)
+    levels = [
+        cv2.resize(rng.normal(size=(2 * HEIGHT_PX // s, 2 * WIDTH_PX // s)), (2 * WIDTH_PX, 2 * HEIGHT_PX), None, 0, 0)
+        for s in (4, 16, 64)
+    ]
+    return cv2.normalize(sum(levels), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+def view(left: int, top: int) -> Image:
+    """What is seen from there, with sensor noise."""
+    cut = scene()[top : top + HEIGHT_PX, left : left + WIDTH_PX].astype(float)
+    return np.clip(cut + np.random.default_rng(left).normal(0.0, 4.0, cut.shape), 0, 255).astype(np.uint8)
+
+
+def frame(index: int, image: Image | None) -> Frame:
+    return Frame(index, index, image, image)
+
+
+def expected(sigma_rad: float) -> ExpectedMotion:
+    T = se3.from_parts(np.eye(3), np.array([0.0, 0.0, -1.0]))
+    return ExpectedMotion(T, np.diag([0.1, 0.1, 0.1, sigma_rad, sigma_rad, sigma_rad]) ** 2)
+
+
+@pytest.mark.parametrize("moved", [(0, 0), (90, 0), (-60, 0), (0, 25), (40, -20)])
+def test_the_turn_takes_the_middle_of_the_image_where_it_went(moved: tuple[int, int]) -> None:
+    """To a fifth of what the tracker bridges; the content moves against the view."""
+    du, dv = moved
+    C = seen_turn(view(300, 120), view(300 - du, 120 - dv), CAMERA)
+    ray = C @ [0.0, 0.0, 1.0]
+    went = np.array([CAMERA.fu_px, CAMERA.fv_px]) * ray[:2] / ray[2]
+    np.testing.assert_allclose(went, moved, atol=0.2 * REACH_PX)
+
+
+def test_one_start_more_where_the_turn_is_unsure_with_the_translation_expected() -> None:
+    before, now = frame(0, view(300, 120)), frame(1, view(250, 120))
+    (start,) = turned_starts(expected(0.3), before, now, CAMERA)
+    np.testing.assert_array_equal(start[:3, 3], [0.0, 0.0, -1.0])
+    assert start[0, 2] == pytest.approx(50.0 / CAMERA.fu_px, abs=0.01)
+
+
+def test_none_where_the_turn_is_known_or_there_is_no_image() -> None:
+    before, now = frame(0, view(300, 120)), frame(1, view(250, 120))
+    assert turned_starts(expected(0.9 * REACH_PX / CAMERA.fu_px), before, now, CAMERA) == []
+    assert turned_starts(expected(0.3), frame(0, None), now, CAMERA) == []
