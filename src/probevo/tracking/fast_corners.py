@@ -24,10 +24,10 @@ RING = HALF_RING + tuple((-du, -dv) for du, dv in HALF_RING)
 def strongest_of_cells(
     image: Image, threshold: int, cell_px: float, rows: int, columns: int, per_cell: int, border_px: int
 ) -> FloatArray:
-    """The strongest FAST corners of each cell (Rosten and Drummond 2006, "Machine learning for ...").
+    """The strongest FAST corners of each cell (Rosten and Drummond 2006).
 
-    A corner is brighter, or darker, than nine pixels in a row of the ring by more than a threshold; the largest such
-    threshold is its strength, and no neighbor is as strong.
+    "Machine learning for high-speed corner detection": a corner is brighter, or darker, than nine pixels in a row of
+    the ring by more than a threshold; the largest such threshold is its strength, and no neighbor is as strong.
 
     Args:
         image: [height, width], uint8.
