@@ -9,7 +9,7 @@ import pytest
 
 import probevo as pv
 from probevo.arrays import FloatArray
-from probevo.config import GyroConfig
+from probevo.config import GyroConfig, SolverConfig
 from probevo.errors import InputError
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.evaluation.trajectory_errors import relative_motions
@@ -18,8 +18,19 @@ from probevo.geometry.uncertainty import compound_chain, normalized_error_square
 from probevo.noise import Fixed, NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.predictors import prediction_space
-from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples
-from worlds import CAMERA, FORWARD, FRAME_NS, Homesick, blind_frame, drive, motion_error, with_features
+from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples, StereoFeatures
+from worlds import (
+    CAMERA,
+    FORWARD,
+    FRAME_NS,
+    HEIGHT_PX,
+    WIDTH_PX,
+    Homesick,
+    blind_frame,
+    drive,
+    motion_error,
+    with_features,
+)
 
 OK, FIRST, GAP = pv.Status.OK, pv.Status.FIRST, pv.Status.GAP
 PLAIN = pv.OdometryConfig(self_calibration=False)
@@ -198,6 +209,52 @@ def test_a_gyro_that_was_not_there_all_the_time_is_not_asked() -> None:
     odometry = pv.StereoOdometry(CAMERA, imu=imu, config=config)
     for frame, motion in zip(half, run(plain), strict=True):
         np.testing.assert_array_equal(odometry.step(frame).T_curr_prev, motion.T_curr_prev)
+
+
+def test_while_the_gyro_is_not_asked_its_bias_walks_on() -> None:
+    rng = np.random.default_rng(16)
+    frames = turning(drive(rng, 12), np.zeros(3), np.eye(3), rng)
+    imu = ImuCalibration(np.eye(3), GYRO_NOISE, 1e-3, gyro_bias_walk_rad_s2_sqrt_hz=1e-3)
+    odometry, variances = pv.StereoOdometry(CAMERA, imu=imu), []
+    for frame in [*frames[:10], *(replace(frame, imu=None) for frame in frames[10:])]:
+        odometry.step(frame)
+        assert odometry.gyro_bias is not None
+        variances.append(np.diagonal(odometry.gyro_bias.cov).copy())
+    np.testing.assert_allclose(variances[-1] - variances[-2], 0.1 * 1e-6, rtol=1e-6)
+
+
+WHOLE = np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)
+TWICE = StereoFeatures(np.array([4, 7, 4]), np.ones((3, 4)))
+
+
+@pytest.mark.parametrize(
+    ("frame", "fragment"),
+    [
+        (Frame(5, 0, WHOLE, WHOLE.astype(np.uint16)), "its right image is uint16 of shape (370, 1226)"),
+        (Frame(5, 0, np.dstack([WHOLE] * 3), WHOLE), "its left image is uint8 of shape (370, 1226, 3)"),
+        (Frame(5, 0, WHOLE[::2, ::2], WHOLE[::2, ::2]), "its left image is 613×185 px, the camera's are 1226×370"),
+        (Frame(5, 0, WHOLE, WHOLE[:-1]), "its right image is 1226×369 px"),
+        (Frame(5, 0, features=TWICE), "two of its features have the same identity"),
+    ],
+)
+def test_frames_that_no_camera_of_this_kind_gives_are_refused(frame: Frame, fragment: str) -> None:
+    """Images of half the size would give motions that look good, and are wrong."""
+    with pytest.raises(InputError) as caught:
+        pv.StereoOdometry(CAMERA).step(frame)
+    assert str(caught.value).startswith(f"frame 5: {fragment}")
+    assert caught.value.cure
+
+
+def test_a_model_of_another_camera_is_refused() -> None:
+    model = model_of(["x", "y", "row_offset"])
+    model.camera = replace(CAMERA, fu_px=100.0)
+    with pytest.raises(InputError, match="camera"):
+        pv.StereoOdometry(CAMERA, model)
+
+
+def test_a_prior_that_the_method_would_not_heed_is_refused() -> None:
+    with pytest.raises(ValueError, match="the alignment takes no prior"):
+        pv.OdometryConfig(gyro=GyroConfig(prior=True), solver=SolverConfig(method="alignment"))
 
 
 def model_of(columns: Sequence[str], exponent: float = 4.0) -> NearestNeighbors:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from probevo.settings import Settings
 
@@ -62,7 +62,7 @@ class RansacConfig(Settings):
     mode: Literal["reject", "guess", "off"] = Field(
         "reject",
         description="What comes of it: keep outliers from the solve, or only the first guess, or do without it (PROBE):"
-        " the solve starts from the expected motion.",
+        " the solve starts from the expected rotation and the median shift of near points.",
     )
 
 
@@ -118,7 +118,7 @@ class GyroConfig(Settings):
 class OdometryConfig(Settings):
     """All settings of ``StereoOdometry``."""
 
-    seed: int = Field(0, ge=0, description="Of every random choice: the same seed gives the same bytes.")
+    seed: int = Field(0, ge=0, description="Of all random choices; equal seeds give the same bytes.")
     self_calibration: bool = Field(
         True, description="Learn the row and disparity errors of the rectification on the way."
     )
@@ -127,3 +127,9 @@ class OdometryConfig(Settings):
     solver: SolverConfig = SolverConfig()
     motion_model: MotionModelConfig = MotionModelConfig()
     gyro: GyroConfig = GyroConfig()
+
+    @model_validator(mode="after")
+    def _check_gyro_prior(self) -> Self:
+        if self.gyro.prior and self.solver.method == "alignment":
+            raise ValueError("gyro.prior needs solver.method reprojection: the alignment takes no prior")
+        return self

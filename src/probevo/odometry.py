@@ -16,7 +16,7 @@ from probevo.motion.self_calibration import SelfCalibration
 from probevo.motion.visual import estimate_motion
 from probevo.noise import NoiseModel, StudentT
 from probevo.predictors import PredictionSpace, Step, space_for
-from probevo.sequences.frame import Frame, ImuCalibration, check_order
+from probevo.sequences.frame import Frame, ImuCalibration, check_frame, check_order
 from probevo.stage_clock import StageClock
 from probevo.tracking import Tracker, Tracks, tracker_for
 from probevo.tracking.start import track_from_best, turned_starts
@@ -30,7 +30,7 @@ class StereoOdometry:
 
     Args:
         camera: the rectified camera, as a sequence gives it.
-        noise: noise model of the features; the static Student-t by default.
+        noise: noise model of the features, the static Student-t by default; one of another camera is an InputError.
         imu: calibration of the IMU whose samples come with the frames, if they do.
         config: all settings.
         predictors: the prediction space; by default that of the noise model, and any other is an InputError.
@@ -45,6 +45,7 @@ class StereoOdometry:
         predictors: PredictionSpace | None = None,
     ) -> None:
         self.camera, self.noise, self.imu, self.config = camera, noise or StudentT(), imu, config or OdometryConfig()
+        self.noise.check_camera(camera)
         self.calibration = SelfCalibration.initial() if self.config.self_calibration else None
         self.gyro_bias = GyroBias.initial(imu) if imu else None
         self.predictors = space_for(self.noise.columns, predictors)
@@ -61,8 +62,9 @@ class StereoOdometry:
         is carried on from the gyro and the last velocity, with the covariance that such a guess deserves.
 
         Raises:
-            InputError: the frame is not later than the one before.
+            InputError: the frame is not later than the one before, or not what its camera sees.
         """
+        check_frame(frame, self.camera)
         clock, before = StageClock(decode=frame.decode_ms), self._before
         if before is None or self._tracker is None:
             self._before, self._tracker = frame, tracker_for(frame, self.camera, self.config.tracking)
@@ -72,8 +74,7 @@ class StereoOdometry:
         gyro = self._integrate_gyro(before.stamp_ns, frame)  # PROBE eqs. (3)-(4)
         rotation = RotationPrior(gyro.C_curr_prev, self.gyro_bias.prior(gyro)) if gyro and self.gyro_bias else None
         expected = self._model.expected(duration_s, rotation)
-        starts = self._model.starts(duration_s, expected)
-        starts += turned_starts(expected, before, frame, self.camera)
+        starts = self._model.starts(duration_s, expected) + turned_starts(expected, before, frame, self.camera)
         tracks = track_from_best(self._tracker, frame, starts, self.camera, self.config)  # pixels → Tracks
         clock.lap("track")
         if self.calibration:
@@ -88,12 +89,11 @@ class StereoOdometry:
         T_curr_prev = self._model.carried_on(expected, visual.solution)
         status, cov, shared = visual.status, expected.cov, np.zeros((6, 3))
         if status is Status.OK and visual.solution and visual.alone:
-            T_curr_prev = visual.solution.T_curr_prev
             self._learn_gyro(gyro, visual.solution)
             if self.calibration:
                 used = tracks.kept(visual.used)
                 self.calibration, shared = self.calibration.with_motion(used, visual.alone, self.camera)
-            cov = visual.solution.cov + shared @ shared.T
+            T_curr_prev, cov = visual.solution.T_curr_prev, visual.solution.cov + shared @ shared.T
             self._tracker.drop(tracks.ids[visual.astray])
         elif self._model.is_gap(duration_s):
             status = Status.GAP
@@ -106,11 +106,11 @@ class StereoOdometry:
 
     def _integrate_gyro(self, since_ns: int, frame: Frame) -> GyroRotation | None:
         """The gyro's rotation since the last frame, less the bias believed in; None if it does not cover that time."""
-        if frame.imu is None or self.imu is None or self.gyro_bias is None:
-            return None
-        if not covers(frame.imu, since_ns, frame.stamp_ns):
+        if self.imu is None or self.gyro_bias is None:
             return None
         self.gyro_bias = self.gyro_bias.predicted(1e-9 * (frame.stamp_ns - since_ns), self.imu)
+        if frame.imu is None or not covers(frame.imu, since_ns, frame.stamp_ns):
+            return None
         return integrate_gyro(frame.imu, since_ns, frame.stamp_ns, self.imu, self.gyro_bias.mean)
 
     def _learn_gyro(self, gyro: GyroRotation | None, solution: ReprojectionSolution) -> None:

@@ -9,6 +9,7 @@ from typing import Literal
 
 import yaml
 from pydantic import BaseModel, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
@@ -85,16 +86,19 @@ def setting_error(
     """
     unknown_first = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
     faults = [(".".join(map(str, fault["loc"])), fault) for fault in unknown_first]
-    texts = [
-        f"the key {spelled(key)} is not known"
-        if fault["type"] == "extra_forbidden"
-        else f"{spelled(key)} is {fault['input']!r}; {fault['msg'].replace('Input should', 'it should')}"
-        for key, fault in faults
-    ]
+    texts = [_fault_text(spelled(key) if key else "", fault) for key, fault in faults]
     first, fault = faults[0]
     known = dict(_known_keys(model))
     cure = _nearest_keys(first, known) if fault["type"] == "extra_forbidden" else known.get(first, "")
     return InputError(where, "; ".join(texts) + ".", cure)
+
+
+def _fault_text(key: str, fault: ErrorDetails) -> str:
+    """One fault; without a key it is of several settings that do not go together."""
+    if fault["type"] == "extra_forbidden":
+        return f"the key {key} is not known"
+    message = fault["msg"].removeprefix("Value error, ").replace("Input should", "it should")
+    return f"{key} is {fault['input']!r}; {message}" if key else message
 
 
 def _nearest_keys(key: str, known: Collection[str]) -> str:

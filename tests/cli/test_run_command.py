@@ -177,6 +177,15 @@ def test_where_the_model_is_refused_older_results_stay(
     assert unchanged(out, wall_run)
 
 
+def test_settings_that_do_not_go_together_are_named_alone(
+    wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flags = ["--gyro.prior", "--solver.method", "alignment"]
+    assert main(["run", str(wall), "--out", str(tmp_path / "out"), *flags]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said == "probevo: flags: gyro.prior needs solver.method reprojection: the alignment takes no prior."
+
+
 def test_where_it_stops_after_the_first_frame_older_results_stay(wall: Path, wall_run: Path, tmp_path: Path) -> None:
     out, recording = shutil.copytree(wall_run, tmp_path / "out"), shutil.copytree(wall, tmp_path / "wall")
     cut("left/000001.png", 0.5)(recording)

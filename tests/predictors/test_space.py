@@ -103,7 +103,6 @@ NO_ACCELEROMETER = ImuSamples(IMU.stamps_ns, IMU.gyro_rad_s, np.full((21, 3), np
         ("blur", replace(STEP, now=NO_IMAGES[1]), "images"),
         ("structure", replace(STEP, now=NO_IMAGES[1]), "images"),
         ("forward_backward", replace(STEP, before=NO_IMAGES[0]), "images"),
-        ("acceleration", replace(STEP, now=replace(STEP.now, imu=None)), "accelerometer"),
         ("acceleration", replace(STEP, now=replace(STEP.now, imu=NO_ACCELEROMETER)), "accelerometer"),
     ],
 )
@@ -112,6 +111,14 @@ def test_what_a_recording_lacks_is_said(name: str, step: Step, lacking: str) -> 
         prediction_space(["place", name])(step)
     assert str(caught.value).startswith(f"frame 1: it has no {lacking}, which the predictor {name} needs.")
     assert "--predictors" in caught.value.cure
+
+
+def test_where_the_imu_s_samples_are_missing_the_acceleration_is_undefined() -> None:
+    """A gap of the IMU is no reason to stop."""
+    space = prediction_space(["acceleration", "place"])
+    phi = space(replace(STEP, now=replace(STEP.now, imu=None)))
+    np.testing.assert_array_equal(np.isnan(phi), np.tile([True, True, False, False], (len(phi), 1)))
+    assert space.may_be_undefined == (True, True, False, False)
 
 
 @pytest.mark.parametrize(("name", "lacking"), [("blur", "images"), ("acceleration", "accelerometer")])

@@ -91,6 +91,12 @@ def test_imu_covers_every_interval(format: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(sequence.imu.C_cam_imu, C_CAM_IMU, atol=1e-12)
 
 
+@pytest.mark.parametrize("kind", [np.int8, np.int32, np.int64, np.float32])
+def test_whole_seconds_of_any_type_are_seconds(kind: type, tmp_path: Path) -> None:
+    sequence = open_sequence(write_tracks(tmp_path, t=np.arange(3, 7).astype(kind)))
+    assert [frame.stamp_ns for frame in sequence] == [3_000_000_000, 4_000_000_000, 5_000_000_000, 6_000_000_000]
+
+
 @pytest.mark.parametrize("format", ["folder", "euroc", "kitti-raw"])
 def test_stamps_keep_their_nanoseconds(format: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(open_sequence(WRITERS[format](tmp_path)).stamps_ns, stamps_ns(4))

@@ -5,13 +5,14 @@ import pytest
 
 from probevo.arrays import FloatArray, Image, IntArray
 from probevo.config import TrackingConfig
-from probevo.tracking.detection import BORDER_PX, apart, corners_in_room, strongest_corners
+from probevo.tracking.detection import AROUND_WINDOW_PX, apart, corners_in_room, strongest_corners
 
 HEIGHT_PX, WIDTH_PX, CELL_PX = 120, 160, 40
 COLUMNS, ROWS = 4, 3
 NOBODY = np.zeros((0, 2))
 TWO_A_CELL = TrackingConfig(num_features=2 * COLUMNS * ROWS)
 """As many features as make the cells CELL_PX wide: 2 · 160 · 120 / 24 = 40²."""
+BORDER_PX = TWO_A_CELL.window_px // 2 + AROUND_WINDOW_PX
 
 
 def detect_corners(image: Image, occupied_px: FloatArray, config: TrackingConfig) -> FloatArray:

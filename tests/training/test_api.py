@@ -343,6 +343,17 @@ def test_other_settings_on_unfinished_work_are_refused(recordings: list[Sequence
     refuse(recordings, out, other, f"{out}.work: ", "other recordings, predictors or odometry", "delete this folder")
 
 
+def test_what_a_stopped_training_knew_of_its_drives_is_not_taken_for_that_of_others(
+    recordings: list[Sequence], tmp_path: Path, out: Path
+) -> None:
+    """Stopped so early that only the truth of the first drive was written."""
+    with pytest.raises(KeyboardInterrupt):
+        train(recordings, out, on_progress=stopping_after(0))
+    assert list(out.with_name(out.name + ".work").glob("drive-truth-*"))
+    fresh = train(recordings[::-1], tmp_path / "fresh" / "model.safetensors").read_bytes()
+    assert train(recordings[::-1], out).read_bytes() == fresh
+
+
 def test_other_subsets_go_on_from_the_recordings(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
     """Iterations with another subset are of no use to these settings, but recordings that are through are."""
     refuse(recordings, out, SETTINGS.model_copy(update={"subset": 9, "neighbors": 10_000}), "--neighbors")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from probevo import __version__
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.training.checkpoint import Checkpoint, Iteration
@@ -169,6 +170,15 @@ def test_another_training_is_refused(
     assert "delete this folder" in caught.value.cure
     assert {path.name: path.read_bytes() for path in work.folder.iterdir()} == before
     assert drive_of_number(opened(out), 0) is not None
+
+
+def test_work_of_another_version_is_refused_as_such(out: Path) -> None:
+    work = opened(out)
+    keep(work, 0)
+    plan = work.folder / "plan.json"
+    plan.write_text(plan.read_text().replace(f'"probevo": "{__version__}"', '"probevo": "0.0.9"'))
+    with pytest.raises(InputError, match=f"had other code, probevo 0.0.9 instead of {__version__}"):
+        opened(out)
 
 
 def test_where_nothing_was_done_yet_other_settings_are_welcome(out: Path) -> None:

@@ -180,19 +180,16 @@ def _train(plan: Plan, arguments: TableIArguments) -> dict[tuple[Drive, str], Pa
 
     We do without the truth of KITTI, whose centimetres from frame to frame hide what single features do.
     """
-    from probevo.cli.progress import progress_bar
+    from probevo.cli.train import train_with_progress
     from probevo.experiments.table_i import OURS, PROBE
-    from probevo.sequences import open_sequence
-    from probevo.training.api import train_model
     from probevo.training.settings import TrainSettings
 
     ways = {PROBE: TrainSettings.published(), OURS: TrainSettings(supervision="none")}
-    sequences = {drive: open_sequence(arguments.kitti / drive.folder, "kitti-raw") for drive in plan.trainings}
     models = {}
-    for (drive, sequence), (name, settings) in product(sequences.items(), ways.items()):
-        with progress_bar(f"training on {drive.name}", "starting (the first time of all compiles for 15 s)") as show:
-            file = arguments.out / "models" / f"{drive.name}-{name.replace(', ', '-')}.safetensors"
-            models[drive, name] = train_model([sequence], settings, file, show)
+    for drive, (name, settings) in product(plan.trainings, ways.items()):
+        file = arguments.out / "models" / f"{drive.name}-{name.replace(', ', '-')}.safetensors"
+        train_with_progress((arguments.kitti / drive.folder,), settings, file)
+        models[drive, name] = file
     return models
 
 

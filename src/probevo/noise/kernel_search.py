@@ -99,7 +99,7 @@ def choose_shape(
     if published and "reach" not in given:
         shape = replace(shape, reach=0.5)
     candidates = {name: c for name, c in (PUBLISHED if published else CANDIDATES).items() if name not in given}
-    if not candidates and "weights" in given and published:
+    if not candidates and published:
         return weights, shape, {}
     folds = folds_of(coordinates, errors, spread, groups, published)
     if len(folds) < 2:
@@ -154,8 +154,8 @@ class _Search:
             order.append((int(free[np.argmax(gains)]), best))
         for m, _ in order:
             options = [_with(weights, m, factor) for factor in FACTORS]
-            gains = [self.gain(option, shape) for option in options if option.any()]
-            if max(gains, default=best) > best + LEAST_GAIN:
+            gains = [self.gain(option, shape) for option in options]
+            if max(gains) > best + LEAST_GAIN:
                 best, weights = max(gains), options[int(np.argmax(gains))]
         self.found["weights"] = {
             "candidates": [m for m, _ in order], "gains": [gain for _, gain in order], "chosen": weights.tolist()

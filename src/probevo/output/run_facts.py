@@ -61,6 +61,7 @@ def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
     if sequence.imu is None:
         return "none"
     uses = ["to start the tracking", "to carry on where the camera is blind"]
+    uses += ["to turn features away"] if config.gyro.prefilter_deg else []
     uses += ["in RANSAC"] if config.ransac.rotation_from == "gyro" else []
     uses += ["in the solve"] if config.gyro.prior else []
     return f"gyro {', '.join(uses)}"

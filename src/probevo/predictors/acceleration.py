@@ -24,8 +24,10 @@ def acceleration(imu: ImuSamples) -> FloatArray:
         imu: samples of the interval, with an accelerometer.
 
     Returns:
-        [2], m/s²; the same for all features of a step. NaN where a sample is.
+        [2], m/s²; the same for all features of a step. NaN where a sample is, and where there is none.
     """
+    if not len(imu.stamps_ns):
+        return np.full(2, np.nan)
     mean = imu.accel_m_s2.mean(axis=0)
     offset = abs(float(np.linalg.norm(mean)) - GRAVITY_M_S2)
     squared = np.sum((imu.accel_m_s2 - mean) ** 2, axis=1)

@@ -53,7 +53,7 @@ class Step:
 
     @property
     def imu(self) -> ImuSamples:
-        """Samples of the interval; none at all if the recording has none."""
+        """Samples of the interval; none at all where they leave a part of it uncovered."""
         return self.now.imu or ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
 
     @property
@@ -161,7 +161,7 @@ class PredictionSpace:
         lacking = {
             Needs.LEFT: step.now.left is None,
             Needs.PREVIOUS_LEFT: step.before.left is None,
-            Needs.ACCELEROMETER: step.now.imu is None or not np.isfinite(step.now.imu.accel_m_s2).all(),
+            Needs.ACCELEROMETER: not np.isfinite(step.imu.accel_m_s2).all(),
         }
         self._refuse(lacking, f"frame {step.now.index}")
 

@@ -46,7 +46,7 @@ def _scaled(size_px: float, step: Step) -> float:
 _TABLE = (
     # Of PROBE, in its order.
     Predictor("acceleration", {"acceleration": "m/s²", "vibration": "m/s²"}, "PROBE IV-C.1", Needs.ACCELEROMETER,
-              lambda s: _for_all(acceleration(s.imu), s)),
+              lambda s: _for_all(acceleration(s.imu), s), undefined="where samples of the IMU are missing"),
     Predictor("turn_rate", {"turn_rate_x": "rad/s", "turn_rate_y": "rad/s", "turn_rate_z": "rad/s",
                             "turn_rate": "rad/s"}, "PROBE IV-C.1; signed: ours", Needs.TRACKS,
               lambda s: _for_all(turn_rate(s.expected, s.duration_s), s)),

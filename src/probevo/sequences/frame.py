@@ -11,6 +11,7 @@ from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.errors import InputError
 
 if TYPE_CHECKING:
+    from probevo.camera.stereo import StereoCamera
     from probevo.tracking.preparation import PreparedImages
 
 
@@ -78,6 +79,24 @@ class Frame:
     """Time that a worker thread spent to read, decode and rectify the pair."""
     prepared: PreparedImages | None = field(default=None, compare=False, repr=False)
     """What tracking has already done with the images, if it was given the time (``tracking.preparation``)."""
+
+
+def check_frame(frame: Frame, camera: StereoCamera) -> None:
+    """Refuse images, or features, that a reader would not have let through.
+
+    Raises:
+        InputError: images that are not grey, of 8 bits, and of the camera's size; an identity that appears twice.
+    """
+    where = f"frame {frame.index}"
+    for name, image in (("left", frame.left), ("right", frame.right)):
+        if image is not None and (image.ndim != 2 or image.dtype != np.uint8):
+            what = f"its {name} image is {image.dtype} of shape {image.shape}."
+            raise InputError(where, what, "Give a grey image, [height, width], of type uint8.")
+        if image is not None and camera.size_px is not None and image.shape[::-1] != camera.size_px:
+            what = f"its {name} image is {'×'.join(map(str, image.shape[::-1]))} px, the camera's are"
+            raise InputError(where, f"{what} {'×'.join(map(str, camera.size_px))}.", "Scale image or camera.")
+    if frame.features is not None and len(np.unique(frame.features.ids)) < len(frame.features.ids):
+        raise InputError(where, "two of its features have the same identity.", "Give each point one of its own.")
 
 
 def check_order(before: Frame, frame: Frame) -> float:

@@ -86,9 +86,10 @@ def open_tracks(path: Path) -> TracksRecording:
     """
     arrays = _load(path)
     _check_shapes(arrays, path)
-    if np.abs(arrays["t"]).max() * NS_PER_S >= INT64_LIMIT:
+    t_ns = arrays["t"].astype(np.float64) * NS_PER_S  # whole seconds would overflow in their own type
+    if np.abs(t_ns).max() >= INT64_LIMIT:
         raise InputError(f"{path}: t", "these times do not fit in 64 bits of nanoseconds.", "Give t in seconds.")
-    stamps_ns = check_stamps(np.round(arrays["t"] * NS_PER_S).astype(np.int64), f"{path}: t")
+    stamps_ns = check_stamps(np.round(t_ns).astype(np.int64), f"{path}: t")
     fu, fv, cu, cv, baseline_m = (float(value) for value in arrays["camera"])
     camera = StereoCamera(fu, fv, cu, cv, baseline_m)
     check_camera(camera, f"{path}: camera")

@@ -13,8 +13,8 @@ from probevo.tracking.fast_corners import strongest_of_cells
 
 FEATURES_PER_CELL = 2
 """Cells are as large as it takes for this many features each to make the number wanted."""
-BORDER_PX = 8
-"""Corners closer to the border than this could not be tracked with a whole window."""
+AROUND_WINDOW_PX = 3
+"""Corners whose window comes closer to the border than this could not be tracked with all of it."""
 
 
 def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
@@ -22,14 +22,14 @@ def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
 
     Args:
         image: [height, width], uint8.
-        config: number of features, threshold.
+        config: number of features, threshold, window.
 
     Returns:
         (u, v) of the corners, [rows, columns, FEATURES_PER_CELL, 2], px, the strongest first; NaN where a cell has no
         more.
     """
-    grid = _grid(image.shape, config)
-    return strongest_of_cells(image, config.fast_threshold, *grid, FEATURES_PER_CELL, BORDER_PX)
+    grid, border_px = _grid(image.shape, config), config.window_px // 2 + AROUND_WINDOW_PX
+    return strongest_of_cells(image, config.fast_threshold, *grid, FEATURES_PER_CELL, border_px)
 
 
 def corners_in_room(

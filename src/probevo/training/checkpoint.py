@@ -63,14 +63,17 @@ class Checkpoint:
             "iterations": chosen,
         }
         before = checkpoint._plan()
-        if before and any(before.get(part) != facts[part] for part in ("probevo", "drives")):
-            if any(checkpoint.folder.glob("drive-[0-9]*.npz")):
-                what = "a training that was stopped here had other recordings, predictors or odometry."
-                raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
+        same = all(before.get(part) == facts[part] for part in ("probevo", "drives"))
+        if before and not same and any(checkpoint.folder.glob("drive-[0-9]*.npz")):
+            differs = "recordings, predictors or odometry"
+            if before.get("drives") == facts["drives"]:
+                differs = f"code, probevo {before.get('probevo')} instead of {__version__}"
+            what = f"a training that was stopped here had other {differs}."
+            raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
+        if not same:  # no drive is begun yet, or ``remove`` was stopped
+            checkpoint._remove(*OWN)
         elif before.get("iterations") != chosen:
             checkpoint._remove(*MADE_OF_DRIVES)
-        if not before:  # ``remove`` was stopped
-            checkpoint._remove(*OWN)
         checkpoint._remove("*.part", "*.frames")
         write_atomically(checkpoint.folder / PLAN, json.dumps(facts, indent=1) + "\n")
         return checkpoint

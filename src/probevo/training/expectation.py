@@ -98,8 +98,9 @@ def solve_drive(
             own = noise.of(chosen)
             solution = solve(tracks, own, part.T_curr_prev[step], camera, None, solver, before.known)
             if solution.converged and np.isfinite(solution.cov).all():
-                trusted = weights_of(solution, own.dof, solver.loss) >= TRUSTED
-                solution, memory = remember(tracks, own, solution, camera, trusted, before)
+                if solver.method == "reprojection":
+                    trusted = weights_of(solution, own.dof, solver.loss) >= TRUSTED
+                    solution, memory = remember(tracks, own, solution, camera, trusted, before)
                 motions[-1][step], cov[-1][step] = solution.T_curr_prev, solution.cov
     return np.concatenate(motions), np.concatenate(cov)
 
