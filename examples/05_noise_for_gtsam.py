@@ -1,6 +1,6 @@
 """Solve every step with GTSAM too, under the noise predicted for each feature; derivations: docs/other-back-ends.md.
 
-pip install 'probevo[gtsam]'; python examples/05_noise_for_gtsam.py SEQUENCE NOISE    e.g. out/points/test.npz fixed
+pip install '.[gtsam]'; python examples/05_noise_for_gtsam.py SEQUENCE NOISE    e.g. out/points/test.npz fixed
 """
 
 import sys
