@@ -1,4 +1,4 @@
-"""The rectified stereo camera: y = f(p), its inverse p = g(y), and the Jacobian of each (PROBE eqs. 2, 9)."""
+"""The rectified stereo camera: y = f(p), its inverse p = g(y), and the Jacobian of g (PROBE eqs. 2, 9)."""
 
 from __future__ import annotations
 
@@ -52,17 +52,6 @@ class StereoCamera:
         x = (u_l - self.cu_px) * z / self.fu_px
         y = (0.5 * (v_l + v_r) - self.cv_px) * z / self.fv_px
         return np.stack([x, y, z], axis=-1)
-
-    def project_jacobian(self, points: FloatArray) -> FloatArray:
-        """F = ∂f/∂p at points [..., 3]: [..., 4, 3], px/m."""
-        x, y, z = np.moveaxis(points, -1, 0)
-        jacobian = np.zeros((*points.shape[:-1], 4, 3))
-        jacobian[..., 0, 0] = jacobian[..., 2, 0] = self.fu_px / z
-        jacobian[..., 1, 1] = jacobian[..., 3, 1] = self.fv_px / z
-        jacobian[..., 0, 2] = -self.fu_px * x / z**2
-        jacobian[..., 1, 2] = jacobian[..., 3, 2] = -self.fv_px * y / z**2
-        jacobian[..., 2, 2] = -self.fu_px * (x - self.baseline_m) / z**2
-        return jacobian
 
     def triangulate_jacobian(self, pixels: FloatArray) -> FloatArray:
         """G = ∂g/∂y at observations [..., 4]: [..., 3, 4], m/px (PROBE eq. 9)."""

@@ -41,9 +41,6 @@ class SceneArguments:
     settings: Annotated[SceneConfig, tyro.conf.arg(name="")] = field(default_factory=SceneConfig)
 
 
-WORLDS = {"point": PointArguments, "scene": SceneArguments}
-
-
 @dataclass(frozen=True)
 class SimulateArguments:
     """Record a simulated world, with the truth about all of it. `probevo simulate WORLD --help` shows its options."""

@@ -49,13 +49,6 @@ class Consistency:
         low, high = (_binomial_quantile(q, count, probability) / count for q in (tail, 1.0 - tail))
         return low, high
 
-    def anees_interval(self, probability: float = 0.95) -> tuple[float, float]:
-        """Where the ANEES of an honest covariance with independent Gaussian errors falls with this probability."""
-        tail = 0.5 * (1.0 - probability)
-        # chdtri takes the probability of the upper tail, and loads ten times faster than scipy.stats.
-        low, high = chdtri(6 * len(self.nees), [1.0 - tail, tail]) / len(self.nees)
-        return float(low), float(high)
-
 
 def feature_coverage(noise: StereoNoise, residuals: FloatArray) -> dict[str, float]:
     """Share of N features inside the ellipsoids that should hold 50, 90, 95, 99 % of them, 0 … 1, by percent.

@@ -56,7 +56,7 @@ def solve_alignment(
             disparity in both are left out.
         cov_prev_px, cov_curr_px: R and R', covariances of these, [N, 4, 4] or one [4, 4] for all, px².
         camera: the stereo camera.
-        guess: T_curr_prev to start from, [4, 4], as from ``direct_motion``.
+        guess: T_curr_prev to start from, [4, 4].
         max_iterations: rejected steps count.
         tolerance: length of a step ξ, m and rad together, at which it has converged.
     """
