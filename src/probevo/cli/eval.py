@@ -113,7 +113,7 @@ def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, st
         InputError: the truth is too short, or no true pose is near a frame in time.
     """
     if estimate.stamps_ns is not None and truth.stamps_ns is not None:
-        return _match_by_time(estimate, truth, estimate.stamps_ns, truth.stamps_ns)
+        return _match_by_time(truth, estimate.stamps_ns, truth.stamps_ns)
     frames, poses = len(estimate.T_world_cam), len(truth.T_world_cam)
     if poses < frames:
         what = f"{poses} poses for the {frames} frames of {estimate.where}."
@@ -125,9 +125,7 @@ def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, st
     return truth.T_world_cam[:frames], remark
 
 
-def _match_by_time(
-    estimate: Trajectory, truth: Trajectory, frames_ns: IntArray, poses_ns: IntArray
-) -> tuple[FloatArray, str]:
+def _match_by_time(truth: Trajectory, frames_ns: IntArray, poses_ns: IntArray) -> tuple[FloatArray, str]:
     import numpy as np
 
     after = np.clip(np.searchsorted(poses_ns, frames_ns), 1, max(len(poses_ns) - 1, 1))
