@@ -91,7 +91,7 @@ def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:
     Raises:
         InputError: the file cannot be read, or has neither form.
     """
-    from probevo.output.files import read_kitti_poses, read_tum
+    from probevo.sequences.pose_files import read_kitti_poses, read_tum
     from probevo.sequences.text import read_lines
 
     if form is None:

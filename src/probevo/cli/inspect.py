@@ -56,8 +56,8 @@ def main(words: list[str]) -> None:
     arguments = parse(InspectArguments, words, "inspect", default=InspectArguments(None, tyro.MISSING))
     settings = checked(arguments.settings)
     _check(arguments)
+    from probevo.files import check_folder
     from probevo.noise.model_io import load_model
-    from probevo.output.files import check_folder
 
     check_folder(arguments.out, "--out")
     model = load_model(arguments.model) if arguments.model else None
@@ -206,7 +206,7 @@ def _write_kernel(out: Path, name: str, model: GeneralizedKernel, frame: FrameVi
 
 
 def _write_pictures(out: Path, frame: FrameView | None, pictures: Mapping[str, tuple[str, bytes]]) -> None:
-    from probevo.output.files import remove_stale, write_atomically
+    from probevo.files import remove_stale, write_atomically
 
     if frame is None:
         return

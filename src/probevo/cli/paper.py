@@ -104,7 +104,7 @@ class PaperArguments:
 def main(words: list[str]) -> None:
     """Parse, repeat the experiment, say what it found."""
     arguments = parse(PaperArguments, words, "paper").experiment
-    from probevo.output.files import check_folder
+    from probevo.files import check_folder
 
     check_folder(arguments.out, "--out")
     if isinstance(arguments, BlurArguments):

@@ -55,7 +55,7 @@ class SimulateArguments:
 def main(words: list[str]) -> None:
     """Parse, simulate, say what to do with it."""
     arguments = parse(SimulateArguments, words, "simulate").world
-    from probevo.output.files import check_folder
+    from probevo.files import check_folder
 
     check_folder(arguments.out, "--out")
     lines = _point(arguments) if isinstance(arguments, PointArguments) else _scene(arguments)

@@ -5,6 +5,8 @@ Functions are batched over leading dimensions; poses compose with ``@``.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from probevo.arrays import FloatArray
@@ -31,6 +33,14 @@ def inverse(T_b_a: FloatArray) -> FloatArray:
     """T_a_b, [..., 4, 4]."""
     C_a_b = T_b_a[..., :3, :3].mT
     return from_parts(C_a_b, -(C_a_b @ T_b_a[..., :3, 3:])[..., 0])
+
+
+def chain_motions(T_curr_prev: Iterable[FloatArray]) -> FloatArray:
+    """Poses T_world_cam, [K, 4, 4], world = first camera, from K-1 motions: T_w,k = T_w,k-1 T_k,k-1⁻¹."""
+    poses = [np.eye(4)]
+    for motion in T_curr_prev:
+        poses.append(poses[-1] @ inverse(motion))
+    return np.array(poses)
 
 
 def exp(xi: FloatArray) -> FloatArray:

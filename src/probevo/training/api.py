@@ -12,9 +12,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
+from probevo.files import check_folder
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
-from probevo.output.files import check_folder
 from probevo.predictors import PredictionSpace, Predictor
 from probevo.training.checkpoint import Checkpoint
 from probevo.training.expectation_maximization import Course, learn_kernel, learn_student_t, num_turns
