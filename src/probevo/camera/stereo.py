@@ -53,6 +53,23 @@ class StereoCamera:
         y = (0.5 * (v_l + v_r) - self.cv_px) * z / self.fv_px
         return np.stack([x, y, z], axis=-1)
 
+    def normalized(self, u_px: FloatArray, v_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x = (u − c_u)/f_u to the right and y = (v − c_v)/f_v down, tangents of angles, in the left image."""
+        return (u_px - self.cu_px) / self.fu_px, (v_px - self.cv_px) / self.fv_px
+
+    def moved_rays(self, pixels: FloatArray, T_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where a motion takes the points at N observations [N, 4], px, each over its depth in a.
+
+        Returns:
+            q = C m + ρ t, [3, N], with the ray m = (x, y, 1): q₃ is the new depth over the old one. And the inverse
+            depth ρ in a, 1/m, [N]: 0, at infinity, where the disparity is not positive.
+        """
+        rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (self.fu_px * self.baseline_m)
+        rays = np.empty((3, len(pixels)))
+        rays[0], rays[1] = self.normalized(pixels[:, 0], pixels[:, 1])
+        rays[2] = 1.0
+        return T_b_a[:3, :3] @ rays + T_b_a[:3, 3, None] * rho, rho
+
     def triangulate_jacobian(self, pixels: FloatArray) -> FloatArray:
         """G = ∂g/∂y at observations [..., 4]: [..., 3, 4], m/px (PROBE eq. 9)."""
         u_l, _, u_r, _ = np.moveaxis(pixels, -1, 0)

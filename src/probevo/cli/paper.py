@@ -220,7 +220,4 @@ def _table_i_jobs(plan: Plan, models: dict[tuple[Drive, str], Path], arguments: 
 
 
 def _trials_text(trials: TrialTable) -> str:
-    from probevo.output.trial_table import trials_text
-
-    head, *rows = trials_text(trials)
-    return "\n".join([table(head, rows), "", "ARMSE / final error, m.", *trials.notes, ""])
+    return paper_kernel.table_text(trials, "ARMSE / final error, m.")

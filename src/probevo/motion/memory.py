@@ -178,7 +178,7 @@ def carried_on(
     renew(chosen, points.seen, points.error, points.cov, *solved, *jacobians, U, mean, x, cov, felt)
     cov[:, 1, 1] += WANDERING * noise.lasting[chosen]
     T, px = solution.T_curr_prev, tracks.prev_px[chosen]
-    right, down = (px[:, 0] - camera.cu_px) / camera.fu_px, (px[:, 1] - camera.cv_px) / camera.fv_px
+    right, down = camera.normalized(px[:, 0], px[:, 1])
     depth = T[2, 0] * right + T[2, 1] * down + T[2, 2] + T[2, 3] * x[:, 0] / (camera.fu_px * camera.baseline_m)
     common, path, tied = np.zeros((len(chosen), 2, SHARED)), np.zeros((6, SHARED)), np.zeros((6, 6))
     if together is not None:
