@@ -27,8 +27,8 @@ from probevo.output.run_result import RunRecorder, RunResult
 from probevo.predictors import space_for
 from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
-from probevo.sequences.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
 from probevo.sequences.pose_files import FARTHEST_M
+from probevo.tracking.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
 from probevo.tracking.preparation import prepared_ahead
 
 NUM_PICTURES = 4
