@@ -108,7 +108,7 @@ def test_features_drawn_from_their_noise_have_nominal_coverage(dof: float | None
 
 
 def test_coverage_tells_heavy_tails_and_too_small_a_scale_from_the_truth() -> None:
-    """A Gaussian of half the variance is overconfident; ν = 3 believed in Gaussian errors is timid in the tails."""
+    """Half the variance is overconfident; ν = 3 believed of Gaussian errors is conservative in the tails."""
     rng, count = np.random.default_rng(8), 20_000
     scale, bias = np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 4))
     errors = rng.normal(size=(count, 4))

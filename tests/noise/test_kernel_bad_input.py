@@ -155,7 +155,7 @@ def test_what_may_be_undefined_may_be_so() -> None:
 
 
 def test_a_metric_of_weights_0_is_fine() -> None:
-    """Those columns have no say, whatever the search would give them."""
+    """Those columns do not contribute, whatever the search would give them."""
     metric = replace(Metric.fitted(places(), ("a", "b")), weight=np.array([1.0, 0.0]))
     model = GeneralizedKernel().fit(places(), errors(), metric=metric)
     one, other = model.predict(np.array([[0.3, 0.0]])), model.predict(np.array([[0.3, FARTHEST]]))

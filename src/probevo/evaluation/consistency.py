@@ -27,7 +27,7 @@ class Consistency:
 
     @property
     def anees(self) -> float:
-        """Average NEES: 6 is honest, more is overconfident, less is timid."""
+        """Average NEES: 6 is honest, more is overconfident, less is conservative."""
         return float(self.nees.mean())
 
     @property
@@ -55,7 +55,7 @@ def feature_coverage(noise: StereoNoise, residuals: FloatArray) -> dict[str, flo
 
     The squared Mahalanobis length s of a Student-t residual has s/4 ~ F(4, ν), of a Gaussian one s ~ χ²(4). It is held
     against the distribution of its own feature, whatever its ν: honest noise has nominal coverage, less is
-    overconfident, more is timid.
+    overconfident, more is conservative.
 
     Args:
         noise: noise of the residuals, of N features, at least one.

@@ -17,7 +17,7 @@ from probevo.motion.robust_kernels import (
 )
 
 BEHIND = 1e4
-"""Squared Mahalanobis length of a point without a say: far enough for any loss, near enough to add up with others."""
+"""Squared Mahalanobis length of a point that does not contribute: far for any loss, near enough to add up."""
 
 
 @compiled
@@ -31,7 +31,7 @@ def weigh(
 ) -> tuple[float, float]:
     """Fill in IRLS weight w, curvature a = w + (2/d) w' s, and w against that of a perfect residual, [N] each.
 
-    Returns Σ w² s / d, the scatter of the gradient, and Σ a. All are zero for a point without a say.
+    Returns Σ w² s / d, the scatter of the gradient, and Σ a. All are zero for a point that does not contribute.
     """
     scatter, curved = 0.0, 0.0
     for n in range(len(squared)):

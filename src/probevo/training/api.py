@@ -117,6 +117,6 @@ class _Bar:
 
 
 def _of_use(space: PredictionSpace, weight: FloatArray) -> IntArray:
-    """Columns of the predictors that have a say, as a whole or in part; a run need not compute the others."""
+    """Columns of the predictors that contribute, as a whole or in part; a run need not compute the others."""
     owner = np.repeat(np.arange(len(space.predictors)), [len(predictor.columns) for predictor in space.predictors])
     return np.flatnonzero(np.isin(owner, owner[weight > 0.0]))
