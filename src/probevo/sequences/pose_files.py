@@ -27,8 +27,7 @@ def read_kitti_poses(path: Path) -> FloatArray:
     Raises:
         InputError: the file cannot be read, a line holds no pose, or a position is absurdly far.
     """
-    rows = read_table(path, 12, nan_allowed=True).reshape(-1, 3, 4)
-    T = se3.from_parts(rows[:, :, :3], rows[:, :, 3])
+    T = _read_kitti(path)
     unknown, _ = check_poses(T, path)
     _check_positions(T, path)
     return np.where(unknown, np.nan, T)
@@ -38,9 +37,9 @@ def read_kitti_truth(path: Path, stamps_ns: IntArray) -> GroundTruth:
     """The truth of the frames with these stamps, from poses in KITTI's form.
 
     Raises:
-        InputError: as ``read_kitti_poses`` does, or the counts of poses and frames differ, or no pose is known.
+        InputError: the file cannot be read, the counts of poses and frames differ, or as ``ground_truth`` raises.
     """
-    T = read_kitti_poses(path)
+    T = _read_kitti(path)
     if len(T) != len(stamps_ns):
         what = f"{len(T)} poses for {len(stamps_ns)} frames."
         raise InputError(path, what, "Each frame needs one line; write twelve nan where the pose is unknown.")
@@ -67,6 +66,11 @@ def read_tum(path: Path) -> tuple[IntArray, FloatArray]:
     T = se3.from_parts(Rotation.from_quat(numbers[:, 3:]).as_matrix(), numbers[:, :3])
     _check_positions(T, path)
     return check_stamps(np.array(stamps, dtype=np.int64), path), T
+
+
+def _read_kitti(path: Path) -> FloatArray:
+    rows = read_table(path, 12, nan_allowed=True).reshape(-1, 3, 4)
+    return se3.from_parts(rows[:, :, :3], rows[:, :, 3])
 
 
 def _check_positions(T: FloatArray, path: Path) -> None:
