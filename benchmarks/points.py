@@ -12,9 +12,9 @@ import numpy as np
 
 import probevo as pv
 from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.geometry import se3
 from probevo.motion.reprojection import solve_reprojection
 from probevo.noise.base import StereoNoise
-from probevo.output.run_result import chain_motions
 from probevo.simulation.point_config import PointConfig
 from probevo.simulation.point_world import PointWorld, training_and_test_world
 
@@ -25,7 +25,7 @@ def shipped(world: PointWorld, noise: pv.noise.NoiseModel, config: pv.OdometryCo
     odometry = pv.StereoOdometry(world.camera, noise, config=config)
     motions = [odometry.step(frame) for frame in world.frames()][1:]
     T_curr_prev, cov = np.array([m.T_curr_prev for m in motions]), np.array([m.cov for m in motions])
-    return evaluate(chain_motions(T_curr_prev), world.T_world_cam, T_curr_prev, cov)
+    return evaluate(se3.chain_motions(T_curr_prev), world.T_world_cam, T_curr_prev, cov)
 
 
 def oracle(world: PointWorld) -> Metrics:
@@ -38,7 +38,7 @@ def oracle(world: PointWorld) -> Metrics:
         tracks = step.tracks.kept(inlier)
         solutions.append(solve_reprojection(tracks.prev_px, tracks.curr_px, noise, step.T_curr_prev, world.camera))
     T_curr_prev, cov = np.array([s.T_curr_prev for s in solutions]), np.array([s.cov for s in solutions])
-    return evaluate(chain_motions(T_curr_prev), world.T_world_cam, T_curr_prev, cov)
+    return evaluate(se3.chain_motions(T_curr_prev), world.T_world_cam, T_curr_prev, cov)
 
 
 def estimators(world: PointWorld) -> Iterator[tuple[str, Metrics]]:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import probevo as pv
 from probevo.evaluation.consistency import drift_covariances
-from probevo.output.run_result import chain_motions
+from probevo.geometry import se3
 
 
 def run(path: Path) -> list[pv.MotionEstimate]:
@@ -31,7 +31,7 @@ def plot(motions: list[pv.MotionEstimate], picture: Path) -> None:
     """The path from above, and the standard deviation of the position along it."""
     names = ("T_curr_prev", "cov", "shared", "tied")
     steps = [np.array([getattr(motion, name) for motion in motions[1:]]) for name in names]
-    x_m, _, z_m = chain_motions(steps[0])[:, :3, 3].T
+    x_m, _, z_m = se3.chain_motions(steps[0])[:, :3, 3].T
     # Along the axes of each camera. The doubt about the calibration is one error for all steps, and adds up; and what
     # tracks remember ties each step to the path before it.
     sigma_m = np.sqrt(np.diagonal(drift_covariances(*steps)[:, :3, :3], axis1=1, axis2=2))

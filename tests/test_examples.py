@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 import probevo as pv
 from cli.rendering import write_wall
+from geometry.samples import sample_poses
 from probevo.arrays import FloatArray
 from probevo.cli.main import main
 from probevo.geometry import se3
-from probevo.geometry.uncertainty import sample_poses
 from probevo.simulation.point_config import PointConfig, PointNoise, PointOutliers
 from probevo.simulation.point_world import simulate_points, write_points
 

@@ -17,9 +17,8 @@ import pytest
 import probevo as pv
 from probevo.errors import InputError
 from probevo.evaluation.metrics import evaluate
-from probevo.geometry import so3
+from probevo.geometry import se3, so3
 from probevo.live import MOST_UNREAD
-from probevo.output.run_result import chain_motions
 from probevo.sequences.frame import Frame
 from probevo.sequences.imu import ImuStream
 from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, blind_frame, drive
@@ -317,6 +316,6 @@ def test_tracking_survives_dropped_frames(name: str, data_root: Path) -> None:
     assert len(estimates) == len(sequence) // 3
     assert all(estimate.motion.status is pv.Status.OK for estimate in estimates[1:])
     assert sequence.truth is not None
-    path = chain_motions(estimate.motion.T_curr_prev for estimate in estimates[1:])
+    path = se3.chain_motions(estimate.motion.T_curr_prev for estimate in estimates[1:])
     metrics = evaluate(path, sequence.truth.T_world_cam[[estimate.index for estimate in estimates]])
     assert (metrics.short_r_deg_per_m or np.inf) <= 0.016

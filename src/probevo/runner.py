@@ -14,27 +14,21 @@ from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.files import check_folder, remove_stale, write_atomically
 from probevo.motion.estimate import MotionEstimate
 from probevo.noise import NoiseModel
 from probevo.noise.named import check_model_camera, noise_model, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
-from probevo.output.files import (
-    FARTHEST_M,
-    check_folder,
-    remove_stale,
-    write_atomically,
-    write_json,
-    write_kitti_poses,
-    write_tum,
-)
+from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.motions_file import write_motions
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.predictors import space_for
 from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
-from probevo.sequences.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
+from probevo.sequences.pose_files import FARTHEST_M
+from probevo.tracking.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
 from probevo.tracking.preparation import prepared_ahead
 
 NUM_PICTURES = 4

@@ -9,7 +9,8 @@ import pytest
 
 from cli.rendering import true_poses
 from probevo.cli.main import main
-from probevo.output.files import read_tum, write_kitti_poses, write_tum
+from probevo.output.files import write_kitti_poses, write_tum
+from probevo.sequences.pose_files import read_tum
 
 
 def eval_exit(*words: object) -> int:
@@ -76,7 +77,7 @@ def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.Cap
         (wall_run, "late.tum", ["late.tum: its poses", "not within half a frame", "same clock"]),
         (kitti, "long.tum", ["long.tum: 20 poses for the 8 frames", "trajectory.tum"]),
         (wall_run, "text.txt", ["text.txt:1: this line has 3 columns", "12 columns in KITTI's form"]),
-        (wall_run, "far.txt", ["far.txt: line 1: the position is over 1e+09 m away"]),
+        (wall_run, "far.txt", ["far.txt: the position of pose 0 (from 0) is over 1e+09 m away"]),
         (wall_run, "none.txt", ["none.txt: this file is missing"]),
         (tmp_path / "empty", "short.txt", ["empty/motions.npz: this file is missing"]),
     ]:

@@ -18,11 +18,11 @@ from probevo.noise import NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.noise.named import BASES
-from probevo.output.files import read_kitti_poses, read_tum
 from probevo.output.motions_file import read_motions
 from probevo.run_config import RunConfig, read_config
 from probevo.runner import run_sequence
 from probevo.sequences import open_sequence
+from probevo.sequences.pose_files import read_kitti_poses, read_tum
 from sequences.damage import cut
 from sequences.recordings import write_folder_sequence, write_tracks
 from worlds import Homesick

@@ -132,7 +132,7 @@ MISTAKES: dict[str, tuple[list[str], list[str]]] = {
         ["--gk.prior-counts: 3 is too few", "needs more than 3"],
     ),
     "K as published": (
-        ["--kind", "gk", "--gk.variant", "published", "--gk.neighbors", "9"], ["all within --gk.reach have a say"],
+        ["--kind", "gk", "--gk.variant", "published", "--gk.neighbors", "9"], ["all within --gk.reach contribute"],
     ),
     "half a truth": (
         ["--kind", "gk", "--gk.truth-sigma-deg", "1"],

@@ -68,6 +68,16 @@ def test_alignment_recovers_a_rigid_motion() -> None:
     np.testing.assert_allclose(te.rigid_alignment(points, se3.transform(T, points)), T, atol=1e-12)
 
 
+def test_alignment_of_noisy_points_is_the_least_squares_one() -> None:
+    rng = np.random.default_rng(4)
+    points, T = rng.normal(scale=10.0, size=(30, 3)), se3.exp(rng.normal(size=6))
+    target = se3.transform(T, points) + rng.normal(size=(30, 3))
+    found = te.rigid_alignment(points, target)
+    expected, _ = Rotation.align_vectors(target - target.mean(axis=0), points - points.mean(axis=0))
+    np.testing.assert_allclose(found[:3, :3], expected.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(se3.transform(found, points).mean(axis=0), target.mean(axis=0), atol=1e-12)
+
+
 def test_alignment_never_reflects() -> None:
     """Of a mirrored cloud the best proper rotation is returned, also when points lie on a line or in one place."""
     rng = np.random.default_rng(2)

@@ -8,10 +8,10 @@ from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
+from probevo.evaluation.trajectory_errors import rigid_alignment
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.motion.alignment import solve_alignment
-from probevo.motion.direct import direct_motion
 
 CAMERA = StereoCamera(fu_px=718.9, fv_px=720.1, cu_px=607.2, cv_px=185.2, baseline_m=0.54)
 MOTION = se3.exp(np.array([0.1, -0.05, -0.6, 0.01, 0.04, -0.02]))
@@ -45,7 +45,7 @@ def test_covariance_is_consistent() -> None:
     solved, covs = [], []
     for _ in range(200):
         prev_px, curr_px = (y + rng.multivariate_normal(np.zeros(4), COV_PX, 60) for y in observe(near_points(rng, 60)))
-        guess = direct_motion(CAMERA.triangulate(prev_px), CAMERA.triangulate(curr_px))
+        guess = rigid_alignment(CAMERA.triangulate(prev_px), CAMERA.triangulate(curr_px))
         result = solve_alignment(prev_px, curr_px, COV_PX, COV_PX, CAMERA, guess)
         assert result.converged
         solved.append(result.T_curr_prev)

@@ -87,7 +87,7 @@ def test_knowing_what_the_observation_says_anyway_changes_nothing() -> None:
 def test_it_is_the_posterior_of_the_joint_gaussian() -> None:
     """Three frames of one point, at known motions, against the least squares of all its observations at once.
 
-    The disparity in each frame follows from that in the first; the left image is exact, so that only u_r has a say.
+    The disparity in each frame follows from that in the first; the left image is exact, so that only u_r contributes.
     """
     scale = np.diag([1e-8, 1e-8, 0.05, 1e-8])
     model = StudentT(np.inf, scale, lasting=3.0)

@@ -5,7 +5,7 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3, so3
-from probevo.motion.ransac import Consensus, find_consensus, num_hypotheses
+from probevo.motion.ransac import INLIER_RATIO, Consensus, find_consensus, num_hypotheses
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, at_infinity, both, motion_error, seen_twice
 
@@ -71,18 +71,12 @@ def level(pixels: FloatArray) -> FloatArray:
     return pixels[:, [0, 1, 2, 1]]
 
 
-@pytest.mark.parametrize(("confidence", "sample_size", "expected"), [(0.99, 3, 35), (0.9999, 3, 69), (0.99, 1, 7)])
-def test_number_of_hypotheses_is_probe_s(confidence: float, sample_size: int, expected: int) -> None:
-    assert num_hypotheses(confidence, 0.5, sample_size) == expected
-
-
-@pytest.mark.parametrize("inlier_ratio", [0.3, 0.5, 0.8])
-@pytest.mark.parametrize("sample_size", [1, 3])
-def test_number_of_hypotheses_is_the_smallest_that_suffices(inlier_ratio: float, sample_size: int) -> None:
-    """1 − (1 − rˢ)ⁿ ≥ confidence holds for n, and not for n − 1."""
-    count = num_hypotheses(0.99, inlier_ratio, sample_size)
-    success = 1.0 - (1.0 - inlier_ratio**sample_size) ** np.array([count - 1, count])
-    assert success[0] < 0.99 <= success[1]
+@pytest.mark.parametrize(("confidence", "expected"), [(0.99, 35), (0.9999, 69)])
+def test_number_of_hypotheses_is_probe_s(confidence: float, expected: int) -> None:
+    """The smallest n with 1 − (1 − r³)ⁿ ≥ confidence."""
+    assert num_hypotheses(confidence) == expected
+    success = 1.0 - (1.0 - INLIER_RATIO**3) ** np.array([expected - 1, expected])
+    assert success[0] < confidence <= success[1]
 
 
 def test_the_same_seed_gives_the_same_result() -> None:

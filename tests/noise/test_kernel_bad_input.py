@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -154,8 +155,8 @@ def test_what_may_be_undefined_may_be_so() -> None:
 
 
 def test_a_metric_of_weights_0_is_fine() -> None:
-    """Those columns have no say, whatever the search would give them."""
-    metric = Metric.fitted(places(), ("a", "b"), weight=np.array([1.0, 0.0]))
+    """Those columns do not contribute, whatever the search would give them."""
+    metric = replace(Metric.fitted(places(), ("a", "b")), weight=np.array([1.0, 0.0]))
     model = GeneralizedKernel().fit(places(), errors(), metric=metric)
     one, other = model.predict(np.array([[0.3, 0.0]])), model.predict(np.array([[0.3, FARTHEST]]))
     np.testing.assert_array_equal(one.scale, other.scale)
@@ -165,7 +166,7 @@ def test_a_metric_of_weights_0_is_fine() -> None:
 def test_a_metric_in_which_no_column_counts_is_refused() -> None:
     """By itself, or together with the weights that are given."""
     for of_metric, given_weights in ((np.zeros(2), None), (np.array([1.0, 0.0]), np.array([0.0, 1.0]))):
-        metric = Metric.fitted(places(), ("a", "b"), weight=of_metric)
+        metric = replace(Metric.fitted(places(), ("a", "b")), weight=of_metric)
         with pytest.raises(InputError, match="predictors: no column"):
             GeneralizedKernel(weights=given_weights).fit(places(), errors(), metric=metric)
 

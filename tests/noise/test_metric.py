@@ -1,5 +1,7 @@
 """The metric of a prediction space: standardised, with a place for what is undefined, and strict about its input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,7 +40,8 @@ def test_new_data_are_measured_by_the_training_data(data: FloatArray) -> None:
 
 def test_a_weight_stretches_its_column(data: FloatArray) -> None:
     weight = np.array([1.0, 0.25, 3.0])
-    weighted, plain = Metric.fitted(data, COLUMNS, weight=weight), Metric.fitted(data, COLUMNS)
+    plain = Metric.fitted(data, COLUMNS)
+    weighted = replace(plain, weight=weight)
     np.testing.assert_allclose(weighted.coordinates(data), weight * plain.coordinates(data))
 
 
@@ -56,7 +59,7 @@ def test_what_is_undefined_lies_in_a_place_of_its_own(data: FloatArray) -> None:
 
 def test_an_undefined_value_is_weighed_too(data: FloatArray) -> None:
     data[3, 0] = np.nan
-    metric = Metric.fitted(data, COLUMNS, (True, False, False), weight=np.array([0.3, 1.0, 1.0]))
+    metric = replace(Metric.fitted(data, COLUMNS, (True, False, False)), weight=np.array([0.3, 1.0, 1.0]))
     assert metric.coordinates(data)[3, 0] == pytest.approx(0.3 * UNDEFINED)
 
 

@@ -85,7 +85,7 @@ def test_the_nearest_are_those_of_the_standardised_columns() -> None:
 def test_a_given_metric_is_used() -> None:
     """One in which the first column counts for nothing, and the second may be undefined."""
     places = np.array([[0.0, 5.0], [9.0, 5.1], [0.1, np.nan], [9.1, np.nan]])
-    metric = Metric.fitted(places, ("speed", "blur"), (False, True), weight=np.array([0.0, 1.0]))
+    metric = replace(Metric.fitted(places, ("speed", "blur"), (False, True)), weight=np.array([0.0, 1.0]))
     model = NearestNeighbors(2, exponent=1.0, average="arithmetic").fit(places, ALPHAS, metric=metric)
     assert model.columns == ("speed", "blur")
     np.testing.assert_allclose(model.weights(np.array([[4.0, 5.05], [4.0, np.nan]])), [0.5, 1.5], rtol=1e-5)
@@ -108,7 +108,7 @@ def test_the_samples_come_back(average: str, weight: tuple[float, ...]) -> None:
     rng = np.random.default_rng(1)
     places, alphas = rng.normal([0.0, 30.0, -5.0], [1.0, 9.0, 0.1], (400, 3)), np.exp(rng.normal(size=400))
     places[rng.random(400) < 0.2, 1] = np.nan
-    metric = Metric.fitted(places, ("a", "b", "c"), (False, True, False), np.array(weight))
+    metric = replace(Metric.fitted(places, ("a", "b", "c"), (False, True, False)), weight=np.array(weight))
     model = NearestNeighbors(5, average=average).fit(places, alphas, metric=metric)  # type: ignore[arg-type]
     found, log_relative = model.samples()
     order, expected = np.argsort(found[:, 0]), np.argsort(places[:, 0])

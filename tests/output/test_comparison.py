@@ -24,7 +24,7 @@ from probevo.output.comparison import (
 )
 from probevo.output.comparison_page import write_comparison
 from probevo.output.comparison_plots import errors_figure, paths_figure
-from probevo.output.run_result import RunResult, chain_motions
+from probevo.output.run_result import RunResult
 from probevo.output.trial_table import trial_table
 
 COLORS = {"fixed": "#111111", "student-t": "#222222"}
@@ -36,7 +36,7 @@ def entries(make_run: Callable[..., RunResult]) -> tuple[Entry, Entry]:
     """Two estimators on one sequence; the first is right, the second turns 1 mrad too far at each step."""
     right = make_run(30)
     wrong_motions = se3.exp(np.array([0, 0, 0, 0, 0.001, 0])) @ right.T_curr_prev
-    wrong = replace(right, T_curr_prev=wrong_motions, T_world_cam=chain_motions(wrong_motions))
+    wrong = replace(right, T_curr_prev=wrong_motions, T_world_cam=se3.chain_motions(wrong_motions))
     truth = se3.exp(np.array([5.0, -3.0, 2.0, 0.4, 1.0, -0.2])) @ right.T_world_cam
     return entry("fixed", right, truth), entry("student-t", wrong, truth)
 

@@ -22,7 +22,8 @@ def test_trusted_and_distrusted_points_differ_in_hue() -> None:
 def test_place_follows_the_scale() -> None:
     """At half the width a point at u = 401 lands on column 200."""
     prev = np.array([[401.0, 101, 390, 101]])
-    blue, _, red = np.moveaxis(decode(draw_tracks(GRAY, prev, prev, np.array([0.0]), max_width_px=480)), -1, 0)
+    wide = np.full((600, 1920), 128, dtype=np.uint8)
+    blue, _, red = np.moveaxis(decode(draw_tracks(wide, prev, prev, np.array([0.0]))), -1, 0)
     rows, columns = np.nonzero(red[:100] > blue[:100] + 40)
     np.testing.assert_allclose([columns.mean(), rows.mean()], [200.25, 50.25], atol=0.6)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray, Image
-from probevo.predictors.frequency import frequency
+from probevo.predictors.frequency import SIZE_PX, frequency
 from probevo.sequences import open_sequence
 
 CENTER = np.array([[40.0, 30.0]])
@@ -36,14 +36,13 @@ def wave(k_u: int, k_v: int, size: int = 20, amplitude: float = 100.0) -> Image:
     return np.rint(128 + amplitude * np.cos(2 * np.pi * (k_u * u + k_v * v) / size)).astype(np.uint8)
 
 
-@pytest.mark.parametrize("size", [12, 15, 20, 31])
-def test_it_is_the_slow_definition(size: int) -> None:
+def test_it_is_the_slow_definition() -> None:
     """Patches everywhere in the image, up to its border."""
-    image = textured(0)
+    image, size = textured(0), SIZE_PX
     last = np.array([80, 60]) - size + size // 2  # centre of the patch in the bottom right corner
     uv = np.random.default_rng(1).uniform(size // 2, last, size=(30, 2))
     uv = np.concatenate([uv, [[size // 2, size // 2], last]])
-    np.testing.assert_allclose(frequency(image, uv, size_px=size), slow_frequency(image, uv, size), rtol=1e-10)
+    np.testing.assert_allclose(frequency(image, uv), slow_frequency(image, uv, size), rtol=1e-10)
 
 
 @pytest.mark.data

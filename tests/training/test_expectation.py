@@ -13,7 +13,7 @@ from probevo.simulation.point_world import PointWorld
 from probevo.training.drive import Drive
 from probevo.training.expectation import LOOP_SIGMA, UNSOLVED_SIGMA, Expectation, conditioned, expect, solve_drive
 from probevo.training.lesson import HeldLesson
-from probevo.training.supervision import Supervision, path
+from probevo.training.supervision import Supervision
 from training.lessons import drive_of, known, point_world, true_motions
 
 STEPS = 12
@@ -41,7 +41,7 @@ def disturbed(T: FloatArray, cov: FloatArray, seed: int = 0) -> FloatArray:
 def truth(T: FloatArray, every: int = 1, kind: str = "gt") -> Supervision:
     """The path of these motions, known at each so many frames."""
     frames = np.arange(0, len(T) + 1, every)
-    return Supervision(kind, frames, path(T)[frames])  # type: ignore[arg-type]
+    return Supervision(kind, frames, se3.chain_motions(T)[frames])  # type: ignore[arg-type]
 
 
 def over(T: FloatArray, first: int, last: int) -> FloatArray:
@@ -116,7 +116,7 @@ def test_the_posterior_is_as_wide_as_it_says() -> None:
 def test_steps_outside_of_all_stretches_stay_as_they_are() -> None:
     true, cov = motions(), covariances()
     seen = disturbed(true, cov)
-    middle = Supervision("sparse", np.array([3, 7]), path(true)[[3, 7]])
+    middle = Supervision("sparse", np.array([3, 7]), se3.chain_motions(true)[[3, 7]])
     fused, posterior = conditioned(seen, cov, middle, EXACT)
     outside = np.r_[0:3, 7:STEPS]
     np.testing.assert_array_equal(fused[outside], seen[outside])
@@ -169,7 +169,7 @@ def test_how_far_the_truth_is_off_is_estimated(every: int) -> None:
     sigma = np.full(6, 4e-3)
     noise = sigma * np.random.default_rng(5).normal(size=(stretches, 6))
     ends = np.array([se3.exp(noise[i]) @ over(true, i * every, (i + 1) * every) for i in range(stretches)])
-    off = Supervision("sparse", np.arange(0, count + 1, every), path(ends))
+    off = Supervision("sparse", np.arange(0, count + 1, every), se3.chain_motions(ends))
     seen = disturbed(true, cov)
     found = conditioned(seen, cov, off, None)[1]
     less, more = (conditioned(seen, cov, off, factor * sigma)[1] for factor in (0.8, 1.2))
@@ -261,7 +261,7 @@ def test_the_spread_is_what_the_doubt_about_the_motion_makes_of_the_errors(
 
     def errors_at(T: FloatArray) -> FloatArray:
         """With the motion given, as if it were the exact truth."""
-        poses = path(T[None])
+        poses = se3.chain_motions(T[None])
         frames = np.array([step, step + 1])
         lesson = HeldLesson(drive, world.camera, Supervision("sparse", frames, poses))
         given = expect(lesson, lambda _: noise, SolverConfig(), EXACT)

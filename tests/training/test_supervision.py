@@ -8,7 +8,7 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.training.supervision import LEAST_ALPHA_M, Supervision, path, supervision_of
+from probevo.training.supervision import LEAST_ALPHA_M, Supervision, supervision_of
 from training.lessons import recording
 
 STEPS = 10
@@ -23,7 +23,7 @@ def random_motions(seed: int = 0) -> FloatArray:
 MOTIONS = random_motions()
 SOMEWHERE = se3.exp(np.array([100.0, -20.0, 5.0, 1.0, -2.0, 0.5]))
 """The first pose of the truth."""
-TRUTH = SOMEWHERE @ path(MOTIONS)
+TRUTH = SOMEWHERE @ se3.chain_motions(MOTIONS)
 OFFSET_M = np.array([0.3, -0.2, 0.6])
 
 
@@ -39,7 +39,7 @@ def taught(kind: str, every_s: float = 0.0, truth: FloatArray | None = TRUTH) ->
 
 
 def test_a_path_is_made_of_its_motions() -> None:
-    poses = path(MOTIONS)
+    poses = se3.chain_motions(MOTIONS)
     np.testing.assert_array_equal(poses[0], np.eye(4))
     np.testing.assert_allclose(se3.inverse(poses[1:]) @ poses[:-1], MOTIONS, atol=1e-12)
 
@@ -81,7 +81,7 @@ def test_an_error_of_rotation_counts_by_its_lever() -> None:
     axis = np.array([0.0, 0.6, 0.8])
     T_prev_curr = se3.inverse(MOTIONS)
     T_prev_curr[0, :3, :3] = T_prev_curr[0, :3, :3] @ se3.exp(np.r_[0.0, 0.0, 0.0, 0.01 * axis])[:3, :3]
-    arm_m = (se3.inverse(path(MOTIONS)[1]) @ path(MOTIONS)[3])[:3, 3]
+    arm_m = (se3.inverse(se3.chain_motions(MOTIONS)[1]) @ se3.chain_motions(MOTIONS)[3])[:3, 3]
     expected = 2.0 * np.sin(0.005) * np.linalg.norm(np.cross(axis, arm_m)) / np.sqrt(3.0)
     assert taught("sparse", 0.3).errors(se3.inverse(T_prev_curr))[0] == pytest.approx(expected)
 
@@ -92,7 +92,7 @@ def test_positions_are_compared_after_the_best_fit(every_s: float) -> None:
     T_prev_curr = se3.inverse(MOTIONS)
     T_prev_curr[:, :3, 3] *= 1.03
     supervision = taught("position", every_s)
-    positions = path(MOTIONS)[supervision.frames, :3, 3]
+    positions = se3.chain_motions(MOTIONS)[supervision.frames, :3, 3]
     expected = 0.03 * np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean() / np.sqrt(3.0)
     assert supervision.errors(se3.inverse(T_prev_curr)) == pytest.approx(expected, rel=1e-6)
 
@@ -159,7 +159,7 @@ def test_a_loop_without_truth_closes(unknown: slice) -> None:
     truth[unknown] = np.nan
     for known in (truth, None):
         alpha = taught("loop", truth=known).errors(MOTIONS)
-        assert alpha == pytest.approx(np.linalg.norm(path(MOTIONS)[-1, :3, 3]) / np.sqrt(3.0))
+        assert alpha == pytest.approx(np.linalg.norm(se3.chain_motions(MOTIONS)[-1, :3, 3]) / np.sqrt(3.0))
 
 
 def test_a_loop_cut_short_does_not_close() -> None:

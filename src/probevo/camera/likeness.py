@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from probevo.camera.stereo import StereoCamera
-from probevo.errors import InputError
 
 TOLERANCE = 0.1
 """Relative difference up to which two cameras are alike: KITTI's calibrations differ by 2 % from day to day."""
@@ -26,15 +25,3 @@ def difference(camera: StereoCamera, other: StereoCamera) -> str:
         if abs(value - other_value) > TOLERANCE * max(abs(value), abs(other_value)):
             return f"its {name} is {value:g} {unit}, not {other_value:g} {unit}"
     return ""
-
-
-def refuse_other_camera(trained: StereoCamera | None, camera: StereoCamera) -> None:
-    """Refuse a camera unlike the one that a noise model was trained with; None was trained with none.
-
-    Raises:
-        InputError: says in what it differs.
-    """
-    unlike = difference(camera, trained) if trained else ""
-    if unlike:
-        unlike = unlike.replace("its", "this one's", 1)
-        raise InputError("noise model", f"it was trained with another camera: {unlike}.", "Train one with this camera.")

@@ -1,4 +1,4 @@
-"""The rectified stereo camera: y = f(p), its inverse p = g(y), and the Jacobian of each (PROBE eqs. 2, 9)."""
+"""The rectified stereo camera: y = f(p), its inverse p = g(y), and the Jacobian of g (PROBE eqs. 2, 9)."""
 
 from __future__ import annotations
 
@@ -53,16 +53,22 @@ class StereoCamera:
         y = (0.5 * (v_l + v_r) - self.cv_px) * z / self.fv_px
         return np.stack([x, y, z], axis=-1)
 
-    def project_jacobian(self, points: FloatArray) -> FloatArray:
-        """F = ∂f/∂p at points [..., 3]: [..., 4, 3], px/m."""
-        x, y, z = np.moveaxis(points, -1, 0)
-        jacobian = np.zeros((*points.shape[:-1], 4, 3))
-        jacobian[..., 0, 0] = jacobian[..., 2, 0] = self.fu_px / z
-        jacobian[..., 1, 1] = jacobian[..., 3, 1] = self.fv_px / z
-        jacobian[..., 0, 2] = -self.fu_px * x / z**2
-        jacobian[..., 1, 2] = jacobian[..., 3, 2] = -self.fv_px * y / z**2
-        jacobian[..., 2, 2] = -self.fu_px * (x - self.baseline_m) / z**2
-        return jacobian
+    def normalized(self, u_px: FloatArray, v_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x = (u − c_u)/f_u to the right and y = (v − c_v)/f_v down, tangents of angles, in the left image."""
+        return (u_px - self.cu_px) / self.fu_px, (v_px - self.cv_px) / self.fv_px
+
+    def moved_rays(self, pixels: FloatArray, T_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where a motion takes the points at N observations [N, 4], px, each over its depth in a.
+
+        Returns:
+            q = C m + ρ t, [3, N], with the ray m = (x, y, 1): q₃ is the new depth over the old one. And the inverse
+            depth ρ in a, 1/m, [N]: 0, at infinity, where the disparity is not positive.
+        """
+        rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (self.fu_px * self.baseline_m)
+        rays = np.empty((3, len(pixels)))
+        rays[0], rays[1] = self.normalized(pixels[:, 0], pixels[:, 1])
+        rays[2] = 1.0
+        return T_b_a[:3, :3] @ rays + T_b_a[:3, 3, None] * rho, rho
 
     def triangulate_jacobian(self, pixels: FloatArray) -> FloatArray:
         """G = ∂g/∂y at observations [..., 4]: [..., 3, 4], m/px (PROBE eq. 9)."""

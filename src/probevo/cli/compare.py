@@ -88,7 +88,7 @@ def main(words: list[str]) -> None:
     settings = checked(arguments.settings)
     if arguments.threads < 1:
         raise InputError("--threads", f"is {arguments.threads}.", "It must be at least 1.")
-    from probevo.output.files import check_folder
+    from probevo.files import check_folder
 
     check_folder(arguments.out, "--out")
     recordings = open_recordings(arguments.sequences, settings.format)
@@ -199,9 +199,10 @@ def _run(job: Job, threads: int, before: str) -> Entry:
 
 def _write(out: Path, comparison: Comparison) -> None:
     from probevo import __version__
+    from probevo.files import write_atomically
     from probevo.output.comparison_files import document, flat_record, write_csv
     from probevo.output.comparison_page import write_comparison
-    from probevo.output.files import write_atomically, write_json
+    from probevo.output.files import write_json
     from probevo.output.trial_table import trial_table, trials_latex
 
     trials = trial_table(comparison)

@@ -56,10 +56,10 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     from probevo import __version__
     from probevo.cli.simulate import render_with_progress
     from probevo.cli.train import train_with_progress
+    from probevo.files import check_folder
     from probevo.noise.named import NOISE_NAMES
     from probevo.output.comparison import Comparison, comparison_rows
     from probevo.output.comparison_page import write_comparison
-    from probevo.output.files import check_folder
 
     check_folder(out, "--out")
     if not (out / "scenes").exists():

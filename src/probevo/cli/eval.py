@@ -91,7 +91,7 @@ def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:
     Raises:
         InputError: the file cannot be read, or has neither form.
     """
-    from probevo.output.files import read_kitti_poses, read_tum
+    from probevo.sequences.pose_files import read_kitti_poses, read_tum
     from probevo.sequences.text import read_lines
 
     if form is None:
@@ -113,7 +113,7 @@ def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, st
         InputError: the truth is too short, or no true pose is near a frame in time.
     """
     if estimate.stamps_ns is not None and truth.stamps_ns is not None:
-        return _match_by_time(estimate, truth, estimate.stamps_ns, truth.stamps_ns)
+        return _match_by_time(truth, estimate.stamps_ns, truth.stamps_ns)
     frames, poses = len(estimate.T_world_cam), len(truth.T_world_cam)
     if poses < frames:
         what = f"{poses} poses for the {frames} frames of {estimate.where}."
@@ -125,9 +125,7 @@ def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, st
     return truth.T_world_cam[:frames], remark
 
 
-def _match_by_time(
-    estimate: Trajectory, truth: Trajectory, frames_ns: IntArray, poses_ns: IntArray
-) -> tuple[FloatArray, str]:
+def _match_by_time(truth: Trajectory, frames_ns: IntArray, poses_ns: IntArray) -> tuple[FloatArray, str]:
     import numpy as np
 
     after = np.clip(np.searchsorted(poses_ns, frames_ns), 1, max(len(poses_ns) - 1, 1))

@@ -128,8 +128,8 @@ def examine(sequence: Sequence) -> Rows:
     """What the first frames say: stereo matches, row offset, disparity, and whether left and right are swapped."""
     import numpy as np
 
-    from probevo.sequences.left_right import FRAMES_TO_SEE, count_matches, looks_swapped
     from probevo.tracking import Tracks, tracker_for
+    from probevo.tracking.left_right import FRAMES_TO_SEE, count_matches, looks_swapped
 
     config = RunConfig().tracking
     frames = list(islice(sequence, FRAMES_TO_SEE + 1))

@@ -56,8 +56,8 @@ def main(words: list[str]) -> None:
     arguments = parse(InspectArguments, words, "inspect", default=InspectArguments(None, tyro.MISSING))
     settings = checked(arguments.settings)
     _check(arguments)
+    from probevo.files import check_folder
     from probevo.noise.model_io import load_model
-    from probevo.output.files import check_folder
 
     check_folder(arguments.out, "--out")
     model = load_model(arguments.model) if arguments.model else None
@@ -91,15 +91,21 @@ def frame_view(path: Path, arguments: InspectArguments, settings: OdometryConfig
             frame, or it has no features.
     """
     from probevo.noise.named import check_model_camera
-    from probevo.predictors import prediction_space, space_for
+    from probevo.predictors import PredictionSpace, prediction_space, space_for
     from probevo.sequences import open_sequence
+    from probevo.training.settings import TrainSettings
+    from probevo.training.sources import known_predictors
 
     sequence = open_sequence(path, arguments.format)
     if model is not None:
         check_model_camera(str(arguments.model), model, sequence.camera)
     index = _frame_index(arguments.frame, len(sequence), path)
-    names = arguments.predictors or _default_predictors(sequence)
-    space = space_for(model.columns) if model is not None and model.columns else prediction_space(names)
+    if model is not None and model.columns:
+        space = space_for(model.columns)
+    elif arguments.predictors:
+        space = prediction_space(arguments.predictors)
+    else:
+        space = PredictionSpace(known_predictors(TrainSettings(kind="knn"), [sequence]))
     return _view_of_frame(sequence, index, space, model, settings)
 
 
@@ -110,14 +116,6 @@ def _frame_index(wanted: int | None, num_frames: int, path: Path) -> int:
         cure = "The first frame, 0, has none before it from which features could be followed." if wanted == 0 else ""
         raise InputError("--frame", f"is {wanted}; the recording has frames 1 to {num_frames - 1}.", cure)
     return num_frames // 2 if wanted is None else wanted
-
-
-def _default_predictors(sequence: Sequence) -> list[str]:
-    from probevo.predictors import PREDICTORS, Needs
-    from probevo.training.settings import DEFAULT
-
-    has_images = sequence.camera.size_px is not None
-    return [name for name in DEFAULT if has_images or not PREDICTORS[name].needs & (Needs.LEFT | Needs.PREVIOUS_LEFT)]
 
 
 def _view_of_frame(
@@ -206,7 +204,7 @@ def _write_kernel(out: Path, name: str, model: GeneralizedKernel, frame: FrameVi
 
 
 def _write_pictures(out: Path, frame: FrameView | None, pictures: Mapping[str, tuple[str, bytes]]) -> None:
-    from probevo.output.files import remove_stale, write_atomically
+    from probevo.files import remove_stale, write_atomically
 
     if frame is None:
         return

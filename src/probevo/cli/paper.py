@@ -104,7 +104,7 @@ class PaperArguments:
 def main(words: list[str]) -> None:
     """Parse, repeat the experiment, say what it found."""
     arguments = parse(PaperArguments, words, "paper").experiment
-    from probevo.output.files import check_folder
+    from probevo.files import check_folder
 
     check_folder(arguments.out, "--out")
     if isinstance(arguments, BlurArguments):
@@ -217,7 +217,4 @@ def _table_i_jobs(plan: Plan, models: dict[tuple[Drive, str], Path], arguments: 
 
 
 def _trials_text(trials: TrialTable) -> str:
-    from probevo.output.trial_table import trials_text
-
-    head, *rows = trials_text(trials)
-    return "\n".join([table(head, rows), "", "ARMSE / final error, m.", *trials.notes, ""])
+    return paper_kernel.table_text(trials, "ARMSE / final error, m.")

@@ -83,12 +83,12 @@ def table_1_3(settings: Table13Config, own: tuple[Path, ...], out: Path) -> list
     return [table_text(of(comparison)), str(out / "table_1_3.html")]
 
 
-def table_text(trials: TrialTable) -> str:
-    """The table as text, and what to know about it."""
+def table_text(trials: TrialTable, *remarks: str) -> str:
+    """The table as text, and what to know about it: these remarks, and its own notes."""
     from probevo.output.trial_table import trials_text
 
     head, *rows = trials_text(trials)
-    return "\n".join([table(head, rows), "", *trials.notes, ""])
+    return "\n".join([table(head, rows), "", *remarks, *trials.notes, ""])
 
 
 def _row(name: RowName, settings: Table12Config, out: Path) -> Row:

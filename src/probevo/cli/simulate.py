@@ -41,9 +41,6 @@ class SceneArguments:
     settings: Annotated[SceneConfig, tyro.conf.arg(name="")] = field(default_factory=SceneConfig)
 
 
-WORLDS = {"point": PointArguments, "scene": SceneArguments}
-
-
 @dataclass(frozen=True)
 class SimulateArguments:
     """Record a simulated world, with the truth about all of it. `probevo simulate WORLD --help` shows its options."""
@@ -58,7 +55,7 @@ class SimulateArguments:
 def main(words: list[str]) -> None:
     """Parse, simulate, say what to do with it."""
     arguments = parse(SimulateArguments, words, "simulate").world
-    from probevo.output.files import check_folder
+    from probevo.files import check_folder
 
     check_folder(arguments.out, "--out")
     lines = _point(arguments) if isinstance(arguments, PointArguments) else _scene(arguments)

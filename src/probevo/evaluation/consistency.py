@@ -27,7 +27,7 @@ class Consistency:
 
     @property
     def anees(self) -> float:
-        """Average NEES: 6 is honest, more is overconfident, less is timid."""
+        """Average NEES: 6 is honest, more is overconfident, less is conservative."""
         return float(self.nees.mean())
 
     @property
@@ -49,20 +49,13 @@ class Consistency:
         low, high = (_binomial_quantile(q, count, probability) / count for q in (tail, 1.0 - tail))
         return low, high
 
-    def anees_interval(self, probability: float = 0.95) -> tuple[float, float]:
-        """Where the ANEES of an honest covariance with independent Gaussian errors falls with this probability."""
-        tail = 0.5 * (1.0 - probability)
-        # chdtri takes the probability of the upper tail, and loads ten times faster than scipy.stats.
-        low, high = chdtri(6 * len(self.nees), [1.0 - tail, tail]) / len(self.nees)
-        return float(low), float(high)
-
 
 def feature_coverage(noise: StereoNoise, residuals: FloatArray) -> dict[str, float]:
     """Share of N features inside the ellipsoids that should hold 50, 90, 95, 99 % of them, 0 … 1, by percent.
 
     The squared Mahalanobis length s of a Student-t residual has s/4 ~ F(4, ν), of a Gaussian one s ~ χ²(4). It is held
     against the distribution of its own feature, whatever its ν: honest noise has nominal coverage, less is
-    overconfident, more is timid.
+    overconfident, more is conservative.
 
     Args:
         noise: noise of the residuals, of N features, at least one.

@@ -43,8 +43,8 @@ class SegmentErrors:
 def segment_errors(
     T_world_cam_est: FloatArray,
     T_world_cam_true: FloatArray,
-    lengths_m: tuple[float, ...] = KITTI_LENGTHS_M,
-    starts: IntArray | None = None,
+    lengths_m: tuple[float, ...],
+    starts: IntArray,
 ) -> SegmentErrors:
     """Errors of all segments that fit into the true path of K frames.
 
@@ -55,10 +55,9 @@ def segment_errors(
         T_world_cam_est: estimated poses, [K, 4, 4], m.
         T_world_cam_true: true poses, [K, 4, 4], m, all known.
         lengths_m: nominal lengths.
-        starts: index of each frame at which segments start; every tenth by default, as in the devkit.
+        starts: index of each frame at which segments start.
     """
     distance = distance_along_path(T_world_cam_true)
-    starts = np.arange(0, len(distance), 10) if starts is None else starts
     first = np.repeat(starts, len(lengths_m))
     length = np.tile(np.asarray(lengths_m, dtype=np.float64), len(starts))
     last = np.searchsorted(distance, distance[first] + length, side="right")

@@ -9,7 +9,6 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3, so3
-from probevo.motion.direct import direct_motion
 
 
 def from_first_camera(T_world_cam: FloatArray) -> FloatArray:
@@ -60,11 +59,15 @@ def ate_rmse(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray, *, align
 
 
 def rigid_alignment(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
-    """T_b_a, [4, 4], that takes points_a [K, 3] to points_b [K, 3] with least squared error (Umeyama 1991, no scale).
+    """T_b_a, [4, 4], that takes points_a [K, 3] to points_b [K, 3] with least squared error (Umeyama 1991).
 
     Points on a line or in one place leave the rotation about them open; one of the minimisers is returned.
     """
-    return direct_motion(points_a, points_b)
+    center_a, center_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    U, _, Vt = np.linalg.svd((points_b - center_b).mT @ (points_a - center_a))
+    U[:, 2] *= np.linalg.det(U @ Vt)
+    C_b_a = U @ Vt
+    return se3.from_parts(C_b_a, center_b - C_b_a @ center_a)
 
 
 def rpe_rmse(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> tuple[float, float] | None:

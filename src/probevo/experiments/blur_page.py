@@ -16,7 +16,7 @@ from probevo.arrays import AnyArray, FloatArray
 from probevo.experiments.blur import BlurObservations, BlurView
 from probevo.experiments.blur_scene import FAST, INSTANT_STEP_S, LEFT
 from probevo.experiments.blur_statistics import AXES, KINDS, ErrorSummary, Finding, verdicts
-from probevo.output.files import write_atomically
+from probevo.files import write_atomically
 from probevo.output.page import grid, panel, write_page
 from probevo.output.svg import CYCLE, LEGEND_ABOVE, MUTED, WIDTH_IN, figure_style
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.evaluation.trajectory_errors import path_length
 from probevo.experiments.kernel_trials import ESTIMATOR_NOTE, FITTED, GK_EM, STATIC
 from probevo.experiments.table_1_3_config import Table13Config
 from probevo.geometry import se3
@@ -75,12 +76,6 @@ def knows_ends(entry: Entry) -> bool:
     return entry.truth is not None and bool(np.isfinite(entry.truth[[0, -1]]).all())
 
 
-def path_length_m(entry: Entry) -> float:
-    """Of the path as estimated, m: of the true one there may be the ends alone."""
-    positions = entry.result.T_world_cam[:, :3, 3]
-    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-
-
 def table_of(comparison: Comparison, planned: tuple[str, ...], own: bool) -> TrialTable:
     """The loops but for the first; under each what was published of it.
 
@@ -95,7 +90,7 @@ def table_of(comparison: Comparison, planned: tuple[str, ...], own: bool) -> Tri
         if not entries:
             continue
         errors = tuple((loop_error_m(entries[key]),) if key in entries else _UNKNOWN for key in ESTIMATORS)
-        rows.append(TrialRow(name, errors, path_length_m(next(iter(entries.values())))))
+        rows.append(TrialRow(name, errors, path_length(next(iter(entries.values())).result.T_world_cam)))
         if name in PUBLISHED and not own:
             row = PUBLISHED[name]
             published = tuple((row.errors_m.get(key),) for key in ESTIMATORS)
@@ -123,7 +118,7 @@ def published(entry: Entry, own: bool) -> dict[str, object]:
     row = None if own else PUBLISHED.get(entry.sequence)
     return {
         "loop_error_m": loop_error_m(entry),
-        "estimated_length_m": path_length_m(entry),
+        "estimated_length_m": path_length(entry.result.T_world_cam),
         "published_path_length_m": row.path_length_m if row else None,
         "published_loop_error_m": row.errors_m.get(entry.estimator) if row else None,
     }

@@ -5,12 +5,13 @@ Functions are batched over leading dimensions; poses compose with ``@``.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
 from probevo.geometry.logarithms import log_translations
-from probevo.geometry.stumpff import stumpff
 
 
 def from_parts(C_b_a: FloatArray, t_b: FloatArray) -> FloatArray:
@@ -34,22 +35,12 @@ def inverse(T_b_a: FloatArray) -> FloatArray:
     return from_parts(C_a_b, -(C_a_b @ T_b_a[..., :3, 3:])[..., 0])
 
 
-def wedge(xi: FloatArray) -> FloatArray:
-    """ξ^, the matrix [[φ^, ρ], [0, 0]]: [..., 6] to [..., 4, 4] (thesis eq. 2.13)."""
-    matrix = np.zeros((*xi.shape[:-1], 4, 4))
-    matrix[..., :3, :3] = so3.wedge(xi[..., 3:])
-    matrix[..., :3, 3] = xi[..., :3]
-    return matrix
-
-
-def vee(matrix: FloatArray) -> FloatArray:
-    """The inverse of ``wedge``: [..., 4, 4] to [..., 6]."""
-    return np.concatenate([matrix[..., :3, 3], so3.vee(matrix[..., :3, :3])], axis=-1)
-
-
-def curly_wedge(xi: FloatArray) -> FloatArray:
-    """ξ⋏ = [[φ^, ρ^], [0, φ^]], the adjoint of the Lie algebra: [..., 6] to [..., 6, 6] (Barfoot 2017 sec. 7.1.4)."""
-    return _block_triangular(so3.wedge(xi[..., 3:]), so3.wedge(xi[..., :3]))
+def chain_motions(T_curr_prev: Iterable[FloatArray]) -> FloatArray:
+    """Poses T_world_cam, [K, 4, 4], world = first camera, from K-1 motions: T_w,k = T_w,k-1 T_k,k-1⁻¹."""
+    poses = [np.eye(4)]
+    for motion in T_curr_prev:
+        poses.append(poses[-1] @ inverse(motion))
+    return np.array(poses)
 
 
 def exp(xi: FloatArray) -> FloatArray:
@@ -70,36 +61,6 @@ def adjoint(T: FloatArray) -> FloatArray:
     """Ad(T) = [[C, t^ C], [0, C]], with Exp(Ad(T) ξ) = T Exp(ξ) T⁻¹: [..., 4, 4] to [..., 6, 6]."""
     C, t = T[..., :3, :3], T[..., :3, 3]
     return _block_triangular(C, so3.wedge(t) @ C)
-
-
-def left_jacobian(xi: FloatArray) -> FloatArray:
-    """𝒥(ξ), with Exp(ξ + δ) ≈ Exp(𝒥 δ) Exp(ξ): [..., 6] to [..., 6, 6] (thesis eqs. 2.23, 2.24)."""
-    return _block_triangular(so3.left_jacobian(xi[..., 3:]), _q_matrix(xi))
-
-
-def left_jacobian_inverse(xi: FloatArray) -> FloatArray:
-    """𝒥(ξ)⁻¹, with Log(Exp(δ) Exp(ξ)) ≈ ξ + 𝒥⁻¹ δ: [..., 6] to [..., 6, 6]; singular at an angle of 2π."""
-    J_inverse = so3.left_jacobian_inverse(xi[..., 3:])
-    return _block_triangular(J_inverse, -J_inverse @ _q_matrix(xi) @ J_inverse)
-
-
-def _q_matrix(xi: FloatArray) -> FloatArray:
-    """Q(ξ), the upper right block of 𝒥(ξ): [..., 6] to [..., 3, 3].
-
-    Barfoot (2017) eq. (7.86b), its coefficients written as Stumpff functions, which need no special case at θ = 0.
-    """
-    angle_sq = np.sum(xi[..., 3:] ** 2, axis=-1)[..., None, None]
-    c_3, c_4, c_5 = stumpff((3, 4, 5), angle_sq)
-    rho, phi = so3.wedge(xi[..., :3]), so3.wedge(xi[..., 3:])
-    phi_rho, rho_phi = phi @ rho, rho @ phi
-    phi_rho_phi = phi_rho @ phi
-    upper_right: FloatArray = (
-        0.5 * rho
-        + c_3 * (phi_rho + rho_phi + phi_rho_phi)
-        + c_4 * (phi @ phi_rho + rho_phi @ phi - 3.0 * phi_rho_phi)
-        + 0.5 * (c_4 - 3.0 * c_5) * (phi_rho_phi @ phi + phi @ phi_rho_phi)
-    )
-    return upper_right
 
 
 def _block_triangular(diagonal: FloatArray, upper_right: FloatArray) -> FloatArray:

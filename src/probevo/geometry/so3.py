@@ -22,11 +22,6 @@ def wedge(phi: FloatArray) -> FloatArray:
     return matrix - matrix.mT
 
 
-def vee(matrix: FloatArray) -> FloatArray:
-    """The inverse of ``wedge``: skew-symmetric [..., 3, 3] to [..., 3]."""
-    return np.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], axis=-1)
-
-
 def exp(phi: FloatArray) -> FloatArray:
     """C = Exp(φ): rotation vectors [..., 3], rad, to rotations [..., 3, 3] (thesis eq. 2.3)."""
     return Rotation.from_rotvec(phi).as_matrix()
@@ -51,16 +46,3 @@ def left_jacobian(phi: FloatArray) -> FloatArray:
     c_2, c_3 = stumpff((2, 3), angle_sq)
     jacobian: FloatArray = np.eye(3) + c_2 * phi_wedge + c_3 * phi_wedge @ phi_wedge
     return jacobian
-
-
-def left_jacobian_inverse(phi: FloatArray) -> FloatArray:
-    """J(φ)⁻¹, with Log(Exp(δ) Exp(φ)) ≈ φ + J⁻¹ δ: [..., 3] to [..., 3, 3]; singular at an angle of 2π.
-
-    Barfoot (2017) section 7.1.5: 1 − φ^/2 + (1/θ² − (1 + cos θ) / (2θ sin θ)) φ^φ^, whose last coefficient, 0/0 at both
-    0 and π as it stands, equals (c_3 − 2c_4) / (2c_2).
-    """
-    angle_sq = np.sum(phi**2, axis=-1)[..., None, None]
-    phi_wedge = wedge(phi)
-    c_2, c_3, c_4 = stumpff((2, 3, 4), angle_sq)
-    inverse: FloatArray = np.eye(3) - 0.5 * phi_wedge + (c_3 - 2.0 * c_4) / (2.0 * c_2) * phi_wedge @ phi_wedge
-    return inverse

@@ -1,4 +1,4 @@
-"""Stumpff functions, in which the closed forms of the Jacobians of SO(3) and SE(3) are free of singularities."""
+"""Stumpff functions, in which the closed forms of the Jacobians of SO(3) are free of singularities."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 
-MOST_ORDERS, TERMS = 6, 9
+MOST_ORDERS, TERMS = 4, 9
 """The first term left out is below 1e-17 of the sum for angles under 1 rad."""
 _SERIES = np.array([[(-1) ** k / factorial(2 * k + order) for k in range(TERMS)] for order in range(MOST_ORDERS)])
 _EXPONENTS = np.arange(TERMS, dtype=np.float64)[:, None]
@@ -21,7 +21,7 @@ def stumpff(orders: tuple[int, ...], angle_sq: FloatArray) -> FloatArray:
     That recursion cancels near 0, where the series takes over.
 
     Args:
-        orders: n, each 0 … 5.
+        orders: n, each 0 … 3.
         angle_sq: θ², [...], rad².
     """
     powers = np.minimum(angle_sq, 1.0).ravel() ** _EXPONENTS

@@ -16,6 +16,8 @@ from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3, so3
 
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-4, 1e-9
+_CONVERGED_BELOW = 1e-9
+"""Length of a step ξ, m and rad together, at which it has converged."""
 _LEAST_INFORMATION = 1e-12
 """Along what the points do not fix, relative to what they do fix: it keeps the inverse finite, and huge."""
 
@@ -40,7 +42,6 @@ def solve_alignment(
     guess: FloatArray,
     *,
     max_iterations: int = 30,
-    tolerance: float = 1e-9,
 ) -> Alignment:
     """Minimise ½ Σ eᵀ Γ e with e = p_curr − T_curr_prev p_prev and p = g(y) (PROBE eq. 7), Levenberg–Marquardt damped.
 
@@ -56,9 +57,8 @@ def solve_alignment(
             disparity in both are left out.
         cov_prev_px, cov_curr_px: R and R', covariances of these, [N, 4, 4] or one [4, 4] for all, px².
         camera: the stereo camera.
-        guess: T_curr_prev to start from, [4, 4], as from ``direct_motion``.
+        guess: T_curr_prev to start from, [4, 4].
         max_iterations: rejected steps count.
-        tolerance: length of a step ξ, m and rad together, at which it has converged.
     """
     pairs = _PointPairs.triangulated(prev_px, curr_px, cov_prev_px, cov_curr_px, camera)
     T, damping, iterations, converged = guess, _FIRST_DAMPING, 0, False
@@ -73,7 +73,7 @@ def solve_alignment(
         else:
             damping *= 10.0
         iterations += 1
-        converged = bool(np.linalg.norm(step) < tolerance)
+        converged = bool(np.linalg.norm(step) < _CONVERGED_BELOW)
     information, _ = pairs.normal_equations(T, Gamma)
     return Alignment(T, _inverse(information), iterations, converged)
 

@@ -38,7 +38,7 @@ class MotionEstimate:
     num_tracks: int
     """Tracks that the step had."""
     num_inliers: int = 0
-    """Tracks whose robust weight is at least one half of a perfect feature's."""
+    """Tracks that are trusted by at least one half, of 0 to 1 (``motion.trust``)."""
     iterations: int = 0
     shared: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
     """The part of ``cov`` that all steps have in common, the doubt about the calibration: ξ moves along these columns,

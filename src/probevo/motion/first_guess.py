@@ -77,7 +77,7 @@ def _turned_as_expected(tracks: Tracks, camera: StereoCamera, C_curr_prev: Float
 
 def _directions(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     """Unit vectors towards features [N, 4], [N, 3]."""
-    x, y = (pixels[:, 0] - camera.cu_px) / camera.fu_px, (pixels[:, 1] - camera.cv_px) / camera.fv_px
+    x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
     rays = np.column_stack([x, y, np.ones_like(x)])
     unit: FloatArray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     return unit

@@ -50,7 +50,7 @@ def _residual_sizes(tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamer
     u_l, v_l, u_r, v_r = tracks.prev_px.T
     disparity = u_l - u_r
     rays = np.empty((3, len(tracks)))
-    rays[0], rays[1] = (u_l - camera.cu_px) / camera.fu_px, (0.5 * (v_l + v_r) - camera.cv_px) / camera.fv_px
+    rays[0], rays[1] = camera.normalized(u_l, 0.5 * (v_l + v_r))
     rays[2] = 1.0
     t_per_px = T_curr_prev[:3, 3, None] / (camera.fu_px * camera.baseline_m)
     x, y, z = T_curr_prev[:3, :3] @ rays + t_per_px * disparity

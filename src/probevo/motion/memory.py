@@ -83,7 +83,7 @@ class DisparityMemory:
 
 
 @dataclass(frozen=True)
-class Together:
+class JointPosterior:
     """Motion and errors in common, (ξ, c), after a step."""
 
     mean: FloatArray
@@ -94,7 +94,7 @@ class Together:
     """U of the tracks that were known, at the disparities that the solve has refined, [M, 2, 6]."""
 
     @staticmethod
-    def of(solution: ReprojectionSolution, before: DisparityMemory) -> Together:
+    def of(solution: ReprojectionSolution, before: DisparityMemory) -> JointPosterior:
         """From the solve, which took the errors for the tracks' own, by one more Gauss–Newton step.
 
         The robust weights are those of the solve; its covariance, in which the loss has a part, stays what it is for a
@@ -116,7 +116,7 @@ class Together:
         factor = float(np.prod(np.diagonal(change))) ** (1.0 / 6.0)
         information = _joint(told @ told.T, factor * change @ cross, factor**2 * own + np.eye(SHARED))
         root = np.linalg.cholesky(np.linalg.inv(information))
-        return Together(mean.astype(float), root.astype(float), common)
+        return JointPosterior(mean.astype(float), root.astype(float), common)
 
 
 def _joint(motion: FloatArray, cross: FloatArray, common: FloatArray) -> FloatArray:
@@ -146,13 +146,13 @@ def remember(
     """
     if noise.lasting is None or not (np.isfinite(solution.cov).all() and np.linalg.eigvalsh(solution.hessian)[0] > 0.0):
         return solution, DisparityMemory.none()
-    together = Together.of(solution, before)
+    posterior = JointPosterior.of(solution, before)
     T, T_curr_prev, C, t = solution.T_curr_prev, np.eye(4), np.empty((3, 3)), np.empty(3)
-    perturb(together.mean[:6].copy(), T[:3, :3].copy(), T[:3, 3].copy(), C, t)
+    perturb(posterior.mean[:6].copy(), T[:3, :3].copy(), T[:3, 3].copy(), C, t)
     T_curr_prev[:3, :3], T_curr_prev[:3, 3] = C, t
-    cov: FloatArray = together.root[:6] @ together.root[:6].T
+    cov: FloatArray = posterior.root[:6] @ posterior.root[:6].T
     better = replace(solution, T_curr_prev=T_curr_prev, cov=cov)
-    return better, carried_on(tracks, noise, better, camera, trusted, before, together)
+    return better, carried_on(tracks, noise, better, camera, trusted, before, posterior)
 
 
 def carried_on(
@@ -162,28 +162,28 @@ def carried_on(
     camera: StereoCamera,
     trusted: BoolArray,
     before: DisparityMemory,
-    together: Together | None = None,
+    posterior: JointPosterior | None = None,
 ) -> DisparityMemory:
-    """The memory after a step whose motion is known, or uncertain ``together`` with the errors in common."""
+    """The memory after a step whose motion is known, or uncertain with the errors in common (``posterior``)."""
     if noise.lasting is None:
         return DisparityMemory.none()
     order = np.argsort(tracks.ids)
     chosen = order[(trusted & (solution.information[:, 0, 0] > 0.0))[order]]
     U, mean = np.zeros((len(tracks), 2, SHARED)), np.zeros(12)
-    if together is not None:
-        U[before.known.rows], mean = together.common, together.mean
+    if posterior is not None:
+        U[before.known.rows], mean = posterior.common, posterior.mean
     x, cov, felt = np.empty((len(chosen), 2)), np.empty((len(chosen), 2, 2)), np.empty((len(chosen), 2, 12))
     points, solved = solution.points, (solution.shared, solution.information, solution.residuals)
     jacobians = solution.jacobian, solution.disparity_jacobian
     renew(chosen, points.seen, points.error, points.cov, *solved, *jacobians, U, mean, x, cov, felt)
     cov[:, 1, 1] += WANDERING * noise.lasting[chosen]
     T, px = solution.T_curr_prev, tracks.prev_px[chosen]
-    right, down = (px[:, 0] - camera.cu_px) / camera.fu_px, (px[:, 1] - camera.cv_px) / camera.fv_px
+    right, down = camera.normalized(px[:, 0], px[:, 1])
     depth = T[2, 0] * right + T[2, 1] * down + T[2, 2] + T[2, 3] * x[:, 0] / (camera.fu_px * camera.baseline_m)
     common, path, tied = np.zeros((len(chosen), 2, SHARED)), np.zeros((6, SHARED)), np.zeros((6, 6))
-    if together is not None:
-        common, cov, directions = _most_felt(felt @ together.root, cov)
-        step, passed_on, before_it = together.root[:6], together.root[6:], se3.adjoint(T) @ before.path
+    if posterior is not None:
+        common, cov, directions = _most_felt(felt @ posterior.root, cov)
+        step, passed_on, before_it = posterior.root[:6], posterior.root[6:], se3.adjoint(T) @ before.path
         path, tied = (before_it @ passed_on + step) @ directions, before_it @ passed_on @ step.T
     ahead = depth > NEAREST
     known = KnownDisparities(np.arange(int(ahead.sum())), x[ahead, 0] / depth[ahead], x[ahead, 1], cov[ahead])

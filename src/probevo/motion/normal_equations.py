@@ -7,10 +7,17 @@ import math
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
 from probevo.motion.reprojection_kernels import NEAREST
-from probevo.motion.robust_kernels import STUDENT_T, robust_bend, robust_cost, robust_curvature, robust_weight
+from probevo.motion.robust_kernels import (
+    RESIDUAL_DIM,
+    STUDENT_T,
+    robust_bend,
+    robust_cost,
+    robust_curvature,
+    robust_weight,
+)
 
 BEHIND = 1e4
-"""Squared Mahalanobis length of a point without a say: far enough for any loss, near enough to add up with others."""
+"""Squared Mahalanobis length of a point that does not contribute: far for any loss, near enough to add up."""
 
 
 @compiled
@@ -22,9 +29,9 @@ def weigh(
     curvature: FloatArray,
     relative: FloatArray,
 ) -> tuple[float, float]:
-    """Fill in IRLS weight w, curvature a = w + (2/d) w' s, and w against that of a perfect residual, [N] each, d = 4.
+    """Fill in IRLS weight w, curvature a = w + (2/d) w' s, and w against that of a perfect residual, [N] each.
 
-    Returns Σ w² s / d, the scatter of the gradient, and Σ a. All are zero for a point without a say.
+    Returns Σ w² s / d, the scatter of the gradient, and Σ a. All are zero for a point that does not contribute.
     """
     scatter, curved = 0.0, 0.0
     for n in range(len(squared)):
@@ -32,10 +39,10 @@ def weigh(
         if s >= BEHIND:
             weight[n], curvature[n], relative[n] = 0.0, 0.0, 0.0
             continue
-        weight[n] = robust_weight(kind, parameter[n], 4, s)
-        curvature[n] = robust_curvature(kind, parameter[n], 4, s)
-        relative[n] = weight[n] / robust_weight(kind, parameter[n], 4, 0.0)
-        scatter += weight[n] * weight[n] * s / 4.0
+        weight[n] = robust_weight(kind, parameter[n], s)
+        curvature[n] = robust_curvature(kind, parameter[n], s)
+        relative[n] = weight[n] / robust_weight(kind, parameter[n], 0.0)
+        scatter += weight[n] * weight[n] * s / RESIDUAL_DIM
         curved += curvature[n]
     return scatter, curved
 
@@ -76,7 +83,7 @@ def normal_equations(
         Z = C[2, 0] * mx + C[2, 1] * my + C[2, 2] + rho * t[2]
         if Z < NEAREST:
             squared[n] = BEHIND
-            cost += robust_cost(kind, parameter[n], 4, BEHIND)
+            cost += robust_cost(kind, parameter[n], BEHIND)
             continue
         iz = 1.0 / Z
         u, v, d = fu * X * iz, fv * Y * iz, fb * rho * iz
@@ -97,8 +104,8 @@ def normal_equations(
                 cost += 0.5 * (shared_dof + 4.0) * math.log(grown)
                 grown = 1.0
         else:
-            cost += robust_cost(kind, parameter[n], 4, s)
-        w = robust_weight(kind, parameter[n], 4, s)
+            cost += robust_cost(kind, parameter[n], s)
+        w = robust_weight(kind, parameter[n], s)
         # both image rows move alike, so the information of v_l and v_r folds into one row v
         w00, w01, w02 = w * W[0, 0], w * (W[0, 1] + W[0, 3]), w * W[0, 2]
         w11, w12, w22 = w * (W[1, 1] + 2.0 * W[1, 3] + W[3, 3]), w * (W[1, 2] + W[3, 2]), w * W[2, 2]

@@ -13,6 +13,9 @@ from probevo.compiled import compiled, copy_into, perturb, solve_positive_defini
 from probevo.motion.normal_equations import normal_equations
 from probevo.motion.reprojection_kernels import NEAREST
 
+INLIER_RATIO = 0.5
+"""Share of inliers that is assumed, as in PROBE."""
+
 
 @dataclass(frozen=True)
 class Consensus:
@@ -24,12 +27,9 @@ class Consensus:
     """Features within the threshold of it, [N]."""
 
 
-def num_hypotheses(confidence: float, inlier_ratio: float = 0.5, sample_size: int = 3) -> int:
-    """Samples needed for one without outliers (Fischler & Bolles 1981).
-
-    For three points and PROBE's 50 % inliers: 35 at 99 % confidence, 69 at 99.99 %.
-    """
-    return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - inlier_ratio**sample_size))
+def num_hypotheses(confidence: float) -> int:
+    """Samples of three points needed for one without outliers (Fischler & Bolles 1981): 35 at 99 %, 69 at 99.99 %."""
+    return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - INLIER_RATIO**3))
 
 
 def find_consensus(
@@ -42,7 +42,6 @@ def find_consensus(
     C_curr_prev: FloatArray | None = None,
     threshold_px: float = 2.0,
     confidence: float = 0.99,
-    inlier_ratio: float = 0.5,
 ) -> Consensus:
     """The best of the motions of random minimal samples, by the truncated squared reprojection error of all features.
 
@@ -58,7 +57,6 @@ def find_consensus(
         threshold_px: largest error of an inlier in any of u_l, v_l, u_r.
         confidence: probability that at least one sample of three is free of outliers. As many samples of one are drawn
             with a gyro (PROBE does so too): each carries the depth noise of its point, and needs the choice.
-        inlier_ratio: assumed share of inliers.
     """
     sample_size = 3 if C_curr_prev is None else 1
     count = len(prev_px)
@@ -67,7 +65,7 @@ def find_consensus(
         start[:3, :3] = C_curr_prev
     samples = np.zeros((0, sample_size), dtype=np.int64)
     if count >= sample_size:
-        samples = rng.integers(count, size=(num_hypotheses(confidence, inlier_ratio), sample_size))
+        samples = rng.integers(count, size=(num_hypotheses(confidence), sample_size))
     intrinsics = np.array([camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.fu_px * camera.baseline_m])
     points = np.column_stack([prev_px[:, :2], prev_px[:, 0] - prev_px[:, 2]])
     C, t, inliers = np.ascontiguousarray(start[:3, :3]), np.ascontiguousarray(start[:3, 3]), np.zeros(count, np.bool_)

@@ -43,7 +43,7 @@ class ReprojectionSolution:
     weight: FloatArray
     """Robust weight of each feature against that of a perfect one, [N], in [0, 1]."""
     irls_weight: FloatArray
-    """Robust weight w itself, [N]; 0 for a feature without a say."""
+    """Robust weight w itself, [N]; 0 for a feature that does not contribute."""
     points: SeenPoints
     """The N points, before the solve."""
     refined: FloatArray

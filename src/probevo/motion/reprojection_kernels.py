@@ -1,7 +1,7 @@
 """Compiled inner loops of the reprojection solve.
 
 A point is carried as its ray m and inverse depth ρ = d/(f_u b) rather than as p = m/ρ, so that T acts as
-q = C m + ρ t and nothing is singular for a point at infinity: far features keep their say about rotation.
+q = C m + ρ t and nothing is singular for a point at infinity: far features still contribute to the rotation.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from probevo.arrays import FloatArray
 from probevo.compiled import compiled, invert_symmetric_4
 
 NEAREST = 1e-3
-"""A point whose scaled depth q_z falls below this is behind the camera or in it, and has no say."""
+"""A point whose scaled depth q_z falls below this is behind the camera or in it, and does not contribute."""
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Robust losses of a stereo residual, and how much information an M-estimate with each of them keeps."""
+"""Robust losses of a stereo residual, and what they make of the covariance of an M-estimate."""
 
 from __future__ import annotations
 
@@ -12,12 +12,9 @@ from numpy.typing import ArrayLike
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
 from probevo.errors import InputError
-from probevo.motion.robust_kernels import LossKind, robust_cost, robust_weight
+from probevo.motion.robust_kernels import RESIDUAL_DIM, LossKind, robust_weight
 
 LossName = Literal["noise", "l2", "huber", "cauchy", "tukey"]
-
-RESIDUAL_DIM = 4
-"""d, the dimension of a stereo residual."""
 
 
 @dataclass(frozen=True)
@@ -99,25 +96,6 @@ class RobustLoss:
         _fill_weights(int(self.kind), parameters.ravel(), squared.ravel(), weights.reshape(-1))
         return weights
 
-    def cost(self, squared: ArrayLike, dof: ArrayLike = np.inf) -> FloatArray:
-        """ρ(s) at squared lengths s, [...]. The arguments are those of ``weight``."""
-        parameters, squared = np.broadcast_arrays(self.parameters(dof), np.asarray(squared, dtype=np.float64))
-        costs = np.empty(squared.shape)
-        _fill_costs(int(self.kind), parameters.ravel(), squared.ravel(), costs.reshape(-1))
-        return costs
-
-    def information_factor(self, dof: ArrayLike) -> FloatArray:
-        """a²/b: what Σ_n Jᵀ Σ⁻¹ J must be multiplied by to be the inverse covariance of the M-estimate, [...].
-
-        It is exact, for many features, if all have noise of the same dof; else take the sandwich of ``moments``.
-        It is 0 for L2 at dof ≤ 2, where the noise has no finite variance.
-
-        Args:
-            dof: degrees of freedom ν of the Student-t of which Σ is the scale matrix, [...]; np.inf is Gaussian.
-        """
-        a, b = self.moments(dof)
-        return a**2 / b
-
     def moments(self, dof: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """a and b, [...] each, with which cov = (Σ a_n H_n)⁻¹ (Σ b_n H_n) (Σ a_n H_n)⁻¹, H_n = Jᵀ Σ⁻¹ J of a feature.
 
@@ -127,10 +105,11 @@ class RobustLoss:
             a = E[w + (2/d) w' s] = E[w w_ν s] / d,    b = E[w² s] / d.
 
         The second form of a, integrated by parts, has w_ν = (ν + d)/(ν + s) from −∇ log p = w_ν x. By Cauchy–Schwarz
-        a²/b is largest for w = w_ν: no loss beats Student-t with the dof of the noise, a = b = (ν + d)/(ν + d + 2).
+        a²/b, the share of the information that is kept, is largest for w = w_ν: no loss beats Student-t with the dof of
+        the noise, a = b = (ν + d)/(ν + d + 2).
 
         Args:
-            dof: as in ``information_factor``.
+            dof: degrees of freedom ν of the Student-t of which Σ is the scale matrix, [...]; np.inf is Gaussian.
         """
         dof = np.asarray(dof, dtype=np.float64)
         if self.kind is LossKind.STUDENT_T and self.parameter is None:
@@ -164,10 +143,4 @@ def _moments(loss: RobustLoss, dof: float) -> tuple[float, float]:
 @compiled
 def _fill_weights(kind: int, parameters: FloatArray, squared: FloatArray, weights: FloatArray) -> None:
     for n in range(len(squared)):
-        weights[n] = robust_weight(kind, parameters[n], RESIDUAL_DIM, squared[n])
-
-
-@compiled
-def _fill_costs(kind: int, parameters: FloatArray, squared: FloatArray, costs: FloatArray) -> None:
-    for n in range(len(squared)):
-        costs[n] = robust_cost(kind, parameters[n], RESIDUAL_DIM, squared[n])
+        weights[n] = robust_weight(kind, parameters[n], squared[n])

@@ -21,12 +21,15 @@ class LossKind(IntEnum):
 HUBER, CAUCHY, TUKEY, STUDENT_T = (int(kind) for kind in list(LossKind)[1:])
 """As plain numbers, which compiled code takes."""
 
+RESIDUAL_DIM = 4
+"""d, the dimension of a stereo residual."""
+
 
 @compiled
-def robust_weight(kind: int, parameter: float, dim: int, squared: float) -> float:
+def robust_weight(kind: int, parameter: float, squared: float) -> float:
     """IRLS weight 2 dρ/ds, one for a perfect residual of every loss but Student-t, where it is (ν + d)/(ν + s)."""
     if kind == STUDENT_T:
-        return (parameter + dim) / (parameter + squared) if parameter < 1e300 else 1.0
+        return (parameter + RESIDUAL_DIM) / (parameter + squared) if parameter < 1e300 else 1.0
     if kind == HUBER:
         return 1.0 if squared <= parameter * parameter else parameter / math.sqrt(squared)
     if kind == CAUCHY:
@@ -38,12 +41,12 @@ def robust_weight(kind: int, parameter: float, dim: int, squared: float) -> floa
 
 
 @compiled
-def robust_curvature(kind: int, parameter: float, dim: int, squared: float) -> float:
+def robust_curvature(kind: int, parameter: float, squared: float) -> float:
     """w + (2/d) w' s: the second derivative of the loss, averaged over the directions of the residual.
 
     At least a quarter of the weight, so that it can stand in a Hessian (Tukey's goes negative).
     """
-    weight = robust_weight(kind, parameter, dim, squared)
+    weight = robust_weight(kind, parameter, squared)
     share = 0.0  # −w' s / w
     if kind == STUDENT_T:
         share = squared / (parameter + squared) if parameter < 1e300 else 0.0
@@ -53,14 +56,14 @@ def robust_curvature(kind: int, parameter: float, dim: int, squared: float) -> f
         share = squared / (parameter * parameter + squared)
     elif kind == TUKEY:
         share = 2.0 * squared / max(parameter * parameter - squared, 1e-12)
-    return weight * max(0.25, 1.0 - 2.0 / dim * share)
+    return weight * max(0.25, 1.0 - 2.0 / RESIDUAL_DIM * share)
 
 
 @compiled
 def robust_bend(kind: int, parameter: float, squared: float) -> float:
     """−2 w'/w²: the multiple of a weighted gradient's outer product that Newton's Hessian is less than IRLS's."""
     if kind == STUDENT_T:
-        return 2.0 / (parameter + 4.0)
+        return 2.0 / (parameter + RESIDUAL_DIM)
     if kind == HUBER:
         return 1.0 / (parameter * math.sqrt(squared)) if squared > parameter * parameter else 0.0
     if kind == CAUCHY:
@@ -72,10 +75,12 @@ def robust_bend(kind: int, parameter: float, squared: float) -> float:
 
 
 @compiled
-def robust_cost(kind: int, parameter: float, dim: int, squared: float) -> float:
+def robust_cost(kind: int, parameter: float, squared: float) -> float:
     """ρ(s), scaled such that L2 is s/2."""
     if kind == STUDENT_T:
-        return 0.5 * (parameter + dim) * math.log1p(squared / parameter) if parameter < 1e300 else 0.5 * squared
+        return (
+            0.5 * (parameter + RESIDUAL_DIM) * math.log1p(squared / parameter) if parameter < 1e300 else 0.5 * squared
+        )
     if kind == HUBER:
         if squared <= parameter * parameter:
             return 0.5 * squared

@@ -117,13 +117,13 @@ class SelfCalibration:
 
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     """(1, x, y, x², xy, y²) at the left observations of N features, [N, 6]."""
-    x, y = _normalized(pixels, camera)
+    x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
     return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 def disparity_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     """(1, x, x²) at the left observations of N features, [N, 3]."""
-    x, _ = _normalized(pixels, camera)
+    x, _ = camera.normalized(pixels[:, 0], pixels[:, 1])
     return np.column_stack([np.ones_like(x), x, x * x])
 
 
@@ -133,7 +133,3 @@ def disparity_sensitivity(tracks: Tracks, solution: ReprojectionSolution, camera
     sensitivity: FloatArray = -solution.disparity_jacobian[:, :, None] * before[:, None]
     sensitivity[:, 2] -= now
     return sensitivity
-
-
-def _normalized(pixels: FloatArray, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
-    return (pixels[:, 0] - camera.cu_px) / camera.fu_px, (pixels[:, 1] - camera.cv_px) / camera.fv_px

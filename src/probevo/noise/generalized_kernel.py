@@ -10,7 +10,6 @@ from typing import Any, Self, get_args
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import Refers, StereoNoise, disparity_variance
@@ -20,7 +19,7 @@ from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
 from probevo.noise.kernel_search import check_given, choose_shape
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import ModelFile
-from probevo.noise.origin import origin_facts
+from probevo.noise.origin import origin_facts, refuse_other_camera
 from probevo.noise.student_fit import DIM, Students, check_errors
 
 MOST_TO_SEE = 5000
@@ -34,8 +33,8 @@ class GeneralizedKernel:
 
     Args:
         variant: ``robust``, or ``published`` as in the paper (see ``kernel_posterior``).
-        neighbors: K, the errors that a place learns from; chosen from the data if None, as are the next four.
-        reach: ρ, in standard deviations; farther samples have no say.
+        neighbors: K, the errors that a place learns from; chosen from the data if None, as are the next five.
+        reach: ρ, in standard deviations; farther samples do not contribute.
         prior_counts: how many errors the prior counts for; ν₀ of the published form, over 3.
         dof_counts, bias_counts: the same for the degrees of freedom, and for the bias; np.inf holds them at the prior.
         weights: how much a standard deviation of each of the M columns counts, [M].
@@ -99,7 +98,7 @@ class GeneralizedKernel:
 
         Raises:
             InputError: no samples or columns, shapes that do not fit, NaN where it may not be, or a given shape of the
-                kernel that is none.
+                kernel that is not valid.
         """
         if self.variant not in get_args(Variant) or self.refers_to not in get_args(Refers):
             what = f"variant {self.variant!r}, refers_to {self.refers_to!r}."
@@ -157,7 +156,7 @@ class GeneralizedKernel:
         """The same model on some of its columns only, the others being of weight 0."""
         metric, model = self.metric_, copy(self)
         if metric.weight[np.setdiff1d(np.arange(len(self.columns)), columns)].any():
-            raise ValueError("a column that has a say cannot be left out")
+            raise ValueError("a column that contributes cannot be left out")
         model.metric_ = Metric(
             tuple(metric.columns[m] for m in columns), tuple(metric.may_be_undefined[m] for m in columns),
             metric.mean[columns], metric.spread[columns], metric.weight[columns],
@@ -223,7 +222,7 @@ class GeneralizedKernel:
         return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, foreign, lasting)
 
     def _coordinates(self, predictors: FloatArray) -> FloatArray:
-        """Places [N, M] in the columns that have a say."""
+        """Places [N, M] in the columns that contribute."""
         return np.ascontiguousarray(self.metric_.coordinates(predictors)[:, self.metric_.weight > 0.0])
 
     def _given(self) -> dict[str, Any]:

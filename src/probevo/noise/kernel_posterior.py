@@ -41,9 +41,9 @@ class KernelShape:
     """Everything that is chosen from the data unless given."""
 
     reach: float = np.inf
-    """ρ: samples farther away have no say, in standard deviations."""
+    """ρ: samples farther away do not contribute, in standard deviations."""
     neighbors: int = 400
-    """K; as published, all within ρ have a say."""
+    """K; as published, all within ρ contribute."""
     prior_counts: float = 16.0
     """How many errors the prior counts for."""
     dof_counts: float = 100.0
@@ -100,7 +100,7 @@ class KernelPosterior:
         return distance[:, 0]
 
     def around(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
-        """The samples that have a say at n places, [n, M], and how much of one."""
+        """The samples that contribute at n places, [n, M], and how much each does."""
         return self._within(places, shape) if self.published else self._nearest(places, shape)
 
     def _within(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
@@ -118,7 +118,7 @@ class KernelPosterior:
         ranks = np.arange(1, min(shape.neighbors, len(self.errors)) + 1)
         distance, near = map(np.asarray, self.tree.query(places, ranks, distance_upper_bound=shape.reach))
         found = np.isfinite(distance)
-        # The K-th itself has a little say, and where all K lie at the very place, all have.
+        # The K-th itself contributes a little, and where all K lie at the very place, all do.
         support = np.where(found[:, -1:], distance[:, -1:], shape.reach) * (1.0 + 1e-3) + 1e-12
         kernel = np.where(found, 1.0 - (np.where(found, distance, 0.0) / support) ** 2, 0.0)
         first: IntArray = np.concatenate([[0], np.cumsum(found.sum(axis=1))])

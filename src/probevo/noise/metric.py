@@ -44,15 +44,13 @@ class Metric:
         predictors: FloatArray,
         columns: Sequence[str] = (),
         may_be_undefined: Sequence[bool] = (),
-        weight: FloatArray | None = None,
     ) -> Metric:
-        """The metric in which the training data [N, M] have mean 0 and spread 1 along each column.
+        """The metric in which the training data [N, M] have mean 0 and spread 1 along each column, all of weight 1.
 
         Args:
             predictors: places of the samples; NaN where undefined.
             columns: names of the columns; "column 0" … if left out.
             may_be_undefined: which columns may hold NaN; none if left out.
-            weight: of the columns; all 1 if left out.
 
         Raises:
             InputError: a value is infinite, or NaN where it must not be, or nearly all of a column is.
@@ -61,14 +59,13 @@ class Metric:
             raise InputError("predictors", f"their shape is {predictors.shape}, where [N, M] is expected.")
         names = tuple(columns) or tuple(f"column {m}" for m in range(predictors.shape[1]))
         check_defined(predictors, names, may_be_undefined)
-        return Metric.of_moments(Moments.of(predictors), names, may_be_undefined, weight)
+        return Metric.of_moments(Moments.of(predictors), names, may_be_undefined)
 
     @staticmethod
     def of_moments(
         moments: Moments,
         columns: Sequence[str],
         may_be_undefined: Sequence[bool] = (),
-        weight: FloatArray | None = None,
     ) -> Metric:
         """The same from the moments of training data that ``check_defined`` has let through.
 
@@ -85,7 +82,7 @@ class Metric:
             tuple(may_be_undefined) or (False,) * len(columns),
             mean,
             np.where(spread > CONSTANT_BELOW * np.abs(mean), spread, 1.0),
-            np.ones(len(columns)) if weight is None else weight,
+            np.ones(len(columns)),
         )
 
     def coordinates(self, predictors: FloatArray) -> FloatArray:

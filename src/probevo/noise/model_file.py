@@ -18,7 +18,7 @@ from safetensors.numpy import load, save
 
 from probevo.arrays import AnyArray
 from probevo.errors import InputError
-from probevo.output.files import write_atomically
+from probevo.files import write_atomically
 
 FORMAT = "probevo-noise-model"
 """The one entry of the metadata: a JSON object of these keys."""

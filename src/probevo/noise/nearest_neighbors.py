@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import Field
 
 from probevo.arrays import AnyArray, FloatArray
-from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
@@ -19,13 +18,13 @@ from probevo.noise.metric import UNDEFINED, Metric
 from probevo.noise.model_file import ModelFile
 from probevo.noise.named import BASES
 from probevo.noise.neighbors import NeighborIndex
-from probevo.noise.origin import OriginFacts, origin_facts
+from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
 from probevo.noise.student_t import StudentT
 from probevo.settings import Settings
 
 Average = Literal["arithmetic", "geometric"]
 LARGEST_WEIGHT = 1e4
-"""β stays between one over this and this: beyond, a feature has no say anyhow, or all of it."""
+"""β stays between one over this and this: beyond, a feature contributes nothing anyhow, or everything."""
 
 
 class _Base(Settings):

@@ -9,7 +9,9 @@ from typing import Any, Self
 
 from pydantic import ConfigDict
 
+from probevo.camera.likeness import difference
 from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.errors import InputError
 from probevo.noise.model_file import ModelFile
 from probevo.settings import Settings
 
@@ -37,3 +39,15 @@ class OriginFacts(Settings):
         if facts.camera is not None:
             check_camera(facts.camera, "camera")
         return facts
+
+
+def refuse_other_camera(trained: StereoCamera | None, camera: StereoCamera) -> None:
+    """Refuse a camera unlike the one that a noise model was trained with; None was trained with none.
+
+    Raises:
+        InputError: says in what it differs.
+    """
+    unlike = difference(camera, trained) if trained else ""
+    if unlike:
+        unlike = unlike.replace("its", "this one's", 1)
+        raise InputError("noise model", f"it was trained with another camera: {unlike}.", "Train one with this camera.")

@@ -9,11 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from probevo.arrays import FloatArray
-from probevo.camera.likeness import refuse_other_camera
 from probevo.camera.stereo import StereoCamera
 from probevo.noise.base import Refers, StereoNoise, disparity_variance
 from probevo.noise.model_file import ModelFile
-from probevo.noise.origin import OriginFacts, origin_facts
+from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
 from probevo.noise.student_fit import fit_static
 
 DOF, SIGMA_PX = 2.5, 0.17

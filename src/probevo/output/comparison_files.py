@@ -14,9 +14,9 @@ import numpy as np
 
 from probevo import __version__
 from probevo.evaluation.metrics import Metrics
+from probevo.files import write_atomically
 from probevo.motion.estimate import Status
 from probevo.output.comparison import Entry
-from probevo.output.files import write_atomically
 
 STEPS = tuple(status for status in Status if status is not Status.FIRST)
 _PERCENTAGES = ("50", "90", "95", "99")

@@ -9,13 +9,12 @@ from probevo.arrays import AnyArray, FloatArray, Image, IntArray
 
 TRUST_COLORS_BGR = np.array([[60, 60, 225], [50, 130, 245], [70, 205, 245], [140, 205, 110], [200, 170, 40]])
 """From distrusted (red) to trusted (blue-green), one a class of weights; apart also for the colour-blind."""
+WIDTH_PX = 960
 _SHIFT = 4
 """Fractional bits of the coordinates that OpenCV draws at."""
 
 
-def draw_tracks(
-    left: Image, prev_px: FloatArray, curr_px: FloatArray, weights: FloatArray, *, max_width_px: int = 960
-) -> bytes:
+def draw_tracks(left: Image, prev_px: FloatArray, curr_px: FloatArray, weights: FloatArray) -> bytes:
     """The left image with a line from the previous to the current place of each point and a dot at the current one.
 
     Args:
@@ -23,12 +22,11 @@ def draw_tracks(
         prev_px: (u_l, v_l, u_r, v_r) of each point in the previous frame, [N, 4], px.
         curr_px: the same points in the current frame, [N, 4], px.
         weights: how far the solver trusted each, 0 (not at all) … 1, [N].
-        max_width_px: the picture is scaled to this width.
 
     Returns:
-        A JPEG file.
+        A JPEG file, ``WIDTH_PX`` wide.
     """
-    scale = max_width_px / left.shape[1]
+    scale = WIDTH_PX / left.shape[1]
     picture = cv2.cvtColor(cv2.resize(left, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
     picture = cv2.convertScaleAbs(picture, alpha=0.8)
     ends = np.stack([prev_px[:, :2], curr_px[:, :2]], axis=1)

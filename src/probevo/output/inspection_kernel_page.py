@@ -176,7 +176,7 @@ def _origin_panels(view: KernelView) -> list[str]:
         chosen = searches.get("neighbors", {}).get("chosen", model.shape_.neighbors)
         if chosen != model.shape_.neighbors:
             note += f" With all of the samples, K becomes {model.shape_.neighbors:,}."
-        panels.append(panel("How it was chosen", note, gains_figure(view, searches)))
+        panels.append(panel("How it was chosen", note, gains_figure(searches)))
     prior_note = (
         f"What holds where no sample is near: ν = {readable(float(model.prior_.dof[0]))}, and the scale matrix as σ "
         f"and correlations. Elsewhere, it counts as much as {model.shape_.prior_counts:g} of the errors."

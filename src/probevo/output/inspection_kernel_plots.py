@@ -118,7 +118,7 @@ def turns_figure(turns: Sequence[Mapping[str, float]]) -> Figure:
     return figure
 
 
-def gains_figure(view: KernelView, searches: Mapping[str, Mapping[str, Any]]) -> Figure:
+def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
     """What each candidate gains over the static model, and which was chosen."""
     shown = [name for name in SEARCHED if searches.get(name, {}).get("gains")]
     across = min(3, len(shown))

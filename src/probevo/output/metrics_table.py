@@ -31,8 +31,8 @@ _ROWS: dict[str, tuple[str, str, str]] = {
     "anees": (
         "ANEES",
         "",
-        "Squared error of single steps over what their covariance promises: 6 is honest, more is overconfident, "
-        "less is timid. Truth from GPS and INS is noisier than a step of good odometry and drives it far above 6.",
+        "Squared error of single steps over what their covariance promises: 6 is honest, more is overconfident, less "
+        "is conservative. Truth from GPS and INS is noisier than a step of good odometry and drives it far above 6.",
     ),
 }
 

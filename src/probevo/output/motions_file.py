@@ -10,8 +10,9 @@ import numpy as np
 
 from probevo.arrays import AnyArray
 from probevo.errors import InputError
-from probevo.output.files import write_atomically
-from probevo.output.run_result import RunResult, chain_motions
+from probevo.files import write_atomically
+from probevo.geometry import se3
+from probevo.output.run_result import RunResult
 
 _STAGE, _REJECTED = "ms_", "rejected_"
 _CURE = "Expected a motions.npz written by `probevo run`."
@@ -62,7 +63,7 @@ def read_motions(path: Path) -> RunResult:
         raise InputError(path, f"cov of motion {k} is not positive definite", _CURE)
     return RunResult(
         stamps_ns=arrays["stamps_ns"],
-        T_world_cam=chain_motions(T_curr_prev)[:n],
+        T_world_cam=se3.chain_motions(T_curr_prev)[:n],
         T_curr_prev=T_curr_prev,
         cov=cov,
         shared=_take(path, arrays, "shared", (steps, 6, 3)),

@@ -11,7 +11,7 @@ from string import Template
 
 from matplotlib.figure import Figure
 
-from probevo.output.files import write_atomically
+from probevo.files import write_atomically
 from probevo.output.svg import inline_svg
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -108,7 +108,7 @@ class RunRecorder:
         T_curr_prev = numbers[:, :16].reshape(-1, 4, 4)
         return RunResult(
             stamps_ns=stamps_ns,
-            T_world_cam=chain_motions(T_curr_prev)[: len(counts)],
+            T_world_cam=se3.chain_motions(T_curr_prev)[: len(counts)],
             T_curr_prev=T_curr_prev,
             cov=numbers[:, 16:52].reshape(-1, 6, 6),
             shared=numbers[:, 52:70].reshape(-1, 6, 3),
@@ -145,11 +145,3 @@ class _Rows:
     def table(self) -> Any:
         """All rows, [len, columns], a copy."""
         return np.concatenate(self._blocks)[: self._len]
-
-
-def chain_motions(T_curr_prev: Iterable[FloatArray]) -> FloatArray:
-    """Poses T_world_cam, [N, 4, 4], world = first camera, from N-1 relative motions: T_w,k = T_w,k-1 T_k,k-1⁻¹."""
-    poses = [np.eye(4)]
-    for motion in T_curr_prev:
-        poses.append(poses[-1] @ se3.inverse(motion))
-    return np.array(poses)

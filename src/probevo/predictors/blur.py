@@ -11,9 +11,11 @@ from probevo.predictors.patches import copy_patch, patch_start
 TAPS = 9
 """Of the box that blurs the image once more."""
 REACH = TAPS // 2
+HALF_SIZE_PX = 10
+"""Patches are squares of 2 · this + 1 pixels."""
 
 
-def blur(left: Image, uv: FloatArray, *, half_size_px: int = 10) -> FloatArray:
+def blur(left: Image, uv: FloatArray) -> FloatArray:
     """No-reference perceptual blur of the patch around each feature.
 
     Blurring a sharp image changes how neighbouring pixels differ, blurring a blurred one hardly does. Along each axis
@@ -25,13 +27,12 @@ def blur(left: Image, uv: FloatArray, *, half_size_px: int = 10) -> FloatArray:
     Args:
         left: image, [height, width], uint8.
         uv: features, [N, 2], px; patches are centred on the nearest pixel.
-        half_size_px: patches are squares of 2 · this + 1 pixels.
 
     Returns:
         [N], 0 (sharp) … 1 (blurred); NaN where the patch leaves the image.
     """
     values = np.full(len(uv), np.nan)
-    _blur(np.ascontiguousarray(left), np.ascontiguousarray(uv), half_size_px, values)
+    _blur(np.ascontiguousarray(left), np.ascontiguousarray(uv), HALF_SIZE_PX, values)
     return values
 
 

@@ -10,9 +10,11 @@ from probevo.predictors.patches import patch_start
 
 BINS = 256
 """One a grey level."""
+HALF_SIZE_PX = 10
+"""Patches are squares of 2 · this + 1 pixels."""
 
 
-def entropy(left: Image, uv: FloatArray, *, half_size_px: int = 10) -> FloatArray:
+def entropy(left: Image, uv: FloatArray) -> FloatArray:
     """Entropy of the grey levels of the patch around each feature: −Σ c_i log₂ c_i, PROBE eq. (16).
 
     c_i is the share of the patch's pixels that have grey level i. PROBE prints their number, but the sum over numbers
@@ -21,15 +23,14 @@ def entropy(left: Image, uv: FloatArray, *, half_size_px: int = 10) -> FloatArra
     Args:
         left: image, [height, width], uint8.
         uv: features, [N, 2], px; patches are centred on the nearest pixel.
-        half_size_px: patches are squares of 2 · this + 1 pixels.
 
     Returns:
         [N], bits, 0 (constant) … 8 (all grey levels alike); NaN where the patch leaves the image.
     """
     values = np.full(len(uv), np.nan)
-    share = np.arange(1, (2 * half_size_px + 1) ** 2 + 1) / (2 * half_size_px + 1) ** 2
+    share = np.arange(1, (2 * HALF_SIZE_PX + 1) ** 2 + 1) / (2 * HALF_SIZE_PX + 1) ** 2
     terms = np.concatenate([[0.0], -share * np.log2(share)])
-    _entropy(np.ascontiguousarray(left), np.ascontiguousarray(uv), half_size_px, terms, values)
+    _entropy(np.ascontiguousarray(left), np.ascontiguousarray(uv), HALF_SIZE_PX, terms, values)
     return values
 
 

@@ -13,11 +13,7 @@ MIN_DEPTH = 0.05
 
 def moved_by(pixels: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera) -> FloatArray:
     """Where a motion takes features [N, 4]: x, y and inverse depth, 1/m, in the current frame, [3, N]."""
-    rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (camera.fu_px * camera.baseline_m)
-    rays = np.empty((3, len(pixels)))
-    rays[0], rays[1] = (pixels[:, 0] - camera.cu_px) / camera.fu_px, (pixels[:, 1] - camera.cv_px) / camera.fv_px
-    rays[2] = 1.0
-    q = T_curr_prev[:3, :3] @ rays + T_curr_prev[:3, 3, None] * rho
+    q, rho = camera.moved_rays(pixels, T_curr_prev)
     depth = np.maximum(q[2], MIN_DEPTH)
     q[2] = rho
     place: FloatArray = q / depth

@@ -9,14 +9,14 @@ from probevo.arrays import FloatArray, Image
 
 FLOOR_PX = 1e-2
 """Distances below this say nothing: Lucas–Kanade is no more precise."""
+WINDOW_PX = 11
+"""Side of the window."""
 MAX_ITERATIONS, MAX_STEP_PX = 10, 1e-3
 MIN_EIGENVALUE = 1e-4
 """Smallest eigenvalue of the window's gradient matrix, as in tracking."""
 
 
-def forward_backward(
-    previous_left: Image, left: Image, previous_uv: FloatArray, uv: FloatArray, *, window_px: int = 11
-) -> FloatArray:
+def forward_backward(previous_left: Image, left: Image, previous_uv: FloatArray, uv: FloatArray) -> FloatArray:
     """ln(0.01 + distance/px) between where a feature was and where Lucas–Kanade finds the current one there.
 
     The search starts at ``previous_uv`` on the images as they are, at full resolution (after Kalal et al. 2010,
@@ -27,7 +27,6 @@ def forward_backward(
         left: current left image, of the same size.
         previous_uv: features in the left image before, [N, 2], px.
         uv: the same in the current left image, [N, 2], px.
-        window_px: side of the window.
 
     Returns:
         [N], ln px; NaN where the search fails: outside the images, or without texture.
@@ -39,7 +38,7 @@ def forward_backward(
         previous_left,
         uv.astype(np.float32),
         previous_uv.astype(np.float32),
-        winSize=(window_px, window_px),
+        winSize=(WINDOW_PX, WINDOW_PX),
         maxLevel=0,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, MAX_ITERATIONS, MAX_STEP_PX),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,

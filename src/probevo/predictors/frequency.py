@@ -12,37 +12,38 @@ from probevo.predictors.patches import copy_patch, patch_start
 
 BAND = 4
 """Frequencies of a band, along each axis."""
+SIZE_PX = 20
+"""Side of a patch; below 12 the bands would overlap."""
 
 
-def frequency(left: Image, uv: FloatArray, *, size_px: int = 20) -> FloatArray:
+def frequency(left: Image, uv: FloatArray) -> FloatArray:
     """Low- and high-frequency coefficient of the patch around each feature: the mean of ln(1 + |F|) over each band.
 
     F is the patch's two-dimensional Fourier transform, unitary and unshifted. The low band is the frequencies 0 … 3
     along each axis but for F₀₀: brightness is no texture. The high band is the four around Nyquist,
-    ``size_px`` // 2 − 2 … + 1. PROBE does not define the two. Its own experiments took the low one alike, with F₀₀;
+    ``SIZE_PX`` // 2 − 2 … + 1. PROBE does not define the two. Its own experiments took the low one alike, with F₀₀;
     their high one, from the end of an unshifted spectrum, was the mirrored low one.
 
     Args:
         left: image, [height, width], uint8.
         uv: features, [N, 2], px; patches are centred on the nearest pixel, which of an even number of pixels is the
             first of the second half.
-        size_px: side of a patch; at least 12, below which the bands overlap.
 
     Returns:
         Low and high, [N, 2], |F| in grey levels; NaN where the patch leaves the image.
     """
     values = np.full((len(uv), 2), np.nan)
-    _frequency(np.ascontiguousarray(left), np.ascontiguousarray(uv), _waves(size_px), values)
+    _frequency(np.ascontiguousarray(left), np.ascontiguousarray(uv), _waves(), values)
     return values
 
 
-def _waves(size_px: int) -> FloatArray:
-    """Cosines, then sines, of the low frequencies, then of the high ones, [4 · BAND, size_px], unitary."""
-    low, high = np.arange(BAND), size_px // 2 + np.arange(BAND) - BAND // 2
-    cycles = np.stack([low, high])[:, :, None] * np.arange(size_px) % size_px
-    angle = 2.0 * np.pi / size_px * cycles
-    waves = np.stack([np.cos(angle), np.sin(angle)], axis=1) / math.sqrt(size_px)
-    return waves.reshape(4 * BAND, size_px)
+def _waves() -> FloatArray:
+    """Cosines, then sines, of the low frequencies, then of the high ones, [4 · BAND, SIZE_PX], unitary."""
+    low, high = np.arange(BAND), SIZE_PX // 2 + np.arange(BAND) - BAND // 2
+    cycles = np.stack([low, high])[:, :, None] * np.arange(SIZE_PX) % SIZE_PX
+    angle = 2.0 * np.pi / SIZE_PX * cycles
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=1) / math.sqrt(SIZE_PX)
+    return waves.reshape(4 * BAND, SIZE_PX)
 
 
 @compiled

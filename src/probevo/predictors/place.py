@@ -20,5 +20,4 @@ def place(uv: FloatArray, camera: StereoCamera) -> FloatArray:
     Returns:
         x = (u − c_u)/f_u to the right and y = (v − c_v)/f_v down, [N, 2], tangents of angles.
     """
-    normalized: FloatArray = (uv - np.array([camera.cu_px, camera.cv_px])) / np.array([camera.fu_px, camera.fv_px])
-    return normalized
+    return np.column_stack(camera.normalized(uv[:, 0], uv[:, 1]))

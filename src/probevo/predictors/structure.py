@@ -10,8 +10,11 @@ from probevo.arrays import FloatArray, Image
 from probevo.compiled import compiled
 from probevo.predictors.patches import copy_patch, patch_start
 
+HALF_SIZE_PX = 5
+"""Windows are squares of 2 · this + 1 pixels; their gradients take in one pixel more around them."""
 
-def structure(left: Image, uv: FloatArray, *, half_size_px: int = 5) -> FloatArray:
+
+def structure(left: Image, uv: FloatArray) -> FloatArray:
     """ln(1 + λ) of both eigenvalues λ of the mean structure tensor over the Lucas–Kanade window around each feature.
 
     Over the noise of the grey levels, the tensor is the information that the window has about its displacement (Shi
@@ -21,14 +24,13 @@ def structure(left: Image, uv: FloatArray, *, half_size_px: int = 5) -> FloatArr
     Args:
         left: image, [height, width], uint8.
         uv: features, [N, 2], px; windows are centred on the nearest pixel.
-        half_size_px: windows are squares of 2 · this + 1 pixels; their gradients take in one pixel more around them.
 
     Returns:
         Of the smaller and of the larger eigenvalue, [N, 2], λ in (grey levels/px)²; NaN where the window with the pixel
         around it leaves the image.
     """
     values = np.full((len(uv), 2), np.nan)
-    _structure(np.ascontiguousarray(left), np.ascontiguousarray(uv), half_size_px, values)
+    _structure(np.ascontiguousarray(left), np.ascontiguousarray(uv), HALF_SIZE_PX, values)
     return values
 
 

@@ -23,7 +23,8 @@ from probevo.errors import InputError
 from probevo.sequences.frame import ImuCalibration
 from probevo.sequences.images import list_pairs
 from probevo.sequences.imu import ImuStream
-from probevo.sequences.poses import check_rotation, read_kitti_poses
+from probevo.sequences.pose_files import read_kitti_truth
+from probevo.sequences.poses import check_rotation
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import NS_PER_S, read_times
 from probevo.sequences.text import read_stamped_csv
@@ -92,7 +93,7 @@ def open_folder(path: Path) -> StereoRecording:
     stamps_ns = read_times(path / "times.txt", len(left_files))
     imu, imu_stream = _read_imu(path, calibration.imu, stamps_ns)
     poses = path / "poses.txt"
-    truth = read_kitti_poses(poses, stamps_ns) if poses.exists() else None
+    truth = read_kitti_truth(poses, stamps_ns) if poses.exists() else None
     return StereoRecording(path, "folder", camera, stamps_ns, left_files, right_files, imu, imu_stream, truth)
 
 

@@ -103,7 +103,7 @@ def check_order(before: Frame, frame: Frame) -> float:
     """Time from one frame to the next, s.
 
     Raises:
-        InputError: there is none.
+        InputError: the second is not after the first.
     """
     if frame.stamp_ns <= before.stamp_ns:
         what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {before.stamp_ns} ns."

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from probevo.sequences.images import list_pairs, read_gray
 from probevo.sequences.kitti_calibration import KittiCalibration
-from probevo.sequences.poses import read_kitti_poses
+from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import read_times
 
@@ -26,5 +26,5 @@ def open_kitti_odometry(path: Path) -> StereoRecording:
     stamps_ns = read_times(path / "times.txt", len(left_files))
     absolute = path.resolve()
     poses = absolute.parent.parent / "poses" / f"{absolute.name}.txt"
-    truth = read_kitti_poses(poses, stamps_ns) if poses.exists() else None
+    truth = read_kitti_truth(poses, stamps_ns) if poses.exists() else None
     return StereoRecording(path, "kitti-odometry", camera, stamps_ns, left_files, right_files, truth=truth)

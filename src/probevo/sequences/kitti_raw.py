@@ -75,7 +75,7 @@ def _with_oxts(recording: StereoRecording, cam_to_cam: KittiCalibration) -> Ster
 
 
 def _rectified_camera_from_imu(drive: Path, cam_to_cam: KittiCalibration) -> FloatArray:
-    """T_cam_imu = R_rect_00 T_velo_cam T_imu_velo, [4, 4]."""
+    """T_cam_imu = T_rect T_cam_velo T_velo_imu, [4, 4]; T_rect turns by R_rect_00."""
     T_rect = se3.from_parts(cam_to_cam.rotation("R_rect_00"), np.zeros(3))
     T_cam_velo = _read_calibration(drive, "calib_velo_to_cam.txt").rigid_transform()
     T_velo_imu = _read_calibration(drive, "calib_imu_to_velo.txt").rigid_transform()

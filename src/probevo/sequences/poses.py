@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import GroundTruth
-from probevo.sequences.text import read_table
 
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of C Cᵀ − 1 that rounding in a text file may explain."""
@@ -35,36 +34,29 @@ def check_rotation(C: FloatArray, where: str | Path) -> FloatArray:
     return Rotation.from_matrix(C).as_matrix()
 
 
-def read_kitti_poses(path: Path, stamps_ns: IntArray) -> GroundTruth:
-    """Poses in KITTI's text form: the first three rows of T_world_cam, 12 numbers a line, one line a frame.
-
-    A line of twelve ``nan`` marks a frame whose truth is unknown.
+def check_poses(T: FloatArray, where: str | Path) -> tuple[BoolArray, FloatArray]:
+    """Which of K poses [K, 4, 4] are unknown, NaN, [K, 1, 1], and the orthonormal rotations of all, [K, 3, 3].
 
     Raises:
-        InputError: the counts of poses and frames differ, or a line holds no pose.
+        InputError: a pose is neither finite nor wholly NaN, or holds no rotation matrix.
     """
-    rows = read_table(path, 12, nan_allowed=True)
-    if len(rows) != len(stamps_ns):
-        what = f"{len(rows)} poses for {len(stamps_ns)} frames."
-        raise InputError(path, what, "Each frame needs one line; write twelve nan where the pose is unknown.")
-    T = rows.reshape(-1, 3, 4)
-    return ground_truth(stamps_ns, se3.from_parts(T[:, :, :3], T[:, :, 3]), path)
+    unknown = np.all(np.isnan(T[:, :3]), axis=(1, 2), keepdims=True)
+    broken = np.flatnonzero(~np.isfinite(np.where(unknown, 0.0, T)).reshape(len(T), 16).all(axis=1))
+    if len(broken):
+        raise InputError(where, f"pose {broken[0]} (from 0) is partly not finite.", "Use NaN throughout for unknown.")
+    return unknown, check_rotation(np.where(unknown, np.eye(3), T[:, :3, :3]), where)
 
 
 def ground_truth(stamps_ns: IntArray, T: FloatArray, where: str | Path) -> GroundTruth:
     """Truth relative to the first known pose, from T_anyworld_cam [K, 4, 4], NaN where unknown.
 
     Raises:
-        InputError: no pose is known, one is neither finite nor wholly NaN, or its rotation is none.
+        InputError: no pose is known, or as ``check_poses`` raises.
     """
-    unknown = np.all(np.isnan(T[:, :3]), axis=(1, 2), keepdims=True)
-    broken = np.flatnonzero(~np.isfinite(np.where(unknown, 0.0, T)).reshape(len(T), 16).all(axis=1))
-    if len(broken):
-        raise InputError(where, f"pose {broken[0]} (from 0) is partly not finite.", "Use NaN throughout for unknown.")
+    unknown, C = check_poses(T, where)
     if unknown.all():
         what = f"it gives no pose between {stamps_ns[0]} and {stamps_ns[-1]} ns, the times of the frames."
         raise InputError(where, what, "Remove it to go without ground truth.")
-    C = check_rotation(np.where(unknown, np.eye(3), T[:, :3, :3]), where)
     T_any_cam = np.where(unknown, np.nan, se3.from_parts(C, T[:, :3, 3]))
     return GroundTruth(stamps_ns, se3.inverse(T_any_cam[np.argmin(unknown)]) @ T_any_cam)
 

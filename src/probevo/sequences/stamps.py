@@ -26,7 +26,7 @@ def read_times(path: Path, count: int) -> IntArray:
     if all(line.lstrip("-").isdigit() for _, line in lines):
         stamps = [parse_stamp_ns(line, where) for where, line in lines]
     else:
-        stamps = [_seconds_to_ns(line, where) for where, line in lines]
+        stamps = [seconds_to_ns(line, where) for where, line in lines]
     return check_stamps(np.array(stamps, dtype=np.int64), path, count)
 
 
@@ -56,7 +56,8 @@ def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = Non
     return stamps_ns
 
 
-def _seconds_to_ns(text: str, where: str) -> int:
+def seconds_to_ns(text: str, where: str) -> int:
+    """A stamp written as a decimal number of seconds, ns. Raises InputError for anything else."""
     try:
         stamp = Decimal(text) * NS_PER_S
     except InvalidOperation:

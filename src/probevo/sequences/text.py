@@ -65,15 +65,20 @@ def parse_stamp_ns(text: str, where: str) -> int:
     return stamp
 
 
-def read_table(path: Path, columns: int, *, nan_allowed: bool = False) -> FloatArray:
-    """Rows of ``columns`` numbers apart by blanks, [n, columns]."""
-    rows = []
-    for where, line in read_lines(path):
-        fields = line.split()
+def read_fields(path: Path, columns: int) -> list[tuple[str, list[str]]]:
+    """("path:line", its ``columns`` texts apart by blanks) of each line."""
+    rows = [(where, line.split()) for where, line in read_lines(path)]
+    for where, fields in rows:
         if len(fields) != columns:
             raise InputError(where, f"this line has {len(fields)} values; expected {columns}.")
-        rows.append(parse_floats(fields, where, nan_allowed=nan_allowed))
-    return np.array(rows)
+    return rows
+
+
+def read_table(path: Path, columns: int, *, nan_allowed: bool = False) -> FloatArray:
+    """Rows of ``columns`` numbers apart by blanks, [n, columns]."""
+    return np.array(
+        [parse_floats(fields, where, nan_allowed=nan_allowed) for where, fields in read_fields(path, columns)]
+    )
 
 
 def read_stamped_csv(

@@ -34,7 +34,7 @@ def load_yaml(path: Path, cure: str = "") -> Any:
     """What the file holds: mappings, lists and scalars.
 
     Raises:
-        InputError: missing, not text, not YAML, a key given twice, or a value that is none (such as a 99th of May).
+        InputError: missing, not text, not YAML, a key given twice, or an invalid value (such as a 99th of May).
     """
     text = read_text(path, cure)
     if text.startswith("%YAML:"):  # OpenCV's header, as EuRoC has it, is no valid YAML

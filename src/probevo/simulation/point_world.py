@@ -13,8 +13,8 @@ import yaml
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
+from probevo.files import remove_stale, write_atomically
 from probevo.geometry import se3
-from probevo.output.files import remove_stale, write_atomically
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.sequences.stamps import NS_PER_S
 from probevo.simulation.noise_laws import NoiseLaw

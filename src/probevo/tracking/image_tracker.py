@@ -176,13 +176,11 @@ def _predict(
     pixels: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Where a motion takes features [N, 4]: (u, v) [N, 2], how they grow [N], and whether ahead of the camera [N]."""
-    rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (camera.fu_px * camera.baseline_m)
-    x, y = (pixels[:, 0] - camera.cu_px) / camera.fu_px, (pixels[:, 1] - camera.cv_px) / camera.fv_px
-    q = np.column_stack([x, y, np.ones_like(x)]) @ T_curr_prev[:3, :3].T + rho[:, None] * T_curr_prev[:3, 3]
-    ahead = q[:, 2] > 0.05
-    growth = 1.0 / np.where(ahead, q[:, 2], 1.0)
-    u = camera.fu_px * q[:, 0] * growth + camera.cu_px
-    v = camera.fv_px * q[:, 1] * growth + camera.cv_px
+    q, _ = camera.moved_rays(pixels, T_curr_prev)
+    ahead: BoolArray = q[2] > 0.05
+    growth = 1.0 / np.where(ahead, q[2], 1.0)
+    u = camera.fu_px * q[0] * growth + camera.cu_px
+    v = camera.fv_px * q[1] * growth + camera.cv_px
     return np.column_stack([u, v]), growth, ahead
 
 

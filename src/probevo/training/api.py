@@ -12,9 +12,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
+from probevo.files import check_folder
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
-from probevo.output.files import check_folder
 from probevo.predictors import PredictionSpace, Predictor
 from probevo.training.checkpoint import Checkpoint
 from probevo.training.expectation_maximization import Course, learn_kernel, learn_student_t, num_turns
@@ -117,6 +117,6 @@ class _Bar:
 
 
 def _of_use(space: PredictionSpace, weight: FloatArray) -> IntArray:
-    """Columns of the predictors that have a say, as a whole or in part; a run need not compute the others."""
+    """Columns of the predictors that contribute, as a whole or in part; a run need not compute the others."""
     owner = np.repeat(np.arange(len(space.predictors)), [len(predictor.columns) for predictor in space.predictors])
     return np.flatnonzero(np.isin(owner, owner[weight > 0.0]))

@@ -15,7 +15,7 @@ from probevo.noise.base import NoiseModel
 from probevo.training.expectation import expect
 from probevo.training.lesson import Lesson
 from probevo.training.settings import KernelSettings, TrainSettings
-from probevo.training.supervision import Supervision, path
+from probevo.training.supervision import Supervision
 from probevo.training.workers import Workers
 
 BLOCKS_A_DRIVE = 10
@@ -121,7 +121,7 @@ def _truth_sigma(given: KernelSettings) -> FloatArray | None:
 def _loop_error_m(supervision: Supervision, T_curr_prev: FloatArray) -> float:
     """How far motions [K − 1, 4, 4] end from where the last known pose is against the first; NaN if one is unknown."""
     first, last = supervision.frames[[0, -1]]
-    start, end = path(T_curr_prev)[[first, last]]
+    start, end = se3.chain_motions(T_curr_prev)[[first, last]]
     true_start, true_end = supervision.T_world_cam[[0, -1]]
     apart = se3.inverse(start) @ end - se3.inverse(true_start) @ true_end
     return float(np.linalg.norm(apart[:3, 3]))

@@ -2,8 +2,8 @@
 
 With truth that is exact one turn would do (Alg. 1): the motions are known. Without, the noise starts as the static
 Student-t, itself fitted so. A turn is EM in spirit: motions enter as Gaussians around the solve, residuals of
-observation noise by a fixed point (``expectation``), and the gyro has no say. The likelihood of a turn is that of the
-residuals at its motions.
+observation noise by a fixed point (``expectation``), and the gyro does not contribute. The likelihood of a turn is
+that of the residuals at its motions.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class Memory(Protocol):
         """Keep it."""
 
 
-class Oblivion:
-    """No memory at all."""
+class NoMemory:
+    """A memory that keeps no turn."""
 
     def turn(self, number: int) -> Learned | None:
         """None."""
@@ -52,7 +52,7 @@ class Oblivion:
         """Forget it."""
 
 
-HERE, NOWHERE = Workers(), Oblivion()
+HERE, NOWHERE = Workers(), NoMemory()
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from probevo.odometry import StereoOdometry
 from probevo.predictors import PredictionSpace
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
-from probevo.sequences.left_right import FRAMES_TO_SEE, check_left_right, count_matches
+from probevo.tracking.left_right import FRAMES_TO_SEE, check_left_right, count_matches
 from probevo.tracking.tracks import Tracks
 from probevo.training.drive import Drive
 

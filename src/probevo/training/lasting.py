@@ -23,9 +23,9 @@ from probevo.noise.student_fit import DIM
 LEAST_REST = 1e-3
 """Of what Σ is along l without that part; l is taken where the points end up, and Σ where they were seen."""
 TIE = 0.01
-"""Nats a feature by which κ are as good as each other. Few features tell of it, and a κ that is too large takes the
-disparities' say in every motion: of two on raw 0005, 1.3 and 2.6, the larger was likelier, and turned a tenth farther
-astray."""
+"""Nats a feature by which κ are as good as each other. Few features tell of it, and under a κ that is too large the
+disparities contribute too little to every motion: of two on raw 0005, 1.3 and 2.6, the larger was likelier, and turned
+a tenth farther astray."""
 RATIOS = np.array([0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0])
 
 

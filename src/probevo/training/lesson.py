@@ -17,8 +17,8 @@ import numpy as np
 
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
+from probevo.files import write_atomically
 from probevo.noise.moments import Moments
-from probevo.output.files import write_atomically
 from probevo.training.drive import Drive, drive_bytes, load_drive
 from probevo.training.supervision import Supervision
 

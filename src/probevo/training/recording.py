@@ -13,7 +13,7 @@ from threading import Event, Thread
 from uuid import uuid4
 
 from probevo.errors import ProbevoError
-from probevo.output.files import write_atomically
+from probevo.files import write_atomically
 from probevo.predictors import PredictionSpace
 from probevo.training.extraction import Extraction
 from probevo.training.lesson import StoredLesson

@@ -33,7 +33,7 @@ class KernelSettings(Settings):
     )
     neighbors: int | None = Field(None, ge=1, description="K, the errors that a place learns from.")
     reach: float | None = Field(
-        None, gt=0, le=1e6, description="ρ, in standard deviations; farther samples have no say."
+        None, gt=0, le=1e6, description="ρ, in standard deviations; farther samples do not contribute."
     )
     prior_counts: float | None = Field(None, gt=0, le=1e9, description="How many errors the static model counts for.")
     bias: bool = Field(

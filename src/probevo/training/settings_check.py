@@ -40,7 +40,7 @@ def check_settings(settings: TrainSettings) -> None:
 
 def _check_published(kernel: KernelSettings) -> None:
     if kernel.neighbors is not None:
-        raise InputError("--gk.neighbors", "as published, all within --gk.reach have a say.", "Leave it out.")
+        raise InputError("--gk.neighbors", "as published, all within --gk.reach contribute.", "Leave it out.")
     if kernel.prior_counts is not None and kernel.prior_counts <= 3.0:
         what = f"{kernel.prior_counts:g} is too few: an inverse Wishart of four dimensions needs more than 3."
         raise InputError("--gk.prior-counts", what, "Take more, or leave it out.")

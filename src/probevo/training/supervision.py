@@ -55,7 +55,7 @@ class Supervision:
         It is the RMS over the axes of the translation's error, √(‖Δr‖²/3) (PROBE IV-A): of the motion from the first to
         the last frame of the stretch; for ``position`` the ARMSE of the path after the best rigid fit.
         """
-        T_world_cam = path(T_curr_prev)[self.frames]
+        T_world_cam = se3.chain_motions(T_curr_prev)[self.frames]
         if self.kind == "position":
             positions, true = T_world_cam[:, :3, 3], self.T_world_cam[:, :3, 3]
             T_true_est = rigid_alignment(positions, true)
@@ -119,7 +119,7 @@ def supervision_of(sequence: Sequence, kind: SupervisionName, every_s: float, nu
 
 def from_step_to_step(T_curr_prev: FloatArray) -> Supervision:
     """These motions, [K − 1, 4, 4], as if they were the truth."""
-    return Supervision("none", np.arange(len(T_curr_prev) + 1), path(T_curr_prev))
+    return Supervision("none", np.arange(len(T_curr_prev) + 1), se3.chain_motions(T_curr_prev))
 
 
 def _spaced(frames: IntArray, stamps_ns: IntArray, every_s: float) -> IntArray:
@@ -132,12 +132,3 @@ def _spaced(frames: IntArray, stamps_ns: IntArray, every_s: float) -> IntArray:
             taken.append(frame)
             due_ns = stamps_ns[frame] + every_s * NS_PER_S
     return np.array(taken, np.int64)
-
-
-def path(T_curr_prev: FloatArray) -> FloatArray:
-    """Poses T_world_cam [K, 4, 4] from motions [K − 1, 4, 4]; the world is the first camera."""
-    poses = np.empty((len(T_curr_prev) + 1, 4, 4))
-    poses[0] = np.eye(4)
-    for k, T_prev_curr in enumerate(se3.inverse(T_curr_prev)):
-        poses[k + 1] = poses[k] @ T_prev_curr
-    return poses

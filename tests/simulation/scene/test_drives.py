@@ -5,8 +5,8 @@ import pytest
 
 import probevo as pv
 from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.geometry import se3
 from probevo.motion.estimate import MotionEstimate
-from probevo.output.run_result import chain_motions
 from probevo.simulation.scene.config import Effects, SceneConfig
 from probevo.simulation.scene.recording import open_scene
 
@@ -18,7 +18,7 @@ def drive(**effects: float) -> tuple[Metrics, list[MotionEstimate]]:
     motions = [odometry.step(frame) for frame in scene][1:]
     T_curr_prev, cov = np.array([m.T_curr_prev for m in motions]), np.array([m.cov for m in motions])
     assert scene.truth is not None
-    return evaluate(chain_motions(T_curr_prev), scene.truth.T_world_cam, T_curr_prev, cov), motions
+    return evaluate(se3.chain_motions(T_curr_prev), scene.truth.T_world_cam, T_curr_prev, cov), motions
 
 
 @pytest.mark.slow

@@ -87,7 +87,8 @@ def open_scene(config: SceneConfig) -> SceneRecording:
     """The drive that the settings describe; nothing is rendered yet.
 
     Raises:
-        InputError: the camera is none, the drive is too short for two frames, or it is no loop but its truth is that.
+        InputError: the camera is not valid, the drive is too short for two frames, or the truth of a loop is asked for
+            and the drive is no loop.
     """
     rig, place = config.rig, PRESETS[config.preset](config)
     camera = StereoCamera.centered(rig.focal_px, rig.baseline_m, (rig.width_px, rig.height_px))

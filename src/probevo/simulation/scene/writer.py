@@ -12,7 +12,8 @@ import yaml
 
 from probevo.cores import available_cores
 from probevo.errors import InputError
-from probevo.output.files import check_folder, remove_stale, write_atomically, write_kitti_poses
+from probevo.files import check_folder, remove_stale, write_atomically
+from probevo.output.files import write_kitti_poses
 from probevo.sequences.folder import IMU_HEADER
 from probevo.sequences.read_ahead import read_ahead
 from probevo.simulation.scene.config import SceneConfig

@@ -1,0 +1,79 @@
+"""Reads poses in the text forms of KITTI and TUM; every error names the file and the line, or the pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.errors import InputError
+from probevo.geometry import se3
+from probevo.sequences.frame import GroundTruth
+from probevo.sequences.poses import check_poses, ground_truth
+from probevo.sequences.stamps import check_stamps, seconds_to_ns
+from probevo.sequences.text import parse_floats, read_fields, read_table
+
+FARTHEST_M = 1e9
+"""Positions beyond are no positions of a vehicle; their squares would overflow in the evaluation."""
+
+
+def read_kitti_poses(path: Path) -> FloatArray:
+    """Poses T_world_cam, [N, 4, 4], m, in KITTI's form: the first three rows, 12 numbers a line, one line a frame.
+
+    A line of twelve ``nan`` marks a frame whose pose is unknown, NaN.
+
+    Raises:
+        InputError: the file cannot be read, a line holds no pose, or a position is absurdly far.
+    """
+    T = _read_kitti(path)
+    unknown, _ = check_poses(T, path)
+    _check_positions(T, path)
+    return np.where(unknown, np.nan, T)
+
+
+def read_kitti_truth(path: Path, stamps_ns: IntArray) -> GroundTruth:
+    """The truth of the frames with these stamps, from poses in KITTI's form.
+
+    Raises:
+        InputError: the file cannot be read, the counts of poses and frames differ, or as ``ground_truth`` raises.
+    """
+    T = _read_kitti(path)
+    if len(T) != len(stamps_ns):
+        what = f"{len(T)} poses for {len(stamps_ns)} frames."
+        raise InputError(path, what, "Each frame needs one line; write twelve nan where the pose is unknown.")
+    return ground_truth(stamps_ns, T, path)
+
+
+def read_tum(path: Path) -> tuple[IntArray, FloatArray]:
+    """Stamps, [N], ns, exact to the last of nine decimals, and poses T_world_cam, [N, 4, 4], m, in TUM's form.
+
+    A line is ``stamp tx ty tz qx qy qz qw``, s and m.
+
+    Raises:
+        InputError: the file cannot be read, a line is not eight numbers, a quaternion is not of unit length, the stamps
+            do not ascend, or a position is absurdly far.
+    """
+    stamps, rows = [], []
+    for where, fields in read_fields(path, 8):
+        stamps.append(seconds_to_ns(fields[0], where))
+        rows.append(parse_floats(fields[1:], where))
+        length = np.linalg.norm(rows[-1][3:])
+        if not abs(length - 1.0) < 1e-3:
+            raise InputError(where, f"the quaternion has length {length:.6g}.", "Expected a unit quaternion.")
+    numbers = np.array(rows)
+    T = se3.from_parts(Rotation.from_quat(numbers[:, 3:]).as_matrix(), numbers[:, :3])
+    _check_positions(T, path)
+    return check_stamps(np.array(stamps, dtype=np.int64), path), T
+
+
+def _read_kitti(path: Path) -> FloatArray:
+    rows = read_table(path, 12, nan_allowed=True).reshape(-1, 3, 4)
+    return se3.from_parts(rows[:, :, :3], rows[:, :, 3])
+
+
+def _check_positions(T: FloatArray, path: Path) -> None:
+    for k in np.flatnonzero((np.abs(T[:, :3, 3]) > FARTHEST_M).any(axis=1))[:1]:
+        what = f"the position of pose {k} (from 0) is over {FARTHEST_M:g} m away."
+        raise InputError(path, what, "Positions are in metres.")

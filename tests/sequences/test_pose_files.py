@@ -1,0 +1,92 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray
+from probevo.errors import InputError
+from probevo.geometry import se3
+from probevo.output.files import write_kitti_poses, write_tum
+from probevo.sequences.pose_files import read_kitti_poses, read_tum
+
+
+@pytest.fixture
+def T_world_cam() -> FloatArray:
+    return se3.exp(np.random.default_rng(0).normal(scale=[100, 100, 100, 1, 1, 1], size=(40, 6)))
+
+
+def test_kitti_poses_come_back_bit_for_bit(tmp_path: Path, T_world_cam: FloatArray) -> None:
+    write_kitti_poses(tmp_path / "trajectory.kitti.txt", T_world_cam)
+    np.testing.assert_array_equal(read_kitti_poses(tmp_path / "trajectory.kitti.txt"), T_world_cam)
+
+
+def test_unknown_kitti_poses_come_back_unknown(tmp_path: Path, T_world_cam: FloatArray) -> None:
+    T_world_cam[3] = np.nan
+    write_kitti_poses(tmp_path / "poses.txt", T_world_cam)
+    np.testing.assert_array_equal(read_kitti_poses(tmp_path / "poses.txt"), T_world_cam)
+
+
+def test_tum_keeps_stamps_exactly_and_poses_to_rounding(tmp_path: Path, T_world_cam: FloatArray) -> None:
+    stamps_ns = 1_403_715_273_262_142_976 + np.cumsum(np.random.default_rng(1).integers(1, 10**8, 40))
+    write_tum(tmp_path / "trajectory.tum", stamps_ns, T_world_cam)
+    read_ns, read_T = read_tum(tmp_path / "trajectory.tum")
+    np.testing.assert_array_equal(read_ns, stamps_ns)
+    np.testing.assert_array_equal(read_T[:, :3, 3], T_world_cam[:, :3, 3])
+    np.testing.assert_allclose(read_T, T_world_cam, atol=1e-15, rtol=0)
+
+
+def test_comments_blank_lines_and_scientific_stamps_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "t.tum"
+    path.write_text("# stamp tx ty tz qx qy qz qw\n\n1.403636579763555584e+09 1 2 3 0 0 0 1\n")
+    stamps_ns, T_world_cam = read_tum(path)
+    assert stamps_ns.tolist() == [1_403_636_579_763_555_584]
+    np.testing.assert_array_equal(T_world_cam[0, :3, 3], [1.0, 2.0, 3.0])
+
+
+IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "holds no values"),
+        (f"{IDENTITY}\n1 0 0", "poses.txt:2: this line has 3 values"),
+        (f"{IDENTITY}\n{IDENTITY.replace('1', 'x')}", "poses.txt:2: 'x' is not a number"),
+        (f"{IDENTITY}\n\n{IDENTITY[:-1]}inf", "poses.txt:3: the value 'inf' is not finite"),
+        (f"{IDENTITY}\n{IDENTITY[:-1]}nan", "pose 1 .* partly not finite"),
+        ("2 0 0 0 0 2 0 0 0 0 2 0", "no rotation matrix"),
+        ("1 0 0 1e300 0 1 0 0 0 0 1 0", "the position of pose 0 .* is over"),
+        ("1 0 0 0 0 1 0 0 0 0 -1 0", "no rotation matrix"),
+    ],
+)
+def test_malformed_kitti_poses(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "poses.txt").write_text(text)
+    with pytest.raises(InputError, match=complaint) as caught:
+        read_kitti_poses(tmp_path / "poses.txt")
+    assert "poses.txt" in caught.value.where
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("0 0 0 0 0 0 0 0", "t.tum:1: the quaternion has length 0"),
+        ("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1", "stamp 1 .* is a duplicate of"),
+        ("0 0 0 nan 0 0 0 1", "t.tum:1: the value 'nan' is not finite"),
+        ("0 0 -1e10 0 0 0 0 1", "the position of pose 0 .* is over"),
+        ("inf 0 0 0 0 0 0 1", "number of seconds"),
+        ("a 0 0 0 0 0 0 1", "number of seconds"),
+        ("1e300 0 0 0 0 0 0 1", "number of seconds"),
+        ("0, 0, 0, 0, 0, 0, 0, 1", "number of seconds"),
+    ],
+)
+def test_malformed_tum(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "t.tum").write_text(text)
+    with pytest.raises(InputError, match=complaint):
+        read_tum(tmp_path / "t.tum")
+
+
+def test_unreadable_files(tmp_path: Path) -> None:
+    (tmp_path / "image.png").write_bytes(b"\x89PNG\xff\xfe")
+    for path in (tmp_path / "absent.txt", tmp_path, tmp_path / "image.png"):
+        with pytest.raises(InputError, match=r"is missing|cannot be read"):
+            read_kitti_poses(path)
