@@ -51,7 +51,7 @@ Search = dict[str, dict[str, Any]]
 
 
 def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> None:
-    """Refuse a shape that is none, for places of M columns.
+    """Refuse a shape of the kernel that is not valid for places of M columns.
 
     Raises:
         InputError: names what is wrong.

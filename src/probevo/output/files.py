@@ -11,8 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.files import remove_stale as remove_stale
-from probevo.files import write_atomically as write_atomically
+from probevo.files import write_atomically
 
 
 def write_json(path: Path, values: Mapping[str, object]) -> None:

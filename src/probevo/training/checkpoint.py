@@ -15,8 +15,8 @@ from probevo import __version__
 from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
+from probevo.files import remove_stale, write_atomically
 from probevo.noise.model_io import Learned, Storable, load_model, save_model
-from probevo.output.files import remove_stale, write_atomically
 from probevo.training.lesson import StoredLesson, whole
 from probevo.training.recording import TICKET
 from probevo.training.settings import TrainSettings
