@@ -161,10 +161,10 @@ def test_shadows_bring_the_own_vehicle_unseen(preset: PresetName) -> None:
 
 @every_preset
 def test_the_distance_can_be_set(preset: PresetName) -> None:
-    here = PRESETS[preset](SceneConfig(preset=preset, distance_m=500.0))
+    here = PRESETS[preset](SceneConfig(preset=preset, distance_m=300.0))
     trajectory = Trajectory.along(here.world.ground.route, here.plan, np.random.default_rng(0))
     path_m = trajectory.T_world_cam(np.arange(0.0, trajectory.duration_s, 0.05))[:, :2, 3]
-    assert np.linalg.norm(np.diff(path_m, axis=0), axis=1).sum() == pytest.approx(500.0, rel=0.05)
+    assert np.linalg.norm(np.diff(path_m, axis=0), axis=1).sum() == pytest.approx(300.0, rel=0.05)
 
 
 @pytest.mark.parametrize("preset", ["city", "residential"])
