@@ -3,6 +3,7 @@
 import importlib.util
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -18,6 +19,8 @@ from probevo.cli.main import main
 from probevo.geometry import se3
 from probevo.simulation.point_config import PointConfig, PointNoise, PointOutliers
 from probevo.simulation.point_world import simulate_points, write_points
+from probevo.simulation.scene.config import RigConfig, SceneConfig
+from probevo.simulation.scene.recording import SceneRecording, open_scene
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -91,12 +94,22 @@ def test_how_wrong_features_are() -> None:
     assert int(lines[0][2]) < int(lines[1][2])
 
 
+@cache
+def rendered_once(config: SceneConfig) -> SceneRecording:
+    """In place of ``open_scene``: each image is rendered once, however often the scene is driven through."""
+    scene = open_scene(config)
+    scene.renderer.pair = cache(scene.renderer.pair)  # type: ignore[method-assign]
+    return scene
+
+
 @pytest.mark.slow
-def test_learn_whom_to_trust() -> None:
-    """What was learned in one street makes steps in another better."""
-    words = [EXAMPLES / "04_learn_whom_to_trust.py", "25"]
-    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
-    mean_mm = {line.split()[0]: float(line.split()[1]) for line in done.stdout.splitlines()[1:]}
+def test_learn_whom_to_trust(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """What was learned in one street makes steps in another better; here with smaller images."""
+    example, rig = load("04_learn_whom_to_trust.py"), RigConfig(width_px=414, height_px=126, focal_px=240.0)
+    monkeypatch.setattr(example, "open_scene", lambda config: rendered_once(config.model_copy(update={"rig": rig})))
+    example.main(25.0)
+    lines = capsys.readouterr().out.splitlines()
+    mean_mm = {line.split()[0]: float(line.split()[1]) for line in lines[1:]}
     assert list(mean_mm) == ["fixed", "student-t", "learned"]
     assert mean_mm["learned"] < 0.9 * mean_mm["student-t"]
 
@@ -134,17 +147,18 @@ def test_noise_for_gtsam(noise: str, within_sigma: float, tmp_path: Path) -> Non
     assert np.abs(apart).max() < within_sigma
 
 
-@pytest.mark.parametrize("speed", ["2", "50"])
-def test_live(speed: str) -> None:
+@pytest.mark.parametrize("speed", [2.0, 50.0])
+def test_live(speed: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Each frame is processed or counted as dropped, the last one is never dropped, and the path holds together."""
-    words = [EXAMPLES / "06_live.py", speed]
-    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
-    *estimates, summary = done.stdout.splitlines()
+    example = load("06_live.py")
+    monkeypatch.setattr(example, "open_scene", rendered_once)
+    example.main(speed)
+    *estimates, summary = capsys.readouterr().out.splitlines()
     frames, processed, dropped = (int(part.split()[0]) for part in summary.split(";")[0].split(", "))
     assert processed == len(estimates)
     assert processed + dropped == frames
     assert [int(line.split()[0]) for line in (estimates[0], estimates[-1])] == [0, frames - 1]
-    assert speed == "50" or float(summary.split()[-3]) < 50.0
+    assert speed == 50.0 or float(summary.split()[-3]) < 50.0
 
 
 @pytest.mark.parametrize("dof", [5.0, np.inf])

@@ -49,10 +49,12 @@ def _loader() -> Any:
         yield
 
 
-@pytest.fixture
-def without_reports(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of the single runs take most of the time."""
-    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
+@pytest.fixture(scope="module", autouse=True)
+def _without_reports() -> Any:
+    """Those of the single runs take most of the time; here they are empty."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +137,6 @@ def test_the_config_of_a_run_repeats_it(out: Path, tmp_path: Path) -> None:
     assert (tmp_path / "trajectory.tum").read_bytes() == (run / "trajectory.tum").read_bytes()
 
 
-@pytest.mark.usefixtures("without_reports")
 def test_settings_hold_for_all_runs_but_aggressive_has_its_own_confidence(world: Path, tmp_path: Path) -> None:
     (tmp_path / "settings.yaml").write_text("noise: nonsense\nsequence: nowhere\nmax_frames: 9\nseed: 5\n")
     words = ["--config", tmp_path / "settings.yaml", "--max-frames", 4, "--ransac.confidence", 0.95]
@@ -149,7 +150,6 @@ def test_settings_hold_for_all_runs_but_aggressive_has_its_own_confidence(world:
     assert aggressive == fixed.model_copy(update=same)
 
 
-@pytest.mark.usefixtures("without_reports")
 def test_without_truth_there_are_dashes_and_that_is_said(
     world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -164,7 +164,6 @@ def test_without_truth_there_are_dashes_and_that_is_said(
     assert run["metrics"] is None
 
 
-@pytest.mark.usefixtures("without_reports")
 def test_models_that_are_called_alike_are_told_apart(world: Path, tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("x/city.safetensors", "y/city.safetensors", "x/fixed.safetensors")]
     for file in files:
@@ -175,7 +174,6 @@ def test_models_that_are_called_alike_are_told_apart(world: Path, tmp_path: Path
     assert names == {"train-fixed", "train-x-city", "train-y-city", "train-x-fixed"}
 
 
-@pytest.mark.usefixtures("without_reports")
 def test_what_is_done_when_it_is_stopped_is_compared(
     world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

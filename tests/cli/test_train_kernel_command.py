@@ -164,8 +164,9 @@ def test_the_model_of_another_camera_is_named(tmp_path: Path, tracks: Path, caps
     assert not (tmp_path / "out").exists()
 
 
-def test_trained_models_side_by_side(tracks: Path, tmp_path: Path) -> None:
-    """A file that is called like a classical model is told apart from it."""
+def test_trained_models_side_by_side(tracks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that is called like a classical model is told apart from it. Reports of the runs are left out."""
+    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
     static, kernel = tmp_path / "city" / "student-t.safetensors", tmp_path / "city" / "gk.safetensors"
     assert main(["train", str(tracks), "--out", str(static), "--kind", "student-t"]) == 0
     assert main(["train", str(tracks), "--out", str(kernel), *GK[:-2], "--gk.turns", "1", *GIVEN]) == 0

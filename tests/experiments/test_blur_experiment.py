@@ -10,7 +10,6 @@ from scipy.stats import f as f_distribution
 
 from output.pages import Balance
 from probevo.experiments.blur import NUM_CORNERS, BlurObservations, BlurView, blur_views, find_corners, reproject, track
-from probevo.experiments.blur_config import BlurConfig
 from probevo.experiments.blur_page import CSV_HEAD, counts_text, write_blur_page, write_csv
 from probevo.experiments.blur_scene import FAST, FRAME_STEP_S, LEFT, RIGHT, BoardScene
 from probevo.experiments.blur_statistics import (
@@ -22,7 +21,8 @@ from probevo.experiments.blur_statistics import (
     verdicts,
 )
 
-INSTANTS, SEED = 40, 3
+INSTANTS, SEED = 60, 0
+"""Half as many as by default, and the fewest that its settings recommend."""
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +121,7 @@ def test_the_interval_of_independent_normal_errors_is_that_of_the_f_test() -> No
 def test_errors_stay_zero_mean_while_their_variance_grows(results: tuple[Finding, ...]) -> None:
     """PROBE Fig. 5 for both errors and axes: every mean is within 3 standard errors, or below a tenth of σ.
 
-    Eight seconds of motion blur one axis more than the other, so variances are summed over both; the slow test below
-    has the whole motion, and each axis by itself.
+    Each interval of a ratio of variances lies above 1 as a whole, and the variance of both axes together doubles.
     """
     assert [(finding.kind, finding.axis) for finding in results] == [
         ("reprojection", "horizontal"),
@@ -130,22 +129,14 @@ def test_errors_stay_zero_mean_while_their_variance_grows(results: tuple[Finding
         ("tracking", "horizontal"),
         ("tracking", "vertical"),
     ]
-    assert verdicts(results)[0].startswith(("Zero-mean: yes; ", "Zero-mean: nearly; "))
+    first, second, _ = verdicts(results)
+    assert first.startswith(("Zero-mean: yes; ", "Zero-mean: nearly; "))
+    assert second.startswith("Variance grows with blur: yes;")
     for pair in (results[:2], results[2:]):
         low, high = (
             sum(part.sigma_px**2 for part in parts) for parts in zip(*((f.low, f.high) for f in pair), strict=True)
         )
         assert high > 2.0 * low
-
-
-@pytest.mark.slow
-def test_the_claim_holds_with_the_defaults() -> None:
-    """As above, and each interval of a ratio of variances lies above 1 as a whole."""
-    config = BlurConfig()
-    observations = BlurObservations.of(list(blur_views(config.instants, config.seed)))
-    first, second, _ = verdicts(findings(observations, np.random.default_rng(0)))
-    assert first.startswith(("Zero-mean: yes; ", "Zero-mean: nearly; "))
-    assert second.startswith("Variance grows with blur: yes;")
 
 
 def test_a_claim_that_fails_is_called_failed(observations: BlurObservations) -> None:
@@ -170,7 +161,7 @@ def test_failed_detections_are_counted_and_leave_no_errors(views: list[BlurView]
     chosen = [blind, no_fast, *views[2:]]
     fewer = BlurObservations.of(chosen)
     assert len(fewer) == NUM_CORNERS * (INSTANTS - 1)
-    assert counts_text(chosen, fewer).startswith("Board not found in 1 left, 0 right, 1 fast images of 40 each; ")
+    assert counts_text(chosen, fewer).startswith("Board not found in 1 left, 0 right, 1 fast images of 60 each; ")
     results = findings(fewer, np.random.default_rng(0))
     assert results[0].low.count + results[0].high.count == NUM_CORNERS * (INSTANTS - 2)
     assert results[2].low.count + results[2].high.count == np.isfinite(fewer.tracking_px[:, 0]).sum()

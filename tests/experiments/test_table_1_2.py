@@ -168,7 +168,9 @@ def test_mistakes_are_named_before_anything_is_rendered(tmp_path: Path, capsys: 
 
 
 @pytest.mark.slow
-def test_in_the_point_world_the_whole_way(tmp_path: Path) -> None:
+def test_in_the_point_world_the_whole_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for the reports of the runs."""
+    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
     words = ["--rows", "synthetic", "--max-frames", "8", "--gk.turns", "1", "--gk.centers", "100"]
     assert run_table(tmp_path, *words, "--gk.neighbors", "100", "--gk.prior-counts", "10", "--gk.reach", "1") == 0
     runs = json.loads((tmp_path / "table_1_2.json").read_text())["runs"]

@@ -73,6 +73,12 @@ def trained(count: int = 1000, **options: Any) -> GeneralizedKernel:
     return GeneralizedKernel(**given | options).fit(phi, errors, metric=metric)
 
 
+@cache
+def searched(dof: float) -> GeneralizedKernel:
+    """All but a bias, from errors of these tails."""
+    return GeneralizedKernel(bias_counts=np.inf).fit(*samples(6000, dof=dof))
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "model.safetensors"
@@ -119,13 +125,13 @@ def test_heavy_tails_are_learned_where_they_are() -> None:
 def test_tails_are_those_within_a_place_not_of_the_mixture_of_places(dof: float, least: float, most: float) -> None:
     places, errors = samples(6000, dof=dof)
     assert StudentT().fit(places, errors).dof_ < 3.0
-    noise = GeneralizedKernel(bias_counts=np.inf).fit(places, errors).predict(INSIDE)
+    noise = searched(dof).predict(INSIDE)
     assert least < np.median(noise.dof) < most
 
 
 @pytest.mark.parametrize("dof", [np.inf, 5.0])
 def test_regions_hold_as_many_errors_held_out_as_they_should(dof: float) -> None:
-    model = GeneralizedKernel(bias_counts=np.inf).fit(*samples(6000, dof=dof))
+    model = searched(dof)
     places, errors = samples(20_000, seed=1, dof=dof)
     for percent, share in feature_coverage(model.predict(places), errors).items():
         assert share == pytest.approx(float(percent) / 100.0, abs=0.02)

@@ -52,6 +52,12 @@ def tracks(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [folder / f"{seed}.npz" for seed in range(3)]
 
 
+@pytest.fixture(scope="module")
+def static_bytes(tracks: list[Path], tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Of the static model, by one process."""
+    return pv.train_model(tracks, STATIC, tmp_path_factory.mktemp("static") / "m.safetensors").read_bytes()
+
+
 @pytest.mark.parametrize("settings", [GK, KNN], ids=["gk", "knn"])
 def test_two_processes_give_the_bytes_of_one(tracks: list[Path], tmp_path: Path, settings: pv.TrainSettings) -> None:
     """Told of recordings, or given them open."""
@@ -88,30 +94,26 @@ class Deadly:
             yield frame
 
 
-def test_with_a_worker_killed_midway_they_are_the_same(
-    tracks: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    alone = pv.train_model(tracks, STATIC, tmp_path / "one.safetensors")
+def test_with_a_worker_killed_midway_they_are_the_same(tracks: list[Path], static_bytes: bytes, tmp_path: Path) -> None:
     sequences = [pv.open_sequence(path) for path in tracks]
     deadly: Sequence = Deadly(sequences[1], tmp_path / "grave", os.getpid())  # type: ignore[assignment]
     killed = pv.train_model([sequences[0], deadly, sequences[2]], STATIC, tmp_path / "m.safetensors", workers=TWO)
     assert (tmp_path / "grave").exists()
-    assert killed.read_bytes() == alone.read_bytes()
+    assert killed.read_bytes() == static_bytes
 
 
-@pytest.mark.parametrize("killed", [False, True])
-def test_a_cluster_gives_them_too(tracks: list[Path], tmp_path: Path, killed: bool) -> None:
-    """Two workers of Dask on this machine, one of which is killed midway."""
+def test_a_cluster_gives_them_too(tracks: list[Path], static_bytes: bytes, tmp_path: Path) -> None:
+    """Two workers of Dask on this machine: undisturbed, and when one of them is killed midway."""
     distributed = pytest.importorskip("distributed")
-    alone = pv.train_model(tracks, STATIC, tmp_path / "one.safetensors")
     sequences = [pv.open_sequence(path) for path in tracks]
-    if killed:
-        sequences[1] = Deadly(sequences[1], tmp_path / "grave", os.getpid())  # type: ignore[assignment]
+    deadly: Sequence = Deadly(sequences[1], tmp_path / "grave", os.getpid())  # type: ignore[assignment]
     with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
         workers = Workers(cluster=cluster.scheduler_address)
-        there = pv.train_model(sequences, STATIC, tmp_path / "m.safetensors", workers=workers)
-    assert (tmp_path / "grave").exists() == killed
-    assert there.read_bytes() == alone.read_bytes()
+        there = pv.train_model(sequences, STATIC, tmp_path / "there.safetensors", workers=workers)
+        sequences[1] = deadly
+        killed = pv.train_model(sequences, STATIC, tmp_path / "killed.safetensors", workers=workers)
+    assert (tmp_path / "grave").exists()
+    assert there.read_bytes() == killed.read_bytes() == static_bytes
 
 
 def infinite(step: Step) -> np.ndarray:
@@ -223,7 +225,7 @@ def test_stretches_may_go_on_from_part_to_part(kind: str, every: int, share: flo
 
 
 def test_of_more_features_than_a_model_takes_some_are_drawn(
-    tracks: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tracks: list[Path], static_bytes: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same ones by whomever; and not all of them."""
     monkeypatch.setattr(evidence, "MOST_FEATURES", 1000)
@@ -231,9 +233,7 @@ def test_of_more_features_than_a_model_takes_some_are_drawn(
         pv.train_model(tracks, STATIC, tmp_path / f"{workers.jobs}.safetensors", workers=workers)
         for workers in (Workers(), TWO)
     )
-    assert one.read_bytes() == two.read_bytes()
-    monkeypatch.undo()
-    assert pv.train_model(tracks, STATIC, tmp_path / "all.safetensors").read_bytes() != one.read_bytes()
+    assert one.read_bytes() == two.read_bytes() != static_bytes
 
 
 def test_a_lesson_on_disk_needs_no_more_than_its_number(tmp_path: Path) -> None:
