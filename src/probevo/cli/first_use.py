@@ -1,13 +1,14 @@
 """The first run of all has to compile, and a second process does its share.
 
 Numba compiles each inner loop when it is first called, one after the other, and keeps the result on disk, where other
-processes find it. Tracking comes first in a run and takes as long to compile as all that follows.
+processes find it.
 """
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 from probevo.cores import available_cores
@@ -20,22 +21,28 @@ def getting_ready() -> str:
     if any(Path(minimize.stats.cache_path).glob("minimize.minimize-*.nbi")):  # type: ignore[attr-defined]
         return "starting"
     if available_cores() > 1:
-        command = "from probevo.cli.first_use import solve_once; solve_once()"
-        nowhere = subprocess.DEVNULL
-        subprocess.Popen([sys.executable, "-c", command], stdin=nowhere, stdout=nowhere, stderr=nowhere)
+        compile_solver()
     return "compiling, this first time of all: 10 to 30 s"
 
 
+@cache
+def compile_solver() -> subprocess.Popen[bytes]:
+    """Begin to compile the solver in a process of its own, once; nobody needs to wait for it."""
+    command, nowhere = "from probevo.cli.first_use import solve_once; solve_once()", subprocess.DEVNULL
+    return subprocess.Popen([sys.executable, "-c", command], stdin=nowhere, stdout=nowhere, stderr=nowhere)
+
+
 def solve_once() -> None:
-    """Call all that lies between tracks and motion, on points along a straight drive."""
+    """Call all that follows RANSAC, on points along a straight drive; with tracking, RANSAC takes as long to compile."""
     import numpy as np
 
     import probevo as pv
+    from probevo.config import RansacConfig
     from probevo.sequences.frame import StereoFeatures
 
     camera = pv.StereoCamera.centered(700.0, 0.5, (1200, 400))
     points = np.random.default_rng(0).uniform([-8.0, -2.0, 12.0], [8.0, 2.0, 40.0], (200, 3))
-    odometry = pv.StereoOdometry(camera)
+    odometry = pv.StereoOdometry(camera, config=pv.OdometryConfig(ransac=RansacConfig(mode="off")))
     for k in range(4):
         pixels = camera.project(points - [0.0, 0.0, 1.0 * k])
         odometry.step(pv.Frame(k, 100_000_000 * k, features=StereoFeatures(np.arange(200), pixels)))

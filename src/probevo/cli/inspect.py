@@ -126,6 +126,7 @@ def _view_of_frame(
     import cv2
     import numpy as np
 
+    from probevo.cli.first_use import getting_ready
     from probevo.cli.progress import progress_bar
     from probevo.noise.generalized_kernel import GeneralizedKernel
     from probevo.noise.nearest_neighbors import NearestNeighbors
@@ -136,7 +137,7 @@ def _view_of_frame(
     odometry = StereoOdometry(sequence.camera, model, sequence.imu, settings, space)
     corner_px, left = np.zeros(2), None
     name = sequence.path.resolve().name
-    with progress_bar(f"{name} up to frame {index}", "starting (the first run of all compiles for 15 s)") as show:
+    with progress_bar(f"{name} up to frame {index}", getting_ready()) as show:
         for frame in islice(sequence, index + 1):
             odometry.step(frame)
             corner_px = np.maximum(corner_px, odometry.tracks.curr_px[:, :2].max(axis=0, initial=0.0))

@@ -138,7 +138,7 @@ def _blur(arguments: BlurArguments) -> list[str]:
     from probevo.experiments.blur_statistics import findings, verdicts
 
     views = []
-    with progress_bar("looking at the board", "starting (the first time of all compiles for 15 s)") as show:
+    with progress_bar("looking at the board", "starting (compiling, if this is the first time)") as show:
         for view in blur_views(settings.instants, settings.seed):
             views.append(view)
             show(len(views), settings.instants)

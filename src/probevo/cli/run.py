@@ -73,13 +73,14 @@ def run_with_progress(sequence: Sequence, config: RunConfig, out: Path, threads:
     import cv2
 
     from probevo.allocator import keep_freed_memory
+    from probevo.cli.first_use import getting_ready
     from probevo.cli.progress import progress_bar
     from probevo.runner import run_sequence
 
     cv2.setNumThreads(threads)
     keep_freed_memory()
     total = min(len(sequence), config.max_frames or len(sequence))
-    with progress_bar(name or sequence.path.name, "starting (the first run of all compiles for 15 s)") as show:
+    with progress_bar(name or sequence.path.name, getting_ready()) as show:
         done = count(1)
         return run_sequence(sequence, config, out, lambda _: show(next(done), total))
 

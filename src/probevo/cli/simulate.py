@@ -90,7 +90,7 @@ def render_with_progress(config: SceneConfig, out: Path, *, pixel_truth: bool = 
     from probevo.cli.progress import progress_bar
     from probevo.simulation.scene.writer import write_scene
 
-    with progress_bar(f"rendering {out.name}", "starting (the first time of all compiles for 15 s)") as show:
+    with progress_bar(f"rendering {out.name}", "starting (compiling, if this is the first time)") as show:
         return write_scene(config, out, pixel_truth=pixel_truth, jobs=jobs, on_frame=show)
 
 

@@ -65,6 +65,7 @@ def train_with_progress(
     """Learn from recordings, and show how far it is on stderr."""
     import cv2
 
+    from probevo.cli.first_use import getting_ready
     from probevo.cli.progress import progress_bar
     from probevo.noise.model_io import load_model
     from probevo.training.api import train_model
@@ -73,7 +74,7 @@ def train_with_progress(
     cv2.setNumThreads(1)
     workers = Workers(jobs, cluster)
     try:
-        with progress_bar(f"training {out.name}", "starting (the first time of all compiles for 20 s)") as show:
+        with progress_bar(f"training {out.name}", getting_ready()) as show:
             return load_model(train_model(recordings, settings, out, show, workers=workers))
     except KeyboardInterrupt as stop:
         stop.add_note(
