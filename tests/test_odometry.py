@@ -283,11 +283,11 @@ def test_what_is_known_of_the_features_stays_for_the_asking() -> None:
     assert odometry.weights.max() > 0.5
 
 
-def test_each_step_says_how_many_features_it_used_and_how_many_of_them_are_foreign() -> None:
+def test_each_step_says_how_many_features_it_used_and_how_many_of_them_are_out_of_domain() -> None:
     odometry, frames = pv.StereoOdometry(CAMERA, Homesick()), drive(np.random.default_rng(14), 5, sigma_px=0.5)
     for k, motion in enumerate(odometry.step(frame) for frame in frames):
         assert motion.num_used == odometry.used.sum()
-        assert motion.num_foreign == (-(-motion.num_used // 3) if k else None)
+        assert motion.num_out_of_domain == (-(-motion.num_used // 3) if k else None)
 
 
 def test_mismatches_that_ransac_turned_away_are_not_used() -> None:

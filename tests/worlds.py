@@ -118,7 +118,7 @@ def blind_frame(index: int) -> Frame:
 
 
 class Homesick(StudentT):
-    """A static noise that takes every third feature for foreign."""
+    """A static noise that says of every third feature that it is out of its domain."""
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        return replace(super().predict(predictors), foreign=np.arange(len(predictors)) % 3 == 0)
+        return replace(super().predict(predictors), out_of_domain=np.arange(len(predictors)) % 3 == 0)

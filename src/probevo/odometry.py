@@ -102,7 +102,7 @@ class StereoOdometry:
         self._residuals = LastResiduals.left_by(tracks, visual.T_judging if solved else None, self.camera)
         clock.lap("learn")
         facts = len(tracks), visual.num_trusted, visual.num_iterations, shared, visual.memory.tied, clock.times_ms
-        return MotionEstimate(T_curr_prev, cov, status, *facts, visual.num_used, visual.num_foreign)
+        return MotionEstimate(T_curr_prev, cov, status, *facts, visual.num_used, visual.num_out_of_domain)
 
     def _integrate_gyro(self, since_ns: int, frame: Frame) -> GyroRotation | None:
         """The gyro's rotation since the last frame, less the bias believed in; None if it does not cover that time."""

@@ -42,18 +42,18 @@ def student(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_frame_as_a_kernel_sees_it(
     wall: Path, kernel: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of the features, those at the right are foreign, and marked."""
+    """Of the features, those at the right are out of domain, and marked."""
     stale = tmp_path / "frame-4" / "weight.jpg"
     stale.parent.mkdir()
     stale.write_bytes(b"of an earlier model")
     assert inspect(wall, "--model", kernel, "--out", tmp_path) == 0
     printed = capsys.readouterr().out
     assert {path.stem for path in (tmp_path / "frame-4").iterdir()} == {"sigma", "dof", "x", "y"}
-    share = re.search(r"foreign: ([\d.]+) % of the features", printed)
+    share = re.search(r"out of domain: ([\d.]+) % of the features", printed)
     assert share
     assert 25.0 < float(share[1]) < 75.0
     html = page_of(tmp_path)
-    assert f"<dt>Foreign</dt><dd>{share[1]} %</dd>" in html
+    assert f"<dt>Out of domain</dt><dd>{share[1]} %</dd>" in html
     assert "wall" in html
     assert titles(html)[:3] == ["Its features", "Predicted σ in this frame", "Predicted ν in this frame"]
     rows = {line.split()[0]: line for line in printed.splitlines() if "±" in line}
@@ -68,7 +68,7 @@ def test_a_kernel_alone(kernel: Path, tmp_path: Path, capsys: pytest.CaptureFixt
         "The predictors in figures", "What the model learned", "x", "y", "The prior",
         "Where the centers lie, over the most telling predictors",
     ]  # fmt: skip
-    assert "foreign" not in capsys.readouterr().out
+    assert "out of domain" not in capsys.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["inspection.html"]
 
 

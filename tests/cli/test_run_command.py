@@ -133,7 +133,7 @@ def test_features_unlike_the_training_are_counted_and_warned_of(
     assert main(["run", str(recording), "--out", str(out)]) == 0
     result, page, shown = read_motions(out / "motions.npz"), (out / "report.html").read_text(), capsys.readouterr().out
     assert result.num_used is not None
-    np.testing.assert_array_equal(result.num_foreign, -(-result.num_used // 3))
+    np.testing.assert_array_equal(result.num_out_of_domain, -(-result.num_used // 3))
     assert result.out_of_domain == pytest.approx(1.0 / 3.0, abs=0.01)
     if truth:
         assert json.loads((out / "metrics.json").read_text())["out_of_domain"] == result.out_of_domain

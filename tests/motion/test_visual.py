@@ -115,21 +115,21 @@ def test_outliers_of_the_consensus_have_no_weight_and_no_part_in_the_solve() -> 
     assert len(visual.solution.weight) == visual.used.sum()
 
 
-def test_foreign_features_are_told_among_those_used() -> None:
+def test_out_of_domain_features_are_told_among_those_used() -> None:
     tracks = seen_twice(np.random.default_rng(11), 100, sigma_px=0.2)
     tracks.curr_px[:30, 1::2] += 40.0
     visual, plain = look(tracks, noise=Homesick()), look(tracks)
-    assert visual.foreign is not None
-    np.testing.assert_array_equal(visual.foreign[visual.used], np.arange(visual.num_used) % 3 == 0)
-    assert not visual.foreign[~visual.used].any()
-    assert visual.num_foreign == -(-visual.num_used // 3)
+    assert visual.out_of_domain is not None
+    np.testing.assert_array_equal(visual.out_of_domain[visual.used], np.arange(visual.num_used) % 3 == 0)
+    assert not visual.out_of_domain[~visual.used].any()
+    assert visual.num_out_of_domain == -(-visual.num_used // 3)
     assert visual.num_used == plain.num_used == visual.used.sum() > 60
-    assert (plain.foreign, plain.num_foreign) == (None, None)
+    assert (plain.out_of_domain, plain.num_out_of_domain) == (None, None)
 
 
-def test_where_nothing_is_solved_nothing_is_used_and_nothing_foreign() -> None:
+def test_where_nothing_is_solved_nothing_is_used_and_nothing_out_of_domain() -> None:
     visual = look(seen_twice(np.random.default_rng(1), 5), noise=Homesick())
-    assert (visual.status, visual.num_used, visual.num_foreign) == (Status.TOO_FEW_TRACKS, 0, None)
+    assert (visual.status, visual.num_used, visual.num_out_of_domain) == (Status.TOO_FEW_TRACKS, 0, None)
 
 
 def test_without_rejection_the_robust_loss_sees_all() -> None:

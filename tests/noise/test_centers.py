@@ -75,15 +75,15 @@ def test_where_all_centers_agree_so_does_everything_between() -> None:
 
 
 @pytest.mark.parametrize("distance", [2.0, 2.01, 50.0, 1e3])
-def test_out_of_reach_it_is_the_prior_and_foreign(distance: float) -> None:
+def test_out_of_reach_it_is_the_prior_and_out_of_domain(distance: float) -> None:
     centers = Centers.of(grid(), random_students(25))
-    found, foreign = centers.at(np.array([[4.0 + distance, 4.0]]), EDGE, PRIOR)
-    assert foreign.tolist() == [True]
+    found, outside = centers.at(np.array([[4.0 + distance, 4.0]]), EDGE, PRIOR)
+    assert outside.tolist() == [True]
     for name in ("scale", "dof", "bias"):
         np.testing.assert_allclose(getattr(found, name), getattr(PRIOR, name), rtol=1e-5, atol=1e-6)
 
 
-def test_within_reach_it_is_not_foreign() -> None:
+def test_within_reach_it_is_not_out_of_domain() -> None:
     centers = Centers.of(grid(), random_students(25))
     assert not centers.at(np.array([[5.9, 4.0], [2.3, 1.1]]), EDGE, PRIOR)[1].any()
 
@@ -102,17 +102,17 @@ def test_the_edge_is_half_as_far_again_as_the_samples_are() -> None:
 
 
 @pytest.mark.parametrize("far", [1e6, 1e18, 1e19, 1e30, 3e38])
-def test_beyond_single_precision_it_is_foreign(far: float) -> None:
+def test_beyond_single_precision_it_is_out_of_domain(far: float) -> None:
     """Squares of distances overflow: nothing is read that is not there."""
     centers = Centers.of(grid(), random_students(25))
-    found, foreign = centers.at(np.array([[far, -far], [far, 0.0]]), EDGE, PRIOR)
-    assert foreign.all()
+    found, outside = centers.at(np.array([[far, -far], [far, 0.0]]), EDGE, PRIOR)
+    assert outside.all()
     np.testing.assert_allclose(found.scale, np.repeat(PRIOR.scale, 2, axis=0), rtol=1e-5)
 
 
 def test_no_query_no_noise() -> None:
-    found, foreign = Centers.of(grid(), random_students(25)).at(np.zeros((0, 2)), 1.0, PRIOR)
-    assert (found.scale.shape, found.dof.shape, found.bias.shape, foreign.shape) == ((0, 4, 4), (0,), (0, 4), (0,))
+    found, outside = Centers.of(grid(), random_students(25)).at(np.zeros((0, 2)), 1.0, PRIOR)
+    assert (found.scale.shape, found.dof.shape, found.bias.shape, outside.shape) == ((0, 4, 4), (0,), (0, 4), (0,))
 
 
 def test_queries_do_not_change_the_centers() -> None:

@@ -186,25 +186,25 @@ def test_gross_errors_carry_the_published_scale_away() -> None:
 
 
 @pytest.mark.parametrize("variant", ["robust", "published"])
-def test_far_from_the_data_it_is_foreign_and_the_prior(variant: Any) -> None:
+def test_far_from_the_data_it_is_out_of_domain_and_the_prior(variant: Any) -> None:
     """Wider than where σ is low; and the farther, the nearer to the prior."""
     model = GeneralizedKernel(variant, **GIVEN | {"weights": np.ones(2), "reach": 0.4}).fit(*samples(3000))
     line = np.column_stack([np.linspace(-1.4, -20.0, 100), np.zeros(100)])
     noise = model.predict(line)
-    assert noise.foreign is not None
-    assert not noise.foreign[0]
-    assert noise.foreign[-1]
-    assert (np.diff(noise.foreign.astype(int)) >= 0).all()
-    np.testing.assert_allclose(noise.scale[noise.foreign], np.repeat(model.prior_.scale, noise.foreign.sum(), axis=0),
-                               rtol=1e-4, atol=1e-5)  # fmt: skip
+    assert noise.out_of_domain is not None
+    assert not noise.out_of_domain[0]
+    assert noise.out_of_domain[-1]
+    assert (np.diff(noise.out_of_domain.astype(int)) >= 0).all()
+    beyond = noise.scale[noise.out_of_domain]
+    np.testing.assert_allclose(beyond, np.repeat(model.prior_.scale, len(beyond), axis=0), rtol=1e-4, atol=1e-5)
     assert noise.scale[-1, 0, 0] > 2.0 * noise.scale[0, 0, 0]
 
 
-def test_amidst_the_data_next_to_nothing_is_foreign() -> None:
+def test_amidst_the_data_next_to_nothing_is_out_of_domain() -> None:
     """With a reach that was chosen."""
     noise = GeneralizedKernel(**GIVEN).fit(*samples(3000)).predict(INSIDE)
-    assert noise.foreign is not None
-    assert noise.foreign.mean() < 0.01
+    assert noise.out_of_domain is not None
+    assert noise.out_of_domain.mean() < 0.01
 
 
 def test_predicting_from_the_centers_is_nearly_as_from_all_samples() -> None:
@@ -287,7 +287,7 @@ def test_a_model_comes_back_as_it_was(path: Path, options: dict[str, Any]) -> No
     assert isinstance(back, GeneralizedKernel)
     queries = np.concatenate([INSIDE, [[0.3, np.nan], [50.0, 0.0]]])
     one, other = model.predict(queries), back.predict(queries)
-    for name in ("scale", "dof", "bias", "foreign"):
+    for name in ("scale", "dof", "bias", "out_of_domain"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
     for name in ("variant", "refers_to", "camera", "training", "columns", "samples_"):
         assert getattr(back, name) == getattr(model, name)

@@ -112,11 +112,11 @@ def test_extreme_shapes_of_the_kernel_are_fine(options: dict[str, Any], variant:
 
 
 def test_one_sample_says_next_to_nothing_elsewhere() -> None:
-    """Beyond its reach the prior holds, and it is foreign."""
+    """Beyond its reach the prior holds, and it is out of domain."""
     model = check(places(1), errors(1))
     noise = model.predict(queries()[-5:])
-    assert noise.foreign is not None
-    assert noise.foreign.all()
+    assert noise.out_of_domain is not None
+    assert noise.out_of_domain.all()
     np.testing.assert_allclose(noise.scale, np.repeat(model.prior_.scale, 5, axis=0), rtol=1e-4)
 
 

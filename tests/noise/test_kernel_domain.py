@@ -20,18 +20,18 @@ def model(places: FloatArray) -> GeneralizedKernel:
                              weights=np.ones(4)).fit(places, errors)  # fmt: skip
 
 
-def test_next_to_nothing_of_like_data_is_foreign(model: GeneralizedKernel) -> None:
-    foreign = model.predict(np.random.default_rng(2).normal(size=(5000, 4))).foreign
-    assert foreign is not None
-    assert foreign.mean() < 0.002
+def test_next_to_nothing_of_like_data_is_out_of_domain(model: GeneralizedKernel) -> None:
+    out_of_domain = model.predict(np.random.default_rng(2).normal(size=(5000, 4))).out_of_domain
+    assert out_of_domain is not None
+    assert out_of_domain.mean() < 0.002
 
 
 @pytest.mark.parametrize(("shift", "least"), [(5.0, 0.4), (6.0, 0.75), (8.0, 0.99)])
-def test_what_lies_apart_is_foreign(model: GeneralizedKernel, shift: float, least: float) -> None:
+def test_what_lies_apart_is_out_of_domain(model: GeneralizedKernel, shift: float, least: float) -> None:
     """Moved along one of four columns by so many standard deviations of the training data."""
-    foreign = model.predict(np.random.default_rng(3).normal(shift * np.eye(4)[0], 1.0, (2000, 4))).foreign
-    assert foreign is not None
-    assert foreign.mean() > least
+    out_of_domain = model.predict(np.random.default_rng(3).normal(shift * np.eye(4)[0], 1.0, (2000, 4))).out_of_domain
+    assert out_of_domain is not None
+    assert out_of_domain.mean() > least
 
 
 def test_far_away_it_is_as_wide_as_the_worst_tenth(model: GeneralizedKernel, places: FloatArray) -> None:

@@ -64,10 +64,11 @@ def test_student_t_tends_to_the_normal() -> None:
 
 
 def test_scaled_noise_keeps_all_but_its_scale() -> None:
-    noise = replace(random_noise(np.random.default_rng(9), np.array([3.0, np.inf])), foreign=np.array([True, False]))
+    noise = random_noise(np.random.default_rng(9), np.array([3.0, np.inf]))
+    noise = replace(noise, out_of_domain=np.array([True, False]))
     scaled = noise.scaled(np.array([4.0, 0.25]))
     np.testing.assert_array_equal(scaled.scale, np.array([4.0, 0.25])[:, None, None] * noise.scale)
-    for name in ("dof", "bias", "refers_to", "foreign"):
+    for name in ("dof", "bias", "refers_to", "out_of_domain"):
         np.testing.assert_array_equal(getattr(scaled, name), getattr(noise, name))
 
 

@@ -47,7 +47,7 @@ def test_every_feature_is_given_what_was_fitted() -> None:
     np.testing.assert_array_equal(noise.dof, [model.dof_] * 3)
     np.testing.assert_array_equal(noise.bias, np.zeros((3, 4)))
     assert noise.refers_to == "residual"
-    assert noise.foreign is None
+    assert noise.out_of_domain is None
 
 
 def test_it_is_likelier_than_the_unfitted() -> None:

@@ -80,17 +80,17 @@ def test_what_is_not_known_is_a_dash(make_run: Callable[..., RunResult]) -> None
     assert rows[2] == ("  fixed", "–", "–", "–", "–", "–")
 
 
-def test_foreign_features_have_a_column_where_a_model_has_a_domain(
+def test_out_of_domain_features_have_a_column_where_a_model_has_a_domain(
     entries: tuple[Entry, Entry], make_run: Callable[..., RunResult], tmp_path: Path
 ) -> None:
-    home, abroad = entries[0], replace(entries[1], result=make_run(30, foreign=25))
+    home, abroad = entries[0], replace(entries[1], result=make_run(30, outside=25))
     head, _, first, second = comparison_rows(Comparison((home, abroad)))
-    assert head == ("estimator", *COLUMNS, "foreign %")
+    assert head == ("estimator", *COLUMNS, "out of domain %")
     assert (first[-1], second[-1]) == ("–", "25.0")
     assert domain_note(Comparison((home, abroad)))
     assert not domain_note(Comparison(entries))
     page = page_of(Comparison((home, abroad)), tmp_path)
-    assert "<th>foreign %</th>" in page
+    assert "<th>out of domain %</th>" in page
     assert [row[-1] for row in cells_of(page)] == [("–", False), ("25.0", False)]
 
 

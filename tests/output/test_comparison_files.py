@@ -43,7 +43,7 @@ def test_a_line_holds_every_metric_as_it_is(make_run: Callable[..., RunResult], 
 
 
 def test_the_share_out_of_domain_needs_no_truth(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
-    entries = [entry(make_run(9, foreign=25), truth=known) for known in (True, False)]
+    entries = [entry(make_run(9, outside=25), truth=known) for known in (True, False)]
     assert [flat_record(each)["out_of_domain"] for each in entries] == [0.25, 0.25]
     assert [run["out_of_domain"] for run in document(entries, tmp_path)["runs"]] == [0.25, 0.25]
 

@@ -15,7 +15,7 @@ from probevo.noise.model_io import load_model, save_model
 from probevo.output.feature_pictures import _MARK, draw_features, value_shades
 from probevo.output.inspection_data import FrameView
 from probevo.output.inspection_kernel_data import KernelView, course_along, sigma_px, size_px
-from probevo.output.inspection_kernel_page import foreign_share, kernel_rows, write_kernel_inspection
+from probevo.output.inspection_kernel_page import kernel_rows, share_out_of_domain, write_kernel_inspection
 from probevo.output.inspection_kernel_pictures import kernel_pictures
 from probevo.output.model_facts import gained, scale_rows, signed, turn_rows, used_columns
 
@@ -128,9 +128,9 @@ def test_rows_of_columns(view: KernelView) -> None:
     assert alone[2][-1] == "–"  # the file does not say
 
 
-def test_the_page_says_what_share_is_foreign_and_names_what_is_used(view: KernelView, tmp_path: Path) -> None:
+def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(view: KernelView, tmp_path: Path) -> None:
     frame = frame_of(view, [[0.1, 1.0, 2.0], [-0.3, 3.0, np.nan], [0.2, 3.0, 2.1], [40.0, 0.0, 2.0]])
-    assert foreign_share(frame) == 0.25
+    assert share_out_of_domain(frame) == 0.25
     pictures = kernel_pictures(view, frame)
     assert list(pictures) == ["sigma", "dof", "holey", "x"]
     assert pictures["holey"][0] == "holey: undefined for 1 of 4"
@@ -148,7 +148,7 @@ def test_the_page_says_what_share_is_foreign_and_names_what_is_used(view: Kernel
         "What the model learned", "holey", "x", "Learning by turns", "How it was chosen", "The prior", "Trained on",
         "Where the centers lie, over the most telling predictors",
     ]  # fmt: skip
-    assert "25.0 % of the features are foreign" in html
+    assert "25.0 % of the features are out of domain" in html
     assert "<dt>Gain over the static model</dt><dd>+0.610 nats a feature</dd>" in html
     assert "&lt;drive&gt;" in html
     assert "With all of the samples, K becomes 100." in html
@@ -175,16 +175,16 @@ def test_a_model_without_a_history_has_a_page_too(view: KernelView, tmp_path: Pa
     assert "<dt>Samples</dt><dd>300</dd>" in html
 
 
-def test_foreign_features_get_a_ring() -> None:
+def test_out_of_domain_features_get_a_ring() -> None:
     import cv2
 
     uv, values = np.array([[60.0, 40.0], [200.0, 40.0]]), np.array([1.0, 2.0])
-    for foreign in (None, np.array([False, False]), np.array([False, True])):
-        jpeg = draw_features(None, (720, 80), uv, value_shades("σ", "px", values, logarithmic=True), foreign)
+    for out_of_domain in (None, np.array([False, False]), np.array([False, True])):
+        jpeg = draw_features(None, (720, 80), uv, value_shades("σ", "px", values, logarithmic=True), out_of_domain)
         picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)[:80].astype(float)
         marked = np.linalg.norm(picture - _MARK, axis=2) < 100
         columns = np.flatnonzero(marked.any(axis=0))
-        if foreign is None or not foreign.any():
+        if out_of_domain is None or not out_of_domain.any():
             assert len(columns) == 0
         else:
             assert 190 < columns.min() < columns.max() < 212

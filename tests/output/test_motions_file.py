@@ -11,12 +11,12 @@ from probevo.output.motions_file import read_motions, write_motions
 from probevo.output.run_result import RunResult
 
 
-@pytest.mark.parametrize("foreign", [None, 7])
+@pytest.mark.parametrize("outside", [None, 7])
 @pytest.mark.parametrize("count", [1, 2, 30])
 def test_a_run_comes_back_as_it_was(
-    make_run: Callable[..., RunResult], tmp_path: Path, count: int, foreign: int | None
+    make_run: Callable[..., RunResult], tmp_path: Path, count: int, outside: int | None
 ) -> None:
-    run = make_run(count, foreign=foreign)
+    run = make_run(count, outside=outside)
     write_motions(tmp_path / "motions.npz", run)
     back = read_motions(tmp_path / "motions.npz")
     for field in fields(RunResult):
@@ -24,7 +24,7 @@ def test_a_run_comes_back_as_it_was(
 
 
 def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
-    write_motions(tmp_path / "motions.npz", make_run(5, foreign=7))
+    write_motions(tmp_path / "motions.npz", make_run(5, outside=7))
     with np.load(tmp_path / "motions.npz") as archive:
         found = {name: (archive[name].shape, archive[name].dtype.str) for name in archive.files}
     assert found == {
@@ -35,7 +35,7 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
         "num_tracks": ((4,), "<i8"),
         "num_inliers": ((4,), "<i8"),
         "num_used": ((4,), "<i8"),
-        "num_foreign": ((4,), "<i8"),
+        "num_out_of_domain": ((4,), "<i8"),
         "shared": ((4, 6, 3), "<f8"),
         "tied": ((4, 6, 6), "<f8"),
         "total_ms": ((4,), "<f8"),
@@ -47,13 +47,14 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
 
 
 def test_files_from_before_the_features_were_counted(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
-    run = make_run(5, foreign=7)
+    run = make_run(5, outside=7)
     write_motions(tmp_path / "new.npz", run)
     with np.load(tmp_path / "new.npz") as archive:
-        np.savez(tmp_path / "old.npz", **{k: archive[k] for k in archive.files if k not in {"num_used", "num_foreign"}})
+        old_names = set(archive.files) - {"num_used", "num_out_of_domain"}
+        np.savez(tmp_path / "old.npz", **{name: archive[name] for name in old_names})
     old = read_motions(tmp_path / "old.npz")
     np.testing.assert_array_equal(old.cov, run.cov)
-    assert (old.num_used, old.num_foreign, old.out_of_domain) == (None, None, None)
+    assert (old.num_used, old.num_out_of_domain, old.out_of_domain) == (None, None, None)
 
 
 def test_only_times_differ_between_runs(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
@@ -81,7 +82,7 @@ def test_the_same_run_gives_the_same_bytes(make_run: Callable[..., RunResult], t
         ({"cov": np.zeros((4, 6, 6))}, "cov of motion 0 is not positive definite"),
         ({"cov": np.full((4, 6, 6), np.nan)}, "cov holds something that is no finite number"),
         ({"status": np.array(["a"] * 4)}, "status holds something"),
-        ({"num_foreign": np.zeros(3)}, r"num_foreign has shape \(3,\)"),
+        ({"num_out_of_domain": np.zeros(3)}, r"num_out_of_domain has shape \(3,\)"),
         ({"rejected_flow": np.zeros(2)}, "rejected_flow has shape"),
     ],
 )

@@ -95,12 +95,12 @@ def test_decoding_is_no_part_of_the_stack(make_run: Callable[..., RunResult]) ->
 
 
 @pytest.mark.parametrize(
-    ("foreign", "timeline", "warned"), [(None, False, False), (0, False, False), (10, True, False), (11, True, True)]
+    ("outside", "timeline", "warned"), [(None, False, False), (0, False, False), (10, True, False), (11, True, True)]
 )
 def test_the_page_warns_of_more_than_a_tenth_out_of_domain(
-    make_run: Callable[..., RunResult], tmp_path: Path, foreign: int | None, timeline: bool, warned: bool
+    make_run: Callable[..., RunResult], tmp_path: Path, outside: int | None, timeline: bool, warned: bool
 ) -> None:
-    page = page_of(make_run(30, foreign=foreign), tmp_path)
+    page = page_of(make_run(30, outside=outside), tmp_path)
     assert ('aria-label="Out of domain"' in page) is timeline
     assert ("nothing like 11.0 % of the features" in page) is warned
     assert ("Train it on recordings like this one" in page) is warned
@@ -111,9 +111,9 @@ def test_the_page_warns_of_more_than_a_tenth_out_of_domain(
 
 def test_the_share_out_of_domain_over_time(make_run: Callable[..., RunResult]) -> None:
     """1200 steps in 400 groups of three; the share is that of all features of a group, 0 where none was used."""
-    used, foreign = np.tile([100, 300, 0], 400), np.tile([10, 70, 0], 400)
-    used[:3] = foreign[:3] = 0
-    percent = domain_figure(used, foreign, make_run(1201)).axes[0].patches[0].get_data().values
+    used, outside = np.tile([100, 300, 0], 400), np.tile([10, 70, 0], 400)
+    used[:3] = outside[:3] = 0
+    percent = domain_figure(used, outside, make_run(1201)).axes[0].patches[0].get_data().values
     np.testing.assert_allclose(percent, [0.0, *[20.0] * 399])
 
 

@@ -35,7 +35,7 @@ def test_moving_forward_moves_the_camera_forward() -> None:
 
 
 @pytest.mark.parametrize(
-    ("steps", "foreign", "share"),
+    ("steps", "out_of_domain", "share"),
     [
         ([(100, 10), (300, 70)], [10, 70], 0.2),
         ([(100, 10), (0, None), (100, 0)], [10, 0, 0], 0.05),  # nothing was solved at the second
@@ -46,15 +46,15 @@ def test_moving_forward_moves_the_camera_forward() -> None:
     ],
 )
 def test_the_share_out_of_domain_is_that_of_all_features_used(
-    steps: list[tuple[int, int | None]], foreign: list[int] | None, share: float | None
+    steps: list[tuple[int, int | None]], out_of_domain: list[int] | None, share: float | None
 ) -> None:
     recorder = RunRecorder()
     for k, (used, count) in enumerate([(0, None), *steps]):
-        recorder.add(k, MotionEstimate(np.eye(4), np.eye(6), Status.OK, 400, num_used=used, num_foreign=count))
+        recorder.add(k, MotionEstimate(np.eye(4), np.eye(6), Status.OK, 400, num_used=used, num_out_of_domain=count))
     run = recorder.result()
     assert run.num_used is not None
     assert run.num_used.tolist() == [used for used, _ in steps]
-    assert (None if run.num_foreign is None else run.num_foreign.tolist()) == foreign
+    assert (None if run.num_out_of_domain is None else run.num_out_of_domain.tolist()) == out_of_domain
     assert run.out_of_domain == pytest.approx(share)
 
 

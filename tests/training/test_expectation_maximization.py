@@ -177,7 +177,7 @@ def test_by_least_squares_it_works_too() -> None:
 def test_the_published_variant_tells_good_features_from_bad() -> None:
     """By how much, it tells less well."""
     model = learn([lesson("gt")], variant="published", neighbors=None, reach=1.0, turns=1, centers=2000).model
-    home = ~np.asarray(model.predict(drive(1).phi).foreign)
+    home = ~np.asarray(model.predict(drive(1).phi).out_of_domain)
     assert home.mean() > 0.99
     true = drive(1).phi[:, 0]
     assert np.corrcoef((log_ratio(model) + true)[home], true[home])[0, 1] > 0.9

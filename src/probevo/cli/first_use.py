@@ -16,13 +16,18 @@ from probevo.cores import available_cores
 
 def getting_ready() -> str:
     """What to say until the first frame is through; the first time of all, the compiling of the solver is begun."""
-    from probevo.motion.minimize import minimize
-
-    if any(Path(minimize.stats.cache_path).glob("minimize.minimize-*.nbi")):  # type: ignore[attr-defined]
+    if any(compiled_in().glob("minimize.minimize-*.nbi")):
         return "starting"
     if available_cores() > 1:
         compile_solver()
     return "compiling, this first time of all: 10 to 30 s"
+
+
+def compiled_in() -> Path:
+    """The folder in which the solver is kept once it is compiled."""
+    from probevo.motion.minimize import minimize
+
+    return Path(minimize.stats.cache_path)  # type: ignore[attr-defined]
 
 
 @cache
@@ -33,7 +38,7 @@ def compile_solver() -> subprocess.Popen[bytes]:
 
 
 def solve_once() -> None:
-    """Call all that follows RANSAC, on points along a straight drive; with tracking, RANSAC takes as long to compile."""
+    """Call all that follows RANSAC, on points along a straight drive; tracking and RANSAC compile as long."""
     import numpy as np
 
     import probevo as pv

@@ -190,7 +190,12 @@ def write(out: Path, name: str, model: Learned | None, frame: FrameView | None) 
 
 def _write_kernel(out: Path, name: str, model: GeneralizedKernel, frame: FrameView | None) -> str:
     from probevo.output.inspection_kernel_data import KernelView
-    from probevo.output.inspection_kernel_page import KERNEL_HEAD, foreign_share, kernel_rows, write_kernel_inspection
+    from probevo.output.inspection_kernel_page import (
+        KERNEL_HEAD,
+        kernel_rows,
+        share_out_of_domain,
+        write_kernel_inspection,
+    )
     from probevo.output.inspection_kernel_pictures import kernel_pictures
     from probevo.output.inspection_sections import percent
 
@@ -200,7 +205,7 @@ def _write_kernel(out: Path, name: str, model: GeneralizedKernel, frame: FrameVi
     write_kernel_inspection(out / PAGE, view, frame, pictures)
     lines = [table(KERNEL_HEAD, kernel_rows(view, frame))]
     if frame is not None:
-        lines += ["", f"foreign: {percent(foreign_share(frame))} of the features lie out of the model's domain"]
+        lines += ["", f"out of domain: {percent(share_out_of_domain(frame))} of the features"]
     return _said(out, frame, lines)
 
 

@@ -50,6 +50,6 @@ class MotionEstimate:
     """Wall time of each stage of this step, ms."""
     num_used: int = 0
     """Tracks that the solve used; 0 where there was none."""
-    num_foreign: int | None = None
+    num_out_of_domain: int | None = None
     """Those of them that lie where the noise model has seen no training data; None where there was no solve, or for
     models that have seen none at all."""

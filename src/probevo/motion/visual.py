@@ -41,7 +41,7 @@ class VisualMotion:
     """Which tracks the solve used, [N]; the others were turned away before."""
     solution: ReprojectionSolution | None
     """The last solve; to be believed only if the status is OK, None after too few tracks or if it is degenerate."""
-    foreign: BoolArray | None = None
+    out_of_domain: BoolArray | None = None
     """Which of the tracks used lie where the noise model has seen no training data, [N]; None if it knows of no such
     place, or if there was no solve."""
     T_judging: FloatArray | None = None
@@ -67,9 +67,9 @@ class VisualMotion:
         return int(self.used.sum())
 
     @property
-    def num_foreign(self) -> int | None:
-        """Those of them that lie where the noise model has seen no training data; None as for ``foreign``."""
-        return None if self.foreign is None else int(self.foreign.sum())
+    def num_out_of_domain(self) -> int | None:
+        """Those of them that lie where the noise model has seen no training data; None as for ``out_of_domain``."""
+        return None if self.out_of_domain is None else int(self.out_of_domain.sum())
 
     @property
     def num_iterations(self) -> int:
@@ -122,16 +122,16 @@ def estimate_motion(
         alone = solve_reprojection(own.prev_px, own.curr_px, predicted, T, camera, loss=loss, max_iterations=0)
     clock.lap("solve")
     status = _judge(solution, weights[used], expected, config)
-    foreign = None
-    if predicted.foreign is not None:
-        foreign = np.zeros_like(used)
-        foreign[used] = predicted.foreign
+    out_of_domain = None
+    if predicted.out_of_domain is not None:
+        out_of_domain = np.zeros_like(used)
+        out_of_domain[used] = predicted.out_of_domain
     judging = solution.T_curr_prev
     if LAST_RESIDUAL in noise.columns:
         judging = confirmed(solution, own, start.T_curr_prev, camera, prior, config.solver)
     believed = None if status is Status.DEGENERATE else solution
     memory = memory if status is Status.OK else DisparityMemory.none()
-    return VisualMotion(status, weights, used, believed, foreign, judging, alone, memory)
+    return VisualMotion(status, weights, used, believed, out_of_domain, judging, alone, memory)
 
 
 def solve(

@@ -27,7 +27,7 @@ class StereoNoise:
     refers_to: Refers = "residual"
     """What the scale describes: the residual y' − f(T g(y)) as a whole (learned models), or each single observation y
     and y' (classical models), from which the solver derives the residual's, the triangulated point's noise included."""
-    foreign: BoolArray | None = None
+    out_of_domain: BoolArray | None = None
     """Which of the N features lie where the model has seen no training data, [N]; None for models that have seen none,
     which are at home everywhere."""
     lasting: FloatArray | None = None
@@ -36,9 +36,9 @@ class StereoNoise:
 
     def of(self, chosen: IntArray) -> StereoNoise:
         """The noise of some of the features, by their indices."""
-        foreign = None if self.foreign is None else self.foreign[chosen]
+        outside = None if self.out_of_domain is None else self.out_of_domain[chosen]
         lasting = None if self.lasting is None else self.lasting[chosen]
-        return StereoNoise(self.scale[chosen], self.dof[chosen], self.bias[chosen], self.refers_to, foreign, lasting)
+        return StereoNoise(self.scale[chosen], self.dof[chosen], self.bias[chosen], self.refers_to, outside, lasting)
 
     def scaled(self, factors: FloatArray) -> StereoNoise:
         """The same noise, the scale of each feature times a factor, [N]."""

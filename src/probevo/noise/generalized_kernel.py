@@ -217,9 +217,9 @@ class GeneralizedKernel:
         check_arrays(model.metric_, model.centers_, model.prior_)
         return model
 
-    def _noise(self, students: Students, foreign: BoolArray) -> StereoNoise:
+    def _noise(self, students: Students, out_of_domain: BoolArray) -> StereoNoise:
         lasting = self.lasting**2 * disparity_variance(students.scale) if self.lasting else None
-        return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, foreign, lasting)
+        return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, out_of_domain, lasting)
 
     def _coordinates(self, predictors: FloatArray) -> FloatArray:
         """Places [N, M] in the columns that contribute."""

@@ -17,7 +17,7 @@ from probevo.run_config import RunConfig
 
 COLUMNS = ("ARMSE m", "final error m", "drift %", "rotation °/m", "ms/frame")
 """Figures of merit; the less, the better. Drift and rotation are those over pieces of 10 to 50 m."""
-FOREIGN_COLUMN = "foreign %"
+DOMAIN_COLUMN = "out of domain %"
 """Share of the features out of the noise model's domain; no figure of merit, and shown only where there is one."""
 TIME_COLUMN = COLUMNS.index("ms/frame")
 """The one that differs from run to run."""
@@ -77,7 +77,7 @@ class Comparison:
     def columns(self) -> tuple[str, ...]:
         """Those of the table: ``COLUMNS``, and ``FOREIGN_COLUMN`` if the noise model of any entry has a domain."""
         has_domain = any(entry.result.out_of_domain is not None for entry in self.entries)
-        return (*COLUMNS, FOREIGN_COLUMN) if has_domain else COLUMNS
+        return (*COLUMNS, DOMAIN_COLUMN) if has_domain else COLUMNS
 
     def of(self, sequence: str) -> tuple[Entry, ...]:
         """The entries of one sequence, in the order of the estimators."""
@@ -122,9 +122,9 @@ def truth_note(comparison: Comparison) -> tuple[str, ...]:
 
 
 def domain_note(comparison: Comparison) -> tuple[str, ...]:
-    """What the column of foreign features means; nothing if there is none."""
-    what = "Foreign: features that lie where the noise model has seen no training data."
-    return (what,) if FOREIGN_COLUMN in comparison.columns else ()
+    """What the column of features out of domain means; nothing if there is none."""
+    what = "Out of domain: features that lie where the noise model has seen no training data."
+    return (what,) if DOMAIN_COLUMN in comparison.columns else ()
 
 
 def distinct_labels(paths: Sequence[Path], taken: Collection[str] = ()) -> list[str]:

@@ -70,7 +70,7 @@ def weight_shades(beta: FloatArray) -> Shades:
 
 
 def draw_features(
-    left: Image | None, size_px: tuple[int, int], uv: FloatArray, shades: Shades, foreign: BoolArray | None = None
+    left: Image | None, size_px: tuple[int, int], uv: FloatArray, shades: Shades, out_of_domain: BoolArray | None = None
 ) -> bytes:
     """The left image with a dot at each feature, a hollow grey ring where it has no value, and the legend below.
 
@@ -80,7 +80,7 @@ def draw_features(
             ``legend_height`` comes below.
         uv: places of the features, [N, 2], px.
         shades: their colours.
-        foreign: which are out of a model's domain, [N]: they get a magenta ring, and the legend counts them.
+        out_of_domain: which are out of a model's domain, [N]: they get a magenta ring, and the legend counts them.
 
     Returns:
         A JPEG file.
@@ -101,11 +101,11 @@ def draw_features(
     for (u, v), color in zip(centers[~unknown][order].tolist(), colors[order].tolist(), strict=True):
         _circle(picture, (u, v), 3.8 * size, _OUTLINE, cv2.FILLED)
         _circle(picture, (u, v), 3.0 * size, color, cv2.FILLED)
-    num_foreign = 0 if foreign is None else int(foreign.sum())
-    if foreign is not None:
-        for u, v in centers[foreign].tolist():
+    num_out_of_domain = 0 if out_of_domain is None else int(out_of_domain.sum())
+    if out_of_domain is not None:
+        for u, v in centers[out_of_domain].tolist():
             _circle(picture, (u, v), 5.6 * size, _MARK, max(1, round(1.4 * size)))
-    legend = _legend(picture.shape[1], shades, int(unknown.sum()), num_foreign)
+    legend = _legend(picture.shape[1], shades, int(unknown.sum()), num_out_of_domain)
     return cv2.imencode(".jpg", np.vstack([picture, legend]), [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
 
 
@@ -138,8 +138,8 @@ def _circle(picture: AnyArray, center: tuple[int, int], radius: float, color: Se
     cv2.circle(picture, center, round(radius * 2**_SHIFT), color, thickness, cv2.LINE_AA, _SHIFT)
 
 
-def _legend(width_px: int, shades: Shades, num_unknown: int, num_foreign: int) -> Image:
-    """What the colour means, how many features have none or are foreign, and the bar with its numbers.
+def _legend(width_px: int, shades: Shades, num_unknown: int, num_out_of_domain: int) -> Image:
+    """What the colour means, how many features have none or are out of domain, and the bar with its numbers.
 
     It is laid out at REFERENCE_PX.
     """
@@ -152,9 +152,9 @@ def _legend(width_px: int, shades: Shades, num_unknown: int, num_foreign: int) -
     axes.text(12, 14, shades.name, **words)
     if num_unknown:
         axes.text(width - 12, 14, f"○ {num_unknown} of {len(shades.place)} undefined", ha="right", **words)
-    if num_foreign:
+    if num_out_of_domain:
         place, color = width - 12 - 165 * bool(num_unknown), "#{:02x}{:02x}{:02x}".format(*_MARK[::-1])
-        text = f"○ {num_foreign} of {len(shades.place)} foreign"
+        text = f"○ {num_out_of_domain} of {len(shades.place)} out of domain"
         axes.text(place, 14, text, ha="right", **(words | {"color": color}))
     if any(shades.ends):
         start, end, row = _BAR_FROM_PX, width - _BAR_FROM_PX, 33

@@ -40,13 +40,13 @@ class KernelView:
         """Take all that is shown from a fitted model."""
         used, metric = used_columns(model), model.metric_
         coordinates = model.centers_.places.T.astype(np.float64)
-        students, foreign = model.centers_.at(coordinates, model.edge_, model.prior_)
+        students, out_of_domain = model.centers_.at(coordinates, model.edge_, model.prior_)
         chosen = [column.index for column in used]
         standard = coordinates[:, np.searchsorted(np.flatnonzero(metric.weight), chosen)] / metric.weight[chosen]
         # Stored in single precision; no value that is defined lies so close by more than chance.
         undefined = np.array(metric.may_be_undefined)[chosen] & (np.abs(standard - UNDEFINED) < 1e-5)
         places = np.where(undefined, np.nan, standard * metric.spread[chosen] + metric.mean[chosen])
-        noise = StereoNoise(students.scale, students.dof, students.bias, model.refers_to, foreign)
+        noise = StereoNoise(students.scale, students.dof, students.bias, model.refers_to, out_of_domain)
         return KernelView(name, model, units, used, places, noise)
 
 

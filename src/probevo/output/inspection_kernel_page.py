@@ -52,7 +52,7 @@ def write_kernel_inspection(
     Raises:
         InputError: the file cannot be written.
     """
-    more = " Magenta rings: foreign, out of the reach of all training data; there, the prior holds."
+    more = " Magenta rings: out of domain, beyond the reach of all training data; there, the prior holds."
     sections = [] if frame is None else [pictures_section(frame, pictures, more)]
     with figure_style():
         if frame is not None:
@@ -83,16 +83,16 @@ def kernel_rows(view: KernelView, frame: FrameView | None) -> list[tuple[str, ..
     return rows
 
 
-def foreign_share(frame: FrameView) -> float:
+def share_out_of_domain(frame: FrameView) -> float:
     """Share of the features that lie out of the model's domain."""
-    foreign = None if frame.noise is None else frame.noise.foreign
-    return 0.0 if foreign is None or not len(foreign) else float(foreign.mean())
+    out_of_domain = None if frame.noise is None else frame.noise.out_of_domain
+    return 0.0 if out_of_domain is None or not len(out_of_domain) else float(out_of_domain.mean())
 
 
 def _facts(view: KernelView, frame: FrameView | None) -> dict[str, str]:
     model, facts = view.model, frame_facts(frame)
     if frame is not None:
-        facts["Foreign"] = percent(foreign_share(frame))
+        facts["Out of domain"] = percent(share_out_of_domain(frame))
     shape, gain = model.shape_, gained(model.training.get("searches", {}))
     facts["Samples"] = f"{model.samples_:,}{origin(model.training)}"
     facts |= {"Form": model.variant} if model.variant == "published" else {"K": f"{shape.neighbors:,}"}
@@ -107,9 +107,9 @@ def _frame_panels(view: KernelView, frame: FrameView) -> list[str]:
     if frame.noise is None:
         return []
     note = "Training samples: as predicted at the centers. Dashed: the prior, which holds where nothing is known."
-    prior, foreign = view.model.prior_, percent(foreign_share(frame))
+    prior, out_of_domain = view.model.prior_, percent(share_out_of_domain(frame))
     sizes = size_px(view.noise.scale), size_px(frame.noise.scale)
-    scale_note = f"{foreign} of the features are foreign, out of reach of all training data. {note}"
+    scale_note = f"{out_of_domain} of the features are out of domain, beyond the reach of all training data. {note}"
     sigma = histogram_figure(*sizes, "σ, geometric mean, px", float(size_px(prior.scale)[0]))
     dof = histogram_figure(view.noise.dof, frame.noise.dof, "ν: heavy tails < light tails", float(prior.dof[0]))
     return [panel("Predicted σ in this frame", scale_note, sigma), panel("Predicted ν in this frame", note, dof)]

@@ -19,7 +19,7 @@ def kernel_pictures(view: KernelView, frame: FrameView) -> dict[str, tuple[str, 
     """
     if frame.noise is None:
         raise ValueError("the frame holds no noise")
-    foreign = frame.noise.foreign
+    out_of_domain = frame.noise.out_of_domain
     size, dof = size_px(frame.noise.scale), frame.noise.dof
     shown = {
         "sigma": ("σ, as predicted", value_shades("σ, geometric mean, logarithmic", "px", size, logarithmic=True)),
@@ -34,6 +34,6 @@ def kernel_pictures(view: KernelView, frame: FrameView) -> dict[str, tuple[str, 
         caption = column.name + (f": undefined for {unknown} of {len(values)}" if unknown else "")
         shown[column.name] = (caption, value_shades(column.name, frame.columns[column.name], values))
     return {
-        name: (caption, draw_features(frame.left, frame.size_px, frame.uv, shades, foreign))
+        name: (caption, draw_features(frame.left, frame.size_px, frame.uv, shades, out_of_domain))
         for name, (caption, shades) in shown.items()
     }

@@ -31,7 +31,7 @@ def write_motions(path: Path, result: RunResult) -> None:
         "num_inliers": result.num_inliers,
         "total_ms": result.total_ms,
     }
-    counts = {"num_used": result.num_used, "num_foreign": result.num_foreign}
+    counts = {"num_used": result.num_used, "num_out_of_domain": result.num_out_of_domain}
     arrays |= {name: count for name, count in counts.items() if count is not None}
     arrays |= {_STAGE + name: ms for name, ms in result.stage_ms.items()}
     arrays |= {
@@ -77,7 +77,7 @@ def read_motions(path: Path) -> RunResult:
             name.removeprefix(_REJECTED).replace("_", " "): int(_take(path, arrays, name, ())) for name in reasons
         },
         num_used=_take(path, arrays, "num_used", (steps,)) if "num_used" in arrays else None,
-        num_foreign=_take(path, arrays, "num_foreign", (steps,)) if "num_foreign" in arrays else None,
+        num_out_of_domain=_take(path, arrays, "num_out_of_domain", (steps,)) if "num_out_of_domain" in arrays else None,
     )
 
 

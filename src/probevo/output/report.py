@@ -131,9 +131,9 @@ def _figures(result: RunResult, drift: Drift, consistency: Consistency | None) -
     if consistency is not None:
         panels.append(panel("Claim and truth, step by step", _CALIBRATION_NOTE, calibration_figure(consistency)))
     panels.append(panel("Tracks and status", _status_note(result), tracks_figure(result)))
-    if result.num_used is not None and result.num_foreign is not None and result.num_foreign.any():
+    if result.num_used is not None and result.num_out_of_domain is not None and result.num_out_of_domain.any():
         note = "Features that lie where the noise model has seen no training data."
-        panels.append(panel("Out of domain", note, domain_figure(result.num_used, result.num_foreign, result)))
+        panels.append(panel("Out of domain", note, domain_figure(result.num_used, result.num_out_of_domain, result)))
     panels.append(panel("Time by stage", _stages_note(result), stages_figure(result)))
     if result.rejected:
         panels.append(panel("Points turned away", "By the check that did so.", rejected_figure(result.rejected)))

@@ -1,4 +1,4 @@
-"""Figures of the report that show how the run went: tracks, status, times, points turned away, foreign features."""
+"""Figures of the report that show how the run went: tracks, status, times, points turned away, the domain."""
 
 from __future__ import annotations
 
@@ -89,17 +89,17 @@ def stages_figure(result: RunResult) -> Figure:
     return figure
 
 
-def domain_figure(num_used: IntArray, num_foreign: IntArray, result: RunResult) -> Figure:
+def domain_figure(num_used: IntArray, num_out_of_domain: IntArray, result: RunResult) -> Figure:
     """Share of the features solved with that the noise model had to guess, over time; in groups, that of all in it.
 
     Args:
         num_used: features solved with at each step, [N-1].
-        num_foreign: those of them out of domain, [N-1].
+        num_out_of_domain: those of them out of domain, [N-1].
         result: the run, for its times.
     """
     starts, edges_s = _groups(result)
     used = np.add.reduceat(num_used, starts)
-    percent = 100.0 * np.add.reduceat(num_foreign, starts) / np.maximum(used, 1)
+    percent = 100.0 * np.add.reduceat(num_out_of_domain, starts) / np.maximum(used, 1)
     figure = Figure(figsize=(WIDTH_IN, 2.4))
     axes = figure.add_subplot(xlabel="time, s", ylabel="% of the features")
     axes.stairs(percent, edges_s, color=BLUE, alpha=0.15, fill=True)

@@ -45,16 +45,16 @@ class RunResult:
     """How many candidate points each consistency check turned away in all, by the check's name."""
     num_used: IntArray | None = None
     """Tracks that were solved with, [N-1]; None in the files of versions that did not say."""
-    num_foreign: IntArray | None = None
+    num_out_of_domain: IntArray | None = None
     """Those of them that lie where the noise model has seen no training data, [N-1]; None if it knows of no such place.
     """
 
     @property
     def out_of_domain(self) -> float | None:
         """Share, 0 … 1, of all features solved with that lie where the noise model has seen no training data."""
-        if self.num_used is None or self.num_foreign is None or not self.num_used.any():
+        if self.num_used is None or self.num_out_of_domain is None or not self.num_used.any():
             return None
-        return float(self.num_foreign.sum() / self.num_used.sum())
+        return float(self.num_out_of_domain.sum() / self.num_used.sum())
 
     def __len__(self) -> int:
         """Number of frames N."""
@@ -68,7 +68,7 @@ class RunRecorder:
         self._numbers = _Rows(np.float64, 16 + 36 + 18 + 36 + 1)
         """T_curr_prev, cov, shared, tied, wall time of the step."""
         self._counts = _Rows(np.int64, 6)
-        """Stamp, status, tracks, trusted, used, foreign (−1 for None)."""
+        """Stamp, status, tracks, trusted, used, out of domain (−1 for None)."""
         self._stage_ms: dict[str, _Rows] = {}
         self._rejected: Counter[str] = Counter()
 
@@ -91,8 +91,8 @@ class RunRecorder:
         total = sum(motion.stage_ms.values()) if total_ms is None else total_ms
         arrays = (motion.T_curr_prev, motion.cov, motion.shared, motion.tied)
         self._numbers.add(np.concatenate([*(array.ravel() for array in arrays), [total]]))
-        foreign = -1 if motion.num_foreign is None else motion.num_foreign
-        self._counts.add((stamp_ns, motion.status, motion.num_tracks, motion.num_inliers, motion.num_used, foreign))
+        outside = -1 if motion.num_out_of_domain is None else motion.num_out_of_domain
+        self._counts.add((stamp_ns, motion.status, motion.num_tracks, motion.num_inliers, motion.num_used, outside))
         first, num_before = len(self._counts) == 1, len(self._counts) - 1
         for name in () if first else motion.stage_ms:
             if name not in self._stage_ms:
@@ -104,7 +104,7 @@ class RunRecorder:
     def result(self) -> RunResult:
         """All that was taken in so far."""
         counts, numbers = self._counts.table(), self._numbers.table()[1:]
-        stamps_ns, (_, status, num_tracks, num_inliers, num_used, foreign) = counts[:, 0].copy(), counts[1:].T.copy()
+        stamps_ns, (_, status, num_tracks, num_inliers, num_used, outside) = counts[:, 0].copy(), counts[1:].T.copy()
         T_curr_prev = numbers[:, :16].reshape(-1, 4, 4)
         return RunResult(
             stamps_ns=stamps_ns,
@@ -120,7 +120,7 @@ class RunRecorder:
             total_ms=numbers[:, 106].copy(),
             rejected=dict(self._rejected),
             num_used=num_used,
-            num_foreign=np.maximum(foreign, 0) if (foreign >= 0).any() else None,
+            num_out_of_domain=np.maximum(outside, 0) if (outside >= 0).any() else None,
         )
 
 

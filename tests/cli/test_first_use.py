@@ -1,0 +1,56 @@
+"""The first run of all: two processes compile, and the user is told."""
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import probevo as pv
+from probevo.cli import first_use
+from probevo.sequences.frame import Frame
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """What is given to Python to run in another process; nothing is run."""
+    commands: list[str] = []
+    monkeypatch.setattr(subprocess, "Popen", lambda words, **_: commands.append(words[-1]))
+    first_use.compile_solver.cache_clear()
+    yield commands
+    first_use.compile_solver.cache_clear()
+
+
+def test_where_nothing_is_compiled_another_process_begins_with_the_solver(
+    started: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(first_use, "compiled_in", lambda: tmp_path)
+    monkeypatch.setattr(first_use, "available_cores", lambda: 2)
+    assert [first_use.getting_ready() for _ in range(2)] == ["compiling, this first time of all: 10 to 30 s"] * 2
+    assert started == ["from probevo.cli.first_use import solve_once; solve_once()"]
+
+
+def test_one_core_compiles_alone(started: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(first_use, "compiled_in", lambda: tmp_path)
+    monkeypatch.setattr(first_use, "available_cores", lambda: 1)
+    assert first_use.getting_ready().startswith("compiling")
+    assert not started
+
+
+def test_what_that_process_does_is_found_where_it_is_looked_for(started: list[str]) -> None:
+    """It solves motions, and from then on nothing is to be compiled."""
+    step, motions = pv.StereoOdometry.step, []
+
+    def watched(odometry: pv.StereoOdometry, frame: Frame) -> pv.MotionEstimate:
+        motions.append(step(odometry, frame))
+        return motions[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pv.StereoOdometry, "step", watched)
+        first_use.solve_once()
+    assert [motion.status for motion in motions[1:]] == [pv.Status.OK] * 3
+    np.testing.assert_allclose(motions[-1].T_curr_prev[:3, 3], [0.0, 0.0, -1.0], atol=1e-3)
+    assert any(first_use.compiled_in().glob("minimize.minimize-*.nbi"))
+    assert first_use.getting_ready() == "starting"
+    assert not started
