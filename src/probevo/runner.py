@@ -10,6 +10,7 @@ from time import perf_counter
 
 import numpy as np
 
+from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
@@ -134,7 +135,7 @@ def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, 
     # Absolute, so that --config finds the recording and the noise model from any directory.
     found = {"sequence": (config.sequence or sequence.path).resolve(), "noise": portable(config.noise)}
     settings = config_text(config.model_copy(update=found))
-    write_atomically(out / "config.yaml", settings)
+    write_atomically(out / "config.yaml", f"# by probevo {__version__}\n{settings}")
     write_tum(out / "trajectory.tum", result.stamps_ns, result.T_world_cam)
     write_kitti_poses(out / "trajectory.kitti.txt", result.T_world_cam)
     write_motions(out / "motions.npz", result)

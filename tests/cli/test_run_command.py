@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cli.rendering import true_poses, write_wall
+from probevo import __version__
 from probevo.camera.stereo import StereoCamera
 from probevo.cli.main import main
 from probevo.errors import InputError
@@ -62,6 +63,7 @@ def test_the_same_run_gives_the_same_bytes(wall: Path, wall_run: Path, tmp_path:
 
 def test_the_effective_config_repeats_the_run(wall_run: Path, tmp_path: Path) -> None:
     assert main(["run", "--config", str(wall_run / "config.yaml"), "--out", str(tmp_path)]) == 0
+    assert (wall_run / "config.yaml").read_text().startswith(f"# by probevo {__version__}\n")
     assert (tmp_path / "trajectory.tum").read_bytes() == (wall_run / "trajectory.tum").read_bytes()
 
 
