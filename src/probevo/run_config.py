@@ -21,7 +21,7 @@ class SharedConfig(OdometryConfig):
     """What runs can have in common, whatever recording and noise model each has: all settings of a comparison."""
 
     format: FormatName | None = Field(None, description="Layout of the recording; found out where it is not named.")
-    max_frames: int | None = Field(None, ge=2, description="Stop after so many frames.")
+    max_frames: int | None = Field(None, ge=2, description="Stop after this many frames.")
 
 
 class RunConfig(SharedConfig):

@@ -10,7 +10,7 @@ from probevo.arrays import FloatArray, Image
 FLOOR_PX = 1e-2
 """Distances below this say nothing: Lucas–Kanade is no more precise."""
 WINDOW_PX = 11
-"""Side of the window."""
+"""Side of the window, as that of tracking is by default."""
 MAX_ITERATIONS, MAX_STEP_PX = 10, 1e-3
 MIN_EIGENVALUE = 1e-4
 """Smallest eigenvalue of the window's gradient matrix, as in tracking."""

@@ -11,7 +11,7 @@ from probevo.compiled import compiled
 from probevo.predictors.patches import copy_patch, patch_start
 
 HALF_SIZE_PX = 5
-"""Windows are squares of 2 · this + 1 pixels; their gradients take in one pixel more around them."""
+"""Windows are squares of 2 · this + 1 pixels, as tracking's are by default; gradients take in one more around them."""
 
 
 def structure(left: Image, uv: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from probevo.sequences.frame import Frame
 from probevo.tracking import Tracker, Tracks
 
 REACH_PX = 30.0
-"""The tracker finds points this far from where they are expected."""
+"""With its three pyramid levels, the tracker finds points this far from where they are expected for sure."""
 COARSE_PX = 8
 """Pixels that count as one where only the turn is looked for."""
 

@@ -44,7 +44,9 @@ class KernelSettings(Settings):
     centers: int = Field(
         2000, ge=1, le=1_000_000, description="Places that the model is distilled into; the cost of a run goes by it."
     )
-    turns: int = Field(5, ge=1, le=1000, description="Of EM: motions given the noise, the noise given their residuals.")
+    turns: int = Field(
+        5, ge=1, le=1000, description="Turns of EM: motions given the noise, the noise given their residuals."
+    )
     quadratic: bool = Field(
         False, description="Solve for the motions of EM by least squares, as PROBE-GK derives it, not by its loss."
     )
