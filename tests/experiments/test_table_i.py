@@ -3,7 +3,7 @@
 import csv
 import json
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -43,9 +43,9 @@ def trained() -> Iterator[list[SimpleNamespace]]:
     calls: list[SimpleNamespace] = []
 
     def train_model(
-        sequences: Sequence[Any], settings: Any, out: Path, on_progress: Callable[[int, int], None]
+        paths: tuple[Path, ...], settings: Any, out: Path, on_progress: Callable[[int, int], None], **_: Any
     ) -> Path:
-        calls.append(SimpleNamespace(paths=[sequence.path for sequence in sequences], settings=settings, out=out))
+        calls.append(SimpleNamespace(paths=list(paths), settings=settings, out=out))
         on_progress(1, 2)
         out.parent.mkdir(parents=True, exist_ok=True)
         out.touch()
