@@ -119,7 +119,10 @@ def _find(
                 d0, d1, d2, d3 = rows[0, i] - q0, rows[1, i] - q1, rows[2, i] - q2, rows[3, i] - q3
                 d4, d5, d6, d7 = rows[4, i] - q4, rows[5, i] - q5, rows[6, i] - q6, rows[7, i] - q7
                 distance[i] = d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3 + d4 * d4 + d5 * d5 + d6 * d6 + d7 * d7
+            nearer = np.int32(0)  # counted in one sweep: mostly there is none
             for i in range(LEAF):
+                nearer += np.int32(distance[i] < worst)
+            for i in range(LEAF if nearer > 0 else 0):
                 if distance[i] < worst:
                     center, total = leaf * LEAF + i, distance[i]
                     for m in range(width):
