@@ -121,13 +121,13 @@ class ImageTracker:
         predicted, growth, ahead = _predict(before.pixels, expected, self._camera)
         visible = ahead & _inside(predicted, left[0])
         rejected["left the view"] += int((~visible).sum())
-        before, growth = before.kept(visible), growth[visible]
-        found_px, difference = find_again(before.left, left, before.pixels[:, :2], predicted[visible], self._config)
+        seen = np.flatnonzero(visible)
+        found_px, difference = find_again(before.left, left, before.pixels[seen, :2], predicted[seen], self._config)
         inside = _inside(found_px, left[0])
         rejected["left the view"] += int((~inside).sum())
         alike = _alike(difference, inside, self._config)
         rejected["looks different"] += int((inside & ~alike).sum())
-        before, growth, difference = before.kept(alike), growth[alike], difference[alike]
+        before, growth, difference = before.kept(seen[alike]), growth[seen[alike]], difference[alike]
         found_px, fitted, windows = before.windows.found_in_left(left[0], found_px[alike], growth)
         same = np.isfinite(fitted)
         difference = np.where(same, fitted, difference)
