@@ -9,7 +9,7 @@ from typing import Any, Self, get_args
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray, evenly
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import Refers, StereoNoise, disparity_variance
@@ -123,7 +123,7 @@ class GeneralizedKernel:
             raise InputError("predictors", "no column that has a weight has one in the metric too.")
         coordinates = self._coordinates(predictors)
         self.posterior_ = KernelPosterior.of(coordinates, residuals, spread, published=published)
-        chosen = np.unique(np.linspace(0, len(residuals) - 1, min(self.centers, len(residuals))).astype(np.int64))
+        chosen = evenly(len(residuals), self.centers)
         if not np.isfinite(shape.reach):
             radius = self.posterior_.radius(coordinates[chosen], shape.neighbors)
             shape = replace(shape, reach=max(REACH * float(np.quantile(radius, 0.99)), 1e-6))

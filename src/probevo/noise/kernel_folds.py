@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray, evenly
 from probevo.noise.base import StereoNoise
 from probevo.noise.kernel_posterior import prior_of
 from probevo.noise.student_fit import Students, fit_static
@@ -44,10 +44,8 @@ def folds_of(
     fold = np.unique(groups, return_inverse=True)[1] % FOLDS
     found = []
     for number in np.unique(fold):
-        own, other = (
-            _evenly(np.flatnonzero(fold == number), MOST_QUERIES),
-            _evenly(np.flatnonzero(fold != number), MOST_SAMPLES),
-        )
+        own, other = np.flatnonzero(fold == number), np.flatnonzero(fold != number)
+        own, other = own[evenly(len(own), MOST_QUERIES)], other[evenly(len(other), MOST_SAMPLES)]
         if not len(other):
             continue
         parts = errors[other], None if spread is None else spread[other]
@@ -57,8 +55,3 @@ def folds_of(
         static = float(noise.log_likelihood(errors[own]).mean())
         found.append(Fold(coordinates[other], *parts, coordinates[own], errors[own], prior, static))
     return found
-
-
-def _evenly(indices: IntArray, most: int) -> IntArray:
-    chosen: IntArray = indices[np.unique(np.linspace(0, len(indices) - 1, min(most, len(indices))).astype(np.int64))]
-    return chosen

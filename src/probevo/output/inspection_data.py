@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import FloatArray, Image, evenly
 from probevo.noise.base import StereoNoise
 from probevo.noise.nearest_neighbors import NearestNeighbors
 from probevo.output.profiles import Profile, profile_along
@@ -165,9 +165,3 @@ def rank_correlation(places: FloatArray) -> FloatArray:
 def is_the_same(values: FloatArray) -> bool:
     """Whether all of several features have one and the same value, as the turn rate has, [N]."""
     return len(values) > 1 and bool((values == values[0]).all())
-
-
-def evenly(count: int, most: int) -> Sequence[int]:
-    """Indices of at most so many of ``count`` things, spread evenly."""
-    indices: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64)).tolist()
-    return indices

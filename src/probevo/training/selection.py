@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.arrays import BoolArray, FloatArray, IntArray, evenly
 from probevo.motion.visual import solve
 from probevo.noise.nearest_neighbors import LARGEST_WEIGHT
 from probevo.noise.neighbors import NeighborIndex
@@ -44,7 +44,7 @@ def choose_neighbors(coordinates: FloatArray, values: FloatArray, fold: IntArray
     """
     fewest = min(int((fold != k).sum()) for k in np.unique(fold))
     candidates = np.array([k for k in NEIGHBORS if k <= fewest] or [max(1, fewest)])
-    queries = np.unique(np.linspace(0, len(values) - 1, min(MOST_QUERIES, len(values))).astype(np.int64))
+    queries = evenly(len(values), MOST_QUERIES)
     squared = np.zeros(len(candidates))
     for k in np.unique(fold):
         other, asked = fold != k, queries[fold[queries] == k]
