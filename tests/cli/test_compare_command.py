@@ -4,10 +4,8 @@ import csv
 import io
 import json
 import re
-import sys
 from contextlib import redirect_stdout
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -42,10 +40,8 @@ class Learned(StudentT):
 @pytest.fixture(scope="module", autouse=True)
 def _loader() -> Any:
     """In place of reading model files."""
-    module = ModuleType("probevo.noise.model_io")
-    module.load_model = lambda path: Learned(dof=4.0)  # type: ignore[attr-defined]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, module.__name__, module)
+        patch.setattr("probevo.noise.named.load_model", lambda path: Learned(dof=4.0))
         yield
 
 

@@ -2,9 +2,7 @@
 
 import json
 import shutil
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -16,9 +14,9 @@ from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.evaluation.metrics import evaluate
 from probevo.noise import NearestNeighbors, StudentT
+from probevo.noise.classical import CLASSICAL
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
-from probevo.noise.named import BASES
 from probevo.output.motions_file import read_motions
 from probevo.run_config import RunConfig, read_config
 from probevo.runner import run_sequence
@@ -128,7 +126,7 @@ def test_stale_results_of_an_earlier_run_go(wall: Path, wall_run: Path, tmp_path
 def test_features_unlike_the_training_are_counted_and_warned_of(
     wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], truth: bool
 ) -> None:
-    monkeypatch.setitem(BASES, "student-t", Homesick)
+    monkeypatch.setitem(CLASSICAL, "student-t", Homesick)
     recording, out = shutil.copytree(wall, tmp_path / "wall"), tmp_path / "out"
     if not truth:
         (recording / "poses.txt").unlink()
@@ -211,9 +209,7 @@ def test_a_learned_model_is_named_by_its_path_and_may_refuse_the_camera(
             if self.dof == 3.0:
                 raise InputError("city.safetensors", "was learned with another camera.")
 
-    module = ModuleType("probevo.noise.model_io")
-    module.load_model = lambda path: Learned(dof=float(path.read_text()))  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr("probevo.noise.named.load_model", lambda path: Learned(dof=float(path.read_text())))
     monkeypatch.chdir(tmp_path)
     Path("city.safetensors").write_text("5.0")
     words = ["run", str(wall), "--out", "out", "--noise", "city.safetensors", "--max-frames", "3"]

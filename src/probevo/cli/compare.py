@@ -124,10 +124,11 @@ def estimators_of(specs: Sequence[str], settings: SharedConfig) -> list[Estimato
     Raises:
         InputError: there is none, or one is there twice.
     """
-    from probevo.noise.named import NOISE_NAMES, portable
+    from probevo.noise.classical import CLASSICAL
+    from probevo.noise.named import portable
     from probevo.output.comparison import distinct_labels
 
-    names = (*NOISE_NAMES, AGGRESSIVE)
+    names = (*CLASSICAL, AGGRESSIVE)
     _refuse_twice("--noise", [(spec, spec if spec in names else portable(spec)) for spec in specs])
     if not specs:
         raise InputError(

@@ -57,7 +57,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     from probevo.cli.simulate import render_with_progress
     from probevo.cli.train import train_with_progress
     from probevo.files import check_folder
-    from probevo.noise.named import NOISE_NAMES
+    from probevo.noise.classical import CLASSICAL
     from probevo.output.comparison import Comparison, comparison_rows
     from probevo.output.comparison_page import write_comparison
 
@@ -70,7 +70,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     }
     model = out / "probe.safetensors"
     train_with_progress(tuple(folders.values())[:1], TrainSettings(), model)
-    classical = {name: name for name in NOISE_NAMES}
+    classical = {name: name for name in CLASSICAL}
     entries = []
     for number, (name, folder) in enumerate(folders.items()):
         estimators = classical | ({"probe": str(model)} if number else {})  # on what it has not seen

@@ -173,11 +173,11 @@ def _jobs_1_2(rows: list[Row], models: Mapping[str, Mapping[str, Path]], out: Pa
     """The runs, those of learned estimators only where the model is there."""
     from probevo.cli.compare import Estimator, Recording, plan
     from probevo.experiments.table_1_2 import ESTIMATORS
-    from probevo.noise.named import NOISE_NAMES
+    from probevo.noise.classical import CLASSICAL
 
     jobs = []
     for row in rows:
-        noises = {name: name for name in NOISE_NAMES} | {n: str(path) for n, path in models.get(row.name, {}).items()}
+        noises = {name: name for name in CLASSICAL} | {n: str(path) for n, path in models.get(row.name, {}).items()}
         estimators = [Estimator(name, noises[name], row.runs) for name in ESTIMATORS if name in noises]
         jobs += plan([Recording(row.name, row.test)], estimators, out)
     return jobs

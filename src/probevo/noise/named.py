@@ -10,31 +10,24 @@ from pathlib import Path
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel
-from probevo.noise.fixed import Fixed
-from probevo.noise.student_t import StudentT
-
-BASES: dict[str, type[Fixed] | type[StudentT]] = {"fixed": Fixed, "student-t": StudentT}
-"""The classical models, which learned ones may scale."""
-NOISE_NAMES = tuple(BASES)
-"""A file that is called like one of them is meant by ``./fixed``."""
+from probevo.noise.classical import CLASSICAL
+from probevo.noise.model_io import load_model
 
 
 def noise_model(spec: str, others: Collection[str] = ()) -> NoiseModel:
     """The noise model of that name, or that the file of that path holds.
 
     Args:
-        spec: one of ``NOISE_NAMES``, or a path.
+        spec: a name of ``CLASSICAL``, or a path; a file that is called like one of them is meant by ``./fixed``.
         others: more names that would have been right where the user gave this one; for the message.
 
     Raises:
         InputError: it is neither a name nor a file, or the file holds no noise model.
     """
-    if spec in BASES:
-        return BASES[spec]()
+    if spec in CLASSICAL:
+        return CLASSICAL[spec]()
     if not os.path.isfile(spec):
-        raise _unknown(spec, (*NOISE_NAMES, *others))
-    from probevo.noise.model_io import load_model  # here: the classical models need no safetensors
-
+        raise _unknown(spec, (*CLASSICAL, *others))
     return load_model(Path(spec))
 
 
@@ -47,14 +40,14 @@ def check_model_camera(spec: str, model: NoiseModel, camera: StereoCamera) -> No
     try:
         model.check_camera(camera)
     except InputError as error:
-        if spec in BASES:
+        if spec in CLASSICAL:
             raise
         raise InputError(spec, error.what, error.cure) from error
 
 
 def portable(spec: str) -> str:
     """The same noise model from any working directory: a path is made absolute."""
-    return spec if spec in BASES else str(Path(spec).resolve())
+    return spec if spec in CLASSICAL else str(Path(spec).resolve())
 
 
 def _unknown(spec: str, names: Collection[str]) -> InputError:

@@ -13,10 +13,10 @@ from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
+from probevo.noise.classical import CLASSICAL
 from probevo.noise.fixed import Fixed
 from probevo.noise.metric import UNDEFINED, Metric
 from probevo.noise.model_file import ModelFile
-from probevo.noise.named import BASES
 from probevo.noise.neighbors import NeighborIndex
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
 from probevo.noise.student_t import StudentT
@@ -151,7 +151,7 @@ class NearestNeighbors:
             "exponent": self.exponent,
             "average": self.average,
             "log_mean_alpha": self.log_mean_alpha_,
-            "base": {"name": next(name for name, kind in BASES.items() if kind is type(self.base))},
+            "base": {"name": next(name for name, kind in CLASSICAL.items() if kind is type(self.base))},
             **origin_facts(self.camera, self.training),
         }
         return ModelFile("knn", arrays, facts)
@@ -164,7 +164,7 @@ class NearestNeighbors:
             KeyError, ValueError, InputError: the file does not hold such a model.
         """
         facts, arrays = _Facts.of(file), file.arrays
-        base = BASES[facts.base.name]()
+        base = CLASSICAL[facts.base.name]()
         model = NearestNeighbors(facts.neighbors, facts.exponent, facts.average, base, facts.camera, facts.training)
         model.log_mean_alpha_ = facts.log_mean_alpha
         model.metric_ = Metric(

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from probevo.errors import InputError
+from probevo.noise.classical import CLASSICAL
 from probevo.noise.metric import Metric
-from probevo.noise.named import BASES
 from probevo.noise.nearest_neighbors import NearestNeighbors, check_neighbors
 from probevo.training.samples import Samples, folds_of_steps
 from probevo.training.selection import Search, choose_exponent, choose_neighbors, out_of_fold
@@ -63,7 +63,7 @@ def fit_model(
         "searches": {name: search.as_dict() for name, search in searches.items()},
     }
     model = NearestNeighbors(
-        neighbors, exponent, settings.average, BASES[settings.base](), learners[0].camera, training
+        neighbors, exponent, settings.average, CLASSICAL[settings.base](), learners[0].camera, training
     )
     predictors = np.concatenate([learner.drive.phi for learner in learners])[samples.features]
     return model.fit(predictors, samples.alphas, metric=metric)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.noise.classical import CLASSICAL
 from probevo.noise.metric import Metric
-from probevo.noise.named import BASES
 from probevo.noise.nearest_neighbors import NearestNeighbors
 from probevo.training.checkpoint import Checkpoint
 from probevo.training.drive import joined
@@ -76,7 +76,7 @@ def _learner(number: int, lesson: Lesson, metric: Metric, settings: TrainSetting
         coordinates=metric.coordinates(drive.phi),
         supervision=lesson.supervision.completed(drive.T_curr_prev),
         camera=lesson.camera,
-        base=BASES[settings.base](),
+        base=CLASSICAL[settings.base](),
         solver=settings.odometry.solver,
         subset=settings.subset,
         contrast=settings.contrast,
