@@ -9,9 +9,9 @@ import numpy as np
 from recordings import ROOT, available
 
 import probevo as pv
+from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.metrics import evaluate
 from probevo.evaluation.trajectory_errors import relative_motions
-from probevo.geometry.uncertainty import compound_chain
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.sequences import Sequence
 
@@ -43,7 +43,7 @@ def main() -> None:
     euroc = ROOT / "euroc" / "V1_01_micro"
     if euroc.is_dir():
         result = run(pv.open_sequence(euroc), "student-t")
-        _, cov = compound_chain(result.T_curr_prev, result.cov)
+        cov = drift_covariances(result.T_curr_prev, result.cov, result.shared, result.tied)
         drift, sigma = result.T_world_cam[-1, :3, 3], np.sqrt(np.diagonal(cov[-1])[:3])
         print(f"EuRoC at rest: drift {np.round(1e3 * drift, 2)} mm, 3σ {np.round(3e3 * sigma, 2)} mm")
 

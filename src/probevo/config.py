@@ -97,6 +97,11 @@ class MotionModelConfig(Settings):
     angular_acceleration_rad_s2: float = Field(2.0, gt=0, description="Standard deviation of the angular acceleration.")
     start_speed_m_s: float = Field(20.0, gt=0, description="Standard deviation of the unknown speed at start.")
     start_turn_rate_rad_s: float = Field(1.0, gt=0, description="Standard deviation of the unknown turn rate at start.")
+    stamp_sigma_s: float = Field(
+        0.005,
+        ge=0,
+        description="Standard deviation of a frame's stamp; those that a computer gives are off by 5 to 20 ms.",
+    )
     gap_factor: float = Field(2.5, gt=1, description="A step longer than this many usual ones misses frames.")
 
 

@@ -11,12 +11,12 @@ from probevo.motion.gyro import GyroBias, GyroRotation, covers, integrate_gyro
 from probevo.motion.last_residuals import LastResiduals
 from probevo.motion.memory import DisparityMemory
 from probevo.motion.motion_model import MotionModel
-from probevo.motion.reprojection import ReprojectionSolution, RotationPrior
+from probevo.motion.reprojection import RotationPrior
 from probevo.motion.self_calibration import SelfCalibration
 from probevo.motion.visual import estimate_motion
 from probevo.noise import NoiseModel, StudentT
 from probevo.predictors import PredictionSpace, Step, space_for
-from probevo.sequences.frame import Frame, ImuCalibration, check_frame, check_order
+from probevo.sequences.frame import Frame, ImuCalibration, check_frame, check_order, is_repeated
 from probevo.stage_clock import StageClock
 from probevo.tracking import Tracker, Tracks, tracker_for
 from probevo.tracking.start import track_from_best, turned_starts
@@ -58,8 +58,7 @@ class StereoOdometry:
     def step(self, frame: Frame) -> MotionEstimate:
         """Motion from the previous frame to this one: T_curr_prev with its 6×6 covariance and a status.
 
-        The first frame yields the identity with zero covariance and status FIRST. Where the motion cannot be solved, it
-        is carried on from the gyro and the last velocity, with the covariance that such a guess deserves.
+        Where it cannot be solved, it is carried on from gyro and last velocity, as unsure as such a guess is.
 
         Raises:
             InputError: the frame is not later than the one before, or not what its camera sees.
@@ -75,7 +74,10 @@ class StereoOdometry:
         rotation = RotationPrior(gyro.C_curr_prev, self.gyro_bias.prior(gyro)) if gyro and self.gyro_bias else None
         expected = self._model.expected(duration_s, rotation)
         starts = self._model.starts(duration_s, expected) + turned_starts(expected, before, frame, self.camera)
-        tracks = track_from_best(self._tracker, frame, starts, self.camera, self.config)  # pixels → Tracks
+        if self._model.is_moving and is_repeated(before, frame):  # frozen: what was followed has gone on unseen
+            tracks, self._tracker = Tracks.none(), tracker_for(frame, self.camera, self.config.tracking)
+        else:
+            tracks = track_from_best(self._tracker, frame, starts, self.camera, self.config)  # pixels → Tracks
         clock.lap("track")
         if self.calibration:
             self.calibration = self.calibration.with_rows(tracks.curr_px, self.camera)
@@ -86,22 +88,25 @@ class StereoOdometry:
         known, rng = (expected, rotation, self._memory), np.random.default_rng([self.config.seed, frame.index])
         visual = estimate_motion(tracks, phi, self.noise, self.camera, *known, self.config, rng, clock)
         self.tracks, self.phi, self.used, self.weights, self._before = tracks, phi, visual.used, visual.weights, frame
-        T_curr_prev = self._model.carried_on(expected, visual.solution)
-        status, cov, shared = visual.status, expected.cov, np.zeros((6, 3))
+        status, shared, refused = visual.status, np.zeros((6, 3)), visual.status is Status.NOT_CONVERGED
         if status is Status.OK and visual.solution and visual.alone:
-            self._learn_gyro(gyro, visual.solution)
+            if gyro and self.gyro_bias:
+                learn = self.gyro_bias.updated if self.config.gyro.prior else self.gyro_bias.compared
+                self.gyro_bias = learn(gyro, visual.solution.T_curr_prev[:3, :3], visual.solution.cov[3:, 3:])
             if self.calibration:
                 used = tracks.kept(visual.used)
                 self.calibration, shared = self.calibration.with_motion(used, visual.alone, self.camera)
             T_curr_prev, cov = visual.solution.T_curr_prev, visual.solution.cov + shared @ shared.T
             self._tracker.drop(tracks.ids[visual.astray])
-        elif self._model.is_gap(duration_s):
-            status = Status.GAP
-        solved, refused = (T_curr_prev, cov) if status is Status.OK else None, visual.status is Status.NOT_CONVERGED
-        self._model, self._memory = self._model.after(duration_s, solved, refused=refused), visual.memory
-        self._residuals = LastResiduals.left_by(tracks, visual.T_judging if solved else None, self.camera)
+            tied, self._model = visual.memory.tied, self._model.after_solve(duration_s, T_curr_prev, cov)
+        else:
+            status = Status.GAP if self._model.is_gap(duration_s) else status
+            T_curr_prev, cov, tied = self._model.carried_on(expected, visual.solution, refused=refused)
+            self._model = self._model.after_blind(duration_s, expected, refused=refused)
+        self._residuals = LastResiduals.left_by(tracks, visual.T_judging if status is Status.OK else None, self.camera)
+        self._memory = visual.memory
         clock.lap("learn")
-        facts = len(tracks), visual.num_trusted, visual.num_iterations, shared, visual.memory.tied, clock.times_ms
+        facts = len(tracks), visual.num_trusted, visual.num_iterations, shared, tied, clock.times_ms
         return MotionEstimate(T_curr_prev, cov, status, *facts, visual.num_used, visual.num_out_of_domain)
 
     def _integrate_gyro(self, since_ns: int, frame: Frame) -> GyroRotation | None:
@@ -112,9 +117,3 @@ class StereoOdometry:
         if frame.imu is None or not covers(frame.imu, since_ns, frame.stamp_ns):
             return None
         return integrate_gyro(frame.imu, since_ns, frame.stamp_ns, self.imu, self.gyro_bias.mean)
-
-    def _learn_gyro(self, gyro: GyroRotation | None, solution: ReprojectionSolution) -> None:
-        """Take in what a step taught of the gyro's bias."""
-        if gyro and self.gyro_bias:
-            learn = self.gyro_bias.updated if self.config.gyro.prior else self.gyro_bias.compared
-            self.gyro_bias = learn(gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])

@@ -208,5 +208,12 @@ def test_samples_cover_an_interval_but_for_a_little_at_its_ends(first_ns: int, l
     assert covers(imu, 0, 100) is enough
 
 
+def test_samples_with_a_hole_do_not_cover_an_interval() -> None:
+    """As of a frame that was left out with its samples; those that are held over their intervals lie apart, too."""
+    for stamps_ns, enough in (([0, 10, 90, 100], False), ([0, 10, 20, 45, 55, 75, 100], True), ([0, 99, 100], True)):
+        zero = np.zeros((len(stamps_ns), 3))
+        assert covers(ImuSamples(np.array(stamps_ns), zero, zero), 0, 100) is enough
+
+
 def test_no_samples_cover_nothing() -> None:
     assert not covers(ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3))), 0, 100)

@@ -1,5 +1,6 @@
 """Tracks to motion: how each status comes about, and that what is not OK is not believed."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -24,7 +25,8 @@ from worlds import CAMERA, FORWARD, Homesick, at_infinity, both, motion_error, s
 CONFIG = OdometryConfig()
 UNKNOWN = MotionModel.at_start(CONFIG.motion_model).expected(0.1, None)
 """What is expected of the first step: any motion of a car."""
-STANDSTILL = ExpectedMotion(np.eye(4), np.diag(np.repeat([0.05**2, 0.01**2], 3)))
+SLOW = np.diag(np.repeat([0.05, 0.01], 3))
+STANDSTILL = ExpectedMotion(np.eye(4), SLOW**2, SLOW**2, SLOW)
 
 
 def look(
@@ -83,7 +85,7 @@ def test_far_points_are_degenerate_though_all_is_finite() -> None:
 def test_points_all_in_one_place_are_degenerate() -> None:
     """They agree with the motion that was expected, but do not fix it."""
     tracks = seen_twice(np.random.default_rng(7), 1)
-    visual = look(tracks.kept(np.zeros(30, np.int64)), ExpectedMotion(FORWARD, UNKNOWN.cov))
+    visual = look(tracks.kept(np.zeros(30, np.int64)), replace(UNKNOWN, T_curr_prev=FORWARD))
     assert visual.status is Status.DEGENERATE
 
 
@@ -188,7 +190,7 @@ def test_times_of_the_stages_are_taken() -> None:
 
 def test_the_motion_does_not_depend_on_where_it_was_expected() -> None:
     tracks = seen_twice(np.random.default_rng(17), 200, sigma_px=0.2)
-    near = ExpectedMotion(se3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])), UNKNOWN.cov)
+    near = replace(UNKNOWN, T_curr_prev=se3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])))
     solutions = [look(tracks, expected).solution for expected in (UNKNOWN, near)]
     assert solutions[0] is not None
     assert solutions[1] is not None
@@ -246,6 +248,17 @@ def test_the_covariance_of_either_is_honest(method: Literal["reprojection", "ali
         solution = solved(tracks, method, Fixed().predict(np.zeros((60, 0))).scaled(factor))
         errors.append(float(normalized_error_squared(FORWARD, solution.T_curr_prev, solution.cov)))
     assert chi2.ppf(0.005, df=6 * 150) < np.sum(errors) < chi2.ppf(0.995, df=6 * 150)
+
+
+def test_the_covariance_of_an_alignment_is_honest_under_heavy_tails() -> None:
+    """The scale of the shipped Student-t is no covariance: of what it has of tails, the consensus leaves a part."""
+    rng, errors, config = np.random.default_rng(22), [], OdometryConfig(solver=SolverConfig(method="alignment"))
+    for _ in range(150):
+        tracks = disturbed(rng, seen_twice(rng, 100, depth_m=NEAR_M), 0.17 / np.sqrt(rng.chisquare(2.5, 100) / 2.5))
+        visual = look(tracks, config=config, noise=StudentT(lasting=0.0))
+        assert visual.solution is not None
+        errors.append(float(normalized_error_squared(FORWARD, visual.solution.T_curr_prev, visual.solution.cov)))
+    assert 4.0 < np.mean(errors) < 7.5
 
 
 def test_alignment_says_what_the_reprojection_says_of_each_feature() -> None:

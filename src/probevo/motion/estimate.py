@@ -45,7 +45,8 @@ class MotionEstimate:
     [6, 3], by the same three numbers of unit variance in every step, and cov contains shared sharedᵀ."""
     tied: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     """Covariance of the error of the path before this step, along the axes of the current camera, with that of the
-    step, [6, 6]: both know the same tracks. A path P = Ad P Adᵀ + cov grows by tied + tiedᵀ besides."""
+    step, [6, 6]: both know the same tracks, or the same velocity. A path P = Ad P Adᵀ + cov grows by tied + tiedᵀ
+    besides."""
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     """Wall time of each stage of this step, ms."""
     num_used: int = 0

@@ -11,7 +11,9 @@ from probevo.geometry import so3
 from probevo.sequences.frame import ImuCalibration, ImuSamples
 
 MOST_UNSEEN = 0.25
-"""Share of an interval that may lie before the first sample or after the last; these are held there."""
+"""Share of an interval that may lie before the first sample, after the last, or in holes between them."""
+HOLE = 3.0
+"""A hole is as long as so many usual distances of samples."""
 _NO_BIAS = np.zeros(3)
 
 
@@ -32,8 +34,10 @@ def covers(imu: ImuSamples, start_ns: int, end_ns: int) -> bool:
     """Whether the samples tell of the whole interval: those of frames that were skipped may be missing."""
     if not len(imu.stamps_ns):
         return False
-    unseen_ns = max(int(imu.stamps_ns[0]) - start_ns, 0) + max(end_ns - int(imu.stamps_ns[-1]), 0)
-    return unseen_ns <= MOST_UNSEEN * (end_ns - start_ns)
+    ends_ns = max(int(imu.stamps_ns[0]) - start_ns, 0) + max(end_ns - int(imu.stamps_ns[-1]), 0)
+    between_ns = np.diff(imu.stamps_ns)
+    holes_ns = between_ns[between_ns > HOLE * np.median(between_ns)] if len(between_ns) else between_ns
+    return ends_ns + int(holes_ns.sum()) <= MOST_UNSEEN * (end_ns - start_ns)
 
 
 def integrate_gyro(

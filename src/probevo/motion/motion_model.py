@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,10 @@ FASTEST_START = 1.5
 """Fastest forward speed that a start is tried with, in standard deviations of the speed at start."""
 
 MAX_REFUSALS = 3
-"""Solves in a row that the belief may refuse before it is given up itself."""
+"""Solves that the belief may refuse, with none believed in between, before it is given up itself."""
+
+MOVING = np.repeat([0.1, 0.05], 3)
+"""Twist, m/s and rad/s, beyond which no two images are alike."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +32,28 @@ class ExpectedMotion:
     """[4, 4]."""
     cov: FloatArray
     """Covariance of its left perturbation, [6, 6]."""
+    possible: FloatArray
+    """The same as the velocity alone would have it, [6, 6]: a gyro's own noise says nothing of its scale, its clock and
+    how it is mounted, and a solve must not be refused for these."""
+    of_velocity: FloatArray
+    """How the velocity's error, [6], in standard deviations, moves it, [6, 6]; a gyro's rotation it does not turn."""
+
+    def surprise(self, T_curr_prev: FloatArray) -> FloatArray:
+        """How far a motion [4, 4] is from it, as a left perturbation, [6]."""
+        return se3.log(T_curr_prev @ se3.inverse(self.T_curr_prev))
 
     def is_absurd(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
         """Whether a solved motion and its covariance cannot come from what was expected."""
-        surprise = se3.log(T_curr_prev @ se3.inverse(self.T_curr_prev))
-        return bool(surprise @ np.linalg.solve(self.cov + cov, surprise) > ABSURD)
+        surprise = self.surprise(T_curr_prev)
+        return bool(surprise @ np.linalg.solve(self.possible + cov, surprise) > ABSURD)
 
 
 @dataclass(frozen=True)
 class MotionModel:
-    """Constant velocity in the camera's own frame, disturbed by white acceleration."""
+    """Constant velocity in the camera's own frame, disturbed by an acceleration that may go on as long as we are blind.
+
+    Its error is then one for all the steps that are carried on, so that they stray together.
+    """
 
     config: MotionModelConfig
     twist_s: FloatArray
@@ -48,7 +63,9 @@ class MotionModel:
     usual_step_s: float = 0.0
     """Running mean of the time between frames; 0 before the second."""
     refusals: int = 0
-    """Solves in a row that were not believed."""
+    """Solves that were not believed, since the last one that was."""
+    strayed: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    """How the error of the velocity has moved the path since the last solve, along the current axes, [6, 6]."""
 
     @staticmethod
     def at_start(config: MotionModelConfig) -> MotionModel:
@@ -58,12 +75,17 @@ class MotionModel:
 
     def expected(self, duration_s: float, gyro: RotationPrior | None) -> ExpectedMotion:
         """Motion over the coming step; the rotation is the gyro's where there is one."""
-        T_curr_prev = se3.exp(self.twist_s * duration_s)
-        cov = np.diag((self._drifted_sigma(duration_s) * duration_s) ** 2)
+        T_curr_prev, of_velocity = (
+            se3.exp(self.twist_s * duration_s),
+            np.diag(self._drifted_sigma(duration_s) * duration_s),
+        )
+        possible = of_velocity**2 + 2.0 * self.config.stamp_sigma_s**2 * np.outer(self.twist_s, self.twist_s)
+        cov = possible.copy()
         if gyro is not None:
             T_curr_prev[:3, :3] = gyro.C_curr_prev
+            cov[3:], cov[:, 3:], of_velocity[3:] = 0.0, 0.0, 0.0
             cov[3:, 3:] = gyro.cov
-        return ExpectedMotion(T_curr_prev, cov)
+        return ExpectedMotion(T_curr_prev, cov, possible, of_velocity)
 
     def starts(self, duration_s: float, expected: ExpectedMotion) -> list[FloatArray]:
         """Motions, [4, 4] each, from which tracking may have to start: several forward speeds while none is known."""
@@ -77,42 +99,56 @@ class MotionModel:
         """Whether there is no velocity to go by: at the start, or after a belief was given up."""
         return bool(self.twist_sigma_s[2] > 0.5 * self.config.start_speed_m_s)
 
-    def carried_on(self, expected: ExpectedMotion, solution: ReprojectionSolution | None) -> FloatArray:
-        """T_curr_prev, [4, 4], to go on with if a step is not believed: the expected one.
+    @property
+    def is_moving(self) -> bool:
+        """Whether the last motion that was solved was none of a camera at rest."""
+        return bool((np.abs(self.twist_s) > MOVING).any())
 
-        While no speed is known, that would be none at all; a solve that is determined, but not believed, is then still
-        the better guess.
+    def carried_on(
+        self, expected: ExpectedMotion, solution: ReprojectionSolution | None, *, refused: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What to go on with if a step is not believed: T_curr_prev, its covariance, and ``MotionEstimate.tied``.
+
+        It is the motion expected. While no speed is known, that would be none at all; a solve that is determined, but
+        not believed, is then still the better guess. Where a solve was refused, one of the two is wrong, and the
+        covariance holds both.
         """
-        if solution is None or not self.speed_is_unknown:
-            return expected.T_curr_prev
-        return solution.T_curr_prev
+        T_curr_prev, cov = expected.T_curr_prev, expected.cov
+        if solution is not None and refused:
+            surprise = expected.surprise(solution.T_curr_prev)
+            cov = cov + np.outer(surprise, surprise)
+        if solution is not None and self.speed_is_unknown:
+            T_curr_prev = solution.T_curr_prev
+        return T_curr_prev, cov, se3.adjoint(T_curr_prev) @ self.strayed @ expected.of_velocity.T
 
     def is_gap(self, duration_s: float) -> bool:
         """Whether frames are missing in a step that long."""
         return self.usual_step_s > 0.0 and duration_s > self.config.gap_factor * self.usual_step_s
 
-    def after(
-        self, duration_s: float, solved: tuple[FloatArray, FloatArray] | None, *, refused: bool = False
-    ) -> MotionModel:
-        """The belief after a step: that of the solved T_curr_prev [4, 4] and cov [6, 6], or one step older for None.
+    def after_solve(self, duration_s: float, T_curr_prev: FloatArray, cov: FloatArray) -> MotionModel:
+        """The belief after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6]."""
+        sigma = np.sqrt(np.diagonal(cov)) / duration_s
+        return MotionModel(self.config, se3.log(T_curr_prev) / duration_s, sigma, self._usual_after(duration_s))
 
-        ``refused`` says that there was a solve, but not a believable one. After several of these in a row it is the
-        belief that is wrong: it becomes as unsure as at the start.
+    def after_blind(self, duration_s: float, expected: ExpectedMotion, *, refused: bool = False) -> MotionModel:
+        """The belief after a step that was carried on: one step older.
+
+        ``refused`` says that there was a solve, but not a believable one. After several of these it is the belief that
+        is wrong: it becomes as unsure as at the start.
         """
-        usual = self.usual_step_s
-        if not self.is_gap(duration_s):
-            usual = duration_s if usual == 0.0 else 0.9 * usual + 0.1 * duration_s
-        if solved is not None:
-            T_curr_prev, cov = solved
-            sigma = np.sqrt(np.diagonal(cov)) / duration_s
-            return MotionModel(self.config, se3.log(T_curr_prev) / duration_s, sigma, usual)
-        refusals = self.refusals + int(refused)
+        usual, refusals = self._usual_after(duration_s), self.refusals + int(refused)
+        strayed = se3.adjoint(expected.T_curr_prev) @ self.strayed + expected.of_velocity
         if refusals >= MAX_REFUSALS:
-            return replace(MotionModel.at_start(self.config), twist_s=self.twist_s, usual_step_s=usual)
-        return MotionModel(self.config, self.twist_s, self._drifted_sigma(duration_s), usual, refusals)
+            start = MotionModel.at_start(self.config)
+            return replace(start, twist_s=self.twist_s, usual_step_s=usual, strayed=strayed)
+        return MotionModel(self.config, self.twist_s, self._drifted_sigma(duration_s), usual, refusals, strayed)
+
+    def _usual_after(self, duration_s: float) -> float:
+        if self.is_gap(duration_s):
+            return self.usual_step_s
+        return duration_s if self.usual_step_s == 0.0 else 0.9 * self.usual_step_s + 0.1 * duration_s
 
     def _drifted_sigma(self, duration_s: float) -> FloatArray:
         """Standard deviation of the twist after so much more time, [6]."""
         acceleration = np.repeat([self.config.acceleration_m_s2, self.config.angular_acceleration_rad_s2], 3)
-        drifted: FloatArray = np.hypot(self.twist_sigma_s, acceleration * duration_s)
-        return drifted
+        return self.twist_sigma_s + acceleration * duration_s

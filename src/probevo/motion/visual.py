@@ -29,6 +29,10 @@ from probevo.tracking.tracks import Tracks
 BY_CHANCE = 22.46
 """Squared distance of two motions of the same tracks, in standard deviations: 99.9 % of χ²(6)."""
 
+ALIGNED_DOF = 3.0
+"""An alignment takes noise for Gaussian, with the variance of a Student-t of so many degrees of freedom at least: the
+consensus has turned away what is farther out."""
+
 
 @dataclass(frozen=True)
 class VisualMotion:
@@ -155,9 +159,9 @@ def solve(
         if noise.refers_to != "observation":
             what = "alignment needs the noise of each observation, but this model predicts that of the residual."
             raise InputError("--solver.method", what, "Take reprojection, or another noise model.")
-        aligned = solve_alignment(
-            tracks.prev_px, tracks.curr_px, noise.scale, noise.scale, camera, guess, max_iterations=iterations
-        )
+        dof = np.maximum(np.broadcast_to(noise.dof, len(tracks)), ALIGNED_DOF)
+        cov = noise.scale / (1.0 - 2.0 / dof)[:, None, None]
+        aligned = solve_alignment(tracks.prev_px, tracks.curr_px, cov, cov, camera, guess, max_iterations=iterations)
         guess, iterations = aligned.T_curr_prev, 0
     solution = solve_reprojection(
         tracks.prev_px,

@@ -85,7 +85,8 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
     """Refuse images, or features, that a reader would not have let through.
 
     Raises:
-        InputError: images that are not grey, of 8 bits, and of the camera's size; an identity that appears twice.
+        InputError: images that are not grey, of 8 bits, and of the camera's size; an identity that appears twice; IMU
+            samples out of order, or of which the turn rate is not known.
     """
     where = f"frame {frame.index}"
     for name, image in (("left", frame.left), ("right", frame.right)):
@@ -97,6 +98,10 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
             raise InputError(where, f"{what} {'×'.join(map(str, camera.size_px))}.", "Scale image or camera.")
     if frame.features is not None and len(np.unique(frame.features.ids)) < len(frame.features.ids):
         raise InputError(where, "two of its features have the same identity.", "Give each point one of its own.")
+    if frame.imu is not None and not (np.diff(frame.imu.stamps_ns) > 0).all():
+        raise InputError(where, "its IMU samples are not in the order of their times.", "Sort them.")
+    if frame.imu is not None and not np.isfinite(frame.imu.gyro_rad_s).all():
+        raise InputError(where, "an IMU sample of it has no finite turn rate.", "Leave that sample out.")
 
 
 def check_order(before: Frame, frame: Frame) -> float:
@@ -109,6 +114,12 @@ def check_order(before: Frame, frame: Frame) -> float:
         what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {before.stamp_ns} ns."
         raise InputError(f"frame {frame.index}", what, "Give the frames in the order of their times.")
     return 1e-9 * (frame.stamp_ns - before.stamp_ns)
+
+
+def is_repeated(before: Frame, frame: Frame) -> bool:
+    """Whether a frame shows an image of the one before again, byte by byte: noise makes those of a camera differ."""
+    pairs = (before.left, frame.left), (before.right, frame.right)
+    return any(a is not None and b is not None and np.array_equal(a, b) for a, b in pairs)
 
 
 @dataclass(frozen=True)
