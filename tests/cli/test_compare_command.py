@@ -29,6 +29,10 @@ def compare_exit(*words: object) -> int:
     return main(["compare", *map(str, words)])
 
 
+OF_BLIND = {"recordings": [{"name": "blind.npz", "frames": 11, "sha256": ""}]}
+"""What a model's training says of its recordings."""
+
+
 class Learned(StudentT):
     """A model that knows its camera: it refuses a wide baseline."""
 
@@ -41,7 +45,7 @@ class Learned(StudentT):
 def _loader() -> Any:
     """In place of reading model files."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("probevo.noise.named.load_model", lambda path: Learned(dof=4.0))
+        patch.setattr("probevo.noise.named.load_model", lambda path: Learned(dof=4.0, training=OF_BLIND))
         yield
 
 
@@ -75,6 +79,14 @@ def out(world: Path) -> Path:
         assert compare_exit(world / "a/test.npz", world / "b/test.npz", "--out", out, "--noise", *noise) == 0
     out.with_name("printed.txt").write_text(printed.getvalue())
     return out
+
+
+def test_a_model_that_has_seen_a_recording_is_marked(world: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    noise = ["fixed", world / "models" / "city.safetensors"]
+    assert compare_exit(world / "blind.npz", world / "a/test.npz", "--out", world / "seen", "--noise", *noise) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert next(line[:2] for line in lines if line and line[0] == "city") == ["city", "†"]
+    assert sum("†" in line for line in lines) == 1
 
 
 def test_what_is_written(out: Path) -> None:

@@ -53,7 +53,8 @@ def trained() -> Iterator[list[SimpleNamespace]]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("probevo.training.api.train_model", train_model)
-        patch.setattr("probevo.noise.named.load_model", lambda path: StudentT(dof=4.0))
+        for reader in ("model_io", "named"):
+            patch.setattr(f"probevo.noise.{reader}.load_model", lambda path: StudentT(dof=4.0))
         yield calls
 
 

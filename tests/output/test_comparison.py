@@ -11,13 +11,14 @@ from probevo.arrays import FloatArray
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.evaluation.trajectory_errors import position_errors
 from probevo.geometry import se3
+from probevo.motion.estimate import Status
 from probevo.output.comparison import (
     COLUMNS,
     Comparison,
     Entry,
+    column_notes,
     comparison_rows,
     distinct_labels,
-    domain_note,
     numbered,
     reads_least,
     truth_note,
@@ -71,8 +72,8 @@ def test_rows_hold_the_metrics_and_the_median_time(make_run: Callable[..., RunRe
     metrics = Metrics(30, armse_m=0.12345, final_error_m=2.0, short_t_percent=1.5, short_r_deg_per_m=0.01)
     run = replace(make_run(4), total_ms=np.array([7.0, 8.0, 100.0]))
     rows = comparison_rows(Comparison((Entry("hill", "fixed", run, metrics=metrics),)))
-    assert rows[0] == ("estimator", *COLUMNS)
-    assert rows[2] == ("  fixed", "0.123", "2.00", "1.50", "0.0100", "8.00")
+    assert rows[0] == ("estimator", *COLUMNS, "solved %")
+    assert rows[2] == ("  fixed", "0.123", "2.00", "1.50", "0.0100", "8.00", "100")
 
 
 def test_what_is_not_known_is_a_dash(make_run: Callable[..., RunResult]) -> None:
@@ -85,10 +86,10 @@ def test_out_of_domain_features_have_a_column_where_a_model_has_a_domain(
 ) -> None:
     home, abroad = entries[0], replace(entries[1], result=make_run(30, outside=25))
     head, _, first, second = comparison_rows(Comparison((home, abroad)))
-    assert head == ("estimator", *COLUMNS, "out of domain %")
+    assert head == ("estimator", *COLUMNS, "solved %", "out of domain %")
     assert (first[-1], second[-1]) == ("–", "25.0")
-    assert domain_note(Comparison((home, abroad)))
-    assert not domain_note(Comparison(entries))
+    assert "Out of domain" in column_notes(Comparison((home, abroad)))[-1]
+    assert "Out of domain" not in " ".join(column_notes(Comparison(entries)))
     page = page_of(Comparison((home, abroad)), tmp_path)
     assert "<th>out of domain %</th>" in page
     assert [row[-1] for row in cells_of(page)] == [("–", False), ("25.0", False)]
@@ -132,8 +133,27 @@ def test_the_same_runs_give_the_same_bytes(entries: tuple[Entry, Entry], tmp_pat
 def test_the_least_error_of_a_sequence_is_marked(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
     """Each of the four errors, and the time of none."""
     fixed, student_t = cells_of(page_of(Comparison(entries), tmp_path))
-    assert [best for _, best in fixed] == [True, True, True, True, False]
-    assert [best for _, best in student_t] == [False] * 5
+    assert [best for _, best in fixed] == [True, True, True, True, False, False]
+    assert [best for _, best in student_t] == [False] * 6
+
+
+def test_who_has_seen_the_recording_is_marked_and_never_the_best(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+    seen = Comparison((replace(entries[0], learned_from_it=True), entries[1], replace(entries[1], estimator="third")))
+    page = page_of(seen, tmp_path)
+    assert "fixed †</th>" in page
+    assert [any(best for _, best in row) for row in cells_of(page)] == [False, True, True]
+    assert [row[0] for row in comparison_rows(seen)] == ["estimator", "hill", "  fixed †", "  student-t", "  third"]
+    assert column_notes(seen)[-1].startswith("†: learned from a recording of this name")
+    assert "fixed from hill" in trial_table(seen).notes[-1]
+
+
+def test_steps_that_were_not_solved_and_honesty_are_seen(make_run: Callable[..., RunResult]) -> None:
+    run = make_run(5)
+    status = np.array([Status.FIRST, Status.OK, Status.NOT_CONVERGED, Status.OK, Status.GAP])
+    blind = Entry("hill", "fixed", replace(run, status=status), metrics=Metrics(5, anees=7.25))
+    head, _, row = comparison_rows(Comparison((blind,)))
+    assert head[-2:] == ("solved %", "ANEES")
+    assert row[-2:] == ("50.0", "7.25")
 
 
 def test_figures_that_read_the_same_are_marked_alike(entries: tuple[Entry, Entry], tmp_path: Path) -> None:

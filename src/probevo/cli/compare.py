@@ -77,6 +77,8 @@ class Job:
     config: RunConfig
     out: Path
     """Folder for its files."""
+    learned_from_it: bool
+    """Whether the noise model was learned from a recording of this name."""
 
 
 def main(words: list[str]) -> None:
@@ -157,6 +159,7 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
         InputError: a noise model is not known, cannot be loaded, or does not fit a recording, or a setting does not.
     """
     from probevo.noise.named import noise_model, portable
+    from probevo.noise.origin import learned_from
     from probevo.output.comparison import numbered
     from probevo.runner import check_run
 
@@ -167,7 +170,8 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
     for (recording, estimator), folder in zip(pairs, folders, strict=True):
         config = run_config(estimator.settings, recording.sequence.path.resolve(), portable(estimator.noise))
         check_run(recording.sequence, config, models[estimator.name])
-        jobs.append(Job(recording, estimator, config, out / "runs" / folder))
+        seen = recording.sequence.path.resolve().name in learned_from(models[estimator.name])
+        jobs.append(Job(recording, estimator, config, out / "runs" / folder, seen))
     return jobs
 
 
@@ -195,7 +199,8 @@ def _run(job: Job, threads: int, before: str) -> Entry:
 
     name, estimator, report = job.recording.name, job.estimator.name, job.out / "report.html"
     done = run_with_progress(job.recording.sequence, job.config, job.out, threads, f"{before}{name} {estimator}")
-    return Entry(name, estimator, done.result, done.truth, done.metrics, done.pictures, report, job.config)
+    files = done.pictures, report, job.config
+    return Entry(name, estimator, done.result, done.truth, done.metrics, *files, job.learned_from_it)
 
 
 def _write(out: Path, comparison: Comparison) -> None:
@@ -216,10 +221,10 @@ def _write(out: Path, comparison: Comparison) -> None:
 
 
 def _summary(comparison: Comparison, out: Path) -> list[str]:
-    from probevo.output.comparison import comparison_rows, domain_note, truth_note
+    from probevo.output.comparison import column_notes, comparison_rows, truth_note
 
     head, *rows = comparison_rows(comparison)
-    notes = ["Drift and rotation: over pieces of 10 to 50 m.", *domain_note(comparison), *truth_note(comparison)]
+    notes = ["Drift and rotation: over pieces of 10 to 50 m.", *column_notes(comparison), *truth_note(comparison)]
     return [table(head, rows), "", *notes, f"comparison: {out / 'comparison.html'}"]
 
 

@@ -12,6 +12,7 @@ from pydantic import ConfigDict
 from probevo.camera.likeness import difference
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
+from probevo.noise.base import NoiseModel
 from probevo.noise.model_file import ModelFile
 from probevo.settings import Settings
 
@@ -39,6 +40,12 @@ class OriginFacts(Settings):
         if facts.camera is not None:
             check_camera(facts.camera, "camera")
         return facts
+
+
+def learned_from(model: NoiseModel) -> frozenset[str]:
+    """Names of the recordings that a noise model was learned from; of a classical one there are none."""
+    training: Mapping[str, Any] = getattr(model, "training", {})
+    return frozenset(str(recording["name"]) for recording in training.get("recordings", ()))
 
 
 def refuse_other_camera(trained: StereoCamera | None, camera: StereoCamera) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.evaluation.metrics import Metrics
+from probevo.motion.estimate import Status
 from probevo.output.metrics_table import readable
 from probevo.output.run_result import RunResult
 from probevo.run_config import RunConfig
@@ -18,7 +19,7 @@ from probevo.run_config import RunConfig
 COLUMNS = ("ARMSE m", "final error m", "drift %", "rotation °/m", "ms/frame")
 """Figures of merit; the less, the better. Drift and rotation are those over pieces of 10 to 50 m."""
 DOMAIN_COLUMN = "out of domain %"
-"""Share of the features out of the noise model's domain; no figure of merit, and shown only where there is one."""
+"""Share of the features out of the noise model's domain."""
 TIME_COLUMN = COLUMNS.index("ms/frame")
 """The one that differs from run to run."""
 
@@ -42,6 +43,8 @@ class Entry:
     """The report of this run alone."""
     config: RunConfig | None = None
     """All settings of this run."""
+    learned_from_it: bool = False
+    """Whether the noise model was learned from a recording of this name: its figures then say little of other ones."""
 
     @property
     def figures(self) -> tuple[float | None, ...]:
@@ -50,6 +53,16 @@ class Entry:
         drift = (metrics.short_t_percent, metrics.short_r_deg_per_m)
         ms = float(np.median(self.result.total_ms)) if len(self.result.total_ms) else None
         return (metrics.armse_m, metrics.final_error_m, *drift, ms)
+
+    @property
+    def asides(self) -> dict[str, float | None]:
+        """Figures that are no errors, by the head of their column; None where unknown."""
+        steps, share = self.result.status[1:], self.result.out_of_domain
+        return {
+            "solved %": 100.0 * float(np.mean(steps == Status.OK)) if len(steps) else None,
+            "ANEES": self.metrics.anees if self.metrics else None,
+            DOMAIN_COLUMN: None if share is None else 100.0 * share,
+        }
 
     @property
     def has_truth(self) -> bool:
@@ -75,9 +88,10 @@ class Comparison:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Those of the table: ``COLUMNS``, and ``FOREIGN_COLUMN`` if the noise model of any entry has a domain."""
-        has_domain = any(entry.result.out_of_domain is not None for entry in self.entries)
-        return (*COLUMNS, DOMAIN_COLUMN) if has_domain else COLUMNS
+        """Those of the table: ``COLUMNS``, and of the asides those that are known of any entry."""
+        asides = [entry.asides for entry in self.entries]
+        heads = dict.fromkeys(head for row in asides for head in row)
+        return (*COLUMNS, *(head for head in heads if any(row[head] is not None for row in asides)))
 
     def of(self, sequence: str) -> tuple[Entry, ...]:
         """The entries of one sequence, in the order of the estimators."""
@@ -90,17 +104,19 @@ def comparison_rows(comparison: Comparison) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [("estimator", *comparison.columns)]
     for sequence in comparison.sequences:
         rows.append((sequence, *("" for _ in comparison.columns)))
-        rows += [
-            (f"  {entry.estimator}", *figure_texts(entry, comparison.columns)) for entry in comparison.of(sequence)
-        ]
+        rows += [(f"  {label(entry)}", *figure_texts(entry, comparison.columns)) for entry in comparison.of(sequence)]
     return rows
 
 
 def figure_texts(entry: Entry, columns: Sequence[str] = COLUMNS) -> tuple[str, ...]:
     """What ``Comparison.columns`` show of an entry, as a reader sees it; a dash where unknown."""
-    share = entry.result.out_of_domain
-    figures = (*entry.figures, None if share is None else 100.0 * share)
-    return tuple(map(figure_text, figures[: len(columns)]))
+    figures = dict(zip(COLUMNS, entry.figures, strict=True)) | entry.asides
+    return tuple(figure_text(figures[column]) for column in columns)
+
+
+def label(entry: Entry) -> str:
+    """Its estimator, marked where it has seen the recording before."""
+    return f"{entry.estimator} †" if entry.learned_from_it else entry.estimator
 
 
 def figure_text(value: float | None) -> str:
@@ -121,10 +137,16 @@ def truth_note(comparison: Comparison) -> tuple[str, ...]:
     return (f"No truth is known, and so no error: {', '.join(without)}.",) if without else ()
 
 
-def domain_note(comparison: Comparison) -> tuple[str, ...]:
-    """What the column of features out of domain means; nothing if there is none."""
-    what = "Out of domain: features that lie where the noise model has seen no training data."
-    return (what,) if DOMAIN_COLUMN in comparison.columns else ()
+def column_notes(comparison: Comparison) -> tuple[str, ...]:
+    """What the asides and the marks mean, of those that there are."""
+    notes = {
+        "solved %": "Solved: steps that were, and not carried on from the last velocity.",
+        "ANEES": "ANEES: of the steps; 6 is honest, more is overconfident, or the truth of a step is noisy.",
+        DOMAIN_COLUMN: "Out of domain: features that lie where the noise model has seen no training data.",
+    }
+    learned = any(entry.learned_from_it for entry in comparison.entries)
+    marks = ("†: learned from a recording of this name, and so no judge of it.",) if learned else ()
+    return (*(note for column, note in notes.items() if column in comparison.columns), *marks)
 
 
 def distinct_labels(paths: Sequence[Path], taken: Collection[str] = ()) -> list[str]:

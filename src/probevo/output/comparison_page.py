@@ -8,7 +8,16 @@ from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
-from probevo.output.comparison import TIME_COLUMN, Comparison, Entry, domain_note, figure_texts, reads_least
+from probevo.output.comparison import (
+    COLUMNS,
+    TIME_COLUMN,
+    Comparison,
+    Entry,
+    column_notes,
+    figure_texts,
+    label,
+    reads_least,
+)
 from probevo.output.comparison_plots import errors_figure, paths_figure
 from probevo.output.metrics_table import readable
 from probevo.output.page import frames_section, grid, panel, write_page
@@ -59,7 +68,7 @@ def _table_section(comparison: Comparison, colors: Mapping[str, str], folder: Pa
         "Position errors with the starts made equal; drift and rotation over pieces of 10 to 50 m; median time, "
         "without decoding. Bold: the least of a sequence."
     )
-    note = " ".join([note, *domain_note(comparison)])
+    note = " ".join([note, *column_notes(comparison)])
     table = f'<table class="figures"><thead><tr>{head}</tr></thead>\n' + "\n".join(bodies) + "</table>"
     return f'<section class="panel"><h2>Figures of merit</h2><p class="note">{note}</p>\n{table}</section>'
 
@@ -74,12 +83,14 @@ def _row(entry: Entry, texts: Sequence[str], best: Sequence[bool], colors: Mappi
     if entry.report is not None:
         # Paths as a browser reads them, whatever the system's separator and whatever characters are in a name.
         link = f'<a href="{quote(Path(os.path.relpath(entry.report, folder)).as_posix())}">report</a>'
-    return f"<tr><th>{swatch}{escape(entry.estimator)}</th>{cells}<td>{link}</td></tr>"
+    return f"<tr><th>{swatch}{escape(label(entry))}</th>{cells}<td>{link}</td></tr>"
 
 
 def _best(entries: Sequence[Entry], count: int) -> list[list[bool]]:
-    """Of each entry, which of its ``count`` figures is an error that reads as the least; none without a rival."""
-    columns = [reads_least(column) for column in zip(*(entry.figures for entry in entries), strict=True)]
+    """Of each entry, which of its ``count`` figures is an error that reads as the least; none without a rival, or of an
+    entry that has seen the recording before."""
+    unseen = [(None,) * len(COLUMNS) if entry.learned_from_it else entry.figures for entry in entries]
+    columns = [reads_least(column) for column in zip(*unseen, strict=True)]
     columns[TIME_COLUMN] = [False] * len(entries)  # decided by a hair, and otherwise the next time
     columns += [[False] * len(entries)] * (count - len(columns))  # what is not an error
     return [list(row) for row in zip(*columns, strict=True)]

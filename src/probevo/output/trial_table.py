@@ -78,7 +78,12 @@ def trial_table(comparison: Comparison) -> TrialTable:
         lengths_m = [entry.metrics.path_length_m for entry in entries.values() if entry.metrics]
         errors = [errors_of(entries[key]) if key in entries else UNKNOWN for key in comparison.estimators]
         rows.append(TrialRow(name, tuple(errors), next(iter(lengths_m), None)))
-    return TrialTable(comparison.estimators, tuple(rows), truth_note(comparison))
+    return TrialTable(comparison.estimators, tuple(rows), (*truth_note(comparison), *_seen_note(comparison)))
+
+
+def _seen_note(comparison: Comparison) -> tuple[str, ...]:
+    seen = [f"{entry.estimator} from {entry.sequence}" for entry in comparison.entries if entry.learned_from_it]
+    return (f"Learned from recordings of the same names: {', '.join(seen)}.",) if seen else ()
 
 
 def trials_text(table: TrialTable) -> list[tuple[str, ...]]:
