@@ -94,6 +94,18 @@ def test_decoding_is_no_part_of_the_stack(make_run: Callable[..., RunResult]) ->
     assert "decode 50, beside the total" in [text.get_text() for text in axes.get_legend().get_texts()]
 
 
+def test_a_stage_has_the_same_colour_whatever_came_first(make_run: Callable[..., RunResult]) -> None:
+    """In a run whose first step was not solved, the solve is timed later than what is learned."""
+    run = make_run(5)
+    one, ms = {}, np.ones(4)
+    for names in (("track", "consensus", "solve", "learn"), ("track", "consensus", "learn", "solve", "own")):
+        stages = stages_figure(replace(run, stage_ms={name: ms for name in names})).axes[0].patches
+        colors = {str(patch.get_label()).split()[0]: patch.get_facecolor() for patch in stages}
+        assert all(colors[name] == color for name, color in one.items())
+        one = {name: color for name, color in colors.items() if name in names}
+    assert set(one) == {"track", "consensus", "learn", "solve", "own"}
+
+
 @pytest.mark.parametrize(
     ("outside", "timeline", "warned"), [(None, False, False), (0, False, False), (10, True, False), (11, True, True)]
 )

@@ -15,6 +15,8 @@ from probevo.output.run_result import RunResult
 from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
 _MOST_PLACES = 500
+STAGES = ("track", "calibrate", "predict", "consensus", "solve", "learn")
+"""Of a step, in their order; in every report each has its own colour."""
 STATUS_COLORS = {
     Status.FIRST: "#8a949e",
     Status.OK: "#2a9d8f",
@@ -69,8 +71,11 @@ def stages_figure(result: RunResult) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 2.9))
     axes = figure.add_subplot(xlabel="time, s", ylabel="ms a frame")
     base_ms = np.zeros(len(starts))
-    stages = {name: ms for name, ms in result.stage_ms.items() if name != "decode"}
-    for (name, ms), color in zip(stages.items(), cycle(CYCLE), strict=False):
+    stages = (*STAGES, *(name for name in result.stage_ms if name not in (*STAGES, "decode")))
+    for name, color in zip(stages, cycle(CYCLE), strict=False):
+        if name not in result.stage_ms:
+            continue
+        ms = result.stage_ms[name]
         top_ms = base_ms + np.add.reduceat(ms, starts) / sizes
         label = f"{name.replace('_', ' ')} {np.median(ms):.3g}"
         axes.stairs(top_ms, edges_s, baseline=base_ms, fill=True, color=color, label=label)
