@@ -45,6 +45,7 @@ def main(words: list[str]) -> None:
     rows = describe(sequence)
     try:
         rows += examine(sequence)
+        rows += _turns(sequence)
     finally:  # a damaged image should not hide what is known without it
         print(columns(rows), flush=True)
 
@@ -115,6 +116,20 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
     if uncovered:
         rows.append(("! IMU", f"does not cover {uncovered} of {len(after) - 1} steps, which go without it"))
     return rows
+
+
+def _turns(sequence: Sequence) -> Rows:
+    """Whether the gyro goes with the pictures; nothing where it does."""
+    from probevo.cli.info_imu import Turns, imu_doubt
+    from probevo.sequences.recording import StereoRecording
+    from probevo.sequences.tracks_file import TracksRecording
+
+    if not isinstance(sequence, StereoRecording | TracksRecording):
+        return []
+    if sequence.imu is None or sequence.imu_stream is None:
+        return []
+    doubt = imu_doubt(Turns.of(sequence), sequence.imu_stream, sequence.imu)
+    return [("! IMU turns", doubt)] if doubt else []
 
 
 def _noise_text(sequence: Sequence) -> str:

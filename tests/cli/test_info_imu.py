@@ -1,0 +1,63 @@
+"""``probevo info`` on an IMU: the usual mistakes are named, and a good one is left in peace."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from probevo.cli.info_imu import Turns, imu_doubt
+from probevo.geometry import so3
+from probevo.sequences.frame import ImuCalibration
+from probevo.sequences.imu import ImuStream
+
+CALIBRATION = ImuCalibration(so3.exp(np.array([0.3, -1.2, 0.5])), 1e-3, 0.02)
+BIAS_RAD_S = np.array([0.02, -0.03, 0.01])
+LATER = 30_000_000
+SLOW = 0.02
+"""As little as a car turns on a straight road."""
+
+
+def drive(size: float = 1.0) -> tuple[Turns, ImuStream]:
+    """Six seconds of a camera that is swung about two axes, and its gyro at 200 Hz, with a bias."""
+    stamps_ns = np.arange(0, 6_200_000_000, 5_000_000)
+    time_s = 1e-9 * stamps_ns
+    rates = size * np.column_stack([0.3 * np.sin(4.0 * time_s), 0.5 * np.cos(3.0 * time_s), 0.0 * time_s])
+    gyro = rates @ CALIBRATION.C_cam_imu + BIAS_RAD_S
+    frames_ns = np.arange(100_000_000, 6_100_000_000, 100_000_000)
+    stream = ImuStream.checked(stamps_ns, gyro, np.full_like(gyro, np.nan), frames_ns, "imu.csv")
+    between_ns = np.column_stack([frames_ns[:-1], frames_ns[1:]])
+    unbiased = replace(stream, gyro_rad_s=stream.gyro_rad_s - BIAS_RAD_S)
+    nothing = Turns(between_ns, np.zeros((len(between_ns), 3)))
+    return Turns(between_ns, nothing.felt(unbiased, replace(CALIBRATION, gyro_bias_sigma_rad_s=0.0), 0.0)), stream
+
+
+def test_a_gyro_that_turns_as_the_pictures_do_is_left_in_peace() -> None:
+    assert imu_doubt(*drive(), CALIBRATION) == ""
+
+
+@pytest.mark.parametrize(
+    ("scale", "later_ns", "C_cam_imu", "fragment"),
+    [
+        (np.rad2deg(1.0), 0, CALIBRATION.C_cam_imu, "Is it in degrees a second?"),
+        (1.0, 10 * LATER, CALIBRATION.C_cam_imu, ""),
+        (1.0, 5 * LATER, CALIBRATION.C_cam_imu, "if its stamps were -150 ms later"),
+        (-1.0, 0, CALIBRATION.C_cam_imu, "it turns the other way"),
+        (1.0, 0, CALIBRATION.C_cam_imu.T, "is its rotation to the camera right"),
+        (1.0, 0, so3.exp(np.array([0.01, 0.01, 0.01])) @ CALIBRATION.C_cam_imu, None),
+    ],
+    ids=["degrees", "very late", "late", "sign", "transposed", "a degree off"],
+)
+def test_mistakes_are_named(scale: float, later_ns: int, C_cam_imu: np.ndarray, fragment: str | None) -> None:
+    """All that is wrong is said, if not always why; a degree is not, which the odometry does not mind either."""
+    turns, stream = drive()
+    wrong = replace(stream, gyro_rad_s=scale * stream.gyro_rad_s, stamps_ns=stream.stamps_ns + later_ns)
+    doubt = imu_doubt(turns, wrong, replace(CALIBRATION, C_cam_imu=C_cam_imu))
+    assert (doubt == "") if fragment is None else ("its turns and those of the pictures differ by" in doubt)
+    assert (fragment or "") in doubt
+
+
+def test_without_turns_nothing_can_be_told() -> None:
+    turns, stream = drive(SLOW)
+    assert imu_doubt(turns, replace(stream, gyro_rad_s=-stream.gyro_rad_s), CALIBRATION) == ""
+    few = Turns(turns.between_ns[:5], turns.seen_rad[:5])
+    assert imu_doubt(few, stream, CALIBRATION) == ""
