@@ -72,7 +72,7 @@ class FolderCalibration(BaseModel):
 def open_folder(path: Path) -> StereoRecording:
     """Open a folder of this layout::
 
-        left/ right/   rectified images (PNG, JPEG), paired by name, in the order of their names
+        left/ right/   rectified images (PNG, JPEG), paired by name, in the natural order of their names
         calib.yaml     fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px, and with an IMU the section
                        imu: C_cam_imu, gyro_noise_rad_s_sqrt_hz, gyro_bias_sigma_rad_s
                        [, gyro_bias_walk_rad_s2_sqrt_hz] [, time_offset_s]
