@@ -271,6 +271,9 @@ def felt(stamps_ns: list[int], rates_rad_s: list[float]) -> ImuSamples:
         (Frame(5, 0, WHOLE[::2, ::2], WHOLE[::2, ::2]), "its left image is 613×185 px, the camera's are 1226×370"),
         (Frame(5, 0, WHOLE, WHOLE[:-1]), "its right image is 1226×369 px"),
         (Frame(5, 0, features=TWICE), "two of its features have the same identity"),
+        (Frame(5, 0), "its left and right image is missing"),
+        (Frame(5, 0, WHOLE), "its right image is missing"),
+        (Frame(5, 0.1, WHOLE, WHOLE), "its stamp_ns is 0.1"),  # type: ignore[arg-type]
         (Frame(5, 0, WHOLE, WHOLE, imu=felt([0, 1], [0.0, np.nan])), "an IMU sample of it has no finite turn rate"),
         (
             Frame(5, 0, WHOLE, WHOLE, imu=felt([1, 0], [0.0, 0.0])),
@@ -284,6 +287,16 @@ def test_frames_that_no_camera_of_this_kind_gives_are_refused(frame: Frame, frag
         pv.StereoOdometry(CAMERA).step(frame)
     assert str(caught.value).startswith(f"frame 5: {fragment}")
     assert caught.value.cure
+
+
+def test_frames_that_cannot_follow_the_one_before_are_refused() -> None:
+    frames, odometry = drive(np.random.default_rng(0), 2), pv.StereoOdometry(CAMERA)
+    odometry.step(frames[0])
+    with pytest.raises(InputError, match="frame 1: its stamp, .*, is less than 1 µs after"):
+        odometry.step(replace(frames[1], stamp_ns=frames[0].stamp_ns + 100))
+    with pytest.raises(InputError, match="frame 1: one of it and the frame before has images, the other features"):
+        odometry.step(Frame(1, frames[1].stamp_ns, WHOLE, WHOLE))
+    assert odometry.step(frames[1]).status is OK
 
 
 def test_a_model_of_another_camera_is_refused() -> None:

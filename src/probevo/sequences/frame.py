@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from probevo.camera.stereo import StereoCamera
     from probevo.tracking.preparation import PreparedImages
 
+SHORTEST_STEP_NS = 1_000
+"""No camera takes frames closer together; stamps that are have another unit."""
+
 
 @dataclass(frozen=True)
 class ImuSamples:
@@ -85,10 +88,16 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
     """Refuse images, or features, that a reader would not have let through.
 
     Raises:
-        InputError: images that are not grey, of 8 bits, and of the camera's size; an identity that appears twice; IMU
-            samples out of order, or of which the turn rate is not known.
+        InputError: a stamp that is no whole number; an image that is missing, or not grey, of 8 bits, and of the
+            camera's size; an identity that appears twice; IMU samples out of order, or of which the turn rate is not
+            known.
     """
     where = f"frame {frame.index}"
+    if not isinstance(frame.stamp_ns, int | np.integer):
+        raise InputError(where, f"its stamp_ns is {frame.stamp_ns!r}.", "Give whole nanoseconds, as an int.")
+    if frame.features is None and (frame.left is None or frame.right is None):
+        missing = " and ".join(name for name in ("left", "right") if getattr(frame, name) is None)
+        raise InputError(where, f"its {missing} image is missing.", "Give both images, or features.")
     for name, image in (("left", frame.left), ("right", frame.right)):
         if image is not None and (image.ndim != 2 or image.dtype != np.uint8):
             what = f"its {name} image is {image.dtype} of shape {image.shape}."
@@ -108,11 +117,17 @@ def check_order(before: Frame, frame: Frame) -> float:
     """Time from one frame to the next, s.
 
     Raises:
-        InputError: the second is not after the first.
+        InputError: the second is not after the first, is too soon after it, or has features where that had images.
     """
+    where = f"frame {frame.index}"
     if frame.stamp_ns <= before.stamp_ns:
         what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {before.stamp_ns} ns."
-        raise InputError(f"frame {frame.index}", what, "Give the frames in the order of their times.")
+        raise InputError(where, what, "Give the frames in the order of their times.")
+    if frame.stamp_ns - before.stamp_ns < SHORTEST_STEP_NS:
+        what = f"its stamp, {frame.stamp_ns} ns, is less than 1 µs after that of the frame before."
+        raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")
+    if (frame.features is None) != (before.features is None):
+        raise InputError(where, "one of it and the frame before has images, the other features.", "Keep to one kind.")
     return 1e-9 * (frame.stamp_ns - before.stamp_ns)
 
 
