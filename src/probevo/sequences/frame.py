@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.errors import InputError
+from probevo.geometry import so3
 
 if TYPE_CHECKING:
     from probevo.camera.stereo import StereoCamera
@@ -51,6 +53,17 @@ class ImuCalibration:
     """Standard deviation of the unknown constant gyro bias at start, rad/s."""
     gyro_bias_walk_rad_s2_sqrt_hz: float = 0.0
     """Density of the bias random walk, rad/s²/√Hz."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no IMU has.
+
+        Raises:
+            InputError: C_cam_imu is no rotation, or a noise figure is negative or not finite.
+        """
+        so3.check_rotation(self.C_cam_imu, "C_cam_imu")
+        for name in ("gyro_noise_rad_s_sqrt_hz", "gyro_bias_sigma_rad_s", "gyro_bias_walk_rad_s2_sqrt_hz"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise InputError(name, f"is {getattr(self, name)}.", "It must be a finite number, and not negative.")
 
 
 @dataclass(frozen=True)
