@@ -107,6 +107,9 @@ def _load(path: Path) -> dict[str, AnyArray]:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in SHAPES if name in archive}
     except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        if str(error).startswith("Object arrays"):
+            what = "one of its arrays is pickled; expected plain arrays."
+            raise InputError(path, what, "Save it as whole numbers or floats, not as objects.") from error
         what = "this is not a readable .npz file of plain arrays."  # NumPy's own words advise to load it unsafely
         raise InputError(path, what, "If it was one, it is cut short or damaged: copy it again.") from error
 
