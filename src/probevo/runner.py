@@ -58,8 +58,9 @@ def run_sequence(
 
     Into ``out`` go, at the end, ``config.yaml``, ``trajectory.tum``, ``trajectory.kitti.txt``, ``motions.npz``,
     ``metrics.json`` (if truth is known) and ``report.html``; files of an earlier run are replaced. Whatever stops the
-    run midway, a damaged image or Ctrl-C, the same files are written for the frames before, and the exception goes on
-    with a note that says so. Where there are none before, or left and right are swapped, nothing is written.
+    run midway, a damaged image or Ctrl-C, the same files are written for the frames before and say what it was, and
+    the exception goes on with a note that says so. Where there are none before, or left and right are swapped, nothing
+    is written.
 
     Args:
         sequence: the recording.
@@ -94,10 +95,17 @@ def run_sequence(
         raise
     except BaseException as stop:  # whatever it is, it goes on; but not without what was computed
         if len(recorder.result()) > 1:  # the first frame alone is no motion, and nothing to replace a run with
-            _write(out, sequence, config, recorder.result(), pictures)
+            _write(out, sequence, config, replace(recorder.result(), stopped=_reason(stop)), pictures)
             stop.add_note(f"What was computed before, {len(recorder.result())} frames, lies in {out}.")
         raise
     return _write(out, sequence, config, recorder.result(), pictures)
+
+
+def _reason(stop: BaseException) -> str:
+    """What stopped a run, in words."""
+    if isinstance(stop, KeyboardInterrupt):
+        return "stopped by Ctrl-C."
+    return f"{stop.where}: {stop.what}" if isinstance(stop, InputError) else f"{type(stop).__name__}: {stop}"
 
 
 def check_run(sequence: Sequence, config: RunConfig, noise: NoiseModel) -> None:
@@ -144,11 +152,11 @@ def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, 
     if truth is not None:
         metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, result.cov)
         metrics = replace(metrics, out_of_domain=result.out_of_domain)
-        write_json(out / "metrics.json", metrics.as_dict())
+        write_json(out / "metrics.json", metrics.as_dict() | {"stopped": result.stopped})
     else:
         remove_stale(out / "metrics.json")
     if len(result) >= 2:
-        facts = run_facts(sequence, config, result.out_of_domain)
+        facts = run_facts(sequence, config, result)
         title = sequence.path.resolve().name
         write_report(out / "report.html", result, title, facts, truth, metrics, pictures.drawn, settings)
     else:

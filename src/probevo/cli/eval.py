@@ -50,6 +50,8 @@ class Trajectory:
     """Their covariances, [N-1, 6, 6]."""
     out_of_domain: float | None = None
     """See ``RunResult.out_of_domain``."""
+    stopped: str | None = None
+    """See ``RunResult.stopped``."""
 
 
 def main(words: list[str]) -> None:
@@ -70,7 +72,7 @@ def main(words: list[str]) -> None:
     if remark:
         print(remark)
     if arguments.run.is_dir():
-        write_json(arguments.run / "metrics.json", metrics.as_dict())
+        write_json(arguments.run / "metrics.json", metrics.as_dict() | {"stopped": estimate.stopped})
         print(f"written: {arguments.run / 'metrics.json'}")
 
 
@@ -82,7 +84,8 @@ def read_run(folder: Path) -> Trajectory:
     if not path.exists():
         raise InputError(path, "this file is missing.", "Give the --out folder of `probevo run`, or a trajectory file.")
     result = read_motions(path)
-    return Trajectory(path, result.T_world_cam, result.stamps_ns, result.T_curr_prev, result.cov, result.out_of_domain)
+    poses, motions = (result.T_world_cam, result.stamps_ns), (result.T_curr_prev, result.cov)
+    return Trajectory(path, *poses, *motions, result.out_of_domain, result.stopped)
 
 
 def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:
