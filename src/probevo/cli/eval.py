@@ -99,6 +99,10 @@ def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:
 
     if form is None:
         where, line = read_lines(path, "Give a file of poses, one a line.")[0]
+        if "," in line:
+            cure = "Set blanks in place of commas. EuRoC's own truth is of the body: `probevo run` compares with it."
+            what = "its numbers are apart by commas; in KITTI's and TUM's form they are not."
+            raise InputError(where, what, cure)
         if len(line.split()) not in COLUMNS:
             what = f"this line has {len(line.split())} columns."
             raise InputError(where, what, "Poses have 12 columns in KITTI's form and 8 in TUM's (stamp, t, q).")
