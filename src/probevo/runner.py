@@ -29,6 +29,7 @@ from probevo.predictors import space_for
 from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.pose_files import FARTHEST_M
+from probevo.sequences.without_imu import WithoutImu
 from probevo.tracking.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
 from probevo.tracking.preparation import prepared_ahead
 
@@ -72,6 +73,7 @@ def run_sequence(
         InputError: a file of the recording is at fault, its left and right images are swapped, ``out`` cannot be
             written to, or what ``noise_model`` and ``check_run`` raise.
     """
+    sequence = sequence if config.imu else WithoutImu.of(sequence)
     noise = noise_model(config.noise)
     check_run(sequence, config, noise)
     check_folder(out, "--out")

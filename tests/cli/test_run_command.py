@@ -22,6 +22,7 @@ from probevo.run_config import RunConfig, read_config
 from probevo.runner import run_sequence
 from probevo.sequences import open_sequence
 from probevo.sequences.pose_files import read_kitti_poses, read_tum
+from probevo.sequences.without_imu import WithoutImu
 from sequences.damage import cut
 from sequences.recordings import write_folder_sequence, write_tracks
 from worlds import Homesick
@@ -99,6 +100,19 @@ def test_a_damaged_image_leaves_what_came_before(
     assert "<dt>Truth</dt><dd>5 of 5 frames" in page
     assert main(["eval", str(out), "--gt", str(out / "trajectory.kitti.txt")]) == 0
     assert json.loads((out / "metrics.json").read_text())["stopped"] == said
+
+
+def test_the_imu_can_be_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording, out = write_folder_sequence(tmp_path / "folder"), tmp_path / "out"
+    for flags, imu in (([], "gyro to start the tracking"), (["--no-imu"], "none<")):
+        assert main(["run", str(recording), "--out", str(out), *flags]) == 0
+        assert f"<dt>IMU</dt><dd>{imu}" in (out / "report.html").read_text()
+        assert read_config(out / "config.yaml").imu is (not flags)
+    frames = list(WithoutImu.of(open_sequence(recording)))
+    assert [frame.index for frame in frames] == [0, 1, 2, 3]
+    assert not any(frame.imu for frame in frames)
+    assert main(["run", str(recording), "--out", str(out), "--no-imu", "--gyro.prior"]) == 2
+    assert "gyro.prior and ransac.rotation_from gyro need the IMU" in capsys.readouterr().err
 
 
 def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
