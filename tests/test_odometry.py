@@ -271,7 +271,7 @@ def felt(stamps_ns: list[int], rates_rad_s: list[float]) -> ImuSamples:
         (Frame(5, 0, WHOLE[::2, ::2], WHOLE[::2, ::2]), "its left image is 613×185 px, the camera's are 1226×370"),
         (Frame(5, 0, WHOLE, WHOLE[:-1]), "its right image is 1226×369 px"),
         (Frame(5, 0, features=TWICE), "two of its features have the same identity"),
-        (Frame(5, 0), "its left and right image is missing"),
+        (Frame(5, 0), "it has neither images nor features"),
         (Frame(5, 0, WHOLE), "its right image is missing"),
         (Frame(5, 0.1, WHOLE, WHOLE), "its stamp_ns is 0.1"),  # type: ignore[arg-type]
         (Frame(5, 0, WHOLE, WHOLE, imu=felt([0, 1], [0.0, np.nan])), "an IMU sample of it has no finite turn rate"),

@@ -109,8 +109,9 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
     if not isinstance(frame.stamp_ns, int | np.integer):
         raise InputError(where, f"its stamp_ns is {frame.stamp_ns!r}.", "Give whole nanoseconds, as an int.")
     if frame.features is None and (frame.left is None or frame.right is None):
-        missing = " and ".join(name for name in ("left", "right") if getattr(frame, name) is None)
-        raise InputError(where, f"its {missing} image is missing.", "Give both images, or features.")
+        missing = [name for name in ("left", "right") if getattr(frame, name) is None]
+        what = f"its {missing[0]} image is missing." if len(missing) == 1 else "it has neither images nor features."
+        raise InputError(where, what, "Give both images, or features.")
     for name, image in (("left", frame.left), ("right", frame.right)):
         if image is not None and (image.ndim != 2 or image.dtype != np.uint8):
             what = f"its {name} image is {image.dtype} of shape {image.shape}."
