@@ -153,8 +153,8 @@ def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, 
     metrics = None
     if truth is not None:
         metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, result.cov)
-        metrics = replace(metrics, out_of_domain=result.out_of_domain)
-        write_json(out / "metrics.json", metrics.as_dict() | {"stopped": result.stopped})
+        metrics = replace(metrics, out_of_domain=result.out_of_domain, stopped=result.stopped)
+        write_json(out / "metrics.json", metrics.as_dict())
     else:
         remove_stale(out / "metrics.json")
     if len(result) >= 2:

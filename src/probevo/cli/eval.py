@@ -65,14 +65,14 @@ def main(words: list[str]) -> None:
     truth = read_trajectory(arguments.gt, arguments.gt_format)
     T_world_cam_true, remark = match_truth(estimate, truth)
     metrics = evaluate(estimate.T_world_cam, T_world_cam_true, estimate.T_curr_prev, estimate.cov)
-    metrics = replace(metrics, out_of_domain=estimate.out_of_domain)
+    metrics = replace(metrics, out_of_domain=estimate.out_of_domain, stopped=estimate.stopped)
     rows = metrics_rows(metrics)
     width = max(len(name) for name, _, _ in rows)
     print(columns((f"{name:<{width}}  {value}", text) for name, value, text in rows))
     if remark:
         print(remark)
     if arguments.run.is_dir():
-        write_json(arguments.run / "metrics.json", metrics.as_dict() | {"stopped": estimate.stopped})
+        write_json(arguments.run / "metrics.json", metrics.as_dict())
         print(f"written: {arguments.run / 'metrics.json'}")
 
 
