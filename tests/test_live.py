@@ -30,6 +30,8 @@ PATIENCE_S = 60.0
 class Gated:
     """An odometry whose every step says that it has begun, and ends when it is told to."""
 
+    camera = replace(CAMERA, size_px=None)
+
     def __init__(self, step: Callable[[Frame], pv.MotionEstimate] | None = None) -> None:
         self.begun: Queue[Frame] = Queue()
         self.go = Semaphore(0)
@@ -235,6 +237,18 @@ def test_a_frame_out_of_order_is_refused_and_the_next_is_taken() -> None:
                 live.push(blind_frame(index))
         live.push(blind_frame(6))
     assert indices(live) == [5, 6]
+
+
+def test_a_frame_that_the_camera_cannot_have_taken_is_refused_and_the_next_is_taken() -> None:
+    picture, frames = np.zeros((50, 60), np.uint8), drive(np.random.default_rng(0), 3)
+    odometry = pv.StereoOdometry(CAMERA)
+    with pv.LiveOdometry(odometry, waiting=9) as live:
+        live.push(frames[0])
+        with pytest.raises(InputError, match="its left image is 60×50 px"):
+            live.push(Frame(1, frames[1].stamp_ns, picture, picture))
+        for frame in frames[1:]:
+            live.push(frame)
+    assert indices(live) == [0, 1, 2]
 
 
 def test_at_least_one_frame_waits() -> None:

@@ -271,6 +271,9 @@ def felt(stamps_ns: list[int], rates_rad_s: list[float]) -> ImuSamples:
         (Frame(5, 0, WHOLE[::2, ::2], WHOLE[::2, ::2]), "its left image is 613×185 px, the camera's are 1226×370"),
         (Frame(5, 0, WHOLE, WHOLE[:-1]), "its right image is 1226×369 px"),
         (Frame(5, 0, features=TWICE), "two of its features have the same identity"),
+        (Frame(5, 0), "it has neither images nor features"),
+        (Frame(5, 0, WHOLE), "its right image is missing"),
+        (Frame(5, 0.1, WHOLE, WHOLE), "its stamp_ns is 0.1"),  # type: ignore[arg-type]
         (Frame(5, 0, WHOLE, WHOLE, imu=felt([0, 1], [0.0, np.nan])), "an IMU sample of it has no finite turn rate"),
         (
             Frame(5, 0, WHOLE, WHOLE, imu=felt([1, 0], [0.0, 0.0])),
@@ -284,6 +287,39 @@ def test_frames_that_no_camera_of_this_kind_gives_are_refused(frame: Frame, frag
         pv.StereoOdometry(CAMERA).step(frame)
     assert str(caught.value).startswith(f"frame 5: {fragment}")
     assert caught.value.cure
+
+
+def test_frames_that_cannot_follow_the_one_before_are_refused() -> None:
+    frames, odometry = drive(np.random.default_rng(0), 2), pv.StereoOdometry(CAMERA)
+    odometry.step(frames[0])
+    with pytest.raises(InputError, match=r"frame 1: its stamp, .*, is less than 1 µs after"):
+        odometry.step(replace(frames[1], stamp_ns=frames[0].stamp_ns + 100))
+    with pytest.raises(InputError, match="frame 1: one of it and the frame before has images, the other features"):
+        odometry.step(Frame(1, frames[1].stamp_ns, WHOLE, WHOLE))
+    assert odometry.step(frames[1]).status is OK
+
+
+@pytest.mark.parametrize(
+    ("changes", "fragment"),
+    [({"fu_px": np.nan}, "fu_px is nan"), ({"fv_px": 0.0}, "fv_px is 0 px"), ({"baseline_m": -0.5}, "swapped")],
+)
+def test_a_camera_that_there_cannot_be_is_refused(changes: dict[str, float], fragment: str) -> None:
+    with pytest.raises(InputError, match=fragment):
+        pv.StereoOdometry(replace(CAMERA, **changes))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("C_cam_imu", "noise", "fragment"),
+    [
+        (2.0 * np.eye(3), 1e-4, "C_cam_imu: this is not a rotation matrix"),
+        (np.diag([1.0, 1.0, -1.0]), 1e-4, "C_cam_imu: this is not a rotation matrix"),
+        (np.eye(3), np.nan, "gyro_noise_rad_s_sqrt_hz: is nan"),
+        (np.eye(3), -1.0, "gyro_noise_rad_s_sqrt_hz: is -1"),
+    ],
+)
+def test_an_imu_that_there_cannot_be_is_refused(C_cam_imu: FloatArray, noise: float, fragment: str) -> None:
+    with pytest.raises(InputError, match=fragment):
+        ImuCalibration(C_cam_imu, noise, 1e-3)
 
 
 def test_a_model_of_another_camera_is_refused() -> None:

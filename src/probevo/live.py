@@ -11,7 +11,7 @@ from types import TracebackType
 
 from probevo.motion.estimate import MotionEstimate
 from probevo.odometry import StereoOdometry
-from probevo.sequences.frame import Frame, check_order
+from probevo.sequences.frame import Frame, check_frame, check_order
 
 MOST_UNREAD = 16
 """Estimates that may wait for ``estimates()``; the next step is not begun before there is room again."""
@@ -104,10 +104,12 @@ class LiveOdometry:
         before, whether that was dropped or not.
 
         Raises:
-            InputError: the frame is not later than the one before. It is left out; the next may be right.
+            InputError: the frame is not later than the one before, or not what its camera sees. It is left out; the
+                next may be right.
             RuntimeError: pushed after ``close``.
         """
         arrival = _Arrival(frame, perf_counter())
+        check_frame(frame, self._odometry.camera)
         with self._changed:
             self._raise_failure()
             if self._closed:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from probevo.camera.stereo import StereoCamera
+from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.config import OdometryConfig
 from probevo.motion.estimate import MotionEstimate, Status
 from probevo.motion.gyro import GyroBias, GyroRotation, covers, integrate_gyro
@@ -45,6 +45,7 @@ class StereoOdometry:
         predictors: PredictionSpace | None = None,
     ) -> None:
         self.camera, self.noise, self.imu, self.config = camera, noise or StudentT(), imu, config or OdometryConfig()
+        check_camera(camera, "camera")
         self.noise.check_camera(camera)
         self.calibration = SelfCalibration.initial() if self.config.self_calibration else None
         self.gyro_bias = GyroBias.initial(imu) if imu else None

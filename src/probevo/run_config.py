@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from probevo.config import OdometryConfig
@@ -22,6 +22,13 @@ class SharedConfig(OdometryConfig):
 
     format: FormatName | None = Field(None, description="Layout of the recording; found out where it is not named.")
     max_frames: int | None = Field(None, ge=2, description="Stop after this many frames.")
+    imu: bool = Field(True, description="Use the recording's IMU, if it has one.")
+
+    @model_validator(mode="after")
+    def _check_imu(self) -> Self:
+        if not self.imu and (self.gyro.prior or self.ransac.rotation_from == "gyro"):
+            raise ValueError("gyro.prior and ransac.rotation_from gyro need the IMU that no-imu leaves out")
+        return self
 
 
 class RunConfig(SharedConfig):
@@ -35,7 +42,7 @@ class RunConfig(SharedConfig):
     )
 
 
-OWN_KEYS = ("sequence", "format", "noise", "max_frames")
+OWN_KEYS = ("sequence", "format", "noise", "max_frames", "imu")
 """Settings of the run that are none of the odometry's."""
 
 

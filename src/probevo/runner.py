@@ -29,6 +29,7 @@ from probevo.predictors import space_for
 from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.pose_files import FARTHEST_M
+from probevo.sequences.without_imu import WithoutImu
 from probevo.tracking.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
 from probevo.tracking.preparation import prepared_ahead
 
@@ -58,8 +59,9 @@ def run_sequence(
 
     Into ``out`` go, at the end, ``config.yaml``, ``trajectory.tum``, ``trajectory.kitti.txt``, ``motions.npz``,
     ``metrics.json`` (if truth is known) and ``report.html``; files of an earlier run are replaced. Whatever stops the
-    run midway, a damaged image or Ctrl-C, the same files are written for the frames before, and the exception goes on
-    with a note that says so. Where there are none before, or left and right are swapped, nothing is written.
+    run midway, a damaged image or Ctrl-C, the same files are written for the frames before and say what it was, and
+    the exception goes on with a note that says so. Where there are none before, or left and right are swapped, nothing
+    is written.
 
     Args:
         sequence: the recording.
@@ -71,6 +73,7 @@ def run_sequence(
         InputError: a file of the recording is at fault, its left and right images are swapped, ``out`` cannot be
             written to, or what ``noise_model`` and ``check_run`` raise.
     """
+    sequence = sequence if config.imu else WithoutImu.of(sequence)
     noise = noise_model(config.noise)
     check_run(sequence, config, noise)
     check_folder(out, "--out")
@@ -94,10 +97,17 @@ def run_sequence(
         raise
     except BaseException as stop:  # whatever it is, it goes on; but not without what was computed
         if len(recorder.result()) > 1:  # the first frame alone is no motion, and nothing to replace a run with
-            _write(out, sequence, config, recorder.result(), pictures)
+            _write(out, sequence, config, replace(recorder.result(), stopped=_reason(stop)), pictures)
             stop.add_note(f"What was computed before, {len(recorder.result())} frames, lies in {out}.")
         raise
     return _write(out, sequence, config, recorder.result(), pictures)
+
+
+def _reason(stop: BaseException) -> str:
+    """What stopped a run, in words."""
+    if isinstance(stop, KeyboardInterrupt):
+        return "stopped by Ctrl-C."
+    return f"{stop.where}: {stop.what}" if isinstance(stop, InputError) else f"{type(stop).__name__}: {stop}"
 
 
 def check_run(sequence: Sequence, config: RunConfig, noise: NoiseModel) -> None:
@@ -143,12 +153,12 @@ def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, 
     metrics = None
     if truth is not None:
         metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, result.cov)
-        metrics = replace(metrics, out_of_domain=result.out_of_domain)
+        metrics = replace(metrics, out_of_domain=result.out_of_domain, stopped=result.stopped)
         write_json(out / "metrics.json", metrics.as_dict())
     else:
         remove_stale(out / "metrics.json")
     if len(result) >= 2:
-        facts = run_facts(sequence, config, result.out_of_domain)
+        facts = run_facts(sequence, config, result)
         title = sequence.path.resolve().name
         write_report(out / "report.html", result, title, facts, truth, metrics, pictures.drawn, settings)
     else:

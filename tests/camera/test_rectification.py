@@ -100,6 +100,10 @@ def shifted(t: list[float]) -> FloatArray:
     return se3.from_parts(np.eye(3), np.array(t))
 
 
+def turned(angle_rad: float) -> FloatArray:
+    return se3.from_parts(so3.exp(np.array([0.0, angle_rad, 0.0])), np.array([-0.1, 0.0, 0.0]))
+
+
 @pytest.mark.parametrize(
     ("right", "T_right_left", "message"),
     [
@@ -107,6 +111,9 @@ def shifted(t: list[float]) -> FloatArray:
         (RADTAN[1], shifted([0.1, 0.0, 0.0]), "swapped"),
         (RADTAN[1], shifted([0.0, -0.1, 0.0]), "above or below"),
         (RADTAN[1], shifted([np.nan, 0.0, 0.0]), "not finite"),
+        (RADTAN[1], shifted([-0.1, 0.0, 0.0]) * [2.0, 2.0, 2.0, 1.0], "no.* rotation matrix"),
+        (RADTAN[1], turned(0.9), "outside the image of"),
+        (RADTAN[1], turned(np.pi), "opposite directions"),
         (EQUIDISTANT[1], T_RIGHT_LEFT, "distortion_model is radtan on the left and equidistant on the right"),
         (dataclasses.replace(RADTAN[1], size_px=(640, 480)), T_RIGHT_LEFT, "size_px"),
         (dataclasses.replace(RADTAN[1], distortion=(0.1,)), T_RIGHT_LEFT, r"right camera: distortion is \(0.1,\)"),
@@ -116,6 +123,16 @@ def shifted(t: list[float]) -> FloatArray:
 def test_an_impossible_pair_is_refused(right: PinholeCamera, T_right_left: FloatArray, message: str) -> None:
     with pytest.raises(InputError, match=rf"sensor\.yaml: (.|\n)*{message}"):
         Rectification.from_calibration(RADTAN[0], right, T_right_left, "sensor.yaml")
+
+
+def test_images_of_another_size_are_refused() -> None:
+    rectification = Rectification.from_calibration(*RADTAN, T_RIGHT_LEFT)
+    width_px, height_px = RADTAN[0].size_px
+    raw = np.zeros((height_px, width_px), np.uint8)
+    assert rectification.rectify(raw, raw)[0].shape == raw.shape
+    for pair in ((raw[:100], raw), (raw, raw.T)):
+        with pytest.raises(InputError, match="image has shape"):
+            rectification.rectify(*pair)
 
 
 def euroc_camera(folder: Path) -> tuple[PinholeCamera, FloatArray]:

@@ -69,6 +69,7 @@ def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.Cap
     write_tum(tmp_path / "late.tum", stamps_ns + 10**12, T_world_cam)
     write_tum(tmp_path / "long.tum", np.arange(20) * 10**8, true_poses(20))
     (tmp_path / "text.txt").write_text("three words here\n")
+    (tmp_path / "data.csv").write_text("#time(ns),px,py,pz,qw,qx,qy,qz\n1403715273262142976,0,0,0,1,0,0,0\n")
     (tmp_path / "far.txt").write_text("1 0 0 1e300 0 1 0 0 0 0 1 0\n" * 8)
     (tmp_path / "empty").mkdir()
     kitti = wall_run / "trajectory.kitti.txt"
@@ -77,6 +78,7 @@ def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.Cap
         (wall_run, "late.tum", ["late.tum: its poses", "not within half a frame", "same clock"]),
         (kitti, "long.tum", ["long.tum: 20 poses for the 8 frames", "trajectory.tum"]),
         (wall_run, "text.txt", ["text.txt:1: this line has 3 columns", "12 columns in KITTI's form"]),
+        (wall_run, "data.csv", ["data.csv:2: ", "commas", "EuRoC's own truth is of the body"]),
         (wall_run, "far.txt", ["far.txt: the position of pose 0 (from 0) is over 1e+09 m away"]),
         (wall_run, "none.txt", ["none.txt: this file is missing"]),
         (tmp_path / "empty", "short.txt", ["empty/motions.npz: this file is missing"]),

@@ -10,7 +10,7 @@ import pytest
 from cli.rendering import write_wall
 from probevo.cli.main import main
 from sequences.damage import cut, replace
-from sequences.recordings import write_folder_sequence, write_kitti_raw, write_tracks
+from sequences.recordings import tracks_arrays, write_folder_sequence, write_kitti_raw, write_tracks
 
 
 def info(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
@@ -59,6 +59,38 @@ def test_what_is_odd_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str
     rows = info(swapped, capsys)
     assert "after frame 2" in rows["! gaps"]
     assert "300 m is unusual" in rows["! baseline"]
+
+
+def test_a_calibration_of_another_resolution_is_marked(
+    wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    for old, new in (("cu_px: 159.5", "cu_px: 80.0"), ("cv_px: 79.5", "cv_px: 40.0"), ("fv_px: 200.0", "fv_px: 100.0")):
+        replace("calib.yaml", old, new)(recording)
+    rows = info(recording, capsys)
+    assert rows["! center"] == "(80, 40) is the middle of 160×80 px. Calibrated at another resolution?"
+    assert rows["! focal length"].startswith("fu is 200.0 px, fv 100.0 px")
+
+
+@pytest.mark.parametrize(("step_ns", "rate"), [(100_000, "10000 Hz"), (10**11, "0.01 Hz")])
+def test_a_rate_that_no_camera_has_is_marked(
+    wall: Path, tmp_path: Path, step_ns: int, rate: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    (recording / "times.txt").write_text("\n".join(str(step_ns * k) for k in range(8)))
+    assert info(recording, capsys)["! rate"].startswith(f"{rate} is unusual")
+
+
+def test_features_get_questions_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arrays = tracks_arrays(points=20)
+    swapped = write_tracks(tmp_path, **arrays | {"uv": arrays["uv"][:, [2, 3, 0, 1]]})
+    assert "Are left and right swapped? Exchange columns 0 and 2" in info(swapped, capsys)["! matches"]
+    assert main(["run", str(swapped), "--out", str(tmp_path / "out")]) == 2
+    assert "Exchange columns 0 and 2, and 1 and 3, of uv." in capsys.readouterr().err
+    fresh = write_tracks(tmp_path, **arrays | {"track": np.arange(80)})
+    assert info(fresh, capsys)["! matches"].endswith("Do the ids repeat from frame to frame?")
+    same = write_tracks(tmp_path, **arrays | {"uv": arrays["uv"][:, [0, 1, 0, 1]]})
+    assert info(same, capsys)["! disparity"].endswith("Are columns 0 and 2 of uv the same?")
 
 
 def test_the_same_picture_twice_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

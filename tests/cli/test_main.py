@@ -51,6 +51,26 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"probevo {__version__}\n"
 
 
+def test_python_runs_it_as_a_module() -> None:
+    done = subprocess.run([sys.executable, "-m", "probevo", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"probevo {__version__}\n"
+
+
+@pytest.mark.parametrize("command", [["run", "x"], ["train", "x"], ["compare", "x"], ["inspect", "x"], ["demo"]])
+@pytest.mark.parametrize("out", [["--out", ""], ["--out="]])
+def test_an_empty_out_is_not_the_current_directory(
+    command: list[str], out: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([*command, *out]) == 2
+    assert capsys.readouterr().err.startswith("probevo: --out: is empty.")
+
+
+@pytest.mark.parametrize("world", [["simulate", "point"], ["simulate", "scene"], ["paper", "blur"]])
+def test_an_empty_out_of_a_part_is_refused_too(world: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([*world, "--out", ""]) == 2
+    assert capsys.readouterr().err.startswith("probevo: --out: is empty.")
+
+
 @pytest.mark.parametrize(("word", "cure"), [("rnu", "Did you mean run?"), ("fly", "Commands are run, train, compare")])
 def test_unknown_command(word: str, cure: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([word]) == 2

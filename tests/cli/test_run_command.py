@@ -22,6 +22,7 @@ from probevo.run_config import RunConfig, read_config
 from probevo.runner import run_sequence
 from probevo.sequences import open_sequence
 from probevo.sequences.pose_files import read_kitti_poses, read_tum
+from probevo.sequences.without_imu import WithoutImu
 from sequences.damage import cut
 from sequences.recordings import write_folder_sequence, write_tracks
 from worlds import Homesick
@@ -38,6 +39,7 @@ def test_all_files_are_there_and_agree(wall: Path, wall_run: Path) -> None:
     np.testing.assert_array_equal(read_kitti_poses(wall_run / "trajectory.kitti.txt"), result.T_world_cam)
     metrics = evaluate(result.T_world_cam, true_poses(8), result.T_curr_prev, result.cov).as_dict()
     written = json.loads((wall_run / "metrics.json").read_text())
+    assert written["stopped"] is None
     assert written.pop("nees_coverage") == metrics.pop("nees_coverage")
     assert written == pytest.approx(metrics, abs=1e-9)
 
@@ -74,6 +76,7 @@ def test_defaults_yield_to_the_file_and_the_file_to_flags(wall: Path, tmp_path: 
     assert (config.noise, config.tracking.num_features, config.tracking.window_px) == ("fixed", 200, 13)
     assert (config.self_calibration, config.max_frames, config.sequence) == (False, 3, wall)
     assert len(read_motions(tmp_path / "out" / "motions.npz")) == 3
+    assert "<dt>Frames</dt><dd>3 of 8 in" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_a_damaged_image_leaves_what_came_before(
@@ -88,6 +91,28 @@ def test_a_damaged_image_leaves_what_came_before(
     assert {path.name for path in out.iterdir()} == FILES
     before, whole = read_motions(out / "motions.npz"), read_motions(wall_run / "motions.npz")
     np.testing.assert_array_equal(before.T_curr_prev, whole.T_curr_prev[:4])
+    said = f"{recording / 'right/000005.png'}: this image is damaged: its end is missing."
+    assert before.stopped == said
+    assert json.loads((out / "metrics.json").read_text())["stopped"] == said
+    page = (out / "report.html").read_text()
+    assert f"After 5 frames: {said}" in page
+    assert "<dt>Frames</dt><dd>5 of 8 in" in page
+    assert "<dt>Truth</dt><dd>5 of 5 frames" in page
+    assert main(["eval", str(out), "--gt", str(out / "trajectory.kitti.txt")]) == 0
+    assert json.loads((out / "metrics.json").read_text())["stopped"] == said
+
+
+def test_the_imu_can_be_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording, out = write_folder_sequence(tmp_path / "folder"), tmp_path / "out"
+    for flags, imu in (([], "gyro to start the tracking"), (["--no-imu"], "none<")):
+        assert main(["run", str(recording), "--out", str(out), *flags]) == 0
+        assert f"<dt>IMU</dt><dd>{imu}" in (out / "report.html").read_text()
+        assert read_config(out / "config.yaml").imu is (not flags)
+    frames = list(WithoutImu.of(open_sequence(recording)))
+    assert [frame.index for frame in frames] == [0, 1, 2, 3]
+    assert not any(frame.imu for frame in frames)
+    assert main(["run", str(recording), "--out", str(out), "--no-imu", "--gyro.prior"]) == 2
+    assert "gyro.prior and ransac.rotation_from gyro need the IMU" in capsys.readouterr().err
 
 
 def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
@@ -100,6 +125,7 @@ def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt) as caught:
         run_sequence(open_sequence(wall), RunConfig(), tmp_path, press_ctrl_c)
     assert caught.value.__notes__ == [f"What was computed before, 4 frames, lies in {tmp_path}."]
+    assert "After 4 frames: stopped by Ctrl-C." in (tmp_path / "report.html").read_text()
     assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
@@ -235,13 +261,19 @@ def test_absurd_truth_is_refused(wall: Path, tmp_path: Path, capsys: pytest.Capt
     assert "true position is over 1e+09 m" in capsys.readouterr().err
 
 
-def test_frames_without_texture_or_features_end_well(tmp_path: Path) -> None:
+def test_frames_without_texture_or_features_end_well_but_are_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Random pictures have no tracks, and a tracks file no pictures."""
     noise, tracks = write_folder_sequence(tmp_path / "noise"), write_tracks(tmp_path)
     for path in (noise, tracks):
         assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
         cov = read_motions(tmp_path / "out" / "motions.npz").cov
         assert np.isfinite(cov).all()
+        page, said = (tmp_path / "out" / "report.html").read_text(), capsys.readouterr().err
+        for text in (page, said):
+            assert "Only 0 of 3 steps are OK" in text
+            assert "see `probevo info SEQUENCE`." in text
 
 
 @pytest.mark.parametrize(

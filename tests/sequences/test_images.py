@@ -7,8 +7,25 @@ import numpy as np
 import pytest
 
 from probevo.errors import InputError
-from probevo.sequences.images import read_gray
+from probevo.sequences.images import list_pairs, read_gray
 from sequences.recordings import image, write_image
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"img_{k}.png" for k in range(12)],
+        [f"{k:06d}.png" for k in range(12)],
+        ["2_9.png", "2_10.png", "10_1.png", "a.png"],
+        ["img_01.png", "img_1.png", "img_02.png"],
+    ],
+)
+def test_pictures_come_in_the_order_of_their_numbers(names: list[str], tmp_path: Path) -> None:
+    for name in reversed(names):
+        for side in ("left", "right"):
+            write_image(tmp_path / side / name, image(0))
+    for files in list_pairs(tmp_path / "left", tmp_path / "right"):
+        assert [file.name for file in files] == names
 
 
 def test_gray_png_comes_back_exactly(tmp_path: Path) -> None:

@@ -58,6 +58,14 @@ FOLDER: dict[str, tuple[Edit, list[str]]] = {
     "times duplicate": (replace("times.txt", "00.223", "00.123"), ["times.txt", "stamp 1", "duplicate"]),
     "times not numbers": (replace("times.txt", T0, "noon"), ["times.txt:1", "'noon'"]),
     "times NaN": (replace("times.txt", T0, "nan"), ["times.txt:1", "'nan'", "finite"]),
+    "times in ns, one NaN": (
+        write("times.txt", b"1400000000000000000\nnan\n1400000000200000000\n1400000000300000000\n"),
+        ["times.txt:2", "'nan'", "not a finite number"],
+    ),
+    "times in ns with exponents": (
+        write("times.txt", b"1.4e18\n1.41e18\n1.42e18\n1.43e18\n"),
+        ["times.txt:1", "too large for a number of seconds", "nanoseconds?"],
+    ),
     "times counted": (write("times.txt", b"0\n1\n2\n3\n"), ["times.txt", "decimal point"]),
     "times too large": (write("times.txt", b"1e30\n2e30\n3e30\n4e30\n"), ["times.txt:1", "1e30"]),
     "poses too few": (drop_line("poses.txt", 0), ["poses.txt", "3 poses", "4 frames"]),

@@ -5,7 +5,7 @@ import pytest
 
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
-from probevo.sequences.poses import check_rotation, ground_truth, interpolate_poses
+from probevo.sequences.poses import ground_truth, interpolate_poses
 
 MS = 1_000_000
 STAMPS_NS = 100 * MS * np.arange(5)
@@ -44,9 +44,9 @@ def test_truth_is_relative_to_its_first_known_pose() -> None:
 @pytest.mark.parametrize("C", [np.zeros((3, 3)), 1.01 * np.eye(3), np.diag([1.0, 1.0, -1.0])])
 def test_a_matrix_that_does_not_rotate_is_refused(C: np.ndarray) -> None:
     with pytest.raises(InputError, match="not a rotation matrix"):
-        check_rotation(C, "calib.yaml: C_cam_imu")
+        so3.check_rotation(C, "calib.yaml: C_cam_imu")
 
 
 def test_rounded_rotations_become_orthonormal() -> None:
-    C = check_rotation(np.round(so3.exp(np.array([0.3, -0.2, 0.9])), 5), "calib.txt")
+    C = so3.check_rotation(np.round(so3.exp(np.array([0.3, -0.2, 0.9])), 5), "calib.txt")
     np.testing.assert_allclose(C @ C.T, np.eye(3), atol=1e-14)

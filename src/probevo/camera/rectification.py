@@ -12,6 +12,7 @@ import numpy as np
 from probevo.arrays import AnyArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera, check_camera, check_intrinsics
 from probevo.errors import InputError
+from probevo.geometry import so3
 
 DistortionModel = Literal["radtan", "equidistant"]
 _Maps = tuple[AnyArray, AnyArray]
@@ -66,7 +67,8 @@ class Rectification:
             where: the file at fault, for messages.
 
         Raises:
-            InputError: the two cameras do not match, or no horizontal stereo pair results.
+            InputError: the two cameras do not match, T_right_left holds no rotation, or no horizontal stereo pair
+                results that sees what the raw one saw.
         """
         _check_pair(left, right, T_right_left, where)
         C_rect_left, C_rect_right, P_left, P_right = _stereo_rectify(left, right, T_right_left)
@@ -82,11 +84,20 @@ class Rectification:
             size_px=left.size_px,
         )
         check_camera(camera, where)
+        _check_view(camera, where)
         left_maps, right_maps = _raw_pixels(left, C_rect_left, P_left), _raw_pixels(right, C_rect_right, P_right)
         return cls(camera, C_rect_left, left_maps, right_maps)
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
-        """The rectified pair, [height, width] each, of a raw pair of the same size."""
+        """The rectified pair, [height, width] each, of a raw pair of the same size.
+
+        Raises:
+            InputError: an image has not the size that the cameras were calibrated with.
+        """
+        for name, image in (("left", left), ("right", right)):
+            if image.shape[1::-1] != self.camera.size_px:
+                what = f"the {name} image has shape {image.shape}, the cameras see {self.camera.size_px} px."
+                raise InputError("rectification", what, "Give raw images of the size of the calibration.")
         return _remap(left, self.left_maps), _remap(right, self.right_maps)
 
 
@@ -101,9 +112,22 @@ def _check_pair(left: PinholeCamera, right: PinholeCamera, T_right_left: FloatAr
         raise InputError(
             where, "T_right_left has an entry that is not finite.", "Check the extrinsics of both cameras."
         )
+    so3.check_rotation(T_right_left[:3, :3], f"{where}: T_right_left")
+    if T_right_left[2, 2] <= 0.0:
+        what = "the left and right cameras look in opposite directions."
+        raise InputError(where, what, "Check the rotation between the cameras.")
     if not T_right_left[:3, 3].any():
         what = "the left and right cameras are at the same place."
         raise InputError(where, what, "Are the left and right calibration the same file?")
+
+
+def _check_view(camera: StereoCamera, where: str | Path) -> None:
+    """Refuse a rectified pair that looks past what it was made from."""
+    width_px, height_px = camera.size_px or (0, 0)
+    if not (0.0 <= camera.cu_px <= width_px and 0.0 <= camera.cv_px <= height_px):
+        what = f"the rectified cameras would look at ({camera.cu_px:.0f}, {camera.cv_px:.0f}) px, outside the image"
+        cure = "Check the distortion, and the rotation between the cameras: both have to look the same way."
+        raise InputError(where, f"{what} of {width_px} × {height_px} px.", cure)
 
 
 def _check_pinhole(camera: PinholeCamera, where: str) -> None:

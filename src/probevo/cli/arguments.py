@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import tyro
@@ -15,6 +16,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
+from probevo.errors import InputError
 from probevo.run_config import OWN_KEYS, RunConfig, setting_error
 
 Arguments = TypeVar("Arguments")
@@ -25,7 +27,13 @@ _registry = ConstructorRegistry()
 
 
 def parse(kind: type[Arguments], words: list[str], command: str, default: Arguments | None = None) -> Arguments:
-    """The words as a ``kind``; its docstrings are the help. Exits with code 2 and a hint if they do not fit."""
+    """The words as a ``kind``; its docstrings are the help. Exits with code 2 and a hint if they do not fit.
+
+    Raises:
+        InputError: --out is empty, which would be the current directory.
+    """
+    if "--out=" in words or ("--out", "") in pairwise(words):
+        raise InputError("--out", "is empty.", "Name a folder, or the file to write; . is the current directory.")
     given: dict[str, Any] = {} if default is None else {"default": default}
     with _registry:
         parsed: Arguments = tyro.cli(

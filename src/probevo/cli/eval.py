@@ -50,6 +50,8 @@ class Trajectory:
     """Their covariances, [N-1, 6, 6]."""
     out_of_domain: float | None = None
     """See ``RunResult.out_of_domain``."""
+    stopped: str | None = None
+    """See ``RunResult.stopped``."""
 
 
 def main(words: list[str]) -> None:
@@ -63,7 +65,7 @@ def main(words: list[str]) -> None:
     truth = read_trajectory(arguments.gt, arguments.gt_format)
     T_world_cam_true, remark = match_truth(estimate, truth)
     metrics = evaluate(estimate.T_world_cam, T_world_cam_true, estimate.T_curr_prev, estimate.cov)
-    metrics = replace(metrics, out_of_domain=estimate.out_of_domain)
+    metrics = replace(metrics, out_of_domain=estimate.out_of_domain, stopped=estimate.stopped)
     rows = metrics_rows(metrics)
     width = max(len(name) for name, _, _ in rows)
     print(columns((f"{name:<{width}}  {value}", text) for name, value, text in rows))
@@ -82,7 +84,8 @@ def read_run(folder: Path) -> Trajectory:
     if not path.exists():
         raise InputError(path, "this file is missing.", "Give the --out folder of `probevo run`, or a trajectory file.")
     result = read_motions(path)
-    return Trajectory(path, result.T_world_cam, result.stamps_ns, result.T_curr_prev, result.cov, result.out_of_domain)
+    poses, motions = (result.T_world_cam, result.stamps_ns), (result.T_curr_prev, result.cov)
+    return Trajectory(path, *poses, *motions, result.out_of_domain, result.stopped)
 
 
 def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:
@@ -96,6 +99,10 @@ def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:
 
     if form is None:
         where, line = read_lines(path, "Give a file of poses, one a line.")[0]
+        if "," in line:
+            cure = "Set blanks in place of commas. EuRoC's own truth is of the body: `probevo run` compares with it."
+            what = "its numbers are apart by commas; in KITTI's and TUM's form they are not."
+            raise InputError(where, what, cure)
         if len(line.split()) not in COLUMNS:
             what = f"this line has {len(line.split())} columns."
             raise InputError(where, what, "Poses have 12 columns in KITTI's form and 8 in TUM's (stamp, t, q).")

@@ -22,8 +22,18 @@ GAP_FACTOR = 1.5
 """A step longer than this many median ones is called a gap."""
 USUAL_VIEW_DEG = (20.0, 150.0)
 USUAL_BASELINE_M = (0.03, 3.0)
+USUAL_RATE_HZ = (0.5, 500.0)
+MOST_OFF_CENTER = 0.1
+"""Share of width or height by which the principal point may miss the middle of the image."""
+MOST_UNSQUARE = 0.1
+"""By how much the two focal lengths may differ."""
 LEAST_DISPARITY_PX = 0.25
 """If nine matches of ten have less, left and right are taken for the same picture; noise of matching is 0.1 to 0.2."""
+
+IMAGE_DOUBTS = ("Are left and right the same picture?", "Is the picture sharp and textured?")
+"""What to ask where disparities are next to nothing, and where there are no matches."""
+FEATURE_DOUBTS = ("Are columns 0 and 2 of uv the same?", "Do the ids repeat from frame to frame?")
+"""The same of a tracks file."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +71,7 @@ def describe(sequence: Sequence) -> Rows:
         ("recording", str(sequence.path)),
         ("format", sequence.format),
         ("frames", frames_text(sequence.stamps_ns)),
+        *_odd_rate(sequence),
         *_gaps(sequence),
         ("camera", camera_text(sequence.camera) + (", rectified on the fly" if rectified else "")),
         *_odd_camera(sequence),
@@ -69,6 +80,15 @@ def describe(sequence: Sequence) -> Rows:
         rows += _imu(sequence, sequence.imu_stream)
     rows += [("truth", truth_text(sequence.truth))]
     return [*rows, ("IMU is used", imu_use_text(sequence, RunConfig()))]
+
+
+def _odd_rate(sequence: Sequence) -> Rows:
+    import numpy as np
+
+    rate_hz = 1e9 / float(np.median(np.diff(sequence.stamps_ns))) if len(sequence) > 1 else USUAL_RATE_HZ[0]
+    if USUAL_RATE_HZ[0] <= rate_hz <= USUAL_RATE_HZ[1]:
+        return []
+    return [("! rate", f"{rate_hz:g} Hz is unusual. Are the stamps in the unit that the format asks for?")]
 
 
 def _gaps(sequence: Sequence) -> Rows:
@@ -87,12 +107,20 @@ def _gaps(sequence: Sequence) -> Rows:
 def _odd_camera(sequence: Sequence) -> Rows:
     from probevo.output.run_facts import field_of_view_deg
 
-    view_deg, baseline_m = field_of_view_deg(sequence.camera), sequence.camera.baseline_m
+    camera = sequence.camera
+    view_deg, baseline_m = field_of_view_deg(camera), camera.baseline_m
     rows = []
     if not (USUAL_BASELINE_M[0] <= baseline_m <= USUAL_BASELINE_M[1]):
         rows.append(("! baseline", f"{baseline_m:g} m is unusual. Is it in metres?"))
-    if sequence.camera.size_px and not (USUAL_VIEW_DEG[0] <= view_deg <= USUAL_VIEW_DEG[1]):
+    if camera.size_px and not (USUAL_VIEW_DEG[0] <= view_deg <= USUAL_VIEW_DEG[1]):
         rows.append(("! view", f"{view_deg:.0f}° is unusual. Do focal length and image size belong together?"))
+    centers = zip((camera.cu_px, camera.cv_px), camera.size_px or (), strict=False)
+    if any(abs(center_px / length_px - 0.5) > MOST_OFF_CENTER for center_px, length_px in centers):
+        middle = f"({camera.cu_px:.0f}, {camera.cv_px:.0f}) is the middle of {2 * camera.cu_px:.0f}×"
+        rows.append(("! center", f"{middle}{2 * camera.cv_px:.0f} px. Calibrated at another resolution?"))
+    if abs(camera.fu_px / camera.fv_px - 1.0) > MOST_UNSQUARE:
+        unlike = f"fu is {camera.fu_px:.1f} px, fv {camera.fv_px:.1f} px; pixels are usually square."
+        rows.append(("! focal length", f"{unlike} Was the image scaled in one direction?"))
     return rows
 
 
@@ -144,7 +172,7 @@ def examine(sequence: Sequence) -> Rows:
     import numpy as np
 
     from probevo.tracking import Tracks, tracker_for
-    from probevo.tracking.left_right import FRAMES_TO_SEE, count_matches, looks_swapped
+    from probevo.tracking.left_right import FRAMES_TO_SEE, count_matches, exchange, looks_swapped
 
     config = RunConfig().tracking
     frames = list(islice(sequence, FRAMES_TO_SEE + 1))
@@ -153,19 +181,20 @@ def examine(sequence: Sequence) -> Rows:
         return [("! images", f"left and right are identical in the first {len(frames)} frames: no depth, no motion")]
     if len(frames) < 2:
         return []
+    same, sharp = FEATURE_DOUBTS if frames[0].features is not None else IMAGE_DOUBTS
     tracker = tracker_for(frames[0], sequence.camera, config)
     seen: list[Tracks] = [tracker.track(frame, np.eye(4)) for frame in frames]
     ahead, behind = np.sum([count_matches(tracks) for tracks in seen], axis=0).tolist()
     pixels = np.concatenate([tracks.curr_px for tracks in seen])
     # First, as noise drives most matches of a picture with itself below zero, and so out of the tracks.
     disparity_px = pixels[:, 0] - pixels[:, 2]
-    if len(pixels) > 0.1 * (ahead + behind) and np.percentile(disparity_px, 90) < LEAST_DISPARITY_PX:
-        same = f"nine in ten are under {LEAST_DISPARITY_PX} px. Are left and right the same picture?"
-        return [("! disparity", same)]
+    if len(pixels) > 0.1 * (ahead + behind) and np.percentile(np.abs(disparity_px), 90) < LEAST_DISPARITY_PX:
+        return [("! disparity", f"nine in ten are under {LEAST_DISPARITY_PX} px. {same}")]
     if looks_swapped(ahead, behind):
-        return [("! matches", f"{behind} of {ahead + behind} have negative disparity. Are left and right swapped?")]
+        negative = f"{behind} of {ahead + behind} have negative disparity. Are left and right swapped?"
+        return [("! matches", f"{negative} {exchange(sequence.path)}")]
     if len(pixels) < 2:
-        return [("! matches", f"{len(pixels)} in the first {len(frames)} frames. Is the picture sharp and textured?")]
+        return [("! matches", f"{len(pixels)} in the first {len(frames)} frames. {sharp}")]
     rows_px = pixels[:, 3] - pixels[:, 1]
     depth_m = sequence.camera.fu_px * sequence.camera.baseline_m / max(float(np.median(disparity_px)), 1e-9)
     tenth, half, most = np.percentile(disparity_px, [10, 50, 90])

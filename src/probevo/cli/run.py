@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from dataclasses import dataclass, field
 from itertools import count
@@ -48,11 +49,14 @@ def main(words: list[str]) -> None:
     if arguments.threads < 1:
         raise InputError("--threads", f"is {arguments.threads}.", "It must be at least 1.")
     settings = settings.model_copy(update={"sequence": arguments.sequence})
+    from probevo.output.run_warnings import status_warning
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format)
     run = run_with_progress(sequence, settings, arguments.out, arguments.threads)
-    print("\n".join(summary(run, arguments.out)))
+    print("\n".join(summary(run, arguments.out)), flush=True)
+    if warning := status_warning(run.result.status):
+        print(f"probevo: warning: {warning}", file=sys.stderr)
 
 
 def _defaults(words: list[str]) -> RunArguments:

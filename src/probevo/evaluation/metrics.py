@@ -52,6 +52,8 @@ class Metrics:
     out_of_domain: float | None = None
     """Share, 0 … 1, of the features solved with that lie where the noise model has seen no training data; None if it
     knows of no such place. It comes from the run, needs no truth, and is left to the caller of ``evaluate``."""
+    stopped: str | None = None
+    """What stopped the run before all its frames were through; None if nothing did. It comes from the run, too."""
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, in the order above."""

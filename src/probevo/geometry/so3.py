@@ -5,12 +5,18 @@ Functions are batched over leading dimensions. The adjoint of a rotation is the 
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray
+from probevo.errors import InputError
 from probevo.geometry.logarithms import log_rotations
 from probevo.geometry.stumpff import stumpff
+
+ROTATION_TOLERANCE = 1e-3
+"""Largest entry of C Cᵀ − 1 that rounding in a text file may explain."""
 
 
 def wedge(phi: FloatArray) -> FloatArray:
@@ -46,3 +52,17 @@ def left_jacobian(phi: FloatArray) -> FloatArray:
     c_2, c_3 = stumpff((2, 3), angle_sq)
     jacobian: FloatArray = np.eye(3) + c_2 * phi_wedge + c_3 * phi_wedge @ phi_wedge
     return jacobian
+
+
+def check_rotation(C: FloatArray, where: str | Path) -> FloatArray:
+    """The orthonormal matrices nearest to C, [..., 3, 3].
+
+    Raises:
+        InputError: one of them is no rotation, beyond rounding.
+    """
+    deviation = np.abs(C @ C.mT - np.eye(3)).max(axis=(-2, -1))
+    bad = np.flatnonzero(~(deviation < ROTATION_TOLERANCE) | ~(np.linalg.det(C) > 0))
+    if len(bad):
+        what = "this is not a rotation matrix" if C.ndim == 2 else f"pose {bad[0]} (from 0) holds no rotation matrix"
+        raise InputError(where, f"{what}: its columns must be orthonormal and right-handed.")
+    return Rotation.from_matrix(C).as_matrix()

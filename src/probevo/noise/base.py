@@ -19,7 +19,7 @@ class StereoNoise:
     """Noise of N stereo features: each is Student-t with the given scale, dof and bias (PROBE-GK eq. 12)."""
 
     scale: FloatArray
-    """Scale matrix, [N, 4, 4], px²; the covariance is dof/(dof − 2) times this."""
+    """Scale matrix, [N, 4, 4], px²; the covariance is dof/(dof − 2) times this; there is none for dof ≤ 2."""
     dof: FloatArray
     """Degrees of freedom, [N]; np.inf is Gaussian."""
     bias: FloatArray

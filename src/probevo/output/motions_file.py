@@ -37,6 +37,7 @@ def write_motions(path: Path, result: RunResult) -> None:
     arrays |= {
         _REJECTED + name.replace(" ", "_"): np.array(count, dtype=np.int64) for name, count in result.rejected.items()
     }
+    arrays |= {} if result.stopped is None else {"stopped": np.array(result.stopped)}
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]  # NumPy 2.0 would store allow_pickle as an array
     write_atomically(path, buffer.getvalue())
@@ -78,6 +79,7 @@ def read_motions(path: Path) -> RunResult:
         },
         num_used=_take(path, arrays, "num_used", (steps,)) if "num_used" in arrays else None,
         num_out_of_domain=_take(path, arrays, "num_out_of_domain", (steps,)) if "num_out_of_domain" in arrays else None,
+        stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
     )
 
 

@@ -13,7 +13,6 @@ from probevo.evaluation.consistency import Consistency, motion_consistency
 from probevo.evaluation.metrics import Metrics
 from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.motion.estimate import Status
-from probevo.output.domain import domain_warning
 from probevo.output.metrics_table import metrics_rows, readable
 from probevo.output.page import frames_section, grid, panel, write_page
 from probevo.output.report_calibration import calibration_figure
@@ -28,6 +27,7 @@ from probevo.output.report_timelines import (
     tracks_figure,
 )
 from probevo.output.run_result import RunResult
+from probevo.output.run_warnings import run_warnings
 from probevo.output.svg import figure_style
 
 _CALIBRATION_NOTE = (
@@ -72,7 +72,7 @@ def write_report(
         figures = _figures(result, drift, consistency)
     cards = '<section class="cards">\n' + "\n".join(_cards(result, drift, metrics)) + "\n</section>"
     details = [_metrics_section(metrics), frames_section(thumbnails), _config_section(config)]
-    write_page(path, title, facts, [_warning_section(result), cards, grid(figures), *details])
+    write_page(path, title, facts, [*_warning_sections(result), cards, grid(figures), *details])
 
 
 def _cards(result: RunResult, drift: Drift, metrics: Metrics | None) -> list[str]:
@@ -163,9 +163,11 @@ def _card(name: str, value: str, unit: str, aside: str) -> str:
     )
 
 
-def _warning_section(result: RunResult) -> str:
-    warning = domain_warning(result.out_of_domain)
-    return f'<section class="panel warning"><h2>Out of domain</h2>{escape(warning)}</section>' if warning else ""
+def _warning_sections(result: RunResult) -> list[str]:
+    return [
+        f'<section class="panel warning"><h2>{heading}</h2>{escape(text)}</section>'
+        for heading, text in run_warnings(result).items()
+    ]
 
 
 def _metrics_section(metrics: Metrics | None) -> str:

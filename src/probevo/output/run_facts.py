@@ -12,20 +12,21 @@ from probevo.arrays import IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.output.domain import domain_text
+from probevo.output.run_result import RunResult
 from probevo.run_config import RunConfig
 from probevo.sequences import GroundTruth, Sequence
 
 
-def run_facts(sequence: Sequence, config: RunConfig, out_of_domain: float | None = None) -> dict[str, str]:
-    """What a reader of the report should know about a run, by name; ``RunResult.out_of_domain`` is its share."""
-    domain = {} if out_of_domain is None else {"Out of its domain": domain_text(out_of_domain)}
+def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[str, str]:
+    """What a reader of the report should know about a run, by name."""
+    domain = {} if result.out_of_domain is None else {"Out of its domain": domain_text(result.out_of_domain)}
     return {
         "Recording": str(sequence.path),
         "Format": sequence.format,
-        "Frames": frames_text(sequence.stamps_ns[: config.max_frames]),
+        "Frames": frames_text(result.stamps_ns, len(sequence)),
         "Camera": camera_text(sequence.camera),
         "IMU": imu_use_text(sequence, config),
-        "Truth": truth_text(sequence.truth),
+        "Truth": truth_text(sequence.truth, len(result)),
         "Noise model": config.noise,
         **domain,
         "OpenCV threads": str(cv2.getNumThreads()),
@@ -33,12 +34,13 @@ def run_facts(sequence: Sequence, config: RunConfig, out_of_domain: float | None
     }
 
 
-def frames_text(stamps_ns: IntArray) -> str:
-    """Number of frames, duration and rate."""
+def frames_text(stamps_ns: IntArray, recorded: int | None = None) -> str:
+    """Number of frames, duration and rate; and of how many ``recorded`` ones they are the first, if there are more."""
+    of = "" if recorded in (None, len(stamps_ns)) else f" of {recorded:,}"
     seconds = float(stamps_ns[-1] - stamps_ns[0]) * 1e-9
     if len(stamps_ns) < 2:
         return "1"
-    return f"{len(stamps_ns):,} in {seconds:.1f} s ({1e9 / float(np.median(np.diff(stamps_ns))):.2f} Hz)"
+    return f"{len(stamps_ns):,}{of} in {seconds:.1f} s ({1e9 / float(np.median(np.diff(stamps_ns))):.2f} Hz)"
 
 
 def camera_text(camera: StereoCamera) -> str:
@@ -67,9 +69,9 @@ def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
     return f"gyro {', '.join(uses)}"
 
 
-def truth_text(truth: GroundTruth | None) -> str:
-    """How many frames have a true pose, and how far they lead."""
+def truth_text(truth: GroundTruth | None, num_frames: int | None = None) -> str:
+    """How many frames, of the first ``num_frames``, have a true pose, and how far they lead."""
     if truth is None:
         return "none"
-    known = truth.T_world_cam[truth.known]
-    return f"{len(known):,} of {len(truth.stamps_ns):,} frames, {path_length(known):.1f} m"
+    known = truth.known[:num_frames]
+    return f"{known.sum():,} of {len(known):,} frames, {path_length(truth.T_world_cam[:num_frames][known]):.1f} m"

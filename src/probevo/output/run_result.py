@@ -48,6 +48,8 @@ class RunResult:
     num_out_of_domain: IntArray | None = None
     """Those of them that lie where the noise model has seen no training data, [N-1]; None if it knows of no such place.
     """
+    stopped: str | None = None
+    """What stopped the run before all its frames were through, such as a damaged image; None if nothing did."""
 
     @property
     def out_of_domain(self) -> float | None:

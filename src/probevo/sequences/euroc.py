@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.rectification import PinholeCamera, Rectification
 from probevo.errors import InputError
-from probevo.geometry import se3
+from probevo.geometry import se3, so3
 from probevo.sequences.frame import GroundTruth, ImuCalibration
 from probevo.sequences.imu import ImuStream
-from probevo.sequences.poses import check_rotation, ground_truth, interpolate_poses
+from probevo.sequences.poses import ground_truth, interpolate_poses
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import check_stamps
 from probevo.sequences.text import parse_stamp_ns, read_lines, read_stamped_csv
@@ -48,7 +48,7 @@ class SensorFile(BaseModel):
     def body_from_sensor(self, where: Path) -> FloatArray:
         """T_body_sensor, [4, 4]."""
         T = np.reshape(self.T_BS.data, (4, 4))
-        return se3.from_parts(check_rotation(T[:3, :3], f"{where}: T_BS"), T[:3, 3])
+        return se3.from_parts(so3.check_rotation(T[:3, :3], f"{where}: T_BS"), T[:3, 3])
 
 
 class CameraFile(SensorFile):

@@ -20,11 +20,11 @@ from pydantic import (
 from probevo.arrays import IntArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
+from probevo.geometry import so3
 from probevo.sequences.frame import ImuCalibration
 from probevo.sequences.images import list_pairs
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.pose_files import read_kitti_truth
-from probevo.sequences.poses import check_rotation
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import NS_PER_S, read_times
 from probevo.sequences.text import read_stamped_csv
@@ -72,7 +72,7 @@ class FolderCalibration(BaseModel):
 def open_folder(path: Path) -> StereoRecording:
     """Open a folder of this layout::
 
-        left/ right/   rectified images (PNG, JPEG), paired by name, in the order of their names
+        left/ right/   rectified images (PNG, JPEG), paired by name, in the natural order of their names
         calib.yaml     fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px, and with an IMU the section
                        imu: C_cam_imu, gyro_noise_rad_s_sqrt_hz, gyro_bias_sigma_rad_s
                        [, gyro_bias_walk_rad_s2_sqrt_hz] [, time_offset_s]
@@ -110,7 +110,7 @@ def _read_imu(
     stamps_ns, values = read_stamped_csv(samples, 6, header=IMU_HEADER, cure=cure)
     stamps_ns = stamps_ns + round(section.time_offset_s * NS_PER_S)
     calibration = ImuCalibration(
-        check_rotation(np.reshape(section.C_cam_imu, (3, 3)), f"{path / 'calib.yaml'}: imu.C_cam_imu"),
+        so3.check_rotation(np.reshape(section.C_cam_imu, (3, 3)), f"{path / 'calib.yaml'}: imu.C_cam_imu"),
         section.gyro_noise_rad_s_sqrt_hz,
         section.gyro_bias_sigma_rad_s,
         section.gyro_bias_walk_rad_s2_sqrt_hz,

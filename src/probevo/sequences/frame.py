@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -9,10 +10,14 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.errors import InputError
+from probevo.geometry import so3
 
 if TYPE_CHECKING:
     from probevo.camera.stereo import StereoCamera
     from probevo.tracking.preparation import PreparedImages
+
+SHORTEST_STEP_NS = 1_000
+"""No camera takes frames closer together; stamps that are have another unit."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,17 @@ class ImuCalibration:
     """Standard deviation of the unknown constant gyro bias at start, rad/s."""
     gyro_bias_walk_rad_s2_sqrt_hz: float = 0.0
     """Density of the bias random walk, rad/s²/√Hz."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no IMU has.
+
+        Raises:
+            InputError: C_cam_imu is no rotation, or a noise figure is negative or not finite.
+        """
+        so3.check_rotation(self.C_cam_imu, "C_cam_imu")
+        for name in ("gyro_noise_rad_s_sqrt_hz", "gyro_bias_sigma_rad_s", "gyro_bias_walk_rad_s2_sqrt_hz"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise InputError(name, f"is {getattr(self, name)}.", "It must be a finite number, and not negative.")
 
 
 @dataclass(frozen=True)
@@ -85,10 +101,17 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
     """Refuse images, or features, that a reader would not have let through.
 
     Raises:
-        InputError: images that are not grey, of 8 bits, and of the camera's size; an identity that appears twice; IMU
-            samples out of order, or of which the turn rate is not known.
+        InputError: a stamp that is no whole number; an image that is missing, or not grey, of 8 bits, and of the
+            camera's size; an identity that appears twice; IMU samples out of order, or of which the turn rate is not
+            known.
     """
     where = f"frame {frame.index}"
+    if not isinstance(frame.stamp_ns, int | np.integer):
+        raise InputError(where, f"its stamp_ns is {frame.stamp_ns!r}.", "Give whole nanoseconds, as an int.")
+    if frame.features is None and (frame.left is None or frame.right is None):
+        missing = [name for name in ("left", "right") if getattr(frame, name) is None]
+        what = f"its {missing[0]} image is missing." if len(missing) == 1 else "it has neither images nor features."
+        raise InputError(where, what, "Give both images, or features.")
     for name, image in (("left", frame.left), ("right", frame.right)):
         if image is not None and (image.ndim != 2 or image.dtype != np.uint8):
             what = f"its {name} image is {image.dtype} of shape {image.shape}."
@@ -108,11 +131,17 @@ def check_order(before: Frame, frame: Frame) -> float:
     """Time from one frame to the next, s.
 
     Raises:
-        InputError: the second is not after the first.
+        InputError: the second is not after the first, is too soon after it, or has features where that had images.
     """
+    where = f"frame {frame.index}"
     if frame.stamp_ns <= before.stamp_ns:
         what = f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before, {before.stamp_ns} ns."
-        raise InputError(f"frame {frame.index}", what, "Give the frames in the order of their times.")
+        raise InputError(where, what, "Give the frames in the order of their times.")
+    if frame.stamp_ns - before.stamp_ns < SHORTEST_STEP_NS:
+        what = f"its stamp, {frame.stamp_ns} ns, is less than 1 µs after that of the frame before."
+        raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")
+    if (frame.features is None) != (before.features is None):
+        raise InputError(where, "one of it and the frame before has images, the other features.", "Keep to one kind.")
     return 1e-9 * (frame.stamp_ns - before.stamp_ns)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 from pathlib import Path
 
@@ -17,13 +18,13 @@ JPEG_MAGIC, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 
 
 def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
-    """Image files of two folders, paired by name, in the order of their names.
+    """Image files of two folders, paired by name, in the natural order of their names.
 
     Raises:
         InputError: a folder is missing or holds no image, or an image lacks its partner.
     """
     left_files, right_files = _list_images(left), _list_images(right)
-    lonely = sorted(left_files.keys() ^ right_files.keys())
+    lonely = sorted(left_files.keys() ^ right_files.keys(), key=natural_order)
     if lonely:
         folder, other = (left, right) if lonely[0] in left_files else (right, left)
         what = f"the partner of {folder.name}/{lonely[0]} is missing"
@@ -35,10 +36,16 @@ def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
 def _list_images(folder: Path) -> dict[str, Path]:
     if not folder.is_dir():
         raise InputError(folder, "this image folder is missing.", "Left and right images lie in one folder each.")
-    files = {path.name: path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES}
+    files = {path.name: path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
     if not files:
         raise InputError(folder, "this folder holds no image.", f"Looked for {', '.join(sorted(SUFFIXES))}.")
-    return files
+    return {name: files[name] for name in sorted(files, key=natural_order)}
+
+
+def natural_order(name: str) -> tuple[tuple[str | int, ...], str]:
+    """A key to sort names by, digits as numbers: img_2 before img_10, with zeros in front or not."""
+    parts = re.split("([0-9]+)", name)  # text and number in turn, so that like is compared with like
+    return tuple(int(part) if at % 2 else part for at, part in enumerate(parts)), name
 
 
 def read_gray(path: Path, size_px: tuple[int, int] | None = None) -> Image:

@@ -9,8 +9,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
-from probevo.geometry import se3
-from probevo.sequences.poses import check_rotation
+from probevo.geometry import se3, so3
 from probevo.sequences.text import parse_floats, read_lines
 
 
@@ -33,7 +32,7 @@ class KittiCalibration:
 
     def rotation(self, field: str) -> FloatArray:
         """A rotation matrix, [3, 3]."""
-        return check_rotation(self.array(field, 3, 3), f"{self.path}: {field}")
+        return so3.check_rotation(self.array(field, 3, 3), f"{self.path}: {field}")
 
     def rigid_transform(self) -> FloatArray:
         """The transform that the fields R and T make up, [4, 4]."""

@@ -12,7 +12,7 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.sequences.frame import ImuCalibration
-from probevo.sequences.images import list_pairs
+from probevo.sequences.images import list_pairs, natural_order
 from probevo.sequences.imu import ImuStream, hold_over_interval
 from probevo.sequences.kitti_calibration import KittiCalibration
 from probevo.sequences.poses import ground_truth, interpolate_poses
@@ -84,7 +84,7 @@ def _rectified_camera_from_imu(drive: Path, cam_to_cam: KittiCalibration) -> Flo
 
 def _read_oxts(folder: Path) -> tuple[IntArray, FloatArray]:
     """Stamps [M] and packets [M, 30] of an ``oxts`` folder."""
-    files = sorted((folder / "data").glob("*.txt"))
+    files = sorted((folder / "data").glob("*.txt"), key=lambda file: natural_order(file.name))
     if len(files) < 2:
         raise InputError(folder / "data", f"{len(files)} OXTS packets; at least 2 are needed.")
     stamps_ns = read_datetimes(folder / "timestamps.txt", len(files))

@@ -5,33 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import GroundTruth
 
-ROTATION_TOLERANCE = 1e-3
-"""Largest entry of C Cᵀ − 1 that rounding in a text file may explain."""
 LONGEST_GAP_NS = 500_000_000
 """Truth is not interpolated over longer gaps; the slowest common source (OXTS in sync drives) comes every 0.1 s."""
 LONGEST_EXTRAPOLATION_NS = 50_000_000
 """Nor carried further beyond its ends: half a period of that source."""
-
-
-def check_rotation(C: FloatArray, where: str | Path) -> FloatArray:
-    """The orthonormal matrices nearest to C, [..., 3, 3].
-
-    Raises:
-        InputError: one of them is no rotation, beyond rounding.
-    """
-    deviation = np.abs(C @ C.mT - np.eye(3)).max(axis=(-2, -1))
-    bad = np.flatnonzero(~(deviation < ROTATION_TOLERANCE) | ~(np.linalg.det(C) > 0))
-    if len(bad):
-        what = "this is not a rotation matrix" if C.ndim == 2 else f"pose {bad[0]} (from 0) holds no rotation matrix"
-        raise InputError(where, f"{what}: its columns must be orthonormal and right-handed.")
-    return Rotation.from_matrix(C).as_matrix()
 
 
 def check_poses(T: FloatArray, where: str | Path) -> tuple[BoolArray, FloatArray]:
@@ -44,7 +27,7 @@ def check_poses(T: FloatArray, where: str | Path) -> tuple[BoolArray, FloatArray
     broken = np.flatnonzero(~np.isfinite(np.where(unknown, 0.0, T)).reshape(len(T), 16).all(axis=1))
     if len(broken):
         raise InputError(where, f"pose {broken[0]} (from 0) is partly not finite.", "Use NaN throughout for unknown.")
-    return unknown, check_rotation(np.where(unknown, np.eye(3), T[:, :3, :3]), where)
+    return unknown, so3.check_rotation(np.where(unknown, np.eye(3), T[:, :3, :3]), where)
 
 
 def ground_truth(stamps_ns: IntArray, T: FloatArray, where: str | Path) -> GroundTruth:

@@ -26,7 +26,9 @@ def read_times(path: Path, count: int) -> IntArray:
     if all(line.lstrip("-").isdigit() for _, line in lines):
         stamps = [parse_stamp_ns(line, where) for where, line in lines]
     else:
-        stamps = [seconds_to_ns(line, where) for where, line in lines]
+        numbers = [_finite(line, where) for where, line in lines]  # first of all, lest nan make seconds of nanoseconds
+        cure = "Are these nanoseconds? Then write all of them as whole numbers, without point or exponent."
+        stamps = [_to_ns(number, *line, cure) for number, line in zip(numbers, lines, strict=True)]
     return check_stamps(np.array(stamps, dtype=np.int64), path, count)
 
 
@@ -58,12 +60,23 @@ def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = Non
 
 def seconds_to_ns(text: str, where: str) -> int:
     """A stamp written as a decimal number of seconds, ns. Raises InputError for anything else."""
+    return _to_ns(_finite(text, where), where, text, "Are these nanoseconds?")
+
+
+def _finite(text: str, where: str) -> Decimal:
     try:
-        stamp = Decimal(text) * NS_PER_S
+        number = Decimal(text)
     except InvalidOperation:
         raise InputError(where, f"the time {text!r} is not a number of seconds.") from None
-    if not stamp.is_finite() or abs(stamp) >= INT64_LIMIT:
+    if not number.is_finite():
         raise InputError(where, f"the time {text!r} is not a finite number of seconds.")
+    return number
+
+
+def _to_ns(seconds: Decimal, where: str, text: str, cure: str) -> int:
+    stamp = seconds * NS_PER_S
+    if abs(stamp) >= INT64_LIMIT:
+        raise InputError(where, f"the time {text!r} is too large for a number of seconds.", cure)
     return round(stamp)
 
 

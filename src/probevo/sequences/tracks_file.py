@@ -13,9 +13,10 @@ import numpy as np
 from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
+from probevo.geometry import so3
 from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration, StereoFeatures
 from probevo.sequences.imu import ImuStream, hold_over_interval
-from probevo.sequences.poses import check_rotation, ground_truth
+from probevo.sequences.poses import ground_truth
 from probevo.sequences.stamps import NS_PER_S, check_stamps
 from probevo.sequences.text import INT64_LIMIT
 
@@ -106,6 +107,9 @@ def _load(path: Path) -> dict[str, AnyArray]:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in SHAPES if name in archive}
     except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        if str(error).startswith("Object arrays"):
+            what = "one of its arrays is pickled; expected plain arrays."
+            raise InputError(path, what, "Save it as whole numbers or floats, not as objects.") from error
         what = "this is not a readable .npz file of plain arrays."  # NumPy's own words advise to load it unsafely
         raise InputError(path, what, "If it was one, it is cut short or damaged: copy it again.") from error
 
@@ -155,7 +159,7 @@ def _imu(
 ) -> tuple[ImuCalibration | None, ImuStream | None]:
     if "omega" not in arrays or len(stamps_ns) < 2:
         return None, None
-    C_cam_imu = check_rotation(arrays["C_cam_imu"], f"{path}: C_cam_imu")
+    C_cam_imu = so3.check_rotation(arrays["C_cam_imu"], f"{path}: C_cam_imu")
     held_ns, gyro = hold_over_interval(stamps_ns, arrays["omega"])
     stream = ImuStream.checked(held_ns, gyro, np.full_like(gyro, np.nan), stamps_ns, f"{path}: omega")
     return ImuCalibration(C_cam_imu, GYRO_NOISE_RAD_S_SQRT_HZ, GYRO_BIAS_SIGMA_RAD_S), stream

@@ -43,4 +43,11 @@ def check_left_right(ahead: int, behind: int, where: str | Path) -> None:
     """
     if looks_swapped(ahead, behind):
         what = f"{behind} of the first {ahead + behind} stereo matches have negative disparity."
-        raise SwappedImagesError(where, what, "Are left and right swapped? Exchange the two image folders.")
+        raise SwappedImagesError(where, what, f"Are left and right swapped? {exchange(where)}")
+
+
+def exchange(recording: str | Path) -> str:
+    """What to do where left and right are swapped; a recording that is a file holds features, not images."""
+    if Path(recording).is_file():
+        return "Exchange columns 0 and 2, and 1 and 3, of uv."
+    return "Exchange the two image folders."

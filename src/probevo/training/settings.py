@@ -142,7 +142,11 @@ class TrainSettings(Settings):
     )
     neighbors: int | None = Field(None, ge=1, description="K; left out, by cross-validation over blocks of time.")
     exponent: float | None = Field(
-        None, ge=0, le=1000, description="γ; left out, the one with the least error on the training drives."
+        None,
+        ge=0,
+        le=1000,
+        description="γ; left out, the least one whose error on the training drives is within a standard error of the"
+        " best one's.",
     )
     gk: KernelSettings = KernelSettings()
     max_frames: int | None = Field(None, ge=2, description="Of each recording, use so many frames.")

@@ -1,0 +1,21 @@
+"""The warnings of a run: which steps count, and what is said of them."""
+
+import numpy as np
+import pytest
+
+from probevo.motion.estimate import Status
+from probevo.output.run_warnings import status_warning
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s not in (Status.FIRST, Status.OK)])
+def test_the_status_that_prevails_is_named(status: Status) -> None:
+    other = Status.GAP if status is not Status.GAP else Status.DEGENERATE
+    said = status_warning(np.array([Status.OK, other, status, status]))
+    assert said is not None
+    assert said.startswith("Only 1 of 4 steps are OK")
+    assert f"Most others are {status.name.replace('_', ' ').lower()}," in said
+
+
+def test_half_of_the_steps_are_enough() -> None:
+    assert status_warning(np.array([Status.OK, Status.GAP])) is None
+    assert status_warning(np.zeros(0, np.int64)) is None
