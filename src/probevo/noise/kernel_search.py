@@ -9,13 +9,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
 from probevo.noise.kernel_folds import MOST_SAMPLES, Fold, folds_of
-from probevo.noise.kernel_posterior import LEAF, KernelPosterior, KernelShape
+from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
 from probevo.noise.student_fit import DIM, Neighborhoods
 from probevo.noise.student_kernels import LEAST_DOF, MOST_DOF
 
@@ -195,8 +194,8 @@ class _Search:
     ) -> tuple[KernelPosterior, Neighborhoods]:
         used = weights > 0.0
         coordinates, places = (np.ascontiguousarray((x * weights)[:, used]) for x in (fold.coordinates, fold.places))
-        posterior = KernelPosterior(
-            coordinates, fold.errors, fold.spread, self.published, fold.prior, KDTree(coordinates, LEAF)
+        posterior = KernelPosterior.of(
+            coordinates, fold.errors, fold.spread, published=self.published, prior=fold.prior
         )
         return posterior, posterior.around(places, shape)
 
