@@ -359,6 +359,32 @@ def test_what_a_stopped_training_knew_of_its_drives_is_not_taken_for_that_of_oth
     assert train(others, out).read_bytes() == fresh
 
 
+def changed(path: Path, to: Path, **changes: Callable[[FloatArray], FloatArray]) -> list[Sequence]:
+    """The recording with some of its arrays as these make them."""
+    with np.load(path) as archive:
+        arrays = {name: changes.get(name, np.asarray)(archive[name]) for name in archive.files}
+    np.savez(to, allow_pickle=False, **arrays)
+    return [pv.open_sequence(to)]
+
+
+def test_truth_corrected_before_it_goes_on_is_learned_from(tracks: list[Path], tmp_path: Path, out: Path) -> None:
+    """Stopped after the first recording: its features need not be found anew, but its errors are others."""
+    path = tmp_path / "drive.npz"
+    longer = changed(tracks[0], path, T_world_cam=lambda T: T * np.array([1.0, 1.0, 1.0, 1.5]))
+    with pytest.raises(KeyboardInterrupt):
+        train(longer, out, on_progress=stopping_after(FRAMES + 2))
+    right = changed(tracks[0], path)
+    assert train(right, out).read_bytes() == train(right, tmp_path / "fresh.safetensors").read_bytes()
+
+
+def test_a_calibration_corrected_before_it_goes_on_is_refused(tracks: list[Path], tmp_path: Path, out: Path) -> None:
+    path = tmp_path / "drive.npz"
+    wider = changed(tracks[0], path, camera=lambda c: c * np.array([1.0, 1.0, 1.0, 1.0, 1.1]))
+    with pytest.raises(KeyboardInterrupt):
+        train(wider, out, on_progress=stopping_after(FRAMES + 2))
+    refuse(changed(tracks[0], path), out, SETTINGS, f"{out}.work: ", "other recordings, predictors or odometry")
+
+
 def test_other_subsets_go_on_from_the_recordings(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
     """Iterations with another subset are of no use to these settings, but recordings that are through are."""
     refuse(recordings, out, SETTINGS.model_copy(update={"subset": 9, "neighbors": 10_000}), "--neighbors")
