@@ -63,8 +63,10 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
             continue
         if not value >= least.get(name, np.nextafter(0.0, np.inf)):
             raise InputError("generalized kernel", f"{name} is {value}, which is too small.", "Leave it to be chosen.")
-        if name in ("neighbors", "prior_counts") and not np.isfinite(value):
+        if name in ("neighbors", "centers", "prior_counts") and not np.isfinite(value):
             raise InputError("generalized kernel", f"{name} is {value}, which is no number.", "Leave it to be chosen.")
+        if name in ("neighbors", "centers") and int(value) != value:
+            raise InputError("generalized kernel", f"{name} is {value}, which is no whole number.", "Round it.")
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
     fits = weights.shape == (dimension,) and bool(((weights >= 0.0) & (weights <= LARGEST_WEIGHT)).all())
     if not fits or not weights.any():
@@ -94,6 +96,7 @@ def choose_shape(
     """
     dimension = coordinates.shape[1]
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
+    given = {name: int(value) if name == "neighbors" else value for name, value in given.items()}
     shape = replace(KernelShape(), **{name: value for name, value in given.items() if name != "weights"})
     if published and "reach" not in given:
         shape = replace(shape, reach=0.5)
