@@ -171,7 +171,7 @@ def left_over(
             residual_noise = StereoNoise(sigma, own.dof[kept], np.zeros_like(error))
             likelihood = residual_noise.log_likelihood(solution.residuals[kept])
             profile = lasting_profile(solution, own, kept)
-            profile[np.isin(kept, before.known.rows), 1:3] = 0.0  # only a first sight tells of κ in so simple a form
+            profile[np.isin(kept, before.known.rows), 1:3] = 0.0  # where a past is known, κ has no form as simple
             features, steps = first_feature + chosen[kept], np.full(len(kept), at)
             found.append(LeftOver(steps, features, part.phi[chosen[kept]], error, spread, likelihood, profile))
         first_step, first_feature = first_step + len(part.T_curr_prev), first_feature + len(part.phi)
