@@ -117,8 +117,8 @@ def record(folder: Path, workers: Workers) -> tuple[float, float]:
     space = prediction_space(PREDICTORS)
     sources = checked_sources(paths, SETTINGS, space)
     with TemporaryDirectory() as name:
-        facts = [source.facts for source in sources]
-        work = Checkpoint.opened(Path(name, "m.safetensors"), facts, SETTINGS, space.columns)
+        facts, truths = [source.facts for source in sources], [source.truth for source in sources]
+        work = Checkpoint.opened(Path(name, "m.safetensors"), facts, truths, SETTINGS, space.columns)
         lessons = [work.lesson(number, source.camera) for number, source in enumerate(sources)]
         start, busy = perf_counter(), process_time()
         record_all(sources, lessons, space, SETTINGS, workers, lambda done: None)

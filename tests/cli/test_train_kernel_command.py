@@ -138,6 +138,21 @@ MISTAKES: dict[str, tuple[list[str], list[str]]] = {
         ["--kind", "gk", "--gk.truth-sigma-deg", "1"],
         ["--gk.truth-sigma-deg: it means nothing without --gk.truth-sigma-m."],
     ),
+    "how good no truth is": (
+        ["--kind", "gk", "--supervision", "none", "--gk.truth-sigma-m", "1", "--gk.truth-sigma-deg", "1"],
+        ["--gk.truth-sigma-m: --supervision none uses no truth.", "Leave it out."],
+    ),
+    "all truth, thinned": (["--every-s", "1"], ["--every-s: --supervision gt does not take it.", "sparse or position"]),
+    "a loop, thinned": (["--kind", "gk", "--supervision", "loop", "--every-s", "1"], ["--supervision loop does not"]),
+    "no truth, thinned": (["--kind", "gk", "--supervision", "none", "--every-s", "1"], ["--supervision none does not"]),
+    "alignment by the noise of residuals": (
+        ["--kind", "gk", "--gk.refers-to", "residual", "--odometry.solver.method", "alignment"],
+        ["--gk.refers-to: residual has no noise of single observations", "--odometry.solver.method alignment"],
+    ),
+    "the same of the static model": (
+        ["--kind", "student-t", "--gk.refers-to", "residual", "--odometry.solver.method", "alignment"],
+        ["--gk.refers-to: residual has no noise"],
+    ),
 }  # fmt: skip
 
 

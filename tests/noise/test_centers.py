@@ -101,6 +101,13 @@ def test_the_edge_is_half_as_far_again_as_the_samples_are() -> None:
     assert centers.edge_of(np.linspace(-1.0, 1.0, 5001)[:, None]) == pytest.approx(1.5, rel=2e-3)
 
 
+@pytest.mark.parametrize(("samples", "edge"), [(0, 1.5), (1, 1.5), (999, 1.5), (1001, 0.15)])
+def test_too_few_samples_do_not_say_where_the_domain_ends(samples: int, edge: float) -> None:
+    """Each is a tenth from a center, and the centers are one apart."""
+    found = Centers.of(grid(), random_students(25)).edge_of(np.tile([[2.1, 2.0]], (samples, 1)))
+    assert found == pytest.approx(edge, rel=1e-6)
+
+
 @pytest.mark.parametrize("far", [1e6, 1e18, 1e19, 1e30, 3e38])
 def test_beyond_single_precision_it_is_out_of_domain(far: float) -> None:
     """Squares of distances overflow: nothing is read that is not there."""

@@ -157,6 +157,14 @@ def test_a_column_that_says_nothing_gets_no_weight() -> None:
     np.testing.assert_array_equal(weights[1:], np.zeros(3))
 
 
+def test_where_no_column_says_anything_one_is_left() -> None:
+    """Of six. All of them would tell places apart by nothing."""
+    rng = np.random.default_rng(3)
+    model = GeneralizedKernel(**GIVEN).fit(rng.normal(size=(300, 6)), rng.standard_t(4.0, (300, 4)))
+    assert np.count_nonzero(model.weights_) == 1
+    assert len(model.search_["weights"]["candidates"]) == 1
+
+
 def contaminated(share: float) -> tuple[FloatArray, FloatArray]:
     """Some errors are gross: of 30 px."""
     places, errors = samples(6000, seed=3)

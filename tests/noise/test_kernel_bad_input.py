@@ -229,7 +229,10 @@ def test_a_spread_that_is_none_is_refused(spread: FloatArray) -> None:
         ("published", {"prior_counts": 3.0}),
         ("robust", {"dof_counts": -1.0}),
         ("robust", {"bias_counts": np.nan}),
+        ("robust", {"neighbors": 8.5}),
         ("robust", {"centers": 0}),
+        ("robust", {"centers": 8.5}),
+        ("robust", {"centers": np.inf}),
         ("robust", {"weights": np.ones(3)}),
         ("robust", {"weights": np.zeros(2)}),
         ("robust", {"weights": np.array([1.0, -1.0])}),
@@ -241,6 +244,11 @@ def test_a_shape_of_the_kernel_that_is_none_is_refused(variant: Any, options: di
     with pytest.raises(InputError, match=f"generalized kernel: {next(iter(options))}") as caught:
         GeneralizedKernel(variant, **options).fit(places(), errors())
     assert caught.value.cure
+
+
+def test_whole_numbers_may_be_written_as_floats() -> None:
+    model = check(places(), errors(), neighbors=8.0, centers=30.0)
+    assert (model.shape_.neighbors, len(model.centers_.values)) == (8, 30)
 
 
 @st.composite

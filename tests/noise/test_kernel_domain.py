@@ -38,3 +38,13 @@ def test_far_away_it_is_as_wide_as_the_worst_tenth(model: GeneralizedKernel, pla
     near, far = (model.predict(where).scale for where in (places[::20], np.full((1, 4), 50.0)))
     sizes, size = np.linalg.slogdet(near)[1], np.linalg.slogdet(far)[1][0]
     assert np.mean(sizes < size) == pytest.approx(0.9, abs=0.03)
+
+
+@pytest.mark.parametrize("more", [0, 1, 2, 5, 100])
+def test_hardly_more_samples_than_centers_are_like_as_many(more: int) -> None:
+    """Of the few that are no center, none may lie far out: the domain does not end where they do."""
+    rng = np.random.default_rng(4)
+    places, errors = rng.normal(size=(400 + more, 3)), rng.normal(size=(400 + more, 4))
+    found = GeneralizedKernel(neighbors=60, prior_counts=8.0, dof_counts=30.0, bias_counts=np.inf,
+                              weights=np.ones(3), centers=400).fit(places, errors)  # fmt: skip
+    assert found.predict(rng.normal(size=(2000, 3))).out_of_domain.mean() < 0.01  # type: ignore[union-attr]

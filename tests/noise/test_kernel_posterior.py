@@ -177,3 +177,16 @@ def test_the_radius_is_the_distance_to_the_kth_nearest() -> None:
     for k in (1, 7, COUNT):
         np.testing.assert_allclose(posterior().radius(PLACES, k), distance[:, k - 1])
     np.testing.assert_allclose(posterior().radius(PLACES, 10 * COUNT), distance[:, -1])
+
+
+def test_of_samples_at_one_place_all_times_have_a_part() -> None:
+    """Of 2,000 at each of two places, the noise of the second half being ten times that of the first: the nearest 400
+    are of both, and so is the σ."""
+    half, rng = 2000, np.random.default_rng(2)
+    places = (rng.random((2 * half, 1)) < 0.5).astype(np.float64)
+    errors = np.repeat([0.1, 1.0], half)[:, None] * rng.normal(size=(2 * half, DIM))
+    own = KernelPosterior.of(places, errors, None)
+    near = own.around(np.array([[0.0], [1.0]]), KernelShape(neighbors=400))
+    early = [np.mean(near.index[start:end] < half) for start, end in zip(near.first, near.first[1:], strict=False)]
+    np.testing.assert_allclose(early, 0.5, atol=0.1)
+    np.testing.assert_array_equal(places[near.index, 0], np.repeat([0.0, 1.0], 400))

@@ -118,6 +118,11 @@ def test_a_column_that_is_undefined_nearly_everywhere_is_refused(data: FloatArra
     assert "Leave it out." in str(caught.value)
 
 
+def test_a_single_feature_has_no_spread() -> None:
+    metric = Metric.fitted(np.array([[3.0, -2.0, 0.0]]), COLUMNS)
+    np.testing.assert_array_equal(metric.coordinates(np.array([[4.0, -2.0, 0.5]])), [[1.0, 0.0, 0.5]])
+
+
 def test_without_any_feature_there_is_no_metric() -> None:
     with pytest.raises(InputError, match="all but 0 of 0"):
         Metric.fitted(np.zeros((0, 3)), COLUMNS)

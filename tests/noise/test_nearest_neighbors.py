@@ -82,6 +82,15 @@ def test_the_nearest_are_those_of_the_standardised_columns() -> None:
     assert beta[0] / beta[1] == pytest.approx(3.0, rel=1e-3)
 
 
+def test_lists_will_do() -> None:
+    model = NearestNeighbors(2).fit(PLACES.tolist(), ALPHAS.tolist())
+    np.testing.assert_array_equal(model.weights(QUERIES), NearestNeighbors(2).fit(PLACES, ALPHAS).weights(QUERIES))
+
+
+def test_a_single_sample_is_all_alike() -> None:
+    np.testing.assert_allclose(NearestNeighbors(1).fit(PLACES[:1], ALPHAS[:1]).weights(QUERIES), 1.0)
+
+
 def test_a_given_metric_is_used() -> None:
     """One in which the first column counts for nothing, and the second may be undefined."""
     places = np.array([[0.0, 5.0], [9.0, 5.1], [0.1, np.nan], [9.1, np.nan]])

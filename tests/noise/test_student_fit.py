@@ -268,6 +268,26 @@ def test_errors_that_span_nothing_leave_a_distribution(errors: FloatArray) -> No
     assert LEAST_DOF <= found.dof[0] <= MOST_DOF * 1.001
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8, 20])
+def test_few_errors_do_not_make_it_sure(count: int) -> None:
+    """Of new errors, a median over twenty fits: within a factor of two, where so few may span no space at all."""
+    new, squared = np.random.default_rng(9).normal(size=(1000, 4)), []
+    for seed in range(20):
+        scale = fit_static(np.random.default_rng(seed).normal(size=(count, 4))).scale[0]
+        squared.append(np.einsum("ni,ij,nj->n", new, np.linalg.inv(scale), new).mean() / 4.0)
+    assert 0.5 < np.median(squared) < 2.0
+
+
+def test_of_many_errors_what_is_added_for_the_few_is_not_noticed() -> None:
+    """The fit with that prior against one with a hundredth of it; scale and ν of 5,000."""
+    errors = drawn(5000, seed=15)
+    found = fit_static(errors)
+    light = StudentPrior(SCALE, dof=5.0, counts=0.01, dof_counts=0.01, bias_counts=np.inf)
+    bare = fit_students(errors, Neighborhoods.all_of(5000), light, iterations=50)
+    assert np.linalg.norm(found.scale - bare.scale) < 2e-3 * np.linalg.norm(bare.scale)
+    np.testing.assert_allclose(found.dof, bare.dof, rtol=2e-3)
+
+
 def test_a_static_fit_has_no_bias() -> None:
     np.testing.assert_array_equal(fit_static(drawn(300, bias=BIAS)).bias, np.zeros((1, 4)))
 

@@ -74,7 +74,7 @@ def test_the_same_errors_give_the_same_bytes(path: Path) -> None:
     assert len(contents) == 1
 
 
-@pytest.mark.parametrize("model", [fitted(500), StudentT(), StudentT(dof=3.0, scale=SCALE)])
+@pytest.mark.parametrize("model", [fitted(500), StudentT(), StudentT(dof=3.0, scale=SCALE), StudentT(dof=np.inf)])
 def test_a_model_comes_back_as_it_was(path: Path, model: StudentT) -> None:
     save_model(model, path)
     back = load_model(path)
@@ -114,7 +114,7 @@ def test_a_scale_that_is_no_covariance_is_refused(path: Path, scale: FloatArray)
 
 
 FACTS: dict[str, list[Any]] = {
-    "dof": [None, "5", 0.0, -1.0, True, [5.0]],
+    "dof": [None, "5", "-inf", 0.0, -1.0, True, [5.0]],
     "refers_to": [None, "", "motion", 3],
     "camera": ["KITTI", [], {}, 7],
     "training": [None, "06", 3, []],

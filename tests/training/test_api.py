@@ -174,7 +174,8 @@ def test_what_is_done_is_not_done_again(recordings: list[Sequence], model_bytes:
 
 @pytest.mark.parametrize("supervision", ["gt", "sparse", "position", "loop", "none"])
 def test_every_supervision_gives_a_model(recordings: list[Sequence], out: Path, supervision: str) -> None:
-    settings = SETTINGS.model_copy(update={"supervision": supervision, "every_s": 0.5})
+    every_s = 0.5 if supervision in ("sparse", "position") else 0.0
+    settings = SETTINGS.model_copy(update={"supervision": supervision, "every_s": every_s})
     model = pv.load_model(train(recordings, out, settings))
     assert np.isfinite(model.weights(np.zeros((3, 3)))).all()
 
@@ -357,6 +358,32 @@ def test_what_a_stopped_training_knew_of_its_drives_is_not_taken_for_that_of_oth
     assert list(out.with_name(out.name + ".work").glob("drive-truth-*"))
     fresh = train(others, tmp_path / "fresh" / "model.safetensors").read_bytes()
     assert train(others, out).read_bytes() == fresh
+
+
+def changed(path: Path, to: Path, **changes: Callable[[FloatArray], FloatArray]) -> list[Sequence]:
+    """The recording with some of its arrays as these make them."""
+    with np.load(path) as archive:
+        arrays = {name: changes.get(name, np.asarray)(archive[name]) for name in archive.files}
+    np.savez(to, allow_pickle=False, **arrays)
+    return [pv.open_sequence(to)]
+
+
+def test_truth_corrected_before_it_goes_on_is_learned_from(tracks: list[Path], tmp_path: Path, out: Path) -> None:
+    """Stopped after the first recording: its features need not be found anew, but its errors are others."""
+    path = tmp_path / "drive.npz"
+    longer = changed(tracks[0], path, T_world_cam=lambda T: T * np.array([1.0, 1.0, 1.0, 1.5]))
+    with pytest.raises(KeyboardInterrupt):
+        train(longer, out, on_progress=stopping_after(FRAMES + 2))
+    right = changed(tracks[0], path)
+    assert train(right, out).read_bytes() == train(right, tmp_path / "fresh.safetensors").read_bytes()
+
+
+def test_a_calibration_corrected_before_it_goes_on_is_refused(tracks: list[Path], tmp_path: Path, out: Path) -> None:
+    path = tmp_path / "drive.npz"
+    wider = changed(tracks[0], path, camera=lambda c: c * np.array([1.0, 1.0, 1.0, 1.0, 1.1]))
+    with pytest.raises(KeyboardInterrupt):
+        train(wider, out, on_progress=stopping_after(FRAMES + 2))
+    refuse(changed(tracks[0], path), out, SETTINGS, f"{out}.work: ", "other recordings, predictors or odometry")
 
 
 def test_other_subsets_go_on_from_the_recordings(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:

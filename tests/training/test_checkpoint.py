@@ -9,9 +9,11 @@ import pytest
 from probevo import __version__
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
+from probevo.sequences.frame import ImuCalibration
 from probevo.training.checkpoint import Checkpoint, Iteration
 from probevo.training.drive import Drive, joined
 from probevo.training.settings import TrainSettings
+from probevo.training.sources import calibration
 from training.lessons import Recording, drive_of, known, point_world, recording
 from worlds import CAMERA
 
@@ -44,9 +46,10 @@ def opened(
     settings: TrainSettings = SETTINGS,
     recordings: list[Recording] = RECORDINGS,
     columns: tuple[str, ...] = ("x", "y"),
+    truth: str = "",
 ) -> Checkpoint:
-    facts = [[str(r.path.resolve()), len(r), r.stamps_ns[[0, -1]].tolist()] for r in recordings]
-    return Checkpoint.opened(out, facts, settings, columns)
+    facts = [[str(r.path.resolve()), len(r), r.stamps_ns[[0, -1]].tolist(), calibration(r)] for r in recordings]
+    return Checkpoint.opened(out, facts, [truth] * len(facts), settings, columns)
 
 
 def keep(work: Checkpoint, number: int, drive: Drive = DRIVE, digest: str = "") -> None:
@@ -151,6 +154,16 @@ OTHERS = {
     "another order": (SETTINGS, RECORDINGS[::-1], ("x", "y")),
     "another recording": (SETTINGS, [RECORDINGS[0], replace(RECORDINGS[1], path=Path("other"))], ("x", "y")),
     "a longer recording": (SETTINGS, [recording(None, frames=12), RECORDINGS[1]], ("x", "y")),
+    "another camera": (
+        SETTINGS,
+        [replace(RECORDINGS[0], camera=replace(CAMERA, baseline_m=0.5)), RECORDINGS[1]],
+        ("x", "y"),
+    ),
+    "an IMU": (
+        SETTINGS,
+        [replace(RECORDINGS[0], imu=ImuCalibration(np.eye(3), 1e-3, 1e-3)), RECORDINGS[1]],
+        ("x", "y"),
+    ),
     "another time": (SETTINGS, [recording(None, start_ns=7), RECORDINGS[1]], ("x", "y")),
 }
 
@@ -218,6 +231,16 @@ def test_what_concerns_the_iterations_alone_drops_those_alone(out: Path, changes
     assert drive_of_number(other, 0) is not None
     assert other.iteration(0) is None
     assert opened(out).iteration(0) is None
+
+
+def test_other_truth_drops_what_was_made_with_it(out: Path) -> None:
+    work = opened(out)
+    keep(work, 0)
+    work.keep_iteration(0, ITERATION)
+    other = opened(out, truth="corrected")
+    assert drive_of_number(other, 0) is not None
+    assert not other.lesson(0, CAMERA).is_complete
+    assert other.iteration(0) is None
 
 
 @pytest.mark.parametrize("changes", [{"iterations": 9}, {"neighbors": 3}, {"exponent": 1.0}, {"average": "arithmetic"}])

@@ -54,13 +54,13 @@ class Centers:
     def edge_of(self, samples: FloatArray) -> float:
         """Distance from the nearest center at which the domain of samples [N, M] ends; no center is among them.
 
-        Without any, that of each center from the next one has to do.
+        Of too few to see that share of them, each center's distance from the next one counts too.
         """
         tree = KDTree(self.places.T)
-        if len(samples):
-            distance = tree.query(samples)[0]
-        else:
-            distance = np.ravel(tree.query(self.places.T, [2])[0]) if len(self.values) > 1 else np.ones(1)
+        distance = np.asarray(tree.query(samples)[0]) if len(samples) else np.zeros(0)
+        if len(samples) * (1.0 - MOST_SAMPLES) < 1.0 and len(self.values) > 1:
+            distance = np.concatenate([distance, np.ravel(tree.query(self.places.T, [2])[0])])
+        distance = distance if len(distance) else np.ones(1)
         return max(MARGIN * float(np.quantile(distance, MOST_SAMPLES)), LEAST_EDGE)
 
     def at(self, queries: FloatArray, edge: float, prior: Students) -> tuple[Students, BoolArray]:

@@ -108,7 +108,7 @@ class GeneralizedKernel:
         if not len(predictors) == len(residuals) == len(residuals if groups is None else groups):
             what = f"{len(predictors)} places, {len(residuals)} residuals"
             raise InputError("training data", f"{what} and {len(residuals if groups is None else groups)} groups.")
-        self.metric_ = metric or _metric(predictors)
+        self.metric_ = metric or Metric.fitted(predictors)
         published = self.variant == "published"
         check_given(self._given() | {"centers": self.centers}, len(self.columns), published)
         self.weights_, shape, self.search_ = choose_shape(
@@ -123,7 +123,7 @@ class GeneralizedKernel:
             raise InputError("predictors", "no column that has a weight has one in the metric too.")
         coordinates = self._coordinates(predictors)
         self.posterior_ = KernelPosterior.of(coordinates, residuals, spread, published=published)
-        chosen = evenly(len(residuals), self.centers)
+        chosen = evenly(len(residuals), int(self.centers))
         if not np.isfinite(shape.reach):
             radius = self.posterior_.radius(coordinates[chosen], shape.neighbors)
             shape = replace(shape, reach=max(REACH * float(np.quantile(radius, 0.99)), 1e-6))
@@ -141,7 +141,10 @@ class GeneralizedKernel:
         return self._noise(*self.centers_.at(coordinates, self.edge_, self.prior_))
 
     def predict_exact(self, predictors: FloatArray) -> StereoNoise:
-        """The same from all samples instead of the centers; only of a model that was not read from a file."""
+        """The same from all samples instead of the centers; only of a model that was not read from a file.
+
+        Out of domain is what has no sample within reach; there the prior itself holds, no wider than it is.
+        """
         coordinates = self._coordinates(predictors)
         students, counts = self.posterior_.at(coordinates, self.shape_)
         return self._noise(students, counts == 0.0)
@@ -237,12 +240,3 @@ class GeneralizedKernel:
             return Students(prior.scale * self.shape_.prior_counts / dof, np.array([dof]), prior.bias)
         size, own = (np.exp(np.linalg.slogdet(part.scale)[1] / DIM) for part in (students, prior))
         return Students(prior.scale * max(1.0, float(np.quantile(size, 0.9) / own[0])), prior.dof, prior.bias)
-
-
-def _metric(predictors: FloatArray) -> Metric:
-    """Standardised columns; a single sample has no spread."""
-    if predictors.ndim == 2 and len(predictors) == 1:
-        count = predictors.shape[1]
-        names = tuple(f"column {m}" for m in range(count))
-        return Metric(names, (False,) * count, predictors[0].astype(float), np.ones(count), np.ones(count))
-    return Metric.fitted(predictors)

@@ -26,8 +26,8 @@ class Fold:
     places: FloatArray
     asked: FloatArray
     prior: Students
-    static: float
-    """Mean log-likelihood of the asked under the one Student-t of the samples."""
+    static: FloatArray
+    """Log-likelihood of each of the asked under the one Student-t of the samples, nats."""
 
 
 def folds_of(
@@ -52,6 +52,6 @@ def folds_of(
         student = fit_static(*parts)
         prior = prior_of(*parts, published=True) if published else student
         noise = StereoNoise(student.scale, student.dof, student.bias)
-        static = float(noise.log_likelihood(errors[own]).mean())
+        static = noise.log_likelihood(errors[own])
         found.append(Fold(coordinates[other], *parts, coordinates[own], errors[own], prior, static))
     return found

@@ -34,6 +34,8 @@ THREADS, BLOCK, MOST_PAIRS = 2, 2000, 4_000_000
 
 LEAF = 32
 """Samples of a leaf of the tree: with hundreds of neighbours, a third faster than SciPy's 10 in eight columns."""
+SEED = 0
+"""Of the order in which samples go into the tree."""
 
 
 @dataclass(frozen=True)
@@ -72,15 +74,24 @@ class KernelPosterior:
     published: bool
     prior: Students
     """C = 1: what holds where nothing is known."""
+    order: IntArray = field(repr=False)
+    """A random one, in which the tree holds the samples: of many at one and the same place it finds the first K, and
+    these must not be one end of the recording, [N]."""
     tree: KDTree = field(repr=False)
 
     @staticmethod
     def of(
-        coordinates: FloatArray, errors: FloatArray, spread: FloatArray | None, *, published: bool = False
+        coordinates: FloatArray,
+        errors: FloatArray,
+        spread: FloatArray | None,
+        *,
+        published: bool = False,
+        prior: Students | None = None,
     ) -> KernelPosterior:
-        """Samples [N, M], [N, 4]; the prior is fitted to all of them."""
-        prior = prior_of(errors, spread, published=published)
-        return KernelPosterior(coordinates, errors, spread, published, prior, KDTree(coordinates, LEAF))
+        """Samples [N, M], [N, 4]; the prior, if it is not given, is fitted to all of them."""
+        prior = prior or prior_of(errors, spread, published=published)
+        order = np.random.default_rng(SEED).permutation(len(coordinates))
+        return KernelPosterior(coordinates, errors, spread, published, prior, order, KDTree(coordinates[order], LEAF))
 
     def at(self, places: FloatArray, shape: KernelShape, iterations: int = 12) -> tuple[Students, FloatArray]:
         """The noise at n places, [n, M], and Σk of each, [n]."""
@@ -106,7 +117,7 @@ class KernelPosterior:
     def _within(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
         """All samples within ρ."""
         found = self.tree.query_ball_point(places, shape.reach, return_sorted=True)
-        lists = [np.asarray(own, np.int64) for own in found]
+        lists = [self.order[own] for own in found]
         first: IntArray = np.cumsum([0, *map(len, lists)])
         index = np.concatenate([np.zeros(0, np.int64), *lists])
         owner = np.repeat(np.arange(len(places)), np.diff(first))
@@ -122,7 +133,7 @@ class KernelPosterior:
         support = np.where(found[:, -1:], distance[:, -1:], shape.reach) * (1.0 + 1e-3) + 1e-12
         kernel = np.where(found, 1.0 - (np.where(found, distance, 0.0) / support) ** 2, 0.0)
         first: IntArray = np.concatenate([[0], np.cumsum(found.sum(axis=1))])
-        return Neighborhoods(first, near[found].astype(np.int64), kernel[found])
+        return Neighborhoods(first, self.order[near[found]], kernel[found])
 
     def fit(self, near: Neighborhoods, shape: KernelShape, iterations: int) -> tuple[Students, FloatArray]:
         """The noise of places around which these samples are, and Σk of each, [n]."""

@@ -9,13 +9,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
 from probevo.noise.kernel_folds import MOST_SAMPLES, Fold, folds_of
-from probevo.noise.kernel_posterior import LEAF, KernelPosterior, KernelShape
+from probevo.noise.kernel_posterior import KernelPosterior, KernelShape
 from probevo.noise.student_fit import DIM, Neighborhoods
 from probevo.noise.student_kernels import LEAST_DOF, MOST_DOF
 
@@ -27,6 +26,8 @@ SEARCH_ITERATIONS = 6
 """Of each fit; the chosen shape is fitted with more."""
 LEAST_GAIN = 2e-3
 """Nats a feature that another column, or another weight of one, must gain."""
+STANDARD_ERRORS = 1.0
+"""By which it must, as far as the features asked differ in it."""
 TIE = 2e-4
 """Nats a feature by which shapes of the kernel are as good as each other. It is small, as the few best features carry
 the motion: a prior that is too heavy for them alone, or a K too large, hardly shows in the mean over all."""
@@ -64,8 +65,10 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
             continue
         if not value >= least.get(name, np.nextafter(0.0, np.inf)):
             raise InputError("generalized kernel", f"{name} is {value}, which is too small.", "Leave it to be chosen.")
-        if name in ("neighbors", "prior_counts") and not np.isfinite(value):
+        if name in ("neighbors", "centers", "prior_counts") and not np.isfinite(value):
             raise InputError("generalized kernel", f"{name} is {value}, which is no number.", "Leave it to be chosen.")
+        if name in ("neighbors", "centers") and int(value) != value:
+            raise InputError("generalized kernel", f"{name} is {value}, which is no whole number.", "Round it.")
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
     fits = weights.shape == (dimension,) and bool(((weights >= 0.0) & (weights <= LARGEST_WEIGHT)).all())
     if not fits or not weights.any():
@@ -95,6 +98,7 @@ def choose_shape(
     """
     dimension = coordinates.shape[1]
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
+    given = {name: int(value) if name == "neighbors" else value for name, value in given.items()}
     shape = replace(KernelShape(), **{name: value for name, value in given.items() if name != "weights"})
     if published and "reach" not in given:
         shape = replace(shape, reach=0.5)
@@ -131,36 +135,48 @@ class _Search:
 
     def gain(self, weights: FloatArray, shape: KernelShape) -> float:
         """Mean log-likelihood over that of the static model, nats a feature."""
+        return float(np.mean(self.gains(weights, shape)))
+
+    def gains(self, weights: FloatArray, shape: KernelShape) -> FloatArray:
+        """The same of each feature that is asked, of one fold after another, [Q]."""
         with ThreadPoolExecutor(2) as pool:
             # Most shapes that are tried share their neighbourhoods, which take as long to find as to fit to.
             if self._at != (at := (weights.tobytes(), shape.neighbors, shape.reach)):
                 self._near = list(pool.map(lambda fold: self._neighborhoods(fold, weights, shape), self.folds))
                 self._at = at
-            gains = list(
-                pool.map(lambda fold, near: _gain_of_fold(fold, near[0], near[1], shape), self.folds, self._near)
-            )
-        return float(np.average(gains, weights=[len(fold.asked) for fold in self.folds]))
+            parts = pool.map(lambda fold, near: _gains_of_fold(fold, near[0], near[1], shape), self.folds, self._near)
+            return np.concatenate(list(parts))
 
     def choose_weights(self, dimension: int, shape: KernelShape) -> FloatArray:
-        """Column after column, that which gains the most beside those before; then each one's weight."""
-        weights, best, order = np.zeros(dimension), 0.0, []
+        """Column after column, that which gains the most beside those before; then each one's weight.
+
+        The first stays even if it gains nothing: all of them would do more harm.
+        """
+        weights, best = np.zeros(dimension), np.zeros(1)
+        order: list[tuple[int, float]] = []
         varies = np.any([np.ptp(fold.coordinates, axis=0) > 0.0 for fold in self.folds], axis=0)
         while len(free := np.flatnonzero(varies & (weights == 0.0))):
-            gains = [self.gain(_with(weights, m, 1.0), shape) for m in free.tolist()]
+            found = self._best([_with(weights, m, 1.0) for m in free.tolist()], shape)
             self._step(len(free))
-            if max(gains) < best + LEAST_GAIN:
+            gains_more = is_better(found[1], best)
+            if order and not gains_more:
                 break
-            weights, best = _with(weights, int(free[np.argmax(gains)]), 1.0), max(gains)
-            order.append((int(free[np.argmax(gains)]), best))
+            order.append((int(np.flatnonzero(found[0] != weights)[0]), float(found[1].mean())))
+            weights, best = found[0], found[1] if gains_more else best
         for m, _ in order:
-            options = [_with(weights, m, factor) for factor in FACTORS]
-            gains = [self.gain(option, shape) for option in options]
-            if max(gains) > best + LEAST_GAIN:
-                best, weights = max(gains), options[int(np.argmax(gains))]
+            found = self._best([_with(weights, m, factor) for factor in FACTORS], shape)
+            if is_better(found[1], best):
+                weights, best = found
         self.found["weights"] = {
             "candidates": [m for m, _ in order], "gains": [gain for _, gain in order], "chosen": weights.tolist()
         }  # fmt: skip
         return weights if weights.any() else np.ones(dimension)
+
+    def _best(self, options: list[FloatArray], shape: KernelShape) -> tuple[FloatArray, FloatArray]:
+        """The weights that gain the most, and the gain of each feature, [Q]."""
+        gains = [self.gains(weights, shape) for weights in options]
+        best = int(np.argmax([np.mean(gain) for gain in gains]))
+        return options[best], gains[best]
 
     def choose(self, name: str, values: tuple[float, ...], weights: FloatArray, shape: KernelShape) -> KernelShape:
         """One hyperparameter; of those that are as good, the first: the stiffest."""
@@ -195,8 +211,8 @@ class _Search:
     ) -> tuple[KernelPosterior, Neighborhoods]:
         used = weights > 0.0
         coordinates, places = (np.ascontiguousarray((x * weights)[:, used]) for x in (fold.coordinates, fold.places))
-        posterior = KernelPosterior(
-            coordinates, fold.errors, fold.spread, self.published, fold.prior, KDTree(coordinates, LEAF)
+        posterior = KernelPosterior.of(
+            coordinates, fold.errors, fold.spread, published=self.published, prior=fold.prior
         )
         return posterior, posterior.around(places, shape)
 
@@ -206,10 +222,16 @@ class _Search:
             self.on_progress(self.done, self.total)
 
 
-def _gain_of_fold(fold: Fold, posterior: KernelPosterior, near: Neighborhoods, shape: KernelShape) -> float:
+def _gains_of_fold(fold: Fold, posterior: KernelPosterior, near: Neighborhoods, shape: KernelShape) -> FloatArray:
     students, _ = posterior.fit(near, shape, SEARCH_ITERATIONS)
     noise = StereoNoise(students.scale, students.dof, students.bias)
-    return float(noise.log_likelihood(fold.asked).mean()) - fold.static
+    return noise.log_likelihood(fold.asked) - fold.static
+
+
+def is_better(gains: FloatArray, before: FloatArray) -> bool:
+    """Whether the same features, [Q], gain more than chance explains, and enough."""
+    more = gains - before
+    return bool(more.mean() > max(LEAST_GAIN, STANDARD_ERRORS * more.std() / np.sqrt(len(more))))
 
 
 def _with(weights: FloatArray, column: int, weight: float) -> FloatArray:

@@ -17,7 +17,7 @@ UNDEFINED = -4.0
 A feature of a kind that training never saw is that far from all samples alike, and the other columns decide.
 """
 FEWEST_DEFINED = 2
-"""Values that a column needs for a mean and a spread."""
+"""Values that a column needs for a mean and a spread; of a single sample, its one will do."""
 CONSTANT_BELOW = 1e-9
 """Spread over the mean: below, it is rounding."""
 FARTHEST = 1e3
@@ -73,7 +73,7 @@ class Metric:
             InputError: nearly all of a column is undefined.
         """
         for name, count in zip(columns, moments.count.tolist(), strict=True):
-            if count < FEWEST_DEFINED:
+            if count < max(min(FEWEST_DEFINED, moments.rows), 1):
                 what = f"it is undefined for all but {count} of {moments.rows} features."
                 raise InputError(f"predictor {name}", what, "Leave it out.")
         mean, spread = moments.mean, moments.spread

@@ -96,6 +96,7 @@ class NearestNeighbors:
         Raises:
             InputError: no samples, fewer than K, an α that is no positive number, or NaN where it may not be.
         """
+        predictors, alphas = np.asarray(predictors, dtype=np.float64), np.asarray(alphas, dtype=np.float64)
         if len(predictors) != len(alphas):
             raise InputError("training data", f"{len(predictors)} places, but {len(alphas)} errors α.")
         check_neighbors(self.neighbors, len(alphas))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -24,7 +24,8 @@ LASTING = 0.7
 class _Facts(OriginFacts):
     """What a file says beside its arrays."""
 
-    dof: float = Field(gt=0)
+    dof: Annotated[float, Field(gt=0)] | Literal["inf"]
+    """JSON has no infinity."""
     refers_to: Refers
     lasting: float = Field(0.0, ge=0)
 
@@ -33,7 +34,7 @@ class StudentT:
     """Student-t noise of one scale matrix for every feature.
 
     Args:
-        dof: degrees of freedom ν; small values trust outliers less.
+        dof: degrees of freedom ν; small values trust outliers less, and np.inf is Gaussian.
         scale: scale matrix of (u_l, v_l, u_r, v_r), [4, 4], px²; by default that of tracked corners.
         refers_to: whether that is the noise of an observation, or of the residual.
         camera: the camera of the training data; None if it was not trained.
@@ -92,7 +93,7 @@ class StudentT:
     def to_file(self) -> ModelFile:
         """What a file needs to hold."""
         facts = {
-            "dof": self.dof_,
+            "dof": "inf" if np.isinf(self.dof_) else self.dof_,
             "refers_to": self.refers_to,
             "lasting": self.lasting,
             **origin_facts(self.camera, self.training),
@@ -109,4 +110,4 @@ class StudentT:
         facts, scale = _Facts.of(file), file.arrays["scale"]
         if scale.shape != (4, 4) or scale.dtype != np.float64 or not np.linalg.eigvalsh(scale)[0] > 0.0:
             raise ValueError("its scale is no positive definite matrix")
-        return StudentT(facts.dof, scale, facts.refers_to, facts.camera, facts.training, facts.lasting)
+        return StudentT(float(facts.dof), scale, facts.refers_to, facts.camera, facts.training, facts.lasting)

@@ -71,7 +71,8 @@ def train_model(
     check_folder(out.parent, "--out")
     if out.is_dir():
         raise InputError("--out", f"{out} is a folder.", "Give the model file another name.")
-    work = Checkpoint.opened(out, [source.facts for source in sources], settings, space.columns)
+    known_by, truths = [source.facts for source in sources], [source.truth for source in sources]
+    work = Checkpoint.opened(out, known_by, truths, settings, space.columns)
     lessons = [work.lesson(number, source.camera) for number, source in enumerate(sources)]
     bar = _Bar(sum(source.num_frames for source in sources), settings, on_progress)
     record_all(sources, lessons, space, settings, workers, bar.show)

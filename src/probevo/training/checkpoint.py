@@ -40,12 +40,14 @@ class Checkpoint:
     folder: Path
 
     @staticmethod
-    def opened(out: Path, recordings: list[list[Any]], settings: TrainSettings, columns: tuple[str, ...]) -> Checkpoint:
-        """The work so far for this model file, or none yet. What other settings made of the drives is dropped.
+    def opened(
+        out: Path, recordings: list[list[Any]], truths: list[str], settings: TrainSettings, columns: tuple[str, ...]
+    ) -> Checkpoint:
+        """The work so far for this model file, or none yet. What other settings or truth made of the drives is dropped.
 
         Args:
             out: the model file.
-            recordings: the facts of each ``Source``.
+            recordings, truths: the facts of each ``Source``, and the digests of their truth.
             settings: all settings.
             columns: of the prediction space.
 
@@ -60,7 +62,7 @@ class Checkpoint:
         facts = {
             "probevo": __version__,
             "drives": {**of_drives, "columns": list(columns), "recordings": recordings},
-            "iterations": chosen,
+            "iterations": chosen | {"truths": truths},
         }
         before = checkpoint._plan()
         same = all(before.get(part) == facts[part] for part in ("probevo", "drives"))
@@ -72,7 +74,7 @@ class Checkpoint:
             raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
         if not same:  # no drive is begun yet, or ``remove`` was stopped
             checkpoint._remove(*OWN)
-        elif before.get("iterations") != chosen:
+        elif before.get("iterations") != facts["iterations"]:
             checkpoint._remove(*MADE_OF_DRIVES)
         checkpoint._remove("*.part", "*.frames")
         write_atomically(checkpoint.folder / PLAN, json.dumps(facts, indent=1) + "\n")

@@ -18,7 +18,8 @@ from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervision import Supervision
 from probevo.training.workers import Workers
 
-BLOCKS_A_DRIVE = 10
+BLOCKS_A_DRIVE, STEPS_A_BLOCK = 10, 20
+"""At most, and at least: of shorter blocks, one holds the tracks of the next."""
 MOST_FEATURES = 500_000
 """That a model is fitted to; of more, about so many are drawn, evenly from all drives and times."""
 
@@ -56,6 +57,7 @@ class _Task:
     model: NoiseModel
     settings: TrainSettings
     share: float
+    blocks: int
 
 
 def gather_evidence(
@@ -78,7 +80,8 @@ def gather_evidence(
         InputError: there is nothing to learn from, or what ``workers`` raise.
     """
     share = min(1.0, MOST_FEATURES / max(sum(lesson.facts.used for lesson in lessons), 1))
-    tasks = [_Task(number, lesson, model, settings, share) for number, lesson in enumerate(lessons)]
+    blocks = blocks_of([lesson.facts.steps for lesson in lessons])
+    tasks = [_Task(n, lesson, model, settings, share, blocks[n]) for n, lesson in enumerate(lessons)]
     through: set[int] = set()
 
     def on_done(number: int) -> None:
@@ -94,13 +97,19 @@ def gather_evidence(
     return found
 
 
+def blocks_of(steps: Sequence[int]) -> list[int]:
+    """How many blocks of time to cut each drive of so many steps into; at least two in all."""
+    blocks = [min(BLOCKS_A_DRIVE, max(1, count // STEPS_A_BLOCK)) for count in steps]
+    return blocks if sum(blocks) > 1 else [2] * len(blocks)
+
+
 def _evidence(task: _Task) -> Evidence:
     settings, supervision = task.settings, task.lesson.supervision
     seed = (settings.odometry.seed, task.number)
     sigma = _truth_sigma(settings.gk)
     expectation = expect(task.lesson, task.model.predict, _solver(settings), sigma, task.share, seed)
     left, steps = expectation.left_over, len(expectation.T_alone)
-    groups = task.number * BLOCKS_A_DRIVE + left.steps * BLOCKS_A_DRIVE // max(steps, 1)
+    groups = task.number * BLOCKS_A_DRIVE + left.steps * task.blocks // max(steps, 1)
     gap_m = _loop_error_m(supervision, expectation.T_alone)
     gaps_m = np.array([gap_m] if np.isfinite(gap_m) else [])
     return Evidence(left.phi, left.errors, left.spread, groups, left.log_likelihood, left.profile, gaps_m)

@@ -10,25 +10,20 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
-from probevo.geometry import se3
 from probevo.motion.memory import DisparityMemory, carried_on, remember
 from probevo.motion.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.motion.trust import TRUSTED, trust, weights_of
 from probevo.motion.visual import solve
 from probevo.noise.base import StereoNoise
+from probevo.noise.student_fit import floored
 from probevo.tracking.tracks import Tracks
+from probevo.training.conditioning import conditioned
 from probevo.training.drive import Drive
 from probevo.training.lasting import lasting_profile
 from probevo.training.lesson import Lesson
-from probevo.training.supervision import Supervision
 
 UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 """Of a step whose features fix no motion, m and rad."""
-LEAST_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
-"""No truth is better than that, m and rad."""
-FEW_STRETCHES = 20
-LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
-"""How well a loop is known to close, m and rad: it is parked by hand."""
 
 
 Predict = Callable[[FloatArray], StereoNoise]
@@ -137,56 +132,6 @@ def expect(
     return Expectation(motions, alone, left_over(lesson.parts(), motions, cov, predict, camera, solver, share, rng))
 
 
-def conditioned(
-    T_curr_prev: FloatArray, cov: FloatArray, supervision: Supervision, truth_sigma: FloatArray | None
-) -> tuple[FloatArray, FloatArray]:
-    """Motions [K − 1, 4, 4] and covariances [K − 1, 6, 6], given the true motion over each stretch.
-
-    The motion over a stretch is T = T_m … T_1, and perturbations ξ_k of its steps move it by Σ Ad_k ξ_k with
-    Ad_k = Ad(T_m … T_{k+1}). With M = Σ Ad_k C_k Ad_kᵀ, the covariance P of the truth and its distance ξ = Log(T_true
-    T⁻¹), each step moves by C_k Ad_kᵀ (M + P)⁻¹ ξ. Of stretches of one step this is the fusion of two Gaussians.
-    """
-    motions, posterior = T_curr_prev.copy(), cov.copy()
-    chains = [
-        (first, last, *_chain(T_curr_prev[first:last], cov[first:last], supervision.T_world_cam[[i, i + 1]]))
-        for i, (first, last) in enumerate(supervision.stretches.tolist())
-    ]
-    if truth_sigma is None:
-        truth_sigma = LOOP_SIGMA if supervision.kind == "loop" else _sigma_of_truth(chains)
-    P = np.diag(np.maximum(truth_sigma, LEAST_TRUTH_SIGMA) ** 2)
-    for first, last, to_end, M, distance in chains:
-        gain = cov[first:last] @ np.swapaxes(to_end, 1, 2) @ np.linalg.inv(M + P)
-        motions[first:last] = se3.exp(gain @ distance) @ T_curr_prev[first:last]
-        posterior[first:last] -= gain @ to_end @ cov[first:last]
-    return motions, posterior
-
-
-def _chain(
-    T_curr_prev: FloatArray, cov: FloatArray, T_world_cam: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ad_k of each step, [m, 6, 6], their M, [6, 6], and how far the truth of both ends is, [6]."""
-    rest, to_end = np.eye(4), np.empty((len(T_curr_prev), 6, 6))
-    for k in range(len(T_curr_prev) - 1, -1, -1):
-        to_end[k] = se3.adjoint(rest)
-        rest = rest @ T_curr_prev[k]
-    M: FloatArray = np.sum(to_end @ cov @ np.swapaxes(to_end, 1, 2), axis=0)
-    true = se3.inverse(T_world_cam[1]) @ T_world_cam[0]
-    return to_end, M, se3.log(true @ se3.inverse(rest))
-
-
-def _sigma_of_truth(chains: list[tuple[int, int, FloatArray, FloatArray, FloatArray]]) -> FloatArray:
-    """What the scatter of the truth around the features' motions is, beyond what these are off by, [6], by medians.
-
-    Few stretches may scatter little by chance: then the truth is taken to be no better than the features.
-    """
-    distances = np.abs([chain[4] for chain in chains]).reshape(-1, 2, 3)  # translations, rotations
-    scatter = (1.4826 * np.median(distances, axis=(0, 2))) ** 2
-    own = np.median(np.reshape([np.diagonal(chain[3]) for chain in chains], (-1, 2, 3)), axis=(0, 2))
-    least = own if len(chains) < FEW_STRETCHES else np.zeros(2)
-    sigma: FloatArray = np.repeat(np.sqrt(np.maximum(scatter - own, least)), 3)
-    return sigma
-
-
 def _steps(drive: Drive) -> Iterator[tuple[int, IntArray, Tracks]]:
     """Each step, which of the drive's features may be used in it, and their tracks."""
     for step in range(len(drive.T_curr_prev)):
@@ -226,7 +171,7 @@ def left_over(
             residual_noise = StereoNoise(sigma, own.dof[kept], np.zeros_like(error))
             likelihood = residual_noise.log_likelihood(solution.residuals[kept])
             profile = lasting_profile(solution, own, kept)
-            profile[np.isin(kept, before.known.rows), 1:3] = 0.0  # only a first sight tells of κ in so simple a form
+            profile[np.isin(kept, before.known.rows), 1:3] = 0.0  # where a past is known, κ has no form as simple
             features, steps = first_feature + chosen[kept], np.full(len(kept), at)
             found.append(LeftOver(steps, features, part.phi[chosen[kept]], error, spread, likelihood, profile))
         first_step, first_feature = first_step + len(part.T_curr_prev), first_feature + len(part.phi)
@@ -241,7 +186,10 @@ def _errors(
     Where it speaks of observations, with scale R, the residual e is brought back to the size of one: R^½ Σ^-½ e has the
     scale R if e has Σ. The bias, which the solution has taken off, is put back.
     """
-    sigma: FloatArray = np.linalg.inv(solution.information[chosen]).astype(np.float64)
+    inverse = np.linalg.inv(solution.information[chosen])
+    sigma: FloatArray = floored(
+        0.5 * (inverse + inverse.mT)
+    )  # a motion that is far off can make it as good as singular
     errors, moved = solution.residuals[chosen], solution.jacobian[chosen]
     if noise.refers_to == "observation":
         back = np.linalg.cholesky(noise.scale[chosen]) @ np.linalg.inv(np.linalg.cholesky(sigma))

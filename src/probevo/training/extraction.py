@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Iterator
 from itertools import islice
 
@@ -20,6 +21,7 @@ from probevo.sequences.frame import Frame
 from probevo.tracking.left_right import FRAMES_TO_SEE, check_left_right, count_matches
 from probevo.tracking.tracks import Tracks
 from probevo.training.drive import Drive
+from probevo.training.sources import calibration
 
 MOST_STEPS, MOST_BYTES = 1000, 32_000_000
 """Of a part, as it lies on disk; a single step may be larger."""
@@ -46,11 +48,12 @@ class Extraction:
     ) -> None:
         self.sequence, self.space, self.num_frames, self.on_frame = sequence, space, num_frames, on_frame
         self._odometry = StereoOdometry(sequence.camera, StudentT(), sequence.imu, config, space)
-        self._digest, self._matches = hashlib.sha256(), np.zeros(2, np.int64)
+        self._digest = hashlib.sha256(json.dumps(calibration(sequence)).encode())
+        self._matches = np.zeros(2, np.int64)
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that the odometry was given so far: stamps, images or features, IMU samples."""
+        """SHA-256 of all that the odometry was given so far: calibration, stamps, images or features, IMU samples."""
         return self._digest.hexdigest()
 
     def __iter__(self) -> Iterator[Drive]:

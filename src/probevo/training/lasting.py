@@ -8,6 +8,8 @@ updates of inverse and determinant,
 
 with s = eᵀ Σ⁻¹ e, a = mᵀ Σ⁻¹ e and b = mᵀ Σ⁻¹ m, so that three numbers a feature tell the likelihood for every κ. One κ
 for all features of a kernel, whose σ differ, was 0.02 to 0.07 nats a feature better than one error for all, on KITTI.
+
+Those are features of whose track nothing is remembered: new ones, and such as were not trusted in the step before.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ def check_settings(settings: TrainSettings) -> None:
         InputError: names the flag.
     """
     kind = settings.kind
+    _check_supervision(settings)
     if settings.supervision == "position" and kind != "knn":
         what = f"position is for --kind knn alone: {kind} takes the truth as a motion, and positions give no rotation."
         raise InputError("--supervision", what, "Take sparse if attitudes are known too, or else loop or none.")
@@ -32,10 +33,22 @@ def check_settings(settings: TrainSettings) -> None:
         raise InputError(f"--{wrong[0].replace('_', '-')}", f"--kind {kind} does not take it.", _cure(wrong[0], kind))
     if kernel.variant == "published":
         _check_published(kernel)
+    if kernel.refers_to == "residual" and settings.odometry.solver.method == "alignment":
+        what = "residual has no noise of single observations, which --odometry.solver.method alignment needs."
+        raise InputError("--gk.refers-to", what, "Take observation, or the method reprojection.")
     if (kernel.truth_sigma_m is None) != (kernel.truth_sigma_deg is None):
         given, other = ("m", "deg") if kernel.truth_sigma_deg is None else ("deg", "m")
         what = f"it means nothing without --gk.truth-sigma-{other}."
         raise InputError(f"--gk.truth-sigma-{given}", what, "Give both, or none to have them estimated.")
+
+
+def _check_supervision(settings: TrainSettings) -> None:
+    if settings.every_s and settings.supervision not in ("sparse", "position"):
+        what = f"--supervision {settings.supervision} does not take it."
+        raise InputError("--every-s", what, "Leave it out, or take --supervision sparse or position.")
+    given = [name for name in ("m", "deg") if getattr(settings.gk, f"truth_sigma_{name}") is not None]
+    if given and settings.supervision == "none" and settings.kind != "knn":
+        raise InputError(f"--gk.truth-sigma-{given[0]}", "--supervision none uses no truth.", "Leave it out.")
 
 
 def _check_published(kernel: KernelSettings) -> None:

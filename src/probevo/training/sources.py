@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from probevo.camera.likeness import difference
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
@@ -31,7 +33,10 @@ class Source:
     num_frames: int
     """Those that are used."""
     facts: list[Any]
-    """By which it is known again: where it lies, how many frames it has, when it begins and ends."""
+    """By which it is known again, in plain values that JSON can hold: where it lies, how many frames it has, when it
+    begins and ends, and its calibration."""
+    truth: str
+    """Digest of what is used of its truth."""
 
     def open(self) -> Sequence:
         """The recording."""
@@ -67,10 +72,16 @@ def checked_sources(recordings: Collection[Recording], settings: TrainSettings, 
         if num_frames < 2:
             raise InputError(sequence.path, "it has one frame, and so no motion to learn from.", "Give a longer one.")
         check_imu(sequence, settings.odometry)
-        supervision_of(sequence, settings.supervision, settings.every_s, num_frames)
-        facts = [str(path), len(sequence), sequence.stamps_ns[[0, -1]].tolist()]
-        sources.append(Source(recording, sequence.path, sequence.camera, num_frames, facts))
+        truth = supervision_of(sequence, settings.supervision, settings.every_s, num_frames).digest
+        facts = [str(path), len(sequence), sequence.stamps_ns[[0, -1]].tolist(), calibration(sequence)]
+        sources.append(Source(recording, sequence.path, sequence.camera, num_frames, facts, truth))
     return sources
+
+
+def calibration(sequence: Sequence) -> list[Any]:
+    """Of camera and IMU, in plain values."""
+    parts = [sequence.camera, *([] if sequence.imu is None else [sequence.imu])]
+    return [np.asarray(value).tolist() for part in parts for value in vars(part).values()]
 
 
 def known_predictors(settings: TrainSettings, recordings: Collection[Recording]) -> tuple[Predictor, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,12 @@ class Supervision:
         for number, (first, last) in enumerate(self.stretches.tolist()):
             owner[first:last] = number
         return owner
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the truth that is used."""
+        content = np.asarray(self.frames, np.int64).tobytes() + np.asarray(self.T_world_cam, np.float64).tobytes()
+        return hashlib.sha256(content).hexdigest()
 
     def errors(self, T_curr_prev: FloatArray) -> FloatArray:
         """α of motions T_curr_prev [K − 1, 4, 4] over each of the U stretches, [U], m.
