@@ -187,9 +187,7 @@ def _errors(
     scale R if e has Σ. The bias, which the solution has taken off, is put back.
     """
     inverse = np.linalg.inv(solution.information[chosen])
-    sigma: FloatArray = floored(
-        0.5 * (inverse + inverse.mT)
-    )  # a motion that is far off can make it as good as singular
+    sigma = floored(0.5 * (inverse + inverse.mT))  # a motion that is far off can make it as good as singular
     errors, moved = solution.residuals[chosen], solution.jacobian[chosen]
     if noise.refers_to == "observation":
         back = np.linalg.cholesky(noise.scale[chosen]) @ np.linalg.inv(np.linalg.cholesky(sigma))
