@@ -8,7 +8,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.config import MotionModelConfig
-from probevo.geometry import se3
+from probevo.geometry import se3, so3
 from probevo.motion.reprojection import ReprojectionSolution, RotationPrior
 
 ABSURD = 60.0
@@ -19,6 +19,9 @@ FASTEST_START = 1.5
 
 MAX_REFUSALS = 3
 """Solves that the belief may refuse, with none believed in between, before it is given up itself."""
+
+ASKEW_RAD, LATE_S = 0.02, 0.006
+"""Standard deviations of how far a gyro's axes, or its scale, are off, and its clock; its noise is not all there is."""
 
 MOVING = np.repeat([0.1, 0.05], 3)
 """Twist, m/s and rad/s, beyond which no two images are alike."""
@@ -33,8 +36,8 @@ class ExpectedMotion:
     cov: FloatArray
     """Covariance of its left perturbation, [6, 6]."""
     possible: FloatArray
-    """The same as the velocity alone would have it, [6, 6]: a gyro's own noise says nothing of its scale, its clock and
-    how it is mounted, and a solve must not be refused for these."""
+    """The same with what a gyro's own noise does not tell, [6, 6]: no solve must be refused for its scale, its clock or
+    how it is mounted."""
     of_velocity: FloatArray
     """How the velocity's error, [6], in standard deviations, moves it, [6, 6]; a gyro's rotation it does not turn."""
 
@@ -82,9 +85,13 @@ class MotionModel:
         possible = of_velocity**2 + 2.0 * self.config.stamp_sigma_s**2 * np.outer(self.twist_s, self.twist_s)
         cov = possible.copy()
         if gyro is not None:
-            T_curr_prev[:3, :3] = gyro.C_curr_prev
-            cov[3:], cov[:, 3:], of_velocity[3:] = 0.0, 0.0, 0.0
-            cov[3:, 3:] = gyro.cov
+            T_curr_prev[:3, :3], of_velocity[3:] = gyro.C_curr_prev, 0.0
+            felt = so3.log(gyro.C_curr_prev)
+            surprise_rad_s = felt / duration_s - self.twist_s[3:]
+            untold = ASKEW_RAD * np.linalg.norm(felt) + LATE_S * np.linalg.norm(surprise_rad_s)
+            for covariance, rotation in ((cov, gyro.cov), (possible, gyro.cov + untold**2 * np.eye(3))):
+                covariance[3:], covariance[:, 3:] = 0.0, 0.0
+                covariance[3:, 3:] = rotation
         return ExpectedMotion(T_curr_prev, cov, possible, of_velocity)
 
     def starts(self, duration_s: float, expected: ExpectedMotion) -> list[FloatArray]:
