@@ -27,7 +27,7 @@ def guess_of(
 ) -> Consensus:
     """RANSAC is off unless a mode is given."""
     settings = {"ransac": {"mode": "off"} | ransac, "gyro": {"prefilter_deg": prefilter_deg}}
-    start = ExpectedMotion(np.eye(4) if expected is None else expected, np.eye(6), np.eye(6), np.eye(6))
+    start = ExpectedMotion(np.eye(4) if expected is None else expected, np.eye(6), np.eye(6))
     config = OdometryConfig.model_validate(settings)
     return first_guess(tracks, CAMERA, start, rotation, config, np.random.default_rng(0))
 

@@ -26,7 +26,7 @@ CONFIG = OdometryConfig()
 UNKNOWN = MotionModel.at_start(CONFIG.motion_model).expected(0.1, None)
 """What is expected of the first step: any motion of a car."""
 SLOW = np.diag(np.repeat([0.05, 0.01], 3))
-STANDSTILL = ExpectedMotion(np.eye(4), SLOW**2, SLOW**2, SLOW)
+STANDSTILL = ExpectedMotion(np.eye(4), SLOW**2, SLOW)
 
 
 def look(

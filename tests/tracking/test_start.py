@@ -38,7 +38,7 @@ def frame(index: int, image: Image | None) -> Frame:
 def expected(sigma_rad: float) -> ExpectedMotion:
     T = se3.from_parts(np.eye(3), np.array([0.0, 0.0, -1.0]))
     sigma = np.diag([0.1, 0.1, 0.1, sigma_rad, sigma_rad, sigma_rad])
-    return ExpectedMotion(T, sigma**2, sigma**2, sigma)
+    return ExpectedMotion(T, sigma**2, sigma)
 
 
 @pytest.mark.parametrize("moved", [(0, 0), (90, 0), (-60, 0), (0, 25), (40, -20)])

@@ -34,10 +34,8 @@ class ExpectedMotion:
     T_curr_prev: FloatArray
     """[4, 4]."""
     cov: FloatArray
-    """Covariance of its left perturbation, [6, 6]."""
-    possible: FloatArray
-    """The same with what a gyro's own noise does not tell, [6, 6]: no solve must be refused for its scale, its clock or
-    how it is mounted."""
+    """Covariance of its left perturbation, [6, 6]. It is more than a gyro's own noise: no solve must be refused for the
+    gyro's scale, its clock or how it is mounted."""
     of_velocity: FloatArray
     """How the velocity's error, [6], in standard deviations, moves it, [6, 6]; a gyro's rotation it does not turn."""
 
@@ -48,7 +46,7 @@ class ExpectedMotion:
     def is_absurd(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
         """Whether a solved motion and its covariance cannot come from what was expected."""
         surprise = self.surprise(T_curr_prev)
-        return bool(surprise @ np.linalg.solve(self.possible + cov, surprise) > ABSURD)
+        return bool(surprise @ np.linalg.solve(self.cov + cov, surprise) > ABSURD)
 
 
 @dataclass(frozen=True)
@@ -78,21 +76,17 @@ class MotionModel:
 
     def expected(self, duration_s: float, gyro: RotationPrior | None) -> ExpectedMotion:
         """Motion over the coming step; the rotation is the gyro's where there is one."""
-        T_curr_prev, of_velocity = (
-            se3.exp(self.twist_s * duration_s),
-            np.diag(self._drifted_sigma(duration_s) * duration_s),
-        )
-        possible = of_velocity**2 + 2.0 * self.config.stamp_sigma_s**2 * np.outer(self.twist_s, self.twist_s)
-        cov = possible.copy()
+        T_curr_prev = se3.exp(self.twist_s * duration_s)
+        of_velocity = np.diag(self._drifted_sigma(duration_s) * duration_s)
+        cov = of_velocity**2 + 2.0 * self.config.stamp_sigma_s**2 * np.outer(self.twist_s, self.twist_s)
         if gyro is not None:
-            T_curr_prev[:3, :3], of_velocity[3:] = gyro.C_curr_prev, 0.0
+            T_curr_prev[:3, :3] = gyro.C_curr_prev
             felt = so3.log(gyro.C_curr_prev)
-            surprise_rad_s = felt / duration_s - self.twist_s[3:]
-            untold = ASKEW_RAD * np.linalg.norm(felt) + LATE_S * np.linalg.norm(surprise_rad_s)
-            for covariance, rotation in ((cov, gyro.cov), (possible, gyro.cov + untold**2 * np.eye(3))):
-                covariance[3:], covariance[:, 3:] = 0.0, 0.0
-                covariance[3:, 3:] = rotation
-        return ExpectedMotion(T_curr_prev, cov, possible, of_velocity)
+            change_rad_s = felt / duration_s - self.twist_s[3:]
+            untold_rad = ASKEW_RAD * np.linalg.norm(felt) + LATE_S * np.linalg.norm(change_rad_s)
+            cov[3:], cov[:, 3:], of_velocity[3:] = 0.0, 0.0, 0.0
+            cov[3:, 3:] = gyro.cov + untold_rad**2 * np.eye(3)
+        return ExpectedMotion(T_curr_prev, cov, of_velocity)
 
     def starts(self, duration_s: float, expected: ExpectedMotion) -> list[FloatArray]:
         """Motions, [4, 4] each, from which tracking may have to start: several forward speeds while none is known."""
