@@ -11,12 +11,16 @@ from collections.abc import Iterator
 import numpy as np
 
 import probevo as pv
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
 from probevo.motion.reprojection import solve_reprojection
 from probevo.noise.base import StereoNoise
+from probevo.predictors import prediction_space
+from probevo.simulation.noise_laws import NoiseLaw
 from probevo.simulation.point_config import PointConfig
-from probevo.simulation.point_world import PointWorld, training_and_test_world
+from probevo.simulation.point_world import PointWorld, stereo_camera, training_and_test_world
 
 OFF = pv.OdometryConfig(self_calibration=False)
 
@@ -39,6 +43,33 @@ def oracle(world: PointWorld) -> Metrics:
         solutions.append(solve_reprojection(tracks.prev_px, tracks.curr_px, noise, step.T_curr_prev, world.camera))
     T_curr_prev, cov = np.array([s.T_curr_prev for s in solutions]), np.array([s.cov for s in solutions])
     return evaluate(se3.chain_motions(T_curr_prev), world.T_world_cam, T_curr_prev, cov)
+
+
+class Law:
+    """The law of a world as a noise model: the true covariance where each landmark is seen, but not which are outliers.
+
+    Those are left to the odometry's consensus, and to tails of ν = 20 for errors that are Gaussian.
+    """
+
+    columns = prediction_space(("place", "disparity")).columns
+
+    def __init__(self, config: PointConfig) -> None:
+        self.law = NoiseLaw.of(config)
+        self.camera = stereo_camera(config)
+
+    def predict(self, predictors: FloatArray) -> StereoNoise:
+        """Noise of N features from x, y and ln d, [N, 3]."""
+        c, count = self.camera, len(predictors)
+        u, v = c.fu_px * predictors[:, 0] + c.cu_px, c.fv_px * predictors[:, 1] + c.cv_px
+        pixels = np.column_stack([u, v, u - np.exp(predictors[:, 2]), v])
+        covariance, dof = self.law.covariance(pixels), self.law.dof
+        if np.isinf(dof):
+            return StereoNoise(covariance, np.full(count, 20.0), np.zeros((count, 4)), refers_to="observation")
+        scale = (dof - 2.0) / dof * covariance
+        return StereoNoise(scale, np.full(count, dof), np.zeros((count, 4)), refers_to="observation")
+
+    def check_camera(self, camera: StereoCamera) -> None:
+        """It is of one world, whose camera is the only one."""
 
 
 def estimators(world: PointWorld) -> Iterator[tuple[str, Metrics]]:

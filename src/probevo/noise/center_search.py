@@ -23,6 +23,10 @@ HEAD = 8
 """Coordinates by which a center is ruled out; the search spells them out."""
 NEAREST = 4
 """Centers that are found."""
+INFINITE_BITS = np.int32(np.float32(np.inf).view(np.int32))
+"""The bits of numbers that are not negative are in the numbers' order; of integers, the least is found eight at a time."""
+ABOVE, TINY = np.float32(1.0 + 1e-6), np.float32(1e-30)
+"""ABOVE x + TINY is just above x."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class Leaves:
     head: Single
     """First coordinates, [C / LEAF rounded up, HEAD, LEAF]; 0 if there are fewer, ∞ where no center is."""
     tail: Single
-    """The other coordinates, [C, M − HEAD]."""
+    """The other coordinates, [C / LEAF, M − HEAD, LEAF]."""
     boxes: Single
     """Least and largest of the first coordinates of each leaf, [2, HEAD, C / LEAF]."""
 
@@ -48,13 +52,14 @@ class Leaves:
         turned = places @ axes
         centers = _together(turned[:, :HEAD])
         count, leaves = len(places), -(-len(places) // LEAF)
-        head = np.zeros((leaves * LEAF, HEAD), np.float32)
-        head[:count, : axes.shape[1]] = turned[centers, :HEAD]
+        rows = np.zeros((leaves * LEAF, max(HEAD, axes.shape[1])), np.float32)
+        rows[:count, : axes.shape[1]] = turned[centers]
         starts = np.arange(0, count, LEAF)
-        boxes = np.array([side.reduceat(head[:count], starts).T for side in (np.minimum, np.maximum)])
-        head[count:] = np.inf
-        by_leaf = np.ascontiguousarray(head.reshape(leaves, LEAF, HEAD).transpose(0, 2, 1))
-        return Leaves(axes, centers, by_leaf, np.ascontiguousarray(turned[centers, HEAD:], np.float32), boxes)
+        boxes = np.array([side.reduceat(rows[:count, :HEAD], starts).T for side in (np.minimum, np.maximum)])
+        rows[count:] = np.inf
+        by_leaf = rows.reshape(leaves, LEAF, -1).transpose(0, 2, 1)
+        head, tail = (np.ascontiguousarray(part) for part in (by_leaf[:, :HEAD], by_leaf[:, HEAD:]))
+        return Leaves(axes, centers, head, tail, boxes)
 
     def nearest(self, queries: FloatArray) -> tuple[IntArray, Single]:
         """The NEAREST centers of n places [n, M], or all if there are fewer, and their squared distances, [n, NEAREST].
@@ -94,6 +99,8 @@ def _find(
     """Fill in the nearest centers; in one piece, since to hand rows of arrays on would take longer than the search."""
     last, width, leaves, nothing = squared.shape[1] - 1, tail.shape[1], len(head), np.float32(0.0)
     bound, distance = np.empty(leaves, np.float32), np.empty(LEAF, np.float32)
+    least = np.empty(NEAREST, np.float32)
+    bound_bits, distance_bits, least_bits = bound.view(np.int32), distance.view(np.int32), least.view(np.int32)
     for n in range(len(query_head)):
         bound[:] = nothing  # how near, squared, each box comes
         for m in range(HEAD):
@@ -106,10 +113,12 @@ def _find(
         q0, q1, q2, q3 = query_head[n, 0], query_head[n, 1], query_head[n, 2], query_head[n, 3]
         q4, q5, q6, q7 = query_head[n, 4], query_head[n, 5], query_head[n, 6], query_head[n, 7]
         worst = squared[n, last]
-        nearest = 0
+        least_bits[0] = INFINITE_BITS
         for leaf in range(leaves):
-            if bound[leaf] < bound[nearest]:
-                nearest = leaf
+            least_bits[0] = min(least_bits[0], bound_bits[leaf])
+        nearest = 0
+        while bound[nearest] > least[0]:
+            nearest += 1
         for turn in range(leaves):  # that one first, in the place of the first: the more are ruled out by what it holds
             leaf = nearest if turn == 0 else 0 if turn == nearest else turn
             if bound[leaf] >= worst:
@@ -122,16 +131,25 @@ def _find(
             nearer = np.int32(0)  # counted in one sweep: mostly there is none
             for i in range(LEAF):
                 nearer += np.int32(distance[i] < worst)
-            for i in range(LEAF if nearer > 0 else 0):
+            if nearer == 0:
+                continue
+            for m in range(width):
+                q = query_tail[n, m]
+                for i in range(LEAF):
+                    difference = tail[leaf, m, i] - q
+                    distance[i] += difference * difference
+            if turn == 0:  # as many centers as are wanted are at least this near: one in each part of the leaf
+                for part in range(NEAREST):
+                    bits = INFINITE_BITS
+                    for i in range(LEAF // NEAREST):
+                        bits = min(bits, distance_bits[part * (LEAF // NEAREST) + i])
+                    least_bits[part] = bits
+                worst = ABOVE * max(max(least[0], least[1]), max(least[2], least[3])) + TINY
+            for i in range(LEAF):
                 if distance[i] < worst:
-                    center, total = leaf * LEAF + i, distance[i]
-                    for m in range(width):
-                        difference = tail[center, m] - query_tail[n, m]
-                        total += difference * difference
-                    if total < worst:
-                        place = last
-                        while place > 0 and squared[n, place - 1] > total:
-                            squared[n, place], index[n, place] = squared[n, place - 1], index[n, place - 1]
-                            place -= 1
-                        squared[n, place], index[n, place] = total, center
-                        worst = squared[n, last]
+                    place, total = last, distance[i]
+                    while place > 0 and squared[n, place - 1] > total:
+                        squared[n, place], index[n, place] = squared[n, place - 1], index[n, place - 1]
+                        place -= 1
+                    squared[n, place], index[n, place] = total, leaf * LEAF + i
+                    worst = min(worst, squared[n, last])

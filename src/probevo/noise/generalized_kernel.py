@@ -160,10 +160,7 @@ class GeneralizedKernel:
         metric, model = self.metric_, copy(self)
         if metric.weight[np.setdiff1d(np.arange(len(self.columns)), columns)].any():
             raise ValueError("a column that contributes cannot be left out")
-        model.metric_ = Metric(
-            tuple(metric.columns[m] for m in columns), tuple(metric.may_be_undefined[m] for m in columns),
-            metric.mean[columns], metric.spread[columns], metric.weight[columns],
-        )  # fmt: skip
+        model.metric_ = metric.kept(columns)
         model.weights_ = self.weights_[columns]
         return model
 
@@ -225,8 +222,7 @@ class GeneralizedKernel:
         return StereoNoise(students.scale, students.dof, students.bias, self.refers_to, out_of_domain, lasting)
 
     def _coordinates(self, predictors: FloatArray) -> FloatArray:
-        """Places [N, M] in the columns that contribute."""
-        return np.ascontiguousarray(self.metric_.coordinates(predictors)[:, self.metric_.weight > 0.0])
+        return self.metric_.contributing(np.asarray(predictors, dtype=np.float64))
 
     def _given(self) -> dict[str, Any]:
         names = ("neighbors", "reach", "prior_counts", "dof_counts", "bias_counts", "weights")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.noise.moments import Moments
 
@@ -92,8 +92,25 @@ class Metric:
             InputError: not M columns, or a value is infinite, or NaN where it must not be.
         """
         check_defined(predictors, self.columns, self.may_be_undefined)
-        standard = np.clip((predictors - self.mean) / self.spread, -FARTHEST, FARTHEST)
-        return np.where(np.isnan(standard), UNDEFINED, standard) * self.weight
+        return self._placed(predictors)
+
+    def contributing(self, predictors: FloatArray) -> FloatArray:
+        """The same, but only of the columns that have a weight; raises the same."""
+        check_defined(predictors, self.columns, self.may_be_undefined)
+        columns = np.flatnonzero(self.weight)
+        return self.kept(columns)._placed(predictors[:, columns])
+
+    def kept(self, columns: IntArray) -> Metric:
+        """The metric of some of the columns."""
+        names, may_be = (tuple(part[m] for m in columns) for part in (self.columns, self.may_be_undefined))
+        return Metric(names, may_be, self.mean[columns], self.spread[columns], self.weight[columns])
+
+    def _placed(self, predictors: FloatArray) -> FloatArray:
+        standard = (predictors - self.mean) / self.spread
+        np.clip(standard, -FARTHEST, FARTHEST, out=standard)
+        standard[np.isnan(standard)] = UNDEFINED
+        standard *= self.weight
+        return standard
 
 
 def check_defined(predictors: FloatArray, columns: Sequence[str], may_be_undefined: Sequence[bool] = ()) -> None:
@@ -105,8 +122,9 @@ def check_defined(predictors: FloatArray, columns: Sequence[str], may_be_undefin
     if predictors.ndim != 2 or predictors.shape[1] != len(columns):
         expected = f"[N, {len(columns)}]: {', '.join(columns)}"
         raise InputError("predictors", f"their shape is {predictors.shape}, where the model takes {expected}.")
-    may_be = tuple(may_be_undefined) or (False,) * len(columns)
-    wrong = np.where(may_be, np.isinf(predictors), ~np.isfinite(predictors))
+    wrong = ~np.isfinite(predictors)
+    if wrong.any():
+        wrong &= ~(np.isnan(predictors) & (tuple(may_be_undefined) or (False,) * len(columns)))
     if wrong.any():
         row, m = np.argwhere(wrong)[0].tolist()
         what = f"feature {row} (from 0) has the value {predictors[row, m]}."
