@@ -4,8 +4,8 @@ python benchmarks/kernel_points.py [seeds] [law …]    20 seeds of every law by
 
 Outliers: 5 % of the landmarks, ±20 px. Training and test worlds are independent, the rig is flawless, and all start
 from the same RANSAC. *Best-scaled* is the Student-t (ν = 5) whose scale has the least ARMSE on the test itself, with
-the noise of residuals, as in PROBE-GK, and with that of observations, as probevo ships it. *Law* is our odometry with the
-true covariance of every observation; the oracle knows that and which landmarks are outliers.
+the noise of residuals, as in PROBE-GK, and with that of observations, as probevo ships it. *Law* is our odometry
+with the true covariance of every observation; the oracle knows that and which landmarks are outliers.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ HEAD = 8
 NEAREST = 4
 """Centers that are found."""
 INFINITE_BITS = np.int32(np.float32(np.inf).view(np.int32))
-"""The bits of numbers that are not negative are in the numbers' order; of integers, the least is found eight at a time."""
+"""Bits of numbers that are not negative are in the numbers' order; of integers, the least is found eight at a time."""
 ABOVE, TINY = np.float32(1.0 + 1e-6), np.float32(1e-30)
 """ABOVE x + TINY is just above x."""
 
