@@ -24,9 +24,11 @@ def test_the_nearest_centers_are_those_of_an_exhaustive_search(count, width, see
     np.testing.assert_allclose(np.take_along_axis(distance, index, 1), expected, rtol=1e-4, atol=1e-5)
 
 
-def test_centers_all_alike_are_all_as_near():
-    index, squared = Leaves.of(np.ones((200, 3))).nearest(np.zeros((1, 3)))
-    np.testing.assert_allclose(squared, 3.0, rtol=1e-6)
+@pytest.mark.parametrize("width", [3, 12])
+@pytest.mark.parametrize("place", [0.0, 1.0])
+def test_centers_all_alike_are_all_as_near(width, place):
+    index, squared = Leaves.of(np.ones((200, width))).nearest(np.full((1, width), place))
+    np.testing.assert_allclose(squared, width * (1.0 - place), rtol=1e-6)
     assert len(np.unique(index)) == NEAREST
 
 

@@ -20,7 +20,7 @@ Single = NDArray[np.float32]
 LEAF = 64
 """Centers of a leaf."""
 HEAD = 8
-"""Coordinates by which a center is ruled out; the search spells them out."""
+"""Coordinates by which a center is ruled out, if it has so many."""
 NEAREST = 4
 """Centers that are found."""
 INFINITE_BITS = np.int32(np.float32(np.inf).view(np.int32))
@@ -38,11 +38,11 @@ class Leaves:
     centers: IntArray
     """Which center each is, [C]."""
     head: Single
-    """First coordinates, [C / LEAF rounded up, HEAD, LEAF]; 0 if there are fewer, ∞ where no center is."""
+    """First coordinates, at most HEAD, [C / LEAF rounded up, H, LEAF]; ∞ where no center is."""
     tail: Single
-    """The other coordinates, [C / LEAF, M − HEAD, LEAF]."""
+    """The other coordinates, [C / LEAF, M − H, LEAF]."""
     boxes: Single
-    """Least and largest of the first coordinates of each leaf, [2, HEAD, C / LEAF]."""
+    """Least and largest of the first coordinates of each leaf, [2, H, C / LEAF]."""
 
     @staticmethod
     def of(places: FloatArray) -> Leaves:
@@ -52,11 +52,10 @@ class Leaves:
         turned = places @ axes
         centers = _together(turned[:, :HEAD])
         count, leaves = len(places), -(-len(places) // LEAF)
-        rows = np.zeros((leaves * LEAF, max(HEAD, axes.shape[1])), np.float32)
-        rows[:count, : axes.shape[1]] = turned[centers]
+        rows = np.full((leaves * LEAF, places.shape[1]), np.inf, np.float32)
+        rows[:count] = turned[centers]
         starts = np.arange(0, count, LEAF)
         boxes = np.array([side.reduceat(rows[:count, :HEAD], starts).T for side in (np.minimum, np.maximum)])
-        rows[count:] = np.inf
         by_leaf = rows.reshape(leaves, LEAF, -1).transpose(0, 2, 1)
         head, tail = (np.ascontiguousarray(part) for part in (by_leaf[:, :HEAD], by_leaf[:, HEAD:]))
         return Leaves(axes, centers, head, tail, boxes)
@@ -70,9 +69,8 @@ class Leaves:
         index, squared = np.zeros((len(queries), count), np.int64), np.full((len(queries), count), np.inf, np.float32)
         with np.errstate(over="ignore"):
             turned = (queries @ self.axes).astype(np.float32)
-        head = np.zeros((len(queries), HEAD), np.float32)
-        head[:, : self.axes.shape[1]] = turned[:, :HEAD]
-        _find(head, np.ascontiguousarray(turned[:, HEAD:]), self.head, self.tail, self.boxes, index, squared)
+        head, tail = (np.ascontiguousarray(part) for part in (turned[:, :HEAD], turned[:, HEAD:]))
+        _find(head, tail, self.head, self.tail, self.boxes, index, squared)
         return self.centers[index], squared
 
 
@@ -97,21 +95,20 @@ def _find(
     query_head: Single, query_tail: Single, head: Single, tail: Single, boxes: Single, index: IntArray, squared: Single
 ) -> None:
     """Fill in the nearest centers; in one piece, since to hand rows of arrays on would take longer than the search."""
-    last, width, leaves, nothing = squared.shape[1] - 1, tail.shape[1], len(head), np.float32(0.0)
+    last, nothing = squared.shape[1] - 1, np.float32(0.0)
+    leaves, heads, tails = len(head), head.shape[1], tail.shape[1]
     bound, distance = np.empty(leaves, np.float32), np.empty(LEAF, np.float32)
     least = np.empty(NEAREST, np.float32)
     bound_bits, distance_bits, least_bits = bound.view(np.int32), distance.view(np.int32), least.view(np.int32)
     for n in range(len(query_head)):
         bound[:] = nothing  # how near, squared, each box comes
-        for m in range(HEAD):
+        for m in range(heads):
             q = query_head[n, m]
             for leaf in range(leaves):
                 below, above = boxes[0, m, leaf] - q, q - boxes[1, m, leaf]
                 outside = below if below > above else above
                 outside = outside if outside > nothing else nothing
                 bound[leaf] += outside * outside
-        q0, q1, q2, q3 = query_head[n, 0], query_head[n, 1], query_head[n, 2], query_head[n, 3]
-        q4, q5, q6, q7 = query_head[n, 4], query_head[n, 5], query_head[n, 6], query_head[n, 7]
         worst = squared[n, last]
         least_bits[0] = INFINITE_BITS
         for leaf in range(leaves):
@@ -123,17 +120,18 @@ def _find(
             leaf = nearest if turn == 0 else 0 if turn == nearest else turn
             if bound[leaf] >= worst:
                 continue
-            rows = head[leaf]
-            for i in range(LEAF):
-                d0, d1, d2, d3 = rows[0, i] - q0, rows[1, i] - q1, rows[2, i] - q2, rows[3, i] - q3
-                d4, d5, d6, d7 = rows[4, i] - q4, rows[5, i] - q5, rows[6, i] - q6, rows[7, i] - q7
-                distance[i] = d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3 + d4 * d4 + d5 * d5 + d6 * d6 + d7 * d7
+            distance[:] = nothing
+            for m in range(heads):
+                q = query_head[n, m]
+                for i in range(LEAF):
+                    difference = head[leaf, m, i] - q
+                    distance[i] += difference * difference
             nearer = np.int32(0)  # counted in one sweep: mostly there is none
             for i in range(LEAF):
                 nearer += np.int32(distance[i] < worst)
             if nearer == 0:
                 continue
-            for m in range(width):
+            for m in range(tails):
                 q = query_tail[n, m]
                 for i in range(LEAF):
                     difference = tail[leaf, m, i] - q
