@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import os
+import zlib
 from contextlib import suppress
 from pathlib import Path
+from tokenize import TokenError
+from zipfile import BadZipFile
 
 from probevo.errors import InputError
+
+NO_ARCHIVE = (OSError, ValueError, TypeError, EOFError, NotImplementedError, BadZipFile, zlib.error, TokenError)
+"""What NumPy raises at an .npz file that is damaged, or none at all."""
 
 
 def check_folder(folder: Path, option: str) -> None:

@@ -105,6 +105,8 @@ def test_unreadable_files(make_run: Callable[..., RunResult], tmp_path: Path) ->
     (tmp_path / "empty.npz").write_bytes(b"")
     np.save(tmp_path / "single.npy", np.eye(3))
     (tmp_path / "flipped.npz").write_bytes(whole.replace(b"\x00\x00\xf0\x3f", b"\x00\x00\xf0\x3e"))
-    for name in ("absent.npz", "cut.npz", "text.npz", "empty.npz", "single.npy", "flipped.npz", "."):
+    version = whole.index(b"PK\x01\x02") + 6  # of the archive's form, as its first entry needs it
+    (tmp_path / "future.npz").write_bytes(whole[:version] + b"\xff" + whole[version + 1 :])
+    for name in ("absent.npz", "cut.npz", "text.npz", "empty.npz", "single.npy", "flipped.npz", "future.npz", "."):
         with pytest.raises(InputError, match="cannot be read"):
             read_motions(tmp_path / name)

@@ -71,6 +71,10 @@ NOT_PLAIN = {
     + chunk(b"IHDR", bytes([0, 0, 0, 5, 0, 0, 0, 4, 8, 0, 0, 0, 0]))
     + chunk(b"IDAT", b"not deflated")
     + chunk(b"IEND", b""),
+    "no memory holds it": PNG_MAGIC
+    + chunk(b"IHDR", bytes([255] * 8 + [8, 0, 0, 0, 0]))
+    + chunk(b"IDAT", zlib.compress(bytes(9)))
+    + chunk(b"IEND", b""),
     "no picture": PNG_MAGIC + chunk(b"IHDR", bytes([0, 0, 0, 5, 0, 0, 0, 4, 8, 0, 0, 0, 0])) + chunk(b"IEND", b""),
     "no header": PNG_MAGIC + chunk(b"IEND", b""),
 }

@@ -32,6 +32,21 @@ def test_truth_is_unknown_in_gaps_and_beyond_the_ends() -> None:
     np.testing.assert_array_equal(np.isnan(poses).any(axis=(1, 2)), [True, False, False, True, False, False, True])
 
 
+def test_a_pose_at_the_very_time_is_taken_whatever_gaps_are_beside_it() -> None:
+    stamps_ns = 1000 * MS * np.arange(4)
+    poses = interpolate_poses(stamps_ns, steady_motion(stamps_ns), np.r_[stamps_ns, 1500 * MS])
+    np.testing.assert_allclose(poses[:4], steady_motion(stamps_ns), atol=1e-12)
+    assert np.isnan(poses[4]).all()
+    alone = interpolate_poses(stamps_ns[1:2], steady_motion(stamps_ns[1:2]), stamps_ns)
+    np.testing.assert_array_equal(np.isnan(alone).any(axis=(1, 2)), [True, False, True, True])
+
+
+def test_a_motion_goes_on_no_longer_than_it_was_seen() -> None:
+    stamps_ns = np.array([0, 100, 101]) * MS
+    poses = interpolate_poses(stamps_ns, steady_motion(stamps_ns), np.array([102, 103]) * MS)
+    np.testing.assert_array_equal(np.isnan(poses).any(axis=(1, 2)), [False, True])
+
+
 def test_truth_is_relative_to_its_first_known_pose() -> None:
     T = steady_motion(STAMPS_NS + 500 * MS)
     T[0] = np.nan

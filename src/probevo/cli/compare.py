@@ -38,7 +38,7 @@ class CompareArguments:
     ]
     """Folders of the recordings, or tracks files (.npz)."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the results. What an earlier comparison left there is replaced."""
+    """Folder for the results. Files of the same names are replaced; runs of earlier comparisons stay."""
     noise: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ESTIMATOR…")] = ("fixed", "student-t")
     """The estimators: fixed, student-t, and model files (.safetensors), as in `probevo run`; aggressive is fixed with
     RANSAC at a confidence of 0.9999. With the defaults, fixed and aggressive are what PROBE was compared with."""

@@ -23,8 +23,9 @@ COLUMNS: dict[int, PoseFormat] = {12: "kitti", 8: "tum"}
 class EvalArguments:
     """Figures of merit of a run against true poses of the left camera.
 
-    TUM poses are matched by time, to the nearest within half a frame. KITTI poses have no time and are matched by
-    number: the first belongs to the first frame, and those beyond the last frame are left out.
+    TUM poses are matched by time: interpolated at that of each frame, but not over gaps of more than half a second.
+    KITTI poses have no time and are matched by number: the first belongs to the first frame, and those beyond the last
+    frame are left out.
     """
 
     run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
@@ -63,6 +64,7 @@ def main(words: list[str]) -> None:
 
     estimate = read_run(arguments.run) if arguments.run.is_dir() else read_trajectory(arguments.run)
     truth = read_trajectory(arguments.gt, arguments.gt_format)
+    refuse_unknown(estimate)
     T_world_cam_true, remark = match_truth(estimate, truth)
     metrics = evaluate(estimate.T_world_cam, T_world_cam_true, estimate.T_curr_prev, estimate.cov)
     metrics = replace(metrics, out_of_domain=estimate.out_of_domain, stopped=estimate.stopped)
@@ -113,37 +115,47 @@ def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:
     return Trajectory(path, T_world_cam, stamps_ns)
 
 
+def refuse_unknown(estimate: Trajectory) -> None:
+    """Refuse an estimate with poses that are not known, as only truth may have them.
+
+    Raises:
+        InputError: names the first of them.
+    """
+    import numpy as np
+
+    for k in np.flatnonzero(np.isnan(estimate.T_world_cam).any(axis=(1, 2)))[:1]:
+        raise InputError(estimate.where, f"pose {k} (from 0) is not known.", "An estimate has one for each frame.")
+
+
 def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, str]:
     """True pose of each estimated frame, [N, 4, 4], NaN where unknown; and a remark for the user, or nothing.
 
     Raises:
-        InputError: the truth is too short, or no true pose is near a frame in time.
+        InputError: the truth is too short, or fewer than two frames have a true pose.
     """
-    if estimate.stamps_ns is not None and truth.stamps_ns is not None:
-        return _match_by_time(truth, estimate.stamps_ns, truth.stamps_ns)
-    frames, poses = len(estimate.T_world_cam), len(truth.T_world_cam)
-    if poses < frames:
-        what = f"{poses} poses for the {frames} frames of {estimate.where}."
-        raise InputError(truth.where, what, "Without times they are matched by number: give one for each frame.")
-    if poses > frames and truth.stamps_ns is not None:
-        what = f"{poses} poses for the {frames} frames of {estimate.where}, which has no times to match them by."
-        raise InputError(truth.where, what, "Give the run's folder or its trajectory.tum instead.")
-    remark = f"Compared with the first {frames} of {poses} true poses: the run has no more." if poses > frames else ""
-    return truth.T_world_cam[:frames], remark
-
-
-def _match_by_time(truth: Trajectory, frames_ns: IntArray, poses_ns: IntArray) -> tuple[FloatArray, str]:
     import numpy as np
 
-    after = np.clip(np.searchsorted(poses_ns, frames_ns), 1, max(len(poses_ns) - 1, 1))
-    pair = np.minimum(np.stack([after - 1, after]), len(poses_ns) - 1)
-    nearest = pair[np.abs(poses_ns[pair] - frames_ns).argmin(axis=0), np.arange(len(frames_ns))]
-    half_frame_ns = np.median(np.diff(frames_ns)) / 2 if len(frames_ns) > 1 else 0
-    known = np.abs(poses_ns[nearest] - frames_ns) <= half_frame_ns
-    if known.sum() < 2:
-        spans = [f"{s[0] * 1e-9:.3f} to {s[-1] * 1e-9:.3f} s" for s in (poses_ns, frames_ns)]
-        what = f"its poses ({spans[0]}) are not within half a frame of the frames ({spans[1]})."
-        raise InputError(truth.where, what, "Both need the same clock.")
-    matched = np.where(known[:, None, None], truth.T_world_cam[nearest], np.nan)
-    missing = int((~known).sum())
-    return matched, f"{missing} of {len(known)} frames have no true pose within half a frame." if missing else ""
+    frames, poses, remark = len(estimate.T_world_cam), len(truth.T_world_cam), ""
+    if estimate.stamps_ns is not None and truth.stamps_ns is not None:
+        from probevo.sequences.poses import interpolate_poses
+
+        matched = interpolate_poses(truth.stamps_ns, truth.T_world_cam, estimate.stamps_ns)
+        spans = [f"{s[0] * 1e-9:.3f} to {s[-1] * 1e-9:.3f} s" for s in (truth.stamps_ns, estimate.stamps_ns)]
+        cure = f"Its poses are of {spans[0]}, the frames of {spans[1]}: both need the same clock."
+    else:
+        if poses < frames:
+            what = f"{poses} poses for the {frames} frames of {estimate.where}."
+            raise InputError(truth.where, what, "Without times they are matched by number: give one for each frame.")
+        if poses > frames and truth.stamps_ns is not None:
+            what = f"{poses} poses for the {frames} frames of {estimate.where}, which has no times to match them by."
+            raise InputError(truth.where, what, "Give the run's folder or its trajectory.tum instead.")
+        if poses > frames:
+            remark = f"Compared with the first {frames} of {poses} true poses: the run has no more."
+        matched, cure = truth.T_world_cam[:frames], "The others are nan."
+    known = int(np.isfinite(matched).all(axis=(1, 2)).sum())
+    if known < 2:
+        raise InputError(truth.where, f"{known} of {frames} frames have a true pose; it takes two.", cure)
+    return (
+        matched,
+        f"{frames - known} of {frames} frames have no true pose. {remark}".strip() if known < frames else remark,
+    )

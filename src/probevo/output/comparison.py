@@ -57,7 +57,7 @@ class Entry:
     @property
     def asides(self) -> dict[str, float | None]:
         """Figures that are no errors, by the head of their column; None where unknown."""
-        steps, share = self.result.status[1:], self.result.out_of_domain
+        steps, share = self.result.status, self.result.out_of_domain
         return {
             "solved %": 100.0 * float(np.mean(steps == Status.OK)) if len(steps) else None,
             "ANEES": self.metrics.anees if self.metrics else None,

@@ -56,7 +56,7 @@ def readable(value: float) -> str:
     """Three figures, never in scientific notation."""
     if not math.isfinite(value):
         return str(value)
-    if value == 0 or isinstance(value, int):
+    if abs(value) < 1e-9 or isinstance(value, int):
         return f"{value:,.0f}"
     rounded = float(f"{value:.3g}")
     decimals = max(0, 2 - math.floor(math.log10(abs(rounded))))

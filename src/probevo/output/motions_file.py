@@ -10,7 +10,7 @@ import numpy as np
 
 from probevo.arrays import AnyArray
 from probevo.errors import InputError
-from probevo.files import write_atomically
+from probevo.files import NO_ARCHIVE, write_atomically
 from probevo.geometry import se3
 from probevo.output.run_result import RunResult
 
@@ -52,7 +52,7 @@ def read_motions(path: Path) -> RunResult:
     try:
         with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except NO_ARCHIVE as error:
         raise InputError(path, f"cannot be read: {error}", _CURE) from error
     n = len(_take(path, arrays, "stamps_ns", None))
     steps = max(n - 1, 0)

@@ -43,7 +43,7 @@ def trajectory_figure(drift: Drift) -> Figure:
 
 
 def error_figure(drift: Drift) -> Figure:
-    """Distance between estimated and true position along the path, with the 3σ band; the band alone without truth."""
+    """Length of the position's part of the pose error, along the path, with its 3σ; the latter alone without truth."""
     claimed_m = 3.0 * drift.position_sigma_m
     error_m = None if drift.error is None else np.linalg.norm(drift.error[:, :3], axis=1)
     top_m = readable_top(claimed_m, error_m)

@@ -60,6 +60,8 @@ def field_of_view_deg(camera: StereoCamera) -> float:
 
 def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
     """Whether there is an IMU, and what its gyro is used for."""
+    if not config.imu:
+        return "left out"
     if sequence.imu is None:
         return "none"
     uses = ["to start the tracking", "to carry on where the camera is blind"]

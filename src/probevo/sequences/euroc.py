@@ -86,6 +86,7 @@ def open_euroc(path: Path) -> StereoRecording:
         InputError: a file or field is missing, few images have a partner, or a value cannot be right.
     """
     mav = path / "mav0" if (path / "mav0").is_dir() else path
+    path = mav.resolve().parent if mav.resolve().name == "mav0" else path  # its name is the recording's
     left_yaml, right_yaml = mav / "cam0" / "sensor.yaml", mav / "cam1" / "sensor.yaml"
     left, right = read_yaml(left_yaml, CameraFile, CURE), read_yaml(right_yaml, CameraFile, CURE)
     T_body_left = left.body_from_sensor(left_yaml)

@@ -1,8 +1,12 @@
-"""Image files: lists of stereo pairs, and a decoder that refuses a damaged picture."""
+"""Image files: lists of stereo pairs, and a decoder that refuses a damaged picture, as far as its format shows damage.
+
+PNG has checksums; of JPEG only the end can be checked.
+"""
 
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -96,4 +100,6 @@ def _decoded(data: bytes) -> AnyArray | None:
             raise DamagedError("its end is missing")
     else:
         raise DamagedError("it is neither PNG nor JPEG" if data else "it is empty")
-    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    with suppress(cv2.error):  # of a size that it refuses
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    return None

@@ -53,7 +53,7 @@ def plain_grey(chunks: list[tuple[bytes, memoryview]]) -> Image | None:
     deflated = b"".join(body for kind, body in chunks if kind == b"IDAT")
     try:
         inflated = isal_zlib.decompressobj().decompress(deflated, max(size, 1))  # 0 is no limit
-    except isal_zlib.IsalError:  # type: ignore[misc]  # its stub calls the class an exception
+    except (isal_zlib.IsalError, OverflowError):  # type: ignore[misc]  # its stub calls the class an exception
         return None
     if width == 0 or len(inflated) != size:
         return None

@@ -45,18 +45,20 @@ def ground_truth(stamps_ns: IntArray, T: FloatArray, where: str | Path) -> Groun
 
 
 def interpolate_poses(stamps_ns: IntArray, T: FloatArray, at_ns: IntArray) -> FloatArray:
-    """Poses T [M, 4, 4] at M ≥ 2 stamps, carried to the times ``at_ns`` [K]: [K, 4, 4].
+    """Poses T [M, 4, 4] at M stamps, carried to the times ``at_ns`` [K]: [K, 4, 4].
 
-    Rotations turn at a constant rate between neighbours, positions move linearly. NaN in gaps over 0.5 s and further
-    than 50 ms beyond the ends; up to there the last motion goes on.
+    Rotations turn at a constant rate between neighbours, positions move linearly. Beyond the ends the last motion goes
+    on for as long as it was seen, but for 50 ms at most; there and within gaps over 0.5 s the pose is NaN.
     """
-    before = np.clip(np.searchsorted(stamps_ns, at_ns, side="right") - 1, 0, len(stamps_ns) - 2)
-    gap = stamps_ns[before + 1] - stamps_ns[before]
-    fraction = ((at_ns - stamps_ns[before]) / gap)[:, None]
-    start, end = T[before], T[before + 1]
+    before = np.clip(np.searchsorted(stamps_ns, at_ns, side="right") - 1, 0, max(len(stamps_ns) - 2, 0))
+    after = np.minimum(before + 1, len(stamps_ns) - 1)
+    gap = stamps_ns[after] - stamps_ns[before]
+    fraction = ((at_ns - stamps_ns[before]) / np.maximum(gap, 1))[:, None]
+    start, end = T[before], T[after]
     turn = so3.log(start[:, :3, :3].mT @ end[:, :3, :3])
     C = start[:, :3, :3] @ so3.exp(fraction * turn)
     poses = se3.from_parts(C, start[:, :3, 3] + fraction * (end[:, :3, 3] - start[:, :3, 3]))
-    outside = np.maximum(stamps_ns[0] - at_ns, at_ns - stamps_ns[-1]) > LONGEST_EXTRAPOLATION_NS
-    poses[outside | (gap > LONGEST_GAP_NS)] = np.nan
+    beyond_ns = np.maximum(stamps_ns[0] - at_ns, at_ns - stamps_ns[-1])
+    lost = (gap > LONGEST_GAP_NS) & (at_ns != stamps_ns[before]) & (at_ns != stamps_ns[after])
+    poses[lost | (beyond_ns > np.minimum(gap, LONGEST_EXTRAPOLATION_NS))] = np.nan
     return poses

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
+from probevo.files import NO_ARCHIVE
 from probevo.geometry import so3
 from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration, StereoFeatures
 from probevo.sequences.imu import ImuStream, hold_over_interval
@@ -106,7 +105,7 @@ def _load(path: Path) -> dict[str, AnyArray]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in SHAPES if name in archive}
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except NO_ARCHIVE as error:
         if str(error).startswith("Object arrays"):
             what = "one of its arrays is pickled; expected plain arrays."
             raise InputError(path, what, "Save it as whole numbers or floats, not as objects.") from error

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import io
 import json
-import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 from uuid import uuid4
-from zipfile import BadZipFile
 
 import numpy as np
 
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.files import write_atomically
+from probevo.files import NO_ARCHIVE, write_atomically
 from probevo.noise.moments import Moments
 from probevo.training.drive import Drive, drive_bytes, load_drive
 from probevo.training.supervision import Supervision
@@ -173,5 +171,5 @@ def whole(path: Path) -> Iterator[None]:
     """Say which file it is if it cannot be read."""
     try:
         yield
-    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error) as error:
+    except (KeyError, *NO_ARCHIVE) as error:
         raise InputError(path, f"this is damaged ({error}).", f"Delete the folder {path.parent}.") from error
