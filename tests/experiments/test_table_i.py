@@ -13,9 +13,23 @@ import pytest
 from output.test_trial_table import tabular, width
 from probevo.cli.main import main
 from probevo.errors import InputError
-from probevo.experiments.table_i import CITY, ESTIMATORS, KINDS, RESIDENTIAL, ROAD, TRIALS, Drive, plan_table
+from probevo.experiments.table_i import (
+    CITY,
+    ESTIMATORS,
+    KINDS,
+    OURS,
+    PROBE,
+    RESIDENTIAL,
+    ROAD,
+    TRIALS,
+    Drive,
+    plan_table,
+    trainings,
+)
+from probevo.experiments.table_i_config import TableIConfig
 from probevo.noise import StudentT
 from probevo.run_config import read_config
+from probevo.training.settings import TrainSettings
 from sequences.recordings import write_kitti_raw
 
 FILES = {f"table_i.{suffix}" for suffix in ("html", "csv", "json", "tex", "txt")}
@@ -221,3 +235,16 @@ def test_a_real_drive_under_the_names_of_a_trial_and_its_training(
     for estimator in ESTIMATORS:
         metrics = json.loads((tmp_path / "out" / "runs" / f"26_drive_0051-{estimator}" / "metrics.json").read_text())
         assert metrics["final_error_m"] < 0.5
+
+
+def test_models_are_trained_for_the_settings_of_the_runs() -> None:
+    given = TableIConfig.model_validate({"seed": 7, "self_calibration": False, "tracking": {"window_px": 21}})
+    published, ours = trainings(given).values()
+    for training in (published, ours):
+        assert training.odometry.seed == 7
+        assert not training.odometry.self_calibration
+        assert training.odometry.tracking.window_px == 21
+    assert (published.odometry.ransac.mode, published.odometry.gyro.prefilter_deg) == ("off", 5.0)
+    assert ours.odometry.ransac.mode != "off"
+    assert trainings(TableIConfig())[PROBE] == TrainSettings.published()
+    assert trainings(TableIConfig())[OURS] == TrainSettings(supervision="none")

@@ -195,3 +195,16 @@ def test_a_loop_closes_however_far_it_is_off() -> None:
     seen = true.copy()
     seen[20] = se3.exp(np.array([9.0, 0.0, 0.0, 0.0, 0.0, 0.0])) @ seen[20]
     assert np.abs(conditioned(seen, cov, around(), None)[0] - seen).max() > 0.0
+
+
+def test_a_loop_whose_ends_are_measured_is_as_good_as_sparse_truth() -> None:
+    """Only one that is assumed to close is taken to be parked by hand."""
+    true, cov = motions(60), covariances(60)
+    ends = se3.chain_motions(true)[[0, -1]]
+    loop, sparse = (Supervision(kind, np.array([0, 60]), ends) for kind in ("loop", "sparse"))
+    assert not loop.is_assumed
+    assert around().is_assumed
+    for one, other in zip(
+        *(conditioned(disturbed(true, cov), cov, known, None) for known in (loop, sparse)), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)

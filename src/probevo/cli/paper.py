@@ -176,15 +176,14 @@ def _table_i(arguments: TableIArguments) -> list[str]:
 
 
 def _train(plan: Plan, arguments: TableIArguments) -> dict[tuple[Drive, str], Path]:
-    """The model file of each training drive, trained as published and as we would.
+    """The model file of each training drive, trained as published and as we would, with the settings of the runs.
 
     We do without the truth of KITTI, whose centimetres from frame to frame hide what single features do.
     """
     from probevo.cli.train import train_with_progress
-    from probevo.experiments.table_i import OURS, PROBE
-    from probevo.training.settings import TrainSettings
+    from probevo.experiments.table_i import trainings
 
-    ways = {PROBE: TrainSettings.published(), OURS: TrainSettings(supervision="none")}
+    ways = trainings(arguments.settings)
     models = {}
     for drive, (name, settings) in product(plan.trainings, ways.items()):
         file = arguments.out / "models" / f"{drive.name}-{name.replace(', ', '-')}.safetensors"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
+from probevo.training.settings import TrainSettings
 
 NOMINAL, AGGRESSIVE, STUDENT_T, PROBE, OURS = "nominal", "aggressive", "student-t", "PROBE", "PROBE, ours"
 ESTIMATORS = (NOMINAL, AGGRESSIVE, STUDENT_T, PROBE, OURS)
@@ -135,6 +136,13 @@ def probe_settings(settings: OdometryConfig) -> OdometryConfig:
     ransac = settings.ransac.model_copy(update={"mode": "off"})
     gyro = settings.gyro.model_copy(update={"prefilter_deg": PREFILTER_DEG})
     return settings.model_copy(update={"ransac": ransac, "gyro": gyro})
+
+
+def trainings(settings: OdometryConfig) -> dict[str, TrainSettings]:
+    """How each learned estimator is trained for runs with these settings."""
+    odometry = OdometryConfig.model_validate({name: getattr(settings, name) for name in OdometryConfig.model_fields})
+    published = TrainSettings.published().model_copy(update={"odometry": probe_settings(odometry)})
+    return {PROBE: published, OURS: TrainSettings(supervision="none", odometry=odometry)}
 
 
 def _names(drives: Iterable[Drive]) -> str:

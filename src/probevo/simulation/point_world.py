@@ -23,7 +23,7 @@ from probevo.tracking.feature_matcher import FeatureMatcher
 from probevo.tracking.tracks import Tracks
 
 MOST_SIGHTINGS = 30_000_000
-"""Frames times landmarks; about an eighth of them are seen and take 250 bytes each, or 1 GB."""
+"""Frames times landmarks; about an eighth of them are seen and take 400 bytes each at the peak, or 1.5 GB."""
 
 
 @dataclass(frozen=True)

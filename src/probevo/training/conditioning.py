@@ -13,7 +13,7 @@ LEAST_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
 """No truth is better than that, m and rad."""
 FEW_STRETCHES = 20
 LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
-"""How well a loop is known to close, m and rad: it is parked by hand."""
+"""How well a loop closes whose ends nobody has measured, m and rad: it is parked by hand."""
 
 
 def conditioned(
@@ -25,14 +25,15 @@ def conditioned(
     Ad_k = Ad(T_m … T_{k+1}). With M = Σ Ad_k C_k Ad_kᵀ, the covariance P of the truth and its distance ξ = Log(T_true
     T⁻¹), each step moves by C_k Ad_kᵀ (M + P)⁻¹ ξ. Of stretches of one step this is the fusion of two Gaussians.
 
-    Where P is estimated, truth that is farther off than chance explains, ξᵀ(M + P)⁻¹ξ > BY_CHANCE, is left aside.
+    Unless given, P is estimated from the distances of all stretches, but not for a loop that is only assumed to close.
+    Truth that is then farther off than chance explains, ξᵀ(M + P)⁻¹ξ > BY_CHANCE, is left aside.
     """
     motions, posterior = T_curr_prev.copy(), cov.copy()
     chains = [
         (first, last, *_chain(T_curr_prev[first:last], cov[first:last], supervision.T_world_cam[[i, i + 1]]))
         for i, (first, last) in enumerate(supervision.stretches.tolist())
     ]
-    estimated = truth_sigma is None and supervision.kind != "loop"
+    estimated = truth_sigma is None and not supervision.is_assumed
     if truth_sigma is None:
         truth_sigma = _sigma_of_truth(chains) if estimated else LOOP_SIGMA
     P = np.diag(np.maximum(truth_sigma, LEAST_TRUTH_SIGMA) ** 2)

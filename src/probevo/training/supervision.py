@@ -32,6 +32,11 @@ class Supervision:
     T_world_cam: FloatArray
     """Their true poses, [F, 4, 4]; of ``position``, only the positions count."""
 
+    @property
+    def is_assumed(self) -> bool:
+        """Whether it is a loop of which nobody has measured how well it closes."""
+        return self.kind == "loop" and bool((self.T_world_cam == np.eye(4)).all())
+
     def completed(self, T_curr_prev: FloatArray) -> Supervision:
         """With ``none``, the motions of all features, [K − 1, 4, 4], in place of the truth; else as it is."""
         return from_step_to_step(T_curr_prev) if self.kind == "none" else self
