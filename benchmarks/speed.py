@@ -4,7 +4,8 @@ python benchmarks/speed.py [--repeats 3] [--frames 154]
 
 Ours predicts the noise of each feature from all default predictors by a generalized kernel of 2,000 centers. Both read
 the same files and go over them in turn; a frame's time is that from one motion to the next. Each line is a process of
-its own, held to so many cores.
+its own, held to so many cores. OpenCV has as many threads for the yardstick, and one for ours, as in ``probevo run``,
+whose own threads use the other core.
 """
 
 from __future__ import annotations
@@ -34,13 +35,14 @@ def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
     from probevo.allocator import keep_freed_memory
 
     keep_freed_memory()  # as ``probevo run`` does; both gain by it
-    cv2.setNumThreads(cores)
     sequence = pv.open_sequence(path)
     model = kernel(sequence, frames)
     stages: list[dict[str, float]] = []
     ours, theirs = [], []
     for _ in range(repeats):
+        cv2.setNumThreads(1)
         ours += gaps(ours_over(sequence, model, stages.append), frames)
+        cv2.setNumThreads(cores)
         theirs += gaps(theirs_over(sequence), frames)
     own = {name: float(np.median([s.get(name, 0.0) for s in stages])) for name in stages[-1]}
     found = {

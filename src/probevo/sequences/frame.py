@@ -148,7 +148,12 @@ def check_order(before: Frame, frame: Frame) -> float:
 def is_repeated(before: Frame, frame: Frame) -> bool:
     """Whether a frame shows an image of the one before again, byte by byte: noise makes those of a camera differ."""
     pairs = (before.left, frame.left), (before.right, frame.right)
-    return any(a is not None and b is not None and np.array_equal(a, b) for a, b in pairs)
+    return any(a is not None and b is not None and _is_same(a, b) for a, b in pairs)
+
+
+def _is_same(one: Image, other: Image) -> bool:
+    middle = slice(len(one) // 2, len(one) // 2 + 1)  # nearly all that differ do so there
+    return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)
 
 
 @dataclass(frozen=True)
