@@ -155,7 +155,6 @@ def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, st
     known = int(np.isfinite(matched).all(axis=(1, 2)).sum())
     if known < 2:
         raise InputError(truth.where, f"{known} of {frames} frames have a true pose; it takes two.", cure)
-    return (
-        matched,
-        f"{frames - known} of {frames} frames have no true pose. {remark}".strip() if known < frames else remark,
-    )
+    if known < frames:
+        remark = f"{frames - known} of {frames} frames have no true pose. {remark}".strip()
+    return matched, remark

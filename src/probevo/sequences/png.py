@@ -14,7 +14,7 @@ from probevo.compiled import compiled
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 PLAIN = bytes([8, 0, 0, 0, 0])
 """End of the header of a picture of 8 bits, grey, deflated, filtered row by row, not interlaced."""
-NEEDED, IGNORED = {b"IHDR", b"IDAT", b"IEND"}, {b"tEXt", b"zTXt", b"iTXt", b"tIME", b"pHYs", b"eXIf"}
+NEEDED, IGNORED = {b"IHDR", b"IDAT", b"IEND"}, {b"tEXt", b"zTXt", b"iTXt", b"tIME", b"pHYs"}
 """Chunks of a plain picture, and those that do not change what it shows."""
 
 
