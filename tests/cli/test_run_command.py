@@ -104,7 +104,7 @@ def test_a_damaged_image_leaves_what_came_before(
 
 def test_the_imu_can_be_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording, out = write_folder_sequence(tmp_path / "folder"), tmp_path / "out"
-    for flags, imu in (([], "gyro to start the tracking"), (["--no-imu"], "none<")):
+    for flags, imu in (([], "gyro to start the tracking"), (["--no-imu"], "left out<")):
         assert main(["run", str(recording), "--out", str(out), *flags]) == 0
         assert f"<dt>IMU</dt><dd>{imu}" in (out / "report.html").read_text()
         assert read_config(out / "config.yaml").imu is (not flags)
