@@ -1,4 +1,7 @@
-"""Files that are written: each appears whole or not at all, and a place that cannot be written to is refused early."""
+"""Files that are written: each appears whole or not at all, and a place that cannot be written to is refused early.
+
+Of files that are read: what a damaged archive raises.
+"""
 
 from __future__ import annotations
 
