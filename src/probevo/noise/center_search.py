@@ -20,7 +20,7 @@ Single = NDArray[np.float32]
 LEAF = 64
 """Centers of a leaf."""
 HEAD = 8
-"""Coordinates by which a center is ruled out, if it has so many."""
+"""Coordinates by which a center is ruled out; ``_find`` spells them out. Where there are fewer, zeros follow."""
 NEAREST = 4
 """Centers that are found."""
 INFINITE_BITS = np.int32(np.float32(np.inf).view(np.int32))
@@ -38,21 +38,21 @@ class Leaves:
     centers: IntArray
     """Which center each is, [C]."""
     head: Single
-    """First coordinates, at most HEAD, [C / LEAF rounded up, H, LEAF]; ∞ where no center is."""
+    """First coordinates, [C / LEAF rounded up, HEAD, LEAF]; ∞ where no center is."""
     tail: Single
-    """The other coordinates, [C / LEAF, M − H, LEAF]."""
+    """The other coordinates, [C / LEAF, M − HEAD if there are so many, LEAF]."""
     boxes: Single
-    """Least and largest of the first coordinates of each leaf, [2, H, C / LEAF]."""
+    """Least and largest of the first coordinates of each leaf, [2, HEAD, C / LEAF]."""
 
     @staticmethod
     def of(places: FloatArray) -> Leaves:
         """Sort C centers [C, M]."""
         apart = places - places.mean(axis=0)
         axes = np.linalg.eigh(apart.T @ apart)[1][:, ::-1].astype(float)  # the widest first
-        turned = places @ axes
+        turned = _with_whole_head(places @ axes)
         centers = _together(turned[:, :HEAD])
         count, leaves = len(places), -(-len(places) // LEAF)
-        rows = np.full((leaves * LEAF, places.shape[1]), np.inf, np.float32)
+        rows = np.full((leaves * LEAF, turned.shape[1]), np.inf, np.float32)
         rows[:count] = turned[centers]
         starts = np.arange(0, count, LEAF)
         boxes = np.array([side.reduceat(rows[:count, :HEAD], starts).T for side in (np.minimum, np.maximum)])
@@ -67,11 +67,17 @@ class Leaves:
         """
         count = min(NEAREST, len(self.centers))
         index, squared = np.zeros((len(queries), count), np.int64), np.full((len(queries), count), np.inf, np.float32)
-        with np.errstate(over="ignore"):
-            turned = (queries @ self.axes).astype(np.float32)
-        head, tail = (np.ascontiguousarray(part) for part in (turned[:, :HEAD], turned[:, HEAD:]))
-        _find(head, tail, self.head, self.tail, self.boxes, index, squared)
+        _find(_with_whole_head(queries @ self.axes), self.head, self.tail, self.boxes, index, squared)
         return self.centers[index], squared
+
+
+def _with_whole_head(turned: FloatArray) -> Single:
+    """In single precision, with columns of zeros up to HEAD."""
+    rows, columns = turned.shape
+    whole = np.zeros((rows, max(columns, HEAD)), np.float32)
+    with np.errstate(over="ignore"):
+        whole[:, :columns] = turned
+    return whole
 
 
 def _together(places: FloatArray) -> IntArray:
@@ -91,48 +97,57 @@ def _together(places: FloatArray) -> IntArray:
 
 
 @compiled
-def _find(
-    query_head: Single, query_tail: Single, head: Single, tail: Single, boxes: Single, index: IntArray, squared: Single
-) -> None:
+def _find(query: Single, head: Single, tail: Single, boxes: Single, index: IntArray, squared: Single) -> None:
     """Fill in the nearest centers; in one piece, since to hand rows of arrays on would take longer than the search."""
     last, nothing = squared.shape[1] - 1, np.float32(0.0)
-    leaves, heads, tails = len(head), head.shape[1], tail.shape[1]
+    leaves, tails = tail.shape[:2]
     bound, distance = np.empty(leaves, np.float32), np.empty(LEAF, np.float32)
     least = np.empty(NEAREST, np.float32)
     bound_bits, distance_bits, least_bits = bound.view(np.int32), distance.view(np.int32), least.view(np.int32)
-    for n in range(len(query_head)):
+    for n in range(len(query)):
         bound[:] = nothing  # how near, squared, each box comes
-        for m in range(heads):
-            q = query_head[n, m]
+        for m in range(HEAD):
+            q = query[n, m]
             for leaf in range(leaves):
                 below, above = boxes[0, m, leaf] - q, q - boxes[1, m, leaf]
                 outside = below if below > above else above
                 outside = outside if outside > nothing else nothing
                 bound[leaf] += outside * outside
-        worst = squared[n, last]
         least_bits[0] = INFINITE_BITS
         for leaf in range(leaves):
             least_bits[0] = min(least_bits[0], bound_bits[leaf])
         nearest = 0
         while bound[nearest] > least[0]:
             nearest += 1
+        q0, q1, q2, q3 = query[n, 0], query[n, 1], query[n, 2], query[n, 3]
+        q4, q5, q6, q7 = query[n, 4], query[n, 5], query[n, 6], query[n, 7]
+        worst = squared[n, last]
         for turn in range(leaves):  # that one first, in the place of the first: the more are ruled out by what it holds
             leaf = nearest if turn == 0 else 0 if turn == nearest else turn
             if bound[leaf] >= worst:
                 continue
-            distance[:] = nothing
-            for m in range(heads):
-                q = query_head[n, m]
-                for i in range(LEAF):
-                    difference = head[leaf, m, i] - q
-                    distance[i] += difference * difference
-            nearer = np.int32(0)  # counted in one sweep: mostly there is none
-            for i in range(LEAF):
-                nearer += np.int32(distance[i] < worst)
-            if nearer == 0:
+            bits = INFINITE_BITS
+            for i in range(LEAF):  # sums of a head stay in registers: half of the time of a loop over columns
+                d0, d1, d2, d3 = (
+                    head[leaf, 0, i] - q0,
+                    head[leaf, 1, i] - q1,
+                    head[leaf, 2, i] - q2,
+                    head[leaf, 3, i] - q3,
+                )
+                d4, d5, d6, d7 = (
+                    head[leaf, 4, i] - q4,
+                    head[leaf, 5, i] - q5,
+                    head[leaf, 6, i] - q6,
+                    head[leaf, 7, i] - q7,
+                )
+                near, far = (d0 * d0 + d1 * d1) + (d2 * d2 + d3 * d3), (d4 * d4 + d5 * d5) + (d6 * d6 + d7 * d7)
+                distance[i] = near + far
+                bits = min(bits, np.float32(near + far).view(np.int32))
+            least_bits[0] = bits
+            if least[0] >= worst:
                 continue
             for m in range(tails):
-                q = query_tail[n, m]
+                q = query[n, HEAD + m]
                 for i in range(LEAF):
                     difference = tail[leaf, m, i] - q
                     distance[i] += difference * difference
