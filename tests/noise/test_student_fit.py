@@ -18,7 +18,7 @@ from probevo.noise.student_fit import (
     fit_static,
     fit_students,
 )
-from probevo.noise.student_kernels import LEAST_DOF, MOST_DOF, digamma
+from probevo.noise.student_kernels import LEAST_DOF, MOST_DOF, digamma, log_sum
 
 SCALE = np.array([[1.0, 0.1, 0.8, 0.0], [0.1, 0.5, 0.0, 0.2], [0.8, 0.0, 1.2, -0.1], [0.0, 0.2, -0.1, 0.3]])
 """px²; left and right image go together."""
@@ -313,3 +313,11 @@ def test_a_spread_that_is_none_is_refused(spread: FloatArray) -> None:
     """Compiled code would read beyond its end."""
     with pytest.raises(InputError, match="spread"):
         fit_static(np.ones((3, 4)), spread)
+
+
+def test_logarithms_are_summed_to_twelve_digits():
+    rng = np.random.default_rng(0)
+    values, factors, scratch = 10.0 ** rng.uniform(-300, 300, 999), rng.uniform(size=999), np.empty((2, 999))
+    each = [log_sum(values[i : i + 1], factors[i : i + 1], scratch) for i in range(999)]
+    np.testing.assert_allclose(each, factors * np.log(values), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(log_sum(values, factors, scratch), np.sum(factors * np.log(values)), rtol=1e-12)

@@ -80,7 +80,7 @@ def _with_whole_head(turned: FloatArray) -> Single:
     return whole
 
 
-def _together(places: FloatArray) -> IntArray:
+def _together(places: Single) -> IntArray:
     """An order of places [C, M] in which those of a leaf lie close together: halves, again and again."""
     done: list[IntArray] = []
     waiting = [np.arange(len(places))]
