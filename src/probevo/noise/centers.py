@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.compiled import compiled
-from probevo.noise.center_search import Leaves, Single
+from probevo.noise.center_search import NEAREST, Leaves, Single
 from probevo.noise.student_fit import Students
 
 LARGEST_LOGARITHM = 100.0
@@ -25,8 +25,6 @@ MOST_SAMPLES, MARGIN, LEAST_EDGE = 0.999, 1.5, 1e-6
 """The domain ends so many times as far from the nearest center as that share of the training data lies at most."""
 FADE = MARGIN / (MARGIN - 1.0)
 """What is known begins to fade where that share of the data ends."""
-_ROW, _COLUMN = np.tril_indices(4)
-_DIAGONAL = _ROW == _COLUMN
 
 
 @dataclass(frozen=True)
@@ -36,20 +34,17 @@ class Centers:
     places: Single
     """[M, C]."""
     values: Single
-    """Bias [4], Cholesky factor [10] as by ``tril_indices``, with ln of its diagonal, and ln ν, [C, VALUES]."""
+    """``Students.mixable``, [C, VALUES]."""
 
     @property
     def logarithms(self) -> Single:
         """Those of the Cholesky factor's diagonal and of the degrees of freedom, [C, 5]."""
-        return self.values[:, [*(4 + np.flatnonzero(_DIAGONAL)), 14]]
+        return self.values[:, [4, 6, 9, 13, 14]]
 
     @staticmethod
     def of(places: FloatArray, students: Students) -> Centers:
         """Take up what was fitted at C places [C, M]."""
-        lower = np.linalg.cholesky(students.scale)[:, _ROW, _COLUMN]
-        lower[:, _DIAGONAL] = np.log(lower[:, _DIAGONAL])
-        values = np.column_stack([students.bias, lower, np.log(students.dof)])
-        return Centers(np.ascontiguousarray(places.T, np.float32), np.ascontiguousarray(values, np.float32))
+        return Centers(np.ascontiguousarray(places.T, np.float32), students.mixable)
 
     def edge_of(self, samples: FloatArray) -> float:
         """Distance from the nearest center at which the domain of samples [N, M] ends; no center is among them.
@@ -78,9 +73,8 @@ class Centers:
         """
         count = len(queries)
         scale, dof, bias = np.empty((count, 4, 4)), np.empty(count), np.empty((count, 4))
-        own = Centers.of(np.zeros((1, len(self.places))), prior).values[0]
         index, squared = self._leaves.nearest(queries)
-        _mix(index, squared, self.values, own, edge, scale, dof, bias)
+        _mix(index, squared, self.values, prior.mixable[0], edge, scale, dof, bias)
         return Students(scale, dof, bias), np.asarray(squared[:, 0] >= edge**2)
 
     @cached_property
@@ -101,19 +95,19 @@ def _mix(
 ) -> None:
     """Fill in the distributions from the nearest centers and their squared distances, [n, k]."""
     count, nearest = index.shape
-    mixed, lower = np.empty(VALUES), np.zeros((4, 4))
+    mixed, lower, weight = np.empty(VALUES), np.zeros((4, 4)), np.zeros(NEAREST)
     for n in range(count):
-        mixed[:] = 0.0
         total, farthest = 0.0, squared[n, nearest - 1]
-        if farthest < np.inf:
-            for k in range(nearest):  # inverse squares, bounded at a hundredth of the farthest
-                weight = 1.0 / (squared[n, k] + 0.01 * farthest + 1e-12)
-                total += weight
-                for j in range(VALUES):
-                    mixed[j] += weight * values[index[n, k], j]
+        for k in range(nearest):  # inverse squares, bounded at a hundredth of the farthest
+            weight[k] = 1.0 / (squared[n, k] + 0.01 * farthest + 1e-12) if farthest < np.inf else 0.0
+            total += weight[k]
+        a, b, c, d = index[n, 0], index[n, 1 % nearest], index[n, 2 % nearest], index[n, 3 % nearest]
         share = min(1.0, max(0.0, FADE * (1.0 - math.sqrt(squared[n, 0]) / edge))) if total > 0.0 else 0.0
+        part = share / total if share > 0.0 else 0.0
+        wa, wb, wc, wd = part * weight[0], part * weight[1], part * weight[2], part * weight[3]
         for j in range(VALUES):
-            mixed[j] = own[j] + (share * (mixed[j] / total - own[j]) if share > 0.0 else 0.0)
+            near = wa * values[a, j] + wb * values[b, j] + wc * values[c, j] + wd * values[d, j]
+            mixed[j] = (1.0 - share) * own[j] + near
         for i in range(4):
             bias[n, i] = mixed[i]
             for j in range(i + 1):

@@ -9,8 +9,10 @@ likelihood's derivative.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
@@ -49,6 +51,17 @@ class Students:
     """[C]."""
     bias: FloatArray
     """[C, 4], px."""
+
+    @cached_property
+    def mixable(self) -> NDArray[np.float32]:
+        """Numbers whose every mean is a distribution: bias [4], Cholesky factor [10], and ln ν, [C, 15].
+
+        The factor is as by ``tril_indices``, with ln of its diagonal.
+        """
+        row, column = np.tril_indices(DIM)
+        lower = np.linalg.cholesky(self.scale)[:, row, column]
+        lower[:, row == column] = np.log(lower[:, row == column])
+        return np.ascontiguousarray(np.column_stack([self.bias, lower, np.log(self.dof)]), np.float32)
 
 
 @dataclass(frozen=True)
