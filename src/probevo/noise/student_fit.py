@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
-from probevo.noise.student_kernels import fit_all
+from probevo.noise.student_kernels import LEAST_SIGMA_PX, fit_all
 
-LEAST_SIGMA_PX = 1e-3
-"""No error is known better: added to each axis, so that errors all zero, or all alike, leave a distribution."""
 MOST_PX = 1e12
 """No error is larger: its square would overflow before long."""
 DIM = 4

@@ -7,12 +7,14 @@ import math
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled, invert_symmetric_4
+from probevo.compiled import compiled, factor, invert_symmetric_4
 
 LEAST_DOF, MOST_DOF = 1.0, 200.0
 """Of a fit: below, a mean says nothing; above, the data cannot tell it from a Gaussian."""
 DOF_TOLERANCE = 1e-9
 """Of ln ν."""
+LEAST_SIGMA_PX = 1e-3
+"""No error is known better: added to each axis, so that errors all zero, or all alike, leave a distribution."""
 MANTISSA, ONE = np.int64(2**52 - 1), np.int64(1023 << 52)
 """Bits of a double's mantissa, and those of 1.0."""
 TO_52 = np.int64((1023 + 52) << 52)
@@ -118,6 +120,33 @@ def log_sum(values: FloatArray, factors: FloatArray, scratch: FloatArray) -> flo
         series = 1.0 + y * (1 / 3 + y * (1 / 5 + y * (1 / 7 + y * (1 / 9 + y * (1 / 11 + y * (1 / 13))))))
         rest += factors[m] * (0.5 * LOG_2 + 2.0 * t * series)
     return LOG_2 * powers + rest
+
+
+@compiled
+def floor(scale: FloatArray) -> None:
+    """Make a matrix [4, 4], px², positive semidefinite but for rounding, positive definite in double precision."""
+    least = LEAST_SIGMA_PX**2 + 1e-12 * (scale[0, 0] + scale[1, 1] + scale[2, 2] + scale[3, 3])
+    for i in range(4):
+        scale[i, i] += least
+
+
+@compiled
+def measure(scale: FloatArray, errors: FloatArray, squared: FloatArray, log_det: FloatArray) -> None:
+    """eᵀ Σ⁻¹ e and ln |Σ| of each of N errors, [N, 4], under its own scale, [N, 4, 4]; NaN where Σ is singular."""
+    lower, white = np.zeros((4, 4)), np.empty(4)
+    for n in range(len(errors)):
+        if not factor(scale[n], 4, lower):
+            squared[n] = log_det[n] = np.nan
+            continue
+        squares, determinant = 0.0, 1.0
+        for i in range(4):
+            white[i] = errors[n, i]
+            for j in range(i):
+                white[i] -= lower[i, j] * white[j]
+            white[i] /= lower[i, i]
+            squares += white[i] * white[i]
+            determinant *= lower[i, i]
+        squared[n], log_det[n] = squares, 2.0 * math.log(determinant)
 
 
 @compiled

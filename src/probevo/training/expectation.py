@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,15 +11,15 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
 from probevo.motion.memory import DisparityMemory, carried_on, remember
-from probevo.motion.reprojection import ReprojectionSolution, solve_reprojection
+from probevo.motion.reprojection import solve_reprojection
 from probevo.motion.trust import TRUSTED, trust, weights_of
 from probevo.motion.visual import solve
 from probevo.noise.base import StereoNoise
-from probevo.noise.student_fit import floored
 from probevo.tracking.tracks import Tracks
 from probevo.training.conditioning import conditioned
 from probevo.training.drive import Drive
 from probevo.training.lasting import lasting_profile
+from probevo.training.left_over import LeftOver, errors_of
 from probevo.training.lesson import Lesson
 
 UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
@@ -28,37 +28,6 @@ UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 
 Predict = Callable[[FloatArray], StereoNoise]
 """Noise of n features from their predictors, [n, M]."""
-
-
-@dataclass(frozen=True)
-class LeftOver:
-    """The errors of m features at the motions."""
-
-    steps: IntArray
-    """The step of each, [m]."""
-    features: IntArray
-    """Which of the drive's features these are, [m]."""
-    phi: FloatArray
-    """Their places in the prediction space, [m, M]."""
-    errors: FloatArray
-    """What the noise model is to describe: residuals, or errors of single observations, [m, 4], px."""
-    spread: FloatArray
-    """What the doubt about the motions makes of them: their covariance, [m, 4, 4], px²."""
-    log_likelihood: FloatArray
-    """Of the residuals under the noise that the motions were solved with, [m], nats."""
-    profile: FloatArray
-    """What they tell of how much lasts of the disparity's error, as from ``lasting_profile``, [m, 4]."""
-
-    @staticmethod
-    def none(columns: int) -> LeftOver:
-        """Of no features, of so many columns."""
-        nothing, steps = np.zeros((0, 4)), np.zeros(0, np.int64)
-        return LeftOver(steps, steps, np.zeros((0, columns)), nothing, np.zeros((0, 4, 4)), np.zeros(0), nothing)
-
-    @staticmethod
-    def joined(parts: Sequence[LeftOver]) -> LeftOver:
-        """One after another as one."""
-        return LeftOver(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(LeftOver)))
 
 
 @dataclass(frozen=True)
@@ -167,29 +136,12 @@ def left_over(
             )
             memory = carried_on(tracks, own, solution, camera, trust(solution, own.dof) >= TRUSTED, before)
             kept = np.flatnonzero((solution.information[:, 0, 0] > 0.0) & wanted[chosen])  # those in front
-            error, spread, sigma = _errors(solution, own, cov[at], kept)
-            residual_noise = StereoNoise(sigma, own.dof[kept], np.zeros_like(error))
-            likelihood = residual_noise.log_likelihood(solution.residuals[kept])
+            error, spread, likelihood = errors_of(solution, own, cov[at], kept)
             profile = lasting_profile(solution, own, kept)
-            profile[np.isin(kept, before.known.rows), 1:3] = 0.0  # where a past is known, κ has no form as simple
+            has_past = np.zeros(len(chosen), bool)
+            has_past[before.known.rows] = True
+            profile[has_past[kept], 1:3] = 0.0  # there κ has no form as simple
             features, steps = first_feature + chosen[kept], np.full(len(kept), at)
             found.append(LeftOver(steps, features, part.phi[chosen[kept]], error, spread, likelihood, profile))
         first_step, first_feature = first_step + len(part.T_curr_prev), first_feature + len(part.phi)
     return LeftOver.joined(found)
-
-
-def _errors(
-    solution: ReprojectionSolution, noise: StereoNoise, cov: FloatArray, chosen: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Errors as the noise speaks of them, their spread, and the scale Σ of the residuals, of some features.
-
-    Where it speaks of observations, with scale R, the residual e is brought back to the size of one: R^½ Σ^-½ e has the
-    scale R if e has Σ. The bias, which the solution has taken off, is put back.
-    """
-    inverse = np.linalg.inv(solution.information[chosen])
-    sigma = floored(0.5 * (inverse + inverse.mT))  # a motion that is far off can make it as good as singular
-    errors, moved = solution.residuals[chosen], solution.jacobian[chosen]
-    if noise.refers_to == "observation":
-        back = np.linalg.cholesky(noise.scale[chosen]) @ np.linalg.inv(np.linalg.cholesky(sigma))
-        errors, moved = np.einsum("nij,nj->ni", back, errors), back @ moved
-    return errors + noise.bias[chosen], moved @ cov @ np.swapaxes(moved, 1, 2), sigma
