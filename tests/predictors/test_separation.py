@@ -1,6 +1,6 @@
 """Predictors tell affected features from clean ones, and clean ones not from others; the page about them is complete.
 
-The measures are those of benchmarks/separation.py, on a small scene.
+The measures are those of benchmarks/separation_measures.py, on a small scene.
 """
 
 import importlib.util
@@ -20,7 +20,7 @@ CITY = SceneConfig(distance_m=20.0, rig=RigConfig(width_px=414, height_px=126, f
 
 
 def load_benchmark() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("separation", ROOT / "benchmarks" / "separation.py")
+    spec = importlib.util.spec_from_file_location("separation", ROOT / "benchmarks" / "separation_measures.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
