@@ -49,7 +49,7 @@ def track_from_best(
     Lucas–Kanade finds near points of a fast camera only if it starts about right; started from rest, it may settle on
     whatever looks alike, and that may even agree on a motion. More points agree on the true one.
     """
-    if len(starts) == 1:
+    if len(starts) == 1 or frame.features is not None:  # a file's tracks are the same from anywhere
         return tracker.track(frame, starts[0])
 
     def agreement(start: FloatArray) -> int:
