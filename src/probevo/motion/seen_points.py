@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled, copy_into, invert_symmetric_4, solve_positive_definite
+from probevo.compiled import compiled, invert_positive_definite, invert_symmetric_4
 
 
 @dataclass(frozen=True)
@@ -77,42 +77,32 @@ def observation_to_point(
     averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the rows plainly, as g does, and S is 0.
     Fills seen [N, 3] from observed [N, 4], px, and that part of point_cov [N, 4, 4] from scale [N, 4, 4], px².
     """
-    inverse, lower = np.empty((4, 4)), np.zeros((4, 4))
-    normal, lower_3, unit, column = np.empty((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    K = np.zeros((3, 4))
+    inverse, lower, weighted = np.empty((4, 4)), np.zeros((4, 4)), np.empty((3, 4))
+    normal, lower_3, S, K = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 4))
     K[0, 0] = K[2, 0] = 1.0
     K[2, 2] = -1.0
     K[1, 1] = K[1, 3] = 0.5
     for n in range(len(observed)):
-        is_new = n == 0
-        for i in range(4):  # most models give all features one scale
+        is_new = propagate and n == 0
+        for i in range(4 if propagate and n > 0 else 0):  # most models give all features one scale
             for j in range(4):
                 is_new = is_new or scale[n, i, j] != scale[n - 1, i, j]
-        if propagate and is_new:
-            if not invert_symmetric_4(scale[n], inverse, lower):
-                inverse[:] = 0.0
-            # H maps (u, v, d) to (u, v, u − d, v)
-            normal[0, 0] = inverse[0, 0] + 2.0 * inverse[0, 2] + inverse[2, 2]
-            normal[1, 1] = inverse[1, 1] + 2.0 * inverse[1, 3] + inverse[3, 3]
-            normal[2, 2] = inverse[2, 2]
-            normal[0, 1] = normal[1, 0] = inverse[0, 1] + inverse[0, 3] + inverse[2, 1] + inverse[2, 3]
-            normal[0, 2] = normal[2, 0] = -inverse[0, 2] - inverse[2, 2]
-            normal[1, 2] = normal[2, 1] = -inverse[1, 2] - inverse[3, 2]
-            for k in range(4):  # K = (Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹, column by column
-                unit[0], unit[1], unit[2] = (
-                    inverse[0, k] + inverse[2, k],
-                    inverse[1, k] + inverse[3, k],
-                    -inverse[2, k],
-                )
-                if solve_positive_definite(normal, unit, lower_3, column):
-                    K[0, k], K[1, k], K[2, k] = column
-            for k in range(3):
-                unit[:] = 0.0
-                unit[k] = 1.0
-                if solve_positive_definite(normal, unit, lower_3, column):
-                    point_cov[n, 0, k], point_cov[n, 1, k], point_cov[n, 2, k] = column
-        elif propagate:
-            copy_into(point_cov[n], point_cov[n - 1])
+        if is_new and invert_symmetric_4(scale[n], inverse, lower):
+            for k in range(4):  # Hᵀ R⁻¹; H maps (u, v, d) to (u, v, u − d, v)
+                weighted[0, k] = inverse[0, k] + inverse[2, k]
+                weighted[1, k] = inverse[1, k] + inverse[3, k]
+                weighted[2, k] = -inverse[2, k]
+            for i in range(3):
+                normal[i, 0] = weighted[i, 0] + weighted[i, 2]
+                normal[i, 1] = weighted[i, 1] + weighted[i, 3]
+                normal[i, 2] = -weighted[i, 2]
+            if invert_positive_definite(normal, lower_3, S):
+                for i in range(3):
+                    for k in range(4):
+                        K[i, k] = S[i, 0] * weighted[0, k] + S[i, 1] * weighted[1, k] + S[i, 2] * weighted[2, k]
+        for i in range(3):
+            for j in range(3):
+                point_cov[n, i, j] = S[i, j]
         for i in range(3):
             seen[n, i] = (
                 K[i, 0] * observed[n, 0]
