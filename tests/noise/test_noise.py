@@ -36,9 +36,10 @@ def test_log_likelihood_is_that_of_scipy_student_t(dof: float) -> None:
     np.testing.assert_allclose(noise.log_likelihood(residuals), expected, rtol=1e-10)
 
 
-def test_log_likelihood_without_dof_is_that_of_scipy_normal() -> None:
+@pytest.mark.parametrize("dof", [1e16, np.inf])
+def test_log_likelihood_of_nearly_or_wholly_gaussian_noise_is_that_of_scipy_normal(dof: float) -> None:
     rng = np.random.default_rng(1)
-    noise = random_noise(rng, np.full(COUNT, np.inf))
+    noise = random_noise(rng, np.full(COUNT, dof))
     residuals = residuals_around(rng, noise)
     expected = [multivariate_normal(b, S).logpdf(e) for b, S, e in zip(noise.bias, noise.scale, residuals, strict=True)]
     np.testing.assert_allclose(noise.log_likelihood(residuals), expected, rtol=1e-10)

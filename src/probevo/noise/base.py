@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
-from scipy.special import gammaln
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
@@ -56,15 +55,10 @@ class StereoNoise:
 
 def log_density(squared: FloatArray, log_det: FloatArray, dof: FloatArray) -> FloatArray:
     """That of a Student-t in four dimensions, nats, [N], by eᵀ Σ⁻¹ e, ln |Σ| and ν; ν = ∞ is Gaussian (eq. 12)."""
-    d = 4
-    gaussian = -0.5 * (squared + d * np.log(2.0 * np.pi) + log_det)
     nu = np.where(np.isinf(dof), 1.0, dof)
-    student = (
-        gammaln(0.5 * (nu + d))
-        - gammaln(0.5 * nu)
-        - 0.5 * (d * np.log(np.pi * nu) + log_det + (nu + d) * np.log1p(squared / nu))
-    )
-    density: FloatArray = np.where(np.isinf(dof), gaussian, student)
+    robust = np.where(np.isinf(dof), squared, (nu + 4.0) * np.log1p(squared / nu))
+    # Γ(ν/2 + 2) = (ν/2 + 1) (ν/2) Γ(ν/2): no difference of large logarithms is left
+    density: FloatArray = np.log((1.0 + 2.0 / dof) / (4.0 * np.pi**2)) - 0.5 * (log_det + robust)
     return density
 
 

@@ -136,7 +136,7 @@ class GeneralizedKernel:
         return self
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        """The noise of N features from their places in the prediction space, [N, M]; N does not matter to its cost."""
+        """The noise of n features from their places in the prediction space, [n, M], whatever N was to learn from."""
         coordinates = self._coordinates(predictors)
         return self._noise(*self.centers_.at(coordinates, self.edge_, self.prior_))
 

@@ -28,7 +28,7 @@ CANDIDATES = 8
 """Cells are looked at from the nearest on until they hold so many times the K wanted."""
 FEWEST_CELLS = 4
 HALVINGS = 24
-"""Of the interval that holds the distance of the K-th nearest: to single precision."""
+"""Of the interval that holds the squared distance of the K-th nearest, four times their mean: to 2e-7 of that."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,8 @@ def _fill_means(
             first = first_of_cell[nearest]
             end = min(first_of_cell[nearest + 1], first + crowd)
             _add_squares(queries[n], samples, first, end, squared[count:])
-            value[count : count + end - first] = values[first:end]
+            for i in range(end - first):
+                value[count + i] = values[first + i]
             count += end - first
         for j in range(len(neighbors)):
             means[n, j] = _mean_of_smallest(squared[:count], value[:count], neighbors[j])

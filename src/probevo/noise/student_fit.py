@@ -31,6 +31,7 @@ class StudentPrior:
     scale: FloatArray
     """[4, 4], px²."""
     dof: float
+    """Finite, if the fit is to be robust."""
     counts: float
     """For scale."""
     dof_counts: float
@@ -110,7 +111,7 @@ def fit_students(
     count = len(near.first) - 1
     scale, dof, bias = np.empty((count, DIM, DIM)), np.empty(count), np.zeros((count, DIM))
     fit_all(
-        np.ascontiguousarray(errors, np.float64),
+        np.array(errors, np.float64, order="C"),  # a copy: read-only arrays are of another type, compiled for again
         np.zeros((0, 10)) if spread is None else np.ascontiguousarray(spread[:, _ROW, _COLUMN], np.float64),
         near.first.astype(np.int64),
         near.index.astype(np.int64),

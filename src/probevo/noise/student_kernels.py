@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled, factor, invert_symmetric_4
+from probevo.compiled import compiled, copy_into, factor, invert_symmetric_4
 
 LEAST_DOF, MOST_DOF = 1.0, 200.0
 """Of a fit: below, a mean says nothing; above, the data cannot tell it from a Gaussian."""
@@ -23,22 +23,9 @@ ROOT_2, LOG_2 = math.sqrt(2.0), math.log(2.0)
 
 
 @compiled
-def digamma(x: float) -> float:
-    """ψ(x) for x > 0, to 1e-10: recurrence up to 6, then the asymptotic series (Abramowitz & Stegun 6.3.18)."""
-    value = 0.0
-    while x < 6.0:
-        value -= 1.0 / x
-        x += 1.0
-    y = 1.0 / (x * x)
-    series = y * (1.0 / 12.0 - y * (1.0 / 120.0 - y * (1.0 / 252.0 - y * (1.0 / 240.0 - y / 132.0))))
-    return value + math.log(x) - 0.5 / x - series
-
-
-@compiled
 def _dof_slope(dof: float) -> float:
-    """The likelihood's derivative by ν is this plus the mean of ln w − w."""
-    half, more = 0.5 * dof, 0.5 * (dof + 4.0)
-    return math.log(half) - digamma(half) + digamma(more) - math.log(more) + 1.0
+    """The likelihood's derivative by ν is this plus the mean of ln w − w; ψ(ν/2 + 2) − ψ(ν/2) = 2/ν + 2/(ν + 2)."""
+    return 1.0 + 2.0 / dof + 2.0 / (dof + 2.0) - math.log(1.0 + 4.0 / dof)
 
 
 @compiled
@@ -215,7 +202,7 @@ def fit_all(
     scratch = np.empty((2, most))
     for c in range(len(dof)):
         S, b, nu = scale[c], bias[c], prior_dof
-        S[:] = prior_scale
+        copy_into(S, prior_scale)
         k = kernel[first[c] : first[c + 1]]
         weight = weight_of[: len(k)]
         _gather(errors, spread, index[first[c] : first[c + 1]], near, doubt)

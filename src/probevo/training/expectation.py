@@ -12,7 +12,8 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
 from probevo.motion.memory import DisparityMemory, carried_on, remember
 from probevo.motion.reprojection import solve_reprojection
-from probevo.motion.trust import TRUSTED, trust, weights_of
+from probevo.motion.robust import RobustLoss
+from probevo.motion.trust import TRUSTED, weights_of
 from probevo.motion.visual import solve
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -121,6 +122,7 @@ def left_over(
 ) -> LeftOver:
     """Of a share of a drive's features, drawn, at these motions [K − 1, 4, 4] with covariances [K − 1, 6, 6]."""
     memory, last, found, first_step, first_feature = DisparityMemory.none(), -1, [], 0, 0
+    loss = RobustLoss.named(solver.loss)
     for part in parts:
         noise = predict(part.phi)
         wanted = part.used & (rng.random(len(part.used)) < share)
@@ -132,9 +134,12 @@ def left_over(
                 continue  # neither solved nor known: its residuals say nothing
             own = noise.of(chosen)
             solution = solve_reprojection(
-                tracks.prev_px, tracks.curr_px, own, T_curr_prev[at], camera, max_iterations=0, known=before.known
-            )
-            memory = carried_on(tracks, own, solution, camera, trust(solution, own.dof) >= TRUSTED, before)
+                tracks.prev_px, tracks.curr_px, own, T_curr_prev[at], camera,
+                loss=loss, max_iterations=0, known=before.known,
+            )  # fmt: skip
+            if solver.method == "reprojection":
+                trusted = weights_of(solution, own.dof, solver.loss) >= TRUSTED
+                memory = carried_on(tracks, own, solution, camera, trusted, before)
             kept = np.flatnonzero((solution.information[:, 0, 0] > 0.0) & wanted[chosen])  # those in front
             error, spread, likelihood = errors_of(solution, own, cov[at], kept)
             profile = lasting_profile(solution, own, kept)

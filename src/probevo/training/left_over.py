@@ -83,7 +83,10 @@ def _bring_back(
     squared: FloatArray,
     log_det: FloatArray,
 ) -> None:
-    """Fill in errors and spread, and eᵀ Σ⁻¹ e and ln |Σ| of each feature; where Σ⁻¹ is singular, Σ is taken to be R."""
+    """Fill in errors and spread, and eᵀ Σ⁻¹ e and ln |Σ| of each feature; where Σ⁻¹ is singular, Σ is taken to be R.
+
+    A scale that is singular is made regular.
+    """
     sigma, lower, root = np.empty((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
     white, back, doubted = np.empty((4, 7)), np.empty((4, 7)), np.empty((4, 6))  # of e and J, side by side
     for n in range(len(residuals)):
@@ -91,7 +94,9 @@ def _bring_back(
             copy_into(sigma, scale[n])
         floor(sigma)
         factor(sigma, 4, lower)
-        factor(scale[n], 4, root)
+        if not factor(scale[n], 4, root):
+            floor(scale[n])
+            factor(scale[n], 4, root)
         squares, determinant = 0.0, 1.0
         for i in range(4):
             white[i, 0] = residuals[n, i]

@@ -18,7 +18,7 @@ from probevo.training.supervision import LEAST_ALPHA_M, from_step_to_step
 NEIGHBORS = (10, 25, 50, 100, 200, 400, 800)
 EXPONENTS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 MOST_QUERIES = 20_000
-"""Of a drive, to compare values of K with; more would not change which is the best."""
+"""Of all drives together, to compare values of K with; more would not change which is the best."""
 
 
 @dataclass(frozen=True)
