@@ -317,6 +317,19 @@ def test_a_dropped_frame_without_gyro_leaves_the_interval_uncovered() -> None:
         assert odometry.begun.get(timeout=PATIENCE_S).imu is None
 
 
+def test_who_stalls_does_not_pile_up_what_the_gyro_felt() -> None:
+    """Of 700 frames, ten a second, that are dropped one after the other, the last holds no more than of 10 s."""
+    frames = drive(np.random.default_rng(3), 700)
+    odometry = Gated()
+    with pv.LiveOdometry(odometry) as live:
+        live.push(frames[0])
+        odometry.has_begun(0)
+        for frame in with_gyro(frames, felt(frames))[1:]:
+            live.push(frame)
+        odometry.go.release(2)
+        assert odometry.begun.get(timeout=PATIENCE_S).imu is None
+
+
 @pytest.mark.data
 @pytest.mark.slow
 @pytest.mark.parametrize(

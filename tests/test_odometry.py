@@ -217,6 +217,16 @@ def test_a_gyro_that_was_not_there_all_the_time_is_not_asked() -> None:
         np.testing.assert_array_equal(odometry.step(frame).T_curr_prev, motion.T_curr_prev)
 
 
+def test_a_gyro_said_to_be_perfect_is_taken_at_its_word() -> None:
+    rng = np.random.default_rng(17)
+    frames = turning(drive(rng, 6), np.zeros(3), np.eye(3), rng)
+    config = pv.OdometryConfig(gyro=GyroConfig(prior=True), self_calibration=False)
+    odometry = pv.StereoOdometry(CAMERA, imu=ImuCalibration(np.eye(3), 0.0, 0.0), config=config)
+    for k, motion in enumerate([odometry.step(frame) for frame in frames]):
+        assert motion.status is (OK if k else pv.Status.FIRST)
+        assert np.sqrt(motion.cov[3:, 3:].trace()) < 1e-5
+
+
 def test_while_the_gyro_is_not_asked_its_bias_walks_on() -> None:
     rng = np.random.default_rng(16)
     frames = turning(drive(rng, 12), np.zeros(3), np.eye(3), rng)
@@ -234,7 +244,10 @@ def test_pictures_that_are_handed_in_again_are_no_standstill(tmp_path: Path) -> 
     sequence = pv.open_sequence(write_wall(tmp_path / "wall", 12))
     frames = list(sequence)
     for k in (6, 7, 8, 9):
-        frames[k] = replace(frames[k], left=frames[5].left, right=frames[5 if k < 9 else 9].right)
+        left, right = frames[5].left, frames[5 if k < 9 else 9].right
+        assert left is not None
+        assert right is not None
+        frames[k] = replace(frames[k], left=left.copy(), right=right.copy())
     odometry = pv.StereoOdometry(sequence.camera)
     motions = [odometry.step(frame) for frame in frames]
     true = relative_motions(sequence.truth.T_world_cam)
@@ -247,8 +260,10 @@ def test_pictures_that_are_handed_in_again_are_no_standstill(tmp_path: Path) -> 
 def test_pictures_of_a_camera_at_rest_may_be_alike(tmp_path: Path) -> None:
     """As a simulator gives them, without noise."""
     sequence = pv.open_sequence(write_wall(tmp_path / "wall", 2))
-    first, odometry = next(iter(sequence)), pv.StereoOdometry(sequence.camera)
-    motions = [odometry.step(replace(first, index=k, stamp_ns=k * FRAME_NS)) for k in range(6)]
+    odometry, motions = pv.StereoOdometry(sequence.camera), []
+    for k in range(6):
+        again = next(iter(sequence))
+        motions.append(odometry.step(replace(again, index=k, stamp_ns=k * FRAME_NS)))
     assert {motion.status for motion in motions[1:]} == {OK}
     np.testing.assert_allclose(motions[-1].T_curr_prev, np.eye(4), atol=1e-4)
 
@@ -279,6 +294,14 @@ def felt(stamps_ns: list[int], rates_rad_s: list[float]) -> ImuSamples:
             Frame(5, 0, WHOLE, WHOLE, imu=felt([1, 0], [0.0, 0.0])),
             "its IMU samples are not in the order",
         ),
+        (
+            Frame(5, 0, WHOLE, WHOLE, imu=ImuSamples(np.array([0, 1]), np.zeros((1, 3)), np.zeros((2, 3)))),
+            "2 IMU samples have turn rates of shape (1, 3)",
+        ),
+        (
+            Frame(5, 0, features=StereoFeatures(np.arange(3), np.ones((2, 4)))),
+            "it has 3 identities and pixels of shape (2, 4)",
+        ),
     ],
 )
 def test_frames_that_no_camera_of_this_kind_gives_are_refused(frame: Frame, fragment: str) -> None:
@@ -287,6 +310,39 @@ def test_frames_that_no_camera_of_this_kind_gives_are_refused(frame: Frame, frag
         pv.StereoOdometry(CAMERA).step(frame)
     assert str(caught.value).startswith(f"frame 5: {fragment}")
     assert caught.value.cure
+
+
+def test_images_are_checked_even_if_the_camera_has_no_size() -> None:
+    odometry = pv.StereoOdometry(replace(CAMERA, size_px=None))
+    with pytest.raises(InputError, match="frame -1: its index is negative"):
+        odometry.step(Frame(-1, 0, WHOLE, WHOLE))
+    with pytest.raises(InputError, match="frame 0: its images are 1226×370 and 1226×369 px"):
+        odometry.step(Frame(0, 0, WHOLE, WHOLE[:-1]))
+    with pytest.raises(InputError, match="frame 0: its images have no pixels"):
+        odometry.step(Frame(0, 0, WHOLE[:0], WHOLE[:0]))
+    odometry.step(Frame(0, 0, WHOLE, WHOLE))
+    with pytest.raises(InputError, match="frame 1: its images are 613×185 px, not 1226×370 px as before"):
+        odometry.step(Frame(1, 10**8, WHOLE[::2, ::2], WHOLE[::2, ::2]))
+
+
+def test_images_that_overwrite_those_before_are_refused() -> None:
+    """What is compared with itself looks like a camera that froze."""
+    odometry, left, right = pv.StereoOdometry(CAMERA), WHOLE.copy(), WHOLE.copy()
+    odometry.step(Frame(0, 0, left, right))
+    with pytest.raises(InputError, match="frame 1: an image of it is in the same memory as that of the frame before"):
+        odometry.step(Frame(1, 10**8, left, WHOLE.copy()))
+    assert odometry.step(Frame(1, 10**8, left.copy(), right.copy())).status is not OK
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_points_kilometres_away_give_statuses(seed: int) -> None:
+    """They fix the rotation and next to nothing else; what tracks remember is then as good as singular."""
+    rng, odometry = np.random.default_rng(seed), pv.StereoOdometry(CAMERA)
+    points = rng.uniform([-3000.0, -750.0, 2400.0], [3000.0, 750.0, 3600.0], (100, 3))
+    for k in range(20):
+        pixels = CAMERA.project(points - [0.0, 0.0, 1.0 * k]) + rng.normal(0.0, 0.5, (100, 4))
+        motion = odometry.step(Frame(k, k * 10**8, features=StereoFeatures(np.arange(100), pixels)))
+        assert np.isfinite(motion.cov).all()
 
 
 def test_frames_that_cannot_follow_the_one_before_are_refused() -> None:

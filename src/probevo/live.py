@@ -16,6 +16,9 @@ from probevo.sequences.frame import Frame, check_frame, check_order
 MOST_UNREAD = 16
 """Estimates that may wait for ``estimates()``; the next step is not begun before there is room again."""
 
+MOST_IMU_NS = 10_000_000_000
+"""A frame takes over no more IMU samples of dropped ones: after that long, its motion is a gap whatever they say."""
+
 
 @dataclass(frozen=True)
 class LiveEstimate:
@@ -44,9 +47,11 @@ class _Arrival:
     """Frames dropped right before it."""
 
     def after(self, dropped: _Arrival) -> _Arrival:
-        """The same without the one before it, whose IMU samples it takes over."""
+        """The same without the one before it, whose IMU samples it takes over, unless they become too many."""
         between, own = dropped.frame.imu, self.frame.imu
         imu = between.followed_by(own) if between is not None and own is not None else None
+        if imu is not None and imu.stamps_ns[-1] - imu.stamps_ns[0] > MOST_IMU_NS:
+            imu = None
         return replace(self, frame=replace(self.frame, imu=imu), dropped=1 + dropped.dropped)
 
 

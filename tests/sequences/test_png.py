@@ -67,6 +67,7 @@ NOT_PLAIN = {
         chunk(b"IHDR", bytes([0, 0, 0, 5, 0, 0, 0, 4, 8, 0, 0, 0, 0])),
     ),
     "no width": png(np.zeros((4, 1), np.uint8), 0),
+    "no height": png(np.zeros((0, 6), np.uint8), 5),
     "nothing inflates": PNG_MAGIC
     + chunk(b"IHDR", bytes([0, 0, 0, 5, 0, 0, 0, 4, 8, 0, 0, 0, 0]))
     + chunk(b"IDAT", b"not deflated")

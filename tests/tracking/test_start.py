@@ -4,12 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from probevo.arrays import Image
+import probevo as pv
+from probevo.arrays import FloatArray, Image, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
 from probevo.motion.motion_model import ExpectedMotion
 from probevo.sequences.frame import Frame
-from probevo.tracking.start import REACH_PX, seen_turn, turned_starts
+from probevo.tracking.start import REACH_PX, seen_turn, track_from_best, turned_starts
+from probevo.tracking.tracks import Tracks
 
 WIDTH_PX, HEIGHT_PX = 640, 240
 CAMERA = StereoCamera(500.0, 490.0, 320.0, 120.0, 0.5, (WIDTH_PX, HEIGHT_PX))
@@ -56,6 +58,38 @@ def test_one_start_more_where_the_turn_is_unsure_with_the_translation_expected()
     (start,) = turned_starts(expected(0.3), before, now, CAMERA)
     np.testing.assert_array_equal(start[:3, 3], [0.0, 0.0, -1.0])
     assert start[0, 2] == pytest.approx(50.0 / CAMERA.fu_px, abs=0.01)
+
+
+def test_none_where_the_turn_that_is_seen_is_the_one_expected() -> None:
+    """Within 15 px: no second search, however unsure the turn was."""
+    before, near, far = frame(0, view(300, 120)), frame(1, view(292, 120)), frame(1, view(276, 120))
+    assert turned_starts(expected(0.3), before, near, CAMERA) == []
+    assert len(turned_starts(expected(0.3), before, far, CAMERA)) == 1
+
+
+class Counting:
+    """Finds points at infinity, at rest, from one start; from others nothing."""
+
+    def __init__(self, right: FloatArray) -> None:
+        self.right, self.tracked = right, list[FloatArray]()
+
+    def track(self, frame: Frame, expected: FloatArray) -> Tracks:
+        self.tracked.append(expected)
+        count = 60 if np.array_equal(expected, self.right) else 0
+        px = np.random.default_rng(0).uniform(20.0, 220.0, (count, 4))[:, [0, 1, 0, 1]]
+        return Tracks(px, px, np.arange(count), np.full(count, 2))
+
+    def drop(self, ids: IntArray) -> None: ...
+
+
+def test_the_start_that_is_expected_is_tracked_from_once_if_it_is_the_best() -> None:
+    starts = [se3.exp(0.02 * np.eye(6)[k]) for k in range(3)]
+    now, config = frame(1, view(300, 120)), pv.OdometryConfig()
+    for right, calls in ((starts[0], 3), (starts[2], 4)):
+        tracker = Counting(right)
+        assert len(track_from_best(tracker, now, starts, CAMERA, config)) == 60
+        assert len(tracker.tracked) == calls
+        np.testing.assert_array_equal(tracker.tracked[-1], right)
 
 
 def test_none_where_the_turn_is_known_or_there_is_no_image() -> None:

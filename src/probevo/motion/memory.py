@@ -146,13 +146,16 @@ def remember(
     """
     if noise.lasting is None or not (np.isfinite(solution.cov).all() and np.linalg.eigvalsh(solution.hessian)[0] > 0.0):
         return solution, DisparityMemory.none()
-    posterior = JointPosterior.of(solution, before)
-    T, T_curr_prev, C, t = solution.T_curr_prev, np.eye(4), np.empty((3, 3)), np.empty(3)
-    perturb(posterior.mean[:6].copy(), T[:3, :3].copy(), T[:3, 3].copy(), C, t)
-    T_curr_prev[:3, :3], T_curr_prev[:3, 3] = C, t
-    cov: FloatArray = posterior.root[:6] @ posterior.root[:6].T
-    better = replace(solution, T_curr_prev=T_curr_prev, cov=cov)
-    return better, carried_on(tracks, noise, better, camera, trusted, before, posterior)
+    try:
+        posterior = JointPosterior.of(solution, before)
+        T, T_curr_prev, C, t = solution.T_curr_prev, np.eye(4), np.empty((3, 3)), np.empty(3)
+        perturb(posterior.mean[:6].copy(), T[:3, :3].copy(), T[:3, 3].copy(), C, t)
+        T_curr_prev[:3, :3], T_curr_prev[:3, 3] = C, t
+        cov: FloatArray = posterior.root[:6] @ posterior.root[:6].T
+        better = replace(solution, T_curr_prev=T_curr_prev, cov=cov)
+        return better, carried_on(tracks, noise, better, camera, trusted, before, posterior)
+    except np.linalg.LinAlgError:  # of points kilometres away, next to nothing fixes the motion
+        return solution, DisparityMemory.none()
 
 
 def carried_on(
@@ -195,12 +198,16 @@ def carried_on(
 def _most_felt(common: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Of twelve errors in common, [M, 2, 12], the six directions that matter most against the tracks' own covariances
     [M, 2, 2], [M, 2, 6]; the latter with the others added; and these directions, [12, 6]."""
-    first = np.sqrt(cov[:, 0, 0])[:, None]  # the Cholesky factor of each, written out
-    across = cov[:, 1, :1] / first
+    with np.errstate(divide="ignore", invalid="ignore"):  # the Cholesky factor of each, written out
+        first = np.sqrt(cov[:, :1, 0])
+        across = cov[:, 1, :1] / first
+        rest = cov[:, 1, 1:] - across**2
+    if not (rest > 0.0).all():
+        raise np.linalg.LinAlgError("a track's covariance is not positive definite")
     white = np.empty_like(common)
     white[:, 0] = common[:, 0] / first
-    white[:, 1] = (common[:, 1] - across * white[:, 0]) / np.sqrt(cov[:, 1, 1:] - across**2)
+    white[:, 1] = (common[:, 1] - across * white[:, 0]) / np.sqrt(rest)
     _, directions = np.linalg.eigh(sum_products(white, white))
     kept, dropped = directions[:, SHARED:], directions[:, :SHARED]
-    rest = common @ dropped
-    return common @ kept, cov + rest @ np.swapaxes(rest, 1, 2), kept
+    left = common @ dropped
+    return common @ kept, cov + left @ np.swapaxes(left, 1, 2), kept

@@ -18,6 +18,8 @@ from probevo.noise.base import StereoNoise
 
 CONVERGED_BELOW = 1e-3
 """The solve has converged once a step is shorter than this many standard deviations of the motion."""
+LEAST_PRIOR_RAD = 1e-6
+"""No rotation is known better, even from a gyro said to be without noise."""
 EXPECTED_FEATURES = 20.0
 """How many features the noise model's own word counts for in the scale of the covariance, against those seen."""
 
@@ -121,7 +123,9 @@ def solve_reprojection(
     refined, offset, information = seen.copy(), np.zeros((count, 4)), np.zeros((count, 4, 4))
     squared, shared = np.zeros(count), np.zeros((count, 4, 2))
     C_prior = np.eye(3) if prior is None else np.ascontiguousarray(prior.C_curr_prev)
-    prior_information = np.zeros((3, 3)) if prior is None else np.linalg.inv(prior.cov).astype(float)
+    prior_information = np.zeros((3, 3))
+    if prior is not None:
+        prior_information[:] = np.linalg.inv(prior.cov + LEAST_PRIOR_RAD**2 * np.eye(3))
     iterations, converged, _ = minimize(
         C, t, intrinsics, seen, point_cov, curr, scale, int(loss.kind), parameter, C_prior, prior_information,
         max_iterations, CONVERGED_BELOW, refined, offset, information, shared, squared,

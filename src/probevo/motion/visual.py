@@ -62,7 +62,7 @@ class VisualMotion:
 
     @property
     def num_trusted(self) -> int:
-        """Tracks that kept at least half of a perfect feature's weight."""
+        """Tracks that are trusted by at least one half."""
         return int((self.weights >= TRUSTED).sum())
 
     @property

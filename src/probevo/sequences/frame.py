@@ -84,7 +84,7 @@ class Frame:
     """Position in the sequence, from 0."""
     stamp_ns: int
     left: Image | None = None
-    """Rectified left image, [height, width], uint8."""
+    """Rectified left image, [height, width], uint8. It is kept until the next frame: do not write to it again."""
     right: Image | None = None
     features: StereoFeatures | None = None
     """Given instead of images by a tracks file."""
@@ -101,13 +101,15 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
     """Refuse images, or features, that a reader would not have let through.
 
     Raises:
-        InputError: a stamp that is no whole number; an image that is missing, or not grey, of 8 bits, and of the
-            camera's size; an identity that appears twice; IMU samples out of order, or of which the turn rate is not
-            known.
+        InputError: a stamp that is no whole number; an image that is missing, or not grey, of 8 bits, and of the size
+            of the camera and of the other one; an identity that appears twice, or without pixels; IMU samples out of
+            order, or of which the turn rate is not known; a negative index.
     """
     where = f"frame {frame.index}"
     if not isinstance(frame.stamp_ns, int | np.integer):
         raise InputError(where, f"its stamp_ns is {frame.stamp_ns!r}.", "Give whole nanoseconds, as an int.")
+    if frame.index < 0:
+        raise InputError(where, "its index is negative.", "Count from 0.")
     if frame.features is None and (frame.left is None or frame.right is None):
         missing = [name for name in ("left", "right") if getattr(frame, name) is None]
         what = f"its {missing[0]} image is missing." if len(missing) == 1 else "it has neither images nor features."
@@ -119,10 +121,23 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
         if image is not None and camera.size_px is not None and image.shape[::-1] != camera.size_px:
             what = f"its {name} image is {'×'.join(map(str, image.shape[::-1]))} px, the camera's are"
             raise InputError(where, f"{what} {'×'.join(map(str, camera.size_px))}.", "Scale image or camera.")
+    if frame.left is not None and frame.right is not None and frame.left.shape != frame.right.shape:
+        what = (
+            f"its images are {' and '.join('×'.join(map(str, i.shape[::-1])) for i in (frame.left, frame.right))} px."
+        )
+        raise InputError(where, what, "Give both the same size, as rectification does.")
+    if frame.left is not None and not frame.left.size:
+        raise InputError(where, "its images have no pixels.", "Leave the frame out.")
+    if frame.features is not None and frame.features.pixels.shape != (len(frame.features.ids), 4):
+        what = f"it has {len(frame.features.ids)} identities and pixels of shape {frame.features.pixels.shape}."
+        raise InputError(where, what, "Give [N] and [N, 4].")
     if frame.features is not None and len(np.unique(frame.features.ids)) < len(frame.features.ids):
         raise InputError(where, "two of its features have the same identity.", "Give each point one of its own.")
     if frame.imu is not None and not (np.diff(frame.imu.stamps_ns) > 0).all():
         raise InputError(where, "its IMU samples are not in the order of their times.", "Sort them.")
+    if frame.imu is not None and frame.imu.gyro_rad_s.shape != (len(frame.imu.stamps_ns), 3):
+        what = f"{len(frame.imu.stamps_ns)} IMU samples have turn rates of shape {frame.imu.gyro_rad_s.shape}."
+        raise InputError(where, what, "Give [N] and [N, 3].")
     if frame.imu is not None and not np.isfinite(frame.imu.gyro_rad_s).all():
         raise InputError(where, "an IMU sample of it has no finite turn rate.", "Leave that sample out.")
 
@@ -131,7 +146,8 @@ def check_order(before: Frame, frame: Frame) -> float:
     """Time from one frame to the next, s.
 
     Raises:
-        InputError: the second is not after the first, is too soon after it, or has features where that had images.
+        InputError: the second is not after the first, is too soon after it, has features where that had images, or
+            images of another size, or in the same memory.
     """
     where = f"frame {frame.index}"
     if frame.stamp_ns <= before.stamp_ns:
@@ -142,6 +158,13 @@ def check_order(before: Frame, frame: Frame) -> float:
         raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")
     if (frame.features is None) != (before.features is None):
         raise InputError(where, "one of it and the frame before has images, the other features.", "Keep to one kind.")
+    for earlier, later in ((before.left, frame.left), (before.right, frame.right)):
+        if earlier is not None and later is not None and earlier.shape != later.shape:
+            sizes = " px, not ".join("×".join(map(str, image.shape[::-1])) for image in (later, earlier))
+            raise InputError(where, f"its images are {sizes} px as before.", "Keep to one size.")
+        if earlier is not None and later is not None and earlier.ctypes.data == later.ctypes.data:
+            what = "an image of it is in the same memory as that of the frame before, which is still needed."
+            raise InputError(where, what, "Hand in a new array each time, such as image.copy().")
     return 1e-9 * (frame.stamp_ns - before.stamp_ns)
 
 

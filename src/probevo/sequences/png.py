@@ -55,7 +55,7 @@ def plain_grey(chunks: list[tuple[bytes, memoryview]]) -> Image | None:
         inflated = isal_zlib.decompressobj().decompress(deflated, max(size, 1))  # 0 is no limit
     except (isal_zlib.IsalError, OverflowError):  # type: ignore[misc]  # its stub calls the class an exception
         return None
-    if width == 0 or len(inflated) != size:
+    if 0 in (width, height) or len(inflated) != size:
         return None
     image = np.empty((height, width), np.uint8)
     rows = np.frombuffer(inflated, np.uint8).reshape(height, width + 1)

@@ -16,6 +16,9 @@ from probevo.tracking import Tracker, Tracks
 
 REACH_PX = 30.0
 """With its three pyramid levels, the tracker finds points this far from where they are expected for sure."""
+NOTICED_PX = 15.0
+"""A turn seen this near to the expected one needs no search of its own. With 30 px, a step of raw 0005 was lost where
+only every fourth frame was taken."""
 COARSE_PX = 8
 """Pixels that count as one where only the turn is looked for."""
 
@@ -29,6 +32,9 @@ def turned_starts(expected: ExpectedMotion, before: Frame, frame: Frame, camera:
     if before.left is None or frame.left is None or sigma_px.max() < REACH_PX:
         return []
     C_curr_prev = seen_turn(before.left, frame.left, camera)
+    apart = so3.log(C_curr_prev @ expected.T_curr_prev[:3, :3].T)[:2]
+    if np.abs(apart * [camera.fv_px, camera.fu_px]).max() < NOTICED_PX:
+        return []
     return [se3.from_parts(C_curr_prev, expected.T_curr_prev[:3, 3])]
 
 
@@ -51,13 +57,15 @@ def track_from_best(
     """
     if len(starts) == 1 or frame.features is not None:  # a file's tracks are the same from anywhere
         return tracker.track(frame, starts[0])
-
-    def agreement(start: FloatArray) -> int:
-        tracks, rng = tracker.track(frame, start), np.random.default_rng([config.seed, frame.index])
-        threshold_px, confidence = config.ransac.threshold_px, config.ransac.confidence
+    tracks, agree, ransac = Tracks.none(), np.zeros(len(starts), np.int64), config.ransac
+    for k in range(
+        len(starts) - 1, -1, -1
+    ):  # the expected one last: it mostly wins, and need not be tracked from again
+        tracks, rng = tracker.track(frame, starts[k]), np.random.default_rng([config.seed, frame.index])
         consensus = find_consensus(
-            tracks.prev_px, tracks.curr_px, camera, rng, guess=start, threshold_px=threshold_px, confidence=confidence
-        )
-        return int(consensus.inliers.sum())
-
-    return tracker.track(frame, max(starts, key=agreement))
+            tracks.prev_px, tracks.curr_px, camera, rng,
+            guess=starts[k], threshold_px=ransac.threshold_px, confidence=ransac.confidence,
+        )  # fmt: skip
+        agree[k] = consensus.inliers.sum()
+    best = int(np.argmax(agree))
+    return tracks if best == 0 else tracker.track(frame, starts[best])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
-from probevo.tracking.window_kernels import cut_windows, fit
+from probevo.tracking.window_kernels import apply, cut_windows, fit, undo
 
 TIME_SPREAD, STEREO_SPREAD = 0.03, 0.1
 """How far an affine map changes from frame to frame beyond its scale; how far from the left to the right image."""
@@ -85,9 +85,10 @@ class Windows:
             right: the image.
             pixels: about where, (u, v), [N, 2], px.
         """
-        found_px, affine, difference = self._fitted(right, pixels, self.slant @ self.affine, STEREO_SPREAD)
-        fits = np.isfinite(difference)[:, None, None]
-        slant = np.where(fits, affine @ np.linalg.inv(self.affine), self.slant)
+        expected, slant = np.empty((len(self), 2, 2)), self.slant.copy()
+        apply(self.slant, self.affine, expected)
+        found_px, affine, difference = self._fitted(right, pixels, expected, STEREO_SPREAD)
+        undo(affine, self.affine, difference, slant)
         return found_px, difference, replace(self, slant=slant)
 
     def _fitted(
