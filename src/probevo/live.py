@@ -17,7 +17,7 @@ MOST_UNREAD = 16
 """Estimates that may wait for ``estimates()``; the next step is not begun before there is room again."""
 
 MOST_IMU_NS = 10_000_000_000
-"""A frame takes over no more IMU samples of dropped ones: after that long, its motion is a gap whatever they say."""
+"""Of a longer time, a frame takes over no IMU samples of dropped ones: where nobody reads, they would pile up."""
 
 
 @dataclass(frozen=True)

@@ -75,6 +75,7 @@ def observation_to_point(
 
     With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale R: the two rows are
     averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the rows plainly, as g does, and S is 0.
+    A singular R counts as the one before.
     Fills seen [N, 3] from observed [N, 4], px, and that part of point_cov [N, 4, 4] from scale [N, 4, 4], px².
     """
     inverse, lower, weighted = np.empty((4, 4)), np.zeros((4, 4)), np.empty((3, 4))

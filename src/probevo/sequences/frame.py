@@ -119,12 +119,10 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
             what = f"its {name} image is {image.dtype} of shape {image.shape}."
             raise InputError(where, what, "Give a grey image, [height, width], of type uint8.")
         if image is not None and camera.size_px is not None and image.shape[::-1] != camera.size_px:
-            what = f"its {name} image is {'×'.join(map(str, image.shape[::-1]))} px, the camera's are"
+            what = f"its {name} image is {_size(image)} px, the camera's are"
             raise InputError(where, f"{what} {'×'.join(map(str, camera.size_px))}.", "Scale image or camera.")
     if frame.left is not None and frame.right is not None and frame.left.shape != frame.right.shape:
-        what = (
-            f"its images are {' and '.join('×'.join(map(str, i.shape[::-1])) for i in (frame.left, frame.right))} px."
-        )
+        what = f"its images are {_size(frame.left)} and {_size(frame.right)} px."
         raise InputError(where, what, "Give both the same size, as rectification does.")
     if frame.left is not None and not frame.left.size:
         raise InputError(where, "its images have no pixels.", "Leave the frame out.")
@@ -160,12 +158,16 @@ def check_order(before: Frame, frame: Frame) -> float:
         raise InputError(where, "one of it and the frame before has images, the other features.", "Keep to one kind.")
     for earlier, later in ((before.left, frame.left), (before.right, frame.right)):
         if earlier is not None and later is not None and earlier.shape != later.shape:
-            sizes = " px, not ".join("×".join(map(str, image.shape[::-1])) for image in (later, earlier))
-            raise InputError(where, f"its images are {sizes} px as before.", "Keep to one size.")
+            what = f"its images are {_size(later)} px, not {_size(earlier)} px as before."
+            raise InputError(where, what, "Keep to one size.")
         if earlier is not None and later is not None and earlier.ctypes.data == later.ctypes.data:
             what = "an image of it is in the same memory as that of the frame before, which is still needed."
             raise InputError(where, what, "Hand in a new array each time, such as image.copy().")
     return 1e-9 * (frame.stamp_ns - before.stamp_ns)
+
+
+def _size(image: Image) -> str:
+    return "×".join(map(str, image.shape[::-1]))
 
 
 def is_repeated(before: Frame, frame: Frame) -> bool:

@@ -58,9 +58,7 @@ def track_from_best(
     if len(starts) == 1 or frame.features is not None:  # a file's tracks are the same from anywhere
         return tracker.track(frame, starts[0])
     tracks, agree, ransac = Tracks.none(), np.zeros(len(starts), np.int64), config.ransac
-    for k in range(
-        len(starts) - 1, -1, -1
-    ):  # the expected one last: it mostly wins, and need not be tracked from again
+    for k in reversed(range(len(starts))):  # the expected one last: it mostly wins, and is then not tracked from again
         tracks, rng = tracker.track(frame, starts[k]), np.random.default_rng([config.seed, frame.index])
         consensus = find_consensus(
             tracks.prev_px, tracks.curr_px, camera, rng,
