@@ -223,3 +223,13 @@ def test_no_matches_teach_nothing() -> None:
     belief = SelfCalibration.initial().with_rows(np.zeros((0, 4)), CAMERA)
     np.testing.assert_array_equal(belief.rows, np.zeros(6))
     np.testing.assert_array_equal(belief.rows_information, SelfCalibration.initial().rows_information)
+
+
+def test_features_that_fix_no_motion_teach_nothing() -> None:
+    """Three of them at one point; a gyro may make up for it, but the normal equations of the features are singular."""
+    clean = seen_twice(np.random.default_rng(8), 1).kept(np.zeros(3, np.int64))
+    belief, solution = SelfCalibration.initial(), solve(clean, StudentT())
+    assert np.isnan(solution.cov).all()
+    after, doubt = belief.with_motion(clean, replace(solution, hessian=np.zeros((6, 6))), CAMERA)
+    assert after is belief
+    np.testing.assert_array_equal(doubt, 0.0)

@@ -96,8 +96,10 @@ class SelfCalibration:
 
         The second is the root of Schmidt's consider term, in columns for errors of unit variance. An error of the
         calibration moves all features together, so that no number of them averages it out, and all steps alike, so
-        that it adds up along the path.
+        that it adds up along the path. Features that fix no motion without a gyro tell nothing.
         """
+        if not np.isfinite(solution.cov).all():
+            return self, np.zeros((6, 3))
         sensitivity = disparity_sensitivity(tracks, solution, camera)
         weighted, residuals = solution.whitened(sensitivity), solution.residuals
         cross = sum_products(solution.jacobian, weighted)
