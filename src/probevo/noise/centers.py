@@ -21,6 +21,8 @@ from probevo.noise.student_fit import Students
 LARGEST_LOGARITHM = 100.0
 """Of a σ in pixels, or of degrees of freedom: no number of a sound model."""
 VALUES = 15
+LOGARITHMS = [4, 6, 9, 13, 14]
+"""Which of the values are such: the Cholesky factor's diagonal and ν (``Students.mixable``)."""
 MOST_SAMPLES, MARGIN, LEAST_EDGE = 0.999, 1.5, 1e-6
 """The domain ends so many times as far from the nearest center as that share of the training data lies at most."""
 FADE = MARGIN / (MARGIN - 1.0)
@@ -39,7 +41,7 @@ class Centers:
     @property
     def logarithms(self) -> Single:
         """Those of the Cholesky factor's diagonal and of the degrees of freedom, [C, 5]."""
-        return self.values[:, [4, 6, 9, 13, 14]]
+        return self.values[:, LOGARITHMS]
 
     @staticmethod
     def of(places: FloatArray, students: Students) -> Centers:
