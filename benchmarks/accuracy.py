@@ -19,7 +19,8 @@ MODELS = {"fixed": pv.noise.Fixed, "student-t": pv.noise.StudentT}
 
 
 def run(sequence: Sequence, model: str) -> RunResult:
-    odometry, recorder = pv.StereoOdometry(sequence.camera, MODELS[model](), sequence.imu), RunRecorder()
+    odometry = pv.StereoOdometry(sequence.camera, MODELS[model](), sequence.imu)
+    recorder = RunRecorder()
     for frame in sequence:
         recorder.add(frame.stamp_ns, odometry.step(frame))
     return recorder.result()
@@ -27,25 +28,35 @@ def run(sequence: Sequence, model: str) -> RunResult:
 
 def main() -> None:
     print(
-        f"{'recording':28} {'noise':10} {'short t, %':>10} {'short r, °/m':>13} {'worst step, m':>14} {'unsolved':>9}"
+        f"{'recording':28} {'noise':10} {'short t, %':>10} {'short r, °/m':>13}"
+        f" {'worst step, m':>14} {'unsolved':>9}"
     )
     paths = list(available().values()) + sorted((ROOT / "kitti_tracks").glob("*.npz"))
     for path in paths:
         for model in MODELS:
             sequence = pv.open_sequence(path)
-            result, truth = run(sequence, model), sequence.truth.T_world_cam
+            result = run(sequence, model)
+            truth = sequence.truth.T_world_cam
             metrics = evaluate(result.T_world_cam, truth)
-            off = np.linalg.norm(result.T_curr_prev[:, :3, 3] - relative_motions(truth)[:, :3, 3], axis=1)
+            off = np.linalg.norm(
+                result.T_curr_prev[:, :3, 3] - relative_motions(truth)[:, :3, 3], axis=1
+            )
             print(
-                f"{path.stem:28} {model:10} {metrics.short_t_percent:10.3f} {metrics.short_r_deg_per_m:13.4f} "
-                f"{np.nanmax(off):14.2f} {int((result.status != pv.Status.OK).sum()):9d}"
+                f"{path.stem:28} {model:10} {metrics.short_t_percent:10.3f}"
+                f" {metrics.short_r_deg_per_m:13.4f} {np.nanmax(off):14.2f}"
+                f" {int((result.status != pv.Status.OK).sum()):9d}"
             )
     euroc = ROOT / "euroc" / "V1_01_micro"
     if euroc.is_dir():
         result = run(pv.open_sequence(euroc), "student-t")
-        cov = drift_covariances(result.T_curr_prev, result.cov, result.shared, result.tied)
-        drift, sigma = result.T_world_cam[-1, :3, 3], np.sqrt(np.diagonal(cov[-1])[:3])
-        print(f"EuRoC at rest: drift {np.round(1e3 * drift, 2)} mm, 3σ {np.round(3e3 * sigma, 2)} mm")
+        cov = drift_covariances(
+            result.T_curr_prev, result.cov, result.common_mode, path_cross_cov=result.path_cross_cov
+        )
+        drift = result.T_world_cam[-1, :3, 3]
+        sigma = np.sqrt(np.diagonal(cov[-1])[:3])
+        print(
+            f"EuRoC at rest: drift {np.round(1e3 * drift, 2)} mm, 3σ {np.round(3e3 * sigma, 2)} mm"
+        )
 
 
 if __name__ == "__main__":

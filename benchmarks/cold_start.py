@@ -1,10 +1,12 @@
-"""From nothing to the first frame: help, `probevo run` with and without compiled code on disk; on request, the install.
+"""From nothing to the first frame: help, `probevo run` with and without compiled code on disk; on
+request, the install.
 
 python benchmarks/cold_start.py [--model MODEL.safetensors] [--repeats 3] [--install]
 
-Each figure is wall time since the process was started, the least of some repeats, and the CPU time that the process had
-used by then: on a machine with other work, only the latter tells. --install builds the wheel, and installs it with all
-it needs into an empty environment, without pip's cache: from the network, unless pip is configured otherwise.
+Each figure is wall time since the process was started, the least of some repeats, and the CPU time
+that the process had used by then: on a machine with other work, only the latter tells. --install
+builds the wheel, and installs it with all it needs into an empty environment, without pip's cache:
+from the network, unless pip is configured otherwise.
 """
 
 from __future__ import annotations
@@ -37,15 +39,21 @@ code = main(sys.argv[2:])
 print(f"{times[0][0]} {times[0][1]} {times[2][0]} {times[2][1]}", file=open(sys.argv[1], "w"))
 sys.exit(code)
 """
-"""Runs a command, and notes when its first and its third step began: by the third, all compiled code is loaded."""
+"""Runs a command, and notes when its first and its third step began: by the third, all compiled
+code is loaded."""
 
 
 def help_s() -> tuple[float, float]:
     """Wall and CPU time of `probevo --help`."""
-    start, before = time.time(), os.times()
-    subprocess.run([sys.executable, "-m", "probevo.cli.main", "--help"], check=True, stdout=subprocess.DEVNULL)
+    start = time.time()
+    before = os.times()
+    subprocess.run(
+        [sys.executable, "-m", "probevo.cli.main", "--help"], check=True, stdout=subprocess.DEVNULL
+    )
     after = os.times()
-    cpu_s = after.children_user + after.children_system - before.children_user - before.children_system
+    cpu_s = (
+        after.children_user + after.children_system - before.children_user - before.children_system
+    )
     return time.time() - start, cpu_s
 
 
@@ -62,7 +70,9 @@ def run_s(recording: Path, noise: str, cache: Path) -> tuple[float, float, float
 
 
 def report(what: str, wall_s: float, cpu_s: float, limit_s: float) -> None:
-    print(f"{what:60} {wall_s:6.2f} s wall {cpu_s:6.2f} s CPU   (wanted < {limit_s:g} s)", flush=True)
+    print(
+        f"{what:60} {wall_s:6.2f} s wall {cpu_s:6.2f} s CPU   (wanted < {limit_s:g} s)", flush=True
+    )
 
 
 def run_times(recording: Path, noise: str, repeats: int) -> None:
@@ -82,19 +92,30 @@ def install() -> None:
         venv = Path(folder, "venv")
         subprocess.run([sys.executable, "-m", "venv", venv], check=True)
         pip = [venv / "bin" / "python", "-m", "pip", "--disable-pip-version-check"]
-        subprocess.run([*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT], check=True)
+        subprocess.run(
+            [*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT], check=True
+        )
         (wheel,) = Path(folder).glob("*.whl")
         print(f"wheel: {wheel.stat().st_size / 2**20:.2f} MB (wanted < 1 MB)", flush=True)
         empty = size_mb(venv)
-        start, before = time.time(), os.times()
+        start = time.time()
+        before = os.times()
         subprocess.run([*pip, "install", "--quiet", "--no-cache-dir", wheel], check=True)
         after = os.times()
-        cpu_s = after.children_user + after.children_system - before.children_user - before.children_system
+        cpu_s = (
+            after.children_user
+            + after.children_system
+            - before.children_user
+            - before.children_system
+        )
         report("core installed from an empty environment", time.time() - start, cpu_s, 60.0)
         packages = next(Path(venv, "lib").glob("python*/site-packages"))
         sizes = {path.name: size_mb(path) for path in packages.iterdir() if path.is_dir()}
         largest = sorted(sizes.items(), key=lambda item: -item[1])[:8]
-        print(f"on disk: {size_mb(venv) - empty:.0f} MB, of which " + ", ".join(f"{n} {mb:.0f}" for n, mb in largest))
+        print(
+            f"on disk: {size_mb(venv) - empty:.0f} MB, of which "
+            + ", ".join(f"{n} {mb:.0f}" for n, mb in largest)
+        )
 
 
 def size_mb(folder: Path) -> float:
@@ -102,7 +123,9 @@ def size_mb(folder: Path) -> float:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--model", help="a model file to run with as well")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--install", action="store_true")

@@ -1,4 +1,5 @@
-"""Pictures of every preset and every effect of the simulated scenes: docs/images/presets.jpg and effects.jpg.
+"""Pictures of every preset and every effect of the simulated scenes: docs/images/presets.jpg and
+effects.jpg.
 
 python benchmarks/contact_sheets.py [folder]
 """
@@ -13,11 +14,13 @@ import cv2
 import numpy as np
 
 from probevo.arrays import Image
-from probevo.simulation.scene.config import Effects, PresetName, SceneConfig
-from probevo.simulation.scene.recording import SceneRecording, open_scene
+from probevo_sim.scene.config import Effects, PresetName, SceneConfig
+from probevo_sim.scene.recording import SceneRecording, open_scene
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images"
-PRESET, SEED, AT_S = "city", 1, 3.4
+PRESET = "city"
+SEED = 1
+AT_S = 3.4
 """Of the effects: a moment in a bend, with the sun from behind."""
 
 
@@ -48,7 +51,8 @@ def presets(path: Path) -> None:
 
 
 def mismatch(recording: SceneRecording, index: int) -> Image:
-    """What is left of the right image when the left one, moved by the true disparity, is taken off; five times."""
+    """What is left of the right image when the left one, moved by the true disparity, is taken off;
+    five times."""
     left, right = recording.images(index)
     disparity = recording.pixel_truth(index).disparity_px.astype(np.float32)
     v, u = np.mgrid[: left.shape[0], : left.shape[1]].astype(np.float32)
@@ -59,12 +63,17 @@ def mismatch(recording: SceneRecording, index: int) -> Image:
 def effects(path: Path) -> None:
     clean = scene(PRESET)
     index = int(AT_S * clean.config.rig.rate_hz)
-    tiles = [labelled(clean.images(index)[0], "clean"), labelled(clean.images(index + 1)[0], "clean, next frame")]
+    tiles = [
+        labelled(clean.images(index)[0], "clean"),
+        labelled(clean.images(index + 1)[0], "clean, next frame"),
+    ]
     for name in Effects.model_fields:
         recording = scene(PRESET, **{name: 1.0})
         if name == "rectification":
             tiles.append(labelled(mismatch(clean, index), "clean: left against right, x 5"))
-            tiles.append(labelled(mismatch(recording, index), "rectification: left against right, x 5"))
+            tiles.append(
+                labelled(mismatch(recording, index), "rectification: left against right, x 5")
+            )
             continue
         later = index + 6 if name == "shadows" else index
         tiles.append(labelled(recording.images(later)[0], name))

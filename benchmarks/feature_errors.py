@@ -1,4 +1,5 @@
-"""Where features are wrong in clean scenes: those on the ground and those above the horizon, against the exact truth.
+"""Where features are wrong in clean scenes: those on the ground and those above the horizon,
+against the exact truth.
 
 python benchmarks/feature_errors.py
 """
@@ -11,9 +12,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 import probevo as pv
 from probevo.arrays import FloatArray
-from probevo.simulation.scene.config import RigConfig, SceneConfig
-from probevo.simulation.scene.recording import SceneRecording, open_scene
 from probevo.tracking import Tracks
+from probevo_sim.scene.config import RigConfig, SceneConfig
+from probevo_sim.scene.recording import SceneRecording, open_scene
 
 HALF = 7
 FULL = RigConfig(width_px=1242, height_px=375, focal_px=720.0)
@@ -28,12 +29,18 @@ def plane_fit() -> FloatArray:
 
 
 def errors(scene: SceneRecording, index: int, tracks: Tracks, weights: FloatArray) -> FloatArray:
-    """Row against the horizon, disparity error, px, and flow error along the flow, %, of features on one surface."""
-    truth, residual_maker = scene.pixel_truth(index - 1), plane_fit()
+    """Row against the horizon, disparity error, px, and flow error along the flow, %, of features
+    on one surface."""
+    truth = scene.pixel_truth(index - 1)
+    residual_maker = plane_fit()
     u, v = np.round(tracks.prev_px[:, :2]).astype(int).T
     disparity = np.pad(truth.disparity_px, HALF, mode="edge")
     window = sliding_window_view(disparity, (2 * HALF + 1, 2 * HALF + 1))[v, u].reshape(len(u), -1)
-    kept = (np.abs(window @ residual_maker).max(axis=1) < 0.05) & (truth.disparity_px[v, u] > 0.2) & (weights > TRUSTED)
+    kept = (
+        (np.abs(window @ residual_maker).max(axis=1) < 0.05)
+        & (truth.disparity_px[v, u] > 0.2)
+        & (weights > TRUSTED)
+    )
     at_px = tracks.prev_px[:, :2].astype(np.float32).reshape(-1, 1, 2)
     flow, true_disparity = (
         cv2.remap(field.astype(np.float32), at_px, None, cv2.INTER_LINEAR)[:, 0]
@@ -48,7 +55,8 @@ def errors(scene: SceneRecording, index: int, tracks: Tracks, weights: FloatArra
 def report(name: str, config: SceneConfig) -> None:
     scene = open_scene(config)
     odometry = pv.StereoOdometry(scene.camera, config=pv.OdometryConfig(self_calibration=False))
-    rows, steps = [], []
+    rows = []
+    steps = []
     for frame in scene:
         motion = odometry.step(frame)
         if frame.index > 2:
@@ -59,9 +67,15 @@ def report(name: str, config: SceneConfig) -> None:
     table = np.concatenate(rows)
     forward, length = np.mean(steps, axis=0)
     print(f"{name}: mean error of a step forward {-1e3 * forward:+.2f} mm of {length:.2f} m")
-    for place, chosen in (("above the horizon", table[:, 0] < 0), ("on the ground", table[:, 0] > 15)):
+    for place, chosen in (
+        ("above the horizon", table[:, 0] < 0),
+        ("on the ground", table[:, 0] > 15),
+    ):
         _, off_px, along = np.nanmedian(table[chosen], axis=0)
-        print(f"  {chosen.sum():6} {place:18} disparity {off_px:+.4f} px, flow {along:+.2f} % (medians)")
+        print(
+            f"  {chosen.sum():6} {place:18} disparity {off_px:+.4f} px, flow {along:+.2f} %"
+            " (medians)"
+        )
 
 
 def main() -> None:

@@ -1,9 +1,10 @@
-"""PROBE-GK against the static Student-t, shipped and fitted, on rendered streets and real images (docs/probe-gk.md).
+"""PROBE-GK against the static Student-t, shipped and fitted, on rendered streets and real images
+(docs/probe-gk.md).
 
 python benchmarks/kernel_streets.py [city|residential|road|kitti …, all of these by default]
 
-Trials as in ``probe.py``: trained on one drive, judged on four of other places, whose mean comes last; raw 0005 on its
-second half, and on odometry 06.
+Trials as in ``probe.py``: trained on one drive, judged on four of other places, whose mean comes
+last; raw 0005 on its second half, and on odometry 06.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ TURNS = 3
 def models(trial: Trial) -> dict[str, pv.noise.NoiseModel]:
     kernel = KernelSettings(turns=TURNS)
     settings = {
-        "fitted Student-t": TrainSettings(kind="student-t", supervision="none", gk=KernelSettings(lasting=False)),
+        "fitted Student-t": TrainSettings(
+            kind="student-t", supervision="none", gk=KernelSettings(time_correlation=False)
+        ),
         "it, lasting": TrainSettings(kind="student-t", supervision="none"),
         "GK-EM": TrainSettings(kind="gk", supervision="none", gk=kernel),
         "GK-GT": TrainSettings(kind="gk", supervision="gt", gk=kernel),
@@ -43,26 +46,47 @@ def models(trial: Trial) -> dict[str, pv.noise.NoiseModel]:
 
 def main() -> None:
     cv2.setNumThreads(1)
-    head = ("", "noise", "what lasts", "ARMSE, m", "step, mm", "drift, %", "°/m", "ANEES", "drift by INS velocities, %")
+    head = (
+        "",
+        "noise",
+        "what lasts",
+        "ARMSE, m",
+        "step, mm",
+        "drift, %",
+        "°/m",
+        "ANEES",
+        "drift by INS velocities, %",
+    )
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for trial in trials(sys.argv[1:] or list(NAMES), PLACES):
         for name, model in models(trial).items():
-            start, found = f"| {name} | {model.lasting:.1f} |", list[tuple[float, ...]]()
+            start = f"| {name} | {model.time_correlation:.1f} |"
+            found = list[tuple[float, ...]]()
             for test in trial.tests:
-                result, rest = estimate(test, model, pv.OdometryConfig()), slice(trial.half or 0, None)
-                steps, motions = (result.T_curr_prev[rest], result.cov[rest]), result.T_world_cam[rest]
+                result = estimate(test, model, pv.OdometryConfig())
+                rest = slice(trial.half or 0, None)
+                steps = (result.T_curr_prev[rest], result.cov[rest])
+                motions = result.T_world_cam[rest]
                 m = evaluate(motions, pv.open_sequence(test).truth.T_world_cam[rest], *steps)
-                found.append((m.armse_m, 1e3 * m.rpe_t_m, m.short_t_percent, m.short_r_deg_per_m, m.anees))
+                found.append(
+                    (m.armse_m, 1e3 * m.rpe_t_m, m.short_t_percent, m.short_r_deg_per_m, m.anees)
+                )
                 line = f"| {trial.name}: {test.name} {start} {figures(found[-1])} |"
                 if test == RECORDINGS["raw 0005"]:
                     line += f" {evaluate(motions, by_velocities(test)[rest]).short_t_percent:.3f} |"
                 print(line, flush=True)
             if len(found) > 1:
-                print(f"| {trial.name}: mean {start} {figures(tuple(np.mean(found, axis=0)))} |", flush=True)
+                print(
+                    f"| {trial.name}: mean {start} {figures(tuple(np.mean(found, axis=0)))} |",
+                    flush=True,
+                )
 
 
 def figures(found: tuple[float, ...]) -> str:
-    return " | ".join(f"{value:{form}}" for value, form in zip(found, (".3f", ".2f", ".3f", ".4f", ".1f"), strict=True))
+    return " | ".join(
+        f"{value:{form}}"
+        for value, form in zip(found, (".3f", ".2f", ".3f", ".4f", ".1f"), strict=True)
+    )
 
 
 if __name__ == "__main__":

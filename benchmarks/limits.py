@@ -1,4 +1,5 @@
-"""What the figures of docs/accuracy.md hang on: self-calibration, far features, speed, the truth; and are we honest?
+"""What the figures of docs/accuracy.md hang on: self-calibration, far features, speed, the truth;
+and are we honest?
 
 python benchmarks/limits.py
 """
@@ -25,13 +26,18 @@ OFF = pv.OdometryConfig(self_calibration=False)
 
 
 def run(
-    sequence: Sequence, config: pv.OdometryConfig | None = None, every: int = 1, slower: bool = False
+    sequence: Sequence,
+    config: pv.OdometryConfig | None = None,
+    every: int = 1,
+    slower: bool = False,
 ) -> tuple[RunResult, FloatArray]:
     """A run over every so many-th frame, without IMU, and the true poses of the frames.
 
-    They come at the recording's own rate, as of a car so many times as fast, or, if slower, at their own times.
+    They come at the recording's own rate, as of a car so many times as fast, or, if slower, at
+    their own times.
     """
-    odometry, recorder = pv.StereoOdometry(sequence.camera, config=config), RunRecorder()
+    odometry = pv.StereoOdometry(sequence.camera, config=config)
+    recorder = RunRecorder()
     for k, frame in enumerate(list(sequence)[::every]):
         stamp_ns = frame.stamp_ns if slower else int(sequence.stamps_ns[k])
         recorder.add(stamp_ns, odometry.step(replace(frame, index=k, stamp_ns=stamp_ns, imu=None)))
@@ -58,27 +64,41 @@ def only_far(limit_px: float) -> None:
 
 
 def two_steps_against_one(sequence: Sequence) -> float:
-    """Median NEES of the difference of two steps of one frame and one of two: about 6 if the covariances are honest."""
-    single, double = run(sequence)[0], run(sequence, every=2)[0]
+    """Median NEES of the difference of two steps of one frame and one of two: about 6 if the
+    covariances are honest."""
+    single = run(sequence)[0]
+    double = run(sequence, every=2)[0]
     nees = []
     for k in range(min(len(double.status), len(single.status) // 2)):
         steps = slice(2 * k, 2 * k + 2)
-        T, cov = compound(*(x for pair in zip(single.T_curr_prev[steps], single.cov[steps], strict=True) for x in pair))
+        T, cov = compound(
+            *(
+                x
+                for pair in zip(single.T_curr_prev[steps], single.cov[steps], strict=True)
+                for x in pair
+            )
+        )
         error = se3.log(T @ se3.inverse(double.T_curr_prev[k]))
         nees.append(error @ np.linalg.solve(cov + double.cov[k], error))
     return float(np.median(nees))
 
 
 def path_against_claim(result: RunResult, truth: FloatArray, first: int) -> str:
-    """The path from a frame on against the truth, and against its own claim, along the camera's axes.
+    """The path from a frame on against the truth, and against its own claim, along the camera's
+    axes.
 
-    Also with the direction of travel fitted: the true attitude of the first frame, and how the camera was said to be
+    Also with the direction of travel fitted: the true attitude of the first frame, and how the
+    camera was said to be
     mounted, turn the whole path, of which no odometry can know.
     """
-    steps = (x[first:] for x in (result.T_curr_prev, result.cov, result.shared, result.tied))
+    steps = (
+        x[first:]
+        for x in (result.T_curr_prev, result.cov, result.common_mode, result.path_cross_cov)
+    )
     three_sigma = 3.0 * np.sqrt(np.diagonal(drift_covariances(*steps)[-1]))
     estimated, true = (se3.inverse(T[first]) @ T[first:] for T in (result.T_world_cam, truth))
-    end, positions = drift_errors(estimated, true)[-1], true[:, :3, 3]
+    end = drift_errors(estimated, true)[-1]
+    positions = true[:, :3, 3]
     turn, _ = Rotation.align_vectors(positions, estimated[:, :3, 3])
     off = np.sqrt(np.mean((turn.apply(estimated[:, :3, 3]) - positions) ** 2, axis=0))
     pitch, yaw, _ = np.rad2deg(turn.as_rotvec())
@@ -104,7 +124,10 @@ def main() -> None:
         for every in (2, 3, 4, 5):
             result, truth = run(sequence, every=every, slower=True)
             unsolved = int((result.status[1:] != pv.Status.OK).sum())
-            print(f"  one frame of {every}, at its own time: {drift(result.T_world_cam, truth)}, {unsolved} not solved")
+            print(
+                f"  one frame of {every}, at its own time: {drift(result.T_world_cam, truth)},"
+                f" {unsolved} not solved"
+            )
         print(f"  two steps against one, median NEES {two_steps_against_one(sequence):.1f}")
     only_far(12.0)
     for label, config in (("with self-calibration", None), ("without", OFF)):

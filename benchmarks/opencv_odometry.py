@@ -1,4 +1,5 @@
-"""The yardstick: stereo odometry as most people write it with OpenCV. FAST, circular LK 21×21, PnP in RANSAC."""
+"""The yardstick: stereo odometry as most people write it with OpenCV. FAST, circular LK 21×21, PnP
+in RANSAC."""
 
 from __future__ import annotations
 
@@ -8,7 +9,8 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 
-CELL_PX, CORNERS_PER_CELL = 40, 2
+CELL_PX = 40
+CORNERS_PER_CELL = 2
 """As many corners as probevo looks for: 600 at KITTI's size."""
 WINDOW = {"winSize": (21, 21), "maxLevel": 3}
 
@@ -16,7 +18,9 @@ WINDOW = {"winSize": (21, 21), "maxLevel": 3}
 class OpenCvOdometry:
     def __init__(self, camera: StereoCamera) -> None:
         self.camera = camera
-        self.matrix = np.array([[camera.fu_px, 0, camera.cu_px], [0, camera.fv_px, camera.cv_px], [0, 0, 1.0]])
+        self.matrix = np.array(
+            [[camera.fu_px, 0, camera.cu_px], [0, camera.fv_px, camera.cv_px], [0, 0, 1.0]]
+        )
         self.previous: tuple[Image, Image] | None = None
 
     def step(self, left: Image, right: Image) -> FloatArray:
@@ -25,21 +29,33 @@ class OpenCvOdometry:
         if self.previous is not None:
             points, tracked = self._circle(*self.previous, left, right)
             _, rotation, translation, _ = cv2.solvePnPRansac(
-                points, tracked, self.matrix, None, iterationsCount=100, reprojectionError=1.5, confidence=0.999
+                points,
+                tracked,
+                self.matrix,
+                None,
+                iterationsCount=100,
+                reprojectionError=1.5,
+                confidence=0.999,
             )
-            motion[:3, :3], motion[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]
+            motion[:3, :3] = cv2.Rodrigues(rotation)[0]
+            motion[:3, 3] = translation[:, 0]
         self.previous = (left, right)
         return motion
 
-    def _circle(self, left0: Image, right0: Image, left1: Image, right1: Image) -> tuple[FloatArray, FloatArray]:
-        """Points in the previous frame, [N, 3], m, and where the left camera sees them now, [N, 2], px."""
+    def _circle(
+        self, left0: Image, right0: Image, left1: Image, right1: Image
+    ) -> tuple[FloatArray, FloatArray]:
+        """Points in the previous frame, [N, 3], m, and where the left camera sees them now, [N, 2],
+        px."""
         start = strongest_corners(left0)
         in_right0, ok1 = follow(left0, right0, start)
         in_right1, ok2 = follow(right0, right1, in_right0)
         in_left1, ok3 = follow(right1, left1, in_right1)
         back, ok4 = follow(left1, left0, in_left1)
         good = ok1 & ok2 & ok3 & ok4 & (np.abs(back - start).max(axis=1) < 1.0)
-        good &= (np.abs(start[:, 1] - in_right0[:, 1]) < 2.0) & (start[:, 0] - in_right0[:, 0] > 1.0)
+        good &= (np.abs(start[:, 1] - in_right0[:, 1]) < 2.0) & (
+            start[:, 0] - in_right0[:, 0] > 1.0
+        )
         pixels = np.hstack([start[good], in_right0[good]]).astype(np.float64)
         return self.camera.triangulate(pixels), in_left1[good].astype(np.float64)
 

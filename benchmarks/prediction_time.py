@@ -1,4 +1,5 @@
-"""What a learned model costs: prediction for 1,000 features and loading, by the number of training samples.
+"""What a learned model costs: prediction for 1,000 features and loading, by the number of training
+samples.
 
 python benchmarks/prediction_time.py [samples …]    10,000 to 1,000,000 by default
 """
@@ -7,7 +8,10 @@ from __future__ import annotations
 
 import os
 
-os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # before NumPy is imported: one core
+os.environ |= {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+}  # before NumPy is imported: one core
 
 import sys
 import tempfile
@@ -21,21 +25,29 @@ import numpy as np
 import probevo as pv
 
 COLUMNS = 17
-"""As many as the default prediction space has; a kernel that was trained on images weighs all of them."""
+"""As many as the default prediction space has; a kernel that was trained on images weighs all of
+them."""
 FEW_COLUMNS = 5
 """A kernel trained on tracks weighs about as many."""
 RUNS = 15
 
 
 def world(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Correlated places, as real ones are, and the logarithm of how wrong motions and features are there."""
-    places = rng.normal(size=(count, 5)) @ rng.normal(size=(5, COLUMNS)) + 0.5 * rng.normal(size=(count, COLUMNS))
+    """Correlated places, as real ones are, and the logarithm of how wrong motions and features are
+    there."""
+    places = rng.normal(size=(count, 5)) @ rng.normal(size=(5, COLUMNS)) + 0.5 * rng.normal(
+        size=(count, COLUMNS)
+    )
     return places, 0.1 * places[:, 0] + np.tanh(places[:, 1])
 
 
-def neighbors_of(places: np.ndarray, wrong: np.ndarray, rng: np.random.Generator) -> pv.noise.NearestNeighbors:
+def neighbors_of(
+    places: np.ndarray, wrong: np.ndarray, rng: np.random.Generator
+) -> pv.noise.NearestNeighbors:
     """PROBE, whose model holds all samples."""
-    return pv.noise.NearestNeighbors(neighbors=200).fit(places, np.exp(wrong + rng.normal(size=len(wrong))))
+    return pv.noise.NearestNeighbors(neighbors=200).fit(
+        places, np.exp(wrong + rng.normal(size=len(wrong)))
+    )
 
 
 def kernel_of(
@@ -64,7 +76,9 @@ def main() -> None:
         rng = np.random.default_rng(0)
         places, wrong = world(count, rng)
         features = places[rng.choice(count, 1000)] + 0.1 * rng.normal(size=(1000, COLUMNS))
-        makers = {"knn": neighbors_of} | {f"gk, {m} columns": partial(kernel_of, m) for m in (FEW_COLUMNS, COLUMNS)}
+        makers = {"knn": neighbors_of} | {
+            f"gk, {m} columns": partial(kernel_of, m) for m in (FEW_COLUMNS, COLUMNS)
+        }
         for name, make in makers.items():
             model = make(places, wrong, rng)
             predictions = times_ms(partial(model.predict, features))
@@ -74,8 +88,9 @@ def main() -> None:
                 loads = times_ms(partial(pv.load_model, path))
                 size_mb = path.stat().st_size / 1e6
             print(
-                f"{name:14} {count:10,} samples: {np.median(predictions):5.2f} ms for 1,000 features"
-                f" (least {min(predictions):.2f}), {np.median(loads):6.1f} ms to load {size_mb:.1f} MB",
+                f"{name:14} {count:10,} samples: {np.median(predictions):5.2f} ms for 1,000"
+                f" features (least {min(predictions):.2f}), {np.median(loads):6.1f} ms to load"
+                f" {size_mb:.1f} MB",
                 flush=True,
             )
 

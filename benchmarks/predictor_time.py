@@ -25,7 +25,9 @@ from probevo.predictors.frequency import frequency  # noqa: E402
 from probevo.predictors.structure import structure  # noqa: E402
 
 PREDICTORS = (blur, entropy, frequency, structure)
-COUNT, MARGIN_PX, SIZE_PX = 1000, 12, (1242, 375)
+COUNT = 1000
+MARGIN_PX = 12
+SIZE_PX = (1242, 375)
 
 
 def median_ms(job: Callable[[], object], repeats: int = 300) -> float:
@@ -52,11 +54,17 @@ def main() -> None:
     last = np.array(left.shape[::-1]) - 1 - MARGIN_PX
     uv = np.random.default_rng(1).uniform(MARGIN_PX, last, (COUNT, 2))
     print(f"{COUNT} features, {left.shape[1]}×{left.shape[0]}, {name}")
-    times = {predictor.__name__: median_ms(lambda compute=predictor: compute(left, uv)) for predictor in PREDICTORS}
+    times = {
+        predictor.__name__: median_ms(lambda compute=predictor: compute(left, uv))
+        for predictor in PREDICTORS
+    }
     for predictor, time_ms in times.items():
         print(f"  {predictor:10} {time_ms:6.3f} ms")
     print(f"  {'sum':10} {sum(times.values()):6.3f} ms")
-    print(f"  {'together':10} {median_ms(lambda: [compute(left, uv) for compute in PREDICTORS]):6.3f} ms")
+    print(
+        f"  {'together':10}"
+        f" {median_ms(lambda: [compute(left, uv) for compute in PREDICTORS]):6.3f} ms"
+    )
 
 
 if __name__ == "__main__":

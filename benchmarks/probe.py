@@ -1,10 +1,12 @@
-"""PROBE against nominal and aggressive RANSAC and the static Student-t: the tables of docs/probe.md.
+"""PROBE against nominal and aggressive RANSAC and the static Student-t: the tables of
+docs/probe.md.
 
 python benchmarks/probe.py [point|city|residential|road|rover|kitti|loop …, all of these by default]
 python benchmarks/probe.py ablation     from PROBE as published to ours, one change after the other
 
-Each trial trains on one drive and is judged on another, of another place (the point world: of other landmarks; raw
-0005: on its second half; the loops: the same field driven again). Scenes are rendered into out/probe first.
+Each trial trains on one drive and is judged on another, of another place (the point world: of other
+landmarks; raw 0005: on its second half; the loops: the same field driven again). Scenes are
+rendered into out/probe first.
 """
 
 from __future__ import annotations
@@ -24,23 +26,31 @@ from probevo.cli.compare import aggressive
 from probevo.config import OdometryConfig
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.output.run_result import RunRecorder, RunResult
-from probevo.simulation.point_config import PointConfig
-from probevo.simulation.point_world import write_training_and_test
-from probevo.simulation.scene.config import Effects, PresetName, SceneConfig
-from probevo.simulation.scene.writer import write_scene
 from probevo.training.settings import PUBLISHED, SupervisionName, TrainSettings
+from probevo_sim.point_config import PointConfig
+from probevo_sim.point_world import write_training_and_test
+from probevo_sim.scene.config import Effects, PresetName, SceneConfig
+from probevo_sim.scene.writer import write_scene
 
 OUT = Path("out/probe")
 EFFECTS = Effects(traffic=0.5, shadows=0.5, noise=0.3)
 """As in the demo: a bad day, but no disaster."""
 ROAD_EFFECTS = Effects(traffic=0.25, shadows=0.25, noise=0.15)
-"""Half of it: on the bare road, with all of it, most features are on the cars that drive along, and every estimator
-takes them for the world (drift 65 to 117 %)."""
+"""Half of it: on the bare road, with all of it, most features are on the cars that drive along, and
+every estimator takes them for the world (drift 65 to 117 %)."""
 PUBLISHED_SETTINGS = TrainSettings.published().model_copy(
     update={"predictors": tuple(name for name in PUBLISHED if name != "acceleration")}
 )
 """Without the accelerometer, which not all of these drives have."""
-FROM_TRACKS = ("flow_variance", "place", "disparity", "disparity_change", "residual_flow", "row_offset", "flow")
+FROM_TRACKS = (
+    "flow_variance",
+    "place",
+    "disparity",
+    "disparity_change",
+    "residual_flow",
+    "row_offset",
+    "flow",
+)
 """Predictors for the point world, which has no images."""
 
 
@@ -55,9 +65,13 @@ class Trial:
     """Train on so many frames, and judge by those from there on."""
 
 
-def scene(preset: PresetName, seed: int, distance_m: float, drive: int = 0, truth: str = "all") -> Path:
+def scene(
+    preset: PresetName, seed: int, distance_m: float, drive: int = 0, truth: str = "all"
+) -> Path:
     effects = ROAD_EFFECTS if preset == "road" else EFFECTS
-    config = SceneConfig(preset=preset, seed=seed, drive=drive, distance_m=distance_m, truth=truth, effects=effects)
+    config = SceneConfig(
+        preset=preset, seed=seed, drive=drive, distance_m=distance_m, truth=truth, effects=effects
+    )
     return write_scene(config, OUT / f"{preset}-{seed}-{drive}-{truth}")
 
 
@@ -66,16 +80,29 @@ def trials(wanted: list[str], places: int | None = None) -> Iterator[Trial]:
     for name in wanted:
         if name == "point":
             write_training_and_test(PointConfig(), OUT / "point")
-            yield Trial("point world", OUT / "point" / "train.npz", (OUT / "point" / "test.npz",), images=False)
+            yield Trial(
+                "point world",
+                OUT / "point" / "train.npz",
+                (OUT / "point" / "test.npz",),
+                images=False,
+            )
         elif name in ("city", "residential", "road"):
             distance_m = 250.0 if name == "road" else 120.0
             seeds = range(2, 2 + (places or (2 if name == "road" else 1)))
-            yield Trial(name, scene(name, 1, distance_m), tuple(scene(name, seed, distance_m) for seed in seeds))
+            yield Trial(
+                name,
+                scene(name, 1, distance_m),
+                tuple(scene(name, seed, distance_m) for seed in seeds),
+            )
         elif name == "rover":
             yield Trial(name, scene("rover", 1, 40.0), (scene("rover", 2, 40.0),))
         elif name == "kitti" and all(path.is_dir() for path in RECORDINGS.values()):
-            yield Trial("raw 0005, second half", RECORDINGS["raw 0005"], (RECORDINGS["raw 0005"],), half=77)
-            yield Trial("raw 0005 → odometry 06", RECORDINGS["raw 0005"], (RECORDINGS["odometry 06"],))
+            yield Trial(
+                "raw 0005, second half", RECORDINGS["raw 0005"], (RECORDINGS["raw 0005"],), half=77
+            )
+            yield Trial(
+                "raw 0005 → odometry 06", RECORDINGS["raw 0005"], (RECORDINGS["odometry 06"],)
+            )
         elif name == "loop":
             first, *rest = (scene("rover", 0, 40.0, drive, "loop") for drive in range(5))
             yield Trial("rover loops", first, tuple(rest), ("loop", "none"))
@@ -87,20 +114,29 @@ def estimators(trial: Trial) -> Iterator[tuple[str, pv.noise.NoiseModel, Odometr
     yield "nominal RANSAC", pv.noise.Fixed(), plain
     yield "aggressive RANSAC", pv.noise.Fixed(), aggressive(plain)
     yield "student-t", pv.noise.StudentT(), plain
-    settings = {"PROBE as published": PUBLISHED_SETTINGS.model_copy(update={"supervision": trial.supervisions[0]})}
-    settings |= {f"PROBE, ours, {known}": TrainSettings(supervision=known) for known in trial.supervisions}
+    settings = {
+        "PROBE as published": PUBLISHED_SETTINGS.model_copy(
+            update={"supervision": trial.supervisions[0]}
+        )
+    }
+    settings |= {
+        f"PROBE, ours, {known}": TrainSettings(supervision=known) for known in trial.supervisions
+    }
     for name, chosen in settings.items():
         update = {"max_frames": trial.half} | ({} if trial.images else {"predictors": FROM_TRACKS})
         if name == "PROBE as published" and not trial.images:
             update["predictors"] = ("turn_rate", "flow_variance")
         path = OUT / "models" / f"{trial.name}-{name}.safetensors".replace(" ", "-")
-        model = pv.load_model(pv.train_model([pv.open_sequence(trial.train)], chosen.model_copy(update=update), path))
+        model = pv.load_model(
+            pv.train_model([pv.open_sequence(trial.train)], chosen.model_copy(update=update), path)
+        )
         yield f"{name} (K {model.neighbors}, γ {model.exponent:g})", model, chosen.odometry
 
 
 def estimate(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig) -> RunResult:
     """A run over the whole recording."""
-    sequence, recorder = pv.open_sequence(path), RunRecorder()
+    sequence = pv.open_sequence(path)
+    recorder = RunRecorder()
     odometry = pv.StereoOdometry(sequence.camera, noise, sequence.imu, config)
     for frame in islice(sequence, len(sequence)):
         recorder.add(frame.stamp_ns, odometry.step(frame))
@@ -109,8 +145,14 @@ def estimate(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig) -> 
 
 def run(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig, first: int) -> Metrics:
     """Metrics over the frames from ``first`` on."""
-    result, truth = estimate(path, noise, config), pv.open_sequence(path).truth.T_world_cam
-    return evaluate(result.T_world_cam[first:], truth[first:], result.T_curr_prev[first:], result.cov[first:])
+    result = estimate(path, noise, config)
+    truth = pv.open_sequence(path).truth.T_world_cam
+    return evaluate(
+        result.T_world_cam[first:],
+        truth[first:],
+        result.T_curr_prev[first:],
+        cov=result.cov[first:],
+    )
 
 
 def ablation() -> None:
@@ -126,14 +168,21 @@ def ablation() -> None:
         "our predictors": {"predictors": TrainSettings().predictors},
         "no truth": {"supervision": "none"},
     }
-    settings, path = PUBLISHED_SETTINGS, OUT / "models" / "ablation.safetensors"
+    settings = PUBLISHED_SETTINGS
+    path = OUT / "models" / "ablation.safetensors"
     for name, update in changes.items():
-        settings, texts = settings.model_copy(update=update), []
+        settings = settings.model_copy(update=update)
+        texts = []
         for preset in ("city", "residential", "rover"):
             distance_m = 40.0 if preset == "rover" else 120.0
-            model = pv.load_model(pv.train_model([pv.open_sequence(scene(preset, 1, distance_m))], settings, path))
+            model = pv.load_model(
+                pv.train_model([pv.open_sequence(scene(preset, 1, distance_m))], settings, path)
+            )
             metrics = run(scene(preset, 2, distance_m), model, settings.odometry, 0)
-            texts.append(f"{1e3 * (metrics.rpe_t_m or np.nan):.2f} (K {model.neighbors}, γ {model.exponent:g})")
+            texts.append(
+                f"{1e3 * (metrics.rpe_t_m or np.nan):.2f} (K {model.neighbors}, γ"
+                f" {model.exponent:g})"
+            )
         print(f"| {name} | {' | '.join(texts)} |", flush=True)
 
 
@@ -142,7 +191,16 @@ def main() -> None:
     if sys.argv[1:] == ["ablation"]:
         return ablation()
     wanted = sys.argv[1:] or ["point", "city", "residential", "road", "rover", "kitti", "loop"]
-    head = ("trial", "estimator", "step, mm", "ARMSE, m", "final error, m", "drift, %", "rotation, °/m", "ANEES")
+    head = (
+        "trial",
+        "estimator",
+        "step, mm",
+        "ARMSE, m",
+        "final error, m",
+        "drift, %",
+        "rotation, °/m",
+        "ANEES",
+    )
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for trial in trials(wanted):
         for name, noise, config in estimators(trial):
@@ -156,7 +214,10 @@ def main() -> None:
                     m.short_r_deg_per_m,
                     m.anees,
                 )
-                texts = ["–" if value is None or not np.isfinite(value) else f"{value:.3g}" for value in values]
+                texts = [
+                    "–" if value is None or not np.isfinite(value) else f"{value:.3g}"
+                    for value in values
+                ]
                 label = trial.name if len(trial.tests) == 1 else f"{trial.name} {number + 1}"
                 print(f"| {label} | {name} | {' | '.join(texts)} |", flush=True)
 

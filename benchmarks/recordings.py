@@ -1,4 +1,5 @@
-"""Where the real recordings lie: PROBEVO_DATA, or ../shared/data beside the repository; and another truth of one."""
+"""Where the real recordings lie: PROBEVO_DATA, or ../shared/data beside the repository; and another
+truth of one."""
 
 from __future__ import annotations
 
@@ -11,7 +12,9 @@ import numpy as np
 import probevo as pv
 from probevo.arrays import FloatArray
 
-ROOT = Path(os.environ.get("PROBEVO_DATA", Path(__file__).resolve().parents[1] / ".." / "shared" / "data"))
+ROOT = Path(
+    os.environ.get("PROBEVO_DATA", Path(__file__).resolve().parents[1] / ".." / "shared" / "data")
+)
 RECORDINGS = {
     "odometry 06": ROOT / "kitti_odometry" / "sequences" / "06",
     "raw 0005": ROOT / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0005_sync",
@@ -22,15 +25,19 @@ def available() -> dict[str, Path]:
     """Those that are there, by name; ends the program with a word if none is."""
     found = {name: path.resolve() for name, path in RECORDINGS.items() if path.is_dir()}
     if not found:
-        sys.exit(f"no recording under {ROOT}: set PROBEVO_DATA to the folder that holds kitti_odometry or kitti_raw")
+        sys.exit(
+            f"no recording under {ROOT}: set PROBEVO_DATA to the folder that holds kitti_odometry"
+            " or kitti_raw"
+        )
     return found
 
 
 def by_velocities(drive: Path) -> FloatArray:
-    """T_world_cam of a KITTI raw drive, [K, 4, 4], with positions from the INS velocities, not latitude and longitude.
+    """T_world_cam of a KITTI raw drive, [K, 4, 4], with positions from the INS velocities, not
+    latitude and longitude.
 
-    Those of drive 0005 are off by 0.3 to 0.5 m, and its path is 3 % shorter by them. The vehicle's axes are taken for
-    those of the camera, which they are to a degree.
+    Those of drive 0005 are off by 0.3 to 0.5 m, and its path is 3 % shorter by them. The vehicle's
+    axes are taken for those of the camera, which they are to a degree.
     """
     sequence = pv.open_sequence(drive)
     poses: FloatArray = sequence.truth.T_world_cam.copy()

@@ -1,4 +1,5 @@
-"""How well each predictor tells features that an effect spoils from clean ones, measured (see ``separation.py``)."""
+"""How well each predictor tells features that an effect spoils from clean ones, measured (see
+``separation.py``)."""
 
 from __future__ import annotations
 
@@ -16,30 +17,38 @@ from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.predictors import PREDICTORS, Step, prediction_space
 from probevo.sequences.frame import Frame
-from probevo.simulation.scene.config import Effects, PresetName, SceneConfig
-from probevo.simulation.scene.presets.place import SHADOWED_SHARE
-from probevo.simulation.scene.recording import SceneRecording, open_scene
 from probevo.tracking import Tracks
+from probevo_sim.scene.config import Effects, PresetName, SceneConfig
+from probevo_sim.scene.presets.place import SHADOWED_SHARE
+from probevo_sim.scene.recording import SceneRecording, open_scene
 
-WARM_UP, COUNTED, DISTANCE_M = 6, 24, 60.0
+WARM_UP = 6
+COUNTED = 24
+DISTANCE_M = 60.0
 """Frames before those whose features count, and these; the drive is longer than both."""
 PRESETS: tuple[PresetName, ...] = ("city", "residential")
 STRENGTHS = (1.0, 0.5)
 
-PATCH_PX, DIFFERS = 21, 4.0
-"""A place is affected where the patch around it differs from the clean picture's by more grey levels in the mean."""
+PATCH_PX = 21
+DIFFERS = 4.0
+"""A place is affected where the patch around it differs from the clean picture's by more grey
+levels in the mean."""
 EVERYWHERE = ("exposure", "noise", "rectification")
 """Effects that affect every feature."""
-GRID_PX, CONTRAST_KEPT = 12, 0.5
-"""Fixed places are so far apart, and textureless where no more than this share of the standard deviation is left."""
+GRID_PX = 12
+CONTRAST_KEPT = 0.5
+"""Fixed places are so far apart, and textureless where no more than this share of the standard
+deviation is left."""
 FAINT_NOISE = 0.15
-"""Sensor noise of 2 grey levels, as real cameras have: with it, a textureless road is not flat to the last bit."""
+"""Sensor noise of 2 grey levels, as real cameras have: with it, a textureless road is not flat to
+the last bit."""
 
 SPACE = prediction_space(list(PREDICTORS))
 IMAGE_SPACE = prediction_space(["blur", "entropy", "frequency", "structure"])
 """What can be asked of any place of an image, tracked or not."""
 OF_A_STEP = ("acceleration", "turn_rate", "velocity")
-"""Predictors that are the same for all features of a step, and so part none of them from the rest."""
+"""Predictors that are the same for all features of a step, and so part none of them from the rest.
+"""
 FIXED = "textureless, fixed places"
 ROWS = (*Effects.model_fields, FIXED)
 
@@ -85,35 +94,50 @@ class Row:
 
 
 def auc(affected: FloatArray, clean: FloatArray) -> float:
-    """P(affected > clean) + P(affected = clean)/2 over all pairs (Mann–Whitney); NaN values are left out."""
-    affected, clean = affected[np.isfinite(affected)], clean[np.isfinite(clean)]
+    """P(affected > clean) + P(affected = clean)/2 over all pairs (Mann–Whitney); NaN values are
+    left out."""
+    affected = affected[np.isfinite(affected)]
+    clean = clean[np.isfinite(clean)]
     if not len(affected) or not len(clean):
         return float("nan")
     ranks = rankdata(np.concatenate([affected, clean]))[: len(affected)]
     return float((ranks.mean() - 0.5 * (len(affected) + 1)) / len(clean))
 
 
-def drive(config: SceneConfig, *, warm_up: int = WARM_UP, counted: int = COUNTED, calibrate: bool = True) -> Drive:
+def drive(
+    config: SceneConfig, *, warm_up: int = WARM_UP, counted: int = COUNTED, calibrate: bool = True
+) -> Drive:
     """Drive the first frames of a scene with the shipped defaults."""
-    scene, lefts, parts = open_scene(config), {}, []
+    scene = open_scene(config)
+    lefts = {}
+    parts = []
     settings = pv.OdometryConfig(self_calibration=calibrate)
     odometry = pv.StereoOdometry(scene.camera, imu=scene.imu, config=settings, predictors=SPACE)
     for frame in islice(scene, warm_up + counted):
         odometry.step(frame)
         if frame.index >= warm_up and frame.left is not None:
             lefts[frame.index] = frame.left
-            parts.append((np.full(len(odometry.tracks), frame.index), odometry.tracks.curr_px[:, :2], odometry.phi))
+            parts.append(
+                (
+                    np.full(len(odometry.tracks), frame.index),
+                    odometry.tracks.curr_px[:, :2],
+                    odometry.phi,
+                )
+            )
     index, uv, phi = (np.concatenate(values) for values in zip(*parts, strict=True))
     return Drive(scene, lefts, index, uv, phi)
 
 
 def differs(effect: Drive, clean: Drive) -> Callable[[int], BoolArray]:
-    """Where patches of the effect's picture differ from the clean one's, but for the gain that goes with shadows."""
+    """Where patches of the effect's picture differ from the clean one's, but for the gain that goes
+    with shadows."""
     gain = 1.0 / (1.0 - SHADOWED_SHARE * effect.scene.config.effects.shadows)
 
     def mask(index: int) -> BoolArray:
         expected = np.minimum(gain * clean.lefts[index].astype(np.float64), 255.0)
-        return np.asarray(cv2.blur(np.abs(effect.lefts[index] - expected), (PATCH_PX, PATCH_PX)) > DIFFERS)
+        return np.asarray(
+            cv2.blur(np.abs(effect.lefts[index] - expected), (PATCH_PX, PATCH_PX)) > DIFFERS
+        )
 
     return mask
 
@@ -124,20 +148,23 @@ def moves(drive: Drive) -> Callable[[int], BoolArray]:
 
 
 def rows(name: str, effect: Drive, clean: Drive) -> Iterator[Row]:
-    """The effect's row; where it affects some places only, against the clean features of the same places too."""
+    """The effect's row; where it affects some places only, against the clean features of the same
+    places too."""
     if name.startswith(EVERYWHERE):
         yield Row(name, effect.phi, clean.phi)
         return
     is_traffic = name.startswith("traffic")
     where = moves(effect) if is_traffic else differs(effect, clean)
-    affected, same_places = effect.at_features(where), clean.at_features(where)
+    affected = effect.at_features(where)
+    same_places = clean.at_features(where)
     yield Row(name, effect.phi[affected], effect.phi[~affected] if is_traffic else clean.phi)
     yield Row(f"{name}, same places", effect.phi[affected], clean.phi[same_places])
 
 
 def fixed_places(name: str, effect: Drive, clean: Drive) -> Row:
     """Points of a grid on what has lost its texture, against the same points of the clean drive."""
-    affected, untouched = [], []
+    affected = []
+    untouched = []
     for index, left in effect.lefts.items():
         flat = _contrast(left) <= CONTRAST_KEPT * _contrast(clean.lefts[index])
         grid = np.zeros_like(flat)
@@ -150,14 +177,16 @@ def fixed_places(name: str, effect: Drive, clean: Drive) -> Row:
 
 def at_places(left: Image, uv: FloatArray, camera: StereoCamera) -> FloatArray:
     """The predictors that look at nothing but the left image, at any of its places, [N, M']."""
-    px, frame = np.tile(uv, (1, 2)), Frame(0, 0, left, left)
-    tracks = Tracks(px, px, np.arange(len(uv)), np.full(len(uv), 2))
-    return IMAGE_SPACE(Step(tracks, camera, np.eye(4), frame, frame))
+    px = np.tile(uv, (1, 2))
+    frame = Frame(0, 0, left, right=left)
+    tracks = Tracks(px, px, np.arange(len(uv)), age=np.full(len(uv), 2))
+    return IMAGE_SPACE(Step(tracks, camera, np.eye(4), before=frame, now=frame))
 
 
 def _contrast(image: Image) -> FloatArray:
     """Standard deviation of the patch around each pixel, grey levels."""
-    grey, size = image.astype(np.float64), (PATCH_PX, PATCH_PX)
+    grey = image.astype(np.float64)
+    size = (PATCH_PX, PATCH_PX)
     variance = cv2.blur(grey**2, size) - cv2.blur(grey, size) ** 2
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), np.float64)
 
@@ -165,7 +194,9 @@ def _contrast(image: Image) -> FloatArray:
 def place(number: int) -> list[Row]:
     """All rows of one place; presets take turns, each with another seed."""
     cv2.setNumThreads(1)
-    config = SceneConfig(preset=PRESETS[number % len(PRESETS)], seed=number // len(PRESETS), distance_m=DISTANCE_M)
+    config = SceneConfig(
+        preset=PRESETS[number % len(PRESETS)], seed=number // len(PRESETS), distance_m=DISTANCE_M
+    )
     clean = drive(config)
     found: list[Row] = []
     for strength in STRENGTHS:
@@ -176,7 +207,10 @@ def place(number: int) -> list[Row]:
                 found.append(fixed_places(f"{FIXED} {strength:g}", effect, clean))
     turned = drive(_with(config, rectification=1.0), calibrate=False)
     found += rows("rectification 1, no self-calibration", turned, drive(config, calibrate=False))
-    faint = drive(_with(config, textureless=1.0, noise=FAINT_NOISE)), drive(_with(config, noise=FAINT_NOISE))
+    faint = (
+        drive(_with(config, textureless=1.0, noise=FAINT_NOISE)),
+        drive(_with(config, noise=FAINT_NOISE)),
+    )
     found.append(fixed_places(f"{FIXED} 1, faint noise", *faint))
     print(f"place {number}, {config.preset}, done", file=sys.stderr, flush=True)
     return found

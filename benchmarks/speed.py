@@ -1,11 +1,12 @@
-"""Time of a frame, decoding included, against the yardstick in the same run: one core and two, and by stage.
+"""Time of a frame, decoding included, against the yardstick in the same run: one core and two, and
+by stage.
 
 python benchmarks/speed.py [--repeats 3] [--frames 154]
 
-Ours predicts the noise of each feature from all default predictors by a generalized kernel of 2,000 centers. Both read
-the same files and go over them in turn; a frame's time is that from one motion to the next. Each line is a process of
-its own, held to so many cores. OpenCV has as many threads for the yardstick, and one for ours, as in ``probevo run``,
-whose own threads use the other core.
+Ours predicts the noise of each feature from all default predictors by a generalized kernel of 2,000
+centers. Both read the same files and go over them in turn; a frame's time is that from one motion
+to the next. Each line is a process of its own, held to so many cores. OpenCV has as many threads
+for the yardstick, and one for ours, as in ``probevo run``, whose own threads use the other core.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from pathlib import Path
 
 THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 FIRST = 5
-"""Frames of a pass that do not count: there is no motion yet, or the compiled code is being loaded."""
+"""Frames of a pass that do not count: there is no motion yet, or the compiled code is being loaded.
+"""
 
 
 def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
@@ -38,7 +40,8 @@ def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
     sequence = pv.open_sequence(path)
     model = kernel(sequence, frames)
     stages: list[dict[str, float]] = []
-    ours, theirs = [], []
+    ours = []
+    theirs = []
     for _ in range(repeats):
         cv2.setNumThreads(1)
         ours += gaps(ours_over(sequence, model, stages.append), frames)
@@ -46,9 +49,12 @@ def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
         theirs += gaps(theirs_over(sequence), frames)
     own = {name: float(np.median([s.get(name, 0.0) for s in stages])) for name in stages[-1]}
     found = {
-        "ours": float(np.median(ours)), "p99": float(np.percentile(ours, 99)), "theirs": float(np.median(theirs)),
-        "stages": own, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-    }  # fmt: skip
+        "ours": float(np.median(ours)),
+        "p99": float(np.percentile(ours, 99)),
+        "theirs": float(np.median(theirs)),
+        "stages": own,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
     print(json.dumps(found))
 
 
@@ -59,22 +65,32 @@ def kernel(sequence, frames: int):
     import probevo as pv
     from probevo.predictors import prediction_space
     from probevo.training.drive import joined
-    from probevo.training.expectation import expect
     from probevo.training.extraction import Extraction
-    from probevo.training.lesson import HeldLesson
+    from probevo.training.gk.expectation import expect
     from probevo.training.settings import KERNEL
+    from probevo.training.supervised_drive import DriveInMemory
     from probevo.training.supervision import supervision_of
 
     count = min(frames, len(sequence), 60)
-    space, config = prediction_space(KERNEL), pv.OdometryConfig()
-    drive = joined(Extraction(sequence, space, config, count))
-    lesson = HeldLesson(drive, sequence.camera, supervision_of(sequence, "none", 0.0, count))
-    found = expect(lesson, pv.noise.StudentT().predict, config.solver, None).left_over
+    space = prediction_space(KERNEL)
+    config = pv.OdometryConfig()
+    drive = joined(Extraction(sequence, space, config, num_frames=count))
+    supervised = DriveInMemory(
+        drive, sequence.camera, supervision_of(sequence, "none", 0.0, num_frames=count)
+    )
+    found = expect(
+        supervised, pv.noise.StudentT().predict, config.solver, truth_sigma=None
+    ).feature_errors
     metric = pv.noise.metric.Metric.fitted(drive.phi, space.columns, space.may_be_undefined)
     model = pv.noise.GeneralizedKernel(
-        neighbors=400, prior_counts=1.0, dof_counts=30.0, bias_counts=np.inf, weights=np.ones(len(space.columns)),
-        refers_to="observation", lasting=1.0,
-    )  # fmt: skip
+        neighbors=400,
+        prior_counts=1.0,
+        dof_counts=30.0,
+        bias_counts=np.inf,
+        weights=np.ones(len(space.columns)),
+        refers_to="observation",
+        time_correlation=1.0,
+    )
     return model.fit(found.phi, found.errors, spread=found.spread, metric=metric)
 
 
@@ -102,7 +118,8 @@ def theirs_over(sequence) -> Iterator[None]:
 
 def gaps(motions: Iterator[None], frames: int) -> list[float]:
     """Milliseconds from each motion to the next."""
-    times, before = [], time.perf_counter()
+    times = []
+    before = time.perf_counter()
     for number, _ in enumerate(motions, start=1):
         now = time.perf_counter()
         times.append(1e3 * (now - before))
@@ -115,7 +132,9 @@ def gaps(motions: Iterator[None], frames: int) -> list[float]:
 def main() -> None:
     from recordings import available
 
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--frames", type=int, default=154)
     parser.add_argument("--measure", nargs=2, help=argparse.SUPPRESS)
@@ -128,10 +147,17 @@ def main() -> None:
         for cores in (1, 2):
             words = [sys.executable, __file__, "--measure", str(path), str(cores)]
             words += ["--repeats", str(given.repeats), "--frames", str(given.frames)]
-            done = subprocess.run(words, env=os.environ | THREADS, stdout=subprocess.PIPE, text=True, check=True)
+            done = subprocess.run(
+                words, env=os.environ | THREADS, stdout=subprocess.PIPE, text=True, check=True
+            )
             found = json.loads(done.stdout)
-            ours, p99, theirs = found["ours"], found["p99"], found["theirs"]
-            row = f"{name:12} {cores:5} {ours:5.1f} {p99:5.1f} {theirs:9.1f} {ours / theirs:6.2f} {p99 / ours:8.2f}"
+            ours = found["ours"]
+            p99 = found["p99"]
+            theirs = found["theirs"]
+            row = (
+                f"{name:12} {cores:5} {ours:5.1f} {p99:5.1f} {theirs:9.1f} {ours / theirs:6.2f}"
+                f" {p99 / ours:8.2f}"
+            )
             stages = "  ".join(f"{stage} {ms:.2f}" for stage, ms in found["stages"].items())
             print(f"{row} {found['peak_mb']:9.0f}   {stages}", flush=True)
 

@@ -1,19 +1,24 @@
-"""What training costs by how much there is to learn from: time a sample, peak memory, two workers against one.
+"""What training costs by how much there is to learn from: time a sample, peak memory, two workers
+against one.
 
-python benchmarks/training_scale.py [samples …]    10,000 to 1,000,000 by default; 10,000,000 takes a quarter of an hour
-python benchmarks/training_scale.py --workers      recording by one process and by two
-python benchmarks/training_scale.py --fitted       what a kernel loses that is fitted to some of the samples
+python benchmarks/training_scale.py [samples …]    10,000 to 1,000,000 by default; 10,000,000 takes
+a quarter of an hour python benchmarks/training_scale.py --workers      recording by one process and
+by two python benchmarks/training_scale.py --fitted       what a kernel loses that is fitted to some
+of the samples
 
-A sample is a feature of a step. Drives of the point world of 100,000 samples each lie on disk as tracks files; each
-size is a process of its own, whose peak memory the system tells. CPU time is given beside the time on the clock, as
-others may be using the machine.
+A sample is a feature of a step. Drives of the point world of 100,000 samples each lie on disk as
+tracks files; each size is a process of its own, whose peak memory the system tells. CPU time is
+given beside the time on the clock, as others may be using the machine.
 """
 
 from __future__ import annotations
 
 import os
 
-os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # before NumPy is imported: one core
+os.environ |= {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+}  # before NumPy is imported: one core
 
 import json
 import resource
@@ -28,24 +33,28 @@ import numpy as np
 import probevo as pv
 from probevo.config import OdometryConfig
 from probevo.predictors import prediction_space
-from probevo.simulation.point_config import PointConfig
-from probevo.simulation.point_world import simulate_points, write_points
 from probevo.training.checkpoint import Checkpoint
-from probevo.training.expectation_maximization import num_turns
+from probevo.training.gk.expectation_maximization import num_turns
 from probevo.training.recording import record_all
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import checked_sources
 from probevo.training.workers import Workers
+from probevo_sim.point_config import PointConfig
+from probevo_sim.point_world import simulate_points, write_points
 
 PREDICTORS = ("place", "last_residual", "age", "flow")
 SETTINGS = TrainSettings(
-    kind="gk", supervision="none", predictors=PREDICTORS, odometry=OdometryConfig(self_calibration=False)
+    kind="gk",
+    supervision="none",
+    predictors=PREDICTORS,
+    odometry=OdometryConfig(self_calibration=False),
 )
 SAMPLES_A_DRIVE = 100_000
 WORLD = PointConfig(landmarks=1600, outliers={"fraction": 0.05})  # type: ignore[arg-type]
 SAMPLES_A_STEP = 190
 DIFFERENT = 10
-"""Drives that are simulated; more are these again under other names, which save time and cost training the same."""
+"""Drives that are simulated; more are these again under other names, which save time and cost
+training the same."""
 
 
 def write_drives(folder: Path, samples: int) -> list[Path]:
@@ -58,7 +67,9 @@ def write_drives(folder: Path, samples: int) -> list[Path]:
             paths[-1].hardlink_to(paths[number % DIFFERENT])
             continue
         rng = np.random.default_rng(number)
-        write_points(simulate_points(WORLD, wanted / SAMPLES_A_STEP / WORLD.rate_hz, rng), paths[-1])
+        write_points(
+            simulate_points(WORLD, wanted / SAMPLES_A_STEP / WORLD.rate_hz, rng), paths[-1]
+        )
     return paths
 
 
@@ -70,7 +81,8 @@ def cpu_s() -> float:
 def train(folder: Path) -> None:
     """In a process of its own: says what it cost as JSON."""
     phases: list[tuple[int, float]] = []
-    start, cpu = perf_counter(), cpu_s()
+    start = perf_counter()
+    cpu = cpu_s()
 
     def show(done: int, total: int) -> None:
         phases.append((done, cpu_s() - cpu))
@@ -78,9 +90,13 @@ def train(folder: Path) -> None:
     paths = sorted(folder.glob("*.npz"))
     model = pv.load_model(pv.train_model(paths, SETTINGS, folder / "m.safetensors", show))
     frames = sum(entry["frames"] for entry in model.training["recordings"])
-    first = 1 + num_turns(SETTINGS) - SETTINGS.gk.turns  # phases before the kernel's first turn: recording, static ones
+    first = (
+        1 + num_turns(SETTINGS) - SETTINGS.gk.turns
+    )  # phases before the kernel's first turn: recording, static ones
     ends = (1.0, first, first + 0.5, first + 1.0, first + SETTINGS.gk.turns)
-    until = [max((s for done, s in phases if done <= turns * frames), default=0.0) for turns in ends]
+    until = [
+        max((s for done, s in phases if done <= turns * frames), default=0.0) for turns in ends
+    ]
     facts = {
         "samples": model.samples_,
         "features": sum(len(pv.open_sequence(path).features.ids) for path in paths),
@@ -94,34 +110,52 @@ def train(folder: Path) -> None:
 
 
 def print_sizes(sizes: list[int]) -> None:
-    head = ("samples", "fitted to", "s", "CPU s", "recording", "search and first fit", "the rest, µs a sample",
-            "all, µs a sample", "peak MB")  # fmt: skip
+    head = (
+        "samples",
+        "fitted to",
+        "s",
+        "CPU s",
+        "recording",
+        "search and first fit",
+        "the rest, µs a sample",
+        "all, µs a sample",
+        "peak MB",
+    )
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for size in sizes:
         with TemporaryDirectory() as name:
             write_drives(Path(name), size)
-            done = subprocess.run([sys.executable, __file__, "--train", name], stdout=subprocess.PIPE, check=True)
+            done = subprocess.run(
+                [sys.executable, __file__, "--train", name], stdout=subprocess.PIPE, check=True
+            )
         cost = json.loads(done.stdout)
         rest = cost["cpu"] - cost["search"]
         print(
-            f"| {size:,} | {cost['samples']:,} | {cost['clock']:.0f} | {cost['cpu']:.0f} | {cost['recording']:.1f}"
-            f" | {cost['search']:.1f} | {1e6 * rest / size:.0f} | {1e6 * cost['cpu'] / size:.0f}"
-            f" | {cost['peak_mb']:.0f} |",
+            f"| {size:,} | {cost['samples']:,} | {cost['clock']:.0f} | {cost['cpu']:.0f} |"
+            f" {cost['recording']:.1f} | {cost['search']:.1f} | {1e6 * rest / size:.0f} |"
+            f" {1e6 * cost['cpu'] / size:.0f} | {cost['peak_mb']:.0f} |",
             flush=True,
         )
 
 
 def record(folder: Path, workers: Workers) -> tuple[float, float]:
-    """Seconds on the clock to record all drives of a folder, and seconds that this process was busy meanwhile."""
+    """Seconds on the clock to record all drives of a folder, and seconds that this process was busy
+    meanwhile."""
     paths = sorted(folder.glob("*.npz"))
     space = prediction_space(PREDICTORS)
     sources = checked_sources(paths, SETTINGS, space)
     with TemporaryDirectory() as name:
-        facts, truths = [source.facts for source in sources], [source.truth for source in sources]
-        work = Checkpoint.opened(Path(name, "m.safetensors"), facts, truths, SETTINGS, space.columns)
-        lessons = [work.lesson(number, source.camera) for number, source in enumerate(sources)]
-        start, busy = perf_counter(), process_time()
-        record_all(sources, lessons, space, SETTINGS, workers, lambda done: None)
+        facts = [source.facts for source in sources]
+        truths = [source.truth for source in sources]
+        work = Checkpoint.opened(
+            Path(name, "m.safetensors"), facts, truths, settings=SETTINGS, columns=space.columns
+        )
+        drives = [work.drive(number, source.camera) for number, source in enumerate(sources)]
+        start = perf_counter()
+        busy = process_time()
+        record_all(
+            sources, drives, space, settings=SETTINGS, workers=workers, on_frames=lambda done: None
+        )
         return perf_counter() - start, process_time() - busy
 
 
@@ -133,8 +167,8 @@ def print_workers() -> None:
             record(Path(name), Workers(jobs))
         one, two = (min(record(Path(name), Workers(jobs)) for _ in range(3)) for jobs in (1, 2))
     print(
-        f"recording: one process {one[0]:.1f} s ({one[1]:.1f} s busy), two {two[0]:.1f} s (the first one"
-        f" {two[1]:.1f} s busy besides): {one[0] / two[0]:.2f} times as fast"
+        f"recording: one process {one[0]:.1f} s ({one[1]:.1f} s busy), two {two[0]:.1f} s (the"
+        f" first one {two[1]:.1f} s busy besides): {one[0] / two[0]:.2f} times as fast"
     )
 
 
@@ -148,18 +182,22 @@ def errors_of(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndar
 
 
 def print_fitted() -> None:
-    """Likelihood of other samples; K grows with the square root of their number, as the search lets it."""
+    """Likelihood of other samples; K grows with the square root of their number, as the search lets
+    it."""
     rng = np.random.default_rng(0)
     asked, residuals = errors_of(40_000, rng)
     print("| fitted to | nats a feature | CPU s | peak MB |\n|---|---|---|---|")
     for count in (30_000, 100_000, 300_000, 500_000, 1_000_000):
         places, errors = errors_of(count, rng)
         shape = {"prior_counts": 4.0, "dof_counts": 10.0, "bias_counts": np.inf}
-        weights, neighbors = np.array([1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0]), round(7.3 * count**0.5)
-        spread, start = np.tile(1e-4 * np.eye(4), (count, 1, 1)), process_time()
+        weights = np.array([1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+        neighbors = round(7.3 * count**0.5)
+        spread = np.tile(1e-4 * np.eye(4), (count, 1, 1))
+        start = process_time()
         model = pv.noise.GeneralizedKernel(neighbors=neighbors, weights=weights, **shape)
         model.fit(places, errors, spread=spread)
-        cpu, nats = process_time() - start, model.predict(asked).log_likelihood(residuals).mean()
+        cpu = process_time() - start
+        nats = model.predict(asked).log_likelihood(residuals).mean()
         peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
         print(f"| {count:,} | {nats:.4f} | {cpu:.1f} | {peak_mb:.0f} |", flush=True)
 

@@ -17,20 +17,24 @@ from probevo.output.motions_file import read_motions
 
 
 def to_gtsam(T_curr_prev: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The measurement of a ``BetweenFactorPose3(prev, curr)``: the pose of curr in prev, [4, 4], and its [6, 6].
+    """The measurement of a ``BetweenFactorPose3(prev, curr)``: the pose of curr in prev, [4, 4],
+    and its [6, 6].
 
-    GTSAM perturbs on the right and puts the rotation first. With T_prev_curr = T̄⁻¹ Exp(−ξ), the right perturbation is
-    −ξ itself: the sign leaves the covariance as it is, so that only the order of the blocks changes.
+    GTSAM perturbs on the right and puts the rotation first. With T_prev_curr = T̄⁻¹ Exp(−ξ), the
+    right perturbation is −ξ itself: the sign leaves the covariance as it is, so that only the order
+    of the blocks changes.
     """
     rotation_first = [3, 4, 5, 0, 1, 2]
     return se3.inverse(T_curr_prev), cov[np.ix_(rotation_first, rotation_first)]
 
 
 def to_ros(T_curr_prev: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """For a ``geometry_msgs/PoseWithCovariance`` of curr in prev: the pose [4, 4] and its covariance [6, 6].
+    """For a ``geometry_msgs/PoseWithCovariance`` of curr in prev: the pose [4, 4] and its
+    covariance [6, 6].
 
-    ROS takes the errors of position and of small turns about the fixed axes of prev. The left perturbation of
-    T_prev_curr turns about the same axes, but through the origin of prev, which also moves the position: p = ρ + φ × p̄.
+    ROS takes the errors of position and of small turns about the fixed axes of prev. The left
+    perturbation of T_prev_curr turns about the same axes, but through the origin of prev, which
+    also moves the position: p = ρ + φ × p̄.
     """
     T_prev_curr, cov_left = invert(T_curr_prev, cov)
     at_position = np.eye(6)
@@ -41,7 +45,10 @@ def to_ros(T_curr_prev: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatA
 def main(run: Path) -> None:
     """Both, for the first step of a run."""
     result = read_motions(run / "motions.npz")
-    for name, convert in (("GTSAM, [rotation; translation]", to_gtsam), ("ROS, [position; rotation]", to_ros)):
+    for name, convert in (
+        ("GTSAM, [rotation; translation]", to_gtsam),
+        ("ROS, [position; rotation]", to_ros),
+    ):
         pose, cov = convert(result.T_curr_prev[0], result.cov[0])
         print(f"{name}: position {pose[:3, 3].round(4)} m, 1σ {np.sqrt(np.diagonal(cov)).round(6)}")
 

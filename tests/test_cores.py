@@ -15,9 +15,16 @@ def _eight_cores(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("text", "cores"),
-    [("max 100000\n", 8), ("200000 100000\n", 2), ("150000 100000\n", 2), ("1000 100000\n", 1), ("990000 100000", 8),
-     ("", 8), ("nonsense", 8)],
-)  # fmt: skip
+    [
+        ("max 100000\n", 8),
+        ("200000 100000\n", 2),
+        ("150000 100000\n", 2),
+        ("1000 100000\n", 1),
+        ("990000 100000", 8),
+        ("", 8),
+        ("nonsense", 8),
+    ],
+)
 def test_version_2(text: str, cores: int, tmp_path: Path) -> None:
     (tmp_path / "cpu.max").write_text(text)
     assert available_cores(tmp_path) == cores
@@ -31,7 +38,9 @@ def test_version_1(quota: str, cores: int, tmp_path: Path) -> None:
     assert available_cores(tmp_path) == cores
 
 
-def test_without_cgroups_the_affinity_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_cgroups_the_affinity_counts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     assert available_cores(tmp_path) == 8
     monkeypatch.delattr(os, "sched_getaffinity")
     monkeypatch.setattr(os, "cpu_count", lambda: None)

@@ -1,4 +1,5 @@
-"""The documents: what they link to and name is there — pages, sections, files, names to import, commands, flags."""
+"""The documents: what they link to and name is there — pages, sections, files, names to import,
+commands, flags."""
 
 import io
 import re
@@ -14,7 +15,11 @@ from probevo.cli.main import COMMANDS, HELP, main
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
-SOURCES = [path for folder in ("src", "tests", "benchmarks", "examples") for path in (ROOT / folder).rglob("*.py")]
+SOURCES = [
+    path
+    for folder in ("src", "tests", "benchmarks", "examples")
+    for path in (ROOT / folder).rglob("*.py")
+]
 BLOCK = re.compile(r"^ *(```|~~~).*?\n(.*?)^ *\1 *$", re.DOTALL | re.MULTILINE)
 SPAN = re.compile(r"(`+)(.+?)\1", re.DOTALL)
 HAVE_PARTS = ("simulate", "paper")
@@ -30,7 +35,9 @@ def prose(text: str) -> str:
 
 def code(text: str) -> list[str]:
     """Code blocks, and what stands in backticks."""
-    return [match[2] for match in BLOCK.finditer(text)] + [match[2] for match in SPAN.finditer(BLOCK.sub("", text))]
+    return [match[2] for match in BLOCK.finditer(text)] + [
+        match[2] for match in SPAN.finditer(BLOCK.sub("", text))
+    ]
 
 
 def anchors(text: str) -> set[str]:
@@ -67,7 +74,11 @@ def broken_links(text: str, page: Path) -> list[str]:
 def missing_files(text: str) -> list[str]:
     """Python files that the repository has none of, by name or by the end of a path."""
     known = ["/" + path.relative_to(ROOT).as_posix() for path in SOURCES]
-    named = {name for piece in code(text) for name in re.findall(r"(?<![\w/.*<>-])[\w-][\w./-]*\.py\b", piece)}
+    named = {
+        name
+        for piece in code(text)
+        for name in re.findall(r"(?<![\w/.*<>-])[\w-][\w./-]*\.py\b", piece)
+    }
     return sorted(name for name in named if not any(path.endswith("/" + name) for path in known))
 
 
@@ -96,7 +107,9 @@ def unknown_names(text: str) -> list[str]:
     """Dotted names of this package that lead nowhere."""
     pattern = r"(?<![\w./-])(?:probevo|pv)(?:\.[A-Za-z_]\w*)+(?![\w/])"
     return sorted(
-        name for name in {name for piece in code(text) for name in re.findall(pattern, piece)} if not is_there(name)
+        name
+        for name in {name for piece in code(text) for name in re.findall(pattern, piece)}
+        if not is_there(name)
     )
 
 
@@ -116,7 +129,9 @@ def flags(*command: str) -> frozenset[str]:
         main([*command, "--help"])
     assert caught.value.code == 0
     lines = re.findall(r"^[│ ]*(-.*)", shown.getvalue(), re.MULTILINE)
-    return frozenset(flag for line in lines for flag in re.findall(r"(?<![\w-])--[a-z][\w.-]*", line))
+    return frozenset(
+        flag for line in lines for flag in re.findall(r"(?<![\w-])--[a-z][\w.-]*", line)
+    )
 
 
 def unknown_flags(text: str) -> list[str]:
@@ -128,7 +143,11 @@ def unknown_flags(text: str) -> list[str]:
         elif first.islower() and first not in COMMANDS:
             unknown.append(first)
         elif first in COMMANDS:
-            part = [rest[0]] if first in HAVE_PARTS and rest and re.fullmatch(r"[a-z][a-z0-9.-]*", rest[0]) else []
+            part = (
+                [rest[0]]
+                if first in HAVE_PARTS and rest and re.fullmatch(r"[a-z][a-z0-9.-]*", rest[0])
+                else []
+            )
             given = {word for each in rest for word in re.findall(r"^[\[(]*(--[a-z][\w.-]*)", each)}
             unknown += [f"{first} {flag}" for flag in sorted(given - flags(first, *part))]
     return unknown
@@ -171,7 +190,11 @@ probevo simulate scene --preset city --effects.blur 0.5 --out out && probevo tra
 
 def test_what_is_wrong_is_found() -> None:
     """And nothing else."""
-    assert broken_links(WRONG, ROOT / "README.md") == ["#elsewhere", "docs/none.md", "docs/probe.md#none"]
+    assert broken_links(WRONG, ROOT / "README.md") == [
+        "#elsewhere",
+        "docs/none.md",
+        "docs/probe.md#none",
+    ]
     assert missing_files(WRONG) == ["benchmarks/none.py", "motion/odometry.py"]
     assert unknown_names(WRONG) == ["probevo.geometry.none", "pv.StereoOdometry.leap"]
     assert unknown_flags(WRONG) == ["run --noises", "train --kinds", "simulate --preset", "fly"]

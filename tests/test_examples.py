@@ -17,10 +17,10 @@ from geometry.samples import sample_poses
 from probevo.arrays import FloatArray
 from probevo.cli.main import main
 from probevo.geometry import se3
-from probevo.simulation.point_config import PointConfig, PointNoise, PointOutliers
-from probevo.simulation.point_world import simulate_points, write_points
-from probevo.simulation.scene.config import RigConfig, SceneConfig
-from probevo.simulation.scene.recording import SceneRecording, open_scene
+from probevo_sim.point_config import PointConfig, PointNoise, PointOutliers
+from probevo_sim.point_world import simulate_points, write_points
+from probevo_sim.scene.config import RigConfig, SceneConfig
+from probevo_sim.scene.recording import SceneRecording, open_scene
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -54,7 +54,9 @@ def test_examples_say_what_they_need(path: Path) -> None:
 
 def test_run_and_plot(wall: Path, tmp_path: Path) -> None:
     words = [EXAMPLES / "01_run_and_plot.py", wall, tmp_path / "path.png"]
-    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, *map(str, words)], capture_output=True, text=True, check=True
+    )
     assert done.stdout.count(" OK ") == 3
     assert (tmp_path / "path.png").stat().st_size > 1000
 
@@ -67,7 +69,8 @@ def test_use_the_covariance(wall: Path, tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_conversions_against_samples() -> None:
-    """Monte Carlo: sampled motions, seen as GTSAM and as ROS see them, have the covariance that was converted."""
+    """Monte Carlo: sampled motions, seen as GTSAM and as ROS see them, have the covariance that was
+    converted."""
     example = load("02_use_the_covariance.py")
     rng = np.random.default_rng(0)
     T = se3.exp(np.array([2.0, -1.0, 3.0, 0.3, -0.5, 0.2]))
@@ -88,7 +91,9 @@ def test_conversions_against_samples() -> None:
 def test_how_wrong_features_are() -> None:
     """The solver trusts what stands still."""
     words = [EXAMPLES / "03_how_wrong_features_are.py", "city", "traffic=1"]
-    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, *map(str, words)], capture_output=True, text=True, check=True
+    )
     lines = [line.split() for line in done.stdout.splitlines()]
     assert [line[1] for line in lines] == ["trusted", "distrusted"]
     assert int(lines[0][2]) < int(lines[1][2])
@@ -96,17 +101,23 @@ def test_how_wrong_features_are() -> None:
 
 @cache
 def rendered_once(config: SceneConfig) -> SceneRecording:
-    """In place of ``open_scene``: each image is rendered once, however often the scene is driven through."""
+    """In place of ``open_scene``: each image is rendered once, however often the scene is driven
+    through."""
     scene = open_scene(config)
     scene.renderer.pair = cache(scene.renderer.pair)  # type: ignore[method-assign]
     return scene
 
 
 @pytest.mark.slow
-def test_learn_whom_to_trust(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_learn_whom_to_trust(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """What was learned in one street makes steps in another better; here with smaller images."""
-    example, rig = load("04_learn_whom_to_trust.py"), RigConfig(width_px=414, height_px=126, focal_px=240.0)
-    monkeypatch.setattr(example, "open_scene", lambda config: rendered_once(config.model_copy(update={"rig": rig})))
+    example = load("04_learn_whom_to_trust.py")
+    rig = RigConfig(width_px=414, height_px=126, focal_px=240.0)
+    monkeypatch.setattr(
+        example, "open_scene", lambda config: rendered_once(config.model_copy(update={"rig": rig}))
+    )
     example.main(25.0)
     lines = capsys.readouterr().out.splitlines()
     mean_mm = {line.split()[0]: float(line.split()[1]) for line in lines[1:]}
@@ -119,14 +130,20 @@ def test_merge_rows() -> None:
     example = load("05_noise_for_gtsam.py")
     rng = np.random.default_rng(0)
     half = rng.normal(size=(20, 4, 4))
-    scale, pixels, (u_l, u_r, v) = half @ half.mT + 0.1 * np.eye(4), rng.normal(size=(20, 4)), rng.normal(size=3)
+    scale, pixels, (u_l, u_r, v) = (
+        half @ half.mT + 0.1 * np.eye(4),
+        rng.normal(size=(20, 4)),
+        rng.normal(size=3),
+    )
     merged, merged_scale, squared = example.merge_rows(pixels, scale)
 
     def length(error: FloatArray, scale: FloatArray) -> FloatArray:
         return np.asarray(np.vecdot(error, np.linalg.solve(scale, error[..., None])[..., 0]))
 
     whole = length(pixels - np.array([u_l, v, u_r, v]), scale)
-    np.testing.assert_allclose(squared + length(merged - np.array([u_l, u_r, v]), merged_scale), whole)
+    np.testing.assert_allclose(
+        squared + length(merged - np.array([u_l, u_r, v]), merged_scale), whole
+    )
 
     equal, _, _ = example.merge_rows(np.array([[5.0, 1.0, 3.0, 2.0]]), np.eye(4)[None])
     np.testing.assert_allclose(equal, [[5.0, 3.0, 1.5]])
@@ -134,13 +151,16 @@ def test_merge_rows() -> None:
 
 @pytest.mark.parametrize(("noise", "within_sigma"), [("fixed", 0.01), ("student-t", 0.7)])
 def test_noise_for_gtsam(noise: str, within_sigma: float, tmp_path: Path) -> None:
-    """Gaussians agree; of a Student-t, GTSAM trusts each observation by itself, where probevo trusts each feature."""
+    """Gaussians agree; of a Student-t, GTSAM trusts each observation by itself, where probevo
+    trusts each feature."""
     pytest.importorskip("gtsam", reason="gtsam is missing: pip install 'probevo[gtsam]'")
     gaussian = PointNoise(law="constant", sigma_low_px=0.2, sigma_high_px=0.2)
     config = PointConfig(noise=gaussian, outliers=PointOutliers(fraction=0.0))
     write_points(simulate_points(config, 1.0, np.random.default_rng(0)), tmp_path / "points.npz")
     words = [EXAMPLES / "05_noise_for_gtsam.py", tmp_path / "points.npz", noise]
-    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, *map(str, words)], capture_output=True, text=True, check=True
+    )
     lines = done.stdout.splitlines()
     assert [line.split()[0] for line in lines] == ["probevo", "GTSAM"] * 10
     apart = np.array([line.split("[")[-1].split("]")[0].split() for line in lines], np.float64)
@@ -148,13 +168,18 @@ def test_noise_for_gtsam(noise: str, within_sigma: float, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("speed", [2.0, 50.0])
-def test_live(speed: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each frame is processed or counted as dropped, the last one is never dropped, and the path holds together."""
+def test_live(
+    speed: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each frame is processed or counted as dropped, the last one is never dropped, and the path
+    holds together."""
     example = load("06_live.py")
     monkeypatch.setattr(example, "open_scene", rendered_once)
     example.main(speed)
     *estimates, summary = capsys.readouterr().out.splitlines()
-    frames, processed, dropped = (int(part.split()[0]) for part in summary.split(";")[0].split(", "))
+    frames, processed, dropped = (
+        int(part.split()[0]) for part in summary.split(";")[0].split(", ")
+    )
     assert processed == len(estimates)
     assert processed + dropped == frames
     assert [int(line.split()[0]) for line in (estimates[0], estimates[-1])] == [0, frames - 1]
@@ -163,19 +188,26 @@ def test_live(speed: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
 
 @pytest.mark.parametrize("dof", [5.0, np.inf])
 def test_noise_of_residuals_for_gtsam(dof: float) -> None:
-    """With the points held where they were seen, GTSAM minimises probevo's own cost, of a Student-t as well."""
+    """With the points held where they were seen, GTSAM minimises probevo's own cost, of a Student-t
+    as well."""
     pytest.importorskip("gtsam", reason="gtsam is missing: pip install 'probevo[gtsam]'")
     config = PointConfig(outliers=PointOutliers(fraction=0.0), noise=PointNoise(sigma_high_px=0.3))
     world = simulate_points(config, 0.5, np.random.default_rng(0))
     odometry = pv.StereoOdometry(world.camera, NoiseOfResiduals(dof))
     solve = load("05_noise_for_gtsam.py").solve
-    _, *motions = [(odometry.step(frame), frame.index and solve(odometry, np.eye(4))) for frame in world.frames()]
+    _, *motions = [
+        (odometry.step(frame), frame.index and solve(odometry, np.eye(4)))
+        for frame in world.frames()
+    ]
     for motion, (T, cov) in motions:
         assert motion.status is pv.Status.OK
         apart = se3.log(T @ se3.inverse(motion.T_curr_prev)) / np.sqrt(np.diagonal(motion.cov))
         assert np.abs(apart).max() < 0.02
-        ratios = np.linalg.eigvals(np.linalg.solve(motion.cov - motion.shared @ motion.shared.T, cov)).real
-        # probevo scales by what residuals show, and weighs features by their curvature; Gaussian ones have the same.
+        ratios = np.linalg.eigvals(
+            np.linalg.solve(motion.cov - motion.common_mode @ motion.common_mode.T, cov)
+        ).real
+        # probevo scales by what residuals show, and weighs features by their curvature; Gaussian
+        # ones have the same.
         assert ratios.max() < (1.01 if np.isinf(dof) else 2.0) * ratios.min()
 
 
@@ -191,7 +223,9 @@ class NoiseOfResiduals:
         count = len(predictors)
         scale = 0.08 * (np.eye(4) + 0.3 * np.ones((4, 4)))
         bias = np.tile([0.05, -0.03, 0.02, 0.04], (count, 1))
-        return pv.noise.StereoNoise(np.tile(scale, (count, 1, 1)), np.full(count, self.dof), bias, "residual")
+        return pv.noise.StereoNoise(
+            np.tile(scale, (count, 1, 1)), np.full(count, self.dof), bias, "residual"
+        )
 
     def check_camera(self, camera: pv.StereoCamera) -> None:
         """Any will do."""

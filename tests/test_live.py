@@ -1,4 +1,5 @@
-"""Live odometry: which frames it drops, when estimates come, what ends it. Steps wait for a word; nothing is timed."""
+"""Live odometry: which frames it drops, when estimates come, what ends it. Steps wait for a word;
+nothing is timed."""
 
 import gc
 import threading
@@ -35,7 +36,9 @@ class Gated:
     def __init__(self, step: Callable[[Frame], pv.MotionEstimate] | None = None) -> None:
         self.begun: Queue[Frame] = Queue()
         self.go = Semaphore(0)
-        self._step = step or (lambda frame: pv.MotionEstimate(np.eye(4), np.eye(6), pv.Status.OK, 0))
+        self._step = step or (
+            lambda frame: pv.MotionEstimate(np.eye(4), np.eye(6), pv.Status.OK, 0)
+        )
 
     def step(self, frame: Frame) -> pv.MotionEstimate:
         self.begun.put(frame)
@@ -84,7 +87,11 @@ def test_the_oldest_waiting_frame_is_dropped(waiting: int) -> None:
         odometry.go.release(10)
     estimates = list(live.estimates())
     assert [estimate.index for estimate in estimates] == [0, *range(10 - waiting, 10)]
-    assert [estimate.num_dropped for estimate in estimates] == [0, 9 - waiting, *[0] * (waiting - 1)]
+    assert [estimate.num_dropped for estimate in estimates] == [
+        0,
+        9 - waiting,
+        *[0] * (waiting - 1),
+    ]
     assert live.num_dropped == 9 - waiting
     for before, estimate in pairwise(estimates):
         assert estimate.prev_stamp_ns == before.stamp_ns
@@ -92,9 +99,14 @@ def test_the_oldest_waiting_frame_is_dropped(waiting: int) -> None:
 
 @pytest.mark.parametrize("waiting", [1, 2, 3])
 def test_an_estimate_comes_at_most_waiting_plus_one_steps_after_its_frame(waiting: int) -> None:
-    """However many frames are pushed during a step: between the push of a frame and its estimate, so many steps end."""
-    odometry, steps_ended, pushed_at, late = Gated(), 0, {}, []
-    rng, index = np.random.default_rng(0), 0
+    """However many frames are pushed during a step: between the push of a frame and its estimate,
+    so many steps end."""
+    odometry = Gated()
+    steps_ended = 0
+    pushed_at = {}
+    late = []
+    rng = np.random.default_rng(0)
+    index = 0
     with pv.LiveOdometry(odometry, waiting=waiting) as live:
         estimates = live.estimates()
         for _ in range(200):
@@ -142,7 +154,8 @@ def test_the_callback_may_close() -> None:
 def test_who_does_not_read_loses_frames_but_no_motion_and_keeps_no_memory() -> None:
     """The step after the last that has room is not begun; frames are dropped, and let go of."""
     odometry = free()
-    live, images = pv.LiveOdometry(odometry), []
+    live = pv.LiveOdometry(odometry)
+    images = []
     for index in range(MOST_UNREAD):
         live.push(blind_frame(index))
         odometry.has_begun(index)
@@ -158,7 +171,9 @@ def test_who_does_not_read_loses_frames_but_no_motion_and_keeps_no_memory() -> N
     estimates = list(live.estimates())
     assert [estimate.index for estimate in estimates] == [*range(MOST_UNREAD), 99]
     assert estimates[-1].prev_stamp_ns == estimates[-2].stamp_ns
-    assert sum(estimate.num_dropped for estimate in estimates) == live.num_dropped == 99 - MOST_UNREAD
+    assert (
+        sum(estimate.num_dropped for estimate in estimates) == live.num_dropped == 99 - MOST_UNREAD
+    )
 
 
 def test_closing_processes_what_waits_or_drops_it() -> None:
@@ -200,7 +215,12 @@ def failing(frame: Frame) -> pv.MotionEstimate:
 def test_the_exception_of_a_step_comes_out_wherever_it_is_asked_for() -> None:
     live = pv.LiveOdometry(free(failing))
     live.push(blind_frame(0))
-    for ask in (lambda: next(live.estimates()), lambda: live.push(blind_frame(1)), live.close, live.close):
+    for ask in (
+        lambda: next(live.estimates()),
+        lambda: live.push(blind_frame(1)),
+        live.close,
+        live.close,
+    ):
         with pytest.raises(InputError, match="Buy another"):
             ask()
     depth = []
@@ -219,7 +239,9 @@ def test_the_exception_of_a_step_does_not_hide_another() -> None:
 
 
 def test_what_was_estimated_before_a_failure_can_still_be_read() -> None:
-    odometry = free(lambda frame: failing(frame) if frame.index == 2 else pv.StereoOdometry(CAMERA).step(frame))
+    odometry = free(
+        lambda frame: failing(frame) if frame.index == 2 else pv.StereoOdometry(CAMERA).step(frame)
+    )
     live = pv.LiveOdometry(odometry, waiting=5)
     for index in range(3):
         live.push(blind_frame(index))
@@ -240,12 +262,13 @@ def test_a_frame_out_of_order_is_refused_and_the_next_is_taken() -> None:
 
 
 def test_a_frame_that_the_camera_cannot_have_taken_is_refused_and_the_next_is_taken() -> None:
-    picture, frames = np.zeros((50, 60), np.uint8), drive(np.random.default_rng(0), 3)
+    picture = np.zeros((50, 60), np.uint8)
+    frames = drive(np.random.default_rng(0), 3)
     odometry = pv.StereoOdometry(CAMERA)
     with pv.LiveOdometry(odometry, waiting=9) as live:
         live.push(frames[0])
         with pytest.raises(InputError, match="its left image is 60×50 px"):
-            live.push(Frame(1, frames[1].stamp_ns, picture, picture))
+            live.push(Frame(1, frames[1].stamp_ns, picture, right=picture))
         for frame in frames[1:]:
             live.push(frame)
     assert indices(live) == [0, 1, 2]
@@ -260,21 +283,37 @@ GYRO = pv.ImuCalibration(np.eye(3), 2e-4, 0.01)
 
 
 def felt(frames: list[Frame]) -> ImuStream:
-    """A gyro at 200 Hz, its stamps between those of the frames, that feels the turn of FORWARD and trembles."""
-    stamps_ns = np.arange(frames[0].stamp_ns - 7_000_000, frames[-1].stamp_ns + 9_000_000, 5_000_000)
-    trembling = 0.002 * np.sin(1e-9 * (stamps_ns - START_NS)[:, None] * np.array([70.0, 110.0, 130.0]))
+    """A gyro at 200 Hz, its stamps between those of the frames, that feels the turn of FORWARD and
+    trembles."""
+    stamps_ns = np.arange(
+        frames[0].stamp_ns - 7_000_000, frames[-1].stamp_ns + 9_000_000, 5_000_000
+    )
+    trembling = 0.002 * np.sin(
+        1e-9 * (stamps_ns - START_NS)[:, None] * np.array([70.0, 110.0, 130.0])
+    )
     rates = trembling - so3.log(FORWARD[:3, :3]) / (1e-9 * FRAME_NS)
-    return ImuStream.checked(stamps_ns, rates, np.zeros_like(rates), np.array([f.stamp_ns for f in frames]), "gyro")
+    return ImuStream.checked(
+        stamps_ns,
+        rates,
+        np.zeros_like(rates),
+        frames_ns=np.array([f.stamp_ns for f in frames]),
+        where="gyro",
+    )
 
 
 def with_gyro(frames: list[Frame], stream: ImuStream) -> list[Frame]:
     slices = (stream.between(prev.stamp_ns, now.stamp_ns) for prev, now in pairwise(frames))
-    return frames[:1] + [replace(frame, imu=imu) for frame, imu in zip(frames[1:], slices, strict=True)]
+    return frames[:1] + [
+        replace(frame, imu=imu) for frame, imu in zip(frames[1:], slices, strict=True)
+    ]
 
 
-def estimates_of_every_third(odometry: pv.StereoOdometry, frames: Iterable[Frame]) -> list[pv.LiveEstimate]:
+def estimates_of_every_third(
+    odometry: pv.StereoOdometry, frames: Iterable[Frame]
+) -> list[pv.LiveEstimate]:
     """Three frames come during each step, and then a third of them is all that is processed."""
-    gated, estimates = Gated(odometry.step), []
+    gated = Gated(odometry.step)
+    estimates = []
     with pv.LiveOdometry(gated, on_estimate=estimates.append) as live:
         for frame in frames:
             live.push(frame)
@@ -287,7 +326,8 @@ def estimates_of_every_third(odometry: pv.StereoOdometry, frames: Iterable[Frame
 
 
 def test_dropped_frames_leave_their_gyro_to_the_next() -> None:
-    """Motion, covariance and bias are, to the last bit, those of a recording that never had the dropped frames."""
+    """Motion, covariance and bias are, to the last bit, those of a recording that never had the
+    dropped frames."""
     frames = drive(np.random.default_rng(1), 31)
     stream = felt(frames)
     ours, theirs = (pv.StereoOdometry(CAMERA, imu=GYRO) for _ in range(2))
@@ -318,7 +358,8 @@ def test_a_dropped_frame_without_gyro_leaves_the_interval_uncovered() -> None:
 
 
 def test_who_stalls_does_not_pile_up_what_the_gyro_felt() -> None:
-    """Of 700 frames, ten a second, that are dropped one after the other, the last holds no more than of 10 s."""
+    """Of 700 frames, ten a second, that are dropped one after the other, the last holds no more
+    than of 10 s."""
     frames = drive(np.random.default_rng(3), 700)
     odometry = Gated()
     with pv.LiveOdometry(odometry) as live:
@@ -333,13 +374,18 @@ def test_who_stalls_does_not_pile_up_what_the_gyro_felt() -> None:
 @pytest.mark.data
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["kitti_odometry/sequences/06", "kitti_raw/2011_09_26/2011_09_26_drive_0005_sync"], ids=["06", "0005"]
+    "name",
+    ["kitti_odometry/sequences/06", "kitti_raw/2011_09_26/2011_09_26_drive_0005_sync"],
+    ids=["06", "0005"],
 )
 def test_tracking_survives_dropped_frames(name: str, data_root: Path) -> None:
-    """With two of three frames missing, every motion is solved from the images, and the path is as good as any."""
+    """With two of three frames missing, every motion is solved from the images, and the path is as
+    good as any."""
     sequence = pv.open_sequence(data_root / name)
     frames = islice(sequence, 3 * (len(sequence) // 3) - 2)
-    estimates = estimates_of_every_third(pv.StereoOdometry(sequence.camera, imu=sequence.imu), frames)
+    estimates = estimates_of_every_third(
+        pv.StereoOdometry(sequence.camera, imu=sequence.imu), frames
+    )
     assert len(estimates) == len(sequence) // 3
     assert all(estimate.motion.status is pv.Status.OK for estimate in estimates[1:])
     assert sequence.truth is not None

@@ -14,9 +14,15 @@ from probevo.noise import StereoNoise, StudentT
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking.tracks import Tracks
 
-WIDTH_PX, HEIGHT_PX = 1226, 370
+WIDTH_PX = 1226
+HEIGHT_PX = 370
 CAMERA = StereoCamera(
-    fu_px=707.0, fv_px=709.0, cu_px=601.0, cv_px=183.0, baseline_m=0.537, size_px=(WIDTH_PX, HEIGHT_PX)
+    fu_px=707.0,
+    fv_px=709.0,
+    cu_px=601.0,
+    cv_px=183.0,
+    baseline_m=0.537,
+    size_px=(WIDTH_PX, HEIGHT_PX),
 )
 FORWARD = se3.exp(np.array([0.02, 0.01, -1.2, 0.003, 0.01, -0.002]))
 """T_curr_prev of a car at 12 m/s and ten frames a second."""
@@ -24,10 +30,14 @@ FRAME_NS = 100_000_000
 START_NS = 1_400_000_000_123_456_789
 
 
-def random_pixels(rng: np.random.Generator, count: int, depth_m: tuple[float, float] = (5.0, 60.0)) -> FloatArray:
-    """Observations of points spread over the image, uniform in inverse depth, [N, 4], px; without noise."""
+def random_pixels(
+    rng: np.random.Generator, count: int, depth_m: tuple[float, float] = (5.0, 60.0)
+) -> FloatArray:
+    """Observations of points spread over the image, uniform in inverse depth, [N, 4], px; without
+    noise."""
     rho = rng.uniform(1.0 / depth_m[1], 1.0 / depth_m[0], count)
-    u, v = rng.uniform(0.0, WIDTH_PX, count), rng.uniform(0.0, HEIGHT_PX, count)
+    u = rng.uniform(0.0, WIDTH_PX, count)
+    v = rng.uniform(0.0, HEIGHT_PX, count)
     return np.column_stack([u, v, u - CAMERA.fu_px * CAMERA.baseline_m * rho, v])
 
 
@@ -38,7 +48,7 @@ def moved(pixels: FloatArray, T_curr_prev: FloatArray) -> FloatArray:
 
 def tracks_of(prev_px: FloatArray, curr_px: FloatArray) -> Tracks:
     count = len(prev_px)
-    return Tracks(prev_px, curr_px, np.arange(count), np.full(count, 2))
+    return Tracks(prev_px, curr_px, np.arange(count), age=np.full(count, 2))
 
 
 def seen_twice(
@@ -70,7 +80,9 @@ def at_infinity(rng: np.random.Generator, count: int, T_curr_prev: FloatArray = 
 
 def both(first: Tracks, second: Tracks) -> Tracks:
     """The points of the first, then those of the second."""
-    return tracks_of(np.vstack([first.prev_px, second.prev_px]), np.vstack([first.curr_px, second.curr_px]))
+    return tracks_of(
+        np.vstack([first.prev_px, second.prev_px]), np.vstack([first.curr_px, second.curr_px])
+    )
 
 
 def motion_error(T_estimated: FloatArray, T_true: FloatArray = FORWARD) -> FloatArray:
@@ -88,27 +100,36 @@ def drive(
 ) -> list[Frame]:
     """Features of a drive whose every step is the same motion: a circle, or rather a screw.
 
-    A point is followed until it leaves the image or comes nearer than 3 m; a new one, 5 to 60 m away, takes its place.
+    A point is followed until it leaves the image or comes nearer than 3 m; a new one, 5 to 60 m
+    away, takes its place.
     """
-    ids, pixels, next_id, sequence = np.zeros(0, np.int64), np.zeros((0, 4)), 0, []
+    ids = np.zeros(0, np.int64)
+    pixels = np.zeros((0, 4))
+    next_id = 0
+    sequence = []
     for index in range(frames):
         points_m = se3.transform(T_curr_prev, CAMERA.triangulate(pixels))
         ahead = points_m[:, 2] > 3.0
-        pixels, ids = CAMERA.project(points_m[ahead]), ids[ahead]
+        pixels = CAMERA.project(points_m[ahead])
+        ids = ids[ahead]
         inside = np.all((pixels[:, :2] >= 0.0) & (pixels[:, :2] < [WIDTH_PX, HEIGHT_PX]), axis=1)
         missing = points - int(inside.sum())
         pixels = np.vstack([pixels[inside], random_pixels(rng, missing)])
         ids = np.r_[ids[inside], next_id + np.arange(missing)]
         next_id += missing
         noisy = pixels + sigma_px * rng.normal(size=pixels.shape)
-        sequence.append(Frame(index, START_NS + index * FRAME_NS, features=StereoFeatures(ids, noisy)))
+        sequence.append(
+            Frame(index, START_NS + index * FRAME_NS, features=StereoFeatures(ids, noisy))
+        )
     return sequence
 
 
 def with_features(frame: Frame, count: int) -> Frame:
     """The frame with only its first features."""
     assert frame.features is not None
-    return replace(frame, features=StereoFeatures(frame.features.ids[:count], frame.features.pixels[:count]))
+    return replace(
+        frame, features=StereoFeatures(frame.features.ids[:count], frame.features.pixels[:count])
+    )
 
 
 def blind_frame(index: int) -> Frame:
@@ -121,4 +142,6 @@ class Homesick(StudentT):
     """A static noise that says of every third feature that it is out of its domain."""
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        return replace(super().predict(predictors), out_of_domain=np.arange(len(predictors)) % 3 == 0)
+        return replace(
+            super().predict(predictors), out_of_domain=np.arange(len(predictors)) % 3 == 0
+        )

@@ -1,4 +1,5 @@
-"""Stereo odometry that learns how far to trust each feature, and says how sure it is of its own motion."""
+"""Stereo odometry that learns how far to trust each feature, and says how sure it is of its own
+motion."""
 
 from __future__ import annotations
 
@@ -10,10 +11,10 @@ if TYPE_CHECKING:
     from probevo import predictors as predictors
     from probevo.camera.stereo import StereoCamera as StereoCamera
     from probevo.config import OdometryConfig as OdometryConfig
+    from probevo.estimation.motion_estimate import MotionEstimate as MotionEstimate
+    from probevo.estimation.motion_estimate import Status as Status
     from probevo.live import LiveEstimate as LiveEstimate
     from probevo.live import LiveOdometry as LiveOdometry
-    from probevo.motion.estimate import MotionEstimate as MotionEstimate
-    from probevo.motion.estimate import Status as Status
     from probevo.noise.model_io import load_model as load_model
     from probevo.noise.model_io import save_model as save_model
     from probevo.odometry import StereoOdometry as StereoOdometry
@@ -32,9 +33,9 @@ _HOMES = {
     "ImuSamples": "probevo.sequences.frame",
     "LiveEstimate": "probevo.live",
     "LiveOdometry": "probevo.live",
-    "MotionEstimate": "probevo.motion.estimate",
+    "MotionEstimate": "probevo.estimation.motion_estimate",
     "OdometryConfig": "probevo.config",
-    "Status": "probevo.motion.estimate",
+    "Status": "probevo.estimation.motion_estimate",
     "StereoCamera": "probevo.camera.stereo",
     "StereoOdometry": "probevo.odometry",
     "TrainSettings": "probevo.training.settings",

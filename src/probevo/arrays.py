@@ -1,4 +1,5 @@
-"""Names for the array types that appear in signatures, and indices. Shapes and units stand in each docstring."""
+"""Names for the array types that appear in signatures, and indices. Shapes and units stand in each
+docstring."""
 
 from __future__ import annotations
 
@@ -16,6 +17,7 @@ AnyArray = NDArray[Any]
 
 
 def evenly(count: int, most: int) -> IntArray:
-    """Indices of at most so many of ``count`` things, spread evenly, the first and the last among them."""
+    """Indices of at most so many of ``count`` things, spread evenly, the first and the last among
+    them."""
     indices: IntArray = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
     return indices

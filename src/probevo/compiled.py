@@ -17,9 +17,12 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def compiled(function: Function) -> Function:
     """Compile an inner loop on its first call and keep the result on disk.
 
-    Divisions are unchecked and sums may be reordered, but NaN and infinity are honoured. Other threads run meanwhile.
+    Divisions are unchecked and sums may be reordered, but NaN and infinity are honoured. Other
+    threads run meanwhile.
     """
-    compile_ = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+    compile_ = njit(
+        cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"}
+    )
     return cast(Function, compile_(function))
 
 
@@ -27,9 +30,11 @@ def compiled(function: Function) -> Function:
 def copy_into(target: FloatArray, source: FloatArray) -> None:
     """target[:] = source, both contiguous and of one shape.
 
-    With the slice comes a message about unlike shapes, which takes Numba 2 s to compile in the first run of all.
+    With the slice comes a message about unlike shapes, which takes Numba 2 s to compile in the
+    first run of all.
     """
-    to, values = target.ravel(), source.ravel()
+    to = target.ravel()
+    values = source.ravel()
     for i in range(len(to)):
         to[i] = values[i]
 
@@ -65,8 +70,11 @@ def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArra
 
 
 @compiled
-def solve_positive_definite(matrix: FloatArray, vector: FloatArray, lower: FloatArray, solution: FloatArray) -> bool:
-    """Solve matrix · solution = vector by Cholesky in the given work space; False if it is not positive definite."""
+def solve_positive_definite(
+    matrix: FloatArray, vector: FloatArray, lower: FloatArray, solution: FloatArray
+) -> bool:
+    """Solve matrix · solution = vector by Cholesky in the given work space; False if it is not
+    positive definite."""
     if not factor(matrix, len(vector), lower):
         return False
     substitute(lower, vector, solution)
@@ -75,7 +83,8 @@ def solve_positive_definite(matrix: FloatArray, vector: FloatArray, lower: Float
 
 @compiled
 def factor(matrix: FloatArray, n: int, lower: FloatArray) -> bool:
-    """Cholesky factor of the first n rows and columns of a symmetric matrix; False if not positive definite."""
+    """Cholesky factor of the first n rows and columns of a symmetric matrix; False if not positive
+    definite."""
     for i in range(n):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -112,7 +121,8 @@ def invert_positive_definite(matrix: FloatArray, lower: FloatArray, inverse: Flo
     n = len(matrix)
     if not factor(matrix, n, lower):
         return False
-    unit, column = np.zeros(n), np.empty(n)
+    unit = np.zeros(n)
+    column = np.empty(n)
     for k in range(n):
         unit[k] = 1.0
         substitute(lower, unit, column)
@@ -123,19 +133,30 @@ def invert_positive_definite(matrix: FloatArray, lower: FloatArray, inverse: Flo
 
 
 @compiled
-def perturb(xi: FloatArray, C: FloatArray, t: FloatArray, C_out: FloatArray, t_out: FloatArray) -> None:
+def perturb(
+    xi: FloatArray, C: FloatArray, t: FloatArray, C_out: FloatArray, t_out: FloatArray
+) -> None:
     """(C_out, t_out) = Exp(ξ) (C, t), for ξ = [ρ; φ] (thesis eqs. 2.3, 2.14, 2.15)."""
-    x, y, z = xi[3], xi[4], xi[5]
+    x = xi[3]
+    y = xi[4]
+    z = xi[5]
     squared = x * x + y * y + z * z
     if squared < 1e-6:  # series: the next terms are below the last bit
-        a, b, c = 1.0 - squared / 6.0, 0.5 - squared / 24.0, 1.0 / 6.0 - squared / 120.0
+        a = 1.0 - squared / 6.0
+        b = 0.5 - squared / 24.0
+        c = 1.0 / 6.0 - squared / 120.0
     else:
         angle = math.sqrt(squared)
-        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / squared
+        a = math.sin(angle) / angle
+        b = (1.0 - math.cos(angle)) / squared
         c = (1.0 - a) / squared
     wedge = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     wedge_2 = np.array(
-        [[x * x - squared, x * y, x * z], [x * y, y * y - squared, y * z], [x * z, y * z, z * z - squared]]
+        [
+            [x * x - squared, x * y, x * z],
+            [x * y, y * y - squared, y * z],
+            [x * z, y * z, z * z - squared],
+        ]
     )
     for i in range(3):
         moved = 0.0
@@ -156,13 +177,19 @@ def perturb(xi: FloatArray, C: FloatArray, t: FloatArray, C_out: FloatArray, t_o
 
 @compiled
 def rotation_error(C: FloatArray, C_prior: FloatArray, error: FloatArray) -> None:
-    """Error φ = Log(C C_priorᵀ), the angle from both sine and cosine; C must not be half a turn from C_prior."""
+    """Error φ = Log(C C_priorᵀ), the angle from both sine and cosine; C must not be half a turn
+    from C_prior."""
     D = np.zeros((3, 3))  # C C_priorᵀ
     for i in range(3):
         for j in range(3):
             for k in range(3):
                 D[i, j] += C[i, k] * C_prior[j, k]
-    x, y, z = 0.5 * (D[2, 1] - D[1, 2]), 0.5 * (D[0, 2] - D[2, 0]), 0.5 * (D[1, 0] - D[0, 1])
-    sine, cosine = math.sqrt(x * x + y * y + z * z), 0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0)
+    x = 0.5 * (D[2, 1] - D[1, 2])
+    y = 0.5 * (D[0, 2] - D[2, 0])
+    z = 0.5 * (D[1, 0] - D[0, 1])
+    sine = math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0)
     ratio = math.atan2(sine, cosine) / sine if sine > 1e-9 else 1.0
-    error[0], error[1], error[2] = ratio * x, ratio * y, ratio * z
+    error[0] = ratio * x
+    error[1] = ratio * y
+    error[2] = ratio * z

@@ -1,6 +1,7 @@
 """The one exception family: what is wrong, where, and how to mend it.
 
-Library code raises these; the command line catches them once, prints one message and exits with code 2.
+Library code raises these; the command line catches them once, prints one message and exits with
+code 2.
 """
 
 from __future__ import annotations

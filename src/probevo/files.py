@@ -1,4 +1,5 @@
-"""Files that are written: each appears whole or not at all, and a place that cannot be written to is refused early.
+"""Files that are written: each appears whole or not at all, and a place that cannot be written to
+is refused early.
 
 Of files that are read: what a damaged archive raises.
 """
@@ -14,7 +15,16 @@ from zipfile import BadZipFile
 
 from probevo.errors import InputError
 
-NO_ARCHIVE = (OSError, ValueError, TypeError, EOFError, NotImplementedError, BadZipFile, zlib.error, TokenError)
+NO_ARCHIVE = (
+    OSError,
+    ValueError,
+    TypeError,
+    EOFError,
+    NotImplementedError,
+    BadZipFile,
+    zlib.error,
+    TokenError,
+)
 """What NumPy raises at an .npz file that is damaged, or none at all."""
 
 
@@ -38,10 +48,11 @@ def check_folder(folder: Path, option: str) -> None:
 
 
 def write_atomically(path: Path, content: bytes | str, writer: str = "") -> None:
-    """Write beside ``path`` and rename, so that an interrupted run leaves the old file or the new one, never half.
+    """Write beside ``path`` and rename, so that an interrupted run leaves the old file or the new
+    one, never half.
 
-    Missing folders are made. Where two may write the same file at a time, each names itself as ``writer``. Raises
-    InputError if the place cannot be written to.
+    Missing folders are made. Where two may write the same file at a time, each names itself as
+    ``writer``. Raises InputError if the place cannot be written to.
     """
     data = content.encode() if isinstance(content, str) else content
     partial = path.with_name(f"{path.name}{writer}.part")
@@ -52,12 +63,17 @@ def write_atomically(path: Path, content: bytes | str, writer: str = "") -> None
     except OSError as error:
         with suppress(OSError):
             partial.unlink()
-        raise InputError(path, f"cannot be written: {error.strerror}", "Choose another output folder.") from error
+        raise InputError(
+            path, f"cannot be written: {error.strerror}", "Choose another output folder."
+        ) from error
 
 
 def remove_stale(path: Path) -> None:
-    """Remove what an earlier run left and this one does not write, lest it pass for a result of this one."""
+    """Remove what an earlier run left and this one does not write, lest it pass for a result of
+    this one."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(path, f"cannot be removed: {error.strerror}", "Choose another output folder.") from error
+        raise InputError(
+            path, f"cannot be removed: {error.strerror}", "Choose another output folder."
+        ) from error

@@ -1,4 +1,5 @@
-"""Odometry that keeps up with a camera: steps in a thread of its own, and skips frames rather than fall behind."""
+"""Odometry that keeps up with a camera: steps in a thread of its own, and skips frames rather than
+fall behind."""
 
 from __future__ import annotations
 
@@ -9,15 +10,17 @@ from threading import Condition, Thread, current_thread
 from time import perf_counter
 from types import TracebackType
 
-from probevo.motion.estimate import MotionEstimate
+from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.odometry import StereoOdometry
 from probevo.sequences.frame import Frame, check_frame, check_order
 
 MOST_UNREAD = 16
-"""Estimates that may wait for ``estimates()``; the next step is not begun before there is room again."""
+"""Estimates that may wait for ``estimates()``; the next step is not begun before there is room
+again."""
 
 MOST_IMU_NS = 10_000_000_000
-"""Of a longer time, a frame takes over no IMU samples of dropped ones: where nobody reads, they would pile up."""
+"""Of a longer time, a frame takes over no IMU samples of dropped ones: where nobody reads, they
+would pile up."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,10 @@ class _Arrival:
     """Frames dropped right before it."""
 
     def after(self, dropped: _Arrival) -> _Arrival:
-        """The same without the one before it, whose IMU samples it takes over, unless they become too many."""
-        between, own = dropped.frame.imu, self.frame.imu
+        """The same without the one before it, whose IMU samples it takes over, unless they become
+        too many."""
+        between = dropped.frame.imu
+        own = self.frame.imu
         imu = between.followed_by(own) if between is not None and own is not None else None
         if imu is not None and imu.stamps_ns[-1] - imu.stamps_ns[0] > MOST_IMU_NS:
             imu = None
@@ -56,22 +61,27 @@ class _Arrival:
 
 
 class LiveOdometry:
-    """Steps a ``StereoOdometry`` in a thread, with the newest frames of a camera that does not wait for it.
+    """Steps a ``StereoOdometry`` in a thread, with the newest frames of a camera that does not wait
+    for it.
 
-    A frame that finds ``waiting`` others waiting takes the place of the oldest of them. So with steps of at most S, no
-    estimate comes later than (waiting + 1) S after its frame: the rest of the step under way, then one for each frame
-    that waits. What is dropped costs no motion and no gyro: each motion leads from the last frame that was *processed*,
-    and the IMU samples of a dropped frame go to the next. Nothing grows, however long it runs.
+    A frame that finds ``waiting`` others waiting takes the place of the oldest of them. So with
+    steps of at most S, no estimate comes later than (waiting + 1) S after its frame: the rest of
+    the step under way, then one for each frame that waits. What is dropped costs no motion and no
+    gyro: each motion leads from the last frame that was *processed*, and the IMU samples of a
+    dropped frame go to the next. Nothing grows, however long it runs.
 
-    Estimates go to ``on_estimate``, called in the thread, its time being part of S; or else to ``estimates()``. Who
-    reads those too slowly makes frames be dropped, but misses no motion: they can always be chained.
+    Estimates go to ``on_estimate``, called in the thread, its time being part of S; or else to
+    ``estimates()``. Who reads those too slowly makes frames be dropped, but misses no motion: they
+    can always be chained.
 
-    ``with LiveOdometry(…) as live:`` closes it at the end, at once if that is an exception. An exception of a step or
-    of ``on_estimate`` ends the thread, and comes out of ``push``, ``estimates()`` and ``close``.
+    ``with LiveOdometry(…) as live:`` closes it at the end, at once if that is an exception. An
+    exception of a step or of ``on_estimate`` ends the thread, and comes out of ``push``,
+    ``estimates()`` and ``close``.
 
     Args:
         odometry: nobody else may step it meanwhile.
-        waiting: frames that may wait, at least 1; more than one only spreads out what a slow step delays.
+        waiting: frames that may wait, at least 1; more than one only spreads out what a slow step
+            delays.
         on_estimate: takes each estimate.
     """
 
@@ -84,7 +94,9 @@ class LiveOdometry:
     ) -> None:
         if waiting < 1:
             raise ValueError(f"waiting is {waiting}; at least one frame has to wait")
-        self._odometry, self._waiting, self._on_estimate = odometry, waiting, on_estimate
+        self._odometry = odometry
+        self._waiting = waiting
+        self._on_estimate = on_estimate
         self._frames: deque[_Arrival] = deque()
         self._unread: deque[LiveEstimate] = deque()
         self._newest: Frame | None = None
@@ -105,12 +117,13 @@ class LiveOdometry:
     def push(self, frame: Frame) -> None:
         """Hand in the next frame; never waits for a step.
 
-        Its images are not copied: nobody may write to them again. Its IMU samples cover the time since the frame pushed
+        Its images are not copied: nobody may write to them again. Its IMU samples cover the time
+        since the frame pushed
         before, whether that was dropped or not.
 
         Raises:
-            InputError: the frame is not later than the one before, or not what its camera sees. It is left out; the
-                next may be right.
+            InputError: the frame is not later than the one before, or not what its camera sees. It
+                is left out; the next may be right.
             RuntimeError: pushed after ``close``.
         """
         arrival = _Arrival(frame, perf_counter())
@@ -144,10 +157,12 @@ class LiveOdometry:
             yield estimate
 
     def close(self, *, drain: bool = True) -> None:
-        """Take no more frames, and return when the thread has ended; what is unread can still be read.
+        """Take no more frames, and return when the thread has ended; what is unread can still be
+        read.
 
         Args:
-            drain: process first the frames that wait; otherwise they are dropped, and only the step under way ends.
+            drain: process first the frames that wait; otherwise they are dropped, and only the step
+                under way ends.
         """
         self._end(drain)
         with self._changed:
@@ -176,7 +191,9 @@ class LiveOdometry:
 
     def _raise_failure(self) -> None:
         if self._failure is not None:
-            raise self._failure.with_traceback(self._failed_at)  # not longer with each time that it is raised
+            raise self._failure.with_traceback(
+                self._failed_at
+            )  # not longer with each time that it is raised
 
     def _work(self) -> None:
         """The thread."""
@@ -184,14 +201,23 @@ class LiveOdometry:
         try:
             while (arrival := self._next_arrival()) is not None:
                 motion = self._odometry.step(arrival.frame)
-                frame, latency_ms = arrival.frame, 1e3 * (perf_counter() - arrival.time_s)
+                frame = arrival.frame
+                latency_ms = 1e3 * (perf_counter() - arrival.time_s)
                 self._deliver(
-                    LiveEstimate(frame.index, frame.stamp_ns, prev_stamp_ns, motion, arrival.dropped, latency_ms)
+                    LiveEstimate(
+                        frame.index,
+                        frame.stamp_ns,
+                        prev_stamp_ns,
+                        motion=motion,
+                        num_dropped=arrival.dropped,
+                        latency_ms=latency_ms,
+                    )
                 )
                 prev_stamp_ns = frame.stamp_ns
         except BaseException as error:  # noqa: BLE001 - whatever it is, it goes on in the threads that hear of it
             with self._changed:
-                self._failure, self._failed_at = error, error.__traceback__
+                self._failure = error
+                self._failed_at = error.__traceback__
         finally:
             with self._changed:
                 self._closed = self._ended = True
@@ -199,9 +225,12 @@ class LiveOdometry:
                 self._changed.notify_all()
 
     def _next_arrival(self) -> _Arrival | None:
-        """The oldest frame that waits, as soon as there is one and room for its estimate; None at the end."""
+        """The oldest frame that waits, as soon as there is one and room for its estimate; None at
+        the end."""
         with self._changed:
-            self._changed.wait_for(lambda: self._closed or (self._frames and len(self._unread) < MOST_UNREAD))
+            self._changed.wait_for(
+                lambda: self._closed or (self._frames and len(self._unread) < MOST_UNREAD)
+            )
             return self._frames.popleft() if self._frames else None
 
     def _deliver(self, estimate: LiveEstimate) -> None:

@@ -18,27 +18,36 @@ FormatName = Literal["kitti-raw", "kitti-odometry", "euroc", "folder", "tracks"]
 
 
 class SharedConfig(OdometryConfig):
-    """What runs can have in common, whatever recording and noise model each has: all settings of a comparison."""
+    """What runs can have in common, whatever recording and noise model each has: all settings of a
+    comparison."""
 
-    format: FormatName | None = Field(None, description="Layout of the recording; found out where it is not named.")
+    format: FormatName | None = Field(
+        None, description="Layout of the recording; found out where it is not named."
+    )
     max_frames: int | None = Field(None, ge=2, description="Stop after this many frames.")
     imu: bool = Field(True, description="Use the recording's IMU, if it has one.")
 
     @model_validator(mode="after")
     def _check_imu(self) -> Self:
         if not self.imu and (self.gyro.prior or self.ransac.rotation_from == "gyro"):
-            raise ValueError("gyro.prior and ransac.rotation_from gyro need the IMU that no-imu leaves out")
+            raise ValueError(
+                "gyro.prior and ransac.rotation_from gyro need the IMU that no-imu leaves out"
+            )
         return self
 
 
 class RunConfig(SharedConfig):
     """All settings of ``probevo run``: those of the odometry, and what it runs on."""
 
-    sequence: Path | None = Field(None, description="The recording: a folder, or a tracks file (.npz).")
+    sequence: Path | None = Field(
+        None, description="The recording: a folder, or a tracks file (.npz)."
+    )
     noise: str = Field(
         "student-t",
-        description="Noise of the features: fixed is one Gaussian, student-t forgives outliers, and the path of a model"
-        " file (.safetensors) is what was learned.",
+        description=(
+            "Noise of the features: fixed is one Gaussian, student-t forgives outliers, and the"
+            " path of a model file (.safetensors) is what was learned."
+        ),
     )
 
 
@@ -53,17 +62,23 @@ def run_config(settings: OdometryConfig, sequence: Path, noise: str) -> RunConfi
 
 
 def read_config(path: Path) -> RunConfig:
-    """The settings of a YAML file, such as the ``config.yaml`` of an earlier run; what it leaves out has its default.
+    """The settings of a YAML file, such as the ``config.yaml`` of an earlier run; what it leaves
+    out has its default.
 
     Raises:
-        InputError: the file is missing, is not YAML, or has an unknown key or a value out of bounds.
+        InputError: the file is missing, is not YAML, or has an unknown key or a value out of
+            bounds.
     """
-    from probevo.sequences.yaml_file import load_yaml  # here: `probevo run --help` should not wait for OpenCV
+    from probevo.sequences.yaml_file import (
+        load_yaml,
+    )  # here: `probevo run --help` should not wait for OpenCV
 
     cure = "Take the config.yaml of a run as a pattern."
     content = load_yaml(path, cure)
     if content is not None and not isinstance(content, dict):
-        raise InputError(path, f"holds a {type(content).__name__}; expected `key: value` lines.", cure)
+        raise InputError(
+            path, f"holds a {type(content).__name__}; expected `key: value` lines.", cure
+        )
     try:
         return RunConfig.model_validate(content or {})
     except ValidationError as error:
@@ -83,7 +98,8 @@ def setting_error(
     model: type[BaseModel] = RunConfig,
     spelled: Callable[[str], str] = lambda key: key,
 ) -> InputError:
-    """What pydantic found wrong, in our words: each key at fault with its value, and how to mend the first one.
+    """What pydantic found wrong, in our words: each key at fault with its value, and how to mend
+    the first one.
 
     Args:
         error: of validating a ``model``.
@@ -96,7 +112,9 @@ def setting_error(
     texts = [_fault_text(spelled(key) if key else "", fault) for key, fault in faults]
     first, fault = faults[0]
     known = dict(_known_keys(model))
-    cure = _nearest_keys(first, known) if fault["type"] == "extra_forbidden" else known.get(first, "")
+    cure = (
+        _nearest_keys(first, known) if fault["type"] == "extra_forbidden" else known.get(first, "")
+    )
     return InputError(where, "; ".join(texts) + ".", cure)
 
 
@@ -112,7 +130,9 @@ def _nearest_keys(key: str, known: Collection[str]) -> str:
     key = key.replace("-", "_")
     last = key.rpartition(".")[2]
     # The right key without its section, or in a wrong one, is nearer than any other spelling.
-    near = [name for name in known if name.rpartition(".")[2] == last] or get_close_matches(key, known, n=1)
+    near = [name for name in known if name.rpartition(".")[2] == last] or get_close_matches(
+        key, known, n=1
+    )
     return f"Did you mean {' or '.join(near)}?" if near else f"Known are {', '.join(known)}."
 
 

@@ -14,9 +14,9 @@ from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
+from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.files import check_folder, remove_stale, write_atomically
-from probevo.motion.estimate import MotionEstimate
 from probevo.noise import NoiseModel
 from probevo.noise.named import check_model_camera, noise_model, portable
 from probevo.odometry import StereoOdometry
@@ -30,7 +30,12 @@ from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.pose_files import FARTHEST_M
 from probevo.sequences.without_imu import WithoutImu
-from probevo.tracking.left_right import FRAMES_TO_SEE, SwappedImagesError, check_left_right, count_matches
+from probevo.tracking.left_right import (
+    FRAMES_TO_SEE,
+    SwappedImagesError,
+    check_left_right,
+    count_matches,
+)
 from probevo.tracking.preparation import prepared_ahead
 
 NUM_PICTURES = 4
@@ -57,11 +62,11 @@ def run_sequence(
 ) -> Run:
     """Run the odometry over a recording and write everything that follows from it.
 
-    Into ``out`` go, at the end, ``config.yaml``, ``trajectory.tum``, ``trajectory.kitti.txt``, ``motions.npz``,
-    ``metrics.json`` (if truth is known) and ``report.html``; files of an earlier run are replaced. Whatever stops the
-    run midway, a damaged image or Ctrl-C, the same files are written for the frames before and say what it was, and
-    the exception goes on with a note that says so. Where there are none before, or left and right are swapped, nothing
-    is written.
+    Into ``out`` go, at the end, ``config.yaml``, ``trajectory.tum``, ``trajectory.kitti.txt``,
+    ``motions.npz``, ``metrics.json`` (if truth is known) and ``report.html``; files of an earlier
+    run are replaced. Whatever stops the run midway, a damaged image or Ctrl-C, the same files are
+    written for the frames before and say what it was, and the exception goes on with a note that
+    says so. Where there are none before, or left and right are swapped, nothing is written.
 
     Args:
         sequence: the recording.
@@ -70,23 +75,26 @@ def run_sequence(
         on_step: called with the estimate of each frame, the first included.
 
     Raises:
-        InputError: a file of the recording is at fault, its left and right images are swapped, ``out`` cannot be
-            written to, or what ``noise_model`` and ``check_run`` raise.
+        InputError: a file of the recording is at fault, its left and right images are swapped,
+            ``out`` cannot be written to, or what ``noise_model`` and ``check_run`` raise.
     """
     sequence = sequence if config.imu else WithoutImu.of(sequence)
     noise = noise_model(config.noise)
     check_run(sequence, config, noise)
     check_folder(out, "--out")
     num_frames = min(len(sequence), config.max_frames or len(sequence))
-    odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config)
-    recorder, pictures = RunRecorder(), _Pictures.spread_over(num_frames)
+    odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config=config)
+    recorder = RunRecorder()
+    pictures = _Pictures.spread_over(num_frames)
     matches = np.zeros(2, np.int64)
     try:
         for frame in prepared_ahead(islice(sequence, num_frames), config.tracking):
             start = perf_counter()
             motion = odometry.step(frame)
             total_ms = 1e3 * (perf_counter() - start)
-            recorder.add(frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected)
+            recorder.add(
+                frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected
+            )
             pictures.add(frame, odometry)
             matches += count_matches(odometry.tracks)
             if frame.index == min(FRAMES_TO_SEE, num_frames - 1):
@@ -96,26 +104,41 @@ def run_sequence(
     except SwappedImagesError:
         raise
     except BaseException as stop:  # whatever it is, it goes on; but not without what was computed
-        if len(recorder.result()) > 1:  # the first frame alone is no motion, and nothing to replace a run with
-            _write(out, sequence, config, replace(recorder.result(), stopped=_reason(stop)), pictures)
-            stop.add_note(f"What was computed before, {len(recorder.result())} frames, lies in {out}.")
+        if (
+            len(recorder.result()) > 1
+        ):  # the first frame alone is no motion, and nothing to replace a run with
+            _write(
+                out,
+                sequence,
+                config,
+                result=replace(recorder.result(), stopped=_reason(stop)),
+                pictures=pictures,
+            )
+            stop.add_note(
+                f"What was computed before, {len(recorder.result())} frames, lies in {out}."
+            )
         raise
-    return _write(out, sequence, config, recorder.result(), pictures)
+    return _write(out, sequence, config, result=recorder.result(), pictures=pictures)
 
 
 def _reason(stop: BaseException) -> str:
     """What stopped a run, in words."""
     if isinstance(stop, KeyboardInterrupt):
         return "stopped by Ctrl-C."
-    return f"{stop.where}: {stop.what}" if isinstance(stop, InputError) else f"{type(stop).__name__}: {stop}"
+    return (
+        f"{stop.where}: {stop.what}"
+        if isinstance(stop, InputError)
+        else f"{type(stop).__name__}: {stop}"
+    )
 
 
 def check_run(sequence: Sequence, config: RunConfig, noise: NoiseModel) -> None:
     """Refuse what would only show after the whole run, or not at all.
 
     Raises:
-        InputError: the noise model needs predictors that are not known, or belongs to another camera; the settings ask
-            for an IMU that the recording does not have; or its truth is absurd.
+        InputError: the noise model needs predictors that are not known, or belongs to another
+            camera; the settings ask for an IMU that the recording does not have; or its truth is
+            absurd.
     """
     space_for(noise.columns).check_recording(sequence)
     check_model_camera(config.noise, noise, sequence.camera)
@@ -136,14 +159,23 @@ def check_imu(sequence: Sequence, config: OdometryConfig) -> None:
     wanted += ["--ransac.rotation-from gyro"] if config.ransac.rotation_from == "gyro" else []
     if sequence.imu is None and wanted:
         what = f"the recording {sequence.path} has no IMU."
-        raise InputError(" and ".join(wanted), what, "Leave it out, or set it back in the file of --config.")
+        raise InputError(
+            " and ".join(wanted), what, "Leave it out, or set it back in the file of --config."
+        )
 
 
-def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures) -> Run:
-    from probevo.output.report import write_report  # only now: importing Matplotlib would hold up the first frame
+def _write(
+    out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures
+) -> Run:
+    from probevo.output.report import (
+        write_report,
+    )  # only now: importing Matplotlib would hold up the first frame
 
     # Absolute, so that --config finds the recording and the noise model from any directory.
-    found = {"sequence": (config.sequence or sequence.path).resolve(), "noise": portable(config.noise)}
+    found = {
+        "sequence": (config.sequence or sequence.path).resolve(),
+        "noise": portable(config.noise),
+    }
     settings = config_text(config.model_copy(update=found))
     write_atomically(out / "config.yaml", f"# by probevo {__version__}\n{settings}")
     write_tum(out / "trajectory.tum", result.stamps_ns, result.T_world_cam)
@@ -152,7 +184,7 @@ def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, 
     truth = None if sequence.truth is None else sequence.truth.T_world_cam[: len(result)]
     metrics = None
     if truth is not None:
-        metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, result.cov)
+        metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, cov=result.cov)
         metrics = replace(metrics, out_of_domain=result.out_of_domain, stopped=result.stopped)
         write_json(out / "metrics.json", metrics.as_dict())
     else:
@@ -160,10 +192,19 @@ def _write(out: Path, sequence: Sequence, config: RunConfig, result: RunResult, 
     if len(result) >= 2:
         facts = run_facts(sequence, config, result)
         title = sequence.path.resolve().name
-        write_report(out / "report.html", result, title, facts, truth, metrics, pictures.drawn, settings)
+        write_report(
+            out / "report.html",
+            result,
+            title,
+            facts=facts,
+            truth=truth,
+            metrics=metrics,
+            thumbnails=pictures.drawn,
+            config=settings,
+        )
     else:
         remove_stale(out / "report.html")
-    return Run(result, metrics, truth, tuple(pictures.drawn))
+    return Run(result, metrics, truth, pictures=tuple(pictures.drawn))
 
 
 @dataclass(frozen=True)
@@ -185,4 +226,9 @@ class _Pictures:
             return
         tracks = odometry.tracks
         caption = f"Frame {frame.index}: {len(tracks)} tracks"
-        self.drawn.append((caption, draw_tracks(frame.left, tracks.prev_px, tracks.curr_px, odometry.weights)))
+        self.drawn.append(
+            (
+                caption,
+                draw_tracks(frame.left, tracks.prev_px, tracks.curr_px, weights=odometry.weights),
+            )
+        )

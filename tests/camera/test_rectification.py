@@ -15,14 +15,48 @@ from probevo.errors import InputError
 from probevo.geometry import se3, so3
 
 RADTAN = (
-    PinholeCamera(458.7, 457.3, 367.2, 248.4, "radtan", (-0.283, 0.074, 2e-4, 2e-5), (752, 480)),
-    PinholeCamera(457.6, 456.1, 380.0, 255.2, "radtan", (-0.284, 0.075, -1e-4, -4e-5, 1e-3), (752, 480)),
+    PinholeCamera(
+        458.7,
+        457.3,
+        367.2,
+        cv_px=248.4,
+        distortion_model="radtan",
+        distortion=(-0.283, 0.074, 2e-4, 2e-5),
+        size_px=(752, 480),
+    ),
+    PinholeCamera(
+        457.6,
+        456.1,
+        380.0,
+        cv_px=255.2,
+        distortion_model="radtan",
+        distortion=(-0.284, 0.075, -1e-4, -4e-5, 1e-3),
+        size_px=(752, 480),
+    ),
 )
 EQUIDISTANT = (
-    PinholeCamera(190.9, 191.0, 254.9, 256.9, "equidistant", (0.0035, 0.0007, -0.002, 0.0002), (512, 512)),
-    PinholeCamera(190.4, 190.4, 252.5, 255.0, "equidistant", (0.0034, 0.0018, -0.0027, 0.0003), (512, 512)),
+    PinholeCamera(
+        190.9,
+        191.0,
+        254.9,
+        cv_px=256.9,
+        distortion_model="equidistant",
+        distortion=(0.0035, 0.0007, -0.002, 0.0002),
+        size_px=(512, 512),
+    ),
+    PinholeCamera(
+        190.4,
+        190.4,
+        252.5,
+        cv_px=255.0,
+        distortion_model="equidistant",
+        distortion=(0.0034, 0.0018, -0.0027, 0.0003),
+        size_px=(512, 512),
+    ),
 )
-T_RIGHT_LEFT = se3.from_parts(so3.exp(np.array([0.007, -0.015, 0.014])), np.array([-0.11, 0.002, -0.001]))
+T_RIGHT_LEFT = se3.from_parts(
+    so3.exp(np.array([0.007, -0.015, 0.014])), np.array([-0.11, 0.002, -0.001])
+)
 
 DATA = Path(os.environ.get("PROBEVO_DATA", Path(__file__).parents[3] / "shared" / "data"))
 EUROC = DATA / "euroc" / "V1_01_micro" / "mav0"
@@ -33,14 +67,18 @@ pairs = pytest.mark.parametrize("pair", [RADTAN, EQUIDISTANT], ids=["radtan", "e
 def raw_projection(camera: PinholeCamera, points: FloatArray) -> FloatArray:
     """Pixels of points in the camera's own frame, [N, 3] to [N, 2], by OpenCV's distortion models."""
     no_motion = np.zeros(3)
-    project = cv2.projectPoints if camera.distortion_model == "radtan" else cv2.fisheye.projectPoints
+    project = (
+        cv2.projectPoints if camera.distortion_model == "radtan" else cv2.fisheye.projectPoints
+    )
     arguments = (no_motion, no_motion, camera.matrix, np.array(camera.distortion))
     return project(points[:, None, :], *arguments)[0][:, 0]
 
 
 def draw_blob(camera: PinholeCamera, pixel: FloatArray) -> Image:
     u, v = np.meshgrid(np.arange(camera.size_px[0]), np.arange(camera.size_px[1]))
-    return np.round(250.0 * np.exp(-((u - pixel[0]) ** 2 + (v - pixel[1]) ** 2) / (2.0 * 3.0**2))).astype(np.uint8)
+    return np.round(
+        250.0 * np.exp(-((u - pixel[0]) ** 2 + (v - pixel[1]) ** 2) / (2.0 * 3.0**2))
+    ).astype(np.uint8)
 
 
 def centroid(image: Image) -> FloatArray:
@@ -49,23 +87,32 @@ def centroid(image: Image) -> FloatArray:
 
 
 @pairs
-def test_blobs_land_where_the_rectified_camera_projects_them(pair: tuple[PinholeCamera, PinholeCamera]) -> None:
-    """Points drawn in the raw images through the distortion: rectified, they are where y = f(p) says, to 0.1 px."""
+def test_blobs_land_where_the_rectified_camera_projects_them(
+    pair: tuple[PinholeCamera, PinholeCamera],
+) -> None:
+    """Points drawn in the raw images through the distortion: rectified, they are where y = f(p)
+    says, to 0.1 px."""
     left, right = pair
     rectification = Rectification.from_calibration(left, right, T_RIGHT_LEFT)
     rng = np.random.default_rng(0)
-    points_rect = np.column_stack([rng.uniform(-1.5, 1.5, 12), rng.uniform(-1.0, 1.0, 12), rng.uniform(3.0, 6.0, 12)])
+    points_rect = np.column_stack(
+        [rng.uniform(-1.5, 1.5, 12), rng.uniform(-1.0, 1.0, 12), rng.uniform(3.0, 6.0, 12)]
+    )
     points_left = points_rect @ rectification.C_rect_left
     raw_left = raw_projection(left, points_left)
     raw_right = raw_projection(right, se3.transform(T_RIGHT_LEFT, points_left))
-    for expected, in_left, in_right in zip(rectification.camera.project(points_rect), raw_left, raw_right, strict=True):
+    for expected, in_left, in_right in zip(
+        rectification.camera.project(points_rect), raw_left, raw_right, strict=True
+    ):
         rectified = rectification.rectify(draw_blob(left, in_left), draw_blob(right, in_right))
         seen = np.concatenate([centroid(image) for image in rectified])
         np.testing.assert_allclose(seen, expected, atol=0.1)
 
 
 @pairs
-def test_every_rectified_pixel_lies_inside_the_raw_image(pair: tuple[PinholeCamera, PinholeCamera]) -> None:
+def test_every_rectified_pixel_lies_inside_the_raw_image(
+    pair: tuple[PinholeCamera, PinholeCamera],
+) -> None:
     rectification = Rectification.from_calibration(*pair, T_RIGHT_LEFT)
     white = np.full(pair[0].size_px[::-1], 255, np.uint8)
     for image in rectification.rectify(white, white):
@@ -87,7 +134,15 @@ def test_the_rectified_x_axis_points_at_the_right_camera() -> None:
 
 
 def test_an_ideal_pair_stays_as_it_is() -> None:
-    ideal = PinholeCamera(400.0, 400.0, 319.5, 239.5, "radtan", (0.0, 0.0, 0.0, 0.0), (640, 480))
+    ideal = PinholeCamera(
+        400.0,
+        400.0,
+        319.5,
+        cv_px=239.5,
+        distortion_model="radtan",
+        distortion=(0.0, 0.0, 0.0, 0.0),
+        size_px=(640, 480),
+    )
     T_right_left = se3.from_parts(np.eye(3), np.array([-0.2, 0.0, 0.0]))
     rectification = Rectification.from_calibration(ideal, ideal, T_right_left)
     camera = rectification.camera
@@ -114,15 +169,25 @@ def turned(angle_rad: float) -> FloatArray:
         (RADTAN[1], shifted([-0.1, 0.0, 0.0]) * [2.0, 2.0, 2.0, 1.0], "no.* rotation matrix"),
         (RADTAN[1], turned(0.9), "outside the image of"),
         (RADTAN[1], turned(np.pi), "opposite directions"),
-        (EQUIDISTANT[1], T_RIGHT_LEFT, "distortion_model is radtan on the left and equidistant on the right"),
+        (
+            EQUIDISTANT[1],
+            T_RIGHT_LEFT,
+            "distortion_model is radtan on the left and equidistant on the right",
+        ),
         (dataclasses.replace(RADTAN[1], size_px=(640, 480)), T_RIGHT_LEFT, "size_px"),
-        (dataclasses.replace(RADTAN[1], distortion=(0.1,)), T_RIGHT_LEFT, r"right camera: distortion is \(0.1,\)"),
+        (
+            dataclasses.replace(RADTAN[1], distortion=(0.1,)),
+            T_RIGHT_LEFT,
+            r"right camera: distortion is \(0.1,\)",
+        ),
         (dataclasses.replace(RADTAN[1], fu_px=0.0), T_RIGHT_LEFT, "right camera: fu_px is 0 px"),
     ],
 )
-def test_an_impossible_pair_is_refused(right: PinholeCamera, T_right_left: FloatArray, message: str) -> None:
+def test_an_impossible_pair_is_refused(
+    right: PinholeCamera, T_right_left: FloatArray, message: str
+) -> None:
     with pytest.raises(InputError, match=rf"sensor\.yaml: (.|\n)*{message}"):
-        Rectification.from_calibration(RADTAN[0], right, T_right_left, "sensor.yaml")
+        Rectification.from_calibration(RADTAN[0], right, T_right_left, where="sensor.yaml")
 
 
 def test_images_of_another_size_are_refused() -> None:
@@ -140,12 +205,15 @@ def euroc_camera(folder: Path) -> tuple[PinholeCamera, FloatArray]:
     text = (folder / "sensor.yaml").read_text().removeprefix("%YAML:1.0")
     sensor = yaml.safe_load(text)
     size_px = tuple(sensor["resolution"])
-    camera = PinholeCamera(*sensor["intrinsics"], "radtan", tuple(sensor["distortion_coefficients"]), size_px)
+    camera = PinholeCamera(
+        *sensor["intrinsics"], "radtan", tuple(sensor["distortion_coefficients"]), size_px
+    )
     return camera, np.array(sensor["T_BS"]["data"]).reshape(4, 4)
 
 
 def match(left: Image, right: Image) -> FloatArray:
-    """(u_l, v_l, u_r, v_r) of corners that optical flow finds in both images, there and back, [N, 4], px."""
+    """(u_l, v_l, u_r, v_r) of corners that optical flow finds in both images, there and back, [N,
+    4], px."""
     corners = cv2.goodFeaturesToTrack(left, 500, 0.01, 8)
     found, _, _ = cv2.calcOpticalFlowPyrLK(left, right, corners, None, maxLevel=5)
     back, _, _ = cv2.calcOpticalFlowPyrLK(right, left, found, None, maxLevel=5)
@@ -154,13 +222,24 @@ def match(left: Image, right: Image) -> FloatArray:
 
 
 @pytest.mark.data
-@pytest.mark.skipif(not EUROC.exists(), reason="EuRoC V1_01_micro is not in PROBEVO_DATA or ../shared/data")
+@pytest.mark.skipif(
+    not EUROC.exists(), reason="EuRoC V1_01_micro is not in PROBEVO_DATA or ../shared/data"
+)
 def test_the_rows_of_euroc_align() -> None:
-    """Matched corners lie on the same row to 0.2 px in the median; in the raw images they are 13 px apart."""
-    (left, T_body_left), (right, T_body_right) = euroc_camera(EUROC / "cam0"), euroc_camera(EUROC / "cam1")
-    rectification = Rectification.from_calibration(left, right, se3.inverse(T_body_right) @ T_body_left)
+    """Matched corners lie on the same row to 0.2 px in the median; in the raw images they are 13 px
+    apart."""
+    (left, T_body_left), (right, T_body_right) = (
+        euroc_camera(EUROC / "cam0"),
+        euroc_camera(EUROC / "cam1"),
+    )
+    rectification = Rectification.from_calibration(
+        left, right, se3.inverse(T_body_right) @ T_body_left
+    )
     name = min(path.name for path in (EUROC / "cam0" / "data").glob("*.png"))
-    raw = [cv2.imread(str(EUROC / cam / "data" / name), cv2.IMREAD_GRAYSCALE) for cam in ("cam0", "cam1")]
+    raw = [
+        cv2.imread(str(EUROC / cam / "data" / name), cv2.IMREAD_GRAYSCALE)
+        for cam in ("cam0", "cam1")
+    ]
     pixels = match(*rectification.rectify(*raw))
     assert len(pixels) > 100
     assert np.median(np.abs(pixels[:, 1] - pixels[:, 3])) < 0.2

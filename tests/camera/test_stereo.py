@@ -10,7 +10,9 @@ from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.geometry import se3
 
-CAMERA = StereoCamera(fu_px=718.9, fv_px=720.1, cu_px=607.2, cv_px=185.2, baseline_m=0.54, size_px=(1241, 376))
+CAMERA = StereoCamera(
+    fu_px=718.9, fv_px=720.1, cu_px=607.2, cv_px=185.2, baseline_m=0.54, size_px=(1241, 376)
+)
 
 
 @pytest.fixture
@@ -18,17 +20,24 @@ def points() -> FloatArray:
     """1,000 points in view, from 2 to 80 m away, [1000, 3]."""
     rng = np.random.default_rng(0)
     z = np.geomspace(2.0, 80.0, 1000)
-    return np.stack([rng.uniform(-0.8, 0.8, 1000) * z, rng.uniform(-0.25, 0.25, 1000) * z, z], axis=1)
+    return np.stack(
+        [rng.uniform(-0.8, 0.8, 1000) * z, rng.uniform(-0.25, 0.25, 1000) * z, z], axis=1
+    )
 
 
 @pytest.fixture
 def pixels(points: FloatArray) -> FloatArray:
-    """What the camera sees of them, with a pixel or so of noise that keeps the disparity positive, [1000, 4]."""
+    """What the camera sees of them, with a pixel or so of noise that keeps the disparity positive,
+    [1000, 4]."""
     return CAMERA.project(points) + np.random.default_rng(1).uniform(-1.0, 1.0, (1000, 4))
 
 
 def relative_error(actual: FloatArray, expected: FloatArray) -> float:
-    return float(np.max(np.linalg.norm(actual - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))))
+    return float(
+        np.max(
+            np.linalg.norm(actual - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))
+        )
+    )
 
 
 def test_triangulate_inverts_project(points: FloatArray) -> None:
@@ -44,7 +53,9 @@ def test_triangulate_is_the_least_squares_inverse(pixels: FloatArray) -> None:
     """Where the rows differ, each is off by half their difference."""
     residual = pixels - CAMERA.project(CAMERA.triangulate(pixels))
     half = 0.5 * (pixels[:, 1] - pixels[:, 3])
-    np.testing.assert_allclose(residual, np.stack([0 * half, half, 0 * half, -half], axis=1), atol=1e-10)
+    np.testing.assert_allclose(
+        residual, np.stack([0 * half, half, 0 * half, -half], axis=1), atol=1e-10
+    )
 
 
 def test_the_right_camera_sees_what_a_camera_moved_by_the_baseline_sees(points: FloatArray) -> None:
@@ -62,9 +73,13 @@ def test_moved_rays_are_the_moved_points_over_their_depth(points: FloatArray) ->
     """And a point without disparity is at infinity, where the rotation alone moves it."""
     T = se3.exp(np.array([0.1, -0.2, 0.8, 0.02, -0.05, 0.01]))
     q, rho = CAMERA.moved_rays(CAMERA.project(points), T)
-    np.testing.assert_allclose(q.T, se3.transform(T, points) / points[:, 2:], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(
+        q.T, se3.transform(T, points) / points[:, 2:], rtol=1e-10, atol=1e-12
+    )
     np.testing.assert_allclose(rho, 1.0 / points[:, 2], rtol=1e-10)
-    q, rho = CAMERA.moved_rays(np.array([[CAMERA.cu_px, CAMERA.cv_px, CAMERA.cu_px + 1.0, CAMERA.cv_px]]), T)
+    q, rho = CAMERA.moved_rays(
+        np.array([[CAMERA.cu_px, CAMERA.cv_px, CAMERA.cu_px + 1.0, CAMERA.cv_px]]), T
+    )
     np.testing.assert_array_equal(rho, [0.0])
     np.testing.assert_allclose(q[:, 0], T[:3, 2])
 
@@ -77,7 +92,8 @@ def test_triangulate_jacobian_against_central_differences(pixels: FloatArray) ->
 
 
 def test_check_accepts_a_sound_camera() -> None:
-    """With and without a known size; one just inside each bound passes, so that the refusals below mean something."""
+    """With and without a known size; one just inside each bound passes, so that the refusals below
+    mean something."""
     at_the_edge = dataclasses.replace(CAMERA, cu_px=-0.49 * CAMERA.size_px[0], baseline_m=1e-6)
     for camera in (CAMERA, dataclasses.replace(CAMERA, size_px=None), at_the_edge):
         assert check_camera(camera, "calib.txt") is None  # type: ignore[func-returns-value]

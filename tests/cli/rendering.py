@@ -1,4 +1,5 @@
-"""A tiny recording that odometry works on: a rough, slanted wall that the camera approaches while it turns.
+"""A tiny recording that odometry works on: a rough, slanted wall that the camera approaches while
+it turns.
 
 Others use it too: ``from cli.rendering import write_wall``.
 """
@@ -13,7 +14,8 @@ from probevo.geometry import se3
 from sequences.recordings import numbers, write_image, write_lines
 
 SIZE_PX = WIDTH_PX, HEIGHT_PX = 320, 160
-FOCAL_PX, BASELINE_M = 200.0, 0.3
+FOCAL_PX = 200.0
+BASELINE_M = 0.3
 K = np.array([[FOCAL_PX, 0.0, 159.5], [0.0, FOCAL_PX, 79.5], [0.0, 0.0, 1.0]])
 NORMAL = np.array([0.35, -0.45, 0.82]) / np.linalg.norm([0.35, -0.45, 0.82])
 """Of the wall, in the first camera's frame; the wall is where NORMAL · p = DISTANCE_M."""
@@ -27,7 +29,10 @@ STEP = np.array([0.01, 0.0, -0.15, 0.002, -0.004, 0.003])
 def texture() -> Image:
     """Noise of several grain sizes."""
     rng = np.random.default_rng(7)
-    layers = [cv2.resize(rng.normal(size=(n, n)), (1536, 1536), interpolation=cv2.INTER_CUBIC) for n in (96, 384, 1536)]
+    layers = [
+        cv2.resize(rng.normal(size=(n, n)), (1536, 1536), interpolation=cv2.INTER_CUBIC)
+        for n in (96, 384, 1536)
+    ]
     return np.clip(128 + 40 * np.sum(layers, axis=0), 0, 255).astype(np.uint8)
 
 
@@ -41,10 +46,16 @@ def render(wall: Image, T_cam_world: FloatArray) -> Image:
     across = np.cross([0.0, 1.0, 0.0], NORMAL) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], NORMAL))
     along = np.cross(NORMAL, across)
     T = T_cam_world
-    to_camera = np.column_stack([T[:3, :3] @ across, T[:3, :3] @ along, T[:3, :3] @ (DISTANCE_M * NORMAL) + T[:3, 3]])
+    to_camera = np.column_stack(
+        [T[:3, :3] @ across, T[:3, :3] @ along, T[:3, :3] @ (DISTANCE_M * NORMAL) + T[:3, 3]]
+    )
     center = 0.5 * (len(wall) - 1)
-    to_wall = np.array([[TEXEL_M, 0.0, -TEXEL_M * center], [0.0, TEXEL_M, -TEXEL_M * center], [0.0, 0.0, 1.0]])
-    return np.asarray(cv2.warpPerspective(wall, K @ to_camera @ to_wall, SIZE_PX, flags=cv2.INTER_AREA), np.uint8)
+    to_wall = np.array(
+        [[TEXEL_M, 0.0, -TEXEL_M * center], [0.0, TEXEL_M, -TEXEL_M * center], [0.0, 0.0, 1.0]]
+    )
+    return np.asarray(
+        cv2.warpPerspective(wall, K @ to_camera @ to_wall, SIZE_PX, flags=cv2.INTER_AREA), np.uint8
+    )
 
 
 def write_wall(root: Path, frames: int = 8, *, truth: bool = True, swapped: bool = False) -> Path:
@@ -54,10 +65,16 @@ def write_wall(root: Path, frames: int = 8, *, truth: bool = True, swapped: bool
     T_right_left[0, 3] = -BASELINE_M
     for index, T_world_cam in enumerate(true_poses(frames)):
         T_cam_world = se3.inverse(T_world_cam)
-        left, right = render(wall, T_cam_world), render(wall, T_right_left @ T_cam_world)
+        left = render(wall, T_cam_world)
+        right = render(wall, T_right_left @ T_cam_world)
         write_image(root / "left" / f"{index:06d}.png", right if swapped else left)
         write_image(root / "right" / f"{index:06d}.png", left if swapped else right)
-    calibration = [f"fu_px: {FOCAL_PX}", f"fv_px: {FOCAL_PX}", f"cu_px: {K[0, 2]}", f"cv_px: {K[1, 2]}"]
+    calibration = [
+        f"fu_px: {FOCAL_PX}",
+        f"fv_px: {FOCAL_PX}",
+        f"cu_px: {K[0, 2]}",
+        f"cv_px: {K[1, 2]}",
+    ]
     calibration += [f"baseline_m: {BASELINE_M}", f"width_px: {WIDTH_PX}", f"height_px: {HEIGHT_PX}"]
     write_lines(root / "calib.yaml", calibration)
     write_lines(root / "times.txt", [str(10**18 + k * FRAME_NS) for k in range(frames)])

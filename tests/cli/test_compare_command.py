@@ -1,4 +1,5 @@
-"""``probevo compare``: that its tables hold what the runs say, and that mistakes are found before the first run."""
+"""``probevo compare``: that its tables hold what the runs say, and that mistakes are found before
+the first run."""
 
 import csv
 import io
@@ -18,11 +19,15 @@ from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.noise import StudentT
 from probevo.run_config import read_config
-from probevo.simulation.point_config import PointConfig
-from probevo.simulation.point_world import write_training_and_test
+from probevo_sim.point_config import PointConfig
+from probevo_sim.point_world import write_training_and_test
 
 SHORT = PointConfig(train_s=0.5, test_s=1.0)
-RUNS = [f"{sequence}-{estimator}" for sequence in ("a-test", "b-test") for estimator in ("fixed", "student-t", "city")]
+RUNS = [
+    f"{sequence}-{estimator}"
+    for sequence in ("a-test", "b-test")
+    for estimator in ("fixed", "student-t", "city")
+]
 
 
 def compare_exit(*words: object) -> int:
@@ -45,7 +50,9 @@ class Learned(StudentT):
 def _loader() -> Any:
     """In place of reading model files."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("probevo.noise.named.load_model", lambda path: Learned(dof=4.0, training=OF_BLIND))
+        patch.setattr(
+            "probevo.noise.named.load_model", lambda path: Learned(dof=4.0, training=OF_BLIND)
+        )
         yield
 
 
@@ -59,12 +66,16 @@ def _without_reports() -> Any:
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of two recordings that are called alike, one without truth, and a model file; change none of them."""
+    """Folder of two recordings that are called alike, one without truth, and a model file; change
+    none of them."""
     root = tmp_path_factory.mktemp("compare")
     for seed, name in enumerate("ab"):
         write_training_and_test(SHORT.model_copy(update={"seed": seed}), root / name)
     with np.load(root / "a" / "train.npz") as archive:
-        np.savez(root / "blind.npz", **{key: archive[key] for key in archive.files if key != "T_world_cam"})
+        np.savez(
+            root / "blind.npz",
+            **{key: archive[key] for key in archive.files if key != "T_world_cam"},
+        )
     (root / "models").mkdir()
     (root / "models" / "city.safetensors").touch()
     return root
@@ -72,18 +83,32 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def out(world: Path) -> Path:
-    """Folder of a comparison of three estimators on two recordings; what it printed is in "printed.txt" beside it."""
-    out, printed = world / "out", io.StringIO()
+    """Folder of a comparison of three estimators on two recordings; what it printed is in
+    "printed.txt" beside it."""
+    out = world / "out"
+    printed = io.StringIO()
     noise = ["fixed", "student-t", world / "models" / "city.safetensors"]
     with redirect_stdout(printed):
-        assert compare_exit(world / "a/test.npz", world / "b/test.npz", "--out", out, "--noise", *noise) == 0
+        assert (
+            compare_exit(
+                world / "a/test.npz", world / "b/test.npz", "--out", out, "--noise", *noise
+            )
+            == 0
+        )
     out.with_name("printed.txt").write_text(printed.getvalue())
     return out
 
 
-def test_a_model_that_has_seen_a_recording_is_marked(world: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_that_has_seen_a_recording_is_marked(
+    world: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     noise = ["fixed", world / "models" / "city.safetensors"]
-    assert compare_exit(world / "blind.npz", world / "a/test.npz", "--out", world / "seen", "--noise", *noise) == 0
+    assert (
+        compare_exit(
+            world / "blind.npz", world / "a/test.npz", "--out", world / "seen", "--noise", *noise
+        )
+        == 0
+    )
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert next(line[:2] for line in lines if line and line[0] == "city") == ["city", "†"]
     assert sum("†" in line for line in lines) == 1
@@ -145,14 +170,25 @@ def test_the_config_of_a_run_repeats_it(out: Path, tmp_path: Path) -> None:
     assert (tmp_path / "trajectory.tum").read_bytes() == (run / "trajectory.tum").read_bytes()
 
 
-def test_settings_hold_for_all_runs_but_aggressive_has_its_own_confidence(world: Path, tmp_path: Path) -> None:
-    (tmp_path / "settings.yaml").write_text("noise: nonsense\nsequence: nowhere\nmax_frames: 9\nseed: 5\n")
+def test_settings_hold_for_all_runs_but_aggressive_has_its_own_confidence(
+    world: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "settings.yaml").write_text(
+        "noise: nonsense\nsequence: nowhere\nmax_frames: 9\nseed: 5\n"
+    )
     words = ["--config", tmp_path / "settings.yaml", "--max-frames", 4, "--ransac.confidence", 0.95]
     noise = ["--noise", "fixed", "aggressive"]
     assert compare_exit(world / "a/test.npz", "--out", tmp_path / "out", *words, *noise) == 0
     runs = tmp_path / "out" / "runs"
-    fixed, aggressive = (read_config(runs / f"test-{name}" / "config.yaml") for name in ("fixed", "aggressive"))
-    assert (fixed.seed, fixed.max_frames, fixed.noise, fixed.sequence) == (5, 4, "fixed", world / "a/test.npz")
+    fixed, aggressive = (
+        read_config(runs / f"test-{name}" / "config.yaml") for name in ("fixed", "aggressive")
+    )
+    assert (fixed.seed, fixed.max_frames, fixed.noise, fixed.sequence) == (
+        5,
+        4,
+        "fixed",
+        world / "a/test.npz",
+    )
     assert (fixed.ransac.confidence, aggressive.ransac.confidence) == (0.95, 0.9999)
     same = {"ransac": fixed.ransac.model_copy(update={"confidence": 0.9999})}
     assert aggressive == fixed.model_copy(update=same)
@@ -173,11 +209,17 @@ def test_without_truth_there_are_dashes_and_that_is_said(
 
 
 def test_models_that_are_called_alike_are_told_apart(world: Path, tmp_path: Path) -> None:
-    files = [tmp_path / name for name in ("x/city.safetensors", "y/city.safetensors", "x/fixed.safetensors")]
+    files = [
+        tmp_path / name
+        for name in ("x/city.safetensors", "y/city.safetensors", "x/fixed.safetensors")
+    ]
     for file in files:
         file.parent.mkdir(exist_ok=True)
         file.touch()
-    assert compare_exit(world / "a/train.npz", "--out", tmp_path / "out", "--noise", "fixed", *files) == 0
+    assert (
+        compare_exit(world / "a/train.npz", "--out", tmp_path / "out", "--noise", "fixed", *files)
+        == 0
+    )
     names = {path.name for path in (tmp_path / "out" / "runs").iterdir()}
     assert names == {"train-fixed", "train-x-city", "train-y-city", "train-x-fixed"}
 
@@ -212,26 +254,45 @@ def test_what_is_done_when_it_is_stopped_is_compared(
         (["W/a/test.npz", "W/nowhere"], ["nowhere: nothing is there."]),
         (["W/a/test.npz", "W/a/../a/test.npz"], ["test.npz is given twice."]),
         (["W/a/test.npz", "--noise"], ["--noise: no estimator is named."]),
-        (["W/a/test.npz", "--noise", "fixed", "student-t", "fixed"], ["--noise: fixed is given twice."]),
-        (["W/a/test.npz", "--noise", "M", "W/models/../models/city.safetensors"], ["is given twice."]),
-        (["W/a/test.npz", "--noise", "fixed", "agressive"], ["--noise: 'agressive' is", "Did you mean aggressive?"]),
+        (
+            ["W/a/test.npz", "--noise", "fixed", "student-t", "fixed"],
+            ["--noise: fixed is given twice."],
+        ),
+        (
+            ["W/a/test.npz", "--noise", "M", "W/models/../models/city.safetensors"],
+            ["is given twice."],
+        ),
+        (
+            ["W/a/test.npz", "--noise", "fixed", "agressive"],
+            ["--noise: 'agressive' is", "Did you mean aggressive?"],
+        ),
         (["W/a/test.npz", "--noise", "W/none.safetensors"], ["--noise: ", "no such file exists."]),
         (["W/a/test.npz", "W/wide/test.npz", "--noise", "M"], ["was learned with another camera."]),
         (["W/a/test.npz", "--gyro.prior"], ["--gyro.prior: the recording", "has no IMU."]),
-        (["W/a/test.npz", "--ransac.confidence", "2"], ["--ransac.confidence is 2.0; it should be less than 1."]),
+        (
+            ["W/a/test.npz", "--ransac.confidence", "2"],
+            ["--ransac.confidence is 2.0; it should be less than 1."],
+        ),
         (["W/a/test.npz", "--threads", "0"], ["--threads", "at least 1"]),
         (["W/a/test.npz", "--out", "W/blind.npz"], ["--out: ", "is a file."]),
         (["W/a/test.npz", "--config", "W/none.yaml"], ["none.yaml", "missing"]),
     ],
 )
 def test_mistakes_are_found_before_the_first_run(
-    words: list[str], fragments: list[str], world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    fragments: list[str],
+    world: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     if any("wide" in word for word in words):
         wide = SHORT.camera.model_copy(update={"baseline_m": 0.7})
         write_training_and_test(SHORT.model_copy(update={"camera": wide}), world / "wide")
     model = str(world / "models" / "city.safetensors")
-    given = [word.replace("W/", f"{world}/").replace("M", model) if word != "M" else model for word in words]
+    given = [
+        word.replace("W/", f"{world}/").replace("M", model) if word != "M" else model
+        for word in words
+    ]
     assert main(["compare", "--out", str(tmp_path / "out"), *given]) == 2
     shown = capsys.readouterr().err
     assert shown.startswith("probevo: ")
@@ -245,12 +306,17 @@ def test_a_model_that_needs_images_is_refused_before_the_first_run(
 ) -> None:
     monkeypatch.setattr(Learned, "columns", ("blur",))
     model = world / "models" / "city.safetensors"
-    assert compare_exit(world / "a/test.npz", "--out", tmp_path / "out", "--noise", "fixed", model) == 2
+    assert (
+        compare_exit(world / "a/test.npz", "--out", tmp_path / "out", "--noise", "fixed", model)
+        == 2
+    )
     assert "test.npz: it has no images, which the predictor blur needs." in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_recording_of_one_frame_is_refused(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_of_one_frame_is_refused(
+    world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with np.load(world / "a" / "train.npz") as archive:
         arrays = dict(archive)
     seen = arrays["frame"] == 0

@@ -20,7 +20,12 @@ def test_names_are_those_that_exist() -> None:
     "config",
     [
         RunConfig(),
-        RunConfig(sequence=Path("a/ü b"), noise="fixed", max_frames=9, tracking=TrackingConfig(fast_threshold=30)),
+        RunConfig(
+            sequence=Path("a/ü b"),
+            noise="fixed",
+            max_frames=9,
+            tracking=TrackingConfig(fast_threshold=30),
+        ),
     ],
 )
 def test_round_trip(config: RunConfig, tmp_path: Path) -> None:
@@ -32,7 +37,9 @@ def test_a_run_takes_over_what_it_shares() -> None:
     shared = RunConfig(max_frames=9, format="tracks", tracking=TrackingConfig(fast_threshold=30))
     config = run_config(shared, Path("a.npz"), "fixed")
     assert config == shared.model_copy(update={"sequence": Path("a.npz"), "noise": "fixed"})
-    assert run_config(OdometryConfig(seed=3), Path("a"), "b") == RunConfig(seed=3, sequence=Path("a"), noise="b")
+    assert run_config(OdometryConfig(seed=3), Path("a"), "b") == RunConfig(
+        seed=3, sequence=Path("a"), noise="b"
+    )
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "{}\n"])
@@ -44,9 +51,21 @@ def test_an_empty_file_means_the_defaults(text: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "what", "cure"),
     [
-        ("tracking: {num_feature: 9}", "the key tracking.num_feature is not known.", "mean tracking.num_features?"),
-        ("num_features: 9", "the key num_features is not known.", "Did you mean tracking.num_features?"),
-        ("tracking: {num-features: 9}", "the key tracking.num-features", "Did you mean tracking.num_features?"),
+        (
+            "tracking: {num_feature: 9}",
+            "the key tracking.num_feature is not known.",
+            "mean tracking.num_features?",
+        ),
+        (
+            "num_features: 9",
+            "the key num_features is not known.",
+            "Did you mean tracking.num_features?",
+        ),
+        (
+            "tracking: {num-features: 9}",
+            "the key tracking.num-features",
+            "Did you mean tracking.num_features?",
+        ),
         ("qwertz: 9", "the key qwertz is not known.", "Known are seed,"),
         (
             "tracking: {window_px: 3}",
@@ -54,7 +73,11 @@ def test_an_empty_file_means_the_defaults(text: str, tmp_path: Path) -> None:
             "Side of the",
         ),
         ("noise: 3", "noise is 3; it should be a valid string.", "Noise of the features"),
-        ("ransac: {threshold_px: .nan}", "ransac.threshold_px is nan; it should be a finite number.", "Reprojection"),
+        (
+            "ransac: {threshold_px: .nan}",
+            "ransac.threshold_px is nan; it should be a finite number.",
+            "Reprojection",
+        ),
         ("seed: many", "seed is 'many'; it should be a valid integer", "Of all random choices"),
         ("solver: 3", "solver is 3; it should be a valid dictionary", ""),
         ("[seed, 3]", "holds a list; expected `key: value` lines.", "pattern"),

@@ -1,4 +1,5 @@
-"""``probevo demo``: what it writes and prints, that it renders only once, and that its two scenes differ."""
+"""``probevo demo``: what it writes and prints, that it renders only once, and that its two scenes
+differ."""
 
 import io
 import re
@@ -12,7 +13,7 @@ from probevo.cli import demo
 from probevo.cli.main import main
 from probevo.noise import StudentT
 from probevo.noise.model_io import save_model
-from probevo.simulation.scene.config import Effects, RigConfig, SceneConfig
+from probevo_sim.scene.config import Effects, RigConfig, SceneConfig
 
 TINY = SceneConfig(distance_m=4, rig=RigConfig(width_px=320, height_px=96, focal_px=180))
 SCENES = {"training": TINY, "test": TINY.model_copy(update={"seed": 1})}
@@ -30,7 +31,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("demo") / "out"
     printed = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(printed):
-        patch.setattr("probevo.cli.simulate.render_with_progress", put_a_wall)
+        patch.setattr("probevo_sim.command.render_with_progress", put_a_wall)
         demo.demo(SCENES, out)
     out.with_name("printed.txt").write_text(printed.getvalue())
     return out
@@ -44,7 +45,12 @@ def test_one_table_and_one_report(out: Path) -> None:
         *("test", "fixed", "student-t", "probe"),
     ]
     assert lines[-1] == f"report: {out / 'report.html'}"
-    assert {path.name for path in out.iterdir()} == {"probe.safetensors", "report.html", "runs", "scenes"}
+    assert {path.name for path in out.iterdir()} == {
+        "probe.safetensors",
+        "report.html",
+        "runs",
+        "scenes",
+    }
 
 
 def test_the_page_leads_to_the_report_of_each_run(out: Path) -> None:
@@ -61,7 +67,9 @@ def test_a_second_demo_renders_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What it learns does not matter here, nor what it reports."""
-    monkeypatch.setattr("probevo.cli.train.train_with_progress", lambda _, __, out: save_model(StudentT(), out))
+    monkeypatch.setattr(
+        "probevo.cli.train.train_with_progress", lambda _, __, out: save_model(StudentT(), out)
+    )
     monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
     demo.demo(SCENES, tmp_path)
     assert "The first time of all, this takes a minute" in capsys.readouterr().out
@@ -69,7 +77,9 @@ def test_a_second_demo_renders_nothing(
     assert written
     demo.demo(SCENES, tmp_path)
     assert "The first time" not in capsys.readouterr().out
-    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")} == written
+    assert {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")
+    } == written
 
 
 def test_training_and_test_share_their_troubles_but_not_their_streets() -> None:
@@ -79,7 +89,9 @@ def test_training_and_test_share_their_troubles_but_not_their_streets() -> None:
 
 
 def test_other_settings_go_to_another_folder() -> None:
-    folders = {demo.scene_folder("test", TINY.model_copy(update={"seed": seed})) for seed in (0, 1, 1)}
+    folders = {
+        demo.scene_folder("test", TINY.model_copy(update={"seed": seed})) for seed in (0, 1, 1)
+    }
     assert len(folders) == 2
     assert all(re.fullmatch(r"test-[0-9a-f]{8}", folder) for folder in folders)
 

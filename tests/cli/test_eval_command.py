@@ -51,8 +51,11 @@ def test_poses_beyond_the_run_are_left_out_and_that_is_said(
     assert "first 8 of 12 true poses" in capsys.readouterr().out
 
 
-def test_tum_poses_are_matched_by_time(wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """True poses of another rate, between the frames, over the first five of them: nothing is off but the rounding."""
+def test_tum_poses_are_matched_by_time(
+    wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """True poses of another rate, between the frames, over the first five of them: nothing is off
+    but the rounding."""
     run = shutil.copytree(wall_run, tmp_path / "run")
     stamps_ns, T_world_cam = read_tum(run / "trajectory.tum")
     others_ns = stamps_ns[0] + 13_000_000 * np.arange(31)
@@ -64,14 +67,20 @@ def test_tum_poses_are_matched_by_time(wall_run: Path, tmp_path: Path, capsys: p
     assert metrics["armse_m"] < 1e-3
 
 
-def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_exit_with_2(
+    wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     stamps_ns, T_world_cam = read_tum(wall_run / "trajectory.tum")
     write_kitti_poses(tmp_path / "short.txt", true_poses(5))
     write_tum(tmp_path / "late.tum", stamps_ns + 10**12, T_world_cam)
     write_tum(tmp_path / "long.tum", np.arange(20) * 10**8, true_poses(20))
-    write_kitti_poses(tmp_path / "unknown.txt", np.where(np.arange(8)[:, None, None] > 0, np.nan, true_poses(8)))
+    write_kitti_poses(
+        tmp_path / "unknown.txt", np.where(np.arange(8)[:, None, None] > 0, np.nan, true_poses(8))
+    )
     (tmp_path / "text.txt").write_text("three words here\n")
-    (tmp_path / "data.csv").write_text("#time(ns),px,py,pz,qw,qx,qy,qz\n1403715273262142976,0,0,0,1,0,0,0\n")
+    (tmp_path / "data.csv").write_text(
+        "#time(ns),px,py,pz,qw,qx,qy,qz\n1403715273262142976,0,0,0,1,0,0,0\n"
+    )
     (tmp_path / "far.txt").write_text("1 0 0 1e300 0 1 0 0 0 0 1 0\n" * 8)
     (tmp_path / "empty").mkdir()
     kitti = wall_run / "trajectory.kitti.txt"
@@ -81,7 +90,11 @@ def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.Cap
         (wall_run, "unknown.txt", ["unknown.txt: 1 of 8 frames have a true pose; it takes two"]),
         (tmp_path / "unknown.txt", "short.txt", ["unknown.txt: pose 1 (from 0) is not known"]),
         (kitti, "long.tum", ["long.tum: 20 poses for the 8 frames", "trajectory.tum"]),
-        (wall_run, "text.txt", ["text.txt:1: this line has 3 columns", "12 columns in KITTI's form"]),
+        (
+            wall_run,
+            "text.txt",
+            ["text.txt:1: this line has 3 columns", "12 columns in KITTI's form"],
+        ),
         (wall_run, "data.csv", ["data.csv:2: ", "commas", "EuRoC's own truth is of the body"]),
         (wall_run, "far.txt", ["far.txt: the position of pose 0 (from 0) is over 1e+09 m away"]),
         (wall_run, "none.txt", ["none.txt: this file is missing"]),
@@ -93,7 +106,9 @@ def test_mistakes_exit_with_2(wall_run: Path, tmp_path: Path, capsys: pytest.Cap
             assert fragment in shown
 
 
-def test_an_unknown_form_is_answered_with_those_there_are(wall_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_form_is_answered_with_those_there_are(
+    wall_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as caught:
         eval_exit(wall_run, "--gt", "gt.txt", "--gt-format", "euroc")
     assert caught.value.code == 2

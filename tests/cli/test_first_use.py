@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from probevo.estimation import ransac
 
 import probevo as pv
 from probevo.cli import first_use
-from probevo.motion import ransac
 from probevo.sequences.frame import Frame
 
 
@@ -28,11 +28,15 @@ def test_where_nothing_is_compiled_another_process_begins_with_the_solver(
 ) -> None:
     monkeypatch.setattr(first_use, "compiled_in", lambda: tmp_path)
     monkeypatch.setattr(first_use, "available_cores", lambda: 2)
-    assert [first_use.getting_ready() for _ in range(2)] == ["compiling, this first time of all: 10 to 30 s"] * 2
+    assert [first_use.getting_ready() for _ in range(2)] == [
+        "compiling, this first time of all: 10 to 30 s"
+    ] * 2
     assert started == ["from probevo.cli.first_use import solve_once; solve_once()"]
 
 
-def test_one_core_compiles_alone(started: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_core_compiles_alone(
+    started: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(first_use, "compiled_in", lambda: tmp_path)
     monkeypatch.setattr(first_use, "available_cores", lambda: 1)
     assert first_use.getting_ready().startswith("compiling")
@@ -40,8 +44,10 @@ def test_one_core_compiles_alone(started: list[str], tmp_path: Path, monkeypatch
 
 
 def test_what_that_process_does_is_found_where_it_is_looked_for(started: list[str]) -> None:
-    """It solves motions, without RANSAC, which the other compiles, and from then on nothing is to be compiled."""
-    step, motions = pv.StereoOdometry.step, []
+    """It solves motions, without RANSAC, which the other compiles, and from then on nothing is to
+    be compiled."""
+    step = pv.StereoOdometry.step
+    motions = []
 
     def watched(odometry: pv.StereoOdometry, frame: Frame) -> pv.MotionEstimate:
         motions.append(step(odometry, frame))

@@ -65,10 +65,16 @@ def test_a_calibration_of_another_resolution_is_marked(
     wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recording = shutil.copytree(wall, tmp_path / "wall")
-    for old, new in (("cu_px: 159.5", "cu_px: 80.0"), ("cv_px: 79.5", "cv_px: 40.0"), ("fv_px: 200.0", "fv_px: 100.0")):
+    for old, new in (
+        ("cu_px: 159.5", "cu_px: 80.0"),
+        ("cv_px: 79.5", "cv_px: 40.0"),
+        ("fv_px: 200.0", "fv_px: 100.0"),
+    ):
         replace("calib.yaml", old, new)(recording)
     rows = info(recording, capsys)
-    assert rows["! center"] == "(80, 40) is the middle of 160×80 px. Calibrated at another resolution?"
+    assert (
+        rows["! center"] == "(80, 40) is the middle of 160×80 px. Calibrated at another resolution?"
+    )
     assert rows["! focal length"].startswith("fu is 200.0 px, fv 100.0 px")
 
 
@@ -81,10 +87,14 @@ def test_a_rate_that_no_camera_has_is_marked(
     assert info(recording, capsys)["! rate"].startswith(f"{rate} is unusual")
 
 
-def test_features_get_questions_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_features_get_questions_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arrays = tracks_arrays(points=20)
     swapped = write_tracks(tmp_path, **arrays | {"uv": arrays["uv"][:, [2, 3, 0, 1]]})
-    assert "Are left and right swapped? Exchange columns 0 and 2" in info(swapped, capsys)["! matches"]
+    assert (
+        "Are left and right swapped? Exchange columns 0 and 2" in info(swapped, capsys)["! matches"]
+    )
     assert main(["run", str(swapped), "--out", str(tmp_path / "out")]) == 2
     assert "Exchange columns 0 and 2, and 1 and 3, of uv." in capsys.readouterr().err
     fresh = write_tracks(tmp_path, **arrays | {"track": np.arange(80)})
@@ -93,7 +103,9 @@ def test_features_get_questions_of_their_own(tmp_path: Path, capsys: pytest.Capt
     assert info(same, capsys)["! disparity"].endswith("Are columns 0 and 2 of uv the same?")
 
 
-def test_the_same_picture_twice_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_same_picture_twice_is_marked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     recording = write_wall(tmp_path / "wall", 4)
     shutil.rmtree(recording / "right")
     shutil.copytree(recording / "left", recording / "right")
@@ -101,7 +113,10 @@ def test_the_same_picture_twice_is_marked(tmp_path: Path, capsys: pytest.Capture
     rng = np.random.default_rng(0)
     for path in (recording / "right").iterdir():  # and where noise makes them differ
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(float)
-        cv2.imwrite(str(path), np.clip(picture + rng.normal(0.0, 1.0, picture.shape), 0, 255).astype(np.uint8))
+        cv2.imwrite(
+            str(path),
+            np.clip(picture + rng.normal(0.0, 1.0, picture.shape), 0, 255).astype(np.uint8),
+        )
     assert "the same picture?" in info(recording, capsys)["! disparity"]
 
 

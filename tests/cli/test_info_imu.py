@@ -21,14 +21,20 @@ def drive(size: float = 1.0) -> tuple[Turns, ImuStream]:
     """Six seconds of a camera that is swung about two axes, and its gyro at 200 Hz, with a bias."""
     stamps_ns = np.arange(0, 6_200_000_000, 5_000_000)
     time_s = 1e-9 * stamps_ns
-    rates = size * np.column_stack([0.3 * np.sin(4.0 * time_s), 0.5 * np.cos(3.0 * time_s), 0.0 * time_s])
+    rates = size * np.column_stack(
+        [0.3 * np.sin(4.0 * time_s), 0.5 * np.cos(3.0 * time_s), 0.0 * time_s]
+    )
     gyro = rates @ CALIBRATION.C_cam_imu + BIAS_RAD_S
     frames_ns = np.arange(100_000_000, 6_100_000_000, 100_000_000)
-    stream = ImuStream.checked(stamps_ns, gyro, np.full_like(gyro, np.nan), frames_ns, "imu.csv")
+    stream = ImuStream.checked(
+        stamps_ns, gyro, np.full_like(gyro, np.nan), frames_ns=frames_ns, where="imu.csv"
+    )
     between_ns = np.column_stack([frames_ns[:-1], frames_ns[1:]])
     unbiased = replace(stream, gyro_rad_s=stream.gyro_rad_s - BIAS_RAD_S)
     nothing = Turns(between_ns, np.zeros((len(between_ns), 3)))
-    return Turns(between_ns, nothing.felt(unbiased, replace(CALIBRATION, gyro_bias_sigma_rad_s=0.0), 0.0)), stream
+    return Turns(
+        between_ns, nothing.felt(unbiased, replace(CALIBRATION, gyro_bias_sigma_rad_s=0.0), 0.0)
+    ), stream
 
 
 def test_a_gyro_that_turns_as_the_pictures_do_is_left_in_peace() -> None:
@@ -47,12 +53,21 @@ def test_a_gyro_that_turns_as_the_pictures_do_is_left_in_peace() -> None:
     ],
     ids=["degrees", "very late", "late", "sign", "transposed", "a degree off"],
 )
-def test_mistakes_are_named(scale: float, later_ns: int, C_cam_imu: np.ndarray, fragment: str | None) -> None:
-    """All that is wrong is said, if not always why; a degree is not, which the odometry does not mind either."""
+def test_mistakes_are_named(
+    scale: float, later_ns: int, C_cam_imu: np.ndarray, fragment: str | None
+) -> None:
+    """All that is wrong is said, if not always why; a degree is not, which the odometry does not
+    mind either."""
     turns, stream = drive()
-    wrong = replace(stream, gyro_rad_s=scale * stream.gyro_rad_s, stamps_ns=stream.stamps_ns + later_ns)
+    wrong = replace(
+        stream, gyro_rad_s=scale * stream.gyro_rad_s, stamps_ns=stream.stamps_ns + later_ns
+    )
     doubt = imu_doubt(turns, wrong, replace(CALIBRATION, C_cam_imu=C_cam_imu))
-    assert (doubt == "") if fragment is None else ("its turns and those of the pictures differ by" in doubt)
+    assert (
+        (doubt == "")
+        if fragment is None
+        else ("its turns and those of the pictures differ by" in doubt)
+    )
     assert (fragment or "") in doubt
 
 

@@ -38,7 +38,9 @@ def tracks(tmp_path_factory: pytest.TempPathFactory) -> Path:
         track=np.concatenate([features.ids for features in seen]),
         uv=np.concatenate([features.pixels for features in seen]),
         t=np.array([1e-9 * frame.stamp_ns for frame in frames]),
-        camera=np.array([CAMERA.fu_px, CAMERA.fv_px, CAMERA.cu_px, CAMERA.cv_px, CAMERA.baseline_m]),
+        camera=np.array(
+            [CAMERA.fu_px, CAMERA.fv_px, CAMERA.cu_px, CAMERA.cv_px, CAMERA.baseline_m]
+        ),
     )
     return path
 
@@ -77,7 +79,12 @@ def test_a_frame_as_a_model_sees_it(
     assert {cv2.imread(str(path)).shape for path in pictures.values()} == {shape}
     html = page_of(tmp_path)
     shown = titles(html)
-    for title in ("Weights in this frame", "Distance from the training data", "How K and γ were chosen", "Trained on"):
+    for title in (
+        "Weights in this frame",
+        "Distance from the training data",
+        "How K and γ were chosen",
+        "Trained on",
+    ):
         assert title in shown
     assert set(DEFAULT_COLUMNS) < set(shown)
     unknown = re.search(r"blur: undefined for (\d+) of (\d+)", html)
@@ -90,7 +97,10 @@ def test_the_same_bytes_again(wall: Path, wall_model: Path, tmp_path: Path) -> N
         assert inspect(wall, "--model", wall_model, "--frame", "2", "--out", tmp_path / out) == 0
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
     assert len(files) == 3 + len(DEFAULT_COLUMNS)
-    assert all((tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes() for file in files)
+    assert all(
+        (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+        for file in files
+    )
 
 
 def test_a_model_alone(wall_model: Path, tmp_path: Path) -> None:
@@ -102,14 +112,21 @@ def test_a_model_alone(wall_model: Path, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["inspection.html"]
 
 
-def test_predictors_alone_replace_what_an_earlier_inspection_left(wall: Path, wall_model: Path, tmp_path: Path) -> None:
+def test_predictors_alone_replace_what_an_earlier_inspection_left(
+    wall: Path, wall_model: Path, tmp_path: Path
+) -> None:
     assert inspect(wall, "--model", wall_model, "--frame", "1", "--out", tmp_path) == 0
-    assert inspect(wall, "--predictors", "blur", "turn_rate", "--frame", "1", "--out", tmp_path) == 0
+    assert (
+        inspect(wall, "--predictors", "blur", "turn_rate", "--frame", "1", "--out", tmp_path) == 0
+    )
     names = {"blur", "turn_rate", "turn_rate_x", "turn_rate_y", "turn_rate_z"}
     assert {path.stem for path in (tmp_path / "frame-1").iterdir()} == names
     html = page_of(tmp_path)
     assert titles(html) == ["Its features", "The predictors in figures"]
-    assert "The same for all features, and so not drawn: turn_rate_x, turn_rate_y, turn_rate_z, turn_rate." in html
+    assert (
+        "The same for all features, and so not drawn: turn_rate_x, turn_rate_y, turn_rate_z,"
+        " turn_rate." in html
+    )
 
 
 def test_a_tracks_file_is_drawn_on_a_plain_ground(tracks: Path, tmp_path: Path) -> None:
@@ -117,8 +134,14 @@ def test_a_tracks_file_is_drawn_on_a_plain_ground(tracks: Path, tmp_path: Path) 
     assert inspect(tracks, "--out", tmp_path) == 0
     pictures = {path.stem: path for path in (tmp_path / "frame-3").iterdir()}
     assert set(pictures) == {
-        "flow_variance", "x", "y", "disparity", "disparity_change", "residual_flow", "row_offset"
-    }  # fmt: skip
+        "flow_variance",
+        "x",
+        "y",
+        "disparity",
+        "disparity_change",
+        "residual_flow",
+        "row_offset",
+    }
     assert cv2.imread(str(pictures["x"])).shape[1] == pytest.approx(1226, abs=60)
     assert "none; area of" in page_of(tmp_path)
 

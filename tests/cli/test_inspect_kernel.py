@@ -1,4 +1,5 @@
-"""``probevo inspect`` with models of full covariances: generalized kernels, and the static Student-t."""
+"""``probevo inspect`` with models of full covariances: generalized kernels, and the static
+Student-t."""
 
 import math
 import re
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from cli.test_inspect_command import inspect, page_of, titles
-from probevo.noise.generalized_kernel import GeneralizedKernel
+from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.noise.student_t import StudentT
@@ -18,12 +19,18 @@ from probevo.noise.student_t import StudentT
 def kernel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of three columns, two of which are used; it knows the left part of the wall's images alone."""
     rng = np.random.default_rng(0)
-    phi = np.column_stack([rng.uniform(-0.9, 0.5, 2000), rng.uniform(-0.5, 0.5, 2000), rng.normal(3.0, 0.5, 2000)])
+    phi = np.column_stack(
+        [rng.uniform(-0.9, 0.5, 2000), rng.uniform(-0.5, 0.5, 2000), rng.normal(3.0, 0.5, 2000)]
+    )
     errors = 0.1 * np.exp(phi[:, :1]) * rng.normal(size=(2000, 4))
     model = GeneralizedKernel(
-        neighbors=60, reach=0.2, prior_counts=4.0, dof_counts=100.0, bias_counts=math.inf,
+        neighbors=60,
+        reach=0.2,
+        prior_counts=4.0,
+        dof_counts=100.0,
+        bias_counts=math.inf,
         weights=np.array([1.0, 1.0, 0.0]),
-    )  # fmt: skip
+    )
     model.fit(phi, errors, metric=Metric.fitted(phi, ("x", "y", "disparity"), (False,) * 3))
     path = tmp_path_factory.mktemp("kernel") / "left.safetensors"
     save_model(model, path)
@@ -55,7 +62,11 @@ def test_a_frame_as_a_kernel_sees_it(
     html = page_of(tmp_path)
     assert f"<dt>Out of domain</dt><dd>{share[1]} %</dd>" in html
     assert "wall" in html
-    assert titles(html)[:3] == ["Its features", "Predicted σ in this frame", "Predicted ν in this frame"]
+    assert titles(html)[:3] == [
+        "Its features",
+        "Predicted σ in this frame",
+        "Predicted ν in this frame",
+    ]
     rows = {line.split()[0]: line for line in printed.splitlines() if "±" in line}
     assert list(rows) == ["x", "y", "disparity"]
 
@@ -65,14 +76,20 @@ def test_a_kernel_alone(kernel: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     html = page_of(tmp_path)
     assert "What left.safetensors learned" in html
     assert titles(html) == [
-        "The predictors in figures", "What the model learned", "x", "y", "The prior",
+        "The predictors in figures",
+        "What the model learned",
+        "x",
+        "y",
+        "The prior",
         "Where the centers lie, over the most telling predictors",
-    ]  # fmt: skip
+    ]
     assert "out of domain" not in capsys.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["inspection.html"]
 
 
-def test_a_static_model_alone(student: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_static_model_alone(
+    student: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert inspect("--model", student, "--out", tmp_path) == 0
     printed = capsys.readouterr().out
     assert re.search(r"u_l +0.200\n", printed)

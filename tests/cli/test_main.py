@@ -17,13 +17,18 @@ HEAVY = ("scipy", "cv2", "numba", "matplotlib", "numpy", "tyro", "pydantic")
 def test_help_imports_nothing_heavy(words: list[str]) -> None:
     script = "import sys; from probevo.cli.main import main; code = main(sys.argv[1:]); "
     script += f"print([name for name in {HEAVY!r} if name in sys.modules]); sys.exit(code)"
-    done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script, *words], capture_output=True, text=True, check=True
+    )
     assert done.stdout.splitlines()[-1] == "[]"
 
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
 def test_help_of_a_command_needs_neither_scipy_nor_opencv(command: str) -> None:
-    script = "import sys; from probevo.cli.main import main\ntry: main(sys.argv[1:])\nexcept SystemExit as end: "
+    script = (
+        "import sys; from probevo.cli.main import main\ntry: main(sys.argv[1:])\nexcept SystemExit"
+        " as end: "
+    )
     script += f"print([name for name in {HEAVY[:5]!r} if name in sys.modules]); sys.exit(end.code)"
     words = [sys.executable, "-c", script, command, "--help"]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
@@ -52,11 +57,15 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_python_runs_it_as_a_module() -> None:
-    done = subprocess.run([sys.executable, "-m", "probevo", "--version"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "probevo", "--version"], capture_output=True, text=True, check=True
+    )
     assert done.stdout == f"probevo {__version__}\n"
 
 
-@pytest.mark.parametrize("command", [["run", "x"], ["train", "x"], ["compare", "x"], ["inspect", "x"], ["demo"]])
+@pytest.mark.parametrize(
+    "command", [["run", "x"], ["train", "x"], ["compare", "x"], ["inspect", "x"], ["demo"]]
+)
 @pytest.mark.parametrize("out", [["--out", ""], ["--out="]])
 def test_an_empty_out_is_not_the_current_directory(
     command: list[str], out: list[str], capsys: pytest.CaptureFixture[str]
@@ -66,12 +75,16 @@ def test_an_empty_out_is_not_the_current_directory(
 
 
 @pytest.mark.parametrize("world", [["simulate", "point"], ["simulate", "scene"], ["paper", "blur"]])
-def test_an_empty_out_of_a_part_is_refused_too(world: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_out_of_a_part_is_refused_too(
+    world: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main([*world, "--out", ""]) == 2
     assert capsys.readouterr().err.startswith("probevo: --out: is empty.")
 
 
-@pytest.mark.parametrize(("word", "cure"), [("rnu", "Did you mean run?"), ("fly", "Commands are run, train, compare")])
+@pytest.mark.parametrize(
+    ("word", "cure"), [("rnu", "Did you mean run?"), ("fly", "Commands are run, train, compare")]
+)
 def test_unknown_command(word: str, cure: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([word]) == 2
     shown = capsys.readouterr().err
@@ -94,4 +107,7 @@ def test_ctrl_c_gives_130_and_tells_what_is_left(
 
     monkeypatch.setattr(cli, "_dispatch", interrupted)
     assert cli.main(["run"]) == 130
-    assert capsys.readouterr().err == ("probevo: stopped.\n         What was computed before, 7 frames, lies in out.\n")
+    assert (
+        capsys.readouterr().err
+        == "probevo: stopped.\n         What was computed before, 7 frames, lies in out.\n"
+    )

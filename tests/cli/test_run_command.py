@@ -27,7 +27,14 @@ from sequences.damage import cut
 from sequences.recordings import write_folder_sequence, write_tracks
 from worlds import Homesick
 
-FILES = {"config.yaml", "metrics.json", "motions.npz", "report.html", "trajectory.kitti.txt", "trajectory.tum"}
+FILES = {
+    "config.yaml",
+    "metrics.json",
+    "motions.npz",
+    "report.html",
+    "trajectory.kitti.txt",
+    "trajectory.tum",
+}
 
 
 def test_all_files_are_there_and_agree(wall: Path, wall_run: Path) -> None:
@@ -36,8 +43,12 @@ def test_all_files_are_there_and_agree(wall: Path, wall_run: Path) -> None:
     stamps_ns, T_world_cam = read_tum(wall_run / "trajectory.tum")
     np.testing.assert_array_equal(stamps_ns, open_sequence(wall).stamps_ns)
     np.testing.assert_allclose(T_world_cam, result.T_world_cam, atol=1e-14)
-    np.testing.assert_array_equal(read_kitti_poses(wall_run / "trajectory.kitti.txt"), result.T_world_cam)
-    metrics = evaluate(result.T_world_cam, true_poses(8), result.T_curr_prev, result.cov).as_dict()
+    np.testing.assert_array_equal(
+        read_kitti_poses(wall_run / "trajectory.kitti.txt"), result.T_world_cam
+    )
+    metrics = evaluate(
+        result.T_world_cam, true_poses(8), result.T_curr_prev, cov=result.cov
+    ).as_dict()
     written = json.loads((wall_run / "metrics.json").read_text())
     assert written["stopped"] is None
     assert written.pop("nees_coverage") == metrics.pop("nees_coverage")
@@ -71,9 +82,15 @@ def test_defaults_yield_to_the_file_and_the_file_to_flags(wall: Path, tmp_path: 
     file = tmp_path / "settings.yaml"
     file.write_text("noise: fixed\ntracking: {num_features: 300, window_px: 13}\n")
     flags = ["--tracking.num-features", "200", "--no-self-calibration", "--max-frames", "3"]
-    assert main(["run", str(wall), "--out", str(tmp_path / "out"), "--config", str(file), *flags]) == 0
+    assert (
+        main(["run", str(wall), "--out", str(tmp_path / "out"), "--config", str(file), *flags]) == 0
+    )
     config = read_config(tmp_path / "out" / "config.yaml")
-    assert (config.noise, config.tracking.num_features, config.tracking.window_px) == ("fixed", 200, 13)
+    assert (config.noise, config.tracking.num_features, config.tracking.window_px) == (
+        "fixed",
+        200,
+        13,
+    )
     assert (config.self_calibration, config.max_frames, config.sequence) == (False, 3, wall)
     assert len(read_motions(tmp_path / "out" / "motions.npz")) == 3
     assert "<dt>Frames</dt><dd>3 of 8 in" in (tmp_path / "out" / "report.html").read_text()
@@ -82,14 +99,16 @@ def test_defaults_yield_to_the_file_and_the_file_to_flags(wall: Path, tmp_path: 
 def test_a_damaged_image_leaves_what_came_before(
     wall: Path, wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording, out = shutil.copytree(wall, tmp_path / "wall"), tmp_path / "out"
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    out = tmp_path / "out"
     cut("right/000005.png", 0.5)(recording)
     assert main(["run", str(recording), "--out", str(out)]) == 2
     shown = capsys.readouterr().err
     assert "right/000005.png: this image is damaged" in shown
     assert f"What was computed before, 5 frames, lies in {out}." in shown
     assert {path.name for path in out.iterdir()} == FILES
-    before, whole = read_motions(out / "motions.npz"), read_motions(wall_run / "motions.npz")
+    before = read_motions(out / "motions.npz")
+    whole = read_motions(wall_run / "motions.npz")
     np.testing.assert_array_equal(before.T_curr_prev, whole.T_curr_prev[:4])
     said = f"{recording / 'right/000005.png'}: this image is damaged: its end is missing."
     assert before.stopped == said
@@ -103,7 +122,8 @@ def test_a_damaged_image_leaves_what_came_before(
 
 
 def test_the_imu_can_be_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording, out = write_folder_sequence(tmp_path / "folder"), tmp_path / "out"
+    recording = write_folder_sequence(tmp_path / "folder")
+    out = tmp_path / "out"
     for flags, imu in (([], "gyro to start the tracking"), (["--no-imu"], "left out<")):
         assert main(["run", str(recording), "--out", str(out), *flags]) == 0
         assert f"<dt>IMU</dt><dd>{imu}" in (out / "report.html").read_text()
@@ -123,7 +143,7 @@ def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
 
     steps: list[None] = []
     with pytest.raises(KeyboardInterrupt) as caught:
-        run_sequence(open_sequence(wall), RunConfig(), tmp_path, press_ctrl_c)
+        run_sequence(open_sequence(wall), RunConfig(), tmp_path, on_step=press_ctrl_c)
     assert caught.value.__notes__ == [f"What was computed before, 4 frames, lies in {tmp_path}."]
     assert "After 4 frames: stopped by Ctrl-C." in (tmp_path / "report.html").read_text()
     assert {path.name for path in tmp_path.iterdir()} == FILES
@@ -142,7 +162,8 @@ def test_a_terminal_shows_frames_per_second(
 
 
 def test_stale_results_of_an_earlier_run_go(wall: Path, wall_run: Path, tmp_path: Path) -> None:
-    out, recording = shutil.copytree(wall_run, tmp_path / "out"), shutil.copytree(wall, tmp_path / "wall")
+    out = shutil.copytree(wall_run, tmp_path / "out")
+    recording = shutil.copytree(wall, tmp_path / "wall")
     (recording / "poses.txt").unlink()
     assert main(["run", str(recording), "--out", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == FILES - {"metrics.json"}
@@ -150,36 +171,52 @@ def test_stale_results_of_an_earlier_run_go(wall: Path, wall_run: Path, tmp_path
 
 @pytest.mark.parametrize("truth", [True, False])
 def test_features_unlike_the_training_are_counted_and_warned_of(
-    wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], truth: bool
+    wall: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    truth: bool,
 ) -> None:
     monkeypatch.setitem(CLASSICAL, "student-t", Homesick)
-    recording, out = shutil.copytree(wall, tmp_path / "wall"), tmp_path / "out"
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    out = tmp_path / "out"
     if not truth:
         (recording / "poses.txt").unlink()
     assert main(["run", str(recording), "--out", str(out)]) == 0
-    result, page, shown = read_motions(out / "motions.npz"), (out / "report.html").read_text(), capsys.readouterr().out
+    result = read_motions(out / "motions.npz")
+    page = (out / "report.html").read_text()
+    shown = capsys.readouterr().out
     assert result.num_used is not None
     np.testing.assert_array_equal(result.num_out_of_domain, -(-result.num_used // 3))
     assert result.out_of_domain == pytest.approx(1.0 / 3.0, abs=0.01)
     if truth:
-        assert json.loads((out / "metrics.json").read_text())["out_of_domain"] == result.out_of_domain
+        assert (
+            json.loads((out / "metrics.json").read_text())["out_of_domain"] == result.out_of_domain
+        )
         assert main(["eval", str(out), "--gt", str(out / "trajectory.kitti.txt")]) == 0
-        assert json.loads((out / "metrics.json").read_text())["out_of_domain"] == result.out_of_domain
+        assert (
+            json.loads((out / "metrics.json").read_text())["out_of_domain"] == result.out_of_domain
+        )
     for text in (shown, page):
         assert "The noise model was trained on nothing like 33." in text
     assert "<dt>Out of its domain</dt><dd>33." in page
 
 
 @pytest.mark.parametrize("frames", [2, 8])
-def test_swapped_images_are_refused(tmp_path: Path, frames: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_swapped_images_are_refused(
+    tmp_path: Path, frames: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     recording = write_wall(tmp_path / "wall", frames, swapped=True)
     assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 2
     assert "negative disparity.\n         Are left and right swapped?" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_where_the_first_frame_fails_older_results_stay(wall: Path, wall_run: Path, tmp_path: Path) -> None:
-    out, recording = shutil.copytree(wall_run, tmp_path / "out"), shutil.copytree(wall, tmp_path / "wall")
+def test_where_the_first_frame_fails_older_results_stay(
+    wall: Path, wall_run: Path, tmp_path: Path
+) -> None:
+    out = shutil.copytree(wall_run, tmp_path / "out")
+    recording = shutil.copytree(wall, tmp_path / "wall")
     cut("left/000000.png", 0.5)(recording)
     assert main(["run", str(recording), "--out", str(out), "--noise", "fixed"]) == 2
     assert unchanged(out, wall_run)
@@ -195,11 +232,19 @@ def test_where_the_model_is_refused_older_results_stay(
     wall: Path, wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It needs an accelerometer, which there is none of."""
-    out, phi = shutil.copytree(wall_run, tmp_path / "out"), np.random.default_rng(0).normal(size=(50, 2))
-    model = NearestNeighbors(5).fit(phi, np.ones(50), metric=Metric.fitted(phi, ("acceleration", "vibration")))
+    out = shutil.copytree(wall_run, tmp_path / "out")
+    phi = np.random.default_rng(0).normal(size=(50, 2))
+    model = NearestNeighbors(5).fit(
+        phi, np.ones(50), metric=Metric.fitted(phi, ("acceleration", "vibration"))
+    )
     save_model(model, tmp_path / "m.safetensors")
-    assert main(["run", str(wall), "--out", str(out), "--noise", str(tmp_path / "m.safetensors")]) == 2
-    assert f"{wall}: it has no accelerometer, which the predictor acceleration needs." in capsys.readouterr().err
+    assert (
+        main(["run", str(wall), "--out", str(out), "--noise", str(tmp_path / "m.safetensors")]) == 2
+    )
+    assert (
+        f"{wall}: it has no accelerometer, which the predictor acceleration needs."
+        in capsys.readouterr().err
+    )
     assert unchanged(out, wall_run)
 
 
@@ -209,11 +254,18 @@ def test_settings_that_do_not_go_together_are_named_alone(
     flags = ["--gyro.prior", "--solver.method", "alignment"]
     assert main(["run", str(wall), "--out", str(tmp_path / "out"), *flags]) == 2
     said = capsys.readouterr().err.strip()
-    assert said == "probevo: flags: gyro.prior needs solver.method reprojection: the alignment takes no prior."
+    assert (
+        said
+        == "probevo: flags: gyro.prior needs solver.method reprojection: the alignment takes no"
+        " prior."
+    )
 
 
-def test_where_it_stops_after_the_first_frame_older_results_stay(wall: Path, wall_run: Path, tmp_path: Path) -> None:
-    out, recording = shutil.copytree(wall_run, tmp_path / "out"), shutil.copytree(wall, tmp_path / "wall")
+def test_where_it_stops_after_the_first_frame_older_results_stay(
+    wall: Path, wall_run: Path, tmp_path: Path
+) -> None:
+    out = shutil.copytree(wall_run, tmp_path / "out")
+    recording = shutil.copytree(wall, tmp_path / "wall")
     cut("left/000001.png", 0.5)(recording)
     assert main(["run", str(recording), "--out", str(out)]) == 2
     assert unchanged(out, wall_run)
@@ -235,7 +287,9 @@ def test_a_learned_model_is_named_by_its_path_and_may_refuse_the_camera(
             if self.dof == 3.0:
                 raise InputError("city.safetensors", "was learned with another camera.")
 
-    monkeypatch.setattr("probevo.noise.named.load_model", lambda path: Learned(dof=float(path.read_text())))
+    monkeypatch.setattr(
+        "probevo.noise.named.load_model", lambda path: Learned(dof=float(path.read_text()))
+    )
     monkeypatch.chdir(tmp_path)
     Path("city.safetensors").write_text("5.0")
     words = ["run", str(wall), "--out", "out", "--noise", "city.safetensors", "--max-frames", "3"]
@@ -253,7 +307,9 @@ def test_a_single_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out.startswith("1 frame, and so no motion\nresults: ")
 
 
-def test_absurd_truth_is_refused(wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_absurd_truth_is_refused(
+    wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     recording = shutil.copytree(wall, tmp_path / "wall")
     poses = ["1 0 0 0 0 1 0 0 0 0 1 0", *["1 0 0 1e300 0 1 0 0 0 0 1 0"] * 7]
     (recording / "poses.txt").write_text("\n".join(poses))
@@ -265,12 +321,14 @@ def test_frames_without_texture_or_features_end_well_but_are_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Random pictures have no tracks, and a tracks file no pictures."""
-    noise, tracks = write_folder_sequence(tmp_path / "noise"), write_tracks(tmp_path)
+    noise = write_folder_sequence(tmp_path / "noise")
+    tracks = write_tracks(tmp_path)
     for path in (noise, tracks):
         assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
         cov = read_motions(tmp_path / "out" / "motions.npz").cov
         assert np.isfinite(cov).all()
-        page, said = (tmp_path / "out" / "report.html").read_text(), capsys.readouterr().err
+        page = (tmp_path / "out" / "report.html").read_text()
+        said = capsys.readouterr().err
         for text in (page, said):
             assert "Only 0 of 3 steps are OK" in text
             assert "see `probevo info SEQUENCE`." in text
@@ -284,17 +342,32 @@ def test_frames_without_texture_or_features_end_well_but_are_warned_of(
         (["WALL", "--out", "WALL/calib.yaml"], ["--out: ", "calib.yaml is a file."]),
         (["WALL", "--out", "OUT", "--format", "euroc"], ["sensor.yaml", "missing"]),
         (["WALL", "--out", "OUT", "--threads", "0"], ["--threads", "at least 1"]),
-        (["WALL", "--out", "OUT", "--tracking.num-features", "3"], ["--tracking.num-features is 3;", "equal to 8"]),
+        (
+            ["WALL", "--out", "OUT", "--tracking.num-features", "3"],
+            ["--tracking.num-features is 3;", "equal to 8"],
+        ),
         (["WALL", "--out", "OUT", "--gyro.prior"], ["--gyro.prior: the recording", "has no IMU."]),
-        (["WALL", "--out", "OUT", "--ransac.rotation-from", "gyro"], ["--ransac.rotation-from gyro: ", "no IMU."]),
+        (
+            ["WALL", "--out", "OUT", "--ransac.rotation-from", "gyro"],
+            ["--ransac.rotation-from gyro: ", "no IMU."],
+        ),
         (["WALL", "--out", "OUT", "--max-frames", "1"], ["--max-frames is 1;", "equal to 2"]),
-        (["WALL", "--out", "OUT", "--noise", "student"], ["--noise: 'student' is no known", "Did you mean student-t?"]),
+        (
+            ["WALL", "--out", "OUT", "--noise", "student"],
+            ["--noise: 'student' is no known", "Did you mean student-t?"],
+        ),
     ],
 )
 def test_mistakes_exit_with_2_and_name_the_fault(
-    words: list[str], fragments: list[str], wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    fragments: list[str],
+    wall: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    words = [word.replace("WALL", str(wall)).replace("OUT", str(tmp_path / "out")) for word in words]
+    words = [
+        word.replace("WALL", str(wall)).replace("OUT", str(tmp_path / "out")) for word in words
+    ]
     assert main(["run", *words]) == 2
     shown = capsys.readouterr().err
     assert shown.startswith("probevo: ")
@@ -302,7 +375,9 @@ def test_mistakes_exit_with_2_and_name_the_fault(
         assert fragment in shown
 
 
-@pytest.mark.parametrize("words", [["WALL"], ["WALL", "--out"], ["WALL", "--out", "x", "--tracking.num-feature", "9"]])
+@pytest.mark.parametrize(
+    "words", [["WALL"], ["WALL", "--out"], ["WALL", "--out", "x", "--tracking.num-feature", "9"]]
+)
 def test_flags_that_cannot_be_read_exit_with_2(words: list[str], wall: Path) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["run", *(word.replace("WALL", str(wall)) for word in words)])

@@ -1,4 +1,5 @@
-"""``probevo train``: from a simulated recording to motions with the model, its refusals, and what survives a kill."""
+"""``probevo train``: from a simulated recording to motions with the model, its refusals, and what
+survives a kill."""
 
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from training.supervised_drives import point_world
 
 from probevo.cli import train as command
 from probevo.cli.main import main
@@ -14,9 +16,8 @@ from probevo.noise import NearestNeighbors
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import load_model, save_model
 from probevo.output.motions_file import read_motions
-from probevo.simulation.point_world import write_points
+from probevo_sim.point_world import write_points
 from sequences.recordings import write_tracks
-from training.lessons import point_world
 
 FLAGS = ["--predictors", "place", "row_offset", "--iterations", "4", "--subset", "6"]
 
@@ -38,11 +39,26 @@ def model(tracks: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_simulate_train_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The whole way with the command line alone."""
-    world, out = tmp_path / "world", tmp_path / "m.safetensors"
-    words = ["--train-s", "1.5", "--test-s", "1.5", "--radius-m", "3", "--landmarks", "400", "--noise.law", "column"]
+    world = tmp_path / "world"
+    out = tmp_path / "m.safetensors"
+    words = [
+        "--train-s",
+        "1.5",
+        "--test-s",
+        "1.5",
+        "--radius-m",
+        "3",
+        "--landmarks",
+        "400",
+        "--noise.law",
+        "column",
+    ]
     assert main(["simulate", "point", "--out", str(world), *words]) == 0
     assert main(["train", str(world / "train.npz"), "--out", str(out), *FLAGS]) == 0
-    assert main(["run", str(world / "test.npz"), "--out", str(tmp_path / "run"), "--noise", str(out)]) == 0
+    assert (
+        main(["run", str(world / "test.npz"), "--out", str(tmp_path / "run"), "--noise", str(out)])
+        == 0
+    )
     result = read_motions(tmp_path / "run" / "motions.npz")
     assert len(result) == 16
     assert np.isfinite(result.cov).all()
@@ -54,13 +70,18 @@ def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(
 ) -> None:
     out = tmp_path / "m.safetensors"
     assert main(["train", str(tracks), "--out", str(out), *FLAGS]) == 0
-    model, lines = load_model(out), capsys.readouterr().out.splitlines()
+    model = load_model(out)
+    lines = capsys.readouterr().out.splitlines()
     assert f"samples     {len(model.index_.values):,} from 16 frames of 1 recordings" in lines
     assert "predictors  x, y, row_offset" in lines
     assert f"K           {model.neighbors}" in lines
     assert f"γ           {model.exponent:g}" in lines
     assert (
-        sum(line.startswith(("squared error of left-out samples", "mean error on the training")) for line in lines) == 2
+        sum(
+            line.startswith(("squared error of left-out samples", "mean error on the training"))
+            for line in lines
+        )
+        == 2
     )
     assert lines[-1] == f"model: {out}"
 
@@ -89,7 +110,22 @@ def test_given_k_and_gamma_are_not_searched_for(
     tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "m.safetensors"
-    assert main(["train", str(tracks), "--out", str(out), *FLAGS, "--neighbors", "7", "--exponent", "2.5"]) == 0
+    assert (
+        main(
+            [
+                "train",
+                str(tracks),
+                "--out",
+                str(out),
+                *FLAGS,
+                "--neighbors",
+                "7",
+                "--exponent",
+                "2.5",
+            ]
+        )
+        == 0
+    )
     assert (load_model(out).neighbors, load_model(out).exponent) == (7, 2.5)
     assert "squared error" not in capsys.readouterr().out
 
@@ -104,7 +140,10 @@ def test_the_same_words_give_the_same_bytes(tracks: Path, model: Path, tmp_path:
 
 
 def test_a_terminal_shows_how_far_it_is(
-    tracks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tracks: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     monkeypatch.setenv("COLUMNS", "120")
@@ -116,7 +155,10 @@ def test_a_terminal_shows_how_far_it_is(
 
 
 def test_ctrl_c_exits_with_130(
-    tracks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tracks: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
@@ -129,15 +171,24 @@ def test_ctrl_c_exits_with_130(
 def write_images_model(path: Path) -> Path:
     """Of a predictor that looks at images."""
     phi = np.random.default_rng(0).normal(size=(50, 1))
-    save_model(NearestNeighbors(5).fit(phi, np.ones(50), metric=Metric.fitted(phi, ("blur",), (True,))), path)
+    save_model(
+        NearestNeighbors(5).fit(phi, np.ones(50), metric=Metric.fitted(phi, ("blur",), (True,))),
+        path,
+    )
     return path
 
 
 MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "no such recording": (["nowhere.npz"], ["nowhere.npz: nothing is there"]),
     "one frame": (["ONE"], ["one frame", "no motion to learn from", "Give a longer one."]),
-    "no truth": (["BLIND"], ["no ground truth, which --supervision gt needs", "--supervision none"]),
-    "other cameras": (["TRACKS", "BLIND"], ["its camera is not that of", "Train one model for each camera."]),
+    "no truth": (
+        ["BLIND"],
+        ["no ground truth, which --supervision gt needs", "--supervision none"],
+    ),
+    "other cameras": (
+        ["TRACKS", "BLIND"],
+        ["its camera is not that of", "Train one model for each camera."],
+    ),
     "unknown predictor": (
         ["TRACKS", "--predictors", "blurr"],
         ["--predictors: blurr is not known.", "Did you mean blur?"],
@@ -150,28 +201,53 @@ MISTAKES: dict[str, tuple[list[str], list[str]]] = {
         ["TRACKS", "--predictors", "acceleration"],
         ["it has no accelerometer, which the predictor acceleration needs."],
     ),
-    "K too large": (["TRACKS", "--neighbors", "9999"], ["--neighbors: K is 9999, but there are only 360 samples"]),
+    "K too large": (
+        ["TRACKS", "--neighbors", "9999"],
+        ["--neighbors: K is 9999, but there are only 360 samples"],
+    ),
     "K of 0": (["TRACKS", "--neighbors", "0"], ["--neighbors is 0;", "greater than or equal to 1"]),
-    "one iteration": (["TRACKS", "--iterations", "1"], ["--iterations is 1;", "greater than or equal to 2"]),
-    "subset too large": (["TRACKS", "--subset", "900"], ["no step has 900 features", "smaller --subset"]),
+    "one iteration": (
+        ["TRACKS", "--iterations", "1"],
+        ["--iterations is 1;", "greater than or equal to 2"],
+    ),
+    "subset too large": (
+        ["TRACKS", "--subset", "900"],
+        ["no step has 900 features", "smaller --subset"],
+    ),
     "truth too seldom": (
         ["TRACKS", "--supervision", "sparse", "--every-s", "9"],
         ["the truth of 1 frames is used; --supervision sparse needs 2.", "a smaller --every-s"],
     ),
-    "twice": (["TRACKS", "TRACKS"], ["drive.npz: this recording is named twice.", "it would count double"]),
-    "two frames": (["TRACKS", "--max-frames", "2"], ["the drives are too short to choose K", "--neighbors and"]),
+    "twice": (
+        ["TRACKS", "TRACKS"],
+        ["drive.npz: this recording is named twice.", "it would count double"],
+    ),
+    "two frames": (
+        ["TRACKS", "--max-frames", "2"],
+        ["the drives are too short to choose K", "--neighbors and"],
+    ),
     "loop cut short": (
         ["BLIND", "--supervision", "loop", "--max-frames", "3"],
-        ["only 3 of its 4 frames are used, but the loop closes at the last one.", "Leave out --max-frames."],
+        [
+            "only 3 of its 4 frames are used, but the loop closes at the last one.",
+            "Leave out --max-frames.",
+        ],
     ),
-    "no model file": (["TRACKS", "--out", "OUT/model.npz"], ["--out: ", "model.npz", ".safetensors"]),
+    "no model file": (
+        ["TRACKS", "--out", "OUT/model.npz"],
+        ["--out: ", "model.npz", ".safetensors"],
+    ),
     "a file in the way": (["TRACKS", "--out", "TRACKS/m.safetensors"], ["--out: ", "is a file."]),
 }
 
 
 @pytest.mark.parametrize(("words", "fragments"), MISTAKES.values(), ids=MISTAKES.keys())
 def test_mistakes_exit_with_2_and_name_the_cure(
-    words: list[str], fragments: list[str], tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    fragments: list[str],
+    tracks: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     for name in ("one", "blind"):
         (tmp_path / name).mkdir()
@@ -195,8 +271,12 @@ def without(words: list[str]) -> list[str]:
     return [word for flag, usual in pairs.items() if flag not in words for word in usual]
 
 
-@pytest.mark.parametrize("words", [[], ["TRACKS"], ["TRACKS", "--out", "m.safetensors", "--supervision", "some"]])
-def test_words_that_cannot_be_read_exit_with_2(words: list[str], tracks: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "words", [[], ["TRACKS"], ["TRACKS", "--out", "m.safetensors", "--supervision", "some"]]
+)
+def test_words_that_cannot_be_read_exit_with_2(
+    words: list[str], tracks: Path, tmp_path: Path
+) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["train", *(str(tracks) if word == "TRACKS" else word for word in words)])
     assert caught.value.code == 2
@@ -222,7 +302,9 @@ def test_unfinished_work_with_other_settings_names_its_folder(
 
 
 @pytest.mark.parametrize("name", ["drive-0-0.npz", "drive-0.json", "iteration-0.npz", "plan.json"])
-def test_damaged_work_is_named(tracks: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_work_is_named(
+    tracks: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "m.safetensors"
     assert main(["train", str(tracks), "--out", str(out), *FLAGS, "--neighbors", "9999"]) == 2
     damaged = tmp_path / "m.safetensors.work" / name
@@ -234,16 +316,29 @@ def test_damaged_work_is_named(tracks: Path, tmp_path: Path, name: str, capsys: 
     assert f"Delete the folder {damaged.parent}." in shown
 
 
-@pytest.mark.parametrize(("supervision", "hint"), [("gt", True), ("sparse", True), ("none", False), ("loop", False)])
+@pytest.mark.parametrize(
+    ("supervision", "hint"), [("gt", True), ("sparse", True), ("none", False), ("loop", False)]
+)
 def test_where_gamma_is_0_it_is_said_what_that_means(supervision: str, hint: bool) -> None:
     """Only a truth at single frames can jump from one to the next."""
-    training = {"recordings": [{"frames": 3}], "searches": {}, "settings": {"supervision": supervision}}
+    training = {
+        "recordings": [{"frames": 3}],
+        "searches": {},
+        "settings": {"supervision": supervision},
+    }
     phi = np.random.default_rng(0).normal(size=(50, 1))
-    model = NearestNeighbors(5, 0.0, training=training).fit(phi, np.ones(50), metric=Metric.fitted(phi, ("age",)))
+    model = NearestNeighbors(5, 0.0, training=training).fit(
+        phi, np.ones(50), metric=Metric.fitted(phi, ("age",))
+    )
     lines = command.summary(model, Path("m.safetensors"))
-    meaning = "γ is 0: nothing shows that any feature is better than another; the model is the static one."
+    meaning = (
+        "γ is 0: nothing shows that any feature is better than another; the model is the static"
+        " one."
+    )
     assert meaning in lines
-    assert ("A truth that jumps from frame to frame hides it: try --supervision none." in lines) == hint
+    assert (
+        "A truth that jumps from frame to frame hides it: try --supervision none." in lines
+    ) == hint
 
 
 def test_the_model_of_another_camera_is_refused(
@@ -274,7 +369,19 @@ def test_a_damaged_model_is_refused(
     content = bytearray(model.read_bytes())
     content[-20] ^= 1
     (tmp_path / "m.safetensors").write_bytes(bytes(content))
-    assert main(["run", str(tracks), "--out", str(tmp_path / "run"), "--noise", str(tmp_path / "m.safetensors")]) == 2
+    assert (
+        main(
+            [
+                "run",
+                str(tracks),
+                "--out",
+                str(tmp_path / "run"),
+                "--noise",
+                str(tmp_path / "m.safetensors"),
+            ]
+        )
+        == 2
+    )
     assert "damaged" in capsys.readouterr().err
 
 
@@ -285,18 +392,30 @@ KILLS = 4
 def test_killed_four_times_and_resumed_it_gives_the_same_bytes(tmp_path: Path) -> None:
     """At random moments of the training, with SIGKILL: nothing can be tidied up.
 
-    Where a run is through before its moment has come, its bytes are right too, and the next one starts anew.
+    Where a run is through before its moment has come, its bytes are right too, and the next one
+    starts anew.
     """
     for seed in range(3):
-        write_points(point_world("column", seed=seed, frames=16, landmarks=400), tmp_path / f"{seed}.npz")
-    words = [*(str(tmp_path / f"{seed}.npz") for seed in range(3)), "--predictors", "place", "row_offset"]
+        write_points(
+            point_world("column", seed=seed, frames=16, landmarks=400), tmp_path / f"{seed}.npz"
+        )
+    words = [
+        *(str(tmp_path / f"{seed}.npz") for seed in range(3)),
+        "--predictors",
+        "place",
+        "row_offset",
+    ]
     words += ["--iterations", "120", "--neighbors", "50", "--exponent", "2"]
-    whole, out = tmp_path / "whole.safetensors", tmp_path / "killed.safetensors"
-    assert main(["train", *words, "--out", str(whole)]) == 0  # compiles too, if that has not been done yet
+    whole = tmp_path / "whole.safetensors"
+    out = tmp_path / "killed.safetensors"
+    assert (
+        main(["train", *words, "--out", str(whole)]) == 0
+    )  # compiles too, if that has not been done yet
     training_s = Training(words, out).until_done()
     assert out.read_bytes() == whole.read_bytes()
     out.unlink()
-    rng, kills = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
+    kills = 0
     for _ in range(3 * KILLS):
         training = Training(words, out)
         if training.killed_after(rng.uniform(0.0, 2.0 * training_s / KILLS)):
@@ -320,7 +439,10 @@ class Training:
         before = self.written()
         command = [sys.executable, "-m", "probevo.cli.main", "train", *words, "--out", str(out)]
         self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        while self.process.poll() is None and self.written() in (before, 0):  # it writes its plan before all else
+        while self.process.poll() is None and self.written() in (
+            before,
+            0,
+        ):  # it writes its plan before all else
             time.sleep(0.002)
         self.begun_s = time.monotonic()
 

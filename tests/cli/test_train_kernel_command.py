@@ -1,22 +1,23 @@
-"""``probevo train --kind gk`` and ``student-t``: what they learn and say, how far they are, and what they refuse."""
+"""``probevo train --kind gk`` and ``student-t``: what they learn and say, how far they are, and
+what they refuse."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from training.supervised_drives import point_world
 
 from probevo.cli.main import main
-from probevo.noise.generalized_kernel import GeneralizedKernel
+from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.model_io import load_model
 from probevo.noise.student_t import StudentT
 from probevo.output.motions_file import read_motions
 from probevo.sequences import open_sequence
-from probevo.simulation.point_world import write_points
 from probevo.training.api import train_model
 from probevo.training.settings import KernelSettings, TrainSettings
+from probevo_sim.point_world import write_points
 from sequences.recordings import write_tracks
-from training.lessons import point_world
 
 GK = ["--kind", "gk", "--predictors", "place", "--gk.turns", "2"]
 FRAMES = 16
@@ -36,26 +37,35 @@ def test_gk_says_what_was_learned_and_how_it_came_about(
 ) -> None:
     out = tmp_path / "m.safetensors"
     assert main(["train", str(tracks), "--out", str(out), *GK, *GIVEN[:2]]) == 0
-    model, lines = load_model(out), capsys.readouterr().out.splitlines()
+    model = load_model(out)
+    lines = capsys.readouterr().out.splitlines()
     assert isinstance(model, GeneralizedKernel)
     assert f"samples     {model.samples_:,} from {FRAMES} frames of 1 recordings" in lines
     assert f"K           {model.shape_.neighbors}" in lines
-    assert any(line.startswith(f"ν           {model.prior_.dof[0]:.3g} of the prior") for line in lines)
+    assert any(
+        line.startswith(f"ν           {model.prior_.dof[0]:.3g} of the prior") for line in lines
+    )
     (predictors,) = [line.split(maxsplit=1)[1] for line in lines if line.startswith("predictors")]
     assert predictors.split(", ")[0] == "x"
-    gains = {line.split()[0]: line.split()[1:] for line in lines[lines.index("") + 3 :] if "+" in line}
+    gains = {
+        line.split()[0]: line.split()[1:] for line in lines[lines.index("") + 3 :] if "+" in line
+    }
     weight, gain = gains["x"]
     assert float(weight) == model.metric_.weight[0]
     assert float(gain) == pytest.approx(model.training["searches"]["weights"]["gains"][0], abs=6e-4)
     assert float(gain) > 0.1
     first = next(k for k, line in enumerate(lines) if line.startswith("0: the static model"))
     likelihoods = [float(line.split()[-2]) for line in lines[first : first + 3]]
-    np.testing.assert_allclose(likelihoods, [t["log_likelihood"] for t in model.training["turns"]], atol=1e-4)
+    np.testing.assert_allclose(
+        likelihoods, [t["log_likelihood"] for t in model.training["turns"]], atol=1e-4
+    )
     assert likelihoods[-1] > likelihoods[0]
     assert lines[-1] == f"model: {out}"
 
 
-def test_what_is_given_is_not_searched_for(tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_given_is_not_searched_for(
+    tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "m.safetensors"
     assert main(["train", str(tracks), "--out", str(out), *GK, *GIVEN]) == 0
     model = load_model(out)
@@ -65,7 +75,9 @@ def test_what_is_given_is_not_searched_for(tracks: Path, tmp_path: Path, capsys:
     assert "K           60" in capsys.readouterr().out
 
 
-def test_published_has_a_fixed_support(tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_published_has_a_fixed_support(
+    tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "m.safetensors"
     words = ["--gk.variant", "published", "--gk.reach", "1.5", "--gk.turns", "1"]
     assert main(["train", str(tracks), "--out", str(out), *GK[:-2], *words]) == 0
@@ -75,15 +87,20 @@ def test_published_has_a_fixed_support(tracks: Path, tmp_path: Path, capsys: pyt
     assert "not used" not in shown
 
 
-def test_student_t_says_its_scale_and_runs(tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_student_t_says_its_scale_and_runs(
+    tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "s.safetensors"
     assert main(["train", str(tracks), "--out", str(out), "--kind", "student-t"]) == 0
-    model, lines = load_model(out), capsys.readouterr().out.splitlines()
+    model = load_model(out)
+    lines = capsys.readouterr().out.splitlines()
     assert isinstance(model, StudentT)
     assert f"ν           {model.dof_:.3g}" in lines
     sigma = {line.split()[0]: line.split()[1:] for line in lines if line.startswith(("u_", "v_"))}
     expected = np.sqrt(np.diag(model.scale_))
-    np.testing.assert_allclose([float(sigma[name][0]) for name in ("u_l", "v_l", "u_r", "v_r")], expected, atol=6e-4)
+    np.testing.assert_allclose(
+        [float(sigma[name][0]) for name in ("u_l", "v_l", "u_r", "v_r")], expected, atol=6e-4
+    )
     correlation = float(sigma["u_r"][1].replace("−", "-"))
     assert correlation == pytest.approx(model.scale_[0, 2] / (expected[0] * expected[2]), abs=6e-3)
     assert sum(line.startswith(("0: not trained", "1 ", "2 ", "3 ", "4 ")) for line in lines) == 5
@@ -91,10 +108,21 @@ def test_student_t_says_its_scale_and_runs(tracks: Path, tmp_path: Path, capsys:
     assert np.isfinite(read_motions(tmp_path / "run" / "motions.npz").cov).all()
 
 
-def test_without_truth_there_is_no_end_error(tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_truth_there_is_no_end_error(
+    tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     blind = tmp_path / "blind.npz"
-    np.savez(blind, **{name: array for name, array in np.load(tracks).items() if name != "T_world_cam"})
-    words = ["--kind", "student-t", "--supervision", "none", "--out", str(tmp_path / "s.safetensors")]
+    np.savez(
+        blind, **{name: array for name, array in np.load(tracks).items() if name != "T_world_cam"}
+    )
+    words = [
+        "--kind",
+        "student-t",
+        "--supervision",
+        "none",
+        "--out",
+        str(tmp_path / "s.safetensors"),
+    ]
     assert main(["train", str(blind), *words]) == 0
     shown = capsys.readouterr().out
     assert "likelihood, nats a feature" in shown
@@ -108,7 +136,12 @@ def test_the_bar_moves_within_a_search(tracks: Path, tmp_path: Path) -> None:
         kind="gk", predictors=("place",), gk=KernelSettings(turns=1, neighbors=40, prior_counts=8.0)
     )
     sequence = open_sequence(tracks)
-    train_model([sequence], settings, tmp_path / "m.safetensors", lambda done, total: seen.append((done, total)))
+    train_model(
+        [sequence],
+        settings,
+        tmp_path / "m.safetensors",
+        on_progress=lambda done, total: seen.append((done, total)),
+    )
     done = [number for number, _ in seen]
     assert {total for _, total in seen} == {FRAMES * 12}
     assert done == sorted(done)
@@ -119,74 +152,151 @@ def test_the_bar_moves_within_a_search(tracks: Path, tmp_path: Path) -> None:
 MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "positions for gk": (
         ["--kind", "gk", "--supervision", "position"],
-        ["--supervision: position is for --kind knn alone", "Take sparse if attitudes are known too"],
+        [
+            "--supervision: position is for --kind knn alone",
+            "Take sparse if attitudes are known too",
+        ],
     ),
-    "positions for student-t": (["--kind", "student-t", "--supervision", "position"], ["student-t takes the truth"]),
-    "K of the other kind": (["--kind", "gk", "--neighbors", "9"], ["--neighbors: ", "Its K is --gk.neighbors."]),
-    "subsets for gk": (["--kind", "gk", "--subset", "9"], ["--subset: --kind gk does not take it."]),
+    "positions for student-t": (
+        ["--kind", "student-t", "--supervision", "position"],
+        ["student-t takes the truth"],
+    ),
+    "K of the other kind": (
+        ["--kind", "gk", "--neighbors", "9"],
+        ["--neighbors: ", "Its K is --gk.neighbors."],
+    ),
+    "subsets for gk": (
+        ["--kind", "gk", "--subset", "9"],
+        ["--subset: --kind gk does not take it."],
+    ),
     "centers for knn": (["--gk.centers", "9"], ["--gk.centers: --kind knn does not take it."]),
-    "centers for student-t": (["--kind", "student-t", "--gk.centers", "9"], ["--gk.centers: --kind student-t"]),
-    "predictors for student-t": (["--kind", "student-t", "--predictors", "place"], ["--predictors: student-t takes"]),
+    "centers for student-t": (
+        ["--kind", "student-t", "--gk.centers", "9"],
+        ["--gk.centers: --kind student-t"],
+    ),
+    "predictors for student-t": (
+        ["--kind", "student-t", "--predictors", "place"],
+        ["--predictors: student-t takes"],
+    ),
     "too light a prior as published": (
         ["--kind", "gk", "--gk.variant", "published", "--gk.prior-counts", "3"],
         ["--gk.prior-counts: 3 is too few", "needs more than 3"],
     ),
     "K as published": (
-        ["--kind", "gk", "--gk.variant", "published", "--gk.neighbors", "9"], ["all within --gk.reach contribute"],
+        ["--kind", "gk", "--gk.variant", "published", "--gk.neighbors", "9"],
+        ["all within --gk.reach contribute"],
     ),
     "half a truth": (
         ["--kind", "gk", "--gk.truth-sigma-deg", "1"],
         ["--gk.truth-sigma-deg: it means nothing without --gk.truth-sigma-m."],
     ),
     "how good no truth is": (
-        ["--kind", "gk", "--supervision", "none", "--gk.truth-sigma-m", "1", "--gk.truth-sigma-deg", "1"],
+        [
+            "--kind",
+            "gk",
+            "--supervision",
+            "none",
+            "--gk.truth-sigma-m",
+            "1",
+            "--gk.truth-sigma-deg",
+            "1",
+        ],
         ["--gk.truth-sigma-m: --supervision none uses no truth.", "Leave it out."],
     ),
-    "all truth, thinned": (["--every-s", "1"], ["--every-s: --supervision gt does not take it.", "sparse or position"]),
-    "a loop, thinned": (["--kind", "gk", "--supervision", "loop", "--every-s", "1"], ["--supervision loop does not"]),
-    "no truth, thinned": (["--kind", "gk", "--supervision", "none", "--every-s", "1"], ["--supervision none does not"]),
+    "all truth, thinned": (
+        ["--every-s", "1"],
+        ["--every-s: --supervision gt does not take it.", "sparse or position"],
+    ),
+    "a loop, thinned": (
+        ["--kind", "gk", "--supervision", "loop", "--every-s", "1"],
+        ["--supervision loop does not"],
+    ),
+    "no truth, thinned": (
+        ["--kind", "gk", "--supervision", "none", "--every-s", "1"],
+        ["--supervision none does not"],
+    ),
     "alignment by the noise of residuals": (
         ["--kind", "gk", "--gk.refers-to", "residual", "--odometry.solver.method", "alignment"],
-        ["--gk.refers-to: residual has no noise of single observations", "--odometry.solver.method alignment"],
+        [
+            "--gk.refers-to: residual has no noise of single observations",
+            "--odometry.solver.method alignment",
+        ],
     ),
     "the same of the static model": (
-        ["--kind", "student-t", "--gk.refers-to", "residual", "--odometry.solver.method", "alignment"],
+        [
+            "--kind",
+            "student-t",
+            "--gk.refers-to",
+            "residual",
+            "--odometry.solver.method",
+            "alignment",
+        ],
         ["--gk.refers-to: residual has no noise"],
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("words", "fragments"), MISTAKES.values(), ids=MISTAKES.keys())
 def test_what_does_not_go_together_is_refused_before_the_work(
-    words: list[str], fragments: list[str], tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    fragments: list[str],
+    tracks: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert main(["train", str(tracks), "--out", str(tmp_path / "out" / "m.safetensors"), *words]) == 2
+    assert (
+        main(["train", str(tracks), "--out", str(tmp_path / "out" / "m.safetensors"), *words]) == 2
+    )
     shown = capsys.readouterr().err
     for fragment in fragments:
         assert fragment in shown
     assert not list(tmp_path.iterdir())
 
 
-def test_the_model_of_another_camera_is_named(tmp_path: Path, tracks: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_model_of_another_camera_is_named(
+    tmp_path: Path, tracks: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "s.safetensors"
     assert main(["train", str(tracks), "--out", str(out), "--kind", "student-t"]) == 0
     other = write_tracks(tmp_path)
     for words in (["run", "--noise"], ["compare", "--noise"], ["inspect", "--model"]):
         assert main([words[0], str(other), "--out", str(tmp_path / "out"), words[1], str(out)]) == 2
         shown = capsys.readouterr().err
-        assert shown.startswith(f"probevo: {out}: it was trained with another camera: this one's focal length is 50 px")
+        assert shown.startswith(
+            f"probevo: {out}: it was trained with another camera: this one's focal length is 50 px"
+        )
         assert "Train one with this camera." in shown
     assert not (tmp_path / "out").exists()
 
 
-def test_trained_models_side_by_side(tracks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file that is called like a classical model is told apart from it. Reports of the runs are left out."""
+def test_trained_models_side_by_side(
+    tracks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file that is called like a classical model is told apart from it. Reports of the runs are
+    left out."""
     monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
-    static, kernel = tmp_path / "city" / "student-t.safetensors", tmp_path / "city" / "gk.safetensors"
+    static = tmp_path / "city" / "student-t.safetensors"
+    kernel = tmp_path / "city" / "gk.safetensors"
     assert main(["train", str(tracks), "--out", str(static), "--kind", "student-t"]) == 0
-    assert main(["train", str(tracks), "--out", str(kernel), *GK[:-2], "--gk.turns", "1", *GIVEN]) == 0
+    assert (
+        main(["train", str(tracks), "--out", str(kernel), *GK[:-2], "--gk.turns", "1", *GIVEN]) == 0
+    )
     out = tmp_path / "out"
-    assert main(["compare", str(tracks), "--noise", "student-t", str(static), str(kernel), "--out", str(out)]) == 0
+    assert (
+        main(
+            [
+                "compare",
+                str(tracks),
+                "--noise",
+                "student-t",
+                str(static),
+                str(kernel),
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
     runs = json.loads((out / "comparison.json").read_text())["runs"]
     assert [run["estimator"] for run in runs] == ["student-t", "city-student-t", "gk"]
     assert len({run["metrics"]["armse_m"] for run in runs}) == 3

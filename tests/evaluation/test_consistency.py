@@ -74,12 +74,16 @@ def test_interval_of_the_share_is_that_of_the_binomial(count: int) -> None:
 
 
 def test_an_honest_run_stays_in_the_interval_as_often_as_it_should() -> None:
-    """At each of five levels, over 2000 runs of 300 steps: 95 %, or the little more that a whole number needs."""
-    levels, runs = np.array([0.1, 0.3, 0.5, 0.7, 0.9]), np.random.default_rng(6).chisquare(6, (2000, 300))
+    """At each of five levels, over 2000 runs of 300 steps: 95 %, or the little more that a whole
+    number needs."""
+    levels = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+    runs = np.random.default_rng(6).chisquare(6, (2000, 300))
     low, high = Consistency(runs[0]).share_interval(levels)
     shares = np.array([Consistency(nees).share_inside(levels) for nees in runs])
     often = ((low <= shares) & (shares <= high)).mean(axis=0)
-    nominal = binom.cdf(np.round(300 * high), 300, levels) - binom.cdf(np.round(300 * low) - 1, 300, levels)
+    nominal = binom.cdf(np.round(300 * high), 300, levels) - binom.cdf(
+        np.round(300 * low) - 1, 300, levels
+    )
     assert (nominal >= 0.95).all()
     np.testing.assert_allclose(often, nominal, atol=3.5 * np.sqrt(0.05 * 0.95 / 2000))
 
@@ -96,7 +100,8 @@ def student_errors(rng: np.random.Generator, noise: StereoNoise) -> FloatArray:
 @pytest.mark.parametrize("dof", [1.0, 3.0, 30.0, np.inf, None])
 def test_features_drawn_from_their_noise_have_nominal_coverage(dof: float | None) -> None:
     """Also where each has a scale, a bias and a ν of its own (None), Gaussians among them."""
-    rng, count = np.random.default_rng(7), 20_000
+    rng = np.random.default_rng(7)
+    count = 20_000
     factor = rng.normal(size=(count, 4, 4))
     each = rng.choice([0.7, 2.0, 8.0, np.inf], count) if dof is None else np.full(count, dof)
     noise = StereoNoise(factor @ factor.mT + 0.1 * np.eye(4), each, rng.normal(size=(count, 4)))
@@ -108,11 +113,16 @@ def test_features_drawn_from_their_noise_have_nominal_coverage(dof: float | None
 
 
 def test_coverage_tells_heavy_tails_and_too_small_a_scale_from_the_truth() -> None:
-    """Half the variance is overconfident; ν = 3 believed of Gaussian errors is conservative in the tails."""
-    rng, count = np.random.default_rng(8), 20_000
-    scale, bias = np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 4))
+    """Half the variance is overconfident; ν = 3 believed of Gaussian errors is conservative in the
+    tails."""
+    rng = np.random.default_rng(8)
+    count = 20_000
+    scale = np.tile(np.eye(4), (count, 1, 1))
+    bias = np.zeros((count, 4))
     errors = rng.normal(size=(count, 4))
-    assert feature_coverage(StereoNoise(0.5 * scale, np.full(count, np.inf), bias), errors)["95"] < 0.8
+    assert (
+        feature_coverage(StereoNoise(0.5 * scale, np.full(count, np.inf), bias), errors)["95"] < 0.8
+    )
     assert feature_coverage(StereoNoise(scale, np.full(count, 3.0), bias), errors)["95"] > 0.99
 
 
@@ -122,13 +132,16 @@ def untied(steps: int) -> FloatArray:
 
 
 def test_drift_of_many_runs_fits_its_covariance() -> None:
-    """Average NEES of the pose after 20 noisy steps, over 300 runs, lies in the 99 % interval of χ²(6)/300."""
+    """Average NEES of the pose after 20 noisy steps, over 300 runs, lies in the 99 % interval of
+    χ²(6)/300."""
     rng = np.random.default_rng(3)
     nees = []
     for _ in range(300):
         true, est = noisy_motions(rng, 20)
         error = drift_errors(_trajectory(est), _trajectory(true))[-1]
-        cov = drift_covariances(est, np.tile(COV, (20, 1, 1)), np.zeros((20, 6, 1)), untied(20))[-1]
+        cov = drift_covariances(
+            est, np.tile(COV, (20, 1, 1)), np.zeros((20, 6, 1)), path_cross_cov=untied(20)
+        )[-1]
         nees.append(error @ np.linalg.solve(cov, error))
     consistency = Consistency(np.array(nees))
     low, high = anees_interval(len(consistency.nees))
@@ -136,7 +149,8 @@ def test_drift_of_many_runs_fits_its_covariance() -> None:
 
 
 def test_errors_that_all_steps_share_add_up() -> None:
-    """Two unit-variance errors move each of 20 steps alike: average NEES at the end over 300 runs is that of χ²(6)."""
+    """Two unit-variance errors move each of 20 steps alike: average NEES at the end over 300 runs
+    is that of χ²(6)."""
     rng = np.random.default_rng(4)
     nees = []
     for _ in range(300):
@@ -145,7 +159,9 @@ def test_errors_that_all_steps_share_add_up() -> None:
         columns = np.moveaxis(shared, 0, -1)
         true = se3.exp(columns @ rng.normal(size=2)) @ true
         error = drift_errors(_trajectory(est), _trajectory(true))[-1]
-        cov = drift_covariances(est, COV + columns @ columns.mT, columns, untied(len(est)))[-1]
+        cov = drift_covariances(
+            est, COV + columns @ columns.mT, columns, path_cross_cov=untied(len(est))
+        )[-1]
         nees.append(error @ np.linalg.solve(cov, error))
     low, high = anees_interval(len(nees))
     assert low < np.mean(nees) < high
@@ -154,7 +170,9 @@ def test_errors_that_all_steps_share_add_up() -> None:
 def test_a_constant_shared_error_grows_with_the_length_and_not_with_its_root() -> None:
     columns = np.tile(np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])[:, None], (100, 1, 1))
     cov = 1e-12 * np.eye(6) + columns @ columns.mT
-    cov = drift_covariances(np.tile(np.eye(4), (100, 1, 1)), cov, columns, untied(100))
+    cov = drift_covariances(
+        np.tile(np.eye(4), (100, 1, 1)), cov, columns, path_cross_cov=untied(100)
+    )
     assert np.sqrt(cov[-1, 2, 2]) == pytest.approx(1.0, rel=1e-3)
 
 
@@ -164,15 +182,21 @@ def test_a_step_that_takes_back_what_the_one_before_was_off_by_adds_nothing() ->
     tied[0] = 0.0
     cov = np.tile(2.0 * COV, (20, 1, 1))
     cov[0] = COV
-    drift = drift_covariances(np.tile(np.eye(4), (20, 1, 1)), cov, np.zeros((20, 6, 1)), tied)
+    drift = drift_covariances(
+        np.tile(np.eye(4), (20, 1, 1)), cov, np.zeros((20, 6, 1)), path_cross_cov=tied
+    )
     np.testing.assert_allclose(drift[1:], np.tile(COV, (20, 1, 1)), atol=1e-12 * np.abs(COV).max())
 
 
 def test_drift_starts_certain() -> None:
     none = np.zeros((3, 6, 1))
-    three = drift_covariances(np.tile(np.eye(4), (3, 1, 1)), np.tile(COV, (3, 1, 1)), none, untied(3))
+    three = drift_covariances(
+        np.tile(np.eye(4), (3, 1, 1)), np.tile(COV, (3, 1, 1)), none, path_cross_cov=untied(3)
+    )
     np.testing.assert_array_equal(three[0], 0)
-    nowhere = drift_covariances(np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.empty((0, 6, 1)), untied(0))
+    nowhere = drift_covariances(
+        np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.empty((0, 6, 1)), path_cross_cov=untied(0)
+    )
     assert nowhere.shape == (1, 6, 6)
 
 

@@ -34,8 +34,11 @@ def walk(rng: np.random.Generator, count: int, noise: float = 0.0) -> FloatArray
 
 def test_all_metrics_of_a_long_run() -> None:
     rng = np.random.default_rng(0)
-    true, est = walk(rng, 200), walk(rng, 200, 0.01)
-    metrics = evaluate(est, true, relative_motions(est), np.tile(1e-4 * np.eye(6), (199, 1, 1))).as_dict()
+    true = walk(rng, 200)
+    est = walk(rng, 200, 0.01)
+    metrics = evaluate(
+        est, true, relative_motions(est), cov=np.tile(1e-4 * np.eye(6), (199, 1, 1))
+    ).as_dict()
     assert metrics.keys() >= KEYS
     assert all(np.isfinite(metrics[key]) for key in KEYS)
     json.dumps(metrics, allow_nan=False)
@@ -44,20 +47,31 @@ def test_all_metrics_of_a_long_run() -> None:
 def test_perfect_estimate_has_no_error() -> None:
     true = walk(np.random.default_rng(1), 150)
     metrics = evaluate(se3.exp(np.full(6, 0.3)) @ true, true)
-    for key in ("armse_m", "final_error_m", "rot_armse_rad", "ate_rmse_m", "kitti_t_percent", "short_r_deg_per_m"):
+    for key in (
+        "armse_m",
+        "final_error_m",
+        "rot_armse_rad",
+        "ate_rmse_m",
+        "kitti_t_percent",
+        "short_r_deg_per_m",
+    ):
         assert getattr(metrics, key) == pytest.approx(0.0, abs=1e-9)
     assert metrics.anees is None
 
 
 def test_unknown_poses_are_left_out() -> None:
-    """A truth known on frames 10 to 59 only gives what these frames alone give; segments start where they did."""
+    """A truth known on frames 10 to 59 only gives what these frames alone give; segments start
+    where they did."""
     rng = np.random.default_rng(2)
-    true, est = walk(rng, 80), walk(rng, 80, 0.01)
+    true = walk(rng, 80)
+    est = walk(rng, 80, 0.01)
     cov = np.tile(1e-4 * np.eye(6), (79, 1, 1))
     partial = np.full_like(true, np.nan)
     partial[10:60] = true[10:60]
-    found = evaluate(est, partial, relative_motions(est), cov).as_dict()
-    alone = evaluate(est[10:60], true[10:60], relative_motions(est)[10:59], cov[10:59]).as_dict()
+    found = evaluate(est, partial, relative_motions(est), cov=cov).as_dict()
+    alone = evaluate(
+        est[10:60], true[10:60], relative_motions(est)[10:59], cov=cov[10:59]
+    ).as_dict()
     assert found.pop("nees_coverage") == alone.pop("nees_coverage")
     assert found["num_frames"] == 50
     for key in KEYS - {"kitti_t_percent", "kitti_r_deg_per_m"}:

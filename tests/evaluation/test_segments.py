@@ -14,10 +14,15 @@ def straight_line(count: int, step_m: float) -> FloatArray:
 
 
 def test_scale_error_on_a_line() -> None:
-    """Steps of 1 m: a segment of length L ends after L + 1 steps, the first that exceed L: the error is s (L + 1)/L."""
+    """Steps of 1 m: a segment of length L ends after L + 1 steps, the first that exceed L: the
+    error is s (L + 1)/L."""
     starts = np.arange(0, 1001, 10)
-    errors = segment_errors(straight_line(1001, 1.03), straight_line(1001, 1.0), KITTI_LENGTHS_M, starts)
-    np.testing.assert_allclose(errors.translation, 0.03 * (errors.length_m + 1.0) / errors.length_m, rtol=1e-9)
+    errors = segment_errors(
+        straight_line(1001, 1.03), straight_line(1001, 1.0), KITTI_LENGTHS_M, starts=starts
+    )
+    np.testing.assert_allclose(
+        errors.translation, 0.03 * (errors.length_m + 1.0) / errors.length_m, rtol=1e-9
+    )
     np.testing.assert_array_equal(errors.rotation_rad_m, 0.0)
     assert set(errors.length_m) == set(KITTI_LENGTHS_M)
     assert set(errors.first) <= set(starts)
@@ -27,8 +32,10 @@ def test_turn_rate_error_on_a_line() -> None:
     """A heading that turns by 0.01°/m gives just that, over the L + 1 m that a segment really has."""
     true = straight_line(201, 1.0)
     est = true.copy()
-    est[:, :3, :3] = Rotation.from_rotvec(np.outer(np.deg2rad(0.01) * np.arange(201), [0, 1, 0])).as_matrix()
-    errors = segment_errors(est, true, (100.0,), np.arange(0, 201, 10))
+    est[:, :3, :3] = Rotation.from_rotvec(
+        np.outer(np.deg2rad(0.01) * np.arange(201), [0, 1, 0])
+    ).as_matrix()
+    errors = segment_errors(est, true, (100.0,), starts=np.arange(0, 201, 10))
     assert errors.mean_rotation_deg_per_m == pytest.approx(0.01 * 101 / 100)
 
 
@@ -37,12 +44,18 @@ def test_matches_the_devkit_written_out() -> None:
     rng = np.random.default_rng(0)
     steps_true = se3.exp(rng.normal([0, 0, 0.8, 0, 0.03, 0], 0.1, (150, 6)))
     steps_est = steps_true @ se3.exp(rng.normal(0.0, 0.003, (150, 6)))
-    true, est = (np.array(list(np.eye(4)[None]) + list(_chain(steps))) for steps in (steps_true, steps_est))
-    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1))])
+    true, est = (
+        np.array(list(np.eye(4)[None]) + list(_chain(steps))) for steps in (steps_true, steps_est)
+    )
+    distance = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1))]
+    )
     expected = []
     for first in range(len(true)):
         for length in SHORT_LENGTHS_M:
-            last = next((i for i in range(first, len(true)) if distance[i] > distance[first] + length), -1)
+            last = next(
+                (i for i in range(first, len(true)) if distance[i] > distance[first] + length), -1
+            )
             if last == -1:
                 continue
             delta_true = np.linalg.inv(true[first]) @ true[last]
@@ -50,8 +63,10 @@ def test_matches_the_devkit_written_out() -> None:
             error = np.linalg.inv(delta_est) @ delta_true
             angle = np.arccos(np.clip(0.5 * (np.trace(error[:3, :3]) - 1.0), -1.0, 1.0))
             expected.append((first, length, np.linalg.norm(error[:3, 3]) / length, angle / length))
-    errors = segment_errors(est, true, SHORT_LENGTHS_M, np.arange(len(true)))
-    found = np.stack([errors.first, errors.length_m, errors.translation, errors.rotation_rad_m], axis=1)
+    errors = segment_errors(est, true, SHORT_LENGTHS_M, starts=np.arange(len(true)))
+    found = np.stack(
+        [errors.first, errors.length_m, errors.translation, errors.rotation_rad_m], axis=1
+    )
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
@@ -65,6 +80,6 @@ def _chain(steps: FloatArray) -> FloatArray:
 @pytest.mark.parametrize("count", [1, 2, 50])
 def test_nothing_fits_a_short_path(count: int) -> None:
     line = straight_line(count, 1.0)
-    errors = segment_errors(line, line, KITTI_LENGTHS_M, np.arange(count))
+    errors = segment_errors(line, line, KITTI_LENGTHS_M, starts=np.arange(count))
     assert errors.mean_translation_percent is None
     assert errors.mean_rotation_deg_per_m is None

@@ -10,7 +10,11 @@ STEPS = 1e-6 * np.eye(6)
 
 
 def relative_error(actual: FloatArray, expected: FloatArray) -> float:
-    return float(np.max(np.linalg.norm(actual - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))))
+    return float(
+        np.max(
+            np.linalg.norm(actual - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))
+        )
+    )
 
 
 def wedge(xi: FloatArray) -> FloatArray:
@@ -57,14 +61,20 @@ def test_transforms_compose(twists: FloatArray) -> None:
 
 
 def test_transform_moves_all_points_by_one_pose() -> None:
-    T_b_a = se3.from_parts(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(se3.transform(T_b_a, np.eye(3)), [[1.0, 3.0, 3.0], [0.0, 2.0, 3.0], [1.0, 2.0, 4.0]])
+    T_b_a = se3.from_parts(
+        np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([1.0, 2.0, 3.0])
+    )
+    np.testing.assert_allclose(
+        se3.transform(T_b_a, np.eye(3)), [[1.0, 3.0, 3.0], [0.0, 2.0, 3.0], [1.0, 2.0, 4.0]]
+    )
 
 
 def test_adjoint_against_central_differences(twists: FloatArray) -> None:
     """T Exp(±h) T⁻¹ = Exp(±Ad(T) h)."""
     T = se3.exp(twists)[:, None]
-    differences = (se3.log(T @ se3.exp(STEPS) @ se3.inverse(T)) - se3.log(T @ se3.exp(-STEPS) @ se3.inverse(T))) / 2e-6
+    differences = (
+        se3.log(T @ se3.exp(STEPS) @ se3.inverse(T)) - se3.log(T @ se3.exp(-STEPS) @ se3.inverse(T))
+    ) / 2e-6
     assert relative_error(se3.adjoint(T[:, 0]), differences.mT) < 1e-6
 
 

@@ -10,16 +10,24 @@ STEPS = 1e-6 * np.eye(3)
 
 
 def relative_error(actual: FloatArray, expected: FloatArray) -> float:
-    return float(np.max(np.linalg.norm(actual - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))))
+    return float(
+        np.max(
+            np.linalg.norm(actual - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))
+        )
+    )
 
 
 def test_wedge_is_the_cross_product(rotation_vectors: FloatArray) -> None:
     p = np.array([1.0, -2.0, 0.5])
-    np.testing.assert_allclose(so3.wedge(rotation_vectors) @ p, np.cross(rotation_vectors, p), atol=1e-14)
+    np.testing.assert_allclose(
+        so3.wedge(rotation_vectors) @ p, np.cross(rotation_vectors, p), atol=1e-14
+    )
 
 
 def test_exp_is_the_matrix_exponential(rotation_vectors: FloatArray) -> None:
-    np.testing.assert_allclose(so3.exp(rotation_vectors), expm(so3.wedge(rotation_vectors)), atol=1e-13)
+    np.testing.assert_allclose(
+        so3.exp(rotation_vectors), expm(so3.wedge(rotation_vectors)), atol=1e-13
+    )
 
 
 def test_exp_yields_rotations(rotation_vectors: FloatArray) -> None:
@@ -39,8 +47,15 @@ def test_log_inverts_exp(rotation_vectors: FloatArray) -> None:
 
 
 def test_exp_inverts_log_beyond_pi(rotation_vectors: FloatArray) -> None:
-    """Exp(Log(C)) = C for every C, also where φ itself, up to 3π here, is not the shortest; and at π exactly."""
-    C = np.concatenate([so3.exp(3.0 * rotation_vectors), so3.exp(np.pi * np.eye(3)), np.diag([-1.0, 1.0, -1.0])[None]])
+    """Exp(Log(C)) = C for every C, also where φ itself, up to 3π here, is not the shortest; and at
+    π exactly."""
+    C = np.concatenate(
+        [
+            so3.exp(3.0 * rotation_vectors),
+            so3.exp(np.pi * np.eye(3)),
+            np.diag([-1.0, 1.0, -1.0])[None],
+        ]
+    )
     np.testing.assert_allclose(so3.exp(so3.log(C)), C, atol=1e-12)
 
 
@@ -57,8 +72,11 @@ def test_left_jacobian_against_central_differences(rotation_vectors: FloatArray)
 
 def test_the_rotation_is_its_own_adjoint(rotation_vectors: FloatArray) -> None:
     """Exp(Cφ) = C Exp(φ) Cᵀ."""
-    C, phi = so3.exp(rotation_vectors), rotation_vectors[::-1]
-    np.testing.assert_allclose(so3.exp((C @ phi[..., None])[..., 0]), C @ so3.exp(phi) @ C.mT, atol=1e-14)
+    C = so3.exp(rotation_vectors)
+    phi = rotation_vectors[::-1]
+    np.testing.assert_allclose(
+        so3.exp((C @ phi[..., None])[..., 0]), C @ so3.exp(phi) @ C.mT, atol=1e-14
+    )
 
 
 def test_batches_of_any_shape() -> None:

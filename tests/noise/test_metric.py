@@ -1,4 +1,5 @@
-"""The metric of a prediction space: standardised, with a place for what is undefined, and strict about its input."""
+"""The metric of a prediction space: standardised, with a place for what is undefined, and strict
+about its input."""
 
 from dataclasses import replace
 
@@ -26,7 +27,8 @@ def test_each_column_has_mean_0_and_spread_1(data: FloatArray) -> None:
 
 def test_units_do_not_matter(data: FloatArray) -> None:
     """A column in other units, with another zero, gives the same places."""
-    factor, offset = np.array([100.0, 3.6, -1.0]), np.array([7.0, 0.0, 273.15])
+    factor = np.array([100.0, 3.6, -1.0])
+    offset = np.array([7.0, 0.0, 273.15])
     scaled = factor * data + offset
     expected = np.sign(factor) * Metric.fitted(data).coordinates(data)
     np.testing.assert_allclose(Metric.fitted(scaled).coordinates(scaled), expected, atol=1e-9)
@@ -46,7 +48,8 @@ def test_a_weight_stretches_its_column(data: FloatArray) -> None:
 
 
 def test_what_is_undefined_lies_in_a_place_of_its_own(data: FloatArray) -> None:
-    """It takes no part in mean and spread, and is no nearer to some defined value than to another's like."""
+    """It takes no part in mean and spread, and is no nearer to some defined value than to another's
+    like."""
     data[50:60, 1] = np.nan
     metric = Metric.fitted(data, COLUMNS, (False, True, False))
     defined = np.delete(data[:, 1], np.s_[50:60])
@@ -59,13 +62,16 @@ def test_what_is_undefined_lies_in_a_place_of_its_own(data: FloatArray) -> None:
 
 def test_an_undefined_value_is_weighed_too(data: FloatArray) -> None:
     data[3, 0] = np.nan
-    metric = replace(Metric.fitted(data, COLUMNS, (True, False, False)), weight=np.array([0.3, 1.0, 1.0]))
+    metric = replace(
+        Metric.fitted(data, COLUMNS, (True, False, False)), weight=np.array([0.3, 1.0, 1.0])
+    )
     assert metric.coordinates(data)[3, 0] == pytest.approx(0.3 * UNDEFINED)
 
 
 @pytest.mark.parametrize("value", [0.0, 0.1, -1e6 / 3.0])
 def test_a_constant_column_counts_for_nothing(data: FloatArray, value: float) -> None:
-    """Its spread is zero but for rounding: no division by that, neither now nor where the value is another."""
+    """Its spread is zero but for rounding: no division by that, neither now nor where the value is
+    another."""
     data[:, 1] = value
     metric = Metric.fitted(data, COLUMNS)
     assert metric.spread[1] == 1.0
@@ -96,31 +102,41 @@ def test_columns_without_names_are_numbered(data: FloatArray) -> None:
 @pytest.mark.parametrize("at", ["training", "prediction"])
 def test_a_value_that_is_no_number_is_named(data: FloatArray, value: float, at: str) -> None:
     """Infinity is refused everywhere, NaN where nobody has said that a column may be undefined."""
-    metric, bad = Metric.fitted(data, COLUMNS), data.copy()
+    metric = Metric.fitted(data, COLUMNS)
+    bad = data.copy()
     bad[17, 1] = value
     with pytest.raises(InputError) as caught:
         Metric.fitted(bad, COLUMNS) if at == "training" else metric.coordinates(bad)
-    assert str(caught.value).startswith(f"predictor speed: feature 17 (from 0) has the value {value}.")
+    assert str(caught.value).startswith(
+        f"predictor speed: feature 17 (from 0) has the value {value}."
+    )
 
 
 def test_infinity_is_refused_where_nan_is_not(data: FloatArray) -> None:
-    data[5, 0], data[6, 0] = np.nan, -np.inf
+    data[5, 0] = np.nan
+    data[6, 0] = -np.inf
     with pytest.raises(InputError, match=r"predictor blur: feature 6 .* -inf"):
         Metric.fitted(data, COLUMNS, (True, False, False))
 
 
 @pytest.mark.parametrize("defined", [0, 1])
-def test_a_column_that_is_undefined_nearly_everywhere_is_refused(data: FloatArray, defined: int) -> None:
+def test_a_column_that_is_undefined_nearly_everywhere_is_refused(
+    data: FloatArray, defined: int
+) -> None:
     data[defined:, 2] = np.nan
     with pytest.raises(InputError) as caught:
         Metric.fitted(data, COLUMNS, (False, False, True))
-    assert f"predictor entropy: it is undefined for all but {defined} of 200 features." in str(caught.value)
+    assert f"predictor entropy: it is undefined for all but {defined} of 200 features." in str(
+        caught.value
+    )
     assert "Leave it out." in str(caught.value)
 
 
 def test_a_single_feature_has_no_spread() -> None:
     metric = Metric.fitted(np.array([[3.0, -2.0, 0.0]]), COLUMNS)
-    np.testing.assert_array_equal(metric.coordinates(np.array([[4.0, -2.0, 0.5]])), [[1.0, 0.0, 0.5]])
+    np.testing.assert_array_equal(
+        metric.coordinates(np.array([[4.0, -2.0, 0.5]])), [[1.0, 0.0, 0.5]]
+    )
 
 
 def test_without_any_feature_there_is_no_metric() -> None:
@@ -131,7 +147,9 @@ def test_without_any_feature_there_is_no_metric() -> None:
 @pytest.mark.parametrize("shape", [(7,), (7, 2), (7, 4), (7, 3, 1), ()])
 def test_other_shapes_are_refused(data: FloatArray, shape: tuple[int, ...]) -> None:
     metric = Metric.fitted(data, COLUMNS)
-    with pytest.raises(InputError, match=r"predictors: their shape is .*\[N, 3\]: blur, speed, entropy"):
+    with pytest.raises(
+        InputError, match=r"predictors: their shape is .*\[N, 3\]: blur, speed, entropy"
+    ):
         metric.coordinates(np.zeros(shape))
     with pytest.raises(InputError, match="predictors: their shape is"):
         Metric.fitted(np.zeros(shape), COLUMNS)

@@ -14,12 +14,20 @@ from probevo.arrays import AnyArray
 from probevo.errors import InputError
 from probevo.noise.model_file import DTYPES, FORMAT, ModelFile, read_model_file, write_model_file
 
-FACTS: dict[str, Any] = {"k": 7, "columns": ["blur", "speed °/s"], "camera": {"fu_px": 718.856, "cx": None}, "x": 0.1}
+FACTS: dict[str, Any] = {
+    "k": 7,
+    "columns": ["blur", "speed °/s"],
+    "camera": {"fu_px": 718.856, "cx": None},
+    "x": 0.1,
+}
 
 
 def small_model() -> ModelFile:
     rng = np.random.default_rng(0)
-    arrays: dict[str, AnyArray] = {"targets": rng.normal(size=3), "phi": rng.normal(size=(3, 2)).astype(np.float32)}
+    arrays: dict[str, AnyArray] = {
+        "targets": rng.normal(size=3),
+        "phi": rng.normal(size=(3, 2)).astype(np.float32),
+    }
     return ModelFile("knn", arrays, FACTS)
 
 
@@ -42,7 +50,9 @@ def write_by_hand(path: Path, envelope: object, arrays: dict[str, AnyArray] | No
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("shape", [(), (0,), (0, 3), (5,), (2, 3, 4)])
-def test_arrays_of_each_type_and_shape_come_back(path: Path, dtype: str, shape: tuple[int, ...]) -> None:
+def test_arrays_of_each_type_and_shape_come_back(
+    path: Path, dtype: str, shape: tuple[int, ...]
+) -> None:
     array = np.random.default_rng(1).integers(0, 2, size=shape).astype(dtype)
     model = ModelFile("gk", {"a": array, "b": np.array([np.nan, np.inf, -0.0])}, FACTS)
     write_model_file(path, model)
@@ -59,14 +69,20 @@ def test_a_model_without_arrays_comes_back(path: Path) -> None:
 
 def test_the_layout_in_memory_does_not_matter(path: Path) -> None:
     array = np.arange(12.0).reshape(3, 4)
-    for same in (np.asfortranarray(array), array.astype(">f8"), np.repeat(array, 2, axis=1)[:, ::2]):
+    for same in (
+        np.asfortranarray(array),
+        array.astype(">f8"),
+        np.repeat(array, 2, axis=1)[:, ::2],
+    ):
         write_model_file(path, ModelFile("knn", {"a": same}, {}))
         assert_same(read_model_file(path), ModelFile("knn", {"a": array}, {}))
 
 
 def test_the_same_model_gives_the_same_bytes_in_whatever_order_it_is_given(tmp_path: Path) -> None:
     model = small_model()
-    reverse = ModelFile("knn", dict(reversed(list(model.arrays.items()))), dict(reversed(FACTS.items())))
+    reverse = ModelFile(
+        "knn", dict(reversed(list(model.arrays.items()))), dict(reversed(FACTS.items()))
+    )
     contents = set()
     for i, same in enumerate([model, reverse] * 5):
         write_model_file(tmp_path / f"{i}", same)
@@ -94,7 +110,9 @@ def test_any_bit_of_the_arrays_counts(path: Path) -> None:
     content = path.read_bytes()
     for position in range(8 + int.from_bytes(content[:8], "little"), len(content)):
         for bit in range(8):
-            path.write_bytes(content[:position] + bytes([content[position] ^ 1 << bit]) + content[position + 1 :])
+            path.write_bytes(
+                content[:position] + bytes([content[position] ^ 1 << bit]) + content[position + 1 :]
+            )
             with pytest.raises(InputError, match=r"damaged.*\n.*train it again"):
                 read_model_file(path)
 
@@ -102,7 +120,9 @@ def test_any_bit_of_the_arrays_counts(path: Path) -> None:
 def test_arrays_cannot_swap_their_names(path: Path) -> None:
     write_model_file(path, ModelFile("knn", {"aaa": np.zeros(2), "bbb": np.ones(2)}, {}))
     content = path.read_bytes()
-    path.write_bytes(content.replace(b"aaa", b"ccc").replace(b"bbb", b"aaa").replace(b"ccc", b"bbb"))
+    path.write_bytes(
+        content.replace(b"aaa", b"ccc").replace(b"bbb", b"aaa").replace(b"ccc", b"bbb")
+    )
     with pytest.raises(InputError, match="checksum"):
         read_model_file(path)
 
@@ -152,7 +172,9 @@ def test_a_foreign_safetensors_file_is_refused(path: Path, metadata: dict[str, s
         ({"kind": "gk"}, "does not match its checksum"),
     ],
 )
-def test_metadata_that_are_not_ours_are_refused(path: Path, change: dict[str, object], message: str) -> None:
+def test_metadata_that_are_not_ours_are_refused(
+    path: Path, change: dict[str, object], message: str
+) -> None:
     write_by_hand(path, {"checksum": "0" * 64, "facts": {}, "kind": "knn", "version": 1} | change)
     with pytest.raises(InputError, match=message):
         read_model_file(path)
@@ -167,7 +189,9 @@ def test_a_missing_key_is_refused(path: Path, key: str) -> None:
         read_model_file(path)
 
 
-@pytest.mark.parametrize("text", ["", "knn", "3", '{"version": 1, "facts": {"x": 1e}}', "[" * 100_000])
+@pytest.mark.parametrize(
+    "text", ["", "knn", "3", '{"version": 1, "facts": {"x": 1e}}', "[" * 100_000]
+)
 def test_metadata_that_are_not_json_objects_are_refused(path: Path, text: str) -> None:
     path.write_bytes(save({"phi": np.zeros(2)}, {FORMAT: text}))
     with pytest.raises(InputError, match="damaged"):
@@ -188,7 +212,9 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
         read_model_file(tmp_path)
 
 
-@pytest.mark.parametrize("dtype", ["float16", "uint64", "int8", "complex64", "O", "U3", "datetime64[ns]"])
+@pytest.mark.parametrize(
+    "dtype", ["float16", "uint64", "int8", "complex64", "O", "U3", "datetime64[ns]"]
+)
 def test_arrays_of_other_types_are_not_written(path: Path, dtype: str) -> None:
     with pytest.raises(ValueError, match="array a: type"):
         write_model_file(path, ModelFile("knn", {"a": np.zeros(2, dtype)}, {}))
@@ -196,7 +222,15 @@ def test_arrays_of_other_types_are_not_written(path: Path, dtype: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "facts", [{"x": float("nan")}, {"x": np.zeros(2)}, {"x": (1, 2)}, {"x": {1: 2}}, {"x": Path("a")}, {1: 2, "a": 3}]
+    "facts",
+    [
+        {"x": float("nan")},
+        {"x": np.zeros(2)},
+        {"x": (1, 2)},
+        {"x": {1: 2}},
+        {"x": Path("a")},
+        {1: 2, "a": 3},
+    ],
 )
 def test_facts_that_json_would_change_are_not_written(path: Path, facts: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="JSON"):

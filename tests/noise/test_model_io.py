@@ -1,4 +1,5 @@
-"""Learned models to and from files. Compiled code reads the arrays, so none that does not fit may come through."""
+"""Learned models to and from files. Compiled code reads the arrays, so none that does not fit may
+come through."""
 
 import copy
 import json
@@ -18,11 +19,14 @@ from probevo.noise.metric import Metric
 from probevo.noise.model_file import FORMAT, ModelFile, write_model_file
 from probevo.noise.model_io import load_model, save_model
 from probevo.noise.named import noise_model
-from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from worlds import CAMERA
 
 COUNT = 300
-TRAINING = {"settings": {"seed": 0}, "recordings": [{"name": "06", "frames": 1101, "sha256": "0" * 64}]}
+TRAINING = {
+    "settings": {"seed": 0},
+    "recordings": [{"name": "06", "frames": 1101, "sha256": "0" * 64}],
+}
 
 
 def places(count: int = COUNT, seed: int = 0) -> FloatArray:
@@ -33,9 +37,15 @@ def places(count: int = COUNT, seed: int = 0) -> FloatArray:
 
 
 def trained(**options: Any) -> NearestNeighbors:
-    phi, alphas = places(), np.exp(np.random.default_rng(1).normal(size=COUNT))
+    phi = places()
+    alphas = np.exp(np.random.default_rng(1).normal(size=COUNT))
     metric = Metric.fitted(phi, ("place", "blur", "age"), (False, True, False))
-    given: dict[str, Any] = {"neighbors": 20, "exponent": 4.0, "camera": CAMERA, "training": TRAINING}
+    given: dict[str, Any] = {
+        "neighbors": 20,
+        "exponent": 4.0,
+        "camera": CAMERA,
+        "training": TRAINING,
+    }
     return NearestNeighbors(**given | options).fit(phi, alphas, metric=metric)
 
 
@@ -46,17 +56,34 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"base": Fixed()}, {"camera": None}, {"average": "arithmetic"}, {"exponent": 0.0}, {"training": None}],
+    [
+        {},
+        {"base": Fixed()},
+        {"camera": None},
+        {"average": "arithmetic"},
+        {"exponent": 0.0},
+        {"training": None},
+    ],
 )
 def test_a_model_comes_back_as_it_was(path: Path, options: dict[str, Any]) -> None:
     """It predicts the same bytes, and gives the same file again."""
     model = trained(**options)
     save_model(model, path)
-    back, queries = load_model(path), places(50, seed=2)
-    one, other = model.predict(queries), back.predict(queries)
+    back = load_model(path)
+    queries = places(50, seed=2)
+    one = model.predict(queries)
+    other = back.predict(queries)
     for name in ("scale", "dof", "bias"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
-    for name in ("neighbors", "exponent", "average", "camera", "training", "columns", "log_mean_alpha_"):
+    for name in (
+        "neighbors",
+        "exponent",
+        "average",
+        "camera",
+        "training",
+        "columns",
+        "log_mean_alpha_",
+    ):
         assert getattr(back, name) == getattr(model, name)
     assert type(back.base) is type(model.base)
     again = path.with_name("again.safetensors")
@@ -125,23 +152,35 @@ SHAPES: dict[str, Change] = {
 def test_an_array_of_another_shape_is_refused(path: Path, name: str, change: Change) -> None:
     file = trained().to_file()
     refuse(
-        path, ModelFile(file.kind, {**file.arrays, name: np.asarray(change(np.asarray(file.arrays[name])))}, file.facts)
+        path,
+        ModelFile(
+            file.kind,
+            {**file.arrays, name: np.asarray(change(np.asarray(file.arrays[name])))},
+            file.facts,
+        ),
     )
 
 
 @pytest.mark.parametrize("name", ARRAYS)
 def test_a_missing_array_is_refused(path: Path, name: str) -> None:
     file = trained().to_file()
-    refuse(path, ModelFile(file.kind, {n: a for n, a in file.arrays.items() if n != name}, file.facts))
+    refuse(
+        path, ModelFile(file.kind, {n: a for n, a in file.arrays.items() if n != name}, file.facts)
+    )
 
 
 @pytest.mark.parametrize("name", ARRAYS)
 @pytest.mark.parametrize("dtype", ["float32", "float64", "int64", "int32", "uint8", "bool"])
-def test_an_array_of_another_type_is_refused_or_does_no_harm(path: Path, name: str, dtype: str) -> None:
+def test_an_array_of_another_type_is_refused_or_does_no_harm(
+    path: Path, name: str, dtype: str
+) -> None:
     """A mean in single precision will do; cells that begin at 3.7, or wrap around at 255, will not."""
-    file, queries = trained().to_file(), places(20, seed=3)
+    file = trained().to_file()
+    queries = places(20, seed=3)
     as_it_was = np.asarray(file.arrays[name])
-    write_model_file(path, ModelFile(file.kind, {**file.arrays, name: as_it_was.astype(dtype)}, file.facts))
+    write_model_file(
+        path, ModelFile(file.kind, {**file.arrays, name: as_it_was.astype(dtype)}, file.facts)
+    )
     try:
         model = load_model(path)
     except InputError:
@@ -161,7 +200,14 @@ def test_an_array_that_is_not_finite_is_refused(path: Path, name: str, value: fl
 def test_an_alpha_that_is_not_positive_is_refused(path: Path) -> None:
     """Where α itself is stored, and not its logarithm."""
     file = trained(average="arithmetic").to_file()
-    refuse(path, ModelFile(file.kind, {**file.arrays, "values": with_value(-1.0)(file.arrays["values"])}, file.facts))
+    refuse(
+        path,
+        ModelFile(
+            file.kind,
+            {**file.arrays, "values": with_value(-1.0)(file.arrays["values"])},
+            file.facts,
+        ),
+    )
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0])
@@ -172,10 +218,21 @@ def test_a_spread_that_is_not_positive_is_refused(path: Path, value: float) -> N
 
 
 @pytest.mark.parametrize(
-    "index", [{5: -1}, {5: COUNT + 1}, {5: 2**62}, {0: 1}, {0: -1}, {-1: COUNT + 1}, {-1: 0}, {5: 2**63 - 1, 6: -2}]
+    "index",
+    [
+        {5: -1},
+        {5: COUNT + 1},
+        {5: 2**62},
+        {0: 1},
+        {0: -1},
+        {-1: COUNT + 1},
+        {-1: 0},
+        {5: 2**63 - 1, 6: -2},
+    ],
 )
 def test_cells_that_reach_beyond_the_samples_are_refused(path: Path, index: dict[int, int]) -> None:
-    """The last differs from its neighbours by more than 64 bits hold, so that their difference wraps around."""
+    """The last differs from its neighbours by more than 64 bits hold, so that their difference
+    wraps around."""
     file = trained().to_file()
     first = np.asarray(file.arrays["first_of_cell"]).copy()
     for at, value in index.items():
@@ -191,7 +248,14 @@ def test_cells_out_of_order_are_refused(path: Path) -> None:
 
 
 FACTS: dict[str, list[Any]] = {
-    "columns": [None, "abc", ["place", "blur"], [1, 2, 3], ["a", "a", "b"], {"a": 1, "b": 2, "c": 3}],
+    "columns": [
+        None,
+        "abc",
+        ["place", "blur"],
+        [1, 2, 3],
+        ["a", "a", "b"],
+        {"a": 1, "b": 2, "c": 3},
+    ],
     "may_be_undefined": [None, "abc", [True], ["a", "b", "c"], [[], [], []], 7],
     "neighbors": ["20", 2.5, None, True, 0, -1, COUNT + 1, 10**30, [20], {}],
     "exponent": ["4", None, [4.0], True, -1.0, {}],
@@ -218,19 +282,25 @@ FACTS: dict[str, list[Any]] = {
 }
 
 
-@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in FACTS.items() for value in values])
+@pytest.mark.parametrize(
+    ("key", "value"), [(key, value) for key, values in FACTS.items() for value in values]
+)
 def test_a_fact_of_another_type_is_refused(path: Path, key: str, value: Any) -> None:
     """A camera's changes are those of its properties."""
     file = trained().to_file()
     facts = copy.deepcopy(dict(file.facts))
-    facts[key] = facts[key] | value if key == "camera" and isinstance(value, dict) and value else value
+    facts[key] = (
+        facts[key] | value if key == "camera" and isinstance(value, dict) and value else value
+    )
     refuse(path, ModelFile(file.kind, file.arrays, facts))
 
 
 @pytest.mark.parametrize("key", FACTS)
 def test_a_missing_fact_is_refused(path: Path, key: str) -> None:
     file = trained().to_file()
-    refuse(path, ModelFile(file.kind, file.arrays, {k: v for k, v in file.facts.items() if k != key}))
+    refuse(
+        path, ModelFile(file.kind, file.arrays, {k: v for k, v in file.facts.items() if k != key})
+    )
 
 
 def test_a_property_of_the_camera_may_not_be_missing(path: Path) -> None:
@@ -248,7 +318,9 @@ def test_an_exponent_that_is_no_number_is_refused(path: Path, text: str) -> None
     header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     entry = header["__metadata__"][FORMAT]
     assert '"exponent":4.0' in entry
-    path.write_bytes(save(load(content), {FORMAT: entry.replace('"exponent":4.0', f'"exponent":{text}')}))
+    path.write_bytes(
+        save(load(content), {FORMAT: entry.replace('"exponent":4.0', f'"exponent":{text}')})
+    )
     with pytest.raises(InputError, match="damaged"):
         load_model(path)
 

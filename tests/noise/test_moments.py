@@ -1,4 +1,5 @@
-"""Moments gathered part by part are those of the whole, also where values are undefined or parts are empty."""
+"""Moments gathered part by part are those of the whole, also where values are undefined or parts
+are empty."""
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ def data(rows: int = 60) -> FloatArray:
 
 @given(st.lists(st.integers(0, 60), max_size=6))
 def test_parts_add_up_to_the_whole(cuts: list[int]) -> None:
-    whole, parts = Moments.of(data()), np.split(data(), sorted(cuts))
+    whole = Moments.of(data())
+    parts = np.split(data(), sorted(cuts))
     added = sum(map(Moments.of, parts), Moments.none(4))
     np.testing.assert_array_equal(added.count, whole.count)
     assert added.rows == 60
@@ -29,7 +31,8 @@ def test_parts_add_up_to_the_whole(cuts: list[int]) -> None:
 
 
 def test_they_are_mean_and_standard_deviation() -> None:
-    found, defined = Moments.of(data()), data()[:, :3]
+    found = Moments.of(data())
+    defined = data()[:, :3]
     np.testing.assert_allclose(found.mean[:3], np.nanmean(defined, axis=0), rtol=1e-13)
     np.testing.assert_allclose(found.spread[:3], np.nanstd(defined, axis=0), rtol=1e-9)
     assert (found.mean[3], found.spread[3], found.count[3]) == (0.0, 0.0, 0)

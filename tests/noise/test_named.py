@@ -12,7 +12,8 @@ from probevo.noise.named import noise_model, portable
 
 @pytest.fixture
 def loaded(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """In place of reading files: each file is a Student-t; the paths that were asked for are collected."""
+    """In place of reading files: each file is a Student-t; the paths that were asked for are
+    collected."""
     paths: list[Path] = []
 
     def load_model(path: Path) -> NoiseModel:

@@ -22,7 +22,9 @@ def random_noise(rng: np.random.Generator, dof: FloatArray) -> StereoNoise:
 
 def residuals_around(rng: np.random.Generator, noise: StereoNoise) -> FloatArray:
     """From well inside to far out: up to some 30 standard deviations."""
-    return noise.bias + np.geomspace(0.01, 100.0, len(noise.dof))[:, None] * rng.normal(size=noise.bias.shape)
+    return noise.bias + np.geomspace(0.01, 100.0, len(noise.dof))[:, None] * rng.normal(
+        size=noise.bias.shape
+    )
 
 
 @pytest.mark.parametrize("dof", [1.0, 3.0, 5.0, 30.0])
@@ -31,17 +33,23 @@ def test_log_likelihood_is_that_of_scipy_student_t(dof: float) -> None:
     noise = random_noise(rng, np.full(COUNT, dof))
     residuals = residuals_around(rng, noise)
     expected = [
-        multivariate_t(b, S, df=dof).logpdf(e) for b, S, e in zip(noise.bias, noise.scale, residuals, strict=True)
+        multivariate_t(b, S, df=dof).logpdf(e)
+        for b, S, e in zip(noise.bias, noise.scale, residuals, strict=True)
     ]
     np.testing.assert_allclose(noise.log_likelihood(residuals), expected, rtol=1e-10)
 
 
 @pytest.mark.parametrize("dof", [1e16, np.inf])
-def test_log_likelihood_of_nearly_or_wholly_gaussian_noise_is_that_of_scipy_normal(dof: float) -> None:
+def test_log_likelihood_of_nearly_or_wholly_gaussian_noise_is_that_of_scipy_normal(
+    dof: float,
+) -> None:
     rng = np.random.default_rng(1)
     noise = random_noise(rng, np.full(COUNT, dof))
     residuals = residuals_around(rng, noise)
-    expected = [multivariate_normal(b, S).logpdf(e) for b, S, e in zip(noise.bias, noise.scale, residuals, strict=True)]
+    expected = [
+        multivariate_normal(b, S).logpdf(e)
+        for b, S, e in zip(noise.bias, noise.scale, residuals, strict=True)
+    ]
     np.testing.assert_allclose(noise.log_likelihood(residuals), expected, rtol=1e-10)
 
 
@@ -51,7 +59,8 @@ def test_each_feature_has_its_own_dof() -> None:
     mixed = random_noise(rng, dof)
     residuals = residuals_around(rng, mixed)
     alone = [
-        StereoNoise(mixed.scale[[n]], dof[[n]], mixed.bias[[n]]).log_likelihood(residuals[[n]])[0] for n in range(3)
+        StereoNoise(mixed.scale[[n]], dof[[n]], mixed.bias[[n]]).log_likelihood(residuals[[n]])[0]
+        for n in range(3)
     ]
     np.testing.assert_allclose(mixed.log_likelihood(residuals), alone, rtol=1e-14)
 
@@ -61,7 +70,9 @@ def test_student_t_tends_to_the_normal() -> None:
     normal = random_noise(rng, np.full(COUNT, np.inf))
     residuals = normal.bias + rng.normal(size=(COUNT, 4))
     student = StereoNoise(normal.scale, np.full(COUNT, 1e7), normal.bias)
-    np.testing.assert_allclose(student.log_likelihood(residuals), normal.log_likelihood(residuals), rtol=1e-5)
+    np.testing.assert_allclose(
+        student.log_likelihood(residuals), normal.log_likelihood(residuals), rtol=1e-5
+    )
 
 
 def test_scaled_noise_keeps_all_but_its_scale() -> None:
@@ -80,7 +91,11 @@ def test_no_features_have_no_likelihood() -> None:
 @pytest.mark.parametrize("count", [0, 1, 5])
 @pytest.mark.parametrize(
     ("model", "dof", "sigma_px"),
-    [(Fixed(), np.inf, OBSERVATION_SIGMA_PX), (StudentT(), DOF, SIGMA_PX), (StudentT(dof=3.0), 3.0, SIGMA_PX)],
+    [
+        (Fixed(), np.inf, OBSERVATION_SIGMA_PX),
+        (StudentT(), DOF, SIGMA_PX),
+        (StudentT(dof=3.0), 3.0, SIGMA_PX),
+    ],
 )
 def test_classical_models_say_the_same_of_every_feature(
     model: NoiseModel, dof: float, sigma_px: float, count: int
@@ -93,7 +108,9 @@ def test_classical_models_say_the_same_of_every_feature(
     assert noise.refers_to == "observation"
 
 
-@pytest.mark.parametrize("make", [lambda scale: Fixed(covariance=scale), lambda scale: StudentT(scale=scale)])
+@pytest.mark.parametrize(
+    "make", [lambda scale: Fixed(covariance=scale), lambda scale: StudentT(scale=scale)]
+)
 def test_a_given_matrix_is_used(make: type[NoiseModel]) -> None:
     scale = np.diag([0.1, 0.2, 0.3, 0.4])
     np.testing.assert_array_equal(make(scale).predict(np.zeros((2, 0))).scale, [scale, scale])  # type: ignore[call-arg]

@@ -1,4 +1,5 @@
-"""The static Student-t, fitted: the full scale matrix and the dof of all errors, whatever their place; its file."""
+"""The static Student-t, fitted: the full scale matrix and the dof of all errors, whatever their
+place; its file."""
 
 import copy
 from pathlib import Path
@@ -15,17 +16,23 @@ from probevo.noise.model_file import ModelFile, write_model_file
 from probevo.noise.model_io import load_model, save_model
 from worlds import CAMERA
 
-SCALE = 0.2 * np.array([[1.0, 0.0, 0.9, 0.0], [0.0, 0.6, 0.0, 0.5], [0.9, 0.0, 1.1, 0.0], [0.0, 0.5, 0.0, 0.7]])
+SCALE = 0.2 * np.array(
+    [[1.0, 0.0, 0.9, 0.0], [0.0, 0.6, 0.0, 0.5], [0.9, 0.0, 1.1, 0.0], [0.0, 0.5, 0.0, 0.7]]
+)
 """px²; a tracker that slips takes both images along."""
 TRAINING = {"settings": {"seed": 0}, "turns": [{"log_likelihood": -3.5}]}
 
 
 def errors(count: int, seed: int = 0) -> FloatArray:
-    return multivariate_t(np.zeros(4), SCALE, df=3.0).rvs(count, random_state=np.random.default_rng(seed))
+    return multivariate_t(np.zeros(4), SCALE, df=3.0).rvs(
+        count, random_state=np.random.default_rng(seed)
+    )
 
 
 def fitted(count: int = 5000) -> StudentT:
-    return StudentT(refers_to="residual", camera=CAMERA, training=TRAINING).fit(np.zeros((count, 0)), errors(count))
+    return StudentT(refers_to="residual", camera=CAMERA, training=TRAINING).fit(
+        np.zeros((count, 0)), errors(count)
+    )
 
 
 @pytest.fixture
@@ -52,7 +59,10 @@ def test_every_feature_is_given_what_was_fitted() -> None:
 
 def test_it_is_likelier_than_the_unfitted() -> None:
     new = errors(2000, seed=2)
-    own, unfitted = (model.predict(np.zeros((2000, 0))).log_likelihood(new).mean() for model in (fitted(), StudentT()))
+    own, unfitted = (
+        model.predict(np.zeros((2000, 0))).log_likelihood(new).mean()
+        for model in (fitted(), StudentT())
+    )
     assert own > unfitted + 0.5
 
 
@@ -74,12 +84,19 @@ def test_the_same_errors_give_the_same_bytes(path: Path) -> None:
     assert len(contents) == 1
 
 
-@pytest.mark.parametrize("model", [fitted(500), StudentT(), StudentT(dof=3.0, scale=SCALE), StudentT(dof=np.inf)])
+@pytest.mark.parametrize(
+    "model", [fitted(500), StudentT(), StudentT(dof=3.0, scale=SCALE), StudentT(dof=np.inf)]
+)
 def test_a_model_comes_back_as_it_was(path: Path, model: StudentT) -> None:
     save_model(model, path)
     back = load_model(path)
     assert isinstance(back, StudentT)
-    assert (back.dof_, back.refers_to, back.camera, back.columns) == (model.dof_, model.refers_to, model.camera, ())
+    assert (back.dof_, back.refers_to, back.camera, back.columns) == (
+        model.dof_,
+        model.refers_to,
+        model.camera,
+        (),
+    )
     assert back.training == model.training
     np.testing.assert_array_equal(back.scale_, model.scale_, strict=True)
     again = path.with_name("again.safetensors")
@@ -121,7 +138,9 @@ FACTS: dict[str, list[Any]] = {
 }
 
 
-@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in FACTS.items() for value in values])
+@pytest.mark.parametrize(
+    ("key", "value"), [(key, value) for key, values in FACTS.items() for value in values]
+)
 def test_a_fact_of_another_type_is_refused(path: Path, key: str, value: Any) -> None:
     file = fitted(50).to_file()
     refuse(path, ModelFile(file.kind, file.arrays, copy.deepcopy(dict(file.facts)) | {key: value}))
@@ -130,7 +149,9 @@ def test_a_fact_of_another_type_is_refused(path: Path, key: str, value: Any) -> 
 @pytest.mark.parametrize("key", FACTS)
 def test_a_missing_fact_is_refused(path: Path, key: str) -> None:
     file = fitted(50).to_file()
-    refuse(path, ModelFile(file.kind, file.arrays, {k: v for k, v in file.facts.items() if k != key}))
+    refuse(
+        path, ModelFile(file.kind, file.arrays, {k: v for k, v in file.facts.items() if k != key})
+    )
 
 
 def test_a_missing_scale_is_refused(path: Path) -> None:
@@ -141,11 +162,15 @@ def test_another_camera_is_refused_and_the_untrained_takes_any() -> None:
     other = type(CAMERA).centered(400.0, 0.5, (640, 480))
     fitted(50).check_camera(CAMERA)
     StudentT().check_camera(other)
-    with pytest.raises(InputError, match="trained with another camera: this one's focal length is 400 px"):
+    with pytest.raises(
+        InputError, match="trained with another camera: this one's focal length is 400 px"
+    ):
         fitted(50).check_camera(other)
 
 
-@pytest.mark.parametrize("bad", [np.zeros((0, 4)), np.full((5, 4), np.nan), np.full((5, 4), np.inf), np.zeros((5, 2))])
+@pytest.mark.parametrize(
+    "bad", [np.zeros((0, 4)), np.full((5, 4), np.nan), np.full((5, 4), np.inf), np.zeros((5, 2))]
+)
 def test_errors_that_are_none_are_refused(bad: FloatArray) -> None:
     with pytest.raises(InputError, match="residuals"):
         StudentT().fit(np.zeros((len(bad), 0)), bad)

@@ -19,7 +19,9 @@ class Balance(HTMLParser):
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.ids += [value or "" for name, value in attrs if name == "id"]
-        self.links += [value or "" for name, value in attrs if name in {"href", "src", "xlink:href"}]
+        self.links += [
+            value or "" for name, value in attrs if name in {"href", "src", "xlink:href"}
+        ]
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag

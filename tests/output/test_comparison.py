@@ -8,10 +8,10 @@ import pytest
 
 from output.pages import Balance
 from probevo.arrays import FloatArray
+from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.evaluation.trajectory_errors import position_errors
 from probevo.geometry import se3
-from probevo.motion.estimate import Status
 from probevo.output.comparison import (
     COLUMNS,
     Comparison,
@@ -34,7 +34,8 @@ JPEGS = {name: [f"{name}{k}".encode() for k in range(4)] for name in COLORS}
 
 @pytest.fixture
 def entries(make_run: Callable[..., RunResult]) -> tuple[Entry, Entry]:
-    """Two estimators on one sequence; the first is right, the second turns 1 mrad too far at each step."""
+    """Two estimators on one sequence; the first is right, the second turns 1 mrad too far at each
+    step."""
     right = make_run(30)
     wrong_motions = se3.exp(np.array([0, 0, 0, 0, 0.001, 0])) @ right.T_curr_prev
     wrong = replace(right, T_curr_prev=wrong_motions, T_world_cam=se3.chain_motions(wrong_motions))
@@ -45,12 +46,22 @@ def entries(make_run: Callable[..., RunResult]) -> tuple[Entry, Entry]:
 def entry(name: str, run: RunResult, truth: FloatArray | None) -> Entry:
     metrics = None if truth is None else evaluate(run.T_world_cam, truth)
     pictures = tuple((f"Frame {k}", jpeg) for k, jpeg in enumerate(JPEGS[name]))
-    return Entry("hill", name, run, truth, metrics, pictures, Path("runs") / name / "report.html")
+    return Entry(
+        "hill",
+        name,
+        run,
+        truth=truth,
+        metrics=metrics,
+        pictures=pictures,
+        report=Path("runs") / name / "report.html",
+    )
 
 
 def page_of(comparison: Comparison, folder: Path) -> str:
     entries = tuple(replace(e, report=e.report and folder / e.report) for e in comparison.entries)
-    write_comparison(folder / "report.html", Comparison(entries), "A <title>", {"place & time": "<here>"})
+    write_comparison(
+        folder / "report.html", Comparison(entries), "A <title>", facts={"place & time": "<here>"}
+    )
     assert [path.name for path in folder.iterdir()] == ["report.html"]
     return (folder / "report.html").read_text()
 
@@ -58,18 +69,33 @@ def page_of(comparison: Comparison, folder: Path) -> str:
 def cells_of(page: str) -> list[list[tuple[str, bool]]]:
     """Text of each figure of each estimator, and whether it is marked as the best."""
     rows = re.findall(r"<tr><th><i.*?</tr>", page)
-    return [[(text, bool(best)) for best, text in re.findall(r"<td( class=\"best\")?>([^<]+)</td>", r)] for r in rows]
+    return [
+        [(text, bool(best)) for best, text in re.findall(r"<td( class=\"best\")?>([^<]+)</td>", r)]
+        for r in rows
+    ]
 
 
 def test_estimators_are_grouped_by_sequence_in_one_order(entries: tuple[Entry, Entry]) -> None:
     first, second = entries
-    comparison = Comparison((first, second, replace(second, sequence="dale"), replace(first, sequence="dale")))
+    comparison = Comparison(
+        (first, second, replace(second, sequence="dale"), replace(first, sequence="dale"))
+    )
     names = [row[0] for row in comparison_rows(comparison)]
-    assert names == ["estimator", "hill", "  fixed", "  student-t", "dale", "  fixed", "  student-t"]
+    assert names == [
+        "estimator",
+        "hill",
+        "  fixed",
+        "  student-t",
+        "dale",
+        "  fixed",
+        "  student-t",
+    ]
 
 
 def test_rows_hold_the_metrics_and_the_median_time(make_run: Callable[..., RunResult]) -> None:
-    metrics = Metrics(30, armse_m=0.12345, final_error_m=2.0, short_t_percent=1.5, short_r_deg_per_m=0.01)
+    metrics = Metrics(
+        30, armse_m=0.12345, final_error_m=2.0, short_t_percent=1.5, short_r_deg_per_m=0.01
+    )
     run = replace(make_run(4), total_ms=np.array([7.0, 8.0, 100.0]))
     rows = comparison_rows(Comparison((Entry("hill", "fixed", run, metrics=metrics),)))
     assert rows[0] == ("estimator", *COLUMNS, "solved %")
@@ -84,7 +110,8 @@ def test_what_is_not_known_is_a_dash(make_run: Callable[..., RunResult]) -> None
 def test_out_of_domain_features_have_a_column_where_a_model_has_a_domain(
     entries: tuple[Entry, Entry], make_run: Callable[..., RunResult], tmp_path: Path
 ) -> None:
-    home, abroad = entries[0], replace(entries[1], result=make_run(30, outside=25))
+    home = entries[0]
+    abroad = replace(entries[1], result=make_run(30, outside=25))
     head, _, first, second = comparison_rows(Comparison((home, abroad)))
     assert head == ("estimator", *COLUMNS, "solved %", "out of domain %")
     assert (first[-1], second[-1]) == ("–", "25.0")
@@ -102,7 +129,9 @@ def test_page_is_whole_and_self_contained(
 ) -> None:
     run = make_run(count)
     truth = run.T_world_cam.copy()
-    truth[{"all": count, "none": 0, "some": 1, "late": 0}[known] :: 2 if known == "some" else 1][: count - 1] = np.nan
+    truth[{"all": count, "none": 0, "some": 1, "late": 0}[known] :: 2 if known == "some" else 1][
+        : count - 1
+    ] = np.nan
     compared = [entry(name, run, None if known == "none" else truth) for name in COLORS]
     page = page_of(Comparison((*compared, replace(compared[0], sequence="<dale>"))), tmp_path)
 
@@ -112,7 +141,11 @@ def test_page_is_whole_and_self_contained(
     assert len(parsed.ids) == len(set(parsed.ids))
     assert {*re.findall(r"url\(#(.*?)\)", page)} <= set(parsed.ids)
     reports = [link for link in parsed.links if not link.startswith(("data:", "#"))]
-    assert reports == ["runs/fixed/report.html", "runs/student-t/report.html", "runs/fixed/report.html"]
+    assert reports == [
+        "runs/fixed/report.html",
+        "runs/student-t/report.html",
+        "runs/fixed/report.html",
+    ]
     assert "http" not in page
     assert "<script" not in page
     assert "A &lt;title&gt;" in page
@@ -130,24 +163,42 @@ def test_the_same_runs_give_the_same_bytes(entries: tuple[Entry, Entry], tmp_pat
     assert pages[0] == pages[1]
 
 
-def test_the_least_error_of_a_sequence_is_marked(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+def test_the_least_error_of_a_sequence_is_marked(
+    entries: tuple[Entry, Entry], tmp_path: Path
+) -> None:
     """Each of the four errors, and the time of none."""
     fixed, student_t = cells_of(page_of(Comparison(entries), tmp_path))
     assert [best for _, best in fixed] == [True, True, True, True, False, False]
     assert [best for _, best in student_t] == [False] * 6
 
 
-def test_who_has_seen_the_recording_is_marked_and_never_the_best(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
-    seen = Comparison((replace(entries[0], learned_from_it=True), entries[1], replace(entries[1], estimator="third")))
+def test_who_has_seen_the_recording_is_marked_and_never_the_best(
+    entries: tuple[Entry, Entry], tmp_path: Path
+) -> None:
+    seen = Comparison(
+        (
+            replace(entries[0], learned_from_it=True),
+            entries[1],
+            replace(entries[1], estimator="third"),
+        )
+    )
     page = page_of(seen, tmp_path)
     assert "fixed †</th>" in page
     assert [any(best for _, best in row) for row in cells_of(page)] == [False, True, True]
-    assert [row[0] for row in comparison_rows(seen)] == ["estimator", "hill", "  fixed †", "  student-t", "  third"]
+    assert [row[0] for row in comparison_rows(seen)] == [
+        "estimator",
+        "hill",
+        "  fixed †",
+        "  student-t",
+        "  third",
+    ]
     assert column_notes(seen)[-1].startswith("†: learned from a recording of this name")
     assert "fixed from hill" in trial_table(seen).notes[-1]
 
 
-def test_steps_that_were_not_solved_and_honesty_are_seen(make_run: Callable[..., RunResult]) -> None:
+def test_steps_that_were_not_solved_and_honesty_are_seen(
+    make_run: Callable[..., RunResult],
+) -> None:
     run = make_run(5)
     status = np.array([Status.NOT_CONVERGED, Status.OK, Status.OK, Status.GAP])  # of its four steps
     blind = Entry("hill", "fixed", replace(run, status=status), metrics=Metrics(5, anees=7.25))
@@ -156,10 +207,14 @@ def test_steps_that_were_not_solved_and_honesty_are_seen(make_run: Callable[...,
     assert row[-2:] == ("50.0", "7.25")
 
 
-def test_figures_that_read_the_same_are_marked_alike(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+def test_figures_that_read_the_same_are_marked_alike(
+    entries: tuple[Entry, Entry], tmp_path: Path
+) -> None:
     metrics = Metrics(30, armse_m=0.12341), Metrics(30, armse_m=0.12342)
     compared = tuple(replace(e, metrics=m) for e, m in zip(entries, metrics, strict=True))
-    assert [row[0] for row in cells_of(page_of(Comparison(compared), tmp_path))] == [("0.123", True)] * 2
+    assert [row[0] for row in cells_of(page_of(Comparison(compared), tmp_path))] == [
+        ("0.123", True)
+    ] * 2
 
 
 def test_one_estimator_alone_is_not_the_best(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
@@ -167,12 +222,21 @@ def test_one_estimator_alone_is_not_the_best(entries: tuple[Entry, Entry], tmp_p
     assert not any(best for _, best in row)
 
 
-def test_pictures_of_the_same_frame_stand_beside_each_other(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+def test_pictures_of_the_same_frame_stand_beside_each_other(
+    entries: tuple[Entry, Entry], tmp_path: Path
+) -> None:
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", page_of(Comparison(entries), tmp_path))
-    assert captions == ["fixed · Frame 1", "student-t · Frame 1", "fixed · Frame 3", "student-t · Frame 3"]
+    assert captions == [
+        "fixed · Frame 1",
+        "student-t · Frame 1",
+        "fixed · Frame 3",
+        "student-t · Frame 3",
+    ]
 
 
-def test_link_to_a_name_that_a_browser_would_misread(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+def test_link_to_a_name_that_a_browser_would_misread(
+    entries: tuple[Entry, Entry], tmp_path: Path
+) -> None:
     page = page_of(Comparison((replace(entries[0], report=Path("50% #1/report.html")),)), tmp_path)
     assert 'href="50%25%20%231/report.html"' in page
 
@@ -180,12 +244,16 @@ def test_link_to_a_name_that_a_browser_would_misread(entries: tuple[Entry, Entry
 def test_nothing_to_compare_is_refused(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
     for runs in ((), (Entry("hill", "fixed", make_run(1)),)):
         with pytest.raises(ValueError, match="needs one run at least, and each run two frames"):
-            write_comparison(tmp_path / "report.html", Comparison(runs), "", {})
+            write_comparison(tmp_path / "report.html", Comparison(runs), "", facts={})
 
 
-def test_paths_start_together_wherever_the_truth_has_its_world(entries: tuple[Entry, Entry]) -> None:
+def test_paths_start_together_wherever_the_truth_has_its_world(
+    entries: tuple[Entry, Entry],
+) -> None:
     """The truth lies in a frame of its own; it is drawn on the run that has no error."""
-    lines = {line.get_label(): line.get_xydata() for line in paths_figure(entries, COLORS).axes[0].lines}
+    lines = {
+        line.get_label(): line.get_xydata() for line in paths_figure(entries, COLORS).axes[0].lines
+    }
     np.testing.assert_allclose(lines["truth"], lines["fixed"], atol=1e-12)
     np.testing.assert_array_equal(lines["fixed"], entries[0].result.T_world_cam[:, [0, 2], 3])
     np.testing.assert_allclose(lines["student-t"][0], 0.0, atol=1e-12)
@@ -196,19 +264,27 @@ def test_errors_are_those_of_the_positions(entries: tuple[Entry, Entry]) -> None
     lines = errors_figure(entries, COLORS).axes[0].lines
     assert [line.get_color() for line in lines] == ["#111111"] * 2 + ["#222222"] * 2
     for compared, line in zip(entries, lines[1::2], strict=True):
-        error_m = np.linalg.norm(position_errors(compared.result.T_world_cam, compared.truth), axis=1)
+        error_m = np.linalg.norm(
+            position_errors(compared.result.T_world_cam, compared.truth), axis=1
+        )
         np.testing.assert_allclose(line.get_ydata(), error_m, atol=1e-9)
 
 
-def test_a_name_with_dollars_is_no_mathematics(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+def test_a_name_with_dollars_is_no_mathematics(
+    entries: tuple[Entry, Entry], tmp_path: Path
+) -> None:
     page = page_of(Comparison((replace(entries[0], estimator="$x_1$"),)), tmp_path)
     assert "$x_1$</text>" in page
 
 
-def test_the_table_of_trials_is_shown_where_there_is_one(entries: tuple[Entry, Entry], tmp_path: Path) -> None:
+def test_the_table_of_trials_is_shown_where_there_is_one(
+    entries: tuple[Entry, Entry], tmp_path: Path
+) -> None:
     comparison = Comparison(tuple(replace(e, report=None) for e in entries))
-    write_comparison(tmp_path / "with.html", comparison, "", {}, trial_table(comparison))
-    write_comparison(tmp_path / "without.html", comparison, "", {})
+    write_comparison(
+        tmp_path / "with.html", comparison, "", facts={}, trials=trial_table(comparison)
+    )
+    write_comparison(tmp_path / "without.html", comparison, "", facts={})
     shown = [(tmp_path / name).read_text() for name in ("with.html", "without.html")]
     assert [page.count("In the form of PROBE Table I") for page in shown] == [1, 0]
 
@@ -231,9 +307,14 @@ def test_what_reads_as_the_least(values: list[float | None], least: list[bool]) 
 
 def test_recordings_without_truth_are_named(make_run: Callable[..., RunResult]) -> None:
     with_truth = Entry("hill", "fixed", make_run(3), metrics=Metrics(3, armse_m=1.0))
-    without = [Entry("dale", "fixed", make_run(3)), Entry("moor", "fixed", make_run(3), metrics=Metrics(0))]
+    without = [
+        Entry("dale", "fixed", make_run(3)),
+        Entry("moor", "fixed", make_run(3), metrics=Metrics(0)),
+    ]
     assert truth_note(Comparison((with_truth,))) == ()
-    assert truth_note(Comparison((with_truth, *without))) == ("No truth is known, and so no error: dale, moor.",)
+    assert truth_note(Comparison((with_truth, *without))) == (
+        "No truth is known, and so no error: dale, moor.",
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
-from probevo.motion.estimate import Status
 from probevo.output.comparison import Entry
 from probevo.output.comparison_files import document, flat_record, write_csv
 from probevo.output.files import write_json
@@ -19,13 +19,27 @@ from probevo.run_config import RunConfig
 
 
 def entry(run: RunResult, *, truth: bool, name: str = 'hill, "a"') -> Entry:
-    T_true = se3.exp(np.array([0.1, 0.0, 0.0, 0.0, 0.01, 0.0])) @ run.T_world_cam @ se3.exp(np.full(6, 0.01))
-    metrics = evaluate(run.T_world_cam, T_true, run.T_curr_prev, run.cov) if truth else None
-    return Entry(name, "fixed", run, metrics=metrics, report=Path("out/runs/a/report.html"), config=RunConfig(seed=3))
+    T_true = (
+        se3.exp(np.array([0.1, 0.0, 0.0, 0.0, 0.01, 0.0]))
+        @ run.T_world_cam
+        @ se3.exp(np.full(6, 0.01))
+    )
+    metrics = evaluate(run.T_world_cam, T_true, run.T_curr_prev, cov=run.cov) if truth else None
+    return Entry(
+        name,
+        "fixed",
+        run,
+        metrics=metrics,
+        report=Path("out/runs/a/report.html"),
+        config=RunConfig(seed=3),
+    )
 
 
-def test_a_line_holds_every_metric_as_it_is(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
-    known, unknown = entry(make_run(60), truth=True), entry(make_run(60), truth=False, name="dale")
+def test_a_line_holds_every_metric_as_it_is(
+    make_run: Callable[..., RunResult], tmp_path: Path
+) -> None:
+    known = entry(make_run(60), truth=True)
+    unknown = entry(make_run(60), truth=False, name="dale")
     write_csv(tmp_path / "c.csv", map(flat_record, (known, unknown)))
     with (tmp_path / "c.csv").open(encoding="utf-8") as file:
         first, second = csv.DictReader(file)
@@ -36,13 +50,20 @@ def test_a_line_holds_every_metric_as_it_is(make_run: Callable[..., RunResult], 
         else:
             assert first[key] == ("" if value is None else repr(value)), key
     assert {first["sequence"], second["sequence"]} == {'hill, "a"', "dale"}
-    assert all(second[field.name] == "" for field in fields(Metrics) if field.name != "nees_coverage")
+    assert all(
+        second[field.name] == "" for field in fields(Metrics) if field.name != "nees_coverage"
+    )
     assert [first[f"steps_{name}"] for name in ("ok", "gap", "degenerate")] == ["58", "1", "0"]
-    assert (first["frames"], float(first["ms_per_frame"])) == ("60", float(np.median(known.result.total_ms)))
+    assert (first["frames"], float(first["ms_per_frame"])) == (
+        "60",
+        float(np.median(known.result.total_ms)),
+    )
     assert set(first) == set(second)
 
 
-def test_the_share_out_of_domain_needs_no_truth(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+def test_the_share_out_of_domain_needs_no_truth(
+    make_run: Callable[..., RunResult], tmp_path: Path
+) -> None:
     entries = [entry(make_run(9, outside=25), truth=known) for known in (True, False)]
     assert [flat_record(each)["out_of_domain"] for each in entries] == [0.25, 0.25]
     assert [run["out_of_domain"] for run in document(entries, tmp_path)["runs"]] == [0.25, 0.25]
@@ -56,7 +77,8 @@ def test_every_status_has_a_column(make_run: Callable[..., RunResult]) -> None:
 def test_json_has_metrics_settings_and_the_way_to_the_report(
     make_run: Callable[..., RunResult], tmp_path: Path
 ) -> None:
-    known, unknown = entry(make_run(60), truth=True), entry(make_run(1), truth=False)
+    known = entry(make_run(60), truth=True)
+    unknown = entry(make_run(1), truth=False)
     write_json(tmp_path / "c.json", document((known, unknown), Path("out")))
     first, second = json.loads((tmp_path / "c.json").read_text())["runs"]
     assert known.metrics is not None

@@ -12,7 +12,9 @@ def decode(jpeg: bytes) -> np.ndarray:
 
 def test_trusted_and_distrusted_points_differ_in_hue() -> None:
     prev = np.array([[100.0, 100, 90, 100], [500.0, 100, 490, 100]])
-    picture = decode(draw_tracks(GRAY, prev, prev + np.array([20.0, 0, 20, 0]), np.array([0.0, 1.0])))
+    picture = decode(
+        draw_tracks(GRAY, prev, prev + np.array([20.0, 0, 20, 0]), weights=np.array([0.0, 1.0]))
+    )
     blue, _, red = np.moveaxis(picture, -1, 0)
     assert red[100, 120] > blue[100, 120] + 60
     assert blue[100, 520] > red[100, 520] + 60
@@ -23,11 +25,13 @@ def test_place_follows_the_scale() -> None:
     """At half the width a point at u = 401 lands on column 200."""
     prev = np.array([[401.0, 101, 390, 101]])
     wide = np.full((600, 1920), 128, dtype=np.uint8)
-    blue, _, red = np.moveaxis(decode(draw_tracks(wide, prev, prev, np.array([0.0]))), -1, 0)
+    blue, _, red = np.moveaxis(
+        decode(draw_tracks(wide, prev, prev, weights=np.array([0.0]))), -1, 0
+    )
     rows, columns = np.nonzero(red[:100] > blue[:100] + 40)
     np.testing.assert_allclose([columns.mean(), rows.mean()], [200.25, 50.25], atol=0.6)
 
 
 def test_no_tracks_is_a_picture_too() -> None:
     empty = np.empty((0, 4))
-    assert decode(draw_tracks(GRAY, empty, empty, np.empty(0))).shape == (300, 960, 3)
+    assert decode(draw_tracks(GRAY, empty, empty, weights=np.empty(0))).shape == (300, 960, 3)

@@ -19,14 +19,21 @@ UV = np.array([[200.0, 150.0], [500.0, 150.0], [800.0, 150.0]])
 
 
 def drawn(
-    shades: Shades, left: Image | None = GRAY, size_px: tuple[int, int] = SIZE_PX, uv: FloatArray = UV
+    shades: Shades,
+    left: Image | None = GRAY,
+    size_px: tuple[int, int] = SIZE_PX,
+    uv: FloatArray = UV,
 ) -> AnyArray:
-    jpeg = draw_features(left, size_px, uv, shades)
+    jpeg = draw_features(left, size_px, uv, shades=shades)
     return cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_COLOR).astype(float)
 
 
-@pytest.mark.parametrize(("size_px", "factor"), [((1242, 375), 1), ((621, 188), 2), ((320, 128), 3), ((3000, 90), 1)])
-def test_picture_is_a_whole_multiple_of_the_image_and_a_legend(size_px: tuple[int, int], factor: int) -> None:
+@pytest.mark.parametrize(
+    ("size_px", "factor"), [((1242, 375), 1), ((621, 188), 2), ((320, 128), 3), ((3000, 90), 1)]
+)
+def test_picture_is_a_whole_multiple_of_the_image_and_a_legend(
+    size_px: tuple[int, int], factor: int
+) -> None:
     width, height = size_px
     picture = drawn(value_shades("blur", "1", np.arange(3.0)), None, size_px)
     assert enlargement(size_px) == factor
@@ -96,4 +103,6 @@ def test_weights_diverge_around_one() -> None:
 
 def test_the_same_bytes_again() -> None:
     shades = value_shades("blur", "1", np.array([0.0, np.nan, 1.0]))
-    assert draw_features(GRAY, SIZE_PX, UV, shades) == draw_features(GRAY, SIZE_PX, UV, shades)
+    assert draw_features(GRAY, SIZE_PX, UV, shades=shades) == draw_features(
+        GRAY, SIZE_PX, UV, shades=shades
+    )

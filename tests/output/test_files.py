@@ -23,10 +23,14 @@ def test_evo_reads_tum(tmp_path: Path, T_world_cam: FloatArray) -> None:
     file_interface = pytest.importorskip("evo.tools.file_interface")
     write_tum(tmp_path / "t.tum", np.arange(40) * 10**8, T_world_cam)
     np.testing.assert_allclose(
-        file_interface.read_tum_trajectory_file(tmp_path / "t.tum").poses_se3, T_world_cam, atol=1e-12
+        file_interface.read_tum_trajectory_file(tmp_path / "t.tum").poses_se3,
+        T_world_cam,
+        atol=1e-12,
     )
 
 
 def test_json_keeps_order_and_precision(tmp_path: Path) -> None:
     write_json(tmp_path / "metrics.json", {"b": 0.1 + 0.2, "a": None})
-    assert (tmp_path / "metrics.json").read_text() == '{\n  "b": 0.30000000000000004,\n  "a": null\n}\n'
+    assert (
+        tmp_path / "metrics.json"
+    ).read_text() == '{\n  "b": 0.30000000000000004,\n  "a": null\n}\n'

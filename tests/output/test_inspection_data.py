@@ -4,7 +4,7 @@ from scipy.stats import spearmanr
 
 from probevo.arrays import FloatArray
 from probevo.noise.metric import Metric
-from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.output.inspection_data import (
     FrameView,
     ModelView,
@@ -32,7 +32,9 @@ def view() -> tuple[ModelView, FloatArray, FloatArray]:
 def test_columns_are_in_the_order_in_which_alpha_varies() -> None:
     model, _, log_alpha = view()
     assert [model.columns[m] for m in model.order] == ["strong", "weak", "holey"]
-    np.testing.assert_allclose(np.sort(model.log_alpha), np.sort(log_alpha - log_alpha.mean()), atol=1e-5)
+    np.testing.assert_allclose(
+        np.sort(model.log_alpha), np.sort(log_alpha - log_alpha.mean()), atol=1e-5
+    )
     np.testing.assert_allclose(np.isnan(model.places).mean(axis=0), [0, 0, 0.2])
 
 
@@ -62,14 +64,26 @@ def test_correlation_is_spearmans() -> None:
 def test_summaries_are_those_of_the_data() -> None:
     model, places, _ = view()
     phi = np.array([[1.0, np.nan, np.nan], [3.0, 5.0, np.nan]])
-    frame = FrameView("drive", 3, None, (4, 4), np.zeros((2, 2)), dict.fromkeys(model.columns, "px"), phi)
+    frame = FrameView(
+        "drive",
+        3,
+        None,
+        size_px=(4, 4),
+        uv=np.zeros((2, 2)),
+        columns=dict.fromkeys(model.columns, "px"),
+        phi=phi,
+    )
     weak, strong, holey = column_summaries(model, frame)
     assert weak.frame_mean == 2.0
     np.testing.assert_allclose(weak.training or (), (places[:, 0].mean(), places[:, 0].std()))
     assert (strong.frame_mean, strong.undefined) == (5.0, 0.5)
     assert (holey.frame_mean, holey.undefined, holey.unit) == (None, 1.0, "px")
     alone = column_summaries(model, None)
-    assert [(column.unit, column.frame_mean) for column in alone] == [("m", None), ("", None), ("", None)]
+    assert [(column.unit, column.frame_mean) for column in alone] == [
+        ("m", None),
+        ("", None),
+        ("", None),
+    ]
     np.testing.assert_allclose([column.undefined for column in alone], [0.0, 0.0, 0.2])
     assert column_summaries(None, frame)[0].training is None
 

@@ -9,24 +9,35 @@ import numpy as np
 import pytest
 
 from output.pages import Balance
-from probevo.noise.generalized_kernel import GeneralizedKernel
+from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import load_model, save_model
 from probevo.output.feature_pictures import _MARK, draw_features, value_shades
 from probevo.output.inspection_data import FrameView
 from probevo.output.inspection_kernel_data import KernelView, course_along, sigma_px, size_px
-from probevo.output.inspection_kernel_page import kernel_rows, share_out_of_domain, write_kernel_inspection
+from probevo.output.inspection_kernel_page import (
+    kernel_rows,
+    share_out_of_domain,
+    write_kernel_inspection,
+)
 from probevo.output.inspection_kernel_pictures import kernel_pictures
 from probevo.output.model_facts import gained, scale_rows, signed, turn_rows, used_columns
 
 COLUMNS = ("x", "idle", "holey")
 SEARCHES: dict[str, Any] = {
-    "weights": {"candidates": ["holey", "x"], "gains": [0.3, 0.5], "chosen": {"x": 1.0, "idle": 0.0, "holey": 2.0}},
+    "weights": {
+        "candidates": ["holey", "x"],
+        "gains": [0.3, 0.5],
+        "chosen": {"x": 1.0, "idle": 0.0, "holey": 2.0},
+    },
     "dof_counts": {"candidates": ["none", 30.0], "gains": [0.61, 0.58], "chosen": "none"},
     "neighbors": {"candidates": [50, 100], "gains": [0.55, 0.52], "chosen": 50},
 }
 TRAINING: dict[str, Any] = {
-    "turns": [{"log_likelihood": -1.0, "loop_error_m": 2.5}, {"log_likelihood": 0.25, "loop_error_m": 1.5}],
+    "turns": [
+        {"log_likelihood": -1.0, "loop_error_m": 2.5},
+        {"log_likelihood": 0.25, "loop_error_m": 1.5},
+    ],
     "searches": SEARCHES,
     "recordings": [{"name": "<drive>", "frames": 40, "sha256": "abcdef0123456789"}],
     "settings": {"kind": "gk"},
@@ -35,7 +46,8 @@ TRAINING: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def view() -> KernelView:
-    """σ is e^x/10 px along u and v_l a third of it; where ``holey`` is undefined, in a fifth of all, ten times that."""
+    """σ is e^x/10 px along u and v_l a third of it; where ``holey`` is undefined, in a fifth of
+    all, ten times that."""
     rng = np.random.default_rng(0)
     phi = rng.normal([0.0, 5.0, 2.0], [0.5, 2.0, 0.25], (4000, 3))
     phi[::5, 2] = np.nan
@@ -43,9 +55,14 @@ def view() -> KernelView:
     errors = sigma[:, None] * rng.normal(size=(4000, 4)) * [1.0, 1 / 3, 1.0, 1.0]
     metric = Metric.fitted(phi, COLUMNS, (False, False, True))
     model = GeneralizedKernel(
-        neighbors=100, prior_counts=4.0, dof_counts=1.0, bias_counts=math.inf, weights=np.array([1.0, 0.0, 2.0]),
-        centers=1500, training=TRAINING,
-    ).fit(phi, errors, metric=metric)  # fmt: skip
+        neighbors=100,
+        prior_counts=4.0,
+        dof_counts=1.0,
+        bias_counts=math.inf,
+        weights=np.array([1.0, 0.0, 2.0]),
+        centers=1500,
+        training=TRAINING,
+    ).fit(phi, errors, metric=metric)
     return KernelView.of("m.safetensors", model, {"x": "focal lengths", "holey": "px"})
 
 
@@ -54,25 +71,45 @@ def frame_of(view: KernelView, phi: list[list[float]]) -> FrameView:
     places = np.array(phi)
     uv = np.random.default_rng(1).uniform([0, 0], [300, 100], (len(places), 2))
     columns = {"x": "focal lengths", "idle": "", "holey": "px"}
-    return FrameView("d", 3, None, (300, 100), uv, columns, places, noise=view.model.predict(places))
+    return FrameView(
+        "d",
+        3,
+        None,
+        size_px=(300, 100),
+        uv=uv,
+        columns=columns,
+        phi=places,
+        noise=view.model.predict(places),
+    )
 
 
 def test_used_columns_come_in_the_order_of_their_gain(view: KernelView) -> None:
-    assert [(c.name, c.weight, c.gain) for c in view.used] == [("holey", 2.0, 0.3), ("x", 1.0, pytest.approx(0.2))]
+    assert [(c.name, c.weight, c.gain) for c in view.used] == [
+        ("holey", 2.0, 0.3),
+        ("x", 1.0, pytest.approx(0.2)),
+    ]
     bare = GeneralizedKernel()
-    bare.metric_ = Metric(COLUMNS, (False,) * 3, np.zeros(3), np.ones(3), np.array([0.5, 0.0, 2.0]))
-    assert [(column.name, column.gain) for column in used_columns(bare)] == [("holey", None), ("x", None)]
+    bare.metric_ = Metric(
+        COLUMNS, (False,) * 3, np.zeros(3), spread=np.ones(3), weight=np.array([0.5, 0.0, 2.0])
+    )
+    assert [(column.name, column.gain) for column in used_columns(bare)] == [
+        ("holey", None),
+        ("x", None),
+    ]
 
 
 def test_centers_lie_where_the_samples_did(view: KernelView) -> None:
     assert view.places.shape == (1500, 2)
     holey, x = view.places.T
     assert np.isnan(holey).mean() == pytest.approx(0.2, abs=0.01)
-    np.testing.assert_allclose([np.nanmean(holey), np.nanstd(holey), x.mean(), x.std()], [2, 0.25, 0, 0.5], atol=0.03)
+    np.testing.assert_allclose(
+        [np.nanmean(holey), np.nanstd(holey), x.mean(), x.std()], [2, 0.25, 0, 0.5], atol=0.03
+    )
 
 
 def test_the_noise_at_the_centers_is_that_of_the_data(view: KernelView) -> None:
-    undefined, x = np.isnan(view.places[:, 0]), view.places[:, 1]
+    undefined = np.isnan(view.places[:, 0])
+    x = view.places[:, 1]
     inner = np.abs(x) < 0.6
     dof = np.maximum(view.noise.dof, 2.5)  # at the rim, neighbours of all sizes make it small
     sigma = sigma_px(view.noise.scale) * np.sqrt(dof / (dof - 2.0))[:, None]
@@ -107,11 +144,21 @@ def test_gains_turns_and_scales_in_words() -> None:
     assert gained({"weights": {"candidates": [], "gains": [], "chosen": [0.0]}}) is None
     assert (signed(0.5), signed(-0.25), signed(None)) == ("+0.500", "−0.250", "–")
     rows = turn_rows([*TRAINING["turns"], {"log_likelihood": 0.5}], "the static model")
-    assert rows == [("0: the static model", "-1.0000", "2.500"), ("1", "0.2500", "1.500"), ("2", "0.5000", "–")]
+    assert rows == [
+        ("0: the static model", "-1.0000", "2.500"),
+        ("1", "0.2500", "1.500"),
+        ("2", "0.5000", "–"),
+    ]
     scale = np.diag([4.0, 1.0, 9.0, 1.0])
     scale[0, 2] = scale[2, 0] = -3.0
     rows = scale_rows(scale)
-    assert [row[1] for row in rows] == ["2.000", "1.000", "3.000", "1.000", f"{math.sqrt(4 + 9 + 6):.3f}"]
+    assert [row[1] for row in rows] == [
+        "2.000",
+        "1.000",
+        "3.000",
+        "1.000",
+        f"{math.sqrt(4 + 9 + 6):.3f}",
+    ]
     assert rows[2][2:] == ("−0.50", "+0.00", "")
 
 
@@ -128,14 +175,18 @@ def test_rows_of_columns(view: KernelView) -> None:
     assert alone[2][-1] == "–"  # the file does not say
 
 
-def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(view: KernelView, tmp_path: Path) -> None:
-    frame = frame_of(view, [[0.1, 1.0, 2.0], [-0.3, 3.0, np.nan], [0.2, 3.0, 2.1], [40.0, 0.0, 2.0]])
+def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(
+    view: KernelView, tmp_path: Path
+) -> None:
+    frame = frame_of(
+        view, [[0.1, 1.0, 2.0], [-0.3, 3.0, np.nan], [0.2, 3.0, 2.1], [40.0, 0.0, 2.0]]
+    )
     assert share_out_of_domain(frame) == 0.25
     pictures = kernel_pictures(view, frame)
     assert list(pictures) == ["sigma", "dof", "holey", "x"]
     assert pictures["holey"][0] == "holey: undefined for 1 of 4"
     for name in ("a", "b"):
-        write_kernel_inspection(tmp_path / name, view, frame, pictures)
+        write_kernel_inspection(tmp_path / name, view, frame, pictures=pictures)
     html = (tmp_path / "a").read_text()
     assert html == (tmp_path / "b").read_text()
     page = Balance()
@@ -144,10 +195,19 @@ def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(view: 
     assert len(set(page.ids)) == len(page.ids)
     titles = re.findall(r"<h2[^>]*>([^<]*)", html)
     assert titles == [
-        "Its features", "Predicted σ in this frame", "Predicted ν in this frame", "The predictors in figures",
-        "What the model learned", "holey", "x", "Learning by turns", "How it was chosen", "The prior", "Trained on",
+        "Its features",
+        "Predicted σ in this frame",
+        "Predicted ν in this frame",
+        "The predictors in figures",
+        "What the model learned",
+        "holey",
+        "x",
+        "Learning by turns",
+        "How it was chosen",
+        "The prior",
+        "Trained on",
         "Where the centers lie, over the most telling predictors",
-    ]  # fmt: skip
+    ]
     assert "25.0 % of the features are out of domain" in html
     assert "<dt>Gain over the static model</dt><dd>+0.610 nats a feature</dd>" in html
     assert "&lt;drive&gt;" in html
@@ -161,16 +221,23 @@ def test_a_model_without_a_history_has_a_page_too(view: KernelView, tmp_path: Pa
     rng = np.random.default_rng(0)
     phi = rng.normal(size=(300, 2))
     model = GeneralizedKernel(
-        neighbors=50, prior_counts=4.0, dof_counts=100.0, bias_counts=10.0, weights=np.array([0.0, 1.0])
+        neighbors=50,
+        prior_counts=4.0,
+        dof_counts=100.0,
+        bias_counts=10.0,
+        weights=np.array([0.0, 1.0]),
     ).fit(phi, rng.normal(1.0, 1.0, (300, 4)))
     save_model(model, tmp_path / "m.safetensors")
     read = load_model(tmp_path / "m.safetensors")
     assert isinstance(read, GeneralizedKernel)
-    write_kernel_inspection(tmp_path / "page.html", KernelView.of("m", read, {}), None, {})
+    write_kernel_inspection(tmp_path / "page.html", KernelView.of("m", read, {}), None, pictures={})
     html = (tmp_path / "page.html").read_text()
     assert re.findall(r"<h2[^>]*>([^<]*)", html) == [
-        "The predictors in figures", "What the model learned", "column 1", "The prior"
-    ]  # fmt: skip
+        "The predictors in figures",
+        "What the model learned",
+        "column 1",
+        "The prior",
+    ]
     assert ">bias, px<" in html
     assert "<dt>Samples</dt><dd>300</dd>" in html
 
@@ -178,9 +245,16 @@ def test_a_model_without_a_history_has_a_page_too(view: KernelView, tmp_path: Pa
 def test_out_of_domain_features_get_a_ring() -> None:
     import cv2
 
-    uv, values = np.array([[60.0, 40.0], [200.0, 40.0]]), np.array([1.0, 2.0])
+    uv = np.array([[60.0, 40.0], [200.0, 40.0]])
+    values = np.array([1.0, 2.0])
     for out_of_domain in (None, np.array([False, False]), np.array([False, True])):
-        jpeg = draw_features(None, (720, 80), uv, value_shades("σ", "px", values, logarithmic=True), out_of_domain)
+        jpeg = draw_features(
+            None,
+            (720, 80),
+            uv,
+            shades=value_shades("σ", "px", values, logarithmic=True),
+            out_of_domain=out_of_domain,
+        )
         picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)[:80].astype(float)
         marked = np.linalg.norm(picture - _MARK, axis=2) < 100
         columns = np.flatnonzero(marked.any(axis=0))
@@ -192,7 +266,8 @@ def test_out_of_domain_features_get_a_ring() -> None:
 
 def test_logarithmic_shades_have_equal_ratios() -> None:
     values = np.array([0.01, 0.1, 1.0])
-    linear, ratio = value_shades("σ", "px", values), value_shades("σ", "px", values, logarithmic=True)
+    linear = value_shades("σ", "px", values)
+    ratio = value_shades("σ", "px", values, logarithmic=True)
     assert ratio.ends == linear.ends
     assert ratio.place[1] == pytest.approx(0.5, abs=0.1)
     assert linear.place[1] < 0.15

@@ -36,8 +36,8 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
         "num_inliers": ((4,), "<i8"),
         "num_used": ((4,), "<i8"),
         "num_out_of_domain": ((4,), "<i8"),
-        "shared": ((4, 6, 3), "<f8"),
-        "tied": ((4, 6, 6), "<f8"),
+        "common_mode": ((4, 6, 3), "<f8"),
+        "path_cross_cov": ((4, 6, 6), "<f8"),
         "total_ms": ((4,), "<f8"),
         "ms_track": ((4,), "<f8"),
         "ms_solve": ((4,), "<f8"),
@@ -46,7 +46,9 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
     }
 
 
-def test_files_from_before_the_features_were_counted(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+def test_files_from_before_the_features_were_counted(
+    make_run: Callable[..., RunResult], tmp_path: Path
+) -> None:
     run = make_run(5, outside=7)
     write_motions(tmp_path / "new.npz", run)
     with np.load(tmp_path / "new.npz") as archive:
@@ -67,7 +69,9 @@ def test_only_times_differ_between_runs(make_run: Callable[..., RunResult], tmp_
     assert differing == {"ms_track.npy", "ms_solve.npy", "total_ms.npy"}
 
 
-def test_the_same_run_gives_the_same_bytes(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
+def test_the_same_run_gives_the_same_bytes(
+    make_run: Callable[..., RunResult], tmp_path: Path
+) -> None:
     for name in ("a", "b"):
         write_motions(tmp_path / name, make_run(20))
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
@@ -87,12 +91,17 @@ def test_the_same_run_gives_the_same_bytes(make_run: Callable[..., RunResult], t
     ],
 )
 def test_malformed_contents(
-    make_run: Callable[..., RunResult], tmp_path: Path, change: dict[str, np.ndarray | None], complaint: str
+    make_run: Callable[..., RunResult],
+    tmp_path: Path,
+    change: dict[str, np.ndarray | None],
+    complaint: str,
 ) -> None:
     write_motions(tmp_path / "good.npz", make_run(5))
     with np.load(tmp_path / "good.npz") as archive:
         arrays = dict(archive) | change
-    np.savez(tmp_path / "bad.npz", **{name: array for name, array in arrays.items() if array is not None})
+    np.savez(
+        tmp_path / "bad.npz", **{name: array for name, array in arrays.items() if array is not None}
+    )
     with pytest.raises(InputError, match=complaint):
         read_motions(tmp_path / "bad.npz")
 
@@ -107,6 +116,15 @@ def test_unreadable_files(make_run: Callable[..., RunResult], tmp_path: Path) ->
     (tmp_path / "flipped.npz").write_bytes(whole.replace(b"\x00\x00\xf0\x3f", b"\x00\x00\xf0\x3e"))
     version = whole.index(b"PK\x01\x02") + 6  # of the archive's form, as its first entry needs it
     (tmp_path / "future.npz").write_bytes(whole[:version] + b"\xff" + whole[version + 1 :])
-    for name in ("absent.npz", "cut.npz", "text.npz", "empty.npz", "single.npy", "flipped.npz", "future.npz", "."):
+    for name in (
+        "absent.npz",
+        "cut.npz",
+        "text.npz",
+        "empty.npz",
+        "single.npy",
+        "flipped.npz",
+        "future.npz",
+        ".",
+    ):
         with pytest.raises(InputError, match="cannot be read"):
             read_motions(tmp_path / name)

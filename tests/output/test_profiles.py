@@ -18,7 +18,10 @@ def test_a_straight_line_is_found_and_explains_its_share() -> None:
 def test_chance_explains_nothing() -> None:
     """Twenty bins would explain 20/2000 of pure noise, if what chance gives were not taken off."""
     rng = np.random.default_rng(1)
-    shares = [profile_along(rng.normal(size=2000), rng.normal(size=2000)).share_explained for _ in range(20)]
+    shares = [
+        profile_along(rng.normal(size=2000), rng.normal(size=2000)).share_explained
+        for _ in range(20)
+    ]
     assert np.mean(shares) < 0.004
 
 
@@ -26,7 +29,8 @@ def test_samples_of_one_subset_count_as_one() -> None:
     """The same subsets with eight times as many members know no more."""
     rng = np.random.default_rng(2)
     x, log_alpha = rng.normal(size=(2, 4000))
-    once, often = profile_along(x, log_alpha), profile_along(np.repeat(x, 8), np.repeat(log_alpha, 8))
+    once = profile_along(x, log_alpha)
+    often = profile_along(np.repeat(x, 8), np.repeat(log_alpha, 8))
     np.testing.assert_allclose(often.mean, once.mean, atol=0.02)
     np.testing.assert_allclose(often.standard_error, once.standard_error, rtol=0.05)
 

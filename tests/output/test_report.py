@@ -20,9 +20,21 @@ from probevo.output.report_timelines import domain_figure, stages_figure
 from probevo.output.run_result import RunResult
 
 
-def page_of(run: RunResult, folder: Path, truth: np.ndarray | None = None, **options: object) -> str:
-    metrics = None if truth is None else evaluate(run.T_world_cam, truth, run.T_curr_prev, run.cov)
-    write_report(folder / "report.html", run, "A <run>", {"noise": "student-t & co"}, truth, metrics, **options)
+def page_of(
+    run: RunResult, folder: Path, truth: np.ndarray | None = None, **options: object
+) -> str:
+    metrics = (
+        None if truth is None else evaluate(run.T_world_cam, truth, run.T_curr_prev, cov=run.cov)
+    )
+    write_report(
+        folder / "report.html",
+        run,
+        "A <run>",
+        {"noise": "student-t & co"},
+        truth,
+        metrics,
+        **options,
+    )
     assert [path.name for path in folder.iterdir()] == ["report.html"]
     return (folder / "report.html").read_text()
 
@@ -34,11 +46,23 @@ def test_page_is_whole_and_self_contained(
 ) -> None:
     run = make_run(count)
     truth = run.T_world_cam.copy()
-    truth[{"all": 0, "none": count, "some": count // 3, "one": 1}[known] :: 2 if known == "some" else 1] = np.nan
+    truth[
+        {"all": 0, "none": count, "some": count // 3, "one": 1}[known] :: 2
+        if known == "some"
+        else 1
+    ] = np.nan
     if known == "all":
         truth = run.T_world_cam
-    jpeg = draw_tracks(np.zeros((60, 200), dtype=np.uint8), np.empty((0, 4)), np.empty((0, 4)), np.empty(0))
-    page = page_of(run, tmp_path, None if known == "none" else truth, thumbnails=[("Frame 1", jpeg)], config="a: <1>")
+    jpeg = draw_tracks(
+        np.zeros((60, 200), dtype=np.uint8), np.empty((0, 4)), np.empty((0, 4)), weights=np.empty(0)
+    )
+    page = page_of(
+        run,
+        tmp_path,
+        None if known == "none" else truth,
+        thumbnails=[("Frame 1", jpeg)],
+        config="a: <1>",
+    )
 
     parsed = Balance()
     parsed.feed(page)
@@ -91,14 +115,22 @@ def test_decoding_is_no_part_of_the_stack(make_run: Callable[..., RunResult]) ->
     stack = [patch for patch in axes.patches if patch.get_fill()]
     assert len(stack) == len(run.stage_ms)
     np.testing.assert_allclose(stack[-1].get_data().values, run.total_ms)
-    assert "decode 50, beside the total" in [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "decode 50, beside the total" in [
+        text.get_text() for text in axes.get_legend().get_texts()
+    ]
 
 
-def test_a_stage_has_the_same_colour_whatever_came_first(make_run: Callable[..., RunResult]) -> None:
+def test_a_stage_has_the_same_colour_whatever_came_first(
+    make_run: Callable[..., RunResult],
+) -> None:
     """In a run whose first step was not solved, the solve is timed later than what is learned."""
     run = make_run(5)
-    one, ms = {}, np.ones(4)
-    for names in (("track", "consensus", "solve", "learn"), ("track", "consensus", "learn", "solve", "own")):
+    one = {}
+    ms = np.ones(4)
+    for names in (
+        ("track", "consensus", "solve", "learn"),
+        ("track", "consensus", "learn", "solve", "own"),
+    ):
         stages = stages_figure(replace(run, stage_ms={name: ms for name in names})).axes[0].patches
         colors = {str(patch.get_label()).split()[0]: patch.get_facecolor() for patch in stages}
         assert all(colors[name] == color for name, color in one.items())
@@ -107,10 +139,15 @@ def test_a_stage_has_the_same_colour_whatever_came_first(make_run: Callable[...,
 
 
 @pytest.mark.parametrize(
-    ("outside", "timeline", "warned"), [(None, False, False), (0, False, False), (10, True, False), (11, True, True)]
+    ("outside", "timeline", "warned"),
+    [(None, False, False), (0, False, False), (10, True, False), (11, True, True)],
 )
 def test_the_page_warns_of_more_than_a_tenth_out_of_domain(
-    make_run: Callable[..., RunResult], tmp_path: Path, outside: int | None, timeline: bool, warned: bool
+    make_run: Callable[..., RunResult],
+    tmp_path: Path,
+    outside: int | None,
+    timeline: bool,
+    warned: bool,
 ) -> None:
     page = page_of(make_run(30, outside=outside), tmp_path)
     assert ('aria-label="Out of domain"' in page) is timeline
@@ -122,17 +159,23 @@ def test_the_page_warns_of_more_than_a_tenth_out_of_domain(
 
 
 def test_the_share_out_of_domain_over_time(make_run: Callable[..., RunResult]) -> None:
-    """1200 steps in 400 groups of three; the share is that of all features of a group, 0 where none was used."""
-    used, outside = np.tile([100, 300, 0], 400), np.tile([10, 70, 0], 400)
+    """1200 steps in 400 groups of three; the share is that of all features of a group, 0 where none
+    was used."""
+    used = np.tile([100, 300, 0], 400)
+    outside = np.tile([10, 70, 0], 400)
     used[:3] = outside[:3] = 0
     percent = domain_figure(used, outside, make_run(1201)).axes[0].patches[0].get_data().values
     np.testing.assert_allclose(percent, [0.0, *[20.0] * 399])
 
 
-def test_the_calibration_of_an_honest_run_lies_on_the_diagonal_and_that_of_a_bold_one_below() -> None:
+def test_the_calibration_of_an_honest_run_lies_on_the_diagonal_and_that_of_a_bold_one_below() -> (
+    None
+):
     nees = np.random.default_rng(0).chisquare(6, 4000)
     for factor, low, high in ((1.0, -3.0, 3.0), (2.0, -60.0, -1.0)):
-        claimed, inside = calibration_figure(Consistency(factor * nees)).axes[0].lines[-1].get_data()
+        claimed, inside = (
+            calibration_figure(Consistency(factor * nees)).axes[0].lines[-1].get_data()
+        )
         off = (np.asarray(inside) - np.asarray(claimed))[9:90]
         assert ((low < off) & (off < high)).all()
 
@@ -142,7 +185,9 @@ def test_calibration_is_shown_where_a_step_has_truth(
     make_run: Callable[..., RunResult], tmp_path: Path, known: str
 ) -> None:
     run = make_run(30)
-    truth = np.where((known == "all") | (np.arange(30) == 5)[:, None, None], run.T_world_cam, np.nan)
+    truth = np.where(
+        (known == "all") | (np.arange(30) == 5)[:, None, None], run.T_world_cam, np.nan
+    )
     page = page_of(run, tmp_path, None if known == "none" else truth)
     assert ("Claim and truth, step by step" in page) is (known == "all")
 

@@ -3,13 +3,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.geometry import se3
-from probevo.motion.estimate import MotionEstimate, Status
 from probevo.output.run_result import RunRecorder, RunResult
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 30])
-def test_shapes_hold_for_any_number_of_frames(make_run: Callable[..., RunResult], count: int) -> None:
+def test_shapes_hold_for_any_number_of_frames(
+    make_run: Callable[..., RunResult], count: int
+) -> None:
     run = make_run(count)
     steps = max(count - 1, 0)
     assert len(run) == count
@@ -24,14 +26,18 @@ def test_trajectory_chains_the_motions(make_run: Callable[..., RunResult]) -> No
     run = make_run(10)
     np.testing.assert_array_equal(run.T_world_cam[0], np.eye(4))
     for k, T_curr_prev in enumerate(run.T_curr_prev):
-        np.testing.assert_allclose(se3.inverse(run.T_world_cam[k + 1]) @ run.T_world_cam[k], T_curr_prev, atol=1e-12)
+        np.testing.assert_allclose(
+            se3.inverse(run.T_world_cam[k + 1]) @ run.T_world_cam[k], T_curr_prev, atol=1e-12
+        )
 
 
 def test_moving_forward_moves_the_camera_forward() -> None:
     """Points come closer by 1 m a step: p_curr = p_prev − z."""
     T_curr_prev = np.tile(np.eye(4), (3, 1, 1))
     T_curr_prev[:, 2, 3] = -1.0
-    np.testing.assert_array_equal(se3.chain_motions(T_curr_prev)[:, :3, 3], np.outer(np.arange(4.0), [0, 0, 1]))
+    np.testing.assert_array_equal(
+        se3.chain_motions(T_curr_prev)[:, :3, 3], np.outer(np.arange(4.0), [0, 0, 1])
+    )
 
 
 @pytest.mark.parametrize(
@@ -50,21 +56,36 @@ def test_the_share_out_of_domain_is_that_of_all_features_used(
 ) -> None:
     recorder = RunRecorder()
     for k, (used, count) in enumerate([(0, None), *steps]):
-        recorder.add(k, MotionEstimate(np.eye(4), np.eye(6), Status.OK, 400, num_used=used, num_out_of_domain=count))
+        recorder.add(
+            k,
+            MotionEstimate(
+                np.eye(4),
+                np.eye(6),
+                Status.OK,
+                num_tracks=400,
+                num_used=used,
+                num_out_of_domain=count,
+            ),
+        )
     run = recorder.result()
     assert run.num_used is not None
     assert run.num_used.tolist() == [used for used, _ in steps]
-    assert (None if run.num_out_of_domain is None else run.num_out_of_domain.tolist()) == out_of_domain
+    assert (
+        None if run.num_out_of_domain is None else run.num_out_of_domain.tolist()
+    ) == out_of_domain
     assert run.out_of_domain == pytest.approx(share)
 
 
 def test_totals_and_stages_that_come_and_go() -> None:
     recorder = RunRecorder()
     for k, stages in enumerate([{}, {"track": 5.0}, {"track": 4.0, "solve": 1.0}]):
-        motion = MotionEstimate(np.eye(4), np.eye(6), Status.OK, 10, stage_ms=stages)
+        motion = MotionEstimate(np.eye(4), np.eye(6), Status.OK, num_tracks=10, stage_ms=stages)
         recorder.add(k, motion, total_ms=7.5 if k == 2 else None, rejected={"flow": k})
     run = recorder.result()
-    assert {name: ms.tolist() for name, ms in run.stage_ms.items()} == {"track": [5.0, 4.0], "solve": [0.0, 1.0]}
+    assert {name: ms.tolist() for name, ms in run.stage_ms.items()} == {
+        "track": [5.0, 4.0],
+        "solve": [0.0, 1.0],
+    }
     assert run.total_ms.tolist() == [5.0, 7.5]
     assert run.rejected == {"flow": 3}
 
@@ -75,8 +96,11 @@ def test_long_runs_with_a_stage_that_comes_late() -> None:
     for k in range(2048):
         stages = {"track": float(k)} | ({"solve": -float(k)} if k >= 1500 else {})
         T_curr_prev = se3.exp(np.array([0.0, 0.0, 1e-3 * k, 0.0, 0.0, 0.0]))
-        recorder.add(k, MotionEstimate(T_curr_prev, k * np.eye(6), Status.OK, k, stage_ms=stages))
-    run, numbers = recorder.result(), np.arange(1, 2048)
+        recorder.add(
+            k, MotionEstimate(T_curr_prev, k * np.eye(6), Status.OK, num_tracks=k, stage_ms=stages)
+        )
+    run = recorder.result()
+    numbers = np.arange(1, 2048)
     assert len(run) == len(run.T_world_cam) == 2048
     np.testing.assert_array_equal(run.stamps_ns, np.arange(2048))
     np.testing.assert_array_equal(run.num_tracks, numbers)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probevo.motion.estimate import Status
+from probevo.estimation.motion_estimate import Status
 from probevo.output.run_warnings import status_warning
 
 

@@ -24,7 +24,7 @@ from probevo.output.trial_table import (
 TABLE = TrialTable(
     ("fixed", "a_b"),
     (
-        TrialRow("city_1", ((4.84, 12.6), (3.3, 12.6)), 1251.12, "City"),
+        TrialRow("city_1", ((4.84, 12.6), (3.3, 12.6)), 1251.12, kind="City"),
         TrialRow("published", ((4.0, 1.0), UNKNOWN), is_aside=True),
     ),
     ("50 % is\nmissing.",),
@@ -32,7 +32,8 @@ TABLE = TrialTable(
 
 
 def tabular(source: str) -> tuple[str, list[list[str]]]:
-    """The column specification, and the cells of each row of a ``tabular``; checks that it is well formed."""
+    """The column specification, and the cells of each row of a ``tabular``; checks that it is well
+    formed."""
     lines = [line for line in source.splitlines() if not line.startswith("%")]
     begin = re.fullmatch(r"\\begin\{tabular\}\{([lrc]+)\}", lines[0])
     assert begin
@@ -48,7 +49,9 @@ def tabular(source: str) -> tuple[str, list[list[str]]]:
 
 
 def width(cells: list[str]) -> int:
-    return sum(int(m[1]) if (m := re.match(r"\\multicolumn\{(\d+)\}", cell)) else 1 for cell in cells)
+    return sum(
+        int(m[1]) if (m := re.match(r"\\multicolumn\{(\d+)\}", cell)) else 1 for cell in cells
+    )
 
 
 def test_text_has_both_errors_of_an_estimator_in_one_column() -> None:
@@ -65,7 +68,15 @@ def test_latex_is_well_formed_and_marks_the_least() -> None:
     assert columns == "llrrrrr"
     assert {width(row) for row in rows} == {7}
     assert rows[0][3:] == [r"\multicolumn{2}{c}{fixed}", r"\multicolumn{2}{c}{a\_b}"]
-    assert rows[2] == [r"city\_1", "City", "1,251.1", "4.84", r"\textbf{12.6}", r"\textbf{3.30}", r"\textbf{12.6}"]
+    assert rows[2] == [
+        r"city\_1",
+        "City",
+        "1,251.1",
+        "4.84",
+        r"\textbf{12.6}",
+        r"\textbf{3.30}",
+        r"\textbf{12.6}",
+    ]
     assert rows[3] == [r"\quad published", "", "--", "4.00", "1.00", "--", "--"]
     assert source.splitlines()[0] == "% 50 % is missing."
 
@@ -117,7 +128,8 @@ def test_html_marks_the_least_and_says_the_notes() -> None:
 
 
 def test_rows_are_recordings_and_columns_estimators(make_run: Callable[..., RunResult]) -> None:
-    run, metrics = make_run(3), Metrics(3, armse_m=1.0, final_error_m=2.0, path_length_m=30.0)
+    run = make_run(3)
+    metrics = Metrics(3, armse_m=1.0, final_error_m=2.0, path_length_m=30.0)
     entries = (
         Entry("hill", "fixed", run, metrics=metrics),
         Entry("dale", "student-t", run, metrics=replace(metrics, armse_m=3.0)),
@@ -137,7 +149,9 @@ def test_other_measures_have_columns_of_their_own() -> None:
     """One measure as well as three; the text has those of an estimator in one column."""
     for measures in ((("loop error", "m"),), (("a", "m"), ("b", "rad"), ("c", "s"))):
         errors = tuple(tuple(float(k + e) for k in range(len(measures))) for e in range(2))
-        other = TrialTable(("x", "y"), (TrialRow("hill", errors),), (), measures, "thesis Table 0")
+        other = TrialTable(
+            ("x", "y"), (TrialRow("hill", errors),), (), measures=measures, form="thesis Table 0"
+        )
         columns, rows = tabular(trials_latex(other))
         assert columns == "lr" + "r" * 2 * len(measures)
         assert {width(row) for row in rows} == {len(columns)}

@@ -1,4 +1,5 @@
-"""The two accelerations of known forces: what of gravity, of horizontal acceleration and of vibration is seen."""
+"""The two accelerations of known forces: what of gravity, of horizontal acceleration and of
+vibration is seen."""
 
 import numpy as np
 import pytest
@@ -18,7 +19,9 @@ def samples(force_m_s2: FloatArray) -> ImuSamples:
 
 def test_standing_is_nothing_however_the_imu_is_turned() -> None:
     for C in so3.exp(np.random.default_rng(0).normal(size=(10, 3))):
-        np.testing.assert_allclose(acceleration(samples(np.tile(C @ GRAVITY, (20, 1)))), 0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            acceleration(samples(np.tile(C @ GRAVITY, (20, 1)))), 0.0, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("up_m_s2", [-3.0, 2.0])
@@ -38,7 +41,9 @@ def test_vibration_is_its_root_mean_square() -> None:
     """An amplitude of 3 m/s² along some axis, over whole periods."""
     axis = np.array([2.0, -1.0, 2.0]) / 3.0
     wave = 3.0 * np.sin(2.0 * np.pi * np.arange(20) / 5)
-    np.testing.assert_allclose(acceleration(samples(GRAVITY + wave[:, None] * axis)), [0.0, 3.0 / 2**0.5], atol=1e-12)
+    np.testing.assert_allclose(
+        acceleration(samples(GRAVITY + wave[:, None] * axis)), [0.0, 3.0 / 2**0.5], atol=1e-12
+    )
 
 
 def test_gravity_leaks_into_the_vibration_when_the_camera_turns() -> None:

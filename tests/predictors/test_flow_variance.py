@@ -7,20 +7,27 @@ from probevo.arrays import FloatArray
 from probevo.predictors.flow_variance import FLOOR_PX2, MIN_FEATURES, flow_variance
 
 
-def slow_flow_variance(previous_uv: FloatArray, uv: FloatArray, small_px: float, large_px: float) -> FloatArray:
+def slow_flow_variance(
+    previous_uv: FloatArray, uv: FloatArray, small_px: float, large_px: float
+) -> FloatArray:
     """PROBE eq. (17), feature by feature."""
-    flow, values = uv - previous_uv, np.full(len(uv), np.nan)
+    flow = uv - previous_uv
+    values = np.full(len(uv), np.nan)
     for i, place in enumerate(uv):
         offset = np.abs(uv - place).max(axis=1)
-        small, large = flow[offset <= small_px], flow[offset <= large_px]
+        small = flow[offset <= small_px]
+        large = flow[offset <= large_px]
         if len(small) >= MIN_FEATURES:
-            small_px2, large_px2 = (max(np.var(part, axis=0).mean(), FLOOR_PX2) for part in (small, large))
+            small_px2, large_px2 = (
+                max(np.var(part, axis=0).mean(), FLOOR_PX2) for part in (small, large)
+            )
             values[i] = np.log(small_px2 / large_px2)
     return values
 
 
 def scattered(seed: int, count: int) -> tuple[FloatArray, FloatArray]:
-    """Features before and after, in KITTI's image, under large flows that differ little from place to place."""
+    """Features before and after, in KITTI's image, under large flows that differ little from place
+    to place."""
     rng = np.random.default_rng(seed)
     uv = rng.uniform(0.0, [1242.0, 375.0], (count, 2))
     return uv - 80.0 - 0.05 * uv - rng.normal(scale=0.3, size=(count, 2)), uv
@@ -31,7 +38,9 @@ def scattered(seed: int, count: int) -> tuple[FloatArray, FloatArray]:
 def test_it_is_the_slow_definition(windows_px: tuple[float, float], count: int) -> None:
     previous_uv, uv = scattered(0, count)
     values = flow_variance(previous_uv, uv, small_px=windows_px[0], large_px=windows_px[1])
-    np.testing.assert_allclose(values, slow_flow_variance(previous_uv, uv, *windows_px), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        values, slow_flow_variance(previous_uv, uv, *windows_px), rtol=1e-9, atol=1e-9
+    )
 
 
 def test_features_on_the_border_of_a_window_or_on_each_other_count() -> None:
@@ -39,18 +48,23 @@ def test_features_on_the_border_of_a_window_or_on_each_other_count() -> None:
     previous_uv, uv = scattered(1, 300)
     uv = 25.0 * np.round(uv / 25.0)
     values = flow_variance(previous_uv, uv, small_px=25.0, large_px=100.0)
-    np.testing.assert_allclose(values, slow_flow_variance(previous_uv, uv, 25.0, 100.0), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        values, slow_flow_variance(previous_uv, uv, 25.0, 100.0), rtol=1e-9, atol=1e-9
+    )
 
 
 def test_the_order_of_the_features_changes_nothing() -> None:
     previous_uv, uv = scattered(2, 200)
     order = np.random.default_rng(3).permutation(200)
     values = flow_variance(previous_uv, uv)
-    np.testing.assert_allclose(flow_variance(previous_uv[order], uv[order]), values[order], atol=1e-9)
+    np.testing.assert_allclose(
+        flow_variance(previous_uv[order], uv[order]), values[order], atol=1e-9
+    )
 
 
 def test_a_border_between_motions_is_high_and_what_moves_as_one_low() -> None:
-    """A block of 300 px that moves by 10 px, on a background that stands, both but for noise of 0.1 px."""
+    """A block of 300 px that moves by 10 px, on a background that stands, both but for noise of 0.1
+    px."""
     rng = np.random.default_rng(4)
     uv = rng.uniform(0.0, [1242.0, 375.0], (2000, 2))
     distance_px = np.abs(uv[:, 0] - 600.0)
@@ -71,7 +85,9 @@ def test_without_variance_it_is_the_floor_that_counts() -> None:
 
 def test_lonely_features_are_unknown() -> None:
     uv = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [500.0, 0.0], [510.0, 0.0]])
-    np.testing.assert_array_equal(np.isnan(flow_variance(uv - 1.0, uv)), [False, False, False, True, True])
+    np.testing.assert_array_equal(
+        np.isnan(flow_variance(uv - 1.0, uv)), [False, False, False, True, True]
+    )
 
 
 def test_no_features_no_values() -> None:

@@ -1,13 +1,14 @@
-"""The residual of the step before, as a predictor; tests/motion/test_last_residuals.py has the residual itself."""
+"""The residual of the step before, as a predictor; tests/motion/test_last_residuals.py has the
+residual itself."""
 
 import math
 
 import numpy as np
 
-from probevo.motion.last_residuals import LastResiduals
 from probevo.predictors import Step, prediction_space
 from probevo.predictors.last_residual import FLOOR_PX, last_residual
 from probevo.sequences.frame import Frame
+from probevo.tracking.last_residuals import LastResiduals
 from worlds import CAMERA, FORWARD, FRAME_NS, seen_twice
 
 SPACE = prediction_space(["last_residual"])
@@ -17,14 +18,18 @@ FRAMES = Frame(0, 0), Frame(1, FRAME_NS)
 
 def test_it_is_a_logarithm_with_a_floor() -> None:
     values = last_residual(np.array([0.0, 0.9, 30.0, np.nan]))
-    np.testing.assert_allclose(values, [math.log(FLOOR_PX), 0.0, math.log(30.1), np.nan], atol=1e-15)
+    np.testing.assert_allclose(
+        values, [math.log(FLOOR_PX), 0.0, math.log(30.1), np.nan], atol=1e-15
+    )
 
 
 def test_a_step_hands_on_what_the_one_before_left() -> None:
     """TRACKS have the identities 0, 1, 2, 3."""
     left = LastResiduals(np.array([7, 3, 1]), np.array([5.0, 0.4, 1.9]))
     phi = SPACE(Step(TRACKS, CAMERA, FORWARD, *FRAMES, left))
-    np.testing.assert_allclose(phi[:, 0], [np.nan, math.log(2.0), np.nan, math.log(0.5)], atol=1e-15)
+    np.testing.assert_allclose(
+        phi[:, 0], [np.nan, math.log(2.0), np.nan, math.log(0.5)], atol=1e-15
+    )
 
 
 def test_a_first_step_has_none() -> None:

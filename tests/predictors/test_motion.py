@@ -16,7 +16,10 @@ def test_driving_forward_is_positive_z() -> None:
 def test_velocity_and_turn_rate_carry_the_camera_on() -> None:
     """Integrated in a thousand steps, they are the motion again."""
     expected = se3.exp(np.array([0.1, -0.05, -1.2, 0.02, -0.1, 0.03]))
-    T_prev_curr, step_s = np.eye(4), 0.1 / 1000
+    T_prev_curr = np.eye(4)
+    step_s = 0.1 / 1000
     for _ in range(1000):
-        T_prev_curr = T_prev_curr @ se3.exp(step_s * np.r_[velocity(expected, 0.1), turn_rate(expected, 0.1)[:3]])
+        T_prev_curr = T_prev_curr @ se3.exp(
+            step_s * np.r_[velocity(expected, 0.1), turn_rate(expected, 0.1)[:3]]
+        )
     np.testing.assert_allclose(se3.inverse(T_prev_curr), expected, atol=1e-12)

@@ -1,4 +1,5 @@
-"""Predictors tell affected features from clean ones, and clean ones not from others; the page about them is complete.
+"""Predictors tell affected features from clean ones, and clean ones not from others; the page about
+them is complete.
 
 The measures are those of benchmarks/separation_measures.py, on a small scene.
 """
@@ -13,14 +14,16 @@ import numpy as np
 import pytest
 
 from probevo.predictors import PREDICTORS
-from probevo.simulation.scene.config import Effects, RigConfig, SceneConfig
+from probevo_sim.scene.config import Effects, RigConfig, SceneConfig
 
 ROOT = Path(__file__).parents[2]
 CITY = SceneConfig(distance_m=20.0, rig=RigConfig(width_px=414, height_px=126, focal_px=240.0))
 
 
 def load_benchmark() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("separation", ROOT / "benchmarks" / "separation_measures.py")
+    spec = importlib.util.spec_from_file_location(
+        "separation", ROOT / "benchmarks" / "separation_measures.py"
+    )
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -72,14 +75,22 @@ def test_places_without_texture(clean: Any) -> None:
 def test_clean_features_are_not_told_from_clean_ones(clean: Any) -> None:
     """Of another drive through the same place, a little aside and with other jolts."""
     other = drive(number=1)
-    for column in ("blur", "residual_flow", "disparity_change", "high_frequency", "entropy", "structure_min"):
+    for column in (
+        "blur",
+        "residual_flow",
+        "disparity_change",
+        "high_frequency",
+        "entropy",
+        "structure_min",
+    ):
         k = columns.index(column)
         assert 0.4 < separation.auc(other.phi[:, k], clean.phi[:, k]) < 0.6, column
 
 
 def test_auc_against_all_pairs() -> None:
     rng = np.random.default_rng(0)
-    affected, clean = rng.integers(0, 9, 40).astype(float), rng.integers(2, 12, 70).astype(float)
+    affected = rng.integers(0, 9, 40).astype(float)
+    clean = rng.integers(2, 12, 70).astype(float)
     pairs = affected[:, None] - clean
     expected = pytest.approx(np.mean((pairs > 0) + 0.5 * (pairs == 0)), abs=1e-12)
     assert separation.auc(affected, clean) == expected
@@ -91,16 +102,23 @@ def test_auc_against_all_pairs() -> None:
 def test_auc_of_known_distributions() -> None:
     """Of two normals whose means are σ apart: Φ(1/√2)."""
     rng = np.random.default_rng(1)
-    affected, clean = rng.normal(1.0, 1.0, 20_000), rng.normal(0.0, 1.0, 30_000)
+    affected = rng.normal(1.0, 1.0, 20_000)
+    clean = rng.normal(0.0, 1.0, 30_000)
     assert separation.auc(affected, clean) == pytest.approx(0.7602, abs=0.008)
     assert separation.auc(clean[::2], clean[1::2]) == pytest.approx(0.5, abs=0.012)
 
 
 @pytest.mark.parametrize("name", PREDICTORS)
 def test_the_page_names_every_predictor_as_it_is(name: str) -> None:
-    """docs/predictors.md keeps in step with the table: columns, units, source and where a predictor is undefined."""
+    """docs/predictors.md keeps in step with the table: columns, units, source and where a predictor
+    is undefined."""
     predictor = PREDICTORS[name]
     lines = (ROOT / "docs" / "predictors.md").read_text().splitlines()
     (line,) = [line for line in lines if line.startswith(f"| `{name}` | ")]
-    for text in (*predictor.columns, *predictor.columns.values(), predictor.source, predictor.undefined):
+    for text in (
+        *predictor.columns,
+        *predictor.columns.values(),
+        predictor.source,
+        predictor.undefined,
+    ):
         assert text in line, text

@@ -1,4 +1,5 @@
-"""The prediction space: its columns in order, what a recording lacks, and the space that a model's columns ask for."""
+"""The prediction space: its columns in order, what a recording lacks, and the space that a model's
+columns ask for."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -6,29 +7,50 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from training.supervised_drives import recording
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.predictors import PREDICTORS, Needs, PredictionSpace, Predictor, Step, prediction_space, space_for
+from probevo.predictors import (
+    PREDICTORS,
+    Needs,
+    PredictionSpace,
+    Predictor,
+    Step,
+    prediction_space,
+    space_for,
+)
 from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples
 from probevo.tracking.tracks import Tracks
-from training.lessons import recording
 from worlds import CAMERA, FORWARD, FRAME_NS, seen_twice
 
 COUNT = 20
 IMAGE = np.random.default_rng(0).integers(0, 256, (370, 1226), dtype=np.uint8)
-IMU = ImuSamples(np.arange(0, FRAME_NS + 1, FRAME_NS // 20), np.zeros((21, 3)), np.tile([0.0, -9.81, 0.0], (21, 1)))
+IMU = ImuSamples(
+    np.arange(0, FRAME_NS + 1, FRAME_NS // 20),
+    np.zeros((21, 3)),
+    np.tile([0.0, -9.81, 0.0], (21, 1)),
+)
 STEP = Step(
     tracks=replace(seen_twice(np.random.default_rng(1), COUNT), difference=np.ones((COUNT, 2))),
     camera=CAMERA,
     expected=FORWARD,
-    before=Frame(0, 0, IMAGE, IMAGE),
-    now=Frame(1, FRAME_NS, IMAGE, IMAGE, imu=IMU),
+    before=Frame(0, 0, IMAGE, right=IMAGE),
+    now=Frame(1, FRAME_NS, IMAGE, right=IMAGE, imu=IMU),
 )
 
 
-def own(name: str, compute: Callable[[Step], FloatArray], *columns: str, undefined: str = "") -> Predictor:
-    return Predictor(name, dict.fromkeys(columns or (name,), "1"), "test", Needs.TRACKS, compute, undefined)
+def own(
+    name: str, compute: Callable[[Step], FloatArray], *columns: str, undefined: str = ""
+) -> Predictor:
+    return Predictor(
+        name,
+        dict.fromkeys(columns or (name,), "1"),
+        "test",
+        needs=Needs.TRACKS,
+        compute=compute,
+        undefined=undefined,
+    )
 
 
 def ramp(step: Step) -> FloatArray:
@@ -65,7 +87,13 @@ def test_columns_stand_in_the_order_of_their_predictors() -> None:
 
 
 def test_one_column_may_be_a_vector() -> None:
-    pair = own("pair", lambda step: np.column_stack([ramp(step), -ramp(step)]), "a", "b", undefined="nowhere")
+    pair = own(
+        "pair",
+        lambda step: np.column_stack([ramp(step), -ramp(step)]),
+        "a",
+        "b",
+        undefined="nowhere",
+    )
     space = PredictionSpace((own("ramp", ramp), pair))
     assert (space.columns, space.may_be_undefined) == (("ramp", "a", "b"), (False, True, True))
     np.testing.assert_array_equal(space(STEP), np.arange(float(COUNT))[:, None] * [1.0, 1.0, -1.0])
@@ -88,7 +116,8 @@ def test_an_unknown_predictor_is_named(names: list[str]) -> None:
 
 
 def test_a_predictor_named_twice_is_refused() -> None:
-    """A column that counts twice is a column of twice the weight, and no model could tell which is which."""
+    """A column that counts twice is a column of twice the weight, and no model could tell which is
+    which."""
     with pytest.raises(InputError, match="place"):
         prediction_space(["place", "disparity", "place"])
 
@@ -103,13 +132,19 @@ NO_ACCELEROMETER = ImuSamples(IMU.stamps_ns, IMU.gyro_rad_s, np.full((21, 3), np
         ("blur", replace(STEP, now=NO_IMAGES[1]), "images"),
         ("structure", replace(STEP, now=NO_IMAGES[1]), "images"),
         ("forward_backward", replace(STEP, before=NO_IMAGES[0]), "images"),
-        ("acceleration", replace(STEP, now=replace(STEP.now, imu=NO_ACCELEROMETER)), "accelerometer"),
+        (
+            "acceleration",
+            replace(STEP, now=replace(STEP.now, imu=NO_ACCELEROMETER)),
+            "accelerometer",
+        ),
     ],
 )
 def test_what_a_recording_lacks_is_said(name: str, step: Step, lacking: str) -> None:
     with pytest.raises(InputError) as caught:
         prediction_space(["place", name])(step)
-    assert str(caught.value).startswith(f"frame 1: it has no {lacking}, which the predictor {name} needs.")
+    assert str(caught.value).startswith(
+        f"frame 1: it has no {lacking}, which the predictor {name} needs."
+    )
     assert "--predictors" in caught.value.cure
 
 
@@ -121,19 +156,27 @@ def test_where_the_imu_s_samples_are_missing_the_acceleration_is_undefined() -> 
     assert space.may_be_undefined == (True, True, False, False)
 
 
-@pytest.mark.parametrize(("name", "lacking"), [("blur", "images"), ("acceleration", "accelerometer")])
-def test_a_recording_is_refused_for_what_it_lacks_before_anything_runs(name: str, lacking: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "lacking"), [("blur", "images"), ("acceleration", "accelerometer")]
+)
+def test_a_recording_is_refused_for_what_it_lacks_before_anything_runs(
+    name: str, lacking: str
+) -> None:
     tracks = replace(recording(None), camera=replace(CAMERA, size_px=None))
     prediction_space(["place", "turn_rate"]).check_recording(tracks)
     with pytest.raises(InputError) as caught:
         prediction_space(["place", name]).check_recording(tracks)
-    assert str(caught.value).startswith(f"drive: it has no {lacking}, which the predictor {name} needs.")
+    assert str(caught.value).startswith(
+        f"drive: it has no {lacking}, which the predictor {name} needs."
+    )
     assert "--predictors" in caught.value.cure
 
 
 def test_a_recording_with_images_and_imu_has_all_that_predictors_need() -> None:
     whole = replace(
-        recording(None), camera=replace(CAMERA, size_px=(1226, 370)), imu=ImuCalibration(np.eye(3), 1e-4, 1e-3)
+        recording(None),
+        camera=replace(CAMERA, size_px=(1226, 370)),
+        imu=ImuCalibration(np.eye(3), 1e-4, 1e-3),
     )
     prediction_space(list(PREDICTORS)).check_recording(whole)
 
@@ -146,12 +189,18 @@ def test_the_image_before_is_needed_by_those_alone_that_look_at_it() -> None:
 def test_tracks_without_images_and_imu_have_what_tracks_tell() -> None:
     names = [name for name, predictor in PREDICTORS.items() if predictor.needs is Needs.TRACKS]
     space = prediction_space(names)
-    step = Step(STEP.tracks, CAMERA, FORWARD, NO_IMAGES[0], replace(NO_IMAGES[1], imu=None))
-    assert {"place", "disparity", "flow", "residual_flow", "row_offset", "age", "turn_rate"} <= set(names)
+    step = Step(
+        STEP.tracks, CAMERA, FORWARD, before=NO_IMAGES[0], now=replace(NO_IMAGES[1], imu=None)
+    )
+    assert {"place", "disparity", "flow", "residual_flow", "row_offset", "age", "turn_rate"} <= set(
+        names
+    )
     assert space(step).shape == (COUNT, len(space.columns))
 
 
-@pytest.mark.parametrize("names", [["blur"], ["disparity", "place", "acceleration"], list(PREDICTORS), []])
+@pytest.mark.parametrize(
+    "names", [["blur"], ["disparity", "place", "acceleration"], list(PREDICTORS), []]
+)
 def test_the_space_of_a_model_is_found_by_its_columns(names: list[str]) -> None:
     space = prediction_space(names)
     found = space_for(space.columns)
@@ -177,7 +226,8 @@ def test_a_column_of_nobody_needs_its_predictor() -> None:
 
 
 @pytest.mark.parametrize(
-    "columns", [("y", "x"), ("x",), ("x", "y", "x"), ("x", "disparity", "y"), ("turn_rate",), ("vibration",)]
+    "columns",
+    [("y", "x"), ("x",), ("x", "y", "x"), ("x", "disparity", "y"), ("turn_rate",), ("vibration",)],
 )
 def test_columns_that_no_order_of_predictors_gives_are_refused(columns: tuple[str, ...]) -> None:
     """Half a predictor, or its columns swapped."""
@@ -185,13 +235,17 @@ def test_columns_that_no_order_of_predictors_gives_are_refused(columns: tuple[st
         space_for(columns)
 
 
-@pytest.mark.parametrize("names", [["disparity", "place"], ["place"], ["place", "disparity", "age"], []])
+@pytest.mark.parametrize(
+    "names", [["disparity", "place"], ["place"], ["place", "disparity", "age"], []]
+)
 def test_a_given_space_with_other_columns_is_refused(names: list[str]) -> None:
     given = prediction_space(names)
     with pytest.raises(InputError) as caught:
         space_for(("x", "y", "disparity"), given)
     gets = ", ".join(given.columns) or "none"
-    assert f"it was trained on x, y, disparity, in this order, but gets {gets}." in str(caught.value)
+    assert f"it was trained on x, y, disparity, in this order, but gets {gets}." in str(
+        caught.value
+    )
     assert "Give it the predictors that it was trained with, in their order." in str(caught.value)
 
 

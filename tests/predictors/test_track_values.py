@@ -1,4 +1,5 @@
-"""The predictors that are one formula on the tracks: place, disparity, flow, age, row offset, window difference."""
+"""The predictors that are one formula on the tracks: place, disparity, flow, age, row offset,
+window difference."""
 
 import math
 from dataclasses import replace
@@ -19,11 +20,16 @@ TRACKS = seen_twice(np.random.default_rng(0), 50, sigma_px=0.5)
 
 
 def test_place_is_the_same_for_a_camera_of_twice_the_resolution() -> None:
-    twice = StereoCamera(*(2 * n for n in (CAMERA.fu_px, CAMERA.fv_px, CAMERA.cu_px, CAMERA.cv_px)), CAMERA.baseline_m)
+    twice = StereoCamera(
+        *(2 * n for n in (CAMERA.fu_px, CAMERA.fv_px, CAMERA.cu_px, CAMERA.cv_px)),
+        CAMERA.baseline_m,
+    )
     uv = TRACKS.curr_px[:, :2]
     np.testing.assert_allclose(place(2 * uv, twice), place(uv, CAMERA), rtol=1e-12, atol=1e-12)
     points = CAMERA.triangulate(CAMERA.project(np.array([[1.0, -2.0, 10.0]])))
-    np.testing.assert_allclose(place(CAMERA.project(points)[:, :2], CAMERA), [[0.1, -0.2]], atol=1e-12)
+    np.testing.assert_allclose(
+        place(CAMERA.project(points)[:, :2], CAMERA), [[0.1, -0.2]], atol=1e-12
+    )
 
 
 def test_disparity_is_the_logarithm_down_to_its_floor() -> None:
@@ -34,14 +40,17 @@ def test_disparity_is_the_logarithm_down_to_its_floor() -> None:
 
 
 def test_flow_is_that_of_the_left_image() -> None:
-    before, after = TRACKS.prev_px.tolist(), TRACKS.curr_px.tolist()
+    before = TRACKS.prev_px.tolist()
+    after = TRACKS.curr_px.tolist()
     expected = [math.log(1.0 + math.dist(a[:2], b[:2])) for a, b in zip(before, after, strict=True)]
     np.testing.assert_allclose(flow(TRACKS.prev_px, TRACKS.curr_px), expected, rtol=1e-12)
     np.testing.assert_array_equal(flow(TRACKS.prev_px, TRACKS.prev_px), 0.0)
 
 
 def test_age_is_a_logarithm() -> None:
-    np.testing.assert_allclose(age(np.array([1, 2, 40])), [0.0, math.log(2), math.log(40)], rtol=1e-12)
+    np.testing.assert_allclose(
+        age(np.array([1, 2, 40])), [0.0, math.log(2), math.log(40)], rtol=1e-12
+    )
 
 
 def test_row_offset_has_no_sign() -> None:

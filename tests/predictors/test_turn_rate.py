@@ -9,7 +9,9 @@ from probevo.predictors.turn_rate import turn_rate
 DURATION_S = 0.1
 
 
-@pytest.mark.parametrize("rate_rad_s", [[0.3, 0.0, 0.0], [0.0, -0.5, 0.0], [0.1, 0.4, -0.2], [0.0, 0.0, 0.0]])
+@pytest.mark.parametrize(
+    "rate_rad_s", [[0.3, 0.0, 0.0], [0.0, -0.5, 0.0], [0.1, 0.4, -0.2], [0.0, 0.0, 0.0]]
+)
 def test_it_is_the_rate_that_turned_the_camera(rate_rad_s: list[float]) -> None:
     """The attitude C_prev_curr is carried on by Exp(ω Δt)."""
     C_prev_curr = so3.exp(DURATION_S * np.array(rate_rad_s))

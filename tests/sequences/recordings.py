@@ -1,4 +1,5 @@
-"""Writes tiny recordings, one function a format. Each returns the path to open; the vehicle drives 1 m along z a frame.
+"""Writes tiny recordings, one function a format. Each returns the path to open; the vehicle drives
+1 m along z a frame.
 
 Other tests use them too: ``from sequences.recordings import write_folder_sequence``.
 """
@@ -10,13 +11,18 @@ import numpy as np
 
 from probevo.arrays import AnyArray, Image, IntArray
 
-WIDTH_PX, HEIGHT_PX = 64, 48
-FU_PX, CU_PX, CV_PX, BASELINE_M = 50.0, 31.5, 23.5, 0.5
+WIDTH_PX = 64
+HEIGHT_PX = 48
+FU_PX = 50.0
+CU_PX = 31.5
+CV_PX = 23.5
+BASELINE_M = 0.5
 C_CAM_IMU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """IMU axes forward, left, up to camera axes right, down, forward."""
 START_NS = 1_400_000_000_123_456_789
 FRAME_NS = 100_000_000
-LATITUDE_DEG, LONGITUDE_DEG = 49.0, 8.0
+LATITUDE_DEG = 49.0
+LONGITUDE_DEG = 8.0
 EARTH_RADIUS_M = 6378137.0
 
 
@@ -26,7 +32,9 @@ def stamps_ns(frames: int) -> IntArray:
 
 def image(index: int, right: bool = False) -> Image:
     """A random picture that tells frames and sides apart."""
-    return np.random.default_rng([index, right]).integers(0, 256, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8)
+    return np.random.default_rng([index, right]).integers(
+        0, 256, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8
+    )
 
 
 def write_image(path: Path, pixels: AnyArray) -> None:
@@ -49,21 +57,30 @@ def poses(frames: int) -> AnyArray:
     return T_world_cam
 
 
-def write_folder_sequence(root: Path, frames: int = 4, *, imu: bool = True, truth: bool = True) -> Path:
-    """The layout of ``open_folder``; the IMU turns at 0.1 rad/s around the up axis and is sampled every 10 ms."""
+def write_folder_sequence(
+    root: Path, frames: int = 4, *, imu: bool = True, truth: bool = True
+) -> Path:
+    """The layout of ``open_folder``; the IMU turns at 0.1 rad/s around the up axis and is sampled
+    every 10 ms."""
     for index in range(frames):
         write_image(root / "left" / f"{index:06d}.png", image(index))
         write_image(root / "right" / f"{index:06d}.png", image(index, right=True))
     calibration = [f"fu_px: {FU_PX}", f"fv_px: {FU_PX}", f"cu_px: {CU_PX}", f"cv_px: {CV_PX}"]
     calibration += [f"baseline_m: {BASELINE_M}", f"width_px: {WIDTH_PX}", f"height_px: {HEIGHT_PX}"]
     if imu:
-        calibration += ["imu:", f"  C_cam_imu: {C_CAM_IMU.tolist()}", "  gyro_noise_rad_s_sqrt_hz: 1.0e-4"]
+        calibration += [
+            "imu:",
+            f"  C_cam_imu: {C_CAM_IMU.tolist()}",
+            "  gyro_noise_rad_s_sqrt_hz: 1.0e-4",
+        ]
         calibration += ["  gyro_bias_sigma_rad_s: 0.01"]
         samples = np.arange(START_NS - 5_000_000, START_NS + frames * FRAME_NS, 10_000_000)
         rows = [f"{stamp},0,0,0.1,0,0,9.81" for stamp in samples]
         write_lines(root / "imu.csv", ["stamp_ns,wx,wy,wz,ax,ay,az", *rows])
     write_lines(root / "calib.yaml", calibration)
-    write_lines(root / "times.txt", [f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in stamps_ns(frames)])
+    write_lines(
+        root / "times.txt", [f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in stamps_ns(frames)]
+    )
     if truth:
         write_lines(root / "poses.txt", [numbers(T[:3]) for T in poses(frames)])
     return root
@@ -79,7 +96,9 @@ def write_kitti_odometry(root: Path, frames: int = 4, *, truth: bool = True) -> 
     for index in range(frames):
         write_image(sequence / "image_0" / f"{index:06d}.png", image(index))
         write_image(sequence / "image_1" / f"{index:06d}.png", image(index, right=True))
-    write_lines(sequence / "calib.txt", [f"P0: {projection()}", f"P1: {projection(-FU_PX * BASELINE_M)}"])
+    write_lines(
+        sequence / "calib.txt", [f"P0: {projection()}", f"P1: {projection(-FU_PX * BASELINE_M)}"]
+    )
     write_lines(sequence / "times.txt", [f"{0.1 * index:.6e}" for index in range(frames)])
     if truth:
         write_lines(root / "poses" / "07.txt", [numbers(T[:3]) for T in poses(frames)])
@@ -90,8 +109,11 @@ def kitti_time(stamp_ns: int) -> str:
     return str(np.datetime64(int(stamp_ns), "ns")).replace("T", " ")
 
 
-def write_kitti_raw(root: Path, frames: int = 4, *, oxts: bool = True, packet_delay_ns: int = 0) -> Path:
-    """A drive to the east, and the calibration of its date. The packets lag the images by ``packet_delay_ns``."""
+def write_kitti_raw(
+    root: Path, frames: int = 4, *, oxts: bool = True, packet_delay_ns: int = 0
+) -> Path:
+    """A drive to the east, and the calibration of its date. The packets lag the images by
+    ``packet_delay_ns``."""
     date = root / "2011_09_26"
     drive = date / "2011_09_26_drive_0099_sync"
     for index in range(frames):
@@ -100,7 +122,11 @@ def write_kitti_raw(root: Path, frames: int = 4, *, oxts: bool = True, packet_de
     times = [kitti_time(stamp) for stamp in stamps_ns(frames)]
     write_lines(drive / "image_00" / "timestamps.txt", times)
     write_lines(drive / "image_01" / "timestamps.txt", times)
-    rectified = [f"S_rect_00: {WIDTH_PX} {HEIGHT_PX}", f"R_rect_00: {numbers(np.eye(3))}", f"P_rect_00: {projection()}"]
+    rectified = [
+        f"S_rect_00: {WIDTH_PX} {HEIGHT_PX}",
+        f"R_rect_00: {numbers(np.eye(3))}",
+        f"P_rect_00: {projection()}",
+    ]
     rectified += [f"P_rect_01: {projection(-FU_PX * BASELINE_M)}"]
     write_lines(date / "calib_cam_to_cam.txt", ["calib_time: 09-Jan-2012 13:57:47", *rectified])
     write_lines(date / "calib_velo_to_cam.txt", [f"R: {numbers(C_CAM_IMU)}", "T: 0 0 0"])
@@ -110,7 +136,8 @@ def write_kitti_raw(root: Path, frames: int = 4, *, oxts: bool = True, packet_de
         for index in range(frames):
             packet = np.zeros(30)
             packet[:3] = LATITUDE_DEG, LONGITUDE_DEG + index * metre_deg, 100.0
-            packet[11:14], packet[17:20] = (0.0, 0.0, 9.81), (0.01, 0.02, 0.03 + index)
+            packet[11:14] = (0.0, 0.0, 9.81)
+            packet[17:20] = (0.01, 0.02, 0.03 + index)
             write_lines(drive / "oxts" / "data" / f"{index:010d}.txt", [numbers(packet)])
         times = [kitti_time(stamp + packet_delay_ns) for stamp in stamps_ns(frames)]
         write_lines(drive / "oxts" / "timestamps.txt", times)
@@ -132,19 +159,36 @@ def write_euroc(root: Path, frames: int = 4) -> Path:
         T_body_cam = np.eye(4)
         T_body_cam[0, 3] = side * BASELINE_M
         intrinsics = f"intrinsics: [{FU_PX}, {FU_PX}, {CU_PX}, {CV_PX}] #fu, fv, cu, cv"
-        model = ["distortion_model: radial-tangential", "distortion_coefficients: [0.0, 0.0, 0.0, 0.0]"]
-        more = ["camera_model: pinhole", f"resolution: [{WIDTH_PX}, {HEIGHT_PX}]", intrinsics, *model]
+        model = [
+            "distortion_model: radial-tangential",
+            "distortion_coefficients: [0.0, 0.0, 0.0, 0.0]",
+        ]
+        more = [
+            "camera_model: pinhole",
+            f"resolution: [{WIDTH_PX}, {HEIGHT_PX}]",
+            intrinsics,
+            *model,
+        ]
         write_lines(mav / camera / "sensor.yaml", sensor_yaml(T_body_cam, *more))
-        write_lines(mav / camera / "data.csv", ["#timestamp [ns],filename", *(f"{s},{s}.png" for s in stamps)])
+        write_lines(
+            mav / camera / "data.csv",
+            ["#timestamp [ns],filename", *(f"{s},{s}.png" for s in stamps)],
+        )
     T_body_imu = np.eye(4)
     T_body_imu[:3, :3] = C_CAM_IMU
     noise = ["gyroscope_noise_density: 1.7e-04", "gyroscope_random_walk: 1.9e-05"]
     write_lines(mav / "imu0" / "sensor.yaml", sensor_yaml(T_body_imu, *noise))
     samples = np.arange(START_NS - 5_000_000, stamps[-1] + 5_000_001, 5_000_000)
-    write_lines(mav / "imu0" / "data.csv", ["#timestamp [ns],w,a", *(f"{s},0,0,0.1,0,0,9.81" for s in samples)])
+    write_lines(
+        mav / "imu0" / "data.csv",
+        ["#timestamp [ns],w,a", *(f"{s},0,0,0.1,0,0,9.81" for s in samples)],
+    )
     truth = np.arange(START_NS - 30_000_000, stamps[-1] + FRAME_NS, 50_000_000)
     rows = [f"{s},0,0,{float((s - START_NS) / FRAME_NS)!r},1,0,0,0,0,0,10" for s in truth]
-    write_lines(mav / "state_groundtruth_estimate0" / "data.csv", ["#time(ns),px,py,pz,qw,qx,qy,qz,v", *rows])
+    write_lines(
+        mav / "state_groundtruth_estimate0" / "data.csv",
+        ["#time(ns),px,py,pz,qw,qx,qy,qz,v", *rows],
+    )
     return root
 
 
@@ -169,5 +213,7 @@ def tracks_arrays(frames: int = 4, points: int = 6) -> dict[str, AnyArray]:
 def write_tracks(root: Path, frames: int = 4, **changes: AnyArray | None) -> Path:
     """``tracks.npz``; ``changes`` replaces arrays, None leaves one out."""
     arrays = tracks_arrays(frames) | changes
-    np.savez(root / "tracks.npz", **{name: array for name, array in arrays.items() if array is not None})
+    np.savez(
+        root / "tracks.npz", **{name: array for name, array in arrays.items() if array is not None}
+    )
     return root / "tracks.npz"

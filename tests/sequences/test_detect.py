@@ -21,7 +21,9 @@ def test_path_that_is_some_other_file(tmp_path: Path) -> None:
 
 def test_folder_of_no_known_format_says_what_was_looked_for(tmp_path: Path) -> None:
     (tmp_path / "pictures").mkdir()
-    assert_refused(tmp_path, ["found pictures", "image_00 (kitti-raw)", "calib.yaml or left (folder)"])
+    assert_refused(
+        tmp_path, ["found pictures", "image_00 (kitti-raw)", "calib.yaml or left (folder)"]
+    )
 
 
 @pytest.mark.parametrize(("format", "what"), [("tracks", "an .npz file"), ("kitty", "kitti-raw")])

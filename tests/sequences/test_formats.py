@@ -65,13 +65,17 @@ def test_a_sequence_can_be_walked_twice(format: str, tmp_path: Path) -> None:
     sequence = open_sequence(WRITERS[format](tmp_path))
     for first, second in zip(sequence, sequence, strict=True):
         np.testing.assert_equal(first.left, second.left)
-        np.testing.assert_equal(first.features and first.features.pixels, second.features and second.features.pixels)
+        np.testing.assert_equal(
+            first.features and first.features.pixels, second.features and second.features.pixels
+        )
 
 
 @pytest.mark.parametrize("format", RECTIFIED)
 def test_images_come_back(format: str, tmp_path: Path) -> None:
     sequence = open_sequence(WRITERS[format](tmp_path))
-    assert sequence.camera == StereoCamera(FU_PX, FU_PX, CU_PX, CV_PX, BASELINE_M, (WIDTH_PX, HEIGHT_PX))
+    assert sequence.camera == StereoCamera(
+        FU_PX, FU_PX, CU_PX, cv_px=CV_PX, baseline_m=BASELINE_M, size_px=(WIDTH_PX, HEIGHT_PX)
+    )
     for frame in sequence:
         np.testing.assert_array_equal(frame.left, image(frame.index))
         np.testing.assert_array_equal(frame.right, image(frame.index, right=True))
@@ -94,7 +98,12 @@ def test_imu_covers_every_interval(format: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", [np.int8, np.int32, np.int64, np.float32])
 def test_whole_seconds_of_any_type_are_seconds(kind: type, tmp_path: Path) -> None:
     sequence = open_sequence(write_tracks(tmp_path, t=np.arange(3, 7).astype(kind)))
-    assert [frame.stamp_ns for frame in sequence] == [3_000_000_000, 4_000_000_000, 5_000_000_000, 6_000_000_000]
+    assert [frame.stamp_ns for frame in sequence] == [
+        3_000_000_000,
+        4_000_000_000,
+        5_000_000_000,
+        6_000_000_000,
+    ]
 
 
 @pytest.mark.parametrize("format", ["folder", "euroc", "kitti-raw"])

@@ -13,12 +13,13 @@ FRAMES_NS = np.array([0, 10 * PERIOD_NS])
 
 def stream(stamps_ns: np.ndarray) -> ImuStream:
     values = np.repeat(np.arange(len(stamps_ns), dtype=float)[:, None], 3, axis=1)
-    return ImuStream.checked(stamps_ns, values, values, FRAMES_NS, "imu.csv")
+    return ImuStream.checked(stamps_ns, values, values, frames_ns=FRAMES_NS, where="imu.csv")
 
 
 @pytest.mark.parametrize("offset_ns", [0, 1, PERIOD_NS // 2, PERIOD_NS - 1])
 def test_slice_is_the_tightest_that_covers_the_interval(offset_ns: int) -> None:
-    start, end = 20 * PERIOD_NS + offset_ns, 25 * PERIOD_NS + offset_ns
+    start = 20 * PERIOD_NS + offset_ns
+    end = 25 * PERIOD_NS + offset_ns
     samples = stream(PERIOD_NS * np.arange(100)).between(start, end)
     assert samples is not None
     assert samples.stamps_ns[0] <= start < samples.stamps_ns[1]
@@ -28,7 +29,8 @@ def test_slice_is_the_tightest_that_covers_the_interval(offset_ns: int) -> None:
 
 def test_neighbouring_slices_share_the_sample_at_their_border() -> None:
     imu = stream(PERIOD_NS * np.arange(100))
-    before, after = imu.between(0, 5 * PERIOD_NS), imu.between(5 * PERIOD_NS, 10 * PERIOD_NS)
+    before = imu.between(0, 5 * PERIOD_NS)
+    after = imu.between(5 * PERIOD_NS, 10 * PERIOD_NS)
     assert before is not None
     assert after is not None
     assert before.stamps_ns[-1] == after.stamps_ns[0] == 5 * PERIOD_NS
@@ -42,7 +44,9 @@ def test_an_interval_between_two_samples_gets_both() -> None:
 
 @pytest.mark.parametrize(("late_periods", "covered"), [(1, True), (2, True), (3, False)])
 def test_last_value_is_held_for_two_periods(late_periods: int, covered: bool) -> None:
-    samples = stream(PERIOD_NS * np.arange(100)).between(90 * PERIOD_NS, (99 + late_periods) * PERIOD_NS)
+    samples = stream(PERIOD_NS * np.arange(100)).between(
+        90 * PERIOD_NS, (99 + late_periods) * PERIOD_NS
+    )
     assert (samples is not None) == covered
     if samples is not None:
         np.testing.assert_array_equal(samples.gyro_rad_s[-2:], 99)
@@ -78,7 +82,8 @@ def test_held_samples_integrate_to_rate_times_interval() -> None:
 @pytest.mark.parametrize("middle_ns", [5 * PERIOD_NS, 5 * PERIOD_NS + 1, 6 * PERIOD_NS - 1])
 def test_slices_of_consecutive_intervals_join_to_that_of_both(middle_ns: int) -> None:
     imu = stream(PERIOD_NS * np.arange(100))
-    before, after = imu.between(7, middle_ns), imu.between(middle_ns, 8 * PERIOD_NS + 3)
+    before = imu.between(7, middle_ns)
+    after = imu.between(middle_ns, 8 * PERIOD_NS + 3)
     both = imu.between(7, 8 * PERIOD_NS + 3)
     assert before is not None
     assert after is not None

@@ -11,7 +11,8 @@ from sequences.recordings import poses, stamps_ns, write_kitti_raw
 
 
 def test_mercator_projection_by_hand() -> None:
-    """At latitude 0 the scale is 1: a degree of longitude is er·π/180 = 111319.4908 m; north is er·ln tan(45.5°)."""
+    """At latitude 0 the scale is 1: a degree of longitude is er·π/180 = 111319.4908 m; north is
+    er·ln tan(45.5°)."""
     T_map_imu = imu_poses(np.array([[0.0, 0.0, 5.0], [1.0, 1.0, 7.0]]), np.zeros((2, 3)))
     np.testing.assert_allclose(T_map_imu[0, :3, 3], [0.0, 0.0, 5.0], atol=1e-8)
     np.testing.assert_allclose(T_map_imu[1, :3, 3], [111319.490793, 111325.142866, 7.0], atol=1e-5)
@@ -34,14 +35,16 @@ def test_attitude_is_yaw_after_pitch_after_roll() -> None:
 
 @pytest.mark.parametrize("delay_ns", [-8_000_000, 5_000_000])
 def test_truth_is_carried_from_the_packets_to_the_images(delay_ns: int, tmp_path: Path) -> None:
-    """The vehicle moves steadily, so that late packets make no difference to the motion, at the ends either."""
+    """The vehicle moves steadily, so that late packets make no difference to the motion, at the
+    ends either."""
     truth = open_sequence(write_kitti_raw(tmp_path, packet_delay_ns=delay_ns)).truth
     assert truth is not None
     np.testing.assert_allclose(truth.T_world_cam, poses(4), atol=1e-6)
 
 
 def test_gyro_packet_holds_since_the_packet_before(tmp_path: Path) -> None:
-    """Packet 2 (0.03 + 2 rad/s) lasts from packet 1 to packet 2; interpolated anywhere between, it is that value."""
+    """Packet 2 (0.03 + 2 rad/s) lasts from packet 1 to packet 2; interpolated anywhere between, it
+    is that value."""
     frame = list(open_sequence(write_kitti_raw(tmp_path)))[2]
     assert frame.imu is not None
     inside = np.linspace(0.01, 0.1, 7) * 1e9

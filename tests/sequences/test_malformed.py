@@ -7,7 +7,18 @@ import pytest
 
 from probevo.errors import InputError
 from probevo.sequences import open_sequence
-from sequences.damage import Edit, append, assert_refused, clear, cut, drop_line, remove, replace, swap_lines, write
+from sequences.damage import (
+    Edit,
+    append,
+    assert_refused,
+    clear,
+    cut,
+    drop_line,
+    remove,
+    replace,
+    swap_lines,
+    write,
+)
 from sequences.recordings import (
     WIDTH_PX,
     image,
@@ -21,7 +32,10 @@ T0 = "1400000000.123456789"
 C_ROW = "[0.0, -1.0, 0.0]"
 
 FOLDER: dict[str, tuple[Edit, list[str]]] = {
-    "right image missing": (remove("right/000002.png"), ["right/000002.png", "missing", "4 images", "3"]),
+    "right image missing": (
+        remove("right/000002.png"),
+        ["right/000002.png", "missing", "4 images", "3"],
+    ),
     "left image missing": (remove("left/000003.png"), ["left/000003.png", "missing"]),
     "right folder missing": (remove("right"), ["right", "missing"]),
     "left folder empty": (clear("left"), ["left", "no image"]),
@@ -29,33 +43,84 @@ FOLDER: dict[str, tuple[Edit, list[str]]] = {
     "calib not yaml": (write("calib.yaml", b"fu_px: [1"), ["calib.yaml", "not YAML"]),
     "calib empty": (write("calib.yaml", b""), ["calib.yaml", "dictionary"]),
     "calib binary": (write("calib.yaml", b"\xff\xfe\x00"), ["calib.yaml", "text"]),
-    "calib key missing": (replace("calib.yaml", "fu_px: 50.0", ""), ["calib.yaml", "fu_px", "required"]),
-    "calib key unknown": (replace("calib.yaml", "fu_px", "fx_px"), ["calib.yaml", "fx_px", "not permitted"]),
-    "calib imu key unknown": (append("calib.yaml", "  colour: red"), ["calib.yaml", "imu.colour", "not permitted"]),
-    "calib not a number": (replace("calib.yaml", "cu_px: 31.5", "cu_px: wide"), ["calib.yaml", "cu_px", "number"]),
-    "focal length zero": (replace("calib.yaml", "fv_px: 50.0", "fv_px: 0"), ["calib.yaml", "fv_px"]),
-    "baseline NaN": (replace("calib.yaml", "_m: 0.5", "_m: .nan"), ["calib.yaml", "baseline_m", "nan"]),
-    "baseline zero": (replace("calib.yaml", "_m: 0.5", "_m: 0.0"), ["calib.yaml", "baseline_m", "0 m"]),
+    "calib key missing": (
+        replace("calib.yaml", "fu_px: 50.0", ""),
+        ["calib.yaml", "fu_px", "required"],
+    ),
+    "calib key unknown": (
+        replace("calib.yaml", "fu_px", "fx_px"),
+        ["calib.yaml", "fx_px", "not permitted"],
+    ),
+    "calib imu key unknown": (
+        append("calib.yaml", "  colour: red"),
+        ["calib.yaml", "imu.colour", "not permitted"],
+    ),
+    "calib not a number": (
+        replace("calib.yaml", "cu_px: 31.5", "cu_px: wide"),
+        ["calib.yaml", "cu_px", "number"],
+    ),
+    "focal length zero": (
+        replace("calib.yaml", "fv_px: 50.0", "fv_px: 0"),
+        ["calib.yaml", "fv_px"],
+    ),
+    "baseline NaN": (
+        replace("calib.yaml", "_m: 0.5", "_m: .nan"),
+        ["calib.yaml", "baseline_m", "nan"],
+    ),
+    "baseline zero": (
+        replace("calib.yaml", "_m: 0.5", "_m: 0.0"),
+        ["calib.yaml", "baseline_m", "0 m"],
+    ),
     "baseline negative": (
         replace("calib.yaml", "_m: 0.5", "_m: -0.5"),
         ["baseline_m", "-0.5", "swapped"],
     ),
-    "width zero": (replace("calib.yaml", "width_px: 64", "width_px: 0"), ["calib.yaml", "width_px"]),
-    "C_cam_imu too short": (replace("calib.yaml", f"{C_ROW}, ", ""), ["calib.yaml", "imu.C_cam_imu", "9"]),
-    "C_cam_imu no rotation": (replace("calib.yaml", C_ROW, "[0, 1, 0]"), ["calib.yaml", "imu.C_cam_imu", "rotation"]),
-    "gyro noise negative": (replace("calib.yaml", "1.0e-4", "-1.0"), ["calib.yaml", "imu.gyro_noise_rad_s_sqrt_hz"]),
+    "width zero": (
+        replace("calib.yaml", "width_px: 64", "width_px: 0"),
+        ["calib.yaml", "width_px"],
+    ),
+    "C_cam_imu too short": (
+        replace("calib.yaml", f"{C_ROW}, ", ""),
+        ["calib.yaml", "imu.C_cam_imu", "9"],
+    ),
+    "C_cam_imu no rotation": (
+        replace("calib.yaml", C_ROW, "[0, 1, 0]"),
+        ["calib.yaml", "imu.C_cam_imu", "rotation"],
+    ),
+    "gyro noise negative": (
+        replace("calib.yaml", "1.0e-4", "-1.0"),
+        ["calib.yaml", "imu.gyro_noise_rad_s_sqrt_hz"],
+    ),
     "imu.csv missing": (remove("imu.csv"), ["imu.csv", "missing"]),
-    "imu header wrong": (replace("imu.csv", "stamp_ns", "time"), ["imu.csv", "header", "stamp_ns,wx"]),
-    "imu NaN": (replace("imu.csv", "0.1,0,0,9.81", "nan,0,0,9.81"), ["imu.csv:2", "nan", "not finite"]),
-    "imu column missing": (replace("imu.csv", ",0,0,9.81", ",0,9.81"), ["imu.csv:2", "6 values", "7"]),
+    "imu header wrong": (
+        replace("imu.csv", "stamp_ns", "time"),
+        ["imu.csv", "header", "stamp_ns,wx"],
+    ),
+    "imu NaN": (
+        replace("imu.csv", "0.1,0,0,9.81", "nan,0,0,9.81"),
+        ["imu.csv:2", "nan", "not finite"],
+    ),
+    "imu column missing": (
+        replace("imu.csv", ",0,0,9.81", ",0,9.81"),
+        ["imu.csv:2", "6 values", "7"],
+    ),
     "imu unsorted": (swap_lines("imu.csv", 3, 5), ["imu.csv", "earlier"]),
-    "imu stamp in seconds": (replace("imu.csv", "\n1400000000118456789", "\n1400000000.1"), ["imu.csv:2", "nanosec"]),
-    "imu on another clock": (append("calib.yaml", "  time_offset_s: 100.0"), ["imu.csv", "the frames from", "offset"]),
+    "imu stamp in seconds": (
+        replace("imu.csv", "\n1400000000118456789", "\n1400000000.1"),
+        ["imu.csv:2", "nanosec"],
+    ),
+    "imu on another clock": (
+        append("calib.yaml", "  time_offset_s: 100.0"),
+        ["imu.csv", "the frames from", "offset"],
+    ),
     "times missing": (remove("times.txt"), ["times.txt", "missing"]),
     "times empty": (write("times.txt", b"\n"), ["times.txt", "no values"]),
     "times too few": (drop_line("times.txt", 3), ["times.txt", "3 stamps", "4 files"]),
     "times unsorted": (swap_lines("times.txt", 1, 2), ["times.txt", "stamp 2", "earlier"]),
-    "times duplicate": (replace("times.txt", "00.223", "00.123"), ["times.txt", "stamp 1", "duplicate"]),
+    "times duplicate": (
+        replace("times.txt", "00.223", "00.123"),
+        ["times.txt", "stamp 1", "duplicate"],
+    ),
     "times not numbers": (replace("times.txt", T0, "noon"), ["times.txt:1", "'noon'"]),
     "times NaN": (replace("times.txt", T0, "nan"), ["times.txt:1", "'nan'", "finite"]),
     "times in ns, one NaN": (
@@ -69,37 +134,91 @@ FOLDER: dict[str, tuple[Edit, list[str]]] = {
     "times counted": (write("times.txt", b"0\n1\n2\n3\n"), ["times.txt", "decimal point"]),
     "times too large": (write("times.txt", b"1e30\n2e30\n3e30\n4e30\n"), ["times.txt:1", "1e30"]),
     "poses too few": (drop_line("poses.txt", 0), ["poses.txt", "3 poses", "4 frames"]),
-    "poses of wrong width": (replace("poses.txt", "1.0 0.0 ", ""), ["poses.txt:1", "10 values", "12"]),
+    "poses of wrong width": (
+        replace("poses.txt", "1.0 0.0 ", ""),
+        ["poses.txt:1", "10 values", "12"],
+    ),
     "poses partly NaN": (replace("poses.txt", "1.0", "nan"), ["poses.txt", "pose 0", "partly"]),
     "poses infinite": (replace("poses.txt", "1.0", "inf"), ["poses.txt:1", "inf"]),
-    "poses all unknown": (write("poses.txt", b"nan nan nan nan nan nan nan nan nan nan nan nan\n" * 4), ["poses.txt"]),
+    "poses all unknown": (
+        write("poses.txt", b"nan nan nan nan nan nan nan nan nan nan nan nan\n" * 4),
+        ["poses.txt"],
+    ),
     "poses no rotation": (replace("poses.txt", "1.0", "2.0"), ["poses.txt", "pose 0", "rotation"]),
     "poses not numbers": (replace("poses.txt", "1.0", "one"), ["poses.txt:1", "'one'"]),
 }
 
 KITTI_RAW: dict[str, tuple[Edit, list[str]]] = {
-    "calibration missing": (remove("../calib_cam_to_cam.txt"), ["calib_cam_to_cam.txt", "missing", "folder above"]),
-    "projection missing": (replace("../calib_cam_to_cam.txt", "P_rect_01", "P_rect_03"), ["cam_to_cam", "P_rect_01"]),
-    "projection too short": (replace("../calib_cam_to_cam.txt", " 31.5", ""), ["cam_to_cam", "P_rect_00", "11", "12"]),
-    "projection not numbers": (replace("../calib_cam_to_cam.txt", "31.5", "x"), ["cam_to_cam", "P_rect_00", "'x'"]),
-    "cameras differ": (replace("../calib_cam_to_cam.txt", "31.5", "30.5"), ["P_rect_00", "P_rect_01", "principal"]),
-    "baseline zero": (replace("../calib_cam_to_cam.txt", "-25.0", "0.0"), ["P_rect_01", "baseline_m", "0 m"]),
-    "baseline negative": (replace("../calib_cam_to_cam.txt", "-25.0", "25.0"), ["P_rect_01", "baseline_m", "swapped"]),
+    "calibration missing": (
+        remove("../calib_cam_to_cam.txt"),
+        ["calib_cam_to_cam.txt", "missing", "folder above"],
+    ),
+    "projection missing": (
+        replace("../calib_cam_to_cam.txt", "P_rect_01", "P_rect_03"),
+        ["cam_to_cam", "P_rect_01"],
+    ),
+    "projection too short": (
+        replace("../calib_cam_to_cam.txt", " 31.5", ""),
+        ["cam_to_cam", "P_rect_00", "11", "12"],
+    ),
+    "projection not numbers": (
+        replace("../calib_cam_to_cam.txt", "31.5", "x"),
+        ["cam_to_cam", "P_rect_00", "'x'"],
+    ),
+    "cameras differ": (
+        replace("../calib_cam_to_cam.txt", "31.5", "30.5"),
+        ["P_rect_00", "P_rect_01", "principal"],
+    ),
+    "baseline zero": (
+        replace("../calib_cam_to_cam.txt", "-25.0", "0.0"),
+        ["P_rect_01", "baseline_m", "0 m"],
+    ),
+    "baseline negative": (
+        replace("../calib_cam_to_cam.txt", "-25.0", "25.0"),
+        ["P_rect_01", "baseline_m", "swapped"],
+    ),
     "R_rect no rotation": (
         replace("../calib_cam_to_cam.txt", "R_rect_00: 1", "R_rect_00: 3"),
         ["R_rect_00", "rotat"],
     ),
-    "imu_to_velo missing": (remove("../calib_imu_to_velo.txt"), ["calib_imu_to_velo.txt", "missing"]),
+    "imu_to_velo missing": (
+        remove("../calib_imu_to_velo.txt"),
+        ["calib_imu_to_velo.txt", "missing"],
+    ),
     "image_01 missing": (remove("image_01"), ["image_01", "missing"]),
-    "timestamps missing": (remove("image_00/timestamps.txt"), ["image_00/timestamps.txt", "missing"]),
-    "timestamp no date": (replace("image_00/timestamps.txt", "2014-", "then "), ["image_00/timestamps.txt:1", "then"]),
-    "timestamp no time": (replace("image_00/timestamps.txt", " 16:", " 25:"), ["image_00/timestamps.txt:1", "25:"]),
-    "timestamp NaT": (append("image_00/timestamps.txt", "NaT"), ["image_00/timestamps.txt:5", "NaT"]),
-    "packet missing": (remove("oxts/data/0000000001.txt"), ["oxts/timestamps.txt", "4 stamps", "3 files"]),
+    "timestamps missing": (
+        remove("image_00/timestamps.txt"),
+        ["image_00/timestamps.txt", "missing"],
+    ),
+    "timestamp no date": (
+        replace("image_00/timestamps.txt", "2014-", "then "),
+        ["image_00/timestamps.txt:1", "then"],
+    ),
+    "timestamp no time": (
+        replace("image_00/timestamps.txt", " 16:", " 25:"),
+        ["image_00/timestamps.txt:1", "25:"],
+    ),
+    "timestamp NaT": (
+        append("image_00/timestamps.txt", "NaT"),
+        ["image_00/timestamps.txt:5", "NaT"],
+    ),
+    "packet missing": (
+        remove("oxts/data/0000000001.txt"),
+        ["oxts/timestamps.txt", "4 stamps", "3 files"],
+    ),
     "packets missing": (clear("oxts/data"), ["oxts/data", "0 OXTS packets"]),
-    "packet too short": (write("oxts/data/0000000002.txt", b"1 2 3"), ["0000000002.txt", "3 values", "30"]),
-    "packet NaN": (replace("oxts/data/0000000002.txt", "49.0", "nan"), ["0000000002.txt", "'nan'", "finite"]),
-    "oxts unsorted": (swap_lines("oxts/timestamps.txt", 0, 1), ["oxts/timestamps.txt", "stamp 1", "earlier"]),
+    "packet too short": (
+        write("oxts/data/0000000002.txt", b"1 2 3"),
+        ["0000000002.txt", "3 values", "30"],
+    ),
+    "packet NaN": (
+        replace("oxts/data/0000000002.txt", "49.0", "nan"),
+        ["0000000002.txt", "'nan'", "finite"],
+    ),
+    "oxts unsorted": (
+        swap_lines("oxts/timestamps.txt", 0, 1),
+        ["oxts/timestamps.txt", "stamp 1", "earlier"],
+    ),
 }
 
 KITTI_ODOMETRY: dict[str, tuple[Edit, list[str]]] = {
@@ -108,7 +227,10 @@ KITTI_ODOMETRY: dict[str, tuple[Edit, list[str]]] = {
     "P1 not finite": (replace("calib.txt", "-25.0", "nan"), ["calib.txt", "P1", "'nan'"]),
     "focal length zero": (replace("calib.txt", "P0: 50.0", "P0: 0.0"), ["calib.txt", "P0"]),
     "times too many": (append("times.txt", "9.9"), ["times.txt", "5 stamps", "4 files"]),
-    "poses shorter than images": (drop_line("../../poses/07.txt", 3), ["07.txt", "3 poses", "4 frames"]),
+    "poses shorter than images": (
+        drop_line("../../poses/07.txt", 3),
+        ["07.txt", "3 poses", "4 frames"],
+    ),
     "first image cut": (cut("image_0/000000.png", 0.5), ["image_0/000000.png", "damaged"]),
     "right image renamed": (
         lambda path: (path / "image_1/000001.png").rename(path / "image_1/1.png"),
@@ -119,21 +241,42 @@ KITTI_ODOMETRY: dict[str, tuple[Edit, list[str]]] = {
 STAMP_2 = "1400000000323456789"
 EUROC: dict[str, tuple[Edit, list[str]]] = {
     "cam1 missing": (remove("mav0/cam1"), ["cam1/sensor.yaml", "missing"]),
-    "image file missing": (remove(f"mav0/cam1/data/{STAMP_2}.png"), ["cam1/data.csv:4", STAMP_2, "missing"]),
+    "image file missing": (
+        remove(f"mav0/cam1/data/{STAMP_2}.png"),
+        ["cam1/data.csv:4", STAMP_2, "missing"],
+    ),
     "cameras never together": (
         write("mav0/cam1/data.csv", f"5,{STAMP_2}.png\n".encode()),
         ["cam1/data.csv", "0"],
     ),
-    "stamp not a number": (replace("mav0/cam0/data.csv", f"\n{STAMP_2}", "\nlate"), ["cam0/data.csv:4", "'late'"]),
-    "stamps unsorted": (swap_lines("mav0/cam0/data.csv", 1, 2), ["cam0/data.csv", "stamp 1", "earlier"]),
-    "T_BS missing": (replace("mav0/cam0/sensor.yaml", "T_BS", "T_SB"), ["cam0/sensor.yaml", "T_BS", "required"]),
-    "T_BS too short": (replace("mav0/cam1/sensor.yaml", "1.0, ", ""), ["cam1/sensor.yaml", "T_BS.data", "16"]),
-    "T_BS no rotation": (replace("mav0/cam1/sensor.yaml", "[1.0", "[5.0"), ["cam1/sensor.yaml", "T_BS", "rotation"]),
+    "stamp not a number": (
+        replace("mav0/cam0/data.csv", f"\n{STAMP_2}", "\nlate"),
+        ["cam0/data.csv:4", "'late'"],
+    ),
+    "stamps unsorted": (
+        swap_lines("mav0/cam0/data.csv", 1, 2),
+        ["cam0/data.csv", "stamp 1", "earlier"],
+    ),
+    "T_BS missing": (
+        replace("mav0/cam0/sensor.yaml", "T_BS", "T_SB"),
+        ["cam0/sensor.yaml", "T_BS", "required"],
+    ),
+    "T_BS too short": (
+        replace("mav0/cam1/sensor.yaml", "1.0, ", ""),
+        ["cam1/sensor.yaml", "T_BS.data", "16"],
+    ),
+    "T_BS no rotation": (
+        replace("mav0/cam1/sensor.yaml", "[1.0", "[5.0"),
+        ["cam1/sensor.yaml", "T_BS", "rotation"],
+    ),
     "model unknown": (
         replace("mav0/cam0/sensor.yaml", "radial-tangential", "fov"),
         ["distortion_model"],
     ),
-    "same camera twice": (replace("mav0/cam1/sensor.yaml", "0.5", "0.0"), ["cam1/sensor.yaml", "same place"]),
+    "same camera twice": (
+        replace("mav0/cam1/sensor.yaml", "0.5", "0.0"),
+        ["cam1/sensor.yaml", "same place"],
+    ),
     "gyro noise missing": (
         replace("mav0/imu0/sensor.yaml", "gyroscope_noise_density", "n"),
         ["imu0/", "gyro"],
@@ -145,7 +288,9 @@ EUROC: dict[str, tuple[Edit, list[str]]] = {
         ["state_groundtruth_estimate0/data.csv", "quaternion", "pose 0"],
     ),
     "truth elsewhere": (
-        write("mav0/state_groundtruth_estimate0/data.csv", b"0,0,0,0,1,0,0,0\n9000,0,0,0,1,0,0,0\n"),
+        write(
+            "mav0/state_groundtruth_estimate0/data.csv", b"0,0,0,0,1,0,0,0\n9000,0,0,0,1,0,0,0\n"
+        ),
         ["state_groundtruth_estimate0/data.csv", "no pose between"],
     ),
 }
@@ -188,7 +333,10 @@ BAD_IMAGES: dict[str, tuple[Edit, str]] = {
     "empty": (write("right/000002.png", b""), "empty"),
     "text": (write("right/000002.png", b"not a picture"), "neither PNG nor JPEG"),
     "sixteen bits": (write("right/000002.png", image(0).astype(np.uint16) * 257), "uint16"),
-    "other size": (write("right/000002.png", image(0)[:, :-2]), f"{WIDTH_PX - 2}×48 px; expected {WIDTH_PX}×48 px"),
+    "other size": (
+        write("right/000002.png", image(0)[:, :-2]),
+        f"{WIDTH_PX - 2}×48 px; expected {WIDTH_PX}×48 px",
+    ),
 }
 
 

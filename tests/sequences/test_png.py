@@ -16,13 +16,20 @@ def chunk(kind: bytes, body: bytes) -> bytes:
 
 
 def png(
-    rows: np.ndarray, width: int, *, end: bytes = bytes([8, 0, 0, 0, 0]), more: bytes = b"", parts: int = 1
+    rows: np.ndarray,
+    width: int,
+    *,
+    end: bytes = bytes([8, 0, 0, 0, 0]),
+    more: bytes = b"",
+    parts: int = 1,
 ) -> bytes:
     """A file of rows as they are stored: the filter, then what it left of the pixels."""
     header = width.to_bytes(4, "big") + len(rows).to_bytes(4, "big") + end
     deflated = zlib.compress(rows.tobytes())
     length = -(-len(deflated) // parts)
-    body = b"".join(chunk(b"IDAT", deflated[k : k + length]) for k in range(0, len(deflated), length))
+    body = b"".join(
+        chunk(b"IDAT", deflated[k : k + length]) for k in range(0, len(deflated), length)
+    )
     return PNG_MAGIC + chunk(b"IHDR", header) + more + body + chunk(b"IEND", b"")
 
 
@@ -35,12 +42,16 @@ def random_rows(kinds: list[int], height: int, width: int, seed: int) -> np.ndar
 
 @pytest.mark.parametrize("kinds", [[0], [1], [2], [3], [4], [0, 1, 2, 3, 4]])
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 1), (23, 31)])
-def test_every_filter_is_undone_as_opencv_undoes_it(kinds: list[int], size: tuple[int, int]) -> None:
+def test_every_filter_is_undone_as_opencv_undoes_it(
+    kinds: list[int], size: tuple[int, int]
+) -> None:
     for seed in range(5):
         data = png(random_rows(kinds, *size, seed), size[1], parts=1 + seed)
         image = plain_grey(chunks_of(data))
         assert image is not None
-        assert np.array_equal(image, cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
+        assert np.array_equal(
+            image, cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        )
 
 
 def test_a_written_picture_comes_back(tmp_path) -> None:
@@ -52,7 +63,8 @@ def test_a_written_picture_comes_back(tmp_path) -> None:
 def test_a_comment_changes_nothing() -> None:
     rows = random_rows([1], 4, 5, 0)
     assert np.array_equal(
-        plain_grey(chunks_of(png(rows, 5, more=chunk(b"tEXt", b"Author\0me")))), plain_grey(chunks_of(png(rows, 5)))
+        plain_grey(chunks_of(png(rows, 5, more=chunk(b"tEXt", b"Author\0me")))),
+        plain_grey(chunks_of(png(rows, 5))),
     )
 
 
@@ -76,7 +88,9 @@ NOT_PLAIN = {
     + chunk(b"IHDR", bytes([255] * 8 + [8, 0, 0, 0, 0]))
     + chunk(b"IDAT", zlib.compress(bytes(9)))
     + chunk(b"IEND", b""),
-    "no picture": PNG_MAGIC + chunk(b"IHDR", bytes([0, 0, 0, 5, 0, 0, 0, 4, 8, 0, 0, 0, 0])) + chunk(b"IEND", b""),
+    "no picture": PNG_MAGIC
+    + chunk(b"IHDR", bytes([0, 0, 0, 5, 0, 0, 0, 4, 8, 0, 0, 0, 0]))
+    + chunk(b"IEND", b""),
     "no header": PNG_MAGIC + chunk(b"IEND", b""),
 }
 
@@ -89,7 +103,9 @@ def test_what_is_not_plain_is_left_to_opencv(data: bytes) -> None:
 def test_a_picture_that_inflates_without_end_is_not_inflated_whole() -> None:
     endless = zlib.compress(bytes(10**8))
     header = chunk(b"IHDR", bytes([0, 0, 0, 5, 0, 0, 0, 4, 8, 0, 0, 0, 0]))
-    image = plain_grey(chunks_of(PNG_MAGIC + header + chunk(b"IDAT", endless) + chunk(b"IEND", b"")))
+    image = plain_grey(
+        chunks_of(PNG_MAGIC + header + chunk(b"IDAT", endless) + chunk(b"IEND", b""))
+    )
     assert np.array_equal(image, np.zeros((4, 5), np.uint8))
 
 

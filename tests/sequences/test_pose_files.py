@@ -26,8 +26,12 @@ def test_unknown_kitti_poses_come_back_unknown(tmp_path: Path, T_world_cam: Floa
     np.testing.assert_array_equal(read_kitti_poses(tmp_path / "poses.txt"), T_world_cam)
 
 
-def test_tum_keeps_stamps_exactly_and_poses_to_rounding(tmp_path: Path, T_world_cam: FloatArray) -> None:
-    stamps_ns = 1_403_715_273_262_142_976 + np.cumsum(np.random.default_rng(1).integers(1, 10**8, 40))
+def test_tum_keeps_stamps_exactly_and_poses_to_rounding(
+    tmp_path: Path, T_world_cam: FloatArray
+) -> None:
+    stamps_ns = 1_403_715_273_262_142_976 + np.cumsum(
+        np.random.default_rng(1).integers(1, 10**8, 40)
+    )
     write_tum(tmp_path / "trajectory.tum", stamps_ns, T_world_cam)
     read_ns, read_T = read_tum(tmp_path / "trajectory.tum")
     np.testing.assert_array_equal(read_ns, stamps_ns)

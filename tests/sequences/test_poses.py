@@ -21,7 +21,9 @@ def steady_motion(at_ns: np.ndarray) -> np.ndarray:
 def test_interpolation_is_exact_for_steady_motion(shift_ms: int) -> None:
     at_ns = STAMPS_NS + shift_ms * MS
     np.testing.assert_allclose(
-        interpolate_poses(STAMPS_NS, steady_motion(STAMPS_NS), at_ns), steady_motion(at_ns), atol=1e-12
+        interpolate_poses(STAMPS_NS, steady_motion(STAMPS_NS), at_ns),
+        steady_motion(at_ns),
+        atol=1e-12,
     )
 
 
@@ -29,7 +31,9 @@ def test_truth_is_unknown_in_gaps_and_beyond_the_ends() -> None:
     stamps_ns = np.array([0, 100, 700, 800]) * MS
     at_ns = np.array([-60, -50, 50, 300, 700, 850, 860]) * MS
     poses = interpolate_poses(stamps_ns, steady_motion(stamps_ns), at_ns)
-    np.testing.assert_array_equal(np.isnan(poses).any(axis=(1, 2)), [True, False, False, True, False, False, True])
+    np.testing.assert_array_equal(
+        np.isnan(poses).any(axis=(1, 2)), [True, False, False, True, False, False, True]
+    )
 
 
 def test_a_pose_at_the_very_time_is_taken_whatever_gaps_are_beside_it() -> None:

@@ -19,7 +19,9 @@ def test_results_keep_their_order_though_later_ones_are_ready_first() -> None:
 @pytest.mark.parametrize("count", [0, 1, 4, 5, 6])
 def test_every_item_is_read_once(count: int) -> None:
     seen: list[int] = []
-    assert list(read_ahead(lambda index: seen.append(index) or index, range(count))) == list(range(count))
+    assert list(read_ahead(lambda index: seen.append(index) or index, range(count))) == list(
+        range(count)
+    )
     assert sorted(seen) == list(range(count))
 
 
@@ -58,7 +60,9 @@ def test_threads_end_when_the_consumer_does(finish: str) -> None:
             consume()
     else:
         consume()
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("probevo-read")]
+    assert not [
+        thread for thread in threading.enumerate() if thread.name.startswith("probevo-read")
+    ]
 
 
 def test_reading_runs_in_two_threads() -> None:

@@ -1,4 +1,5 @@
-"""The real recordings: counts, lengths and times that are known, or were measured when the format was written."""
+"""The real recordings: counts, lengths and times that are known, or were measured when the format
+was written."""
 
 from pathlib import Path
 
@@ -36,7 +37,8 @@ def test_frames_and_length_of_the_path(name: str, data_root: Path) -> None:
 
 
 def turn_errors_rad(sequence: Sequence) -> FloatArray:
-    """Rotation of each frame by the gyro (trapezoids) less that of the truth, [K − 1, 3], camera axes."""
+    """Rotation of each frame by the gyro (trapezoids) less that of the truth, [K − 1, 3], camera
+    axes."""
     assert sequence.truth is not None
     assert sequence.imu is not None
     errors = []
@@ -46,7 +48,10 @@ def turn_errors_rad(sequence: Sequence) -> FloatArray:
         start, end = sequence.stamps_ns[frame.index - 1 : frame.index + 1]
         inner = (frame.imu.stamps_ns > start) & (frame.imu.stamps_ns < end)
         stamps = np.r_[start, frame.imu.stamps_ns[inner], end] - start
-        rates = np.stack([np.interp(stamps, frame.imu.stamps_ns - start, w) for w in frame.imu.gyro_rad_s.T], axis=1)
+        rates = np.stack(
+            [np.interp(stamps, frame.imu.stamps_ns - start, w) for w in frame.imu.gyro_rad_s.T],
+            axis=1,
+        )
         turn = sequence.imu.C_cam_imu @ np.trapezoid(rates, stamps / 1e9, axis=0)
         C_prev, C_curr = sequence.truth.T_world_cam[frame.index - 1 : frame.index + 1, :3, :3]
         errors.append(turn - so3.log(C_prev.T @ C_curr))

@@ -7,8 +7,11 @@ from probevo.arrays import FloatArray, Image, IntArray
 from probevo.config import TrackingConfig
 from probevo.tracking.detection import AROUND_WINDOW_PX, apart, corners_in_room, strongest_corners
 
-HEIGHT_PX, WIDTH_PX, CELL_PX = 120, 160, 40
-COLUMNS, ROWS = 4, 3
+HEIGHT_PX = 120
+WIDTH_PX = 160
+CELL_PX = 40
+COLUMNS = 4
+ROWS = 3
 NOBODY = np.zeros((0, 2))
 TWO_A_CELL = TrackingConfig(num_features=2 * COLUMNS * ROWS)
 """As many features as make the cells CELL_PX wide: 2 · 160 · 120 / 24 = 40²."""
@@ -16,11 +19,14 @@ BORDER_PX = TWO_A_CELL.window_px // 2 + AROUND_WINDOW_PX
 
 
 def detect_corners(image: Image, occupied_px: FloatArray, config: TrackingConfig) -> FloatArray:
-    return corners_in_room(strongest_corners(image, config), occupied_px, image.shape, config)
+    return corners_in_room(
+        strongest_corners(image, config), occupied_px, image.shape, config=config
+    )
 
 
 def many_dots(height: int = HEIGHT_PX, width: int = WIDTH_PX) -> Image:
-    """A dot of some contrast every 10 px: more corners in each cell than any share used here, and all of them apart."""
+    """A dot of some contrast every 10 px: more corners in each cell than any share used here, and
+    all of them apart."""
     image = np.full((height, width), 100, np.uint8)
     spots = image[5::10, 5::10]
     spots += np.random.default_rng(0).integers(30, 150, spots.shape, dtype=np.uint8)
@@ -28,7 +34,8 @@ def many_dots(height: int = HEIGHT_PX, width: int = WIDTH_PX) -> Image:
 
 
 def dots(*centers_and_contrast: tuple[int, int, int]) -> Image:
-    """Bright dots of one pixel at (u, v) on grey: each is one FAST corner, and its strength grows with its contrast."""
+    """Bright dots of one pixel at (u, v) on grey: each is one FAST corner, and its strength grows
+    with its contrast."""
     image = np.full((HEIGHT_PX, WIDTH_PX), 100, np.uint8)
     for u, v, contrast in centers_and_contrast:
         image[v, u] += contrast
@@ -45,7 +52,9 @@ def as_set(corners: FloatArray) -> set[tuple[float, float]]:
 
 
 def test_every_cell_gets_its_share_and_no_more() -> None:
-    np.testing.assert_array_equal(count_per_cell(detect_corners(many_dots(), NOBODY, TWO_A_CELL)), 2)
+    np.testing.assert_array_equal(
+        count_per_cell(detect_corners(many_dots(), NOBODY, TWO_A_CELL)), 2
+    )
 
 
 @pytest.mark.parametrize("wanted", [100, 300, 777, 1500])
@@ -57,13 +66,16 @@ def test_about_as_many_are_found_as_are_wanted(wanted: int) -> None:
 def test_a_cell_gets_only_what_its_features_leave() -> None:
     """Shares of 2, with 0, 1, 2 and 5 features already in the four cells of the middle row."""
     already = np.array([0, 1, 2, 5])
-    occupied = np.vstack([np.tile([40.0 * column + 20.0, 60.0], (n, 1)) for column, n in enumerate(already)])
+    occupied = np.vstack(
+        [np.tile([40.0 * column + 20.0, 60.0], (n, 1)) for column, n in enumerate(already)]
+    )
     found = count_per_cell(detect_corners(many_dots(), occupied, TWO_A_CELL))
     np.testing.assert_array_equal(found, [2, 2, 2, 2, 2, 1, 0, 0, 2, 2, 2, 2])
 
 
 def test_features_outside_the_image_count_for_the_nearest_cell() -> None:
-    """A tracked feature may lie a fraction of a pixel beyond the border: no index error, no other cell robbed."""
+    """A tracked feature may lie a fraction of a pixel beyond the border: no index error, no other
+    cell robbed."""
     occupied = np.array([[-0.5, -3.0], [WIDTH_PX + 0.5, HEIGHT_PX + 2.0]])
     found = count_per_cell(detect_corners(many_dots(), occupied, TWO_A_CELL))
     np.testing.assert_array_equal(found, [1, *[2] * 10, 1])
@@ -83,7 +95,10 @@ def test_what_is_half_a_window_from_another_is_no_new_corner() -> None:
     """Neither of the weaker one of two dots, nor of one beside a feature that is there."""
     image = dots((60, 60, 90), (66, 54, 80), (100, 60, 90), (107, 60, 80))
     assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(60, 60), (100, 60), (107, 60)}
-    assert as_set(detect_corners(image, np.array([[62.4, 58.2]]), TWO_A_CELL)) == {(100, 60), (107, 60)}
+    assert as_set(detect_corners(image, np.array([[62.4, 58.2]]), TWO_A_CELL)) == {
+        (100, 60),
+        (107, 60),
+    }
     wide = TWO_A_CELL.model_copy(update={"window_px": 13})
     assert as_set(detect_corners(image, NOBODY, wide)) == {(60, 60), (100, 60)}
 
@@ -92,7 +107,9 @@ def test_of_features_that_have_met_the_first_is_kept() -> None:
     """A chain: the third is near the second alone, which is gone."""
     pixels = np.array([[50.0, 50.0], [55.0, 50.0], [60.0, 50.0], [50.2, 50.0], [50.0, 80.0]])
     shape = (HEIGHT_PX, WIDTH_PX)
-    np.testing.assert_array_equal(apart(pixels, shape, TWO_A_CELL), [True, False, True, False, True])
+    np.testing.assert_array_equal(
+        apart(pixels, shape, TWO_A_CELL), [True, False, True, False, True]
+    )
     assert len(apart(NOBODY, shape, TWO_A_CELL)) == 0
 
 
@@ -103,7 +120,8 @@ def test_contrast_below_the_threshold_is_no_corner() -> None:
 
 
 def test_nothing_is_found_where_a_window_would_leave_the_image() -> None:
-    last_u, last_v = WIDTH_PX - BORDER_PX - 1, HEIGHT_PX - BORDER_PX - 1
+    last_u = WIDTH_PX - BORDER_PX - 1
+    last_v = HEIGHT_PX - BORDER_PX - 1
     inside = [(BORDER_PX, 60), (last_u, 60), (80, BORDER_PX), (80, last_v)]
     outside = [(BORDER_PX - 1, 20), (last_u + 1, 20), (20, BORDER_PX - 1), (20, last_v + 1)]
     image = dots(*[(u, v, 100) for u, v in inside + outside])
@@ -116,7 +134,8 @@ def test_an_even_image_has_no_corners() -> None:
 
 
 def test_a_size_that_is_no_multiple_of_the_cell_is_covered_to_its_edges() -> None:
-    """170×130 px in cells of 40 px: five columns, four rows, the last ones 10 px wide, 8 of them border."""
+    """170×130 px in cells of 40 px: five columns, four rows, the last ones 10 px wide, 8 of them
+    border."""
     image = np.random.default_rng(1).integers(0, 256, (130, 170), dtype=np.uint8)
     found = detect_corners(image, NOBODY, TrackingConfig(num_features=2 * 170 * 130 // 40**2))
     assert found[:, 0].max() >= 160

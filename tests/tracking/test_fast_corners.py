@@ -7,7 +7,8 @@ import pytest
 from probevo.arrays import Image
 from probevo.tracking.fast_corners import strongest_of_cells
 
-BORDER_PX, PER_CELL = 8, 3
+BORDER_PX = 8
+PER_CELL = 3
 
 
 def textures() -> dict[str, Image]:
@@ -18,25 +19,46 @@ def textures() -> dict[str, Image]:
     squares = np.zeros((150, 200), np.uint8)
     for u, v, side, grey in rng.integers((0, 0, 3, 0), (190, 140, 40, 256), (60, 4)):
         squares[v : v + side, u : u + side] = grey
-    return {"noise": noise, "blobs": blobs.astype(np.uint8), "levels": noise // 64 * 60, "squares": squares}
+    return {
+        "noise": noise,
+        "blobs": blobs.astype(np.uint8),
+        "levels": noise // 64 * 60,
+        "squares": squares,
+    }
 
 
 def opencv_strengths(image: Image, threshold: int) -> dict[tuple[int, int], int]:
-    """Of all OpenCV's corners away from the border: the largest threshold under which each would be one."""
+    """Of all OpenCV's corners away from the border: the largest threshold under which each would be
+    one."""
     keypoints = cv2.FastFeatureDetector.create(threshold).detect(image)
     corners = {(int(k.pt[0]), int(k.pt[1])): round(k.response) for k in keypoints}
-    last_u, last_v = image.shape[1] - BORDER_PX - 1, image.shape[0] - BORDER_PX - 1
-    return {(u, v): s for (u, v), s in corners.items() if BORDER_PX <= u <= last_u and BORDER_PX <= v <= last_v}
+    last_u = image.shape[1] - BORDER_PX - 1
+    last_v = image.shape[0] - BORDER_PX - 1
+    return {
+        (u, v): s
+        for (u, v), s in corners.items()
+        if BORDER_PX <= u <= last_u and BORDER_PX <= v <= last_v
+    }
 
 
 @pytest.mark.parametrize("threshold", [1, 10, 60])
 @pytest.mark.parametrize("cell_px", [31.75, 2.25])  # with the smaller, whole cells are border
 @pytest.mark.parametrize("name", textures())
-def test_each_cell_holds_the_strongest_of_opencv_in_order(name: str, cell_px: float, threshold: int) -> None:
+def test_each_cell_holds_the_strongest_of_opencv_in_order(
+    name: str, cell_px: float, threshold: int
+) -> None:
     image = textures()[name]
     strengths = opencv_strengths(image, threshold)
     rows, columns = (int(np.ceil(side / cell_px)) for side in image.shape)
-    found = strongest_of_cells(image, threshold, cell_px, rows, columns, PER_CELL, BORDER_PX)
+    found = strongest_of_cells(
+        image,
+        threshold,
+        cell_px,
+        rows=rows,
+        columns=columns,
+        per_cell=PER_CELL,
+        border_px=BORDER_PX,
+    )
     assert strengths
     cells: dict[tuple[float, float], list[tuple[int, int]]] = {}
     for corner in strengths:
@@ -44,19 +66,32 @@ def test_each_cell_holds_the_strongest_of_opencv_in_order(name: str, cell_px: fl
     for row in range(rows):
         for column in range(columns):
             inside = cells.get((row, column), [])
-            best = sorted(inside, key=lambda corner: (-strengths[corner], corner[1], corner[0]))[:PER_CELL]
+            best = sorted(inside, key=lambda corner: (-strengths[corner], corner[1], corner[0]))[
+                :PER_CELL
+            ]
             of_cell = found[row, column]
             assert [tuple(corner) for corner in of_cell[np.isfinite(of_cell[:, 0])]] == best
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (16, 200), (17, 17)])
 def test_an_image_that_is_hardly_more_than_border_is_no_error(shape: tuple[int, int]) -> None:
-    found = strongest_of_cells(np.zeros(shape, np.uint8), 10, 31.75, 1, 7, PER_CELL, BORDER_PX)
+    found = strongest_of_cells(
+        np.zeros(shape, np.uint8),
+        10,
+        31.75,
+        rows=1,
+        columns=7,
+        per_cell=PER_CELL,
+        border_px=BORDER_PX,
+    )
     assert np.isnan(found).all()
 
 
 def test_a_view_of_an_image_is_as_good_as_a_copy() -> None:
     image = textures()["blobs"]
     view = np.repeat(np.repeat(image, 2, axis=0), 2, axis=1)[::2, ::2]
-    first, second = (strongest_of_cells(i, 10, 31.75, 4, 5, PER_CELL, BORDER_PX) for i in (image, view))
+    first, second = (
+        strongest_of_cells(i, 10, 31.75, rows=4, columns=5, per_cell=PER_CELL, border_px=BORDER_PX)
+        for i in (image, view)
+    )
     np.testing.assert_array_equal(first, second)

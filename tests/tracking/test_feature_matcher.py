@@ -11,8 +11,12 @@ from worlds import CAMERA
 
 def frame(index: int, *ids: int) -> Frame:
     """Each feature's first coordinate tells its identity, its second the frame."""
-    pixels = np.column_stack([ids, np.full(len(ids), index), ids, np.full(len(ids), index)]).astype(float)
-    return Frame(index, index, features=StereoFeatures(np.array(ids, np.int64), pixels.reshape(-1, 4)))
+    pixels = np.column_stack([ids, np.full(len(ids), index), ids, np.full(len(ids), index)]).astype(
+        float
+    )
+    return Frame(
+        index, index, features=StereoFeatures(np.array(ids, np.int64), pixels.reshape(-1, 4))
+    )
 
 
 def follow(*frames: Frame) -> Tracks:
@@ -40,7 +44,9 @@ def test_age_counts_the_frames_in_a_row() -> None:
 def test_a_point_that_comes_back_starts_anew() -> None:
     """It is not joined across the frame that missed it."""
     assert len(follow(frame(0, 1), frame(1, 2), frame(2, 1))) == 0
-    assert follow(frame(0, 1), frame(1, 1), frame(2, 2), frame(3, 1), frame(4, 1)).age.tolist() == [2]
+    assert follow(frame(0, 1), frame(1, 1), frame(2, 2), frame(3, 1), frame(4, 1)).age.tolist() == [
+        2
+    ]
 
 
 @pytest.mark.parametrize("ids", [((), (1, 2)), ((1, 2), ()), ((), ())])

@@ -1,4 +1,5 @@
-"""Lucas–Kanade on a textured plane, rendered without interpolation, against the flow that its homography gives."""
+"""Lucas–Kanade on a textured plane, rendered without interpolation, against the flow that its
+homography gives."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +16,9 @@ from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking import ImageTracker, Tracks, tracker_for
 
 SIZE_PX = WIDTH_PX, HEIGHT_PX = 320, 200
-CAMERA = StereoCamera(fu_px=250.0, fv_px=250.0, cu_px=160.0, cv_px=100.0, baseline_m=0.3, size_px=SIZE_PX)
+CAMERA = StereoCamera(
+    fu_px=250.0, fv_px=250.0, cu_px=160.0, cv_px=100.0, baseline_m=0.3, size_px=SIZE_PX
+)
 DEPTH_M = 5.0
 """Of the plane, which faces the first camera: 15 px of disparity."""
 CONFIG = TrackingConfig(num_features=150)
@@ -24,7 +27,8 @@ STEP = np.array([0.02, -0.01, -0.15, 0.004, -0.006, 0.01])
 
 
 def plane_points(pixels: FloatArray, T_cam_world: FloatArray) -> FloatArray:
-    """Where the rays of left pixels [N, 2] meet the plane z = DEPTH_M of the world, [N, 3], m, world frame."""
+    """Where the rays of left pixels [N, 2] meet the plane z = DEPTH_M of the world, [N, 3], m,
+    world frame."""
     T_world_cam = se3.inverse(T_cam_world)
     normalized = (pixels - [CAMERA.cu_px, CAMERA.cv_px]) / [CAMERA.fu_px, CAMERA.fv_px]
     rays = np.column_stack([normalized, np.ones(len(pixels))]) @ T_world_cam[:3, :3].T
@@ -35,7 +39,10 @@ def plane_points(pixels: FloatArray, T_cam_world: FloatArray) -> FloatArray:
 def texture(x_m: FloatArray, y_m: FloatArray) -> FloatArray:
     """Smooth and random: 60 waves of 0.1 to 1.5 m, which are 5 to 75 px, around 128."""
     rng = np.random.default_rng(0)
-    wave_rad_m, direction, phase = 2 * np.pi / np.geomspace(0.1, 1.5, 60), *rng.uniform(0, 2 * np.pi, (2, 60))
+    wave_rad_m, direction, phase = (
+        2 * np.pi / np.geomspace(0.1, 1.5, 60),
+        *rng.uniform(0, 2 * np.pi, (2, 60)),
+    )
     along = np.multiply.outer(x_m, wave_rad_m * np.cos(direction)) + np.multiply.outer(
         y_m, wave_rad_m * np.sin(direction)
     )
@@ -57,23 +64,34 @@ def pose(index: int) -> FloatArray:
 @pytest.fixture(scope="module")
 def frames() -> list[Frame]:
     T_right_left = se3.exp(np.array([-CAMERA.baseline_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    return [Frame(k, 100_000_000 * k, render(pose(k)), render(T_right_left @ pose(k))) for k in range(4)]
+    return [
+        Frame(k, 100_000_000 * k, render(pose(k)), right=render(T_right_left @ pose(k)))
+        for k in range(4)
+    ]
 
 
-def follow(frames: Sequence[Frame], expected: FloatArray | None = None, config: TrackingConfig = CONFIG) -> Tracks:
+def follow(
+    frames: Sequence[Frame], expected: FloatArray | None = None, config: TrackingConfig = CONFIG
+) -> Tracks:
     """Tracks of the last frame; the search starts from the true motion, or from the one given."""
     tracker = ImageTracker(CAMERA, config)
-    return [tracker.track(frame, se3.exp(STEP) if expected is None else expected) for frame in frames][-1]
+    return [
+        tracker.track(frame, se3.exp(STEP) if expected is None else expected) for frame in frames
+    ][-1]
 
 
 def true_pixels(left_px: FloatArray, index: int, at: int) -> FloatArray:
-    """Observations in frame ``at``, [N, 4], of the points seen at left pixels [N, 2] of frame ``index``."""
+    """Observations in frame ``at``, [N, 4], of the points seen at left pixels [N, 2] of frame
+    ``index``."""
     return CAMERA.project(se3.transform(pose(at), plane_points(left_px, pose(index))))
 
 
 def median_error_px(tracks: Tracks, index: int) -> float:
-    """Of the current observations, the left pixels of the previous frame being the points' identity."""
-    return float(np.median(np.abs(tracks.curr_px - true_pixels(tracks.prev_px[:, :2], index - 1, index))))
+    """Of the current observations, the left pixels of the previous frame being the points'
+    identity."""
+    return float(
+        np.median(np.abs(tracks.curr_px - true_pixels(tracks.prev_px[:, :2], index - 1, index)))
+    )
 
 
 def test_tracked_positions_agree_with_the_homography(frames: list[Frame]) -> None:
@@ -106,7 +124,8 @@ def test_points_are_found_from_a_poor_start(frames: list[Frame]) -> None:
 
 
 def test_identities_persist_and_ages_grow(frames: list[Frame]) -> None:
-    """What is found in frame k and was found in k − 1 keeps its identity, is where it was, and is one frame older."""
+    """What is found in frame k and was found in k − 1 keeps its identity, is where it was, and is
+    one frame older."""
     tracker = ImageTracker(CAMERA, CONFIG)
     steps = [tracker.track(frame, se3.exp(STEP)) for frame in frames]
     for before, now in pairwise(steps[1:]):
@@ -129,17 +148,23 @@ def test_no_identity_is_given_twice(frames: list[Frame]) -> None:
 
 
 def test_what_no_longer_looks_as_at_first_sight_is_another_point() -> None:
-    """A window that reaches out of the image cannot be compared: the point is followed, under a new identity."""
+    """A window that reaches out of the image cannot be compared: the point is followed, under a new
+    identity."""
     sideways = np.array([-0.008, 0.0, 0.0, 0.0, 0.0, 0.0])  # 0.4 px a frame, to the left
     T_right_left = se3.exp(np.array([-CAMERA.baseline_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
     poses = [np.asarray(se3.exp(k * sideways)) for k in range(8)]
-    tracker, renamed = ImageTracker(CAMERA, CONFIG), 0
+    tracker = ImageTracker(CAMERA, CONFIG)
+    renamed = 0
     steps = [
-        tracker.track(Frame(k, 100_000_000 * k, render(T), render(T_right_left @ T)), se3.exp(sideways))
+        tracker.track(
+            Frame(k, 100_000_000 * k, render(T), right=render(T_right_left @ T)), se3.exp(sideways)
+        )
         for k, T in enumerate(poses)
     ]
     for before, now in pairwise(steps[1:]):
-        at_border = before.curr_px[:, 2] < 5.9  # with half a window of 5 px, and the pixel next to it
+        at_border = (
+            before.curr_px[:, 2] < 5.9
+        )  # with half a window of 5 px, and the pixel next to it
         followed = (now.prev_px[:, None] == before.curr_px[at_border]).all(axis=2).any(axis=1)
         assert not np.isin(now.ids[followed], before.ids).any()
         assert (now.age[followed] == 2).all()
@@ -158,9 +183,12 @@ def test_dropped_points_are_not_followed(frames: list[Frame]) -> None:
 
 
 def test_dropping_before_the_first_frame_does_nothing(frames: list[Frame]) -> None:
-    tracker, untouched = ImageTracker(CAMERA, CONFIG), ImageTracker(CAMERA, CONFIG)
+    tracker = ImageTracker(CAMERA, CONFIG)
+    untouched = ImageTracker(CAMERA, CONFIG)
     tracker.drop(np.array([1, 2]))
-    first, second = ([t.track(frame, np.eye(4)) for frame in frames[:2]][-1] for t in (tracker, untouched))
+    first, second = (
+        [t.track(frame, np.eye(4)) for frame in frames[:2]][-1] for t in (tracker, untouched)
+    )
     np.testing.assert_array_equal(first.curr_px, second.curr_px)
 
 
@@ -177,7 +205,8 @@ def test_points_that_leave_the_view_are_counted(frames: list[Frame]) -> None:
 
 
 def test_points_that_vanish_are_counted(frames: list[Frame]) -> None:
-    """Lucas–Kanade believes that it finds them on an even image; there they have nothing to be matched by."""
+    """Lucas–Kanade believes that it finds them on an even image; there they have nothing to be
+    matched by."""
     grey = np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8)
     tracks = follow([frames[0], replace(frames[1], left=grey)])
     assert len(tracks) == 0
@@ -209,18 +238,20 @@ def test_a_change_of_exposure_between_frames_does_no_harm(frames: list[Frame]) -
 
 def test_a_brighter_right_camera_does_no_harm(frames: list[Frame]) -> None:
     brighter = [
-        replace(frame, right=np.clip(frame.right.astype(int) + 30, 0, 255).astype(np.uint8)) for frame in frames[:2]
+        replace(frame, right=np.clip(frame.right.astype(int) + 30, 0, 255).astype(np.uint8))
+        for frame in frames[:2]
     ]
     assert median_error_px(follow(brighter), 1) < 0.1
 
 
 def test_frames_without_texture_give_nothing() -> None:
     grey = np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8)
-    assert len(follow([Frame(k, k, grey, grey) for k in range(3)])) == 0
+    assert len(follow([Frame(k, k, grey, right=grey) for k in range(3)])) == 0
 
 
 def test_the_same_images_give_the_same_tracks(frames: list[Frame]) -> None:
-    first, second = follow(frames), follow(frames)
+    first = follow(frames)
+    second = follow(frames)
     np.testing.assert_array_equal(first.curr_px, second.curr_px)
     np.testing.assert_array_equal(first.ids, second.ids)
 

@@ -6,7 +6,13 @@ import pytest
 
 from probevo.arrays import Image
 from probevo.config import TrackingConfig
-from probevo.tracking.lucas_kanade import MAX_ITERATIONS, MAX_STEP_PX, MIN_EIGENVALUE, find_again, pyramid_of
+from probevo.tracking.lucas_kanade import (
+    MAX_ITERATIONS,
+    MAX_STEP_PX,
+    MIN_EIGENVALUE,
+    find_again,
+    pyramid_of,
+)
 
 
 def pair(height: int, width: int) -> tuple[Image, Image]:
@@ -15,14 +21,19 @@ def pair(height: int, width: int) -> tuple[Image, Image]:
     noise = cv2.GaussianBlur(rng.integers(0, 256, (height, width)).astype(np.float32), (0, 0), 2.0)
     one = cv2.normalize(noise, None, 0, 255, cv2.NORM_MINMAX)
     other = cv2.warpAffine(one, np.array([[1.0, 0.0, 3.4], [0.0, 1.0, 1.7]]), (width, height))
-    return one.astype(np.uint8), np.clip(other + rng.normal(0, 2, one.shape), 0, 255).astype(np.uint8)
+    return one.astype(np.uint8), np.clip(other + rng.normal(0, 2, one.shape), 0, 255).astype(
+        np.uint8
+    )
 
 
-@pytest.mark.parametrize(("height", "width", "levels"), [(240, 320, 4), (61, 90, 3), (23, 25, 2), (22, 40, 1)])
+@pytest.mark.parametrize(
+    ("height", "width", "levels"), [(240, 320, 4), (61, 90, 3), (23, 25, 2), (22, 40, 1)]
+)
 def test_every_point_ends_at_the_same_bits(height: int, width: int, levels: int) -> None:
     """Points beyond the border and wild starts too; small images have fewer levels, as OpenCV has."""
     one, other = pair(height, width)
-    config, rng = TrackingConfig(), np.random.default_rng(1)
+    config = TrackingConfig()
+    rng = np.random.default_rng(1)
     points = rng.uniform(-5.0, np.array([width, height]) + 5.0, (500, 2))
     starts = points + rng.normal(0.0, 5.0, points.shape)
     pyramids = pyramid_of(one, config), pyramid_of(other, config)
@@ -48,6 +59,8 @@ def test_every_point_ends_at_the_same_bits(height: int, width: int, levels: int)
 
 def test_without_points_there_is_nothing_to_find() -> None:
     pyramid = pyramid_of(pair(61, 90)[0], TrackingConfig())
-    found, difference = find_again(pyramid, pyramid, np.zeros((0, 2)), np.zeros((0, 2)), TrackingConfig())
+    found, difference = find_again(
+        pyramid, pyramid, np.zeros((0, 2)), start_px=np.zeros((0, 2)), config=TrackingConfig()
+    )
     assert found.shape == (0, 2)
     assert difference.shape == (0,)

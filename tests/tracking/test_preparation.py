@@ -1,4 +1,5 @@
-"""Frames prepared ahead are the same frames, in the same order, with the same errors in the same places."""
+"""Frames prepared ahead are the same frames, in the same order, with the same errors in the same
+places."""
 
 from collections.abc import Iterator
 

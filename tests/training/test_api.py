@@ -1,4 +1,5 @@
-"""The whole training on small recordings: same bytes however often it is stopped, better motions, clear refusals."""
+"""The whole training on small recordings: same bytes however often it is stopped, better motions,
+clear refusals."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from training.supervised_drives import point_world, rmse_m, true_motions
 
 import probevo as pv
 from probevo.arrays import FloatArray
@@ -16,9 +18,8 @@ from probevo.noise import Fixed, NoiseModel
 from probevo.predictors import Needs, Predictor, Step
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
-from probevo.simulation.point_world import write_points
+from probevo_sim.point_world import write_points
 from sequences.recordings import write_tracks
-from training.lessons import point_world, rmse_m, true_motions
 
 FRAMES = 16
 SETTINGS = pv.TrainSettings(predictors=("place", "row_offset"), iterations=4, subset=6)
@@ -29,7 +30,9 @@ def tracks(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Two short drives through different worlds, some 75 landmarks a frame."""
     folder = tmp_path_factory.mktemp("tracks")
     for seed in range(2):
-        write_points(point_world("column", seed=seed, frames=FRAMES, landmarks=400), folder / f"{seed}.npz")
+        write_points(
+            point_world("column", seed=seed, frames=FRAMES, landmarks=400), folder / f"{seed}.npz"
+        )
     return [folder / f"{seed}.npz" for seed in range(2)]
 
 
@@ -69,7 +72,10 @@ def test_the_model_tells_how_it_came_about(recordings: list[Sequence], out: Path
     assert len({entry["sha256"] for entry in model.training["recordings"]}) == 2
     assert pv.TrainSettings.model_validate(model.training["settings"]) == SETTINGS
     searches = model.training["searches"]
-    assert (searches["neighbors"]["chosen"], searches["exponent"]["chosen"]) == (model.neighbors, model.exponent)
+    assert (searches["neighbors"]["chosen"], searches["exponent"]["chosen"]) == (
+        model.neighbors,
+        model.exponent,
+    )
 
 
 def test_nothing_but_the_model_is_left(recordings: list[Sequence], out: Path) -> None:
@@ -77,19 +83,25 @@ def test_nothing_but_the_model_is_left(recordings: list[Sequence], out: Path) ->
     assert list(out.parent.iterdir()) == [out]
 
 
-def test_the_same_settings_give_the_same_bytes(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
+def test_the_same_settings_give_the_same_bytes(
+    recordings: list[Sequence], model_bytes: bytes, out: Path
+) -> None:
     """In place of an earlier model, too."""
     out.parent.mkdir()
     out.write_text("an earlier one")
     assert train(recordings, out).read_bytes() == model_bytes
 
 
-def test_another_seed_gives_another_model(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
+def test_another_seed_gives_another_model(
+    recordings: list[Sequence], model_bytes: bytes, out: Path
+) -> None:
     other = SETTINGS.model_copy(update={"odometry": pv.OdometryConfig(seed=1)})
     assert train(recordings, out, other).read_bytes() != model_bytes
 
 
-def test_progress_is_that_of_all_frames_and_iterations(recordings: list[Sequence], out: Path) -> None:
+def test_progress_is_that_of_all_frames_and_iterations(
+    recordings: list[Sequence], out: Path
+) -> None:
     shown: list[tuple[int, int]] = []
     train(recordings, out, on_progress=lambda done, total: shown.append((done, total)))
     total = 2 * FRAMES * (1 + SETTINGS.iterations)
@@ -115,7 +127,9 @@ def test_stopped_at_any_moment_and_resumed_it_gives_the_same_bytes(
 ) -> None:
     """Once, at each fifth of the moments at which it tells of its progress."""
     reports: list[int] = []
-    train(recordings, tmp_path / "count.safetensors", on_progress=lambda done, _: reports.append(done))
+    train(
+        recordings, tmp_path / "count.safetensors", on_progress=lambda done, _: reports.append(done)
+    )
     for calls in range(0, len(reports), 5):
         out = tmp_path / f"{calls}.safetensors"
         with pytest.raises(KeyboardInterrupt):
@@ -158,8 +172,11 @@ class Counted:
             yield frame
 
 
-def test_what_is_done_is_not_done_again(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
-    """Stopped in the midst of the second recording, the first is not looked at again; after both, neither is."""
+def test_what_is_done_is_not_done_again(
+    recordings: list[Sequence], model_bytes: bytes, out: Path
+) -> None:
+    """Stopped in the midst of the second recording, the first is not looked at again; after both,
+    neither is."""
     counted = [Counted(recording, []) for recording in recordings]
     sequences: list[Sequence] = list(counted)  # type: ignore[arg-type]
     with pytest.raises(KeyboardInterrupt):
@@ -173,7 +190,9 @@ def test_what_is_done_is_not_done_again(recordings: list[Sequence], model_bytes:
 
 
 @pytest.mark.parametrize("supervision", ["gt", "sparse", "position", "loop", "none"])
-def test_every_supervision_gives_a_model(recordings: list[Sequence], out: Path, supervision: str) -> None:
+def test_every_supervision_gives_a_model(
+    recordings: list[Sequence], out: Path, supervision: str
+) -> None:
     every_s = 0.5 if supervision in ("sparse", "position") else 0.0
     settings = SETTINGS.model_copy(update={"supervision": supervision, "every_s": every_s})
     model = pv.load_model(train(recordings, out, settings))
@@ -191,7 +210,9 @@ def test_every_supervision_gives_a_model(recordings: list[Sequence], out: Path, 
         {"max_frames": 5},
     ],
 )
-def test_every_setting_gives_a_model(recordings: list[Sequence], out: Path, changes: dict[str, object]) -> None:
+def test_every_setting_gives_a_model(
+    recordings: list[Sequence], out: Path, changes: dict[str, object]
+) -> None:
     settings = SETTINGS.model_copy(update=changes)
     model = pv.load_model(train(recordings, out, settings))
     assert np.isfinite(model.weights(np.zeros((3, 3)))).all()
@@ -204,25 +225,35 @@ def test_every_setting_gives_a_model(recordings: list[Sequence], out: Path, chan
 
 def motions(path: Path, noise: NoiseModel) -> FloatArray:
     sequence = pv.open_sequence(path)
-    odometry = pv.StereoOdometry(sequence.camera, noise, config=pv.OdometryConfig(self_calibration=False))
+    odometry = pv.StereoOdometry(
+        sequence.camera, noise, config=pv.OdometryConfig(self_calibration=False)
+    )
     return np.array([odometry.step(frame).T_curr_prev for frame in sequence])[1:]
 
 
 def test_what_was_learned_on_one_recording_makes_another_one_better(tmp_path: Path) -> None:
-    """σ grows from 0.05 px to 1 px from left to right, and all that the model sees is where a feature is."""
+    """σ grows from 0.05 px to 1 px from left to right, and all that the model sees is where a
+    feature is."""
     worlds = [point_world("column", seed=seed) for seed in (0, 1)]
     for name, world in zip(("train", "test"), worlds, strict=True):
         write_points(world, tmp_path / f"{name}.npz")
-    settings = SETTINGS.model_copy(update={"predictors": ("place",), "base": "fixed", "iterations": 30, "subset": 8})
-    model = pv.load_model(train([pv.open_sequence(tmp_path / "train.npz")], tmp_path / "m.safetensors", settings))
+    settings = SETTINGS.model_copy(
+        update={"predictors": ("place",), "base": "fixed", "iterations": 30, "subset": 8}
+    )
+    model = pv.load_model(
+        train([pv.open_sequence(tmp_path / "train.npz")], tmp_path / "m.safetensors", settings)
+    )
     learned, static = (
-        rmse_m(motions(tmp_path / "test.npz", noise), true_motions(worlds[1])) for noise in (model, Fixed())
+        rmse_m(motions(tmp_path / "test.npz", noise), true_motions(worlds[1]))
+        for noise in (model, Fixed())
     )
     assert learned < 0.9 * static
 
 
 def own(value: Callable[[Step], FloatArray], undefined: str = "") -> Predictor:
-    return Predictor("own", {"own": "1"}, "test", Needs.TRACKS, value, undefined)
+    return Predictor(
+        "own", {"own": "1"}, "test", needs=Needs.TRACKS, compute=value, undefined=undefined
+    )
 
 
 def first_undefined(step: Step) -> FloatArray:
@@ -239,32 +270,53 @@ def test_a_predictor_of_one_s_own_is_learned_from(recordings: list[Sequence], ou
     camera = recordings[0].camera
     with pytest.raises(InputError, match="its predictor own is not known"):
         pv.StereoOdometry(camera, model)
-    space = pv.predictors.PredictionSpace((*pv.predictors.prediction_space(SETTINGS.predictors).predictors, predictor))
+    space = pv.predictors.PredictionSpace(
+        (*pv.predictors.prediction_space(SETTINGS.predictors).predictors, predictor)
+    )
     odometry = pv.StereoOdometry(camera, model, predictors=space)
     for frame in recordings[0]:
         odometry.step(frame)
     assert odometry.phi.shape == (len(odometry.tracks), 4)
-    np.testing.assert_array_equal(np.isnan(odometry.phi[:, 3]), np.arange(len(odometry.tracks)) == 0)
+    np.testing.assert_array_equal(
+        np.isnan(odometry.phi[:, 3]), np.arange(len(odometry.tracks)) == 0
+    )
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_value_of_phi_that_is_no_number_is_refused(recordings: list[Sequence], out: Path, value: float) -> None:
+def test_a_value_of_phi_that_is_no_number_is_refused(
+    recordings: list[Sequence], out: Path, value: float
+) -> None:
     with pytest.raises(InputError) as caught:
-        pv.train_model(recordings, SETTINGS, out, own_predictors=[own(lambda step: np.full(len(step.tracks), value))])
+        pv.train_model(
+            recordings,
+            SETTINGS,
+            out,
+            own_predictors=[own(lambda step: np.full(len(step.tracks), value))],
+        )
     assert str(caught.value).startswith(f"predictor own: feature 0 (from 0) has the value {value}.")
     assert "may be undefined" in caught.value.cure
     assert not out.exists()
 
 
 @pytest.mark.parametrize("name", ["place", "own"])
-def test_two_predictors_of_one_name_are_refused(recordings: list[Sequence], out: Path, name: str) -> None:
+def test_two_predictors_of_one_name_are_refused(
+    recordings: list[Sequence], out: Path, name: str
+) -> None:
     """No odometry could tell which is which."""
-    twice = [replace(own(lambda step: step.uv[:, 0]), name=name, columns={"x" if name == "place" else name: "1"})] * 2
+    twice = [
+        replace(
+            own(lambda step: step.uv[:, 0]),
+            name=name,
+            columns={"x" if name == "place" else name: "1"},
+        )
+    ] * 2
     with pytest.raises(InputError, match=name):
         pv.train_model(recordings, SETTINGS, out, own_predictors=twice)
 
 
-def refuse(recordings: list[Sequence], out: Path, settings: pv.TrainSettings, *fragments: str) -> None:
+def refuse(
+    recordings: list[Sequence], out: Path, settings: pv.TrainSettings, *fragments: str
+) -> None:
     """With a cure, and before there is any model."""
     with pytest.raises(InputError) as caught:
         train(recordings, out, settings)
@@ -280,19 +332,37 @@ def test_no_recording_at_all_is_refused(out: Path) -> None:
 
 def test_a_recording_of_one_frame_is_refused(tmp_path: Path, out: Path) -> None:
     one = pv.open_sequence(write_tracks(tmp_path, 1, omega=None, C_cam_imu=None))
-    refuse([one], out, SETTINGS, f"{tmp_path / 'tracks.npz'}: it has one frame, and so no motion to learn from.")
+    refuse(
+        [one],
+        out,
+        SETTINGS,
+        f"{tmp_path / 'tracks.npz'}: it has one frame, and so no motion to learn from.",
+    )
 
 
-def test_recordings_of_different_cameras_are_refused(recordings: list[Sequence], tmp_path: Path, out: Path) -> None:
+def test_recordings_of_different_cameras_are_refused(
+    recordings: list[Sequence], tmp_path: Path, out: Path
+) -> None:
     other = pv.open_sequence(write_tracks(tmp_path))
-    refuse([*recordings, other], out, SETTINGS, f"{other.path}: its camera is not that of {recordings[0].path}")
+    refuse(
+        [*recordings, other],
+        out,
+        SETTINGS,
+        f"{other.path}: its camera is not that of {recordings[0].path}",
+    )
 
 
 @pytest.mark.parametrize("supervision", ["gt", "sparse", "position"])
 def test_supervision_without_truth_is_refused(tmp_path: Path, out: Path, supervision: str) -> None:
     blind = pv.open_sequence(write_tracks(tmp_path, T_world_cam=None))
     settings = SETTINGS.model_copy(update={"supervision": supervision})
-    refuse([blind], out, settings, f"no ground truth, which --supervision {supervision} needs.", "--supervision none")
+    refuse(
+        [blind],
+        out,
+        settings,
+        f"no ground truth, which --supervision {supervision} needs.",
+        "--supervision none",
+    )
 
 
 def test_an_unknown_predictor_is_refused(recordings: list[Sequence], out: Path) -> None:
@@ -300,13 +370,20 @@ def test_an_unknown_predictor_is_refused(recordings: list[Sequence], out: Path) 
     refuse(recordings, out, settings, "--predictors: blurr is not known.", "Did you mean blur?")
 
 
-@pytest.mark.parametrize(("name", "lacking"), [("blur", "images"), ("acceleration", "accelerometer")])
+@pytest.mark.parametrize(
+    ("name", "lacking"), [("blur", "images"), ("acceleration", "accelerometer")]
+)
 def test_a_predictor_that_lacks_what_it_needs_is_refused_and_no_obstacle(
     recordings: list[Sequence], model_bytes: bytes, out: Path, name: str, lacking: str
 ) -> None:
     """Whoever follows the advice and leaves it out is not told of a training with other settings."""
     settings = SETTINGS.model_copy(update={"predictors": ("place", name)})
-    refuse(recordings, out, settings, f"{recordings[0].path}: it has no {lacking}, which the predictor {name} needs.")
+    refuse(
+        recordings,
+        out,
+        settings,
+        f"{recordings[0].path}: it has no {lacking}, which the predictor {name} needs.",
+    )
     assert not out.parent.exists()
     assert train(recordings, out).read_bytes() == model_bytes
 
@@ -316,7 +393,9 @@ def test_more_neighbours_than_samples_are_refused(recordings: list[Sequence], ou
     refuse(recordings, out, settings, "--neighbors: K is 10000, but there are only 720 samples.")
 
 
-def test_with_fewer_neighbours_it_goes_on_where_it_was(recordings: list[Sequence], out: Path) -> None:
+def test_with_fewer_neighbours_it_goes_on_where_it_was(
+    recordings: list[Sequence], out: Path
+) -> None:
     """K and γ are no matter of what was done before: another K needs no other motions."""
     counted = [Counted(recording, []) for recording in recordings]
     sequences: list[Sequence] = list(counted)  # type: ignore[arg-type]
@@ -326,22 +405,35 @@ def test_with_fewer_neighbours_it_goes_on_where_it_was(recordings: list[Sequence
     assert [len(each.asked) for each in counted] == [FRAMES, FRAMES]
 
 
-def test_steps_with_too_few_features_leave_nothing_to_learn_from(recordings: list[Sequence], out: Path) -> None:
+def test_steps_with_too_few_features_leave_nothing_to_learn_from(
+    recordings: list[Sequence], out: Path
+) -> None:
     settings = SETTINGS.model_copy(update={"subset": 500})
     refuse(recordings, out, settings, "no step has 500 features to learn from", "--subset")
 
 
-def test_a_recording_without_features_is_no_fault_of_the_predictors(tmp_path: Path, out: Path) -> None:
+def test_a_recording_without_features_is_no_fault_of_the_predictors(
+    tmp_path: Path, out: Path
+) -> None:
     none = np.zeros(0, np.int64)
     blind = pv.open_sequence(write_tracks(tmp_path, frame=none, track=none, uv=np.zeros((0, 4))))
     refuse([blind], out, SETTINGS, "training data: ", "feature")
 
 
-def test_other_settings_on_unfinished_work_are_refused(recordings: list[Sequence], out: Path) -> None:
+def test_other_settings_on_unfinished_work_are_refused(
+    recordings: list[Sequence], out: Path
+) -> None:
     with pytest.raises(KeyboardInterrupt):
         train(recordings, out, on_progress=stopping_after(FRAMES + 3))
     other = SETTINGS.model_copy(update={"predictors": ("place",)})
-    refuse(recordings, out, other, f"{out}.work: ", "other recordings, predictors or odometry", "delete this folder")
+    refuse(
+        recordings,
+        out,
+        other,
+        f"{out}.work: ",
+        "other recordings, predictors or odometry",
+        "delete this folder",
+    )
 
 
 def test_what_a_stopped_training_knew_of_its_drives_is_not_taken_for_that_of_others(
@@ -368,27 +460,48 @@ def changed(path: Path, to: Path, **changes: Callable[[FloatArray], FloatArray])
     return [pv.open_sequence(to)]
 
 
-def test_truth_corrected_before_it_goes_on_is_learned_from(tracks: list[Path], tmp_path: Path, out: Path) -> None:
-    """Stopped after the first recording: its features need not be found anew, but its errors are others."""
+def test_truth_corrected_before_it_goes_on_is_learned_from(
+    tracks: list[Path], tmp_path: Path, out: Path
+) -> None:
+    """Stopped after the first recording: its features need not be found anew, but its errors are
+    others."""
     path = tmp_path / "drive.npz"
     longer = changed(tracks[0], path, T_world_cam=lambda T: T * np.array([1.0, 1.0, 1.0, 1.5]))
     with pytest.raises(KeyboardInterrupt):
         train(longer, out, on_progress=stopping_after(FRAMES + 2))
     right = changed(tracks[0], path)
-    assert train(right, out).read_bytes() == train(right, tmp_path / "fresh.safetensors").read_bytes()
+    assert (
+        train(right, out).read_bytes() == train(right, tmp_path / "fresh.safetensors").read_bytes()
+    )
 
 
-def test_a_calibration_corrected_before_it_goes_on_is_refused(tracks: list[Path], tmp_path: Path, out: Path) -> None:
+def test_a_calibration_corrected_before_it_goes_on_is_refused(
+    tracks: list[Path], tmp_path: Path, out: Path
+) -> None:
     path = tmp_path / "drive.npz"
     wider = changed(tracks[0], path, camera=lambda c: c * np.array([1.0, 1.0, 1.0, 1.0, 1.1]))
     with pytest.raises(KeyboardInterrupt):
         train(wider, out, on_progress=stopping_after(FRAMES + 2))
-    refuse(changed(tracks[0], path), out, SETTINGS, f"{out}.work: ", "other recordings, predictors or odometry")
+    refuse(
+        changed(tracks[0], path),
+        out,
+        SETTINGS,
+        f"{out}.work: ",
+        "other recordings, predictors or odometry",
+    )
 
 
-def test_other_subsets_go_on_from_the_recordings(recordings: list[Sequence], model_bytes: bytes, out: Path) -> None:
-    """Iterations with another subset are of no use to these settings, but recordings that are through are."""
-    refuse(recordings, out, SETTINGS.model_copy(update={"subset": 9, "neighbors": 10_000}), "--neighbors")
+def test_other_subsets_go_on_from_the_recordings(
+    recordings: list[Sequence], model_bytes: bytes, out: Path
+) -> None:
+    """Iterations with another subset are of no use to these settings, but recordings that are
+    through are."""
+    refuse(
+        recordings,
+        out,
+        SETTINGS.model_copy(update={"subset": 9, "neighbors": 10_000}),
+        "--neighbors",
+    )
     counted = [Counted(recording, []) for recording in recordings]
     assert train(list(counted), out).read_bytes() == model_bytes  # type: ignore[arg-type]
     assert [each.asked for each in counted] == [[], []]
@@ -416,15 +529,24 @@ def test_a_recording_named_twice_is_refused(recordings: list[Sequence], out: Pat
     refuse(twice, out, SETTINGS, f"{recordings[0].path}: this recording is named twice.")
 
 
-def test_drives_too_short_for_two_folds_need_k_and_gamma(recordings: list[Sequence], out: Path) -> None:
+def test_drives_too_short_for_two_folds_need_k_and_gamma(
+    recordings: list[Sequence], out: Path
+) -> None:
     for given in ({}, {"neighbors": 3}, {"exponent": 1.0}):
         settings = SETTINGS.model_copy(update={"max_frames": 2, **given})
-        refuse(recordings[:1], out, settings, "the drives are too short to choose K and γ by blocks of time.")
+        refuse(
+            recordings[:1],
+            out,
+            settings,
+            "the drives are too short to choose K and γ by blocks of time.",
+        )
     both = SETTINGS.model_copy(update={"max_frames": 2, "neighbors": 3, "exponent": 1.0})
     assert train(recordings[:1], out, both) == out
 
 
-def test_an_output_that_cannot_be_written_is_refused_at_once(recordings: list[Sequence], tmp_path: Path) -> None:
+def test_an_output_that_cannot_be_written_is_refused_at_once(
+    recordings: list[Sequence], tmp_path: Path
+) -> None:
     """Before a single frame was looked at."""
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.safetensors").mkdir()

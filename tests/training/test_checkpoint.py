@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from training.supervised_drives import Recording, drive_of, known, point_world, recording
 
 from probevo import __version__
 from probevo.config import OdometryConfig
@@ -14,13 +15,14 @@ from probevo.training.checkpoint import Checkpoint, Iteration
 from probevo.training.drive import Drive, joined
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import calibration
-from training.lessons import Recording, drive_of, known, point_world, recording
 from worlds import CAMERA
 
 
 def rounded(drive: Drive) -> Drive:
     """As it lies on disk, so that it comes back as it was."""
-    single = {name: getattr(drive, name).astype(np.float32) for name in ("prev_px", "curr_px", "phi")}
+    single = {
+        name: getattr(drive, name).astype(np.float32) for name in ("prev_px", "curr_px", "phi")
+    }
     return replace(drive, **{name: array.astype(np.float64) for name, array in single.items()})
 
 
@@ -48,29 +50,39 @@ def opened(
     columns: tuple[str, ...] = ("x", "y"),
     truth: str = "",
 ) -> Checkpoint:
-    facts = [[str(r.path.resolve()), len(r), r.stamps_ns[[0, -1]].tolist(), calibration(r)] for r in recordings]
-    return Checkpoint.opened(out, facts, [truth] * len(facts), settings, columns)
+    facts = [
+        [str(r.path.resolve()), len(r), r.stamps_ns[[0, -1]].tolist(), calibration(r)]
+        for r in recordings
+    ]
+    return Checkpoint.opened(out, facts, [truth] * len(facts), settings=settings, columns=columns)
 
 
 def keep(work: Checkpoint, number: int, drive: Drive = DRIVE, digest: str = "") -> None:
     """The drive in two parts, of which the second may have no step; and what is known of it."""
-    lesson, cut = work.lesson(number, CAMERA), len(drive.T_curr_prev) // 2
-    lesson.keep_drive([part_of(drive, 0, cut), part_of(drive, cut, None)], lambda: digest, drive.phi.shape[1])
-    lesson.keep_supervision(SUPERVISION)
+    stored = work.drive(number, CAMERA)
+    cut = len(drive.T_curr_prev) // 2
+    stored.keep_drive(
+        [part_of(drive, 0, cut), part_of(drive, cut, None)], lambda: digest, drive.phi.shape[1]
+    )
+    stored.keep_supervision(SUPERVISION)
 
 
 def part_of(drive: Drive, first: int, last: int | None) -> Drive:
     """Steps from the first up to the last."""
     places = drive.first_of_step[first : None if last is None else last + 1]
     rows = slice(places[0], places[-1])
-    features = {name: getattr(drive, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")}
-    return Drive(drive.T_curr_prev[first:last], drive.numbers[first:last], places - places[0], **features)
+    features = {
+        name: getattr(drive, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")
+    }
+    return Drive(
+        drive.T_curr_prev[first:last], drive.numbers[first:last], places - places[0], **features
+    )
 
 
 def drive_of_number(work: Checkpoint, number: int) -> Drive | None:
     """The whole drive, if it is through."""
-    lesson = work.lesson(number, CAMERA)
-    return joined(lesson.parts()) if lesson.is_whole else None
+    drive = work.drive(number, CAMERA)
+    return joined(drive.parts()) if drive.is_whole else None
 
 
 def test_it_lies_beside_the_model(out: Path) -> None:
@@ -86,7 +98,8 @@ def test_at_first_nothing_is_done(out: Path) -> None:
 
 def assert_same(a: Drive, b: Drive) -> None:
     for field in fields(Drive):
-        one, other = getattr(a, field.name), getattr(b, field.name)
+        one = getattr(a, field.name)
+        other = getattr(b, field.name)
         assert type(one) is type(other)
         if isinstance(one, np.ndarray):
             np.testing.assert_array_equal(one, other, strict=True)
@@ -105,7 +118,9 @@ def test_a_drive_comes_back(out: Path) -> None:
 
 
 def test_a_drive_without_any_feature_comes_back(out: Path) -> None:
-    nothing = {name: getattr(DRIVE, name)[:0] for name in ("prev_px", "curr_px", "ids", "phi", "used")}
+    nothing = {
+        name: getattr(DRIVE, name)[:0] for name in ("prev_px", "curr_px", "ids", "phi", "used")
+    }
     drive = replace(DRIVE, first_of_step=np.zeros(4, np.int64), **nothing)
     keep(opened(out), 0, drive)
     found = drive_of_number(opened(out), 0)
@@ -120,7 +135,9 @@ def test_an_iteration_comes_back(out: Path) -> None:
     found = opened(out).iteration(11)
     assert found is not None
     assert len(found) == len(ITERATION)
-    for (features, alphas), (expected_features, expected_alphas) in zip(found, ITERATION, strict=True):
+    for (features, alphas), (expected_features, expected_alphas) in zip(
+        found, ITERATION, strict=True
+    ):
         np.testing.assert_array_equal(features, expected_features, strict=True)
         np.testing.assert_array_equal(alphas, expected_alphas, strict=True)
 
@@ -146,13 +163,25 @@ def test_what_was_being_written_when_it_was_stopped_does_not_count(out: Path) ->
 
 
 OTHERS = {
-    "predictors": (SETTINGS.model_copy(update={"predictors": ("place", "age")}), RECORDINGS, ("x", "y")),
+    "predictors": (
+        SETTINGS.model_copy(update={"predictors": ("place", "age")}),
+        RECORDINGS,
+        ("x", "y"),
+    ),
     "frames": (SETTINGS.model_copy(update={"max_frames": 5}), RECORDINGS, ("x", "y")),
-    "seed": (SETTINGS.model_copy(update={"odometry": OdometryConfig(seed=1)}), RECORDINGS, ("x", "y")),
+    "seed": (
+        SETTINGS.model_copy(update={"odometry": OdometryConfig(seed=1)}),
+        RECORDINGS,
+        ("x", "y"),
+    ),
     "columns": (SETTINGS, RECORDINGS, ("x", "y", "own")),
     "fewer recordings": (SETTINGS, RECORDINGS[:1], ("x", "y")),
     "another order": (SETTINGS, RECORDINGS[::-1], ("x", "y")),
-    "another recording": (SETTINGS, [RECORDINGS[0], replace(RECORDINGS[1], path=Path("other"))], ("x", "y")),
+    "another recording": (
+        SETTINGS,
+        [RECORDINGS[0], replace(RECORDINGS[1], path=Path("other"))],
+        ("x", "y"),
+    ),
     "a longer recording": (SETTINGS, [recording(None, frames=12), RECORDINGS[1]], ("x", "y")),
     "another camera": (
         SETTINGS,
@@ -179,7 +208,9 @@ def test_another_training_is_refused(
     with pytest.raises(InputError) as caught:
         opened(out, settings, recordings, columns)
     assert caught.value.where == str(work.folder)
-    assert "a training that was stopped here had other recordings, predictors or odometry." in str(caught.value)
+    assert "a training that was stopped here had other recordings, predictors or odometry." in str(
+        caught.value
+    )
     assert "delete this folder" in caught.value.cure
     assert {path.name: path.read_bytes() for path in work.folder.iterdir()} == before
     assert drive_of_number(opened(out), 0) is not None
@@ -195,7 +226,8 @@ def test_work_of_another_version_is_refused_as_such(out: Path) -> None:
 
 
 def test_where_nothing_was_done_yet_other_settings_are_welcome(out: Path) -> None:
-    """A recording that was refused for a predictor it has no images for leaves no work, and no obstacle."""
+    """A recording that was refused for a predictor it has no images for leaves no work, and no
+    obstacle."""
     opened(out)
     other = opened(out, SETTINGS.model_copy(update={"predictors": ("disparity",)}))
     keep(other, 0)
@@ -222,7 +254,9 @@ def test_the_rest_of_a_removal_that_was_stopped_is_no_work(out: Path) -> None:
         {"every_s": 1.0},
     ],
 )
-def test_what_concerns_the_iterations_alone_drops_those_alone(out: Path, changes: dict[str, object]) -> None:
+def test_what_concerns_the_iterations_alone_drops_those_alone(
+    out: Path, changes: dict[str, object]
+) -> None:
     """And they do not come back with the settings that made them."""
     work = opened(out)
     keep(work, 0)
@@ -239,12 +273,16 @@ def test_other_truth_drops_what_was_made_with_it(out: Path) -> None:
     work.keep_iteration(0, ITERATION)
     other = opened(out, truth="corrected")
     assert drive_of_number(other, 0) is not None
-    assert not other.lesson(0, CAMERA).is_complete
+    assert not other.drive(0, CAMERA).is_complete
     assert other.iteration(0) is None
 
 
-@pytest.mark.parametrize("changes", [{"iterations": 9}, {"neighbors": 3}, {"exponent": 1.0}, {"average": "arithmetic"}])
-def test_what_comes_after_the_iterations_drops_nothing(out: Path, changes: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    "changes", [{"iterations": 9}, {"neighbors": 3}, {"exponent": 1.0}, {"average": "arithmetic"}]
+)
+def test_what_comes_after_the_iterations_drops_nothing(
+    out: Path, changes: dict[str, object]
+) -> None:
     work = opened(out)
     keep(work, 0)
     work.keep_iteration(0, ITERATION)
@@ -310,7 +348,9 @@ def test_what_is_not_ours_is_refused_and_nothing_is_removed(out: Path) -> None:
     for settings in (SETTINGS, SETTINGS.model_copy(update={"subset": 9})):
         with pytest.raises(InputError) as caught:
             opened(out, settings)
-        assert str(caught.value).startswith(f"{work.folder}: holds notes.txt, which is none of ours")
+        assert str(caught.value).startswith(
+            f"{work.folder}: holds notes.txt, which is none of ours"
+        )
         assert {path.name: path.read_bytes() for path in work.folder.iterdir()} == before
     (work.folder / "plan.json").unlink()
     with pytest.raises(InputError, match=r"notes\.txt"):

@@ -1,16 +1,17 @@
-"""A recording, tracked and solved once: what is kept of steps that were solved, and of those that were not."""
+"""A recording, tracked and solved once: what is kept of steps that were solved, and of those that
+were not."""
 
 from pathlib import Path
 
 import numpy as np
+from training.supervised_drives import point_world
 
 import probevo as pv
 from probevo.noise import StudentT
 from probevo.predictors import prediction_space
-from probevo.simulation.point_world import write_points
 from probevo.training.drive import drive_bytes, joined, load_drive
 from probevo.training.extraction import Extraction
-from training.lessons import point_world
+from probevo_sim.point_world import write_points
 
 SPACE = prediction_space(["place", "row_offset"])
 CONFIG = pv.OdometryConfig()
@@ -32,7 +33,7 @@ def write_drive(path: Path, *, swapped: bool) -> Path:
 def test_a_step_that_was_refused_teaches_nothing(tmp_path: Path) -> None:
     """Its features are kept, but none of them counts as used."""
     sequence = pv.open_sequence(write_drive(tmp_path / "drive.npz", swapped=True))
-    drive = joined(Extraction(sequence, SPACE, CONFIG, len(sequence)))
+    drive = joined(Extraction(sequence, SPACE, CONFIG, num_frames=len(sequence)))
     odometry = pv.StereoOdometry(sequence.camera, config=CONFIG)
     status = [odometry.step(frame).status for frame in sequence][1:]
     refused = [step for step, each in enumerate(status) if each is not pv.Status.OK]
@@ -45,8 +46,11 @@ def test_a_step_that_was_refused_teaches_nothing(tmp_path: Path) -> None:
 
 def test_it_keeps_what_the_odometry_saw(tmp_path: Path) -> None:
     """Motion, features and predictors of every step; and how many frames are done, as it goes."""
-    sequence, done = pv.open_sequence(write_drive(tmp_path / "drive.npz", swapped=False)), list[int]()
-    drive = joined(Extraction(sequence, SPACE, CONFIG, len(sequence), done.append))
+    sequence = pv.open_sequence(write_drive(tmp_path / "drive.npz", swapped=False))
+    done = list[int]()
+    drive = joined(
+        Extraction(sequence, SPACE, CONFIG, num_frames=len(sequence), on_frame=done.append)
+    )
     assert done == list(range(1, 17))
     odometry = pv.StereoOdometry(sequence.camera, StudentT(), config=CONFIG, predictors=SPACE)
     for step, frame in enumerate(sequence, start=-1):
@@ -66,7 +70,7 @@ def test_a_drive_comes_back_from_disk_with_the_largest_of_identities(tmp_path: P
     arrays["track"] = np.iinfo(np.int64).max - arrays["track"]
     np.savez(tmp_path / "drive.npz", **arrays)
     sequence = pv.open_sequence(tmp_path / "drive.npz")
-    drive = joined(Extraction(sequence, SPACE, CONFIG, len(sequence)))
+    drive = joined(Extraction(sequence, SPACE, CONFIG, num_frames=len(sequence)))
     (tmp_path / "part.npz").write_bytes(drive_bytes(drive))
     read = load_drive(tmp_path / "part.npz")
     assert drive.ids.max() > 2**62

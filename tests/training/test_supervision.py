@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from training.supervised_drives import recording
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.training.supervision import LEAST_ALPHA_M, Supervision, supervision_of
-from training.lessons import recording
 
 STEPS = 10
 
@@ -28,14 +28,15 @@ OFFSET_M = np.array([0.3, -0.2, 0.6])
 
 
 def shifted(step: int, offset_m: FloatArray) -> FloatArray:
-    """The motions, but for one after which the camera is elsewhere by this, in the frame of the camera before."""
+    """The motions, but for one after which the camera is elsewhere by this, in the frame of the
+    camera before."""
     T_prev_curr = se3.inverse(MOTIONS)
     T_prev_curr[step, :3, 3] += offset_m
     return se3.inverse(T_prev_curr)
 
 
 def taught(kind: str, every_s: float = 0.0, truth: FloatArray | None = TRUTH) -> Supervision:
-    return supervision_of(recording(truth), kind, every_s, STEPS + 1)  # type: ignore[arg-type]
+    return supervision_of(recording(truth), kind, every_s, num_frames=STEPS + 1)  # type: ignore[arg-type]
 
 
 def test_a_path_is_made_of_its_motions() -> None:
@@ -44,7 +45,9 @@ def test_a_path_is_made_of_its_motions() -> None:
     np.testing.assert_allclose(se3.inverse(poses[1:]) @ poses[:-1], MOTIONS, atol=1e-12)
 
 
-@pytest.mark.parametrize(("kind", "every_s"), [("gt", 0.0), ("sparse", 0.3), ("position", 0.0), ("loop", 0.0)])
+@pytest.mark.parametrize(
+    ("kind", "every_s"), [("gt", 0.0), ("sparse", 0.3), ("position", 0.0), ("loop", 0.0)]
+)
 def test_exact_motions_have_no_error(kind: str, every_s: float) -> None:
     """But for the floor that keeps the logarithm of α from counting rounding errors."""
     supervision = taught(kind, every_s)
@@ -73,14 +76,19 @@ def test_an_offset_shows_at_the_end_of_its_stretch(step: int, stretch: int) -> N
 
 @pytest.mark.parametrize("step", [0, 5, 9])
 def test_an_offset_opens_a_loop(step: int) -> None:
-    assert taught("loop").errors(shifted(step, OFFSET_M)) == pytest.approx(np.linalg.norm(OFFSET_M) / np.sqrt(3.0))
+    assert taught("loop").errors(shifted(step, OFFSET_M)) == pytest.approx(
+        np.linalg.norm(OFFSET_M) / np.sqrt(3.0)
+    )
 
 
 def test_an_error_of_rotation_counts_by_its_lever() -> None:
-    """0.01 rad at the first of three steps: what the camera went after it, across the axis, times the angle."""
+    """0.01 rad at the first of three steps: what the camera went after it, across the axis, times
+    the angle."""
     axis = np.array([0.0, 0.6, 0.8])
     T_prev_curr = se3.inverse(MOTIONS)
-    T_prev_curr[0, :3, :3] = T_prev_curr[0, :3, :3] @ se3.exp(np.r_[0.0, 0.0, 0.0, 0.01 * axis])[:3, :3]
+    T_prev_curr[0, :3, :3] = (
+        T_prev_curr[0, :3, :3] @ se3.exp(np.r_[0.0, 0.0, 0.0, 0.01 * axis])[:3, :3]
+    )
     arm_m = (se3.inverse(se3.chain_motions(MOTIONS)[1]) @ se3.chain_motions(MOTIONS)[3])[:3, 3]
     expected = 2.0 * np.sin(0.005) * np.linalg.norm(np.cross(axis, arm_m)) / np.sqrt(3.0)
     assert taught("sparse", 0.3).errors(se3.inverse(T_prev_curr))[0] == pytest.approx(expected)
@@ -88,12 +96,15 @@ def test_an_error_of_rotation_counts_by_its_lever() -> None:
 
 @pytest.mark.parametrize("every_s", [0.0, 0.2])
 def test_positions_are_compared_after_the_best_fit(every_s: float) -> None:
-    """A path too long by 3 %: around its middle, each position is off by 3 % of how far it is from there."""
+    """A path too long by 3 %: around its middle, each position is off by 3 % of how far it is from
+    there."""
     T_prev_curr = se3.inverse(MOTIONS)
     T_prev_curr[:, :3, 3] *= 1.03
     supervision = taught("position", every_s)
     positions = se3.chain_motions(MOTIONS)[supervision.frames, :3, 3]
-    expected = 0.03 * np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean() / np.sqrt(3.0)
+    expected = (
+        0.03 * np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean() / np.sqrt(3.0)
+    )
     assert supervision.errors(se3.inverse(T_prev_curr)) == pytest.approx(expected, rel=1e-6)
 
 
@@ -102,16 +113,22 @@ def test_positions_need_no_common_world(seed: int) -> None:
     """A rigid transform of the truth changes nothing, nor do its rotations."""
     rng = np.random.default_rng(seed)
     T = se3.exp(rng.normal(scale=3.0, size=6))
-    elsewhere = T @ TRUTH @ se3.from_parts(se3.exp(rng.normal(size=(STEPS + 1, 6)))[:, :3, :3], np.zeros(3))
+    elsewhere = (
+        T @ TRUTH @ se3.from_parts(se3.exp(rng.normal(size=(STEPS + 1, 6)))[:, :3, :3], np.zeros(3))
+    )
     wrong = random_motions(7)
-    assert taught("position", truth=elsewhere).errors(wrong) == pytest.approx(taught("position").errors(wrong))
+    assert taught("position", truth=elsewhere).errors(wrong) == pytest.approx(
+        taught("position").errors(wrong)
+    )
 
 
 def test_the_world_of_the_truth_does_not_matter() -> None:
     wrong = random_motions(8)
     for kind, every_s in (("gt", 0.0), ("sparse", 0.4), ("loop", 0.0)):
         elsewhere = se3.inverse(SOMEWHERE) @ TRUTH
-        np.testing.assert_allclose(taught(kind, every_s, elsewhere).errors(wrong), taught(kind, every_s).errors(wrong))
+        np.testing.assert_allclose(
+            taught(kind, every_s, elsewhere).errors(wrong), taught(kind, every_s).errors(wrong)
+        )
 
 
 @pytest.mark.parametrize(
@@ -141,15 +158,21 @@ def test_gaps_in_the_truth_restart_the_count() -> None:
     np.testing.assert_array_equal(supervision.frames, [2, 3, 7, 8, 9, 10])
     np.testing.assert_array_equal(supervision.stretches, [[2, 3], [3, 7], [7, 8], [8, 9], [9, 10]])
     np.testing.assert_array_equal(supervision.errors(MOTIONS), LEAST_ALPHA_M)
-    np.testing.assert_array_equal(supervision.stretch_of_step(STEPS), [-1, -1, 0, 1, 1, 1, 1, 2, 3, 4])
+    np.testing.assert_array_equal(
+        supervision.stretch_of_step(STEPS), [-1, -1, 0, 1, 1, 1, 1, 2, 3, 4]
+    )
 
 
 def test_every_step_belongs_to_its_stretch() -> None:
     np.testing.assert_array_equal(taught("gt").stretch_of_step(STEPS), range(STEPS))
-    np.testing.assert_array_equal(taught("sparse", 0.3).stretch_of_step(STEPS), [0, 0, 0, 1, 1, 1, 2, 2, 2, -1])
+    np.testing.assert_array_equal(
+        taught("sparse", 0.3).stretch_of_step(STEPS), [0, 0, 0, 1, 1, 1, 2, 2, 2, -1]
+    )
     for kind in ("position", "loop"):
         np.testing.assert_array_equal(taught(kind).stretch_of_step(STEPS), np.zeros(STEPS))
-    np.testing.assert_array_equal(taught("position", 0.3).stretch_of_step(STEPS), [0, 0, 0, 0, 0, 0, 0, 0, 0, -1])
+    np.testing.assert_array_equal(
+        taught("position", 0.3).stretch_of_step(STEPS), [0, 0, 0, 0, 0, 0, 0, 0, 0, -1]
+    )
 
 
 @pytest.mark.parametrize("unknown", [slice(None), slice(0, 1), slice(10, 11)])
@@ -159,16 +182,21 @@ def test_a_loop_without_truth_closes(unknown: slice) -> None:
     truth[unknown] = np.nan
     for known in (truth, None):
         alpha = taught("loop", truth=known).errors(MOTIONS)
-        assert alpha == pytest.approx(np.linalg.norm(se3.chain_motions(MOTIONS)[-1, :3, 3]) / np.sqrt(3.0))
+        assert alpha == pytest.approx(
+            np.linalg.norm(se3.chain_motions(MOTIONS)[-1, :3, 3]) / np.sqrt(3.0)
+        )
 
 
 def test_a_loop_cut_short_does_not_close() -> None:
     """Unless the truth knows both ends."""
-    assert len(supervision_of(recording(TRUTH), "loop", 0.0, 6).frames) == 2
+    assert len(supervision_of(recording(TRUTH), "loop", 0.0, num_frames=6).frames) == 2
     for known in (None, np.full_like(TRUTH, np.nan)):
         with pytest.raises(InputError) as caught:
-            supervision_of(recording(known), "loop", 0.0, 6)
-        assert "drive: only 6 of its 11 frames are used, but the loop closes at the last one." in str(caught.value)
+            supervision_of(recording(known), "loop", 0.0, num_frames=6)
+        assert (
+            "drive: only 6 of its 11 frames are used, but the loop closes at the last one."
+            in str(caught.value)
+        )
         assert caught.value.cure == "Leave out --max-frames."
 
 
@@ -183,12 +211,16 @@ def test_without_any_supervision_the_motions_of_all_features_are_the_truth() -> 
 
 @pytest.mark.parametrize("every_s", [0.0, 0.3, 1.0])
 def test_expected_errors_are_those_of_random_motions(every_s: float) -> None:
-    """Monte Carlo: 2,000 motions drawn from their covariances have the α expected, as RMS, within 5 %."""
+    """Monte Carlo: 2,000 motions drawn from their covariances have the α expected, as RMS, within 5
+    %."""
     rng = np.random.default_rng(2)
-    factor = rng.normal(scale=[[0.02], [0.02], [0.02], [0.004], [0.004], [0.004]], size=(STEPS, 6, 6))
+    factor = rng.normal(
+        scale=[[0.02], [0.02], [0.02], [0.004], [0.004], [0.004]], size=(STEPS, 6, 6)
+    )
     supervision = taught("sparse", every_s)
     squared = [
-        supervision.errors(se3.exp((factor @ rng.normal(size=(STEPS, 6, 1)))[..., 0]) @ MOTIONS) ** 2
+        supervision.errors(se3.exp((factor @ rng.normal(size=(STEPS, 6, 1)))[..., 0]) @ MOTIONS)
+        ** 2
         for _ in range(2000)
     ]
     expected = supervision.expected_errors(MOTIONS, factor @ factor.mT)
@@ -196,7 +228,9 @@ def test_expected_errors_are_those_of_random_motions(every_s: float) -> None:
 
 
 def test_motions_that_are_certain_have_the_least_error() -> None:
-    np.testing.assert_array_equal(taught("gt").expected_errors(MOTIONS, np.zeros((STEPS, 6, 6))), LEAST_ALPHA_M)
+    np.testing.assert_array_equal(
+        taught("gt").expected_errors(MOTIONS, np.zeros((STEPS, 6, 6))), LEAST_ALPHA_M
+    )
 
 
 @pytest.mark.parametrize("kind", ["gt", "sparse", "position"])
@@ -204,7 +238,9 @@ def test_motions_that_are_certain_have_the_least_error() -> None:
 def test_no_truth_is_refused(kind: str, truth: FloatArray | None) -> None:
     with pytest.raises(InputError) as caught:
         taught(kind, truth=truth)
-    assert str(caught.value).startswith(f"drive: it has no ground truth, which --supervision {kind} needs.")
+    assert str(caught.value).startswith(
+        f"drive: it has no ground truth, which --supervision {kind} needs."
+    )
     assert "--supervision" in caught.value.cure
 
 
@@ -223,19 +259,23 @@ def test_too_little_truth_is_refused(kind: str, known: int, needs: int) -> None:
     truth[known:] = np.nan
     with pytest.raises(InputError) as caught:
         taught(kind, truth=truth)
-    assert f"the truth of {known} frames is used; --supervision {kind} needs {needs}." in str(caught.value)
+    assert f"the truth of {known} frames is used; --supervision {kind} needs {needs}." in str(
+        caught.value
+    )
     assert "--every-s" in caught.value.cure
 
 
 def test_truth_too_seldom_is_refused() -> None:
-    with pytest.raises(InputError, match=r"the truth of 1 frames is used; --supervision sparse needs 2\."):
+    with pytest.raises(
+        InputError, match=r"the truth of 1 frames is used; --supervision sparse needs 2\."
+    ):
         taught("sparse", 1.1)
 
 
 def test_frames_that_are_not_used_need_no_truth() -> None:
     truth = TRUTH.copy()
     truth[6:] = np.nan
-    supervision = supervision_of(recording(truth), "gt", 0.0, 6)
+    supervision = supervision_of(recording(truth), "gt", 0.0, num_frames=6)
     np.testing.assert_array_equal(supervision.frames, range(6))
-    short = supervision_of(replace(recording(TRUTH)), "loop", 0.0, 6)
+    short = supervision_of(replace(recording(TRUTH)), "loop", 0.0, num_frames=6)
     np.testing.assert_array_equal(short.frames, [0, 5])

@@ -1,4 +1,5 @@
-"""A training by many workers: the same bytes as by one, also with a worker killed midway; parts that stay small."""
+"""A training by many workers: the same bytes as by one, also with a worker killed midway; parts
+that stay small."""
 
 import os
 import signal
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from training.supervised_drives import drive_of, known, point_world
 
 import probevo as pv
 from probevo.config import SolverConfig
@@ -16,19 +18,18 @@ from probevo.noise import StudentT
 from probevo.predictors import Needs, Predictor, Step, prediction_space
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
-from probevo.simulation.point_world import write_points
 from probevo.training import evidence, extraction, recording, thinning
 from probevo.training.drive import Drive, joined
-from probevo.training.expectation import Expectation, expect, solve_drive
-from probevo.training.expectation_maximization import learn_student_t
 from probevo.training.extraction import Extraction
-from probevo.training.lesson import HeldLesson, StoredLesson
+from probevo.training.gk.expectation import Expectation, expect, solve_drive
+from probevo.training.gk.expectation_maximization import learn_student_t
+from probevo.training.gk.thinning import thinned
 from probevo.training.settings import KernelSettings
 from probevo.training.sources import checked_sources
+from probevo.training.supervised_drive import DriveInMemory, DriveOnDisk
 from probevo.training.supervision import Supervision
-from probevo.training.thinning import thinned
 from probevo.training.workers import Workers
-from training.lessons import drive_of, known, point_world
+from probevo_sim.point_world import write_points
 
 FRAMES = 16
 GK = pv.TrainSettings(
@@ -48,31 +49,45 @@ def tracks(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Three short drives through different worlds, some 75 landmarks a frame."""
     folder = tmp_path_factory.mktemp("tracks")
     for seed in range(3):
-        write_points(point_world("column", seed=seed, frames=FRAMES, landmarks=400), folder / f"{seed}.npz")
+        write_points(
+            point_world("column", seed=seed, frames=FRAMES, landmarks=400), folder / f"{seed}.npz"
+        )
     return [folder / f"{seed}.npz" for seed in range(3)]
 
 
 @pytest.fixture(scope="module")
 def static_bytes(tracks: list[Path], tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Of the static model, by one process."""
-    return pv.train_model(tracks, STATIC, tmp_path_factory.mktemp("static") / "m.safetensors").read_bytes()
+    return pv.train_model(
+        tracks, STATIC, tmp_path_factory.mktemp("static") / "m.safetensors"
+    ).read_bytes()
 
 
 @pytest.mark.parametrize("settings", [GK, KNN], ids=["gk", "knn"])
-def test_two_processes_give_the_bytes_of_one(tracks: list[Path], tmp_path: Path, settings: pv.TrainSettings) -> None:
+def test_two_processes_give_the_bytes_of_one(
+    tracks: list[Path], tmp_path: Path, settings: pv.TrainSettings
+) -> None:
     """Told of recordings, or given them open."""
-    one = pv.train_model([pv.open_sequence(path) for path in tracks], settings, tmp_path / "one.safetensors")
+    one = pv.train_model(
+        [pv.open_sequence(path) for path in tracks], settings, tmp_path / "one.safetensors"
+    )
     shown: list[tuple[int, int]] = []
-    two = pv.train_model(tracks, settings, tmp_path / "two.safetensors", lambda *d: shown.append(d), workers=TWO)
+    two = pv.train_model(
+        tracks, settings, tmp_path / "two.safetensors", lambda *d: shown.append(d), workers=TWO
+    )
     assert two.read_bytes() == one.read_bytes()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.safetensors", "two.safetensors"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "one.safetensors",
+        "two.safetensors",
+    ]
     assert shown == sorted(shown)
     assert shown[-1][0] <= shown[-1][1]
 
 
 @dataclass(frozen=True)
 class Deadly:
-    """A recording that once kills the process that looks at its tenth frame, unless that is this one."""
+    """A recording that once kills the process that looks at its tenth frame, unless that is this
+    one."""
 
     inner: Sequence
     grave: Path
@@ -94,10 +109,14 @@ class Deadly:
             yield frame
 
 
-def test_with_a_worker_killed_midway_they_are_the_same(tracks: list[Path], static_bytes: bytes, tmp_path: Path) -> None:
+def test_with_a_worker_killed_midway_they_are_the_same(
+    tracks: list[Path], static_bytes: bytes, tmp_path: Path
+) -> None:
     sequences = [pv.open_sequence(path) for path in tracks]
     deadly: Sequence = Deadly(sequences[1], tmp_path / "grave", os.getpid())  # type: ignore[assignment]
-    killed = pv.train_model([sequences[0], deadly, sequences[2]], STATIC, tmp_path / "m.safetensors", workers=TWO)
+    killed = pv.train_model(
+        [sequences[0], deadly, sequences[2]], STATIC, tmp_path / "m.safetensors", workers=TWO
+    )
     assert (tmp_path / "grave").exists()
     assert killed.read_bytes() == static_bytes
 
@@ -107,7 +126,9 @@ def test_a_cluster_gives_them_too(tracks: list[Path], static_bytes: bytes, tmp_p
     distributed = pytest.importorskip("distributed")
     sequences = [pv.open_sequence(path) for path in tracks]
     deadly: Sequence = Deadly(sequences[1], tmp_path / "grave", os.getpid())  # type: ignore[assignment]
-    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
+    with distributed.LocalCluster(
+        2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as cluster:
         workers = Workers(cluster=cluster.scheduler_address)
         there = pv.train_model(sequences, STATIC, tmp_path / "there.safetensors", workers=workers)
         sequences[1] = deadly
@@ -122,7 +143,7 @@ def infinite(step: Step) -> np.ndarray:
 
 def test_what_a_worker_refuses_is_refused(tracks: list[Path], tmp_path: Path) -> None:
     """As in one process; and what the others did is kept."""
-    own = Predictor("own", {"own": "1"}, "test", Needs.TRACKS, infinite)
+    own = Predictor("own", {"own": "1"}, "test", needs=Needs.TRACKS, compute=infinite)
     with pytest.raises(InputError) as caught:
         pv.train_model(tracks, KNN, tmp_path / "m.safetensors", own_predictors=[own], workers=TWO)
     assert str(caught.value).startswith("predictor own: feature 0 (from 0) has the value inf.")
@@ -148,27 +169,38 @@ def test_a_worker_that_nobody_waits_for_goes_home(tracks: list[Path], tmp_path: 
                 asked.append(frame.index)
                 yield frame
 
-    space, sequence = prediction_space(["place"]), Watched(pv.open_sequence(tracks[0]))
+    space = prediction_space(["place"])
+    sequence = Watched(pv.open_sequence(tracks[0]))
     (source,) = checked_sources([sequence], GK, space)  # type: ignore[list-item]
-    lesson = StoredLesson(tmp_path, 0, source.camera)
+    drive = DriveOnDisk(tmp_path, 0, source.camera)
     with recording._issued(tmp_path) as ticket:
         pass
     with pytest.raises(recording._GoneError):
-        recording._record_elsewhere(recording._Task(source, lesson, space, GK, ticket))
+        recording._record_elsewhere(
+            recording._Task(source, drive, space, settings=GK, ticket=ticket)
+        )
     assert asked == [0]
-    assert not lesson.is_whole
+    assert not drive.is_whole
     with recording._issued(tmp_path) as ticket:
-        recording._record_elsewhere(recording._Task(source, lesson, space, GK, ticket))
-    assert lesson.is_complete
-    assert lesson.frames_done == FRAMES
+        recording._record_elsewhere(
+            recording._Task(source, drive, space, settings=GK, ticket=ticket)
+        )
+    assert drive.is_complete
+    assert drive.frames_done == FRAMES
 
 
 def extracted(path: Path) -> list[Drive]:
     sequence = pv.open_sequence(path)
-    return list(Extraction(sequence, prediction_space(["place"]), pv.OdometryConfig(), len(sequence)))
+    return list(
+        Extraction(
+            sequence, prediction_space(["place"]), pv.OdometryConfig(), num_frames=len(sequence)
+        )
+    )
 
 
-def test_parts_are_no_larger_than_they_may_be(tracks: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_are_no_larger_than_they_may_be(
+    tracks: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Neither in steps nor in bytes; and together they are the drive, whatever they are cut into."""
     (whole,) = extracted(tracks[0])
     monkeypatch.setattr(extraction, "MOST_STEPS", 4)
@@ -187,15 +219,15 @@ def test_what_is_written_takes_as_much_as_was_reckoned(
 ) -> None:
     """But for the headers of the arrays, 2 kB."""
     monkeypatch.setattr(extraction, "MOST_BYTES", 20_000)
-    lesson = StoredLesson(tmp_path, 3, pv.open_sequence(tracks[0]).camera)
-    lesson.keep_drive(extracted(tracks[0]), str, 2)
+    drive = DriveOnDisk(tmp_path, 3, pv.open_sequence(tracks[0]).camera)
+    drive.keep_drive(extracted(tracks[0]), str, 2)
     sizes = [path.stat().st_size for path in tmp_path.glob("drive-3-*.npz")]
-    assert len(sizes) == lesson.facts.parts == 3
+    assert len(sizes) == drive.facts.parts == 3
     assert max(sizes) < 22_000
 
 
 @dataclass(frozen=True)
-class CutLesson(HeldLesson):
+class CutDrive(DriveInMemory):
     """In parts of five steps."""
 
     def parts(self) -> Iterator[Drive]:
@@ -207,21 +239,33 @@ class CutLesson(HeldLesson):
 @pytest.mark.parametrize("share", [1.0, 0.3])
 @pytest.mark.parametrize(("kind", "every"), [("gt", 1), ("sparse", 7), ("loop", 1), ("none", 1)])
 def test_stretches_may_go_on_from_part_to_part(kind: str, every: int, share: float) -> None:
-    """Motions, errors and which features are drawn are the same as those of a drive in one piece, to the last bit."""
+    """Motions, errors and which features are drawn are the same as those of a drive in one piece,
+    to the last bit."""
     world = point_world(frames=24)
     drive = drive_of(world)
     nothing = Supervision("none", np.arange(24), np.full((24, 4, 4), np.nan))
     supervision = nothing if kind == "none" else known(world, kind, every)
 
-    def expected(lesson: HeldLesson) -> Expectation:
-        return expect(lesson, StudentT().predict, SolverConfig(), None, share, (0, 7))
+    def expected(supervised: DriveInMemory) -> Expectation:
+        return expect(
+            supervised,
+            StudentT().predict,
+            SolverConfig(),
+            truth_sigma=None,
+            share=share,
+            seed=(0, 7),
+        )
 
-    whole, cut = (expected(way(drive, world.camera, supervision)) for way in (HeldLesson, CutLesson))
+    whole, cut = (
+        expected(way(drive, world.camera, supervision)) for way in (DriveInMemory, CutDrive)
+    )
     np.testing.assert_array_equal(cut.T_curr_prev, whole.T_curr_prev)
     np.testing.assert_array_equal(cut.T_alone, whole.T_alone)
-    for one, other in zip(vars(cut.left_over).values(), vars(whole.left_over).values(), strict=True):
+    for one, other in zip(
+        vars(cut.feature_errors).values(), vars(whole.feature_errors).values(), strict=True
+    ):
         np.testing.assert_array_equal(one, other)
-    assert abs(len(whole.left_over.features) / drive.used.sum() - share) < 0.05
+    assert abs(len(whole.feature_errors.features) / drive.used.sum() - share) < 0.05
 
 
 def test_of_more_features_than_a_model_takes_some_are_drawn(
@@ -236,35 +280,39 @@ def test_of_more_features_than_a_model_takes_some_are_drawn(
     assert one.read_bytes() == two.read_bytes() != static_bytes
 
 
-def test_a_lesson_on_disk_needs_no_more_than_its_number(tmp_path: Path) -> None:
+def test_a_drive_on_disk_needs_no_more_than_its_number(tmp_path: Path) -> None:
     world = point_world(frames=4)
-    lesson = StoredLesson(tmp_path, 5, world.camera)
-    assert not lesson.is_complete
-    lesson.keep_drive([drive_of(world)], lambda: "abc", 2)
-    lesson.keep_supervision(known(world))
-    found = replace(lesson)
+    drive = DriveOnDisk(tmp_path, 5, world.camera)
+    assert not drive.is_complete
+    drive.keep_drive([drive_of(world)], lambda: "abc", 2)
+    drive.keep_supervision(known(world))
+    found = replace(drive)
     assert found.is_complete
     assert found.facts.digest == "abc"
     np.testing.assert_array_equal(found.supervision.T_world_cam, known(world).T_world_cam)
     assert found.facts.features == len(drive_of(world).phi)
 
 
-def test_of_many_drives_some_steps_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In stretches, the same for whomever and in whatever parts; and of one that shows too little, perhaps none."""
+def test_of_many_drives_some_steps_are_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In stretches, the same for whomever and in whatever parts; and of one that shows too little,
+    perhaps none."""
     monkeypatch.setattr(thinning, "MOST_FEATURES", 500)
     monkeypatch.setattr(thinning, "STRETCH", 3)
     world = point_world(frames=60, landmarks=400)
-    drive, nothing = drive_of(world), Supervision("none", np.arange(60), np.full((60, 4, 4), np.nan))
+    drive = drive_of(world)
+    nothing = Supervision("none", np.arange(60), np.full((60, 4, 4), np.nan))
     found = []
     for name, parts, workers in (("a", 1, Workers()), ("b", 12, TWO)):
-        lesson = StoredLesson(tmp_path / name, 0, world.camera)
+        stored = DriveOnDisk(tmp_path / name, 0, world.camera)
         pieces = np.array_split(np.arange(59), parts)
-        lesson.keep_drive((drive.kept(np.isin(np.arange(59), piece)) for piece in pieces), str, 2)
-        lesson.keep_supervision(nothing)
-        short = StoredLesson(tmp_path / name, 1, world.camera)
+        stored.keep_drive((drive.kept(np.isin(np.arange(59), piece)) for piece in pieces), str, 2)
+        stored.keep_supervision(nothing)
+        short = DriveOnDisk(tmp_path / name, 1, world.camera)
         short.keep_drive([drive.kept(np.arange(59) == 0)], str, 2)
         short.keep_supervision(nothing)
-        thin = thinned([lesson, short], 0, workers)
+        thin = thinned([stored, short], 0, workers)
         model = learn_student_t(thin, pv.TrainSettings(kind="student-t", supervision="none"), [])
         found.append((joined(thin[0].parts()), model.scale_))
     (one, scale), (other, other_scale) = found
@@ -273,19 +321,28 @@ def test_of_many_drives_some_steps_are_taken(tmp_path: Path, monkeypatch: pytest
     np.testing.assert_array_equal(scale, other_scale)
     share = thinning.STEPS_PER_FEATURE * 500 / drive.used.sum()
     assert abs(len(one.T_curr_prev) - 59 * share) < 4 * np.sqrt(3 * 59 * share * (1 - share))
-    taken = [k for k in range(59) if (one.T_curr_prev == drive.T_curr_prev[k]).all(axis=(1, 2)).any()]
-    np.testing.assert_allclose(one.curr_px, drive.kept(np.isin(np.arange(59), taken)).curr_px, atol=1e-4)
+    taken = [
+        k for k in range(59) if (one.T_curr_prev == drive.T_curr_prev[k]).all(axis=(1, 2)).any()
+    ]
+    np.testing.assert_allclose(
+        one.curr_px, drive.kept(np.isin(np.arange(59), taken)).curr_px, atol=1e-4
+    )
 
 
 def test_across_a_gap_nothing_is_remembered() -> None:
-    """A track that is seen again after steps that were not taken starts anew, as in a drive of its own."""
+    """A track that is seen again after steps that were not taken starts anew, as in a drive of its
+    own."""
     world = point_world(frames=24)
-    drive, model = drive_of(world), StudentT()
+    drive = drive_of(world)
+    model = StudentT()
     steps = np.arange(23)
     second = drive.kept(steps >= 12)
     with_gap = drive.kept((steps < 6) | (steps >= 12))
-    one, other = (solve_drive([part], model.predict, world.camera, SolverConfig()) for part in (with_gap, second))
+    one, other = (
+        solve_drive([part], model.predict, world.camera, solver=SolverConfig())
+        for part in (with_gap, second)
+    )
     np.testing.assert_array_equal(one[0][6:], other[0])
-    whole, _ = solve_drive([drive], model.predict, world.camera, SolverConfig())
+    whole, _ = solve_drive([drive], model.predict, world.camera, solver=SolverConfig())
     np.testing.assert_array_equal(one[0][:6], whole[:6])
     assert np.abs(whole[12:] - other[0]).max() > 1e-5

@@ -1,4 +1,5 @@
-"""Tasks in other processes: the same results, whatever becomes of the processes; errors that arrive as they were."""
+"""Tasks in other processes: the same results, whatever becomes of the processes; errors that arrive
+as they were."""
 
 import os
 import time
@@ -11,20 +12,25 @@ from probevo.errors import InputError
 from probevo.training import workers as workers_module
 from probevo.training.workers import Workers
 
-HERE, TWO = Workers(), Workers(jobs=2)
+HERE = Workers()
+TWO = Workers(jobs=2)
 
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Workers]:
     """Two workers of a Dask cluster on this machine."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as found:
+    with distributed.LocalCluster(
+        2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as found:
         yield Workers(cluster=found.scheduler_address)
 
 
 @pytest.fixture(params=["here", "two", "cluster"])
 def workers(request: pytest.FixtureRequest) -> Workers:
-    found: Workers = {"here": HERE, "two": TWO}.get(request.param) or request.getfixturevalue("cluster")
+    found: Workers = {"here": HERE, "two": TWO}.get(request.param) or request.getfixturevalue(
+        "cluster"
+    )
     return found
 
 
@@ -49,7 +55,9 @@ def mapped(workers: Workers, count: int = 7) -> list[int]:
     return [result for result, _ in found]
 
 
-def test_results_come_in_the_order_of_the_tasks(workers: Workers, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_come_in_the_order_of_the_tasks(
+    workers: Workers, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also where a cluster does not get all at a time."""
     monkeypatch.setattr(workers_module, "MOST_SUBMITTED", 3)
     assert mapped(workers) == [number**2 for number in range(7)]
@@ -69,7 +77,11 @@ def test_an_input_error_arrives_as_it_was(workers: Workers) -> None:
     with pytest.raises(InputError) as caught:
         workers.map(refuse, range(6), [""] * 6)
     error = caught.value
-    assert (error.where, error.what, error.cure) == ("recording 3", "its left eye is shut.", "Open it.")
+    assert (error.where, error.what, error.cure) == (
+        "recording 3",
+        "its left eye is shut.",
+        "Open it.",
+    )
 
 
 def die_once(task: tuple[int, Path]) -> int:
@@ -105,7 +117,9 @@ def test_a_task_that_kills_every_worker_is_given_up_and_named(
     monkeypatch.setattr(workers_module, "MOST_LOSSES", 1)
     done: list[int] = []
     with pytest.raises(InputError) as caught:
-        others.map(die_always, [(number, tmp_path) for number in range(4)], list("abcd"), done.append)
+        others.map(
+            die_always, [(number, tmp_path) for number in range(4)], list("abcd"), done.append
+        )
     assert caught.value.where == "b"
     assert "each time of 1, the worker that had it to itself was lost" in caught.value.what
     assert "goes on from what is done" in caught.value.cure
@@ -128,5 +142,7 @@ def test_a_cluster_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch)
     pytest.importorskip("distributed")
     monkeypatch.setattr(workers_module, "CONNECT_S", 0.5)
     for address in ("tcp://127.0.0.1:9", "nowhere"):
-        with pytest.raises(InputError, match=f"--cluster: no Dask scheduler answers at '{address}'"):
+        with pytest.raises(
+            InputError, match=f"--cluster: no Dask scheduler answers at '{address}'"
+        ):
             Workers(cluster=address).map(squared, [1], ["one"])

@@ -5,7 +5,8 @@ from __future__ import annotations
 from probevo.camera.stereo import StereoCamera
 
 TOLERANCE = 0.1
-"""Relative difference up to which two cameras are alike: KITTI's calibrations differ by 2 % from day to day."""
+"""Relative difference up to which two cameras are alike: KITTI's calibrations differ by 2 % from
+day to day."""
 
 
 def difference(camera: StereoCamera, other: StereoCamera) -> str:

@@ -1,4 +1,5 @@
-"""The rectified stereo camera: y = f(p), its inverse p = g(y), and the Jacobian of g (PROBE eqs. 2, 9)."""
+"""The rectified stereo camera: y = f(p), its inverse p = g(y), and the Jacobian of g (PROBE eqs. 2,
+9)."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from probevo.errors import InputError
 
 @dataclass(frozen=True)
 class StereoCamera:
-    """Two identical pinhole cameras with parallel axes, the right one ``baseline_m`` along +x of the left.
+    """Two identical pinhole cameras with parallel axes, the right one ``baseline_m`` along +x of
+    the left.
 
     Points are in the left camera's frame (x right, y down, z forward), m. Observations are
     y = (u_l, v_l, u_r, v_r) in px of the rectified images.
@@ -32,20 +34,29 @@ class StereoCamera:
     def centered(focal_px: float, baseline_m: float, size_px: tuple[int, int]) -> StereoCamera:
         """With square pixels, and axes that meet the middle of images of (width, height)."""
         width, height = size_px
-        return StereoCamera(focal_px, focal_px, 0.5 * (width - 1), 0.5 * (height - 1), baseline_m, size_px)
+        return StereoCamera(
+            focal_px,
+            focal_px,
+            0.5 * (width - 1),
+            cv_px=0.5 * (height - 1),
+            baseline_m=baseline_m,
+            size_px=size_px,
+        )
 
     def project(self, points: FloatArray) -> FloatArray:
-        """y = f(p): points [..., 3], m, to observations [..., 4], px (PROBE eq. 2). Points need z > 0."""
+        """y = f(p): points [..., 3], m, to observations [..., 4], px (PROBE eq. 2). Points need z >
+        0."""
         x, y, z = np.moveaxis(points, -1, 0)
         u_l = self.fu_px * x / z + self.cu_px
         v = self.fv_px * y / z + self.cv_px
         return np.stack([u_l, v, u_l - self.fu_px * self.baseline_m / z, v], axis=-1)
 
     def triangulate(self, pixels: FloatArray) -> FloatArray:
-        """p = g(y): observations [..., 4], px, to points [..., 3], m. They need a positive disparity.
+        """p = g(y): observations [..., 4], px, to points [..., 3], m. They need a positive
+        disparity.
 
-        The two rows are averaged, which makes g the least-squares inverse of f for rows of equal noise, and f(g(y)) = y
-        wherever v_l = v_r.
+        The two rows are averaged, which makes g the least-squares inverse of f for rows of equal
+        noise, and f(g(y)) = y wherever v_l = v_r.
         """
         u_l, v_l, u_r, v_r = np.moveaxis(pixels, -1, 0)
         z = self.fu_px * self.baseline_m / (u_l - u_r)
@@ -54,15 +65,17 @@ class StereoCamera:
         return np.stack([x, y, z], axis=-1)
 
     def normalized(self, u_px: FloatArray, v_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x = (u − c_u)/f_u to the right and y = (v − c_v)/f_v down, tangents of angles, in the left image."""
+        """x = (u − c_u)/f_u to the right and y = (v − c_v)/f_v down, tangents of angles, in the
+        left image."""
         return (u_px - self.cu_px) / self.fu_px, (v_px - self.cv_px) / self.fv_px
 
     def moved_rays(self, pixels: FloatArray, T_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where a motion takes the points at N observations [N, 4], px, each over its depth in a.
 
         Returns:
-            q = C m + ρ t, [3, N], with the ray m = (x, y, 1): q₃ is the new depth over the old one. And the inverse
-            depth ρ in a, 1/m, [N]: 0, at infinity, where the disparity is not positive.
+            q = C m + ρ t, [3, N], with the ray m = (x, y, 1): q₃ is the new depth over the old one.
+            And the inverse depth ρ in a, 1/m, [N]: 0, at infinity, where the disparity is not
+            positive.
         """
         rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (self.fu_px * self.baseline_m)
         rays = np.empty((3, len(pixels)))
@@ -76,7 +89,9 @@ class StereoCamera:
         disparity = u_l - u_r
         point = self.triangulate(pixels)
         z = point[..., 2]
-        jacobian: FloatArray = -point[..., :, None] / disparity[..., None, None] * np.array([1.0, 0.0, -1.0, 0.0])
+        jacobian: FloatArray = (
+            -point[..., :, None] / disparity[..., None, None] * np.array([1.0, 0.0, -1.0, 0.0])
+        )
         jacobian[..., 0, 0] += z / self.fu_px
         jacobian[..., 1, 1] += 0.5 * z / self.fv_px
         jacobian[..., 1, 3] += 0.5 * z / self.fv_px
@@ -93,23 +108,43 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
     Raises:
         InputError: as ``check_intrinsics`` does, or the baseline is not finite and positive.
     """
-    check_intrinsics(camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.size_px, where)
+    check_intrinsics(
+        camera.fu_px,
+        camera.fv_px,
+        camera.cu_px,
+        cv_px=camera.cv_px,
+        size_px=camera.size_px,
+        where=where,
+    )
     if not math.isfinite(camera.baseline_m):
-        raise InputError(where, f"baseline_m is {camera.baseline_m}.", "It must be a finite number.")
+        raise InputError(
+            where, f"baseline_m is {camera.baseline_m}.", "It must be a finite number."
+        )
     if camera.baseline_m == 0:
-        raise InputError(where, "baseline_m is 0 m.", "Are the left and right calibration the same file?")
+        raise InputError(
+            where, "baseline_m is 0 m.", "Are the left and right calibration the same file?"
+        )
     if camera.baseline_m < 0:
-        raise InputError(where, f"baseline_m is {camera.baseline_m:g} m.", "Are the left and right cameras swapped?")
+        raise InputError(
+            where,
+            f"baseline_m is {camera.baseline_m:g} m.",
+            "Are the left and right cameras swapped?",
+        )
 
 
 def check_intrinsics(
-    fu_px: float, fv_px: float, cu_px: float, cv_px: float, size_px: tuple[int, int] | None, where: str | Path
+    fu_px: float,
+    fv_px: float,
+    cu_px: float,
+    cv_px: float,
+    size_px: tuple[int, int] | None,
+    where: str | Path,
 ) -> None:
     """Refuse intrinsics that no pinhole camera can have.
 
     Raises:
-        InputError: a value is not finite, a focal length or the image size is not positive, or the principal point is
-            more than half an image outside the image.
+        InputError: a value is not finite, a focal length or the image size is not positive, or the
+            principal point is more than half an image outside the image.
     """
     for name, value in {"fu_px": fu_px, "fv_px": fv_px, "cu_px": cu_px, "cv_px": cv_px}.items():
         if not math.isfinite(value):

@@ -26,14 +26,19 @@ NOT_FLAGS = ("sequence",)
 _registry = ConstructorRegistry()
 
 
-def parse(kind: type[Arguments], words: list[str], command: str, default: Arguments | None = None) -> Arguments:
-    """The words as a ``kind``; its docstrings are the help. Exits with code 2 and a hint if they do not fit.
+def parse(
+    kind: type[Arguments], words: list[str], command: str, default: Arguments | None = None
+) -> Arguments:
+    """The words as a ``kind``; its docstrings are the help. Exits with code 2 and a hint if they do
+    not fit.
 
     Raises:
         InputError: --out is empty, which would be the current directory.
     """
     if "--out=" in words or ("--out", "") in pairwise(words):
-        raise InputError("--out", "is empty.", "Name a folder, or the file to write; . is the current directory.")
+        raise InputError(
+            "--out", "is empty.", "Name a folder, or the file to write; . is the current directory."
+        )
     given: dict[str, Any] = {} if default is None else {"default": default}
     with _registry:
         parsed: Arguments = tyro.cli(
@@ -51,12 +56,15 @@ def checked(settings: Model) -> Model:
     try:
         return type(settings).model_validate(settings.model_dump())
     except ValidationError as error:
-        raise setting_error(error, "flags", type(settings), lambda key: f"--{key.replace('_', '-')}") from error
+        raise setting_error(
+            error, "flags", type(settings), spelled=lambda key: f"--{key.replace('_', '-')}"
+        ) from error
 
 
 @_registry.struct_rule
 def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
-    # tyro would report a value out of bounds in pydantic's words, and name the section instead of the flag.
+    # tyro would report a value out of bounds in pydantic's words, and name the section instead of
+    # the flag.
     if not (isinstance(info.type, type) and issubclass(info.type, BaseModel)):
         return None
     model: type[BaseModel] = info.type
@@ -77,7 +85,8 @@ def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
 
 @_registry.primitive_rule
 def _name_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    # tyro would offer 'None' among the names, in an order of chance, although DisallowNone refuses it.
+    # tyro would offer 'None' among the names, in an order of chance, although DisallowNone refuses
+    # it.
     kinds = get_args(info.type)
     if len(kinds) != 2 or kinds[1] is not type(None) or get_origin(kinds[0]) is not Literal:
         return None

@@ -1,7 +1,7 @@
 """The first run of all has to compile, and a second process does its share.
 
-Numba compiles each inner loop when it is first called, one after the other, and keeps the result on disk, where other
-processes find it.
+Numba compiles each inner loop when it is first called, one after the other, and keeps the result on
+disk, where other processes find it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from probevo.cores import available_cores
 
 
 def getting_ready() -> str:
-    """What to say until the first frame is through; the first time of all, the compiling of the solver is begun."""
+    """What to say until the first frame is through; the first time of all, the compiling of the
+    solver is begun."""
     if any(compiled_in().glob("minimize.minimize-*.nbi")):
         return "starting"
     if available_cores() > 1:
@@ -25,7 +26,7 @@ def getting_ready() -> str:
 
 def compiled_in() -> Path:
     """The folder in which the solver is kept once it is compiled."""
-    from probevo.motion.minimize import minimize
+    from probevo.estimation.gauss_newton import minimize
 
     return Path(minimize.stats.cache_path)  # type: ignore[attr-defined]
 
@@ -33,12 +34,16 @@ def compiled_in() -> Path:
 @cache
 def compile_solver() -> subprocess.Popen[bytes]:
     """Begin to compile the solver in a process of its own, once; nobody needs to wait for it."""
-    command, nowhere = "from probevo.cli.first_use import solve_once; solve_once()", subprocess.DEVNULL
-    return subprocess.Popen([sys.executable, "-c", command], stdin=nowhere, stdout=nowhere, stderr=nowhere)
+    command = "from probevo.cli.first_use import solve_once; solve_once()"
+    nowhere = subprocess.DEVNULL
+    return subprocess.Popen(
+        [sys.executable, "-c", command], stdin=nowhere, stdout=nowhere, stderr=nowhere
+    )
 
 
 def solve_once() -> None:
-    """Call all that follows RANSAC, on points along a straight drive; tracking and RANSAC compile as long."""
+    """Call all that follows RANSAC, on points along a straight drive; tracking and RANSAC compile
+    as long."""
     import numpy as np
 
     import probevo as pv

@@ -28,7 +28,8 @@ MOST_OFF_CENTER = 0.1
 MOST_UNSQUARE = 0.1
 """By how much the two focal lengths may differ."""
 LEAST_DISPARITY_PX = 0.25
-"""If nine matches of ten have less, left and right are taken for the same picture; noise of matching is 0.1 to 0.2."""
+"""If nine matches of ten have less, left and right are taken for the same picture; noise of
+matching is 0.1 to 0.2."""
 
 IMAGE_DOUBTS = ("Are left and right the same picture?", "Is the picture sharp and textured?")
 """What to ask where disparities are next to nothing, and where there are no matches."""
@@ -38,7 +39,8 @@ FEATURE_DOUBTS = ("Are columns 0 and 2 of uv the same?", "Do the ids repeat from
 
 @dataclass(frozen=True)
 class InfoArguments:
-    """What a recording is, whether its calibration is sane, and what will be used. Lines with a ! need a look."""
+    """What a recording is, whether its calibration is sane, and what will be used. Lines with a !
+    need a look."""
 
     sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
     """Folder of the recording, or a tracks file (.npz)."""
@@ -85,10 +87,19 @@ def describe(sequence: Sequence) -> Rows:
 def _odd_rate(sequence: Sequence) -> Rows:
     import numpy as np
 
-    rate_hz = 1e9 / float(np.median(np.diff(sequence.stamps_ns))) if len(sequence) > 1 else USUAL_RATE_HZ[0]
+    rate_hz = (
+        1e9 / float(np.median(np.diff(sequence.stamps_ns)))
+        if len(sequence) > 1
+        else USUAL_RATE_HZ[0]
+    )
     if USUAL_RATE_HZ[0] <= rate_hz <= USUAL_RATE_HZ[1]:
         return []
-    return [("! rate", f"{rate_hz:g} Hz is unusual. Are the stamps in the unit that the format asks for?")]
+    return [
+        (
+            "! rate",
+            f"{rate_hz:g} Hz is unusual. Are the stamps in the unit that the format asks for?",
+        )
+    ]
 
 
 def _gaps(sequence: Sequence) -> Rows:
@@ -99,27 +110,43 @@ def _gaps(sequence: Sequence) -> Rows:
         return [("! gaps", "a single frame has no motion")]
     gaps = np.flatnonzero(steps_s > GAP_FACTOR * np.median(steps_s))
     if len(gaps) == 0:
-        return [("gaps", f"none: steps of {1e3 * steps_s.min():.1f} to {1e3 * steps_s.max():.1f} ms")]
+        return [
+            ("gaps", f"none: steps of {1e3 * steps_s.min():.1f} to {1e3 * steps_s.max():.1f} ms")
+        ]
     longest = int(steps_s.argmax())
-    return [("! gaps", f"{len(gaps)}; the longest, {steps_s[longest]:.3f} s, after frame {longest}")]
+    return [
+        ("! gaps", f"{len(gaps)}; the longest, {steps_s[longest]:.3f} s, after frame {longest}")
+    ]
 
 
 def _odd_camera(sequence: Sequence) -> Rows:
     from probevo.output.run_facts import field_of_view_deg
 
     camera = sequence.camera
-    view_deg, baseline_m = field_of_view_deg(camera), camera.baseline_m
+    view_deg = field_of_view_deg(camera)
+    baseline_m = camera.baseline_m
     rows = []
     if not (USUAL_BASELINE_M[0] <= baseline_m <= USUAL_BASELINE_M[1]):
         rows.append(("! baseline", f"{baseline_m:g} m is unusual. Is it in metres?"))
     if camera.size_px and not (USUAL_VIEW_DEG[0] <= view_deg <= USUAL_VIEW_DEG[1]):
-        rows.append(("! view", f"{view_deg:.0f}° is unusual. Do focal length and image size belong together?"))
+        rows.append(
+            (
+                "! view",
+                f"{view_deg:.0f}° is unusual. Do focal length and image size belong together?",
+            )
+        )
     centers = zip((camera.cu_px, camera.cv_px), camera.size_px or (), strict=False)
     if any(abs(center_px / length_px - 0.5) > MOST_OFF_CENTER for center_px, length_px in centers):
-        middle = f"({camera.cu_px:.0f}, {camera.cv_px:.0f}) is the middle of {2 * camera.cu_px:.0f}×"
-        rows.append(("! center", f"{middle}{2 * camera.cv_px:.0f} px. Calibrated at another resolution?"))
+        middle = (
+            f"({camera.cu_px:.0f}, {camera.cv_px:.0f}) is the middle of {2 * camera.cu_px:.0f}×"
+        )
+        rows.append(
+            ("! center", f"{middle}{2 * camera.cv_px:.0f} px. Calibrated at another resolution?")
+        )
     if abs(camera.fu_px / camera.fv_px - 1.0) > MOST_UNSQUARE:
-        unlike = f"fu is {camera.fu_px:.1f} px, fv {camera.fv_px:.1f} px; pixels are usually square."
+        unlike = (
+            f"fu is {camera.fu_px:.1f} px, fv {camera.fv_px:.1f} px; pixels are usually square."
+        )
         rows.append(("! focal length", f"{unlike} Was the image scaled in one direction?"))
     return rows
 
@@ -128,7 +155,8 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
     """Rate, noise, and how its samples lie to the frames."""
     import numpy as np
 
-    # A mean over an interval is held as two samples, 1 ns after its start and at its end; only the end was recorded.
+    # A mean over an interval is held as two samples, 1 ns after its start and at its end; only the
+    # end was recorded.
     stamps_ns = stream.stamps_ns[1:-1]
     stamps_ns = stamps_ns[np.r_[np.diff(stamps_ns) > 1_000, True]]
     after = np.clip(np.searchsorted(stamps_ns, sequence.stamps_ns), 1, len(stamps_ns) - 1)
@@ -139,10 +167,18 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
     rate_hz = 1e9 / float(np.median(np.diff(stamps_ns)))
     rows = [("IMU", f"{len(stamps_ns):,} samples, {rate_hz:.1f} Hz; {_noise_text(sequence)}")]
     rows += [
-        ("IMU to frames", f"the nearest sample is {offset_ms.min():+.1f} to {offset_ms.max():+.1f} ms from a frame")
+        (
+            "IMU to frames",
+            (
+                f"the nearest sample is {offset_ms.min():+.1f} to {offset_ms.max():+.1f} ms from a"
+                " frame"
+            ),
+        )
     ]
     if uncovered:
-        rows.append(("! IMU", f"does not cover {uncovered} of {len(after) - 1} steps, which go without it"))
+        rows.append(
+            ("! IMU", f"does not cover {uncovered} of {len(after) - 1} steps, which go without it")
+        )
     return rows
 
 
@@ -163,12 +199,14 @@ def _turns(sequence: Sequence) -> Rows:
 def _noise_text(sequence: Sequence) -> str:
     if sequence.imu is None:
         return ""
-    noise, bias = sequence.imu.gyro_noise_rad_s_sqrt_hz, sequence.imu.gyro_bias_sigma_rad_s
+    noise = sequence.imu.gyro_noise_rad_s_sqrt_hz
+    bias = sequence.imu.gyro_bias_sigma_rad_s
     return f"gyro noise {noise:.2g} rad/s/√Hz, bias within {bias:.2g} rad/s (1σ)"
 
 
 def examine(sequence: Sequence) -> Rows:
-    """What the first frames say: stereo matches, row offset, disparity, and whether left and right are swapped."""
+    """What the first frames say: stereo matches, row offset, disparity, and whether left and right
+    are swapped."""
     import numpy as np
 
     from probevo.tracking import Tracks, tracker_for
@@ -176,9 +214,21 @@ def examine(sequence: Sequence) -> Rows:
 
     config = RunConfig().tracking
     frames = list(islice(sequence, FRAMES_TO_SEE + 1))
-    pictures = [(frame.left, frame.right) for frame in frames if frame.left is not None and frame.right is not None]
+    pictures = [
+        (frame.left, frame.right)
+        for frame in frames
+        if frame.left is not None and frame.right is not None
+    ]
     if pictures and all(np.array_equal(left, right) for left, right in pictures):
-        return [("! images", f"left and right are identical in the first {len(frames)} frames: no depth, no motion")]
+        return [
+            (
+                "! images",
+                (
+                    f"left and right are identical in the first {len(frames)} frames: no depth, no"
+                    " motion"
+                ),
+            )
+        ]
     if len(frames) < 2:
         return []
     same, sharp = FEATURE_DOUBTS if frames[0].features is not None else IMAGE_DOUBTS
@@ -186,22 +236,37 @@ def examine(sequence: Sequence) -> Rows:
     seen: list[Tracks] = [tracker.track(frame, np.eye(4)) for frame in frames]
     ahead, behind = np.sum([count_matches(tracks) for tracks in seen], axis=0).tolist()
     pixels = np.concatenate([tracks.curr_px for tracks in seen])
-    # First, as noise drives most matches of a picture with itself below zero, and so out of the tracks.
+    # First, as noise drives most matches of a picture with itself below zero, and so out of the
+    # tracks.
     disparity_px = pixels[:, 0] - pixels[:, 2]
-    if len(pixels) > 0.1 * (ahead + behind) and np.percentile(np.abs(disparity_px), 90) < LEAST_DISPARITY_PX:
+    if (
+        len(pixels) > 0.1 * (ahead + behind)
+        and np.percentile(np.abs(disparity_px), 90) < LEAST_DISPARITY_PX
+    ):
         return [("! disparity", f"nine in ten are under {LEAST_DISPARITY_PX} px. {same}")]
     if looks_swapped(ahead, behind):
-        negative = f"{behind} of {ahead + behind} have negative disparity. Are left and right swapped?"
+        negative = (
+            f"{behind} of {ahead + behind} have negative disparity. Are left and right swapped?"
+        )
         return [("! matches", f"{negative} {exchange(sequence.path)}")]
     if len(pixels) < 2:
         return [("! matches", f"{len(pixels)} in the first {len(frames)} frames. {sharp}")]
     rows_px = pixels[:, 3] - pixels[:, 1]
-    depth_m = sequence.camera.fu_px * sequence.camera.baseline_m / max(float(np.median(disparity_px)), 1e-9)
+    depth_m = (
+        sequence.camera.fu_px
+        * sequence.camera.baseline_m
+        / max(float(np.median(disparity_px)), 1e-9)
+    )
     tenth, half, most = np.percentile(disparity_px, [10, 50, 90])
     low, row, high = np.percentile(rows_px, [10, 50, 90])
     per_frame = len(pixels) / (len(frames) - 1)
-    matches = f"{per_frame:.0f} tracks a frame in the first {len(frames)}; left and right are not swapped"
-    disparity = f"{tenth:.1f} to {most:.1f} px (10 to 90 %), median {half:.1f} px, which is {depth_m:.1f} m away"
+    matches = (
+        f"{per_frame:.0f} tracks a frame in the first {len(frames)}; left and right are not swapped"
+    )
+    disparity = (
+        f"{tenth:.1f} to {most:.1f} px (10 to 90 %), median {half:.1f} px, which is {depth_m:.1f} m"
+        " away"
+    )
     offset = f"right minus left: median {row:+.2f} px, {low:+.2f} to {high:+.2f} px (10 to 90 %)"
     level = max(abs(low), abs(high)) <= config.max_row_offset_px / 2
     return [("matches", matches), ("disparity", disparity), ("rows" if level else "! rows", offset)]

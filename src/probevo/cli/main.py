@@ -11,8 +11,19 @@ from importlib import import_module
 from probevo import __version__
 from probevo.errors import InputError, ProbevoError
 
-COMMANDS = ("run", "train", "compare", "inspect", "eval", "info", "simulate", "paper", "demo")
-"""Each is a module of its own, imported only if it is called: `probevo --help` should not wait for SciPy."""
+COMMANDS = {
+    "run": "probevo.cli.run",
+    "train": "probevo.cli.train",
+    "compare": "probevo.cli.compare",
+    "inspect": "probevo.cli.inspect",
+    "eval": "probevo.cli.eval",
+    "info": "probevo.cli.info",
+    "simulate": "probevo_sim.command",
+    "paper": "probevo_paper.command",
+    "demo": "probevo.cli.demo",
+}
+"""Each is a module of its own, imported only if it is called: `probevo --help` should not wait for
+SciPy."""
 HELP = f"""\
 probevo {__version__}: stereo odometry that learns how far to trust each feature, and says how sure it is of its motion.
 
@@ -63,11 +74,16 @@ def _dispatch(words: list[str]) -> int:
         return 2
     if first not in COMMANDS:
         close = get_close_matches(first, COMMANDS, n=1)
-        cure = f"Did you mean {close[0]}?" if close else f"Commands are {', '.join(COMMANDS)}; see `probevo --help`."
+        cure = (
+            f"Did you mean {close[0]}?"
+            if close
+            else f"Commands are {', '.join(COMMANDS)}; see `probevo --help`."
+        )
         raise InputError(first, "this is not a command.", cure)
-    # No step has a product of matrices that OpenBLAS would share out, but it starts a thread for each core of the host.
+    # No step has a product of matrices that OpenBLAS would share out, but it starts a thread for
+    # each core of the host.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    import_module(f"probevo.cli.{first}").main(words[1:])
+    import_module(COMMANDS[first]).main(words[1:])
     return 0
 
 

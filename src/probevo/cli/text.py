@@ -15,7 +15,10 @@ def columns(rows: Iterable[tuple[str, str]]) -> str:
     lines = []
     for name, text in rows:
         parts = wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
-        lines += [f"{label:<{indent}}{part}" for label, part in zip([name] + [""] * len(parts), parts, strict=False)]
+        lines += [
+            f"{label:<{indent}}{part}"
+            for label, part in zip([name] + [""] * len(parts), parts, strict=False)
+        ]
     return "\n".join(line.rstrip() for line in lines)
 
 

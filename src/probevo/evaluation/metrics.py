@@ -16,13 +16,15 @@ from probevo.evaluation.consistency import motion_consistency
 class Metrics:
     """Figures of merit over the frames whose true pose is known; None where one is not defined.
 
-    Positions and attitudes are relative to the first of these frames. Segment errors, RPE and NEES do not depend on it.
+    Positions and attitudes are relative to the first of these frames. Segment errors, RPE and NEES
+    do not depend on it.
     """
 
     num_frames: int
     """Frames with a known true pose."""
     armse_m: float | None = None
-    """Average root mean square error of the position, mean_k √(‖e_k‖²/3), unaligned (PROBE, Table I)."""
+    """Average root mean square error of the position, mean_k √(‖e_k‖²/3), unaligned (PROBE, Table
+    I)."""
     final_error_m: float | None = None
     """Distance between estimated and true position at the last known frame, unaligned."""
     rot_armse_rad: float | None = None
@@ -46,14 +48,18 @@ class Metrics:
     rpe_r_deg: float | None = None
     """Relative pose error frame to frame, RMS of the angle."""
     anees: float | None = None
-    """Average NEES of the relative motions; 6 is honest, unless the truth is itself noisy (KITTI's is)."""
+    """Average NEES of the relative motions; 6 is honest, unless the truth is itself noisy (KITTI's
+    is)."""
     nees_coverage: dict[str, float] | None = None
-    """Share, 0 … 1, of the relative motions inside their 50, 90, 95 and 99 % ellipsoids, keyed by that percentage."""
+    """Share, 0 … 1, of the relative motions inside their 50, 90, 95 and 99 % ellipsoids, keyed by
+    that percentage."""
     out_of_domain: float | None = None
-    """Share, 0 … 1, of the features solved with that lie where the noise model has seen no training data; None if it
-    knows of no such place. It comes from the run, needs no truth, and is left to the caller of ``evaluate``."""
+    """Share, 0 … 1, of the features solved with that lie where the noise model has seen no training
+    data; None if it knows of no such place. It comes from the run, needs no truth, and is left to
+    the caller of ``evaluate``."""
     stopped: str | None = None
-    """What stopped the run before all its frames were through; None if nothing did. It comes from the run, too."""
+    """What stopped the run before all its frames were through; None if nothing did. It comes from
+    the run, too."""
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, in the order above."""
@@ -70,9 +76,11 @@ def evaluate(
 
     Args:
         T_world_cam_est: estimated poses, [N, 4, 4], m.
-        T_world_cam_true: true poses of the same frames, [N, 4, 4], m; NaN where unknown. World frames may differ.
+        T_world_cam_true: true poses of the same frames, [N, 4, 4], m; NaN where unknown. World
+            frames may differ.
         T_curr_prev: estimated relative motions, [N-1, 4, 4], m.
-        cov: covariance of their left perturbation, [N-1, 6, 6]. Without both, the consistency is left out.
+        cov: covariance of their left perturbation, [N-1, 6, 6]. Without both, the consistency is
+            left out.
 
     Raises:
         InputError: the truth has another number of frames than the estimate.
@@ -86,14 +94,24 @@ def evaluate(
     frames = np.flatnonzero(np.isfinite(T_world_cam_true).all(axis=(1, 2)))
     if len(frames) < 2:
         return Metrics(num_frames=len(frames))
-    est, true = T_world_cam_est[frames], T_world_cam_true[frames]
+    est = T_world_cam_est[frames]
+    true = T_world_cam_true[frames]
     e_m = trajectory_errors.position_errors(est, true)
-    kitti = segments.segment_errors(est, true, segments.KITTI_LENGTHS_M, np.flatnonzero(frames % 10 == 0))
-    short = segments.segment_errors(est, true, segments.SHORT_LENGTHS_M, np.arange(len(frames)))
-    rpe_t_m, rpe_r_deg = trajectory_errors.rpe_rmse(T_world_cam_est, T_world_cam_true) or (None, None)
+    kitti = segments.segment_errors(
+        est, true, segments.KITTI_LENGTHS_M, starts=np.flatnonzero(frames % 10 == 0)
+    )
+    short = segments.segment_errors(
+        est, true, segments.SHORT_LENGTHS_M, starts=np.arange(len(frames))
+    )
+    rpe_t_m, rpe_r_deg = trajectory_errors.rpe_rmse(T_world_cam_est, T_world_cam_true) or (
+        None,
+        None,
+    )
     consistency = None
     if T_curr_prev is not None and cov is not None:
-        consistency = motion_consistency(T_curr_prev, cov, trajectory_errors.relative_motions(T_world_cam_true))
+        consistency = motion_consistency(
+            T_curr_prev, cov, trajectory_errors.relative_motions(T_world_cam_true)
+        )
     return Metrics(
         num_frames=len(frames),
         armse_m=trajectory_errors.armse(e_m),

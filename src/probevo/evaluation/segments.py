@@ -1,4 +1,5 @@
-"""Drift over segments of given length, as the KITTI odometry devkit measures it (evaluate_odometry.cpp)."""
+"""Drift over segments of given length, as the KITTI odometry devkit measures it
+(evaluate_odometry.cpp)."""
 
 from __future__ import annotations
 
@@ -48,8 +49,8 @@ def segment_errors(
 ) -> SegmentErrors:
     """Errors of all segments that fit into the true path of K frames.
 
-    A segment ends at the first frame whose distance along the true path exceeds that of its start by more than its
-    length, as in the devkit.
+    A segment ends at the first frame whose distance along the true path exceeds that of its start
+    by more than its length, as in the devkit.
 
     Args:
         T_world_cam_est: estimated poses, [K, 4, 4], m.
@@ -62,7 +63,9 @@ def segment_errors(
     length = np.tile(np.asarray(lengths_m, dtype=np.float64), len(starts))
     last = np.searchsorted(distance, distance[first] + length, side="right")
     fits = last < len(distance)
-    first, last, length = first[fits], last[fits], length[fits]
+    first = first[fits]
+    last = last[fits]
+    length = length[fits]
 
     T_first_last_true = se3.inverse(T_world_cam_true[first]) @ T_world_cam_true[last]
     T_first_last_est = se3.inverse(T_world_cam_est[first]) @ T_world_cam_est[last]

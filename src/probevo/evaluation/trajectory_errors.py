@@ -1,6 +1,7 @@
 """Errors of an estimated trajectory against the truth: ARMSE, ATE, RPE.
 
-Trajectories are poses T_world_cam, [K, 4, 4], m, of the same K ≥ 1 frames, known unless said otherwise.
+Trajectories are poses T_world_cam, [K, 4, 4], m, of the same K ≥ 1 frames, known unless said
+otherwise.
 """
 
 from __future__ import annotations
@@ -38,43 +39,56 @@ def position_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -
 
 
 def rotation_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> FloatArray:
-    """Log(C_true C_estᵀ) of the attitude relative to the first camera frame, unaligned, [K, 3], rad."""
+    """Log(C_true C_estᵀ) of the attitude relative to the first camera frame, unaligned, [K, 3],
+    rad."""
     C_true = from_first_camera(T_world_cam_true)[:, :3, :3]
     C_est = from_first_camera(T_world_cam_est)[:, :3, :3]
     return so3.log(C_true @ np.swapaxes(C_est, -1, -2))
 
 
 def armse(errors: FloatArray) -> float:
-    """Average over frames of the root mean square over axes, mean_k √(‖e_k‖²/3) (PROBE, Table I); errors [K, 3]."""
+    """Average over frames of the root mean square over axes, mean_k √(‖e_k‖²/3) (PROBE, Table I);
+    errors [K, 3]."""
     return float(np.mean(np.linalg.norm(errors, axis=1)) / np.sqrt(3.0))
 
 
-def ate_rmse(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray, *, align: bool = True) -> float:
-    """Absolute trajectory error, RMS over positions, m: after the best rigid fit, or with first cameras made equal."""
+def ate_rmse(
+    T_world_cam_est: FloatArray, T_world_cam_true: FloatArray, *, align: bool = True
+) -> float:
+    """Absolute trajectory error, RMS over positions, m: after the best rigid fit, or with first
+    cameras made equal."""
     if not align:
         return _rms(position_errors(T_world_cam_est, T_world_cam_true))
-    p_est, p_true = T_world_cam_est[:, :3, 3], T_world_cam_true[:, :3, 3]
+    p_est = T_world_cam_est[:, :3, 3]
+    p_true = T_world_cam_true[:, :3, 3]
     T_true_est = rigid_alignment(p_est, p_true)
     return _rms(p_est @ T_true_est[:3, :3].T + T_true_est[:3, 3] - p_true)
 
 
 def rigid_alignment(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
-    """T_b_a, [4, 4], that takes points_a [K, 3] to points_b [K, 3] with least squared error (Umeyama 1991).
+    """T_b_a, [4, 4], that takes points_a [K, 3] to points_b [K, 3] with least squared error
+    (Umeyama 1991).
 
-    Points on a line or in one place leave the rotation about them open; one of the minimisers is returned.
+    Points on a line or in one place leave the rotation about them open; one of the minimisers is
+    returned.
     """
-    center_a, center_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    center_a = points_a.mean(axis=0)
+    center_b = points_b.mean(axis=0)
     U, _, Vt = np.linalg.svd((points_b - center_b).mT @ (points_a - center_a))
     U[:, 2] *= np.linalg.det(U @ Vt)
     C_b_a = U @ Vt
     return se3.from_parts(C_b_a, center_b - C_b_a @ center_a)
 
 
-def rpe_rmse(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> tuple[float, float] | None:
-    """Relative pose error frame to frame (Sturm et al. 2012, as evo): RMS of its translation, m, and of its angle, deg.
+def rpe_rmse(
+    T_world_cam_est: FloatArray, T_world_cam_true: FloatArray
+) -> tuple[float, float] | None:
+    """Relative pose error frame to frame (Sturm et al. 2012, as evo): RMS of its translation, m,
+    and of its angle, deg.
 
-    Only steps with truth at both ends count. The truth of KITTI is itself noisy from frame to frame, more so than good
-    stereo odometry, so that this measures the truth as much as the estimate.
+    Only steps with truth at both ends count. The truth of KITTI is itself noisy from frame to
+    frame, more so than good stereo odometry, so that this measures the truth as much as the
+    estimate.
     """
     motion_true = relative_motions(T_world_cam_true)
     known = np.isfinite(motion_true).all(axis=(1, 2))

@@ -1,1 +1,2 @@
-"""Rotations, poses, and uncertainty on them. The conventions stand in ``probevo.geometry.conventions``."""
+"""Rotations, poses, and uncertainty on them. The conventions stand in
+``probevo.geometry.conventions``."""

@@ -15,7 +15,8 @@ from probevo.geometry.logarithms import log_translations
 
 
 def from_parts(C_b_a: FloatArray, t_b: FloatArray) -> FloatArray:
-    """T_b_a with p_b = C_b_a p_a + t_b: rotations [..., 3, 3] and translations [..., 3], m, to poses [..., 4, 4]."""
+    """T_b_a with p_b = C_b_a p_a + t_b: rotations [..., 3, 3] and translations [..., 3], m, to
+    poses [..., 4, 4]."""
     batch = np.broadcast_shapes(C_b_a.shape[:-2], t_b.shape[:-1])
     T_b_a = np.zeros((*batch, 4, 4))
     T_b_a[..., :3, :3] = C_b_a
@@ -25,7 +26,8 @@ def from_parts(C_b_a: FloatArray, t_b: FloatArray) -> FloatArray:
 
 
 def transform(T_b_a: FloatArray, points_a: FloatArray) -> FloatArray:
-    """p_b = T_b_a p_a: points [..., 3], m (thesis eq. 2.18). One pose moves all points, or each pose its own point."""
+    """p_b = T_b_a p_a: points [..., 3], m (thesis eq. 2.18). One pose moves all points, or each
+    pose its own point."""
     return (T_b_a[..., :3, :3] @ points_a[..., None])[..., 0] + T_b_a[..., :3, 3]
 
 
@@ -36,7 +38,8 @@ def inverse(T_b_a: FloatArray) -> FloatArray:
 
 
 def chain_motions(T_curr_prev: Iterable[FloatArray]) -> FloatArray:
-    """Poses T_world_cam, [K, 4, 4], world = first camera, from K-1 motions: T_w,k = T_w,k-1 T_k,k-1⁻¹."""
+    """Poses T_world_cam, [K, 4, 4], world = first camera, from K-1 motions: T_w,k = T_w,k-1
+    T_k,k-1⁻¹."""
     poses = [np.eye(4)]
     for motion in T_curr_prev:
         poses.append(poses[-1] @ inverse(motion))
@@ -45,13 +48,16 @@ def chain_motions(T_curr_prev: Iterable[FloatArray]) -> FloatArray:
 
 def exp(xi: FloatArray) -> FloatArray:
     """T = Exp(ξ): tangent vectors [..., 6], m and rad, to poses [..., 4, 4] (thesis eq. 2.14)."""
-    rho, phi = xi[..., :3], xi[..., 3:]
+    rho = xi[..., :3]
+    phi = xi[..., 3:]
     return from_parts(so3.exp(phi), (so3.left_jacobian(phi) @ rho[..., None])[..., 0])
 
 
 def log(T: FloatArray) -> FloatArray:
-    """ξ = Log(T): poses [..., 4, 4] to tangent vectors [..., 6], m and rad, with an angle of at most π."""
-    phi, t = so3.log(T[..., :3, :3]), np.ascontiguousarray(T[..., :3, 3], np.float64)
+    """ξ = Log(T): poses [..., 4, 4] to tangent vectors [..., 6], m and rad, with an angle of at
+    most π."""
+    phi = so3.log(T[..., :3, :3])
+    t = np.ascontiguousarray(T[..., :3, 3], np.float64)
     rho = np.empty_like(phi)
     log_translations(phi.reshape(-1, 3), t.reshape(-1, 3), rho.reshape(-1, 3))
     return np.concatenate([rho, phi], axis=-1)
@@ -59,7 +65,8 @@ def log(T: FloatArray) -> FloatArray:
 
 def adjoint(T: FloatArray) -> FloatArray:
     """Ad(T) = [[C, t^ C], [0, C]], with Exp(Ad(T) ξ) = T Exp(ξ) T⁻¹: [..., 4, 4] to [..., 6, 6]."""
-    C, t = T[..., :3, :3], T[..., :3, 3]
+    C = T[..., :3, :3]
+    t = T[..., :3, 3]
     return _block_triangular(C, so3.wedge(t) @ C)
 
 

@@ -1,6 +1,7 @@
 """Rotations SO(3) and their tangent vectors φ (thesis section 2.2).
 
-Functions are batched over leading dimensions. The adjoint of a rotation is the matrix itself: Exp(Cφ) = C Exp(φ) Cᵀ.
+Functions are batched over leading dimensions. The adjoint of a rotation is the matrix itself:
+Exp(Cφ) = C Exp(φ) Cᵀ.
 """
 
 from __future__ import annotations
@@ -34,10 +35,12 @@ def exp(phi: FloatArray) -> FloatArray:
 
 
 def log(C: FloatArray) -> FloatArray:
-    """φ = Log(C): rotations [..., 3, 3] to rotation vectors [..., 3], rad, of length at most π (thesis eq. 2.5).
+    """φ = Log(C): rotations [..., 3, 3] to rotation vectors [..., 3], rad, of length at most π
+    (thesis eq. 2.5).
 
-    It goes through the quaternion and is accurate to rounding at every angle, 0 and π among them; at π itself, where φ
-    and −φ are the same rotation, it returns either. A NaN matrix, an unknown rotation, gives a NaN vector.
+    It goes through the quaternion and is accurate to rounding at every angle, 0 and π among them;
+    at π itself, where φ and −φ are the same rotation, it returns either. A NaN matrix, an unknown
+    rotation, gives a NaN vector.
     """
     rotations = np.ascontiguousarray(C, np.float64).reshape(-1, 3, 3)
     phi = np.empty((len(rotations), 3))
@@ -63,6 +66,10 @@ def check_rotation(C: FloatArray, where: str | Path) -> FloatArray:
     deviation = np.abs(C @ C.mT - np.eye(3)).max(axis=(-2, -1))
     bad = np.flatnonzero(~(deviation < ROTATION_TOLERANCE) | ~(np.linalg.det(C) > 0))
     if len(bad):
-        what = "this is not a rotation matrix" if C.ndim == 2 else f"pose {bad[0]} (from 0) holds no rotation matrix"
+        what = (
+            "this is not a rotation matrix"
+            if C.ndim == 2
+            else f"pose {bad[0]} (from 0) holds no rotation matrix"
+        )
         raise InputError(where, f"{what}: its columns must be orthonormal and right-handed.")
     return Rotation.from_matrix(C).as_matrix()

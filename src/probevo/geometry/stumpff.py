@@ -8,17 +8,21 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 
-MOST_ORDERS, TERMS = 4, 9
+MOST_ORDERS = 4
+TERMS = 9
 """The first term left out is below 1e-17 of the sum for angles under 1 rad."""
-_SERIES = np.array([[(-1) ** k / factorial(2 * k + order) for k in range(TERMS)] for order in range(MOST_ORDERS)])
+_SERIES = np.array(
+    [[(-1) ** k / factorial(2 * k + order) for k in range(TERMS)] for order in range(MOST_ORDERS)]
+)
 _EXPONENTS = np.arange(TERMS, dtype=np.float64)[:, None]
 
 
 def stumpff(orders: tuple[int, ...], angle_sq: FloatArray) -> FloatArray:
-    """c_n(θ) = Σ_k (−1)^k θ^{2k} / (2k + n)! of each order n, to 1e-13 relative for θ ≤ π: [len(orders), ...].
+    """c_n(θ) = Σ_k (−1)^k θ^{2k} / (2k + n)! of each order n, to 1e-13 relative for θ ≤ π:
+    [len(orders), ...].
 
-    c_0 = cos θ, c_1 = sin θ / θ, c_2 = (1 − cos θ) / θ², c_3 = (θ − sin θ) / θ³, and on: c_{n+2} = (1/n! − c_n) / θ².
-    That recursion cancels near 0, where the series takes over.
+    c_0 = cos θ, c_1 = sin θ / θ, c_2 = (1 − cos θ) / θ², c_3 = (θ − sin θ) / θ³, and on: c_{n+2} =
+    (1/n! − c_n) / θ². That recursion cancels near 0, where the series takes over.
 
     Args:
         orders: n, each 0 … 3.

@@ -1,4 +1,5 @@
-"""Gaussians on SE(3), injected by left perturbations: T = Exp(ξ) T̄, ξ ~ N(0, Σ) (thesis section 2.5).
+"""Gaussians on SE(3), injected by left perturbations: T = Exp(ξ) T̄, ξ ~ N(0, Σ) (thesis section
+2.5).
 
 How they are inverted, compounded and scored. Barfoot & Furgale: "Associating uncertainty with
 three-dimensional poses for use in estimation problems", IEEE T-RO 2014.
@@ -13,7 +14,8 @@ from probevo.geometry import se3
 
 
 def invert(T_b_a: FloatArray, cov_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """T_a_b and its covariance, [..., 4, 4] and [..., 6, 6]: (Exp(ξ) T)⁻¹ = Exp(−Ad(T⁻¹) ξ) T⁻¹, which is exact."""
+    """T_a_b and its covariance, [..., 4, 4] and [..., 6, 6]: (Exp(ξ) T)⁻¹ = Exp(−Ad(T⁻¹) ξ) T⁻¹,
+    which is exact."""
     T_a_b = se3.inverse(T_b_a)
     return T_a_b, _rotate_covariance(se3.adjoint(T_a_b), cov_b_a)
 
@@ -23,9 +25,10 @@ def compound(
 ) -> tuple[FloatArray, FloatArray]:
     """T_c_a = T_c_b T_b_a of two independent uncertain poses, and its covariance.
 
-    Exp(ξ_1) T_c_b Exp(ξ_2) T_b_a = Exp(ξ_1) Exp(ξ_2') T_c_a with ξ_2' = Ad(T_c_b) ξ_2. To second order the covariances
-    of ξ_1 and ξ_2' add; the next terms of the Baker-Campbell-Hausdorff series, left out here, matter once the rotation
-    is uncertain by some 10° (Barfoot & Furgale 2014; Barfoot 2017 section 7.3.3).
+    Exp(ξ_1) T_c_b Exp(ξ_2) T_b_a = Exp(ξ_1) Exp(ξ_2') T_c_a with ξ_2' = Ad(T_c_b) ξ_2. To second
+    order the covariances of ξ_1 and ξ_2' add; the next terms of the Baker-Campbell-Hausdorff
+    series, left out here, matter once the rotation is uncertain by some 10° (Barfoot & Furgale
+    2014; Barfoot 2017 section 7.3.3).
 
     Args:
         T_b_a, T_c_b: means, [..., 4, 4].
@@ -34,34 +37,45 @@ def compound(
     return T_c_b @ T_b_a, cov_c_b + _rotate_covariance(se3.adjoint(T_c_b), cov_b_a)
 
 
-def compound_chain(T_curr_prev: FloatArray, cov_curr_prev: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The trajectory that follows from K independent relative motions, and the covariance of each of its poses.
+def compound_chain(
+    T_curr_prev: FloatArray, cov_curr_prev: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The trajectory that follows from K independent relative motions, and the covariance of each
+    of its poses.
 
-    Each step compounds T_world_curr = T_world_prev T_prev_curr. The world is the camera before the first motion: the
-    first camera if, as ``StereoOdometry`` yields them, the first motion is the identity with zero covariance.
-    Successive motions share the noise of a frame, so that to take them as independent is an approximation.
+    Each step compounds T_world_curr = T_world_prev T_prev_curr. The world is the camera before the
+    first motion: the first camera if, as ``StereoOdometry`` yields them, the first motion is the
+    identity with zero covariance. Successive motions share the noise of a frame, so that to take
+    them as independent is an approximation.
 
     Args:
         T_curr_prev: motions, p_curr = T_curr_prev p_prev, [K, 4, 4].
         cov_curr_prev: covariances of their left perturbations, [K, 6, 6].
 
     Returns:
-        T_world_cam after each motion, p_world = T_world_cam p_cam, [K, 4, 4], and the covariances of the left
-        perturbations of T_world_cam, [K, 6, 6].
+        T_world_cam after each motion, p_world = T_world_cam p_cam, [K, 4, 4], and the covariances
+        of the left perturbations of T_world_cam, [K, 6, 6].
     """
     T_prev_curr, cov_prev_curr = invert(T_curr_prev, cov_curr_prev)
-    T_world_cam, cov_world_cam = np.empty_like(T_prev_curr), np.empty_like(cov_prev_curr)
-    T, cov = np.eye(4), np.zeros((6, 6))
+    T_world_cam = np.empty_like(T_prev_curr)
+    cov_world_cam = np.empty_like(cov_prev_curr)
+    T = np.eye(4)
+    cov = np.zeros((6, 6))
     for k in range(len(T_prev_curr)):
-        T, cov = compound(T_prev_curr[k], cov_prev_curr[k], T, cov)
-        T_world_cam[k], cov_world_cam[k] = T, cov
+        T, cov = compound(T_prev_curr[k], cov_prev_curr[k], T, cov_c_b=cov)
+        T_world_cam[k] = T
+        cov_world_cam[k] = cov
     return T_world_cam, cov_world_cam
 
 
-def normalized_error_squared(T_true: FloatArray, T_estimated: FloatArray, cov: FloatArray) -> FloatArray:
-    """ξᵀ Σ⁻¹ ξ with ξ = Log(T_true T_estimated⁻¹), the squared error of each pose in units of its covariance, [...].
+def normalized_error_squared(
+    T_true: FloatArray, T_estimated: FloatArray, cov: FloatArray
+) -> FloatArray:
+    """ξᵀ Σ⁻¹ ξ with ξ = Log(T_true T_estimated⁻¹), the squared error of each pose in units of its
+    covariance, [...].
 
-    Known as NEES: its mean is 6 and its distribution χ²(6) where the covariance is honest. NaN where the truth is NaN.
+    Known as NEES: its mean is 6 and its distribution χ²(6) where the covariance is honest. NaN
+    where the truth is NaN.
 
     Args:
         T_true, T_estimated: poses, [..., 4, 4].

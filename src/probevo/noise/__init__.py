@@ -2,8 +2,15 @@
 
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.fixed import Fixed
-from probevo.noise.generalized_kernel import GeneralizedKernel
-from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.noise.gk.generalized_kernel import GeneralizedKernel
+from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.noise.student_t import StudentT
 
-__all__ = ["Fixed", "GeneralizedKernel", "NearestNeighbors", "NoiseModel", "StereoNoise", "StudentT"]
+__all__ = [
+    "Fixed",
+    "GeneralizedKernel",
+    "NearestNeighbors",
+    "NoiseModel",
+    "StereoNoise",
+    "StudentT",
+]

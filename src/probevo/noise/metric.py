@@ -12,16 +12,19 @@ from probevo.errors import InputError
 from probevo.noise.moments import Moments
 
 UNDEFINED = -4.0
-"""Where an undefined value lies, in standard deviations: a place of its own, in which it is near to its like only.
+"""Where an undefined value lies, in standard deviations: a place of its own, in which it is near to
+its like only.
 
-A feature of a kind that training never saw is that far from all samples alike, and the other columns decide.
+A feature of a kind that training never saw is that far from all samples alike, and the other
+columns decide.
 """
 FEWEST_DEFINED = 2
 """Values that a column needs for a mean and a spread; of a single sample, its one will do."""
 CONSTANT_BELOW = 1e-9
 """Spread over the mean: below, it is rounding."""
 FARTHEST = 1e3
-"""Standard deviations; what is farther out lies there, so that squares of distances stay exact enough."""
+"""Standard deviations; what is farther out lies there, so that squares of distances stay exact
+enough."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,8 @@ class Metric:
         columns: Sequence[str] = (),
         may_be_undefined: Sequence[bool] = (),
     ) -> Metric:
-        """The metric in which the training data [N, M] have mean 0 and spread 1 along each column, all of weight 1.
+        """The metric in which the training data [N, M] have mean 0 and spread 1 along each column,
+        all of weight 1.
 
         Args:
             predictors: places of the samples; NaN where undefined.
@@ -53,10 +57,13 @@ class Metric:
             may_be_undefined: which columns may hold NaN; none if left out.
 
         Raises:
-            InputError: a value is infinite, or NaN where it must not be, or nearly all of a column is.
+            InputError: a value is infinite, or NaN where it must not be, or nearly all of a column
+                is.
         """
         if predictors.ndim != 2:
-            raise InputError("predictors", f"their shape is {predictors.shape}, where [N, M] is expected.")
+            raise InputError(
+                "predictors", f"their shape is {predictors.shape}, where [N, M] is expected."
+            )
         names = tuple(columns) or tuple(f"column {m}" for m in range(predictors.shape[1]))
         check_defined(predictors, names, may_be_undefined)
         return Metric.of_moments(Moments.of(predictors), names, may_be_undefined)
@@ -76,17 +83,19 @@ class Metric:
             if count < max(min(FEWEST_DEFINED, moments.rows), 1):
                 what = f"it is undefined for all but {count} of {moments.rows} features."
                 raise InputError(f"predictor {name}", what, "Leave it out.")
-        mean, spread = moments.mean, moments.spread
+        mean = moments.mean
+        spread = moments.spread
         return Metric(
             tuple(columns),
             tuple(may_be_undefined) or (False,) * len(columns),
             mean,
-            np.where(spread > CONSTANT_BELOW * np.abs(mean), spread, 1.0),
-            np.ones(len(columns)),
+            spread=np.where(spread > CONSTANT_BELOW * np.abs(mean), spread, 1.0),
+            weight=np.ones(len(columns)),
         )
 
     def coordinates(self, predictors: FloatArray) -> FloatArray:
-        """Places in which the distance is Euclidean, [N, M], finite, at most FARTHEST standard deviations out.
+        """Places in which the distance is Euclidean, [N, M], finite, at most FARTHEST standard
+        deviations out.
 
         Raises:
             InputError: not M columns, or a value is infinite, or NaN where it must not be.
@@ -102,8 +111,16 @@ class Metric:
 
     def kept(self, columns: IntArray) -> Metric:
         """The metric of some of the columns."""
-        names, may_be = (tuple(part[m] for m in columns) for part in (self.columns, self.may_be_undefined))
-        return Metric(names, may_be, self.mean[columns], self.spread[columns], self.weight[columns])
+        names, may_be = (
+            tuple(part[m] for m in columns) for part in (self.columns, self.may_be_undefined)
+        )
+        return Metric(
+            names,
+            may_be,
+            self.mean[columns],
+            spread=self.spread[columns],
+            weight=self.weight[columns],
+        )
 
     def _placed(self, predictors: FloatArray) -> FloatArray:
         standard = (predictors - self.mean) / self.spread
@@ -113,7 +130,9 @@ class Metric:
         return standard
 
 
-def check_defined(predictors: FloatArray, columns: Sequence[str], may_be_undefined: Sequence[bool] = ()) -> None:
+def check_defined(
+    predictors: FloatArray, columns: Sequence[str], may_be_undefined: Sequence[bool] = ()
+) -> None:
     """Refuse places that are not [N, M], or infinite, or NaN in a column that must not be.
 
     Raises:
@@ -121,11 +140,15 @@ def check_defined(predictors: FloatArray, columns: Sequence[str], may_be_undefin
     """
     if predictors.ndim != 2 or predictors.shape[1] != len(columns):
         expected = f"[N, {len(columns)}]: {', '.join(columns)}"
-        raise InputError("predictors", f"their shape is {predictors.shape}, where the model takes {expected}.")
+        raise InputError(
+            "predictors", f"their shape is {predictors.shape}, where the model takes {expected}."
+        )
     wrong = ~np.isfinite(predictors)
     if wrong.any():
         wrong &= ~(np.isnan(predictors) & (tuple(may_be_undefined) or (False,) * len(columns)))
     if wrong.any():
         row, m = np.argwhere(wrong)[0].tolist()
         what = f"feature {row} (from 0) has the value {predictors[row, m]}."
-        raise InputError(f"predictor {columns[m]}", what, "Only a predictor that may be undefined can be NaN.")
+        raise InputError(
+            f"predictor {columns[m]}", what, "Only a predictor that may be undefined can be NaN."
+        )

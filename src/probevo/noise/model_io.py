@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Protocol
 
 from probevo.errors import InputError
-from probevo.noise.generalized_kernel import GeneralizedKernel
+from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.model_file import ModelFile, read_model_file, write_model_file
-from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.noise.student_t import StudentT
 
 Learned = GeneralizedKernel | NearestNeighbors | StudentT
@@ -44,8 +44,12 @@ def load_model(path: Path | str) -> Learned:
     path = Path(path)
     file = read_model_file(path)
     if file.kind not in _KINDS:
-        raise InputError(path, f"a noise model of kind {file.kind!r}.", f"Known are {', '.join(_KINDS)}.")
+        raise InputError(
+            path, f"a noise model of kind {file.kind!r}.", f"Known are {', '.join(_KINDS)}."
+        )
     try:
         return _KINDS[file.kind].from_file(file)
     except (KeyError, ValueError, InputError) as error:
-        raise InputError(path, f"it is no whole {file.kind} model ({error}).", "Train it again.") from error
+        raise InputError(
+            path, f"it is no whole {file.kind} model ({error}).", "Train it again."
+        ) from error

@@ -1,4 +1,5 @@
-"""Mean and spread of the columns of a prediction space, gathered part by part: no part need be held for the next."""
+"""Mean and spread of the columns of a prediction space, gathered part by part: no part need be held
+for the next."""
 
 from __future__ import annotations
 
@@ -29,12 +30,12 @@ class Moments:
         count = defined.sum(axis=0)
         mean = np.sum(predictors, axis=0, where=defined) / np.maximum(count, 1)
         squares = np.sum((predictors - mean) ** 2, axis=0, where=defined)
-        return Moments(len(predictors), count, mean, squares)
+        return Moments(len(predictors), count, mean, squares=squares)
 
     @staticmethod
     def none(columns: int) -> Moments:
         """Of nothing."""
-        return Moments(0, np.zeros(columns, np.int64), np.zeros(columns), np.zeros(columns))
+        return Moments(0, np.zeros(columns, np.int64), np.zeros(columns), squares=np.zeros(columns))
 
     def __add__(self, other: Moments) -> Moments:
         """Of both together (Chan, Golub & LeVeque 1983)."""
@@ -42,7 +43,7 @@ class Moments:
         share = other.count / np.maximum(count, 1)
         apart = other.mean - self.mean
         squares = self.squares + other.squares + apart**2 * self.count * share
-        return Moments(self.rows + other.rows, count, self.mean + apart * share, squares)
+        return Moments(self.rows + other.rows, count, self.mean + apart * share, squares=squares)
 
     @property
     def spread(self) -> FloatArray:

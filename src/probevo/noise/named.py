@@ -1,4 +1,5 @@
-"""Noise models as the user names them: a classical one by its name, a learned one by the path of its file."""
+"""Noise models as the user names them: a classical one by its name, a learned one by the path of
+its file."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ def noise_model(spec: str, others: Collection[str] = ()) -> NoiseModel:
     """The noise model of that name, or that the file of that path holds.
 
     Args:
-        spec: a name of ``CLASSICAL``, or a path; a file that is called like one of them is meant by ``./fixed``.
+        spec: a name of ``CLASSICAL``, or a path; a file that is called like one of them is meant by
+            ``./fixed``.
         others: more names that would have been right where the user gave this one; for the message.
 
     Raises:
@@ -32,7 +34,8 @@ def noise_model(spec: str, others: Collection[str] = ()) -> NoiseModel:
 
 
 def check_model_camera(spec: str, model: NoiseModel, camera: StereoCamera) -> None:
-    """Refuse a camera for which the noise model that ``spec`` names does not hold, and say which file it is.
+    """Refuse a camera for which the noise model that ``spec`` names does not hold, and say which
+    file it is.
 
     Raises:
         InputError: the model was learned with another camera.
@@ -52,9 +55,15 @@ def portable(spec: str) -> str:
 
 def _unknown(spec: str, names: Collection[str]) -> InputError:
     if os.path.isdir(spec):
-        return InputError("--noise", f"{spec!r} is a folder.", "Give the model file (.safetensors) in it.")
+        return InputError(
+            "--noise", f"{spec!r} is a folder.", "Give the model file (.safetensors) in it."
+        )
     folder = os.path.dirname(spec) or "."
-    files = [name for name in sorted(os.listdir(folder)) if name.endswith(".safetensors")] if _readable(folder) else []
+    files = (
+        [name for name in sorted(os.listdir(folder)) if name.endswith(".safetensors")]
+        if _readable(folder)
+        else []
+    )
     beside = [os.path.join(os.path.dirname(spec), name) for name in files]
     near = get_close_matches(spec, [*names, *beside], n=2)
     what = f"{spec!r} is no known name, and no such file exists."

@@ -19,11 +19,15 @@ from probevo.settings import Settings
 
 def origin_facts(camera: StereoCamera | None, training: Mapping[str, Any]) -> dict[str, Any]:
     """What ``OriginFacts`` reads."""
-    return {"camera": json.loads(json.dumps(asdict(camera))) if camera else None, "training": dict(training)}
+    return {
+        "camera": json.loads(json.dumps(asdict(camera))) if camera else None,
+        "training": dict(training),
+    }
 
 
 class OriginFacts(Settings):
-    """What the file of every learned model says beside its arrays; of no other type than it is written."""
+    """What the file of every learned model says beside its arrays; of no other type than it is
+    written."""
 
     model_config = ConfigDict(strict=True)
     camera: StereoCamera | None
@@ -43,13 +47,15 @@ class OriginFacts(Settings):
 
 
 def learned_from(model: NoiseModel) -> frozenset[str]:
-    """Names of the recordings that a noise model was learned from; of a classical one there are none."""
+    """Names of the recordings that a noise model was learned from; of a classical one there are
+    none."""
     training: Mapping[str, Any] = getattr(model, "training", {})
     return frozenset(str(recording["name"]) for recording in training.get("recordings", ()))
 
 
 def refuse_other_camera(trained: StereoCamera | None, camera: StereoCamera) -> None:
-    """Refuse a camera unlike the one that a noise model was trained with; None was trained with none.
+    """Refuse a camera unlike the one that a noise model was trained with; None was trained with
+    none.
 
     Raises:
         InputError: says in what it differs.
@@ -57,4 +63,8 @@ def refuse_other_camera(trained: StereoCamera | None, camera: StereoCamera) -> N
     unlike = difference(camera, trained) if trained else ""
     if unlike:
         unlike = unlike.replace("its", "this one's", 1)
-        raise InputError("noise model", f"it was trained with another camera: {unlike}.", "Train one with this camera.")
+        raise InputError(
+            "noise model",
+            f"it was trained with another camera: {unlike}.",
+            "Train one with this camera.",
+        )

@@ -1,4 +1,5 @@
-"""The static M-estimator: one Student-t for every feature (PROBE-GK section 1.5.3, after Kerl et al. 2013)."""
+"""The static M-estimator: one Student-t for every feature (PROBE-GK section 1.5.3, after Kerl et
+al. 2013)."""
 
 from __future__ import annotations
 
@@ -13,12 +14,15 @@ from probevo.camera.stereo import StereoCamera
 from probevo.noise.base import Refers, StereoNoise, disparity_variance
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
-from probevo.noise.student_fit import fit_static
+from probevo.noise.student_t_fit import fit_static
 
-DOF, SIGMA_PX = 2.5, 0.17
-"""Nearly the tails of real tracks, whose ν is 1.9 to 2.1 when it is fitted: from 2 down they would have no variance."""
-LASTING = 0.7
-"""By likelihood, on both of KITTI's recordings with images that this was tried on: 0.2 px. Sparse tracks have more."""
+DOF = 2.5
+SIGMA_PX = 0.17
+"""Nearly the tails of real tracks, whose ν is 1.9 to 2.1 when it is fitted: from 2 down they would
+have no variance."""
+TIME_CORRELATION = 0.7
+"""By likelihood, on both of KITTI's recordings with images that this was tried on: 0.2 px. Sparse
+tracks have more."""
 
 
 class _Facts(OriginFacts):
@@ -27,7 +31,7 @@ class _Facts(OriginFacts):
     dof: Annotated[float, Field(gt=0)] | Literal["inf"]
     """JSON has no infinity."""
     refers_to: Refers
-    lasting: float = Field(0.0, ge=0)
+    time_correlation: float = Field(0.0, ge=0)
 
 
 class StudentT:
@@ -35,12 +39,14 @@ class StudentT:
 
     Args:
         dof: degrees of freedom ν; small values trust outliers less, and np.inf is Gaussian.
-        scale: scale matrix of (u_l, v_l, u_r, v_r), [4, 4], px²; by default that of tracked corners.
+        scale: scale matrix of (u_l, v_l, u_r, v_r), [4, 4], px²; by default that of tracked
+            corners.
         refers_to: whether that is the noise of an observation, or of the residual.
         camera: the camera of the training data; None if it was not trained.
         training: how the training data came about, in plain values that JSON can hold.
-        lasting: how many times as large the error of a disparity is that is the same in both frames, as the one that
-            is new in each; by default, 0 for a scale that is given. The noise of a residual as a whole has none.
+        time_correlation: how many times as large the error of a disparity is that is the same in both
+            frames, as the one that is new in each; by default, 0 for a scale that is given. The
+            noise of a residual as a whole has none.
     """
 
     columns: tuple[str, ...] = ()
@@ -52,15 +58,19 @@ class StudentT:
         refers_to: Refers = "observation",
         camera: StereoCamera | None = None,
         training: Mapping[str, Any] | None = None,
-        lasting: float | None = None,
+        time_correlation: float | None = None,
     ) -> None:
-        shipped = LASTING if scale is None and refers_to == "observation" else 0.0
-        self.lasting = shipped if lasting is None else lasting
+        shipped = TIME_CORRELATION if scale is None and refers_to == "observation" else 0.0
+        self.time_correlation = shipped if time_correlation is None else time_correlation
         self.dof = self.dof_ = dof
         self.scale = self.scale_ = SIGMA_PX**2 * np.eye(4) if scale is None else scale
-        self.refers_to, self.camera, self.training = refers_to, camera, training or {}
+        self.refers_to = refers_to
+        self.camera = camera
+        self.training = training or {}
 
-    def fit(self, predictors: FloatArray, residuals: FloatArray, *, spread: FloatArray | None = None) -> Self:
+    def fit(
+        self, predictors: FloatArray, residuals: FloatArray, *, spread: FloatArray | None = None
+    ) -> Self:
         """Set ``scale_``, in full, and ``dof_`` by maximum likelihood (EM).
 
         Args:
@@ -72,15 +82,24 @@ class StudentT:
             InputError: there is no residual, or one is not finite.
         """
         fitted = fit_static(np.asarray(residuals, dtype=np.float64), spread)
-        self.scale_, self.dof_ = fitted.scale[0], float(fitted.dof[0])
+        self.scale_ = fitted.scale[0]
+        self.dof_ = float(fitted.dof[0])
         return self
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """The same noise for each of N features, whatever their predictors [N, M]."""
         count = len(predictors)
         scale = np.broadcast_to(np.asarray(self.scale_, dtype=np.float64), (count, 4, 4))
-        lasting = self.lasting**2 * disparity_variance(scale) if self.lasting else None
-        return StereoNoise(scale, np.full(count, self.dof_), np.zeros((count, 4)), self.refers_to, lasting=lasting)
+        time_correlated = (
+            self.time_correlation**2 * disparity_variance(scale) if self.time_correlation else None
+        )
+        return StereoNoise(
+            scale,
+            np.full(count, self.dof_),
+            np.zeros((count, 4)),
+            refers_to=self.refers_to,
+            time_correlation=time_correlated,
+        )
 
     def check_camera(self, camera: StereoCamera) -> None:
         """Refuse another camera than that of the training; untrained, it takes any.
@@ -95,7 +114,7 @@ class StudentT:
         facts = {
             "dof": "inf" if np.isinf(self.dof_) else self.dof_,
             "refers_to": self.refers_to,
-            "lasting": self.lasting,
+            "time_correlation": self.time_correlation,
             **origin_facts(self.camera, self.training),
         }
         return ModelFile("student-t", {"scale": np.asarray(self.scale_, dtype=np.float64)}, facts)
@@ -107,7 +126,19 @@ class StudentT:
         Raises:
             KeyError, ValueError, InputError: the file does not hold such a model.
         """
-        facts, scale = _Facts.of(file), file.arrays["scale"]
-        if scale.shape != (4, 4) or scale.dtype != np.float64 or not np.linalg.eigvalsh(scale)[0] > 0.0:
+        facts = _Facts.of(file)
+        scale = file.arrays["scale"]
+        if (
+            scale.shape != (4, 4)
+            or scale.dtype != np.float64
+            or not np.linalg.eigvalsh(scale)[0] > 0.0
+        ):
             raise ValueError("its scale is no positive definite matrix")
-        return StudentT(float(facts.dof), scale, facts.refers_to, facts.camera, facts.training, facts.lasting)
+        return StudentT(
+            float(facts.dof),
+            scale,
+            facts.refers_to,
+            camera=facts.camera,
+            training=facts.training,
+            time_correlation=facts.time_correlation,
+        )

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
-from probevo.motion.estimate import Status
 from probevo.output.metrics_table import readable
 from probevo.output.run_result import RunResult
 from probevo.run_config import RunConfig
 
 COLUMNS = ("ARMSE m", "final error m", "drift %", "rotation °/m", "ms/frame")
-"""Figures of merit; the less, the better. Drift and rotation are those over pieces of 10 to 50 m."""
+"""Figures of merit; the less, the better. Drift and rotation are those over pieces of 10 to 50 m.
+"""
 DOMAIN_COLUMN = "out of domain %"
 """Share of the features out of the noise model's domain."""
 TIME_COLUMN = COLUMNS.index("ms/frame")
@@ -38,13 +39,15 @@ class Entry:
     metrics: Metrics | None = None
     """Comparison with the truth."""
     pictures: tuple[tuple[str, bytes], ...] = ()
-    """Caption and JPEG file of a few frames with their tracks; of the same frames for all entries of a sequence."""
+    """Caption and JPEG file of a few frames with their tracks; of the same frames for all entries
+    of a sequence."""
     report: Path | None = None
     """The report of this run alone."""
     config: RunConfig | None = None
     """All settings of this run."""
     learned_from_it: bool = False
-    """Whether the noise model was learned from a recording of this name: its figures then say little of other ones."""
+    """Whether the noise model was learned from a recording of this name: its figures then say
+    little of other ones."""
 
     @property
     def figures(self) -> tuple[float | None, ...]:
@@ -57,7 +60,8 @@ class Entry:
     @property
     def asides(self) -> dict[str, float | None]:
         """Figures that are no errors, by the head of their column; None where unknown."""
-        steps, share = self.result.status, self.result.out_of_domain
+        steps = self.result.status
+        share = self.result.out_of_domain
         return {
             "solved %": 100.0 * float(np.mean(steps == Status.OK)) if len(steps) else None,
             "ANEES": self.metrics.anees if self.metrics else None,
@@ -100,11 +104,15 @@ class Comparison:
 
 
 def comparison_rows(comparison: Comparison) -> list[tuple[str, ...]]:
-    """Head and rows of the table as text: for each sequence a row with its name alone, then one an estimator."""
+    """Head and rows of the table as text: for each sequence a row with its name alone, then one an
+    estimator."""
     rows: list[tuple[str, ...]] = [("estimator", *comparison.columns)]
     for sequence in comparison.sequences:
         rows.append((sequence, *("" for _ in comparison.columns)))
-        rows += [(f"  {label(entry)}", *figure_texts(entry, comparison.columns)) for entry in comparison.of(sequence)]
+        rows += [
+            (f"  {label(entry)}", *figure_texts(entry, comparison.columns))
+            for entry in comparison.of(sequence)
+        ]
     return rows
 
 
@@ -125,7 +133,8 @@ def figure_text(value: float | None) -> str:
 
 
 def reads_least(values: Sequence[float | None]) -> list[bool]:
-    """Which of the values a reader takes for the least; none where there is nothing to compare it with."""
+    """Which of the values a reader takes for the least; none where there is nothing to compare it
+    with."""
     known = [value for value in values if value is not None]
     least = figure_text(min(known)) if len(known) > 1 else None
     return [value is not None and figure_text(value) == least for value in values]
@@ -133,7 +142,11 @@ def reads_least(values: Sequence[float | None]) -> list[bool]:
 
 def truth_note(comparison: Comparison) -> tuple[str, ...]:
     """Which recordings have no truth; nothing if all have."""
-    without = [name for name in comparison.sequences if not any(entry.has_truth for entry in comparison.of(name))]
+    without = [
+        name
+        for name in comparison.sequences
+        if not any(entry.has_truth for entry in comparison.of(name))
+    ]
     return (f"No truth is known, and so no error: {', '.join(without)}.",) if without else ()
 
 
@@ -141,8 +154,13 @@ def column_notes(comparison: Comparison) -> tuple[str, ...]:
     """What the asides and the marks mean, of those that there are."""
     notes = {
         "solved %": "Solved: steps that were, and not carried on from the last velocity.",
-        "ANEES": "ANEES: of the steps; 6 is honest, more is overconfident, or the truth of a step is noisy.",
-        DOMAIN_COLUMN: "Out of domain: features that lie where the noise model has seen no training data.",
+        "ANEES": (
+            "ANEES: of the steps; 6 is honest, more is overconfident, or the truth of a step is"
+            " noisy."
+        ),
+        DOMAIN_COLUMN: (
+            "Out of domain: features that lie where the noise model has seen no training data."
+        ),
     }
     learned = any(entry.learned_from_it for entry in comparison.entries)
     marks = ("†: learned from a recording of this name, and so no judge of it.",) if learned else ()
@@ -150,16 +168,25 @@ def column_notes(comparison: Comparison) -> tuple[str, ...]:
 
 
 def distinct_labels(paths: Sequence[Path], taken: Collection[str] = ()) -> list[str]:
-    """A name for each file or folder: its own, after as many folders as it takes to tell it from the others.
+    """A name for each file or folder: its own, after as many folders as it takes to tell it from
+    the others.
 
-    Names differ in more than their case, and are none of those ``taken``, so that they can be names of folders too.
+    Names differ in more than their case, and are none of those ``taken``, so that they can be names
+    of folders too.
     """
-    parts = [(*path.resolve().parent.parts[1:], path.stem if path.is_file() else path.resolve().name) for path in paths]
+    parts = [
+        (*path.resolve().parent.parts[1:], path.stem if path.is_file() else path.resolve().name)
+        for path in paths
+    ]
     depths = [1] * len(paths)
     while True:
         labels = ["-".join(part[-depth:]) for part, depth in zip(parts, depths, strict=True)]
         counts = Counter(name.casefold() for name in (*labels, *taken))
-        longer = [k for k, label in enumerate(labels) if counts[label.casefold()] > 1 and depths[k] < len(parts[k])]
+        longer = [
+            k
+            for k, label in enumerate(labels)
+            if counts[label.casefold()] > 1 and depths[k] < len(parts[k])
+        ]
         if not longer:
             return numbered(labels, taken)
         for k in longer:
@@ -168,9 +195,11 @@ def distinct_labels(paths: Sequence[Path], taken: Collection[str] = ()) -> list[
 
 def numbered(names: Sequence[str], taken: Collection[str] = ()) -> list[str]:
     """The names, with -2, -3 … behind those that came before, but for their case."""
-    used, unique = {name.casefold() for name in taken}, []
+    used = {name.casefold() for name in taken}
+    unique = []
     for name in names:
-        candidate, number = name, 1
+        candidate = name
+        number = 1
         while candidate.casefold() in used:
             number += 1
             candidate = f"{name}-{number}"

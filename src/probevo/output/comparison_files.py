@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from probevo import __version__
+from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
 from probevo.files import write_atomically
-from probevo.motion.estimate import Status
 from probevo.output.comparison import Entry
 
 STEPS = tuple(status for status in Status if status is not Status.FIRST)
@@ -24,22 +24,39 @@ _PERCENTAGES = ("50", "90", "95", "99")
 
 
 def flat_record(entry: Entry) -> dict[str, object]:
-    """A run as the cells of one line: whose, how many steps of each status, the median time, every metric.
+    """A run as the cells of one line: whose, how many steps of each status, the median time, every
+    metric.
 
-    Names are those of ``metrics.json``; its ``nees_coverage`` has a column for each percentage. None where unknown.
+    Names are those of ``metrics.json``; its ``nees_coverage`` has a column for each percentage.
+    None where unknown.
     """
-    values = {field.name: None for field in fields(Metrics)} | (entry.metrics.as_dict() if entry.metrics else {})
+    values = {field.name: None for field in fields(Metrics)} | (
+        entry.metrics.as_dict() if entry.metrics else {}
+    )
     coverage = values.pop("nees_coverage") or {}
-    shares = {f"nees_coverage_{key}": coverage.get(key) for key in _PERCENTAGES} if isinstance(coverage, dict) else {}
+    shares = (
+        {f"nees_coverage_{key}": coverage.get(key) for key in _PERCENTAGES}
+        if isinstance(coverage, dict)
+        else {}
+    )
     steps = {f"steps_{name}": count for name, count in steps_of(entry).items()}
     whose = {"sequence": entry.sequence, "estimator": entry.estimator}
     values["out_of_domain"] = entry.result.out_of_domain  # it needs no truth
-    return whose | {"frames": len(entry.result)} | steps | {"ms_per_frame": _median_ms(entry)} | values | shares
+    return (
+        whose
+        | {"frames": len(entry.result)}
+        | steps
+        | {"ms_per_frame": _median_ms(entry)}
+        | values
+        | shares
+    )
 
 
 def record(entry: Entry, folder: Path) -> dict[str, object]:
     """A run as an object of JSON; the path of its report is relative to ``folder``."""
-    report = None if entry.report is None else Path(os.path.relpath(entry.report, folder)).as_posix()
+    report = (
+        None if entry.report is None else Path(os.path.relpath(entry.report, folder)).as_posix()
+    )
     return {
         "sequence": entry.sequence,
         "estimator": entry.estimator,
@@ -65,7 +82,8 @@ def document(entries: Iterable[Entry], folder: Path) -> dict[str, object]:
 
 
 def write_csv(path: Path, records: Iterable[Mapping[str, object]]) -> None:
-    """Write records that all have the keys of the first; numbers at full precision, None as nothing."""
+    """Write records that all have the keys of the first; numbers at full precision, None as
+    nothing."""
     records = list(records)
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, fieldnames=list(records[0]), lineterminator="\n")

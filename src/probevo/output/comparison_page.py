@@ -29,7 +29,11 @@ _MOST_PICTURES = 4
 
 
 def write_comparison(
-    path: Path, comparison: Comparison, title: str, facts: Mapping[str, str], trials: TrialTable | None = None
+    path: Path,
+    comparison: Comparison,
+    title: str,
+    facts: Mapping[str, str],
+    trials: TrialTable | None = None,
 ) -> None:
     """Write the page. The same arguments give the same bytes.
 
@@ -52,7 +56,7 @@ def write_comparison(
         sections.append(trials_section(trials))
     for number, sequence in enumerate(comparison.sequences):
         sections += _sequence_sections(comparison.of(sequence), colors, number)
-    write_page(path, title, facts, sections)
+    write_page(path, title, facts, sections=sections)
 
 
 def _table_section(comparison: Comparison, colors: Mapping[str, str], folder: Path) -> str:
@@ -60,20 +64,37 @@ def _table_section(comparison: Comparison, colors: Mapping[str, str], folder: Pa
     bodies = []
     for sequence in comparison.sequences:
         entries = comparison.of(sequence)
-        rows = [f'<tr class="group"><th colspan="{len(comparison.columns) + 2}">{escape(sequence)}</th></tr>']
+        rows = [
+            '<tr class="group"><th'
+            f' colspan="{len(comparison.columns) + 2}">{escape(sequence)}</th></tr>'
+        ]
         cells = [figure_texts(entry, comparison.columns) for entry in entries]
-        rows += [_row(*row, colors, folder) for row in zip(entries, cells, _best(entries, len(cells[0])), strict=True)]
+        rows += [
+            _row(*row, colors, folder)
+            for row in zip(entries, cells, _best(entries, len(cells[0])), strict=True)
+        ]
         bodies.append("<tbody>\n" + "\n".join(rows) + "\n</tbody>")
     note = (
-        "Position errors with the starts made equal; drift and rotation over pieces of 10 to 50 m; median time, "
-        "without decoding. Bold: the least of a sequence."
+        "Position errors with the starts made equal; drift and rotation over pieces of 10 to 50 m;"
+        " median time, without decoding. Bold: the least of a sequence."
     )
     note = " ".join([note, *column_notes(comparison)])
-    table = f'<table class="figures"><thead><tr>{head}</tr></thead>\n' + "\n".join(bodies) + "</table>"
-    return f'<section class="panel"><h2>Figures of merit</h2><p class="note">{note}</p>\n{table}</section>'
+    table = (
+        f'<table class="figures"><thead><tr>{head}</tr></thead>\n' + "\n".join(bodies) + "</table>"
+    )
+    return (
+        '<section class="panel"><h2>Figures of merit</h2><p'
+        f' class="note">{note}</p>\n{table}</section>'
+    )
 
 
-def _row(entry: Entry, texts: Sequence[str], best: Sequence[bool], colors: Mapping[str, str], folder: Path) -> str:
+def _row(
+    entry: Entry,
+    texts: Sequence[str],
+    best: Sequence[bool],
+    colors: Mapping[str, str],
+    folder: Path,
+) -> str:
     swatch = f'<i class="swatch" style="background:{colors[entry.estimator]}"></i>'
     cells = "".join(
         f'<td class="best">{text}</td>' if is_best else f"<td>{text}</td>"
@@ -81,38 +102,56 @@ def _row(entry: Entry, texts: Sequence[str], best: Sequence[bool], colors: Mappi
     )
     link = ""
     if entry.report is not None:
-        # Paths as a browser reads them, whatever the system's separator and whatever characters are in a name.
-        link = f'<a href="{quote(Path(os.path.relpath(entry.report, folder)).as_posix())}">report</a>'
+        # Paths as a browser reads them, whatever the system's separator and whatever characters are
+        # in a name.
+        link = (
+            f'<a href="{quote(Path(os.path.relpath(entry.report, folder)).as_posix())}">report</a>'
+        )
     return f"<tr><th>{swatch}{escape(label(entry))}</th>{cells}<td>{link}</td></tr>"
 
 
 def _best(entries: Sequence[Entry], count: int) -> list[list[bool]]:
-    """Of each entry, which of its ``count`` figures is an error that reads as the least; none without a rival, or of an
-    entry that has seen the recording before."""
-    unseen = [(None,) * len(COLUMNS) if entry.learned_from_it else entry.figures for entry in entries]
+    """Of each entry, which of its ``count`` figures is an error that reads as the least; none
+    without a rival, or of an entry that has seen the recording before."""
+    unseen = [
+        (None,) * len(COLUMNS) if entry.learned_from_it else entry.figures for entry in entries
+    ]
     columns = [reads_least(column) for column in zip(*unseen, strict=True)]
     columns[TIME_COLUMN] = [False] * len(entries)  # decided by a hair, and otherwise the next time
     columns += [[False] * len(entries)] * (count - len(columns))  # what is not an error
     return [list(row) for row in zip(*columns, strict=True)]
 
 
-def _sequence_sections(entries: Sequence[Entry], colors: Mapping[str, str], number: int) -> list[str]:
-    sequence, metrics = entries[0].sequence, entries[0].metrics
-    length = f", {readable(metrics.path_length_m)} m" if metrics and metrics.path_length_m is not None else ""
+def _sequence_sections(
+    entries: Sequence[Entry], colors: Mapping[str, str], number: int
+) -> list[str]:
+    sequence = entries[0].sequence
+    metrics = entries[0].metrics
+    length = (
+        f", {readable(metrics.path_length_m)} m"
+        if metrics and metrics.path_length_m is not None
+        else ""
+    )
     aside = f"{len(entries[0].result):,} frames{length}"
     known = metrics is not None and metrics.armse_m is not None
     above = "The paths over the true one" if known else "No truth is known"
     claims = "Dashed: what each run itself claims as 3σ, in its worst direction."
     with figure_style():
-        paths = panel("Seen from above", f"{above}; forward is up.", paths_figure(entries, colors), f"paths-{number}")
+        paths = panel(
+            "Seen from above",
+            f"{above}; forward is up.",
+            paths_figure(entries, colors),
+            name=f"paths-{number}",
+        )
         what = "Error along the path" if known else "Claimed uncertainty"
-        errors = panel(what, claims, errors_figure(entries, colors), f"errors-{number}")
+        errors = panel(what, claims, errors_figure(entries, colors), name=f"errors-{number}")
     heading = f'<h2 class="sequence">{escape(sequence)}<small>{aside}</small></h2>'
     return [heading, grid([paths, errors]), frames_section(_pictures(entries))]
 
 
 def _pictures(entries: Sequence[Entry]) -> list[tuple[str, bytes]]:
-    """Pictures of as many frames as fit, spread over the run; those of the same frame beside each other."""
+    """Pictures of as many frames as fit, spread over the run; those of the same frame beside each
+    other."""
     shown = [entry for entry in entries if entry.pictures]
     if not shown:
         return []

@@ -14,7 +14,13 @@ from probevo.arrays import FloatArray
 from probevo.geometry import se3
 from probevo.output.comparison import Entry
 from probevo.output.report_data import Drift, drift_of
-from probevo.output.report_plots import RASTER_FROM, along_path, length_unit, limits_of, readable_top
+from probevo.output.report_plots import (
+    RASTER_FROM,
+    along_path,
+    length_unit,
+    limits_of,
+    readable_top,
+)
 from probevo.output.svg import GREY, INK, LEGEND_ABOVE, MUTED, WIDTH_IN
 
 HEIGHT_IN = 4.2
@@ -22,28 +28,43 @@ _DASHED: dict[str, Any] = {"lw": 0.9, "ls": (0, (4, 2.5))}
 
 
 def paths_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
-    """The paths from above, forward up, over the true one; all start in the same place and direction.
+    """The paths from above, forward up, over the true one; all start in the same place and
+    direction.
 
     Args:
         entries: of one sequence, at least one, each of two frames or more.
         colors: of each estimator, by its name.
     """
     paths_m = [_path_from_above(entry.result.T_world_cam, _origin(entry)) for entry in entries]
-    true_m = [_path_from_above(entry.truth, _origin(entry)) for entry in entries if entry.truth is not None]
+    true_m = [
+        _path_from_above(entry.truth, _origin(entry))
+        for entry in entries
+        if entry.truth is not None
+    ]
     known_m = [path_m for path_m in true_m if np.isfinite(path_m).any()]
     everything_m = np.concatenate(paths_m + known_m)
-    low_m, high_m = np.nanmin(everything_m, axis=0), np.nanmax(everything_m, axis=0)
+    low_m = np.nanmin(everything_m, axis=0)
+    high_m = np.nanmax(everything_m, axis=0)
     margin_m = 0.04 * max(float((high_m - low_m).max()), 1e-3)
     factor, unit = length_unit(float(np.max(high_m - low_m)))
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN))
     axes = figure.add_subplot(xlabel=f"right x, {unit}", ylabel=f"forward z, {unit}")
-    # The limits grow to fill the figure: a straight path keeps its surroundings, and its scale stays true.
+    # The limits grow to fill the figure: a straight path keeps its surroundings, and its scale
+    # stays true.
     axes.set_aspect("equal", adjustable="datalim")
     axes.update_datalim([(low_m - margin_m) * factor, (high_m + margin_m) * factor])
     if known_m:
-        _draw_path(axes, factor * max(known_m, key=len), color=GREY, lw=5.0, alpha=0.6, label="truth")
+        _draw_path(
+            axes, factor * max(known_m, key=len), color=GREY, lw=5.0, alpha=0.6, label="truth"
+        )
     for entry, path_m, width in zip(entries, paths_m, _widths(entries), strict=True):
-        _draw_path(axes, factor * path_m, color=colors[entry.estimator], lw=width, label=_literal(entry.estimator))
+        _draw_path(
+            axes,
+            factor * path_m,
+            color=colors[entry.estimator],
+            lw=width,
+            label=_literal(entry.estimator),
+        )
     axes.plot(0, 0, "o", color=INK, ms=7, mec="white", mew=0.8, zorder=6, ls="", label="start")
     axes.plot([], [], "s", color=MUTED, ms=6, label="end")
     axes.legend(ncols=5, **LEGEND_ABOVE)
@@ -51,7 +72,8 @@ def paths_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
 
 
 def errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
-    """Distance between estimated and true position along the path; dashed, what each run claims as 3σ of it.
+    """Distance between estimated and true position along the path; dashed, what each run claims as
+    3σ of it.
 
     Args:
         entries: of one sequence, at least one, each of two frames or more.
@@ -60,21 +82,29 @@ def errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure
     drifts = [drift_of(entry.result, entry.truth) for entry in entries]
     errors_m = [_position_error(drift) for drift in drifts]
     claims_m = [3.0 * drift.position_sigma_m for drift in drifts]
-    top_m = max(readable_top(claim_m, error_m) for claim_m, error_m in zip(claims_m, errors_m, strict=True))
+    top_m = max(
+        readable_top(claim_m, error_m) for claim_m, error_m in zip(claims_m, errors_m, strict=True)
+    )
     factor, unit = length_unit(top_m)
-    longest, label = max((along_path(drift) for drift in drifts), key=lambda along: float(along[0][-1]))
+    longest, label = max(
+        (along_path(drift) for drift in drifts), key=lambda along: float(along[0][-1])
+    )
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN))
     axes = figure.add_subplot(xlabel=label, ylabel=f"position error, {unit}")
     for entry, drift, error_m, claim_m, width in zip(
         entries, drifts, errors_m, claims_m, _widths(entries), strict=True
     ):
-        along, color = along_path(drift)[0], colors[entry.estimator]
+        along = along_path(drift)[0]
+        color = colors[entry.estimator]
         dense = len(along) > RASTER_FROM
         axes.plot(along, claim_m * factor, color=color, alpha=0.8, rasterized=dense, **_DASHED)
         if error_m is not None:
             axes.plot(along, error_m * factor, color=color, lw=width, zorder=3, rasterized=dense)
     axes.set(xlim=limits_of(longest), ylim=(0, top_m * factor))
-    handles = [Line2D([], [], color=colors[e.estimator], lw=1.6, label=_literal(e.estimator)) for e in entries]
+    handles = [
+        Line2D([], [], color=colors[e.estimator], lw=1.6, label=_literal(e.estimator))
+        for e in entries
+    ]
     handles.append(Line2D([], [], color=MUTED, label="3σ claimed", **_DASHED))
     axes.legend(handles=handles, ncols=5, **LEGEND_ABOVE)
     return figure
@@ -96,7 +126,9 @@ def _draw_path(axes: Axes, points: FloatArray, *, color: str, **style: Any) -> N
     known = points[np.isfinite(points).all(axis=1)]
     line = axes.plot(*points.T, color=color, rasterized=len(points) > RASTER_FROM, **style)[0]
     size = 4.0 + line.get_linewidth()
-    axes.plot(*known[-1], "s", color=color, ms=size, mec="white", mew=0.8, zorder=line.get_zorder() + 1)
+    axes.plot(
+        *known[-1], "s", color=color, ms=size, mec="white", mew=0.8, zorder=line.get_zorder() + 1
+    )
 
 
 def _widths(entries: Sequence[Entry]) -> FloatArray:
@@ -108,7 +140,9 @@ def _position_error(drift: Drift) -> FloatArray | None:
     """Distance between estimated and true position, [N], m; NaN where unknown."""
     if drift.T_world_cam_true is None:
         return None
-    return np.asarray(np.linalg.norm((drift.T_world_cam - drift.T_world_cam_true)[:, :3, 3], axis=1))
+    return np.asarray(
+        np.linalg.norm((drift.T_world_cam - drift.T_world_cam_true)[:, :3, 3], axis=1)
+    )
 
 
 def _literal(name: str) -> str:

@@ -14,11 +14,12 @@ def domain_text(out_of_domain: float) -> str:
 
 
 def domain_warning(out_of_domain: float | None) -> str | None:
-    """What a large share of features out of domain means, and what to do about it; None if there is nothing to fear."""
+    """What a large share of features out of domain means, and what to do about it; None if there is
+    nothing to fear."""
     if out_of_domain is None or out_of_domain <= WARN_ABOVE:
         return None
     return (
-        f"The noise model was trained on nothing like {domain_text(out_of_domain)}. For these it falls back on what it "
-        "expects of any feature, and weights and covariance deserve less trust. Train it on recordings like this one, "
-        "with probevo train."
+        f"The noise model was trained on nothing like {domain_text(out_of_domain)}. For these it"
+        " falls back on what it expects of any feature, and weights and covariance deserve less"
+        " trust. Train it on recordings like this one, with probevo train."
     )

@@ -7,15 +7,21 @@ import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray, Image, IntArray
 
-TRUST_COLORS_BGR = np.array([[60, 60, 225], [50, 130, 245], [70, 205, 245], [140, 205, 110], [200, 170, 40]])
-"""From distrusted (red) to trusted (blue-green), one a class of weights; apart also for the colour-blind."""
+TRUST_COLORS_BGR = np.array(
+    [[60, 60, 225], [50, 130, 245], [70, 205, 245], [140, 205, 110], [200, 170, 40]]
+)
+"""From distrusted (red) to trusted (blue-green), one a class of weights; apart also for the
+colour-blind."""
 WIDTH_PX = 960
 _SHIFT = 4
 """Fractional bits of the coordinates that OpenCV draws at."""
 
 
-def draw_tracks(left: Image, prev_px: FloatArray, curr_px: FloatArray, weights: FloatArray) -> bytes:
-    """The left image with a line from the previous to the current place of each point and a dot at the current one.
+def draw_tracks(
+    left: Image, prev_px: FloatArray, curr_px: FloatArray, weights: FloatArray
+) -> bytes:
+    """The left image with a line from the previous to the current place of each point and a dot at
+    the current one.
 
     Args:
         left: current left image, [height, width], uint8.
@@ -27,37 +33,46 @@ def draw_tracks(left: Image, prev_px: FloatArray, curr_px: FloatArray, weights: 
         A JPEG file, ``WIDTH_PX`` wide.
     """
     scale = WIDTH_PX / left.shape[1]
-    picture = cv2.cvtColor(cv2.resize(left, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
+    picture = cv2.cvtColor(
+        cv2.resize(left, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR
+    )
     picture = cv2.convertScaleAbs(picture, alpha=0.8)
     ends = np.stack([prev_px[:, :2], curr_px[:, :2]], axis=1)
     ends = np.round(((ends + 0.5) * scale - 0.5) * 2**_SHIFT).astype(np.int32)
-    classes = np.clip(weights * len(TRUST_COLORS_BGR), 0, len(TRUST_COLORS_BGR) - 1).astype(np.int64)
+    classes = np.clip(weights * len(TRUST_COLORS_BGR), 0, len(TRUST_COLORS_BGR) - 1).astype(
+        np.int64
+    )
     for k, color in enumerate(TRUST_COLORS_BGR.tolist()):
         chosen = ends[classes == k]
         cv2.polylines(picture, list(chosen), False, color, 1, cv2.LINE_AA, _SHIFT)
         for u, v in chosen[:, 1].tolist():
-            cv2.circle(picture, (u, v), int(2.2 * 2**_SHIFT), color, cv2.FILLED, cv2.LINE_AA, _SHIFT)
+            cv2.circle(
+                picture, (u, v), int(2.2 * 2**_SHIFT), color, cv2.FILLED, cv2.LINE_AA, _SHIFT
+            )
     _draw_legend(picture, np.bincount(classes, minlength=len(TRUST_COLORS_BGR)))
     return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 82])[1].tobytes()
 
 
 def _draw_legend(picture: AnyArray, counts: IntArray) -> None:
-    """Lower left: one box a class, with the number of tracks in it, between "distrusted" and "trusted"."""
-    box_w, box_h, margin = 34, 16, 8
+    """Lower left: one box a class, with the number of tracks in it, between "distrusted" and
+    "trusted"."""
+    box_w = 34
+    box_h = 16
+    margin = 8
     top = picture.shape[0] - margin - box_h
-    x = _put_text(picture, "distrusted", margin + 4, top, box_h)
+    x = _put_text(picture, "distrusted", margin + 4, top=top, height=box_h)
     for color, count in zip(TRUST_COLORS_BGR.tolist(), counts.tolist(), strict=True):
         cv2.rectangle(picture, (x, top), (x + box_w, top + box_h), color, cv2.FILLED)
-        _write(picture, str(count), x + 4, top + box_h - 4, (20, 20, 20))
+        _write(picture, str(count), x + 4, y=top + box_h - 4, color=(20, 20, 20))
         x += box_w
-    _put_text(picture, "trusted", x + 6, top, box_h)
+    _put_text(picture, "trusted", x + 6, top=top, height=box_h)
 
 
 def _put_text(picture: AnyArray, text: str, x: int, top: int, height: int) -> int:
     """Write on a dark ground; returns where it ends."""
     (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)
     cv2.rectangle(picture, (x - 4, top), (x + width + 4, top + height), (30, 30, 30), cv2.FILLED)
-    _write(picture, text, x, top + height - 4, (240, 240, 240))
+    _write(picture, text, x, y=top + height - 4, color=(240, 240, 240))
     return x + width + 6
 
 

@@ -1,4 +1,5 @@
-"""Features drawn on the image, coloured by a predictor or by their weight, with a legend below: PROBE Figs. 6, 7."""
+"""Features drawn on the image, coloured by a predictor or by their weight, with a legend below:
+PROBE Figs. 6, 7."""
 
 from __future__ import annotations
 
@@ -17,14 +18,23 @@ from probevo.output.drawing import TRUST_COLORS_BGR
 from probevo.output.metrics_table import readable
 
 LEGEND_PX = 46
-"""Height of the legend below a picture of REFERENCE_PX; dots and legend grow with the picture's width."""
+"""Height of the legend below a picture of REFERENCE_PX; dots and legend grow with the picture's
+width."""
 REFERENCE_PX = 720
 READABLE_PX = 960
 """Smaller images are enlarged, by a whole factor, to about this width."""
 _QUANTILE = 0.02
-"""Outermost share of the values on either side that has the colour of the end: single values would fade all others."""
-_GROUND, _DIMMED, _RING, _OUTLINE, _MARK = 70, 0.75, (190, 190, 190), (25, 25, 25), (225, 80, 255)
-_DPI, _BAR_FROM_PX, _DARK, _BRIGHT = 110, 96, "#1f2933", "#f5f7f9"
+"""Outermost share of the values on either side that has the colour of the end: single values would
+fade all others."""
+_GROUND = 70
+_DIMMED = 0.75
+_RING = (190, 190, 190)
+_OUTLINE = (25, 25, 25)
+_MARK = (225, 80, 255)
+_DPI = 110
+_BAR_FROM_PX = 96
+_DARK = "#1f2933"
+_BRIGHT = "#f5f7f9"
 _SHIFT = 4
 """Fractional bits of the coordinates that OpenCV draws at."""
 
@@ -48,39 +58,58 @@ def value_shades(name: str, unit: str, values: FloatArray, *, logarithmic: bool 
     """From dark blue to yellow, which the colour-blind tell apart too; NaN is undefined."""
     low, high, ends = _limits(values)
     if logarithmic and low > 0.0:
-        low, high, values = float(np.log(low)), float(np.log(high)), np.log(values)
+        low = float(np.log(low))
+        high = float(np.log(high))
+        values = np.log(values)
     colors = matplotlib.colormaps["viridis"](np.linspace(0.06, 1.0, 256))[:, 2::-1] * 255.0
     title = f"{name}, {unit}" if unit else name
     if high > low:
-        return Shades(np.clip((values - low) / (high - low), 0.0, 1.0), colors, title, ends)
-    return Shades(np.where(np.isnan(values), np.nan, 0.5), np.tile(colors[128], (256, 1)), title, ends)
+        return Shades(np.clip((values - low) / (high - low), 0.0, 1.0), colors, title, ends=ends)
+    return Shades(
+        np.where(np.isnan(values), np.nan, 0.5), np.tile(colors[128], (256, 1)), title, ends=ends
+    )
 
 
 def weight_shades(beta: FloatArray) -> Shades:
-    """From trusted, blue-green, to distrusted, red, on a logarithmic scale with β = 1 in its middle."""
+    """From trusted, blue-green, to distrusted, red, on a logarithmic scale with β = 1 in its
+    middle."""
     logs = np.log(beta)
     reach = max(float(np.quantile(np.abs(logs), 1.0 - _QUANTILE)), 0.01) if len(beta) else 1.0
     knots = np.linspace(0.0, 1.0, len(TRUST_COLORS_BGR))
     at = np.linspace(0.0, 1.0, 256)
-    colors = np.stack([np.interp(at, knots, channel) for channel in TRUST_COLORS_BGR[::-1].T], axis=1)
+    colors = np.stack(
+        [np.interp(at, knots, channel) for channel in TRUST_COLORS_BGR[::-1].T], axis=1
+    )
     low, high = np.exp([-reach, reach]).tolist()
     ends = _end_texts(low, high, beta)
     place = np.clip(0.5 + 0.5 * logs / reach, 0.0, 1.0)
-    return Shades(place, colors, "β, by which the noise is scaled: trusted … distrusted", ends, "1")
+    return Shades(
+        place,
+        colors,
+        "β, by which the noise is scaled: trusted … distrusted",
+        ends=ends,
+        middle="1",
+    )
 
 
 def draw_features(
-    left: Image | None, size_px: tuple[int, int], uv: FloatArray, shades: Shades, out_of_domain: BoolArray | None = None
+    left: Image | None,
+    size_px: tuple[int, int],
+    uv: FloatArray,
+    shades: Shades,
+    out_of_domain: BoolArray | None = None,
 ) -> bytes:
-    """The left image with a dot at each feature, a hollow grey ring where it has no value, and the legend below.
+    """The left image with a dot at each feature, a hollow grey ring where it has no value, and the
+    legend below.
 
     Args:
         left: current left image, [height, width], uint8; None draws on a plain ground.
-        size_px: its (width, height). The picture is as large, or a whole multiple if it is small (``enlargement``);
-            ``legend_height`` comes below.
+        size_px: its (width, height). The picture is as large, or a whole multiple if it is small
+            (``enlargement``); ``legend_height`` comes below.
         uv: places of the features, [N, 2], px.
         shades: their colours.
-        out_of_domain: which are out of a model's domain, [N]: they get a magenta ring, and the legend counts them.
+        out_of_domain: which are out of a model's domain, [N]: they get a magenta ring, and the
+            legend counts them.
 
     Returns:
         A JPEG file.
@@ -94,19 +123,25 @@ def draw_features(
     unknown = np.isnan(shades.place)
     size = picture.shape[1] / REFERENCE_PX
     for u, v in centers[unknown].tolist():
-        _circle(picture, (u, v), 3.0 * size, _RING, max(1, round(size)))
+        _circle(picture, (u, v), 3.0 * size, color=_RING, thickness=max(1, round(size)))
     colors = shades.colors_bgr[np.round(255.0 * shades.place[~unknown]).astype(np.int64)]
     # The rarer, extreme values on top of the others.
     order = np.argsort(np.abs(shades.place[~unknown] - 0.5), kind="stable")
-    for (u, v), color in zip(centers[~unknown][order].tolist(), colors[order].tolist(), strict=True):
-        _circle(picture, (u, v), 3.8 * size, _OUTLINE, cv2.FILLED)
-        _circle(picture, (u, v), 3.0 * size, color, cv2.FILLED)
+    for (u, v), color in zip(
+        centers[~unknown][order].tolist(), colors[order].tolist(), strict=True
+    ):
+        _circle(picture, (u, v), 3.8 * size, color=_OUTLINE, thickness=cv2.FILLED)
+        _circle(picture, (u, v), 3.0 * size, color=color, thickness=cv2.FILLED)
     num_out_of_domain = 0 if out_of_domain is None else int(out_of_domain.sum())
     if out_of_domain is not None:
         for u, v in centers[out_of_domain].tolist():
-            _circle(picture, (u, v), 5.6 * size, _MARK, max(1, round(1.4 * size)))
-    legend = _legend(picture.shape[1], shades, int(unknown.sum()), num_out_of_domain)
-    return cv2.imencode(".jpg", np.vstack([picture, legend]), [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+            _circle(picture, (u, v), 5.6 * size, color=_MARK, thickness=max(1, round(1.4 * size)))
+    legend = _legend(
+        picture.shape[1], shades, int(unknown.sum()), num_out_of_domain=num_out_of_domain
+    )
+    return cv2.imencode(".jpg", np.vstack([picture, legend]), [cv2.IMWRITE_JPEG_QUALITY, 85])[
+        1
+    ].tobytes()
 
 
 def enlargement(size_px: tuple[int, int]) -> int:
@@ -134,35 +169,58 @@ def _end_texts(low: float, high: float, values: FloatArray) -> tuple[str, str]:
     return "≤ " * bool(beyond[0]) + readable(low), "≥ " * bool(beyond[1]) + readable(high)
 
 
-def _circle(picture: AnyArray, center: tuple[int, int], radius: float, color: Sequence[float], thickness: int) -> None:
+def _circle(
+    picture: AnyArray,
+    center: tuple[int, int],
+    radius: float,
+    color: Sequence[float],
+    thickness: int,
+) -> None:
     cv2.circle(picture, center, round(radius * 2**_SHIFT), color, thickness, cv2.LINE_AA, _SHIFT)
 
 
 def _legend(width_px: int, shades: Shades, num_unknown: int, num_out_of_domain: int) -> Image:
-    """What the colour means, how many features have none or are out of domain, and the bar with its numbers.
+    """What the colour means, how many features have none or are out of domain, and the bar with its
+    numbers.
 
     It is laid out at REFERENCE_PX.
     """
-    dpi, width = _DPI * width_px / REFERENCE_PX, REFERENCE_PX
+    dpi = _DPI * width_px / REFERENCE_PX
+    width = REFERENCE_PX
     # A hundredth more, lest rounding lose a pixel.
-    figure = Figure(((width_px + 0.01) / dpi, (legend_height(width_px) + 0.01) / dpi), dpi, facecolor=_DARK)
+    figure = Figure(
+        ((width_px + 0.01) / dpi, (legend_height(width_px) + 0.01) / dpi), dpi, facecolor=_DARK
+    )
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     words: dict[str, Any] = {"color": _BRIGHT, "fontsize": 8.5, "va": "center"}
     axes.text(12, 14, shades.name, **words)
     if num_unknown:
-        axes.text(width - 12, 14, f"○ {num_unknown} of {len(shades.place)} undefined", ha="right", **words)
+        axes.text(
+            width - 12, 14, f"○ {num_unknown} of {len(shades.place)} undefined", ha="right", **words
+        )
     if num_out_of_domain:
-        place, color = width - 12 - 165 * bool(num_unknown), "#{:02x}{:02x}{:02x}".format(*_MARK[::-1])
+        place = width - 12 - 165 * bool(num_unknown)
+        color = "#{:02x}{:02x}{:02x}".format(*_MARK[::-1])
         text = f"○ {num_out_of_domain} of {len(shades.place)} out of domain"
         axes.text(place, 14, text, ha="right", **(words | {"color": color}))
     if any(shades.ends):
-        start, end, row = _BAR_FROM_PX, width - _BAR_FROM_PX, 33
+        start = _BAR_FROM_PX
+        end = width - _BAR_FROM_PX
+        row = 33
         bar = np.clip(shades.colors_bgr[None, :, ::-1] / 255.0, 0.0, 1.0)
-        axes.imshow(bar, extent=(start, end, row + 5, row - 5), aspect="auto", interpolation="nearest")
+        axes.imshow(
+            bar, extent=(start, end, row + 5, row - 5), aspect="auto", interpolation="nearest"
+        )
         axes.text(start - 8, row, shades.ends[0], ha="right", **words)
         axes.text(end + 8, row, shades.ends[1], ha="left", **words)
-        axes.text(0.5 * width, row, shades.middle, ha="center", **(words | {"color": _DARK, "fontsize": 7.5}))
+        axes.text(
+            0.5 * width,
+            row,
+            shades.middle,
+            ha="center",
+            **(words | {"color": _DARK, "fontsize": 7.5}),
+        )
     axes.set(xlim=(0, width), ylim=(LEGEND_PX, 0))
     axes.set_axis_off()
     canvas.draw()  # type: ignore[no-untyped-call]

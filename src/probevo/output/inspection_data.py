@@ -1,4 +1,5 @@
-"""What a page about a noise model shows: the model over its own training data, and the features of one frame."""
+"""What a page about a noise model shows: the model over its own training data, and the features of
+one frame."""
 
 from __future__ import annotations
 
@@ -9,16 +10,19 @@ import numpy as np
 
 from probevo.arrays import FloatArray, Image, evenly
 from probevo.noise.base import StereoNoise
-from probevo.noise.nearest_neighbors import NearestNeighbors
+from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.output.profiles import Profile, profile_along
 
 MOST_QUERIES = 4000
-"""Training samples whose weight is shown; and whose neighbours are looked for, of which each costs 20 ms."""
+"""Training samples whose weight is shown; and whose neighbours are looked for, of which each costs
+20 ms."""
 MOST_RADII = 800
 MOST_NEIGHBORS_OF = 50_000
-"""Training samples that distances are measured to; of more, evenly chosen ones, and K shrinks alike."""
+"""Training samples that distances are measured to; of more, evenly chosen ones, and K shrinks
+alike."""
 FAR_QUANTILE = 0.99
-"""A feature is far from the training data if its K nearest reach farther than for so many of these themselves."""
+"""A feature is far from the training data if its K nearest reach farther than for so many of these
+themselves."""
 _BLOCK = 64
 
 
@@ -94,14 +98,16 @@ class FrameView:
     beta: FloatArray | None = None
     """Weight of each, [N]; None without a model of such."""
     radius: FloatArray | None = None
-    """Distance to the K-th nearest training sample of each, [N]; None without a model of weights."""
+    """Distance to the K-th nearest training sample of each, [N]; None without a model of weights.
+    """
     noise: StereoNoise | None = None
     """What a generalized kernel predicts of each, [N]; None without one."""
 
 
 @dataclass(frozen=True)
 class ColumnSummary:
-    """One column of φ in figures; None where there is no model, no frame, or no feature with a value."""
+    """One column of φ in figures; None where there is no model, no frame, or no feature with a
+    value."""
 
     name: str
     unit: str
@@ -114,23 +120,43 @@ class ColumnSummary:
 
 def column_summaries(model: ModelView | None, frame: FrameView | None) -> list[ColumnSummary]:
     """Figures of each column, in the order of φ."""
-    phi = frame.phi if frame is not None else model.places if model is not None else np.zeros((0, 0))
+    phi = (
+        frame.phi if frame is not None else model.places if model is not None else np.zeros((0, 0))
+    )
     units: Mapping[str, str] = (
-        frame.columns if frame is not None else {c: model.units.get(c, "") for c in model.columns} if model else {}
+        frame.columns
+        if frame is not None
+        else {c: model.units.get(c, "") for c in model.columns}
+        if model
+        else {}
     )
     summaries = []
     for m, (name, unit) in enumerate(units.items()):
         known = phi[np.isfinite(phi[:, m]), m]
-        training = (float(model.model.metric_.mean[m]), float(model.model.metric_.spread[m])) if model else None
+        training = (
+            (float(model.model.metric_.mean[m]), float(model.model.metric_.spread[m]))
+            if model
+            else None
+        )
         frame_mean = float(known.mean()) if frame is not None and len(known) else None
-        summaries.append(ColumnSummary(name, unit, training, frame_mean, 1.0 - len(known) / max(len(phi), 1)))
+        summaries.append(
+            ColumnSummary(
+                name,
+                unit,
+                training,
+                frame_mean=frame_mean,
+                undefined=1.0 - len(known) / max(len(phi), 1),
+            )
+        )
     return summaries
 
 
 def neighbor_radius(model: NearestNeighbors, places: FloatArray) -> FloatArray:
-    """Distance from each of n places, [n, M], to the K-th nearest training sample in the model's metric, [n].
+    """Distance from each of n places, [n, M], to the K-th nearest training sample in the model's
+    metric, [n].
 
-    Not to the nearest alone: a point that was followed for some frames left as many samples close together, which
+    Not to the nearest alone: a point that was followed for some frames left as many samples close
+    together, which
     would make the training data look denser than any other drive can be.
     """
     all_samples = model.index_.samples
@@ -142,12 +168,15 @@ def neighbor_radius(model: NearestNeighbors, places: FloatArray) -> FloatArray:
     for start in range(0, len(queries), _BLOCK):
         block = queries[start : start + _BLOCK]
         halves = np.partition(half_squares - block @ samples, wanted - 1, axis=1)[:, wanted - 1]
-        radius[start : start + _BLOCK] = np.sqrt(np.maximum(2.0 * halves + np.sum(block * block, axis=1), 0.0))
+        radius[start : start + _BLOCK] = np.sqrt(
+            np.maximum(2.0 * halves + np.sum(block * block, axis=1), 0.0)
+        )
     return radius
 
 
 def rank_correlation(places: FloatArray) -> FloatArray:
-    """Spearman's correlation of the columns of [N, M], [M, M]; undefined values are left out, constants give 0."""
+    """Spearman's correlation of the columns of [N, M], [M, M]; undefined values are left out,
+    constants give 0."""
     ranks = np.full(places.shape, np.nan)
     for m, column in enumerate(places.T):
         known = np.isfinite(column)
@@ -155,10 +184,13 @@ def rank_correlation(places: FloatArray) -> FloatArray:
         _, inverse, count = np.unique(column[known], return_inverse=True, return_counts=True)
         ranks[known, m] = (np.cumsum(count) - 0.5 * (count - 1))[inverse]
         ranks[:, m] -= ranks[known, m].mean() if known.any() else 0.0
-    known, ranks = np.isfinite(ranks).astype(float), np.nan_to_num(ranks)
+    known = np.isfinite(ranks).astype(float)
+    ranks = np.nan_to_num(ranks)
     squares = (ranks**2).T @ known
     scale = np.sqrt(squares * squares.T)
-    correlation: FloatArray = np.where(scale > 0.0, ranks.T @ ranks / np.where(scale > 0.0, scale, 1.0), 0.0)
+    correlation: FloatArray = np.where(
+        scale > 0.0, ranks.T @ ranks / np.where(scale > 0.0, scale, 1.0), 0.0
+    )
     return correlation
 
 

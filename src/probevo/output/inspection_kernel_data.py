@@ -9,7 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.noise.base import StereoNoise
-from probevo.noise.generalized_kernel import GeneralizedKernel
+from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import UNDEFINED
 from probevo.output.model_facts import UsedColumn, used_columns
 
@@ -17,12 +17,14 @@ AXES = ("u_l", "v_l", "disparity")
 """What σ and bias are shown of: the right image's are much like the left one's."""
 TO_AXES = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, -1.0, 0.0]])
 """Of (u_l, v_l, u_r, v_r), [3, 4]."""
-MOST_BINS, FEWEST_IN_BIN = 16, 40
+MOST_BINS = 16
+FEWEST_IN_BIN = 40
 
 
 @dataclass(frozen=True)
 class KernelView:
-    """A model of M columns, L of which are used, at its own C centers: places of training samples, evenly chosen."""
+    """A model of M columns, L of which are used, at its own C centers: places of training samples,
+    evenly chosen."""
 
     name: str
     model: GeneralizedKernel
@@ -38,16 +40,28 @@ class KernelView:
     @staticmethod
     def of(name: str, model: GeneralizedKernel, units: Mapping[str, str]) -> KernelView:
         """Take all that is shown from a fitted model."""
-        used, metric = used_columns(model), model.metric_
+        used = used_columns(model)
+        metric = model.metric_
         coordinates = model.centers_.places.T.astype(np.float64)
         students, out_of_domain = model.centers_.at(coordinates, model.edge_, model.prior_)
         chosen = [column.index for column in used]
-        standard = coordinates[:, np.searchsorted(np.flatnonzero(metric.weight), chosen)] / metric.weight[chosen]
+        standard = (
+            coordinates[:, np.searchsorted(np.flatnonzero(metric.weight), chosen)]
+            / metric.weight[chosen]
+        )
         # Stored in single precision; no value that is defined lies so close by more than chance.
-        undefined = np.array(metric.may_be_undefined)[chosen] & (np.abs(standard - UNDEFINED) < 1e-5)
+        undefined = np.array(metric.may_be_undefined)[chosen] & (
+            np.abs(standard - UNDEFINED) < 1e-5
+        )
         places = np.where(undefined, np.nan, standard * metric.spread[chosen] + metric.mean[chosen])
-        noise = StereoNoise(students.scale, students.dof, students.bias, model.refers_to, out_of_domain)
-        return KernelView(name, model, units, used, places, noise)
+        noise = StereoNoise(
+            students.scale,
+            students.dof,
+            students.bias,
+            refers_to=model.refers_to,
+            out_of_domain=out_of_domain,
+        )
+        return KernelView(name, model, units, used=used, places=places, noise=noise)
 
 
 @dataclass(frozen=True)
@@ -72,7 +86,9 @@ def course_along(column: FloatArray, values: FloatArray) -> Course:
     share = (0.16, 0.5, 0.84)
     filled = np.unique(bins)
     center = np.array([np.median(column[known][bins == b]) for b in filled])
-    inside = np.array([np.quantile(values[known][bins == b], share) for b in filled]).reshape(-1, 3).T
+    inside = (
+        np.array([np.quantile(values[known][bins == b], share) for b in filled]).reshape(-1, 3).T
+    )
     return Course(center, inside, None if known.all() else np.quantile(values[~known], share))
 
 

@@ -14,8 +14,22 @@ from matplotlib.ticker import MaxNLocator
 
 from probevo.arrays import FloatArray
 from probevo.output.inspection_data import FrameView
-from probevo.output.inspection_kernel_data import AXES, TO_AXES, KernelView, course_along, sigma_px, size_px
-from probevo.output.inspection_plots import MOST_PAIRED, NARROW_IN, ORANGE, draw_shares, two_histograms, window_of
+from probevo.output.inspection_kernel_data import (
+    AXES,
+    TO_AXES,
+    KernelView,
+    course_along,
+    sigma_px,
+    size_px,
+)
+from probevo.output.inspection_plots import (
+    MOST_PAIRED,
+    NARROW_IN,
+    ORANGE,
+    draw_shares,
+    two_histograms,
+    window_of,
+)
 from probevo.output.model_facts import SEARCHED
 from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, MUTED, WIDTH_IN
 
@@ -26,18 +40,22 @@ _NAMES = {"u_l": "$u_l$", "v_l": "$v_l$", "disparity": "disparity"}
 
 
 def course_figure(view: KernelView, k: int, frame: FrameView | None) -> Figure:
-    """From above: σ, ν and, if it was learned, bias along the k-th used column, medians and 16 to 84 % of the centers;
-    and where these lie, and the frame's features. What is undefined stands apart at the left."""
+    """From above: σ, ν and, if it was learned, bias along the k-th used column, medians and 16 to
+    84 % of the centers; and where these lie, and the frame's features. What is undefined stands
+    apart at the left."""
     shown = _shown(view)
     figure = Figure(figsize=(NARROW_IN, 2.6 + 0.85 * (len(shown) - 1)))
-    *above, below = figure.subplots(len(shown) + 1, 1, sharex=True, height_ratios=(5, *[3] * (len(shown) - 1), 2))
-    values, m = view.places[:, k], view.used[k].index
+    *above, below = figure.subplots(
+        len(shown) + 1, 1, sharex=True, height_ratios=(5, *[3] * (len(shown) - 1), 2)
+    )
+    values = view.places[:, k]
+    m = view.used[k].index
     low, high = window_of(values)
     apart = low - 0.07 * (high - low)
     for axes, (name, each), limits in zip(above, shown.items(), _limits(view), strict=True):
         colors = COLORS if each.shape[1] == len(AXES) else (BLUE,)
         for color, axis, one in zip(colors, AXES, each.T, strict=False):
-            _draw_course(axes, values, one, apart, color, _NAMES[axis])
+            _draw_course(axes, values, one, apart=apart, color=color, label=_NAMES[axis])
         axes.set(ylim=limits, ylabel=name)
         if name in _LOGARITHMIC:
             axes.set_yscale("log")
@@ -46,7 +64,10 @@ def course_figure(view: KernelView, k: int, frame: FrameView | None) -> Figure:
             axes.axhline(0.0, color=GREY, lw=0.8)
     above[0].legend(ncols=3, handlelength=1.2, **LEGEND_ABOVE)
     drawn = [(values, GREY, True)] + ([] if frame is None else [(frame.phi[:, m], ORANGE, False)])
-    top = max(draw_shares(below, column, (low, high), apart, color, fill) for column, color, fill in drawn)
+    top = max(
+        draw_shares(below, column, (low, high), apart=apart, color=color, fill=fill)
+        for column, color, fill in drawn
+    )
     some_undefined = any(np.isnan(column).any() for column, *_ in drawn)
     margin = 0.03 * (high - low)
     below.set(xlabel=view.units.get(view.used[k].name, ""), ylim=(0, 1.08 * top + 1e-6), yticks=[])
@@ -80,7 +101,9 @@ def _limits(view: KernelView) -> list[tuple[float, float]]:
     return limits
 
 
-def _draw_course(axes: Axes, column: FloatArray, values: FloatArray, apart: float, color: str, label: str) -> None:
+def _draw_course(
+    axes: Axes, column: FloatArray, values: FloatArray, apart: float, color: str, label: str
+) -> None:
     course = course_along(column, values)
     low, median, high = course.quantiles
     axes.fill_between(course.center, low, high, color=color, alpha=0.16, lw=0)
@@ -88,7 +111,16 @@ def _draw_course(axes: Axes, column: FloatArray, values: FloatArray, apart: floa
     axes.plot(course.center, median, color=color, lw=1.5, label=label, marker=marker)
     if course.undefined is not None:
         low, median, high = course.undefined
-        axes.errorbar(apart, median, [[median - low], [high - median]], color=color, fmt="o", mfc="white", ms=4, lw=1.2)
+        axes.errorbar(
+            apart,
+            median,
+            [[median - low], [high - median]],
+            color=color,
+            fmt="o",
+            mfc="white",
+            ms=4,
+            lw=1.2,
+        )
 
 
 def _plain_ticks(axes: Axes) -> None:
@@ -98,17 +130,26 @@ def _plain_ticks(axes: Axes) -> None:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers of every power of ten within, and not powers alone, of which a narrow scale may show none."""
-    steps = (1, 1.5, 2, 3, 4, 5, 7) if high / low < 8.0 else (1, 2, 5) if high / low < 150.0 else (1,)
+    """Round numbers of every power of ten within, and not powers alone, of which a narrow scale may
+    show none."""
+    steps = (
+        (1, 1.5, 2, 3, 4, 5, 7) if high / low < 8.0 else (1, 2, 5) if high / low < 150.0 else (1,)
+    )
     return [n * 10.0**k for k in range(-4, 5) for n in steps if low <= n * 10.0**k <= high]
 
 
 def turns_figure(turns: Sequence[Mapping[str, float]]) -> Figure:
     """Likelihood, and where it is known the end error, over the turns of EM (PROBE-GK Fig. 8)."""
     rows = [("log_likelihood", "log likelihood, nats a feature", BLUE)]
-    rows += [("loop_error_m", "end error, m", ORANGE)] if all("loop_error_m" in turn for turn in turns) else []
+    rows += (
+        [("loop_error_m", "end error, m", ORANGE)]
+        if all("loop_error_m" in turn for turn in turns)
+        else []
+    )
     figure = Figure(figsize=(WIDTH_IN, 2.6))
-    for axes, (key, meaning, color) in zip(np.atleast_1d(figure.subplots(1, len(rows))), rows, strict=True):
+    for axes, (key, meaning, color) in zip(
+        np.atleast_1d(figure.subplots(1, len(rows))), rows, strict=True
+    ):
         axes.plot([turn[key] for turn in turns], color=color, lw=1.4, marker="o", ms=3.5)
         axes.set_title(meaning, color=MUTED)
         axes.set_xlabel("turn of EM")
@@ -127,10 +168,13 @@ def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
     grid = np.ravel(figure.subplots(down, across, sharey=True))
     for axes, name in zip(grid, shown, strict=False):
         search = searches[name]
-        places, is_weights = np.arange(len(search["gains"])), name == "weights"
+        places = np.arange(len(search["gains"]))
+        is_weights = name == "weights"
         names = [str(m) if is_weights else _plain(m) for m in search["candidates"]]
         axes.plot(places, search["gains"], color=BLUE, lw=1.4, marker="o", ms=3.5)
-        turned: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if is_weights else {}
+        turned: dict[str, Any] = (
+            {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if is_weights else {}
+        )
         if is_weights:
             names = [names[0], *(f"+ {column}" for column in names[1:])]
         axes.set_xticks(places, names, fontsize=7.5, **turned)
@@ -145,22 +189,34 @@ def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
 
 
 def _plain(candidate: float | str) -> str:
-    return {"none": "fixed"}.get(candidate, candidate) if isinstance(candidate, str) else f"{candidate:g}"
+    return (
+        {"none": "fixed"}.get(candidate, candidate)
+        if isinstance(candidate, str)
+        else f"{candidate:g}"
+    )
 
 
 def centers_figure(view: KernelView, frame: FrameView | None) -> Figure:
-    """Where the centers lie over each two of the first used columns, in the colour of their σ; and the features."""
+    """Where the centers lie over each two of the first used columns, in the colour of their σ; and
+    the features."""
     pairs = list(combinations(range(min(len(view.used), MOST_PAIRED)), 2))
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
     figure = Figure(figsize=(1.04 * NARROW_IN * across, 2.9 * down))
     size = size_px(view.noise.scale)
     low, high = np.quantile(size, [0.02, 0.98]).tolist()
-    norm, grid = LogNorm(low, max(high, 1.001 * low)), np.ravel(figure.subplots(down, across))
+    norm = LogNorm(low, max(high, 1.001 * low))
+    grid = np.ravel(figure.subplots(down, across))
     for axes, (i, j) in zip(grid, pairs, strict=True):
         window = np.array([window_of(view.places[:, i]), window_of(view.places[:, j])])
         drawn = axes.scatter(
-            *np.clip(view.places[:, [i, j]], *window.T).T, 7, size, norm=norm, cmap="viridis", lw=0, rasterized=True
+            *np.clip(view.places[:, [i, j]], *window.T).T,
+            7,
+            size,
+            norm=norm,
+            cmap="viridis",
+            lw=0,
+            rasterized=True,
         )
         if frame is not None:
             points = np.clip(frame.phi[:, [view.used[i].index, view.used[j].index]], *window.T)
@@ -182,12 +238,16 @@ def _label(view: KernelView, k: int) -> str:
 
 
 def histogram_figure(training: FloatArray, frame: FloatArray, label: str, prior: float) -> Figure:
-    """How σ or ν of the frame's features is spread beside that of the centers; dashed, what holds out of reach."""
+    """How σ or ν of the frame's features is spread beside that of the centers; dashed, what holds
+    out of reach."""
     every = np.concatenate([training, frame, [prior] if np.isfinite(prior) else []])
     low, high = np.quantile(every, [0.002, 0.998]).tolist()
-    low, high = min(low, 0.98 * prior) / 1.05, max(high, 1.02 * prior if np.isfinite(prior) else high) * 1.05
+    low = min(low, 0.98 * prior) / 1.05
+    high = max(high, 1.02 * prior if np.isfinite(prior) else high) * 1.05
     logs = np.log10([low, high])
-    figure, axes = two_histograms(np.log10(training), np.log10(frame), (float(logs[0]), float(logs[1])))
+    figure, axes = two_histograms(
+        np.log10(training), np.log10(frame), (float(logs[0]), float(logs[1]))
+    )
     if np.isfinite(prior):
         axes.axvline(np.log10(prior), color=INK, lw=0.9, ls="--")
     axes.set_xlabel(label, color=MUTED)

@@ -33,8 +33,13 @@ from probevo.output.metrics_table import readable
 from probevo.output.page import grid, panel, write_page
 from probevo.output.svg import figure_style
 
-_IF_RELATIVE = " It is relative to others of the same step: what all features of a step share cannot show."
-_IF_LEANING = " Subsets lean to one side, so that extremes are more frequent among samples than among features."
+_IF_RELATIVE = (
+    " It is relative to others of the same step: what all features of a step share cannot show."
+)
+_IF_LEANING = (
+    " Subsets lean to one side, so that extremes are more frequent among samples than among"
+    " features."
+)
 
 
 def write_inspection(
@@ -50,7 +55,8 @@ def write_inspection(
         path: the HTML file.
         model: left out, only the predictors of the frame are shown.
         frame: left out, only the model is shown.
-        pictures: caption and JPEG file of the frame with its features in different colours, by the name of the column.
+        pictures: caption and JPEG file of the frame with its features in different colours, by the
+            name of the column.
         summaries: figures of each column.
 
     Raises:
@@ -63,10 +69,17 @@ def write_inspection(
     with figure_style():
         if model is not None and frame is not None:
             sections.append(grid(_frame_panels(model, frame)))
-        sections.append(summary_section(summaries, trained=model is not None, has_frame=frame is not None))
+        sections.append(
+            summary_section(summaries, trained=model is not None, has_frame=frame is not None)
+        )
         if model is not None:
             sections += _model_sections(model, frame)
-    write_page(path, page_title(model.name if model else None, frame), _facts(model, frame), sections)
+    write_page(
+        path,
+        page_title(model.name if model else None, frame),
+        _facts(model, frame),
+        sections=sections,
+    )
 
 
 def _facts(model: ModelView | None, frame: FrameView | None) -> dict[str, str]:
@@ -74,7 +87,11 @@ def _facts(model: ModelView | None, frame: FrameView | None) -> dict[str, str]:
     if model is not None:
         inner = model.model
         facts["Samples"] = f"{len(model.log_alpha):,}{origin(inner.training)}"
-        facts |= {"K": f"{inner.neighbors}", "γ": f"{inner.exponent:g}", "Average of α": inner.average}
+        facts |= {
+            "K": f"{inner.neighbors}",
+            "γ": f"{inner.exponent:g}",
+            "Average of α": inner.average,
+        }
         facts["Scaled noise"] = str(inner.to_file().facts["base"]["name"])
     return facts
 
@@ -82,13 +99,14 @@ def _facts(model: ModelView | None, frame: FrameView | None) -> dict[str, str]:
 def _frame_panels(model: ModelView, frame: FrameView) -> list[str]:
     """Where the frame lies among the training data."""
     weights_note = (
-        f"β = (mean of the K nearest α / ᾱ)^γ scales the noise of a feature. Here from {_range(frame.beta)}; over the "
-        f"training samples from {_range(model.beta)} (5 to 95 %)."
+        "β = (mean of the K nearest α / ᾱ)^γ scales the noise of a feature. Here from"
+        f" {_range(frame.beta)}; over the training samples from {_range(model.beta)} (5 to 95 %)."
     )
     far = 0.0 if frame.radius is None else float(np.mean(frame.radius > model.far_radius))
     distances_note = (
-        f"From each feature to the K-th nearest training sample, over standardised columns. {percent(far)} are far: "
-        "farther than 99 % of the training samples are from theirs. There, weights are guesses."
+        "From each feature to the K-th nearest training sample, over standardised columns."
+        f" {percent(far)} are far: farther than 99 % of the training samples are from theirs."
+        " There, weights are guesses."
     )
     return [
         panel("Weights in this frame", weights_note, weights_figure(model, frame)),
@@ -107,9 +125,10 @@ def _model_sections(model: ModelView, frame: FrameView | None) -> list[str]:
     cards = [_profile_panel(model, m, frame) for m in model.order]
     settings = model.model.training.get("settings", {})
     note = (
-        "By how strongly α varies with each, the strongest first. Above: mean ln(α/ᾱ) of the training samples in bins "
-        "of equally many, and two standard errors, for which samples that share a subset count as one; all on the same "
-        "scale. A sample’s α is that of a whole subset, which dilutes what the one feature does to it."
+        "By how strongly α varies with each, the strongest first. Above: mean ln(α/ᾱ) of the"
+        " training samples in bins of equally many, and two standard errors, for which samples that"
+        " share a subset count as one; all on the same scale. A sample’s α is that of a whole"
+        " subset, which dilutes what the one feature does to it."
         + _IF_RELATIVE * bool(settings.get("relative"))
         + " Below: where the training samples lie (grey)"
         + " and the features of this frame (orange)" * (frame is not None)
@@ -118,29 +137,43 @@ def _model_sections(model: ModelView, frame: FrameView | None) -> list[str]:
         + " What is undefined stands apart at the left; its bar may be cut off."
     )
     profiles = f'<p class="note">{note}</p>\n{CARDS}\n' + "\n".join(cards) + "\n</div>"
-    return [heading, profiles, *_density_sections(model, frame), settings_section(model.model.training)]
+    return [
+        heading,
+        profiles,
+        *_density_sections(model, frame),
+        settings_section(model.model.training),
+    ]
 
 
 def _profile_panel(model: ModelView, m: int, frame: FrameView | None) -> str:
-    name, profile = model.columns[m], model.profiles[m]
+    name = model.columns[m]
+    profile = model.profiles[m]
     note = f"{percent(profile.share_explained).replace('–', '0 %')} of the variance of ln α"
     if profile.share_undefined > 0.0:
         note += f"; {percent(profile.share_undefined)} undefined"
-    return panel(escape(name), note, profile_figure(model, m, frame), f"profile-{m}")
+    return panel(escape(name), note, profile_figure(model, m, frame), name=f"profile-{m}")
 
 
 def _density_sections(model: ModelView, frame: FrameView | None) -> list[str]:
     searches = model.model.training.get("searches", {})
     panels = []
     if searches:
-        note = "By cross-validation over blocks of time (K), and by the motion’s error with each (γ); lower is better."
+        note = (
+            "By cross-validation over blocks of time (K), and by the motion’s error with each (γ);"
+            " lower is better."
+        )
         panels.append(panel("How K and γ were chosen", note, searches_figure(searches)))
     panels.append(training_section(model.model.training))
-    note = "Spearman’s, over the training samples; the strongest column first. Columns alike tell the same twice."
+    note = (
+        "Spearman’s, over the training samples; the strongest column first. Columns alike tell the"
+        " same twice."
+    )
     panels.append(panel("Correlation of the columns", note, correlation_figure(model)))
     sections = [grid(panels)]
     if len(model.columns) > 1:
-        shown = "Blue: density of the training samples." + (" Orange: the frame’s features." if frame else "")
+        shown = "Blue: density of the training samples." + (
+            " Orange: the frame’s features." if frame else ""
+        )
         title = "Where the data lies, over the most telling columns"
-        sections.append(panel(title, shown, pairs_figure(model, frame), "pairs"))
+        sections.append(panel(title, shown, pairs_figure(model, frame), name="pairs"))
     return sections

@@ -9,10 +9,11 @@ from probevo.output.inspection_data import FrameView, ModelView
 
 
 def frame_pictures(model: ModelView | None, frame: FrameView) -> dict[str, tuple[str, bytes]]:
-    """Caption and JPEG file of each picture, by the name of its file: weights first, then the columns of φ.
+    """Caption and JPEG file of each picture, by the name of its file: weights first, then the
+    columns of φ.
 
-    With a model, the columns come in the order in which α varies with them, and after the weights the distance from the
-    training data, in units of the median one of the training samples.
+    With a model, the columns come in the order in which α varies with them, and after the weights
+    the distance from the training data, in units of the median one of the training samples.
     """
     shown = {}
     if frame.beta is not None:
@@ -32,6 +33,6 @@ def frame_pictures(model: ModelView | None, frame: FrameView) -> dict[str, tuple
         caption = names[m] + (f": undefined for {unknown} of {len(values)}" if unknown else "")
         shown[names[m]] = (caption, value_shades(names[m], frame.columns[names[m]], values))
     return {
-        name: (caption, draw_features(frame.left, frame.size_px, frame.uv, shades))
+        name: (caption, draw_features(frame.left, frame.size_px, frame.uv, shades=shades))
         for name, (caption, shades) in shown.items()
     }

@@ -20,22 +20,28 @@ from probevo.output.svg import BAND, BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, MUTED
 NARROW_IN = 4.0
 MOST_PAIRED = 4
 ORANGE = CYCLE[1]
-_BINS, _SHOWN = 40, (0.005, 0.995)
-"""The outermost half percent of the training samples on either side, and all beyond, lie in the outermost bins."""
+_BINS = 40
+_SHOWN = (0.005, 0.995)
+"""The outermost half percent of the training samples on either side, and all beyond, lie in the
+outermost bins."""
 
 
 def profile_figure(view: ModelView, m: int, frame: FrameView | None) -> Figure:
-    """Above: mean ln(α/ᾱ) along a column, with two standard errors. Below: where the samples, and the frame's features,
-    lie on it. Undefined ones stand apart at the left."""
+    """Above: mean ln(α/ᾱ) along a column, with two standard errors. Below: where the samples, and
+    the frame's features, lie on it. Undefined ones stand apart at the left."""
     figure = Figure(figsize=(NARROW_IN, 2.9))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))
-    profile, values = view.profiles[m], view.places[:, m]
+    profile = view.profiles[m]
+    values = view.places[:, m]
     low, high = window_of(values)
     apart = low - 0.07 * (high - low)
     _draw_profile(above, profile, apart)
     above.set(ylim=_common_limits(view.profiles), ylabel="mean ln(α/ᾱ)")
     drawn = [(values, GREY, True)] + ([] if frame is None else [(frame.phi[:, m], ORANGE, False)])
-    top = max(draw_shares(below, column, (low, high), apart, color, fill) for column, color, fill in drawn)
+    top = max(
+        draw_shares(below, column, (low, high), apart=apart, color=color, fill=fill)
+        for column, color, fill in drawn
+    )
     some_undefined = any(np.isnan(column).any() for column, *_ in drawn)
     margin = 0.03 * (high - low)
     below.set(xlabel=view.units.get(view.columns[m], ""), ylim=(0, 1.08 * top + 1e-6), yticks=[])
@@ -49,23 +55,42 @@ def _draw_profile(axes: Axes, profile: Profile, apart: float) -> None:
     axes.axhline(0.0, color=GREY, lw=0.8)
     band = 2.0 * profile.standard_error
     axes.fill_between(profile.center, profile.mean - band, profile.mean + band, color=BAND, lw=0)
-    axes.plot(profile.center, profile.mean, color=BLUE, lw=1.5, marker="o" if len(profile.center) == 1 else "")
+    axes.plot(
+        profile.center,
+        profile.mean,
+        color=BLUE,
+        lw=1.5,
+        marker="o" if len(profile.center) == 1 else "",
+    )
     if profile.undefined is not None:
         mean, error = profile.undefined
         axes.errorbar(apart, mean, 2.0 * error, color=BLUE, fmt="o", mfc="white", ms=4, lw=1.2)
 
 
 def draw_shares(
-    axes: Axes, values: FloatArray, window: tuple[float, float], apart: float, color: str, fill: bool
+    axes: Axes,
+    values: FloatArray,
+    window: tuple[float, float],
+    apart: float,
+    color: str,
+    fill: bool,
 ) -> float:
-    """Histogram as a share of all, and a bar of its own for what is undefined; returns the largest share of a bin."""
+    """Histogram as a share of all, and a bar of its own for what is undefined; returns the largest
+    share of a bin."""
     known = values[np.isfinite(values)]
     counts, edges = np.histogram(np.clip(known, *window), _BINS, window)
     shares = counts / max(len(values), 1)
     style: dict[str, Any] = {"fill": True, "alpha": 0.55} if fill else {"fill": False, "lw": 1.3}
     axes.stairs(shares, edges, color=color, **style)
     if len(known) < len(values):
-        axes.bar(apart, 1.0 - len(known) / len(values), 1.6 * (edges[1] - edges[0]), fc=color, ec=color, **style)
+        axes.bar(
+            apart,
+            1.0 - len(known) / len(values),
+            1.6 * (edges[1] - edges[0]),
+            fc=color,
+            ec=color,
+            **style,
+        )
     return float(shares.max())
 
 
@@ -95,19 +120,25 @@ def searches_figure(searches: dict[str, dict[str, Any]]) -> Figure:
     shown = [name for name in labels if name in searches]
     for axes, name in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
         title, meaning, factor = labels[name]
-        candidates, errors = searches[name]["candidates"], factor * np.array(searches[name]["errors"])
+        candidates = searches[name]["candidates"]
+        errors = factor * np.array(searches[name]["errors"])
         places = np.arange(len(candidates))
         axes.plot(places, errors, color=BLUE, lw=1.4, marker="o", ms=3.5)
         chosen = int(np.argmin(np.abs(np.array(candidates) - searches[name]["chosen"])))
         axes.plot(chosen, errors[chosen], "o", ms=9, mfc="none", mec=ORANGE, mew=1.8)
-        axes.set_xticks(places, [f"{candidate:g}" for candidate in candidates], fontsize=8 if len(places) < 10 else 7)
+        axes.set_xticks(
+            places,
+            [f"{candidate:g}" for candidate in candidates],
+            fontsize=8 if len(places) < 10 else 7,
+        )
         axes.set(xlabel=f"{title}; chosen: {candidates[chosen]:g}")
         axes.set_title(meaning, color=MUTED)
     return figure
 
 
 def correlation_figure(view: ModelView) -> Figure:
-    """Spearman's correlation of the columns over the training samples, and of each with ln(α/ᾱ) in the last row."""
+    """Spearman's correlation of the columns over the training samples, and of each with ln(α/ᾱ) in
+    the last row."""
     order = view.order
     table = rank_correlation(np.column_stack([view.places[:, order], view.log_alpha]))
     names = [*(view.columns[m] for m in order), "ln(α/ᾱ)"]
@@ -119,7 +150,8 @@ def correlation_figure(view: ModelView) -> Figure:
     for row, column in zip(*np.nonzero(np.abs(np.nan_to_num(shown)) >= 0.1), strict=True):
         value = float(shown[row, column])
         text = f"{value:.1f}".replace("0.", ".").replace("-", "−")
-        size, color = (7.5 if count < 18 else 5.5), "white" if abs(value) > 0.6 else INK
+        size = 7.5 if count < 18 else 5.5
+        color = "white" if abs(value) > 0.6 else INK
         axes.text(column, row, text, ha="center", va="center", fontsize=size, color=color)
     small: dict[str, Any] = {"fontsize": 8 if count < 18 else 6.5}
     axes.set_xticks(range(count - 1), names[:-1], rotation=90, **small)
@@ -132,17 +164,21 @@ def correlation_figure(view: ModelView) -> Figure:
 
 
 def pairs_figure(view: ModelView, frame: FrameView | None) -> Figure:
-    """How dense the training samples lie over each two of the most telling columns, and the frame's features."""
+    """How dense the training samples lie over each two of the most telling columns, and the frame's
+    features."""
     pairs = list(combinations(view.order[:MOST_PAIRED], 2))
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
     figure = Figure(figsize=(1.04 * NARROW_IN * across, 2.9 * down))
     for axes, (m, n) in zip(np.ravel(figure.subplots(down, across)), pairs, strict=False):
-        x, y = view.places[:, m], view.places[:, n]
+        x = view.places[:, m]
+        y = view.places[:, n]
         window = (window_of(x), window_of(y))
         counts, *edges = np.histogram2d(x, y, 45, window)
         shares = np.where(counts > 0, counts, np.nan).T
-        axes.pcolormesh(*edges, shares, cmap="Blues", norm=LogNorm(0.3, max(counts.max(), 1.0)), rasterized=True)
+        axes.pcolormesh(
+            *edges, shares, cmap="Blues", norm=LogNorm(0.3, max(counts.max(), 1.0)), rasterized=True
+        )
         if frame is not None:
             points = np.clip(frame.phi[:, [m, n]], *np.array(window).T)
             axes.plot(*points.T, ".", color=ORANGE, ms=3, mew=0, alpha=0.8, rasterized=True)
@@ -172,7 +208,8 @@ def weights_figure(view: ModelView, frame: FrameView) -> Figure:
 
 
 def distances_figure(view: ModelView, frame: FrameView) -> Figure:
-    """Distance to the K-th nearest training sample: of the frame's features, and of the training samples themselves."""
+    """Distance to the K-th nearest training sample: of the frame's features, and of the training
+    samples themselves."""
     radius = np.zeros(0) if frame.radius is None else frame.radius
     top = 1.02 * max(float(radius.max(initial=0.0)), float(view.radius.max()), 1e-3)
     figure, axes = two_histograms(view.radius, radius, (0.0, top))
@@ -183,8 +220,11 @@ def distances_figure(view: ModelView, frame: FrameView) -> Figure:
     return figure
 
 
-def two_histograms(training: FloatArray, frame: FloatArray, window: tuple[float, float]) -> tuple[Figure, Axes]:
-    """Of the training samples, filled, and of the frame's features; what lies beyond the window is in its end bins."""
+def two_histograms(
+    training: FloatArray, frame: FloatArray, window: tuple[float, float]
+) -> tuple[Figure, Axes]:
+    """Of the training samples, filled, and of the frame's features; what lies beyond the window is
+    in its end bins."""
     figure = Figure(figsize=(WIDTH_IN, 2.5))
     axes = figure.add_subplot(ylabel="share in a bin, %", xlim=window)
     for values, name in ((training, "training samples"), (frame, "this frame")):

@@ -1,4 +1,5 @@
-"""What the pages on all kinds of noise models have in common: pictures, tables, and where a model comes from."""
+"""What the pages on all kinds of noise models have in common: pictures, tables, and where a model
+comes from."""
 
 from __future__ import annotations
 
@@ -13,8 +14,14 @@ from probevo.output.inspection_data import ColumnSummary, FrameView, is_the_same
 from probevo.output.metrics_table import readable
 
 SUMMARY_HEAD = ("column", "unit", "training", "this frame", "undefined")
-CARDS = '<div class="frames" style="grid-template-columns:repeat(auto-fill,minmax(min(100%,360px),1fr));gap:0 14px">'
-_PICTURES = '<div class="frames" style="grid-template-columns:repeat(auto-fill,minmax(min(100%,560px),1fr))">'
+CARDS = (
+    '<div class="frames"'
+    ' style="grid-template-columns:repeat(auto-fill,minmax(min(100%,360px),1fr));gap:0 14px">'
+)
+_PICTURES = (
+    '<div class="frames"'
+    ' style="grid-template-columns:repeat(auto-fill,minmax(min(100%,560px),1fr))">'
+)
 _SHORT_HASH = 12
 
 
@@ -60,7 +67,9 @@ def origin(training: Mapping[str, Any]) -> str:
     return f" from {frames:,} frames of {len(recordings)} recording{plural}" if recordings else ""
 
 
-def pictures_section(frame: FrameView, pictures: Mapping[str, tuple[str, bytes]], more: str = "") -> str:
+def pictures_section(
+    frame: FrameView, pictures: Mapping[str, tuple[str, bytes]], more: str = ""
+) -> str:
     """The pictures of a frame; ``more`` is said before them."""
     others = []
     columns = zip(frame.columns, frame.phi.T, strict=True)
@@ -68,17 +77,20 @@ def pictures_section(frame: FrameView, pictures: Mapping[str, tuple[str, bytes]]
     if constant:
         others.append(f" The same for all features, and so not drawn: {', '.join(constant)}.")
     figures = "\n".join(
-        f'<figure><img alt="{escape(caption)}" src="data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}">'
+        f'<figure><img alt="{escape(caption)}"'
+        f' src="data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}">'
         f"<figcaption>{escape(caption)}</figcaption></figure>"
         for name, (caption, jpeg) in pictures.items()
         if name not in constant
     )
     note = (
-        "The ends of each bar are the 2 % and 98 % quantiles of this frame; ≤ and ≥ say that there are values beyond, "
-        f"in the same colour. Hollow grey rings: the predictor is undefined.{''.join(others)}{more}"
+        "The ends of each bar are the 2 % and 98 % quantiles of this frame; ≤ and ≥ say that there"
+        " are values beyond, in the same colour. Hollow grey rings: the predictor is"
+        f" undefined.{''.join(others)}{more}"
     )
     return (
-        f'<section class="panel"><h2>Its features</h2><p class="note">{note}</p>\n{_PICTURES}{figures}</div></section>'
+        '<section class="panel"><h2>Its features</h2><p'
+        f' class="note">{note}</p>\n{_PICTURES}{figures}</div></section>'
     )
 
 
@@ -86,12 +98,13 @@ def table_section(title: str, note: str, head: Sequence[str], rows: Iterable[Seq
     """A panel with a table, of which the first cell of each row may hold HTML; all others are text."""
     top = "".join(f"<th>{escape(name)}</th>" for name in head)
     body = "\n".join(
-        f"<tr><th>{first}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>" for first, *cells in rows
+        f"<tr><th>{first}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+        for first, *cells in rows
     )
     said = f'<p class="note">{note}</p>\n' if note else ""
     return (
-        f'<section class="panel"><h2>{title}</h2>{said}'
-        f'<table class="figures"><thead><tr>{top}</tr></thead><tbody>\n{body}\n</tbody></table></section>'
+        f'<section class="panel"><h2>{title}</h2>{said}<table'
+        f' class="figures"><thead><tr>{top}</tr></thead><tbody>\n{body}\n</tbody></table></section>'
     )
 
 
@@ -106,21 +119,34 @@ def summary_section(summaries: Sequence[ColumnSummary], *, trained: bool, has_fr
     name, _, *titles = SUMMARY_HEAD
     head = [name, *(title for title, want in zip(titles, wanted, strict=True) if want)]
     rows = [
-        (named_with_unit(column, unit), *(cell for cell, want in zip(cells, wanted, strict=True) if want))
+        (
+            named_with_unit(column, unit),
+            *(cell for cell, want in zip(cells, wanted, strict=True) if want),
+        )
         for column, unit, *cells in summary_rows(summaries)
     ]
     whose = "the frame’s features" if has_frame else "the training samples"
     training = "Training: mean ± standard deviation of all features. " if trained else ""
-    return table_section("The predictors in figures", f"{training}Undefined: share of {whose}.", head, rows)
+    return table_section(
+        "The predictors in figures", f"{training}Undefined: share of {whose}.", head, rows=rows
+    )
 
 
 def training_section(training: Mapping[str, Any]) -> str:
     """Which recordings a model was trained on; empty if that is not known."""
     rows = [
-        (escape(str(recording["name"])), f"{recording['frames']:,}", f"{str(recording['sha256'])[:_SHORT_HASH]}…")
+        (
+            escape(str(recording["name"])),
+            f"{recording['frames']:,}",
+            f"{str(recording['sha256'])[:_SHORT_HASH]}…",
+        )
         for recording in training.get("recordings", [])
     ]
-    return table_section("Trained on", "", ("recording", "frames", "SHA-256"), rows) if rows else ""
+    return (
+        table_section("Trained on", "", ("recording", "frames", "SHA-256"), rows=rows)
+        if rows
+        else ""
+    )
 
 
 def settings_section(training: Mapping[str, Any]) -> str:
@@ -129,4 +155,7 @@ def settings_section(training: Mapping[str, Any]) -> str:
     if not settings:
         return ""
     text = yaml.safe_dump(settings, sort_keys=True, allow_unicode=True)
-    return f'<details class="panel"><summary>Settings of the training</summary><pre>{escape(text)}</pre></details>'
+    return (
+        '<details class="panel"><summary>Settings of the'
+        f" training</summary><pre>{escape(text)}</pre></details>"
+    )

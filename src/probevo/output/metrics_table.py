@@ -14,25 +14,55 @@ _ROWS: dict[str, tuple[str, str, str]] = {
         "%",
         "Position error per distance over pieces of 10 to 50 m, wherever they start.",
     ),
-    "short_r_deg_per_m": ("Turn drift, short", "°/m", "Heading and tilt error per metre over the same pieces."),
-    "kitti_t_percent": ("Drift, KITTI", "%", "The same over pieces of 100 to 800 m, as the KITTI benchmark ranks."),
-    "kitti_r_deg_per_m": ("Turn drift, KITTI", "°/m", "Rotation error per metre over the same pieces."),
-    "final_error_m": ("End error", "m", "How far the end of the estimate lies from the true end; starts made equal."),
+    "short_r_deg_per_m": (
+        "Turn drift, short",
+        "°/m",
+        "Heading and tilt error per metre over the same pieces.",
+    ),
+    "kitti_t_percent": (
+        "Drift, KITTI",
+        "%",
+        "The same over pieces of 100 to 800 m, as the KITTI benchmark ranks.",
+    ),
+    "kitti_r_deg_per_m": (
+        "Turn drift, KITTI",
+        "°/m",
+        "Rotation error per metre over the same pieces.",
+    ),
+    "final_error_m": (
+        "End error",
+        "m",
+        "How far the end of the estimate lies from the true end; starts made equal.",
+    ),
     "armse_m": (
         "ARMSE",
         "m",
-        "Root mean square position error over the three axes, averaged over frames; starts made equal.",
+        (
+            "Root mean square position error over the three axes, averaged over frames; starts made"
+            " equal."
+        ),
     ),
     "rot_armse_rad": ("Rotational ARMSE", "rad", "The same for the attitude."),
-    "ate_rmse_m": ("ATE", "m", "Root mean square position error after the whole path was fitted to the true one."),
+    "ate_rmse_m": (
+        "ATE",
+        "m",
+        "Root mean square position error after the whole path was fitted to the true one.",
+    ),
     "ate_unaligned_rmse_m": ("ATE, unaligned", "m", "The same with only the starts made equal."),
-    "rpe_t_m": ("RPE, translation", "m", "Root mean square error of single steps; includes the noise of the truth."),
+    "rpe_t_m": (
+        "RPE, translation",
+        "m",
+        "Root mean square error of single steps; includes the noise of the truth.",
+    ),
     "rpe_r_deg": ("RPE, rotation", "°", "The same for the rotation of single steps."),
     "anees": (
         "ANEES",
         "",
-        "Squared error of single steps over what their covariance promises: 6 is honest, more is overconfident, less "
-        "is conservative. Truth from GPS and INS is noisier than a step of good odometry and drives it far above 6.",
+        (
+            "Squared error of single steps over what their covariance promises: 6 is honest, more"
+            " is overconfident, less is conservative. Truth from GPS and INS is noisier than a step"
+            " of good odometry and drives it far above 6."
+        ),
     ),
 }
 

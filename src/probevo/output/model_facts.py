@@ -1,4 +1,5 @@
-"""What models of full covariances are and how they came about, in the figures that terminal and page share."""
+"""What models of full covariances are and how they came about, in the figures that terminal and
+page share."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.noise.generalized_kernel import GeneralizedKernel
+from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.student_t import StudentT
 
 SEARCHED = {
@@ -23,7 +24,10 @@ SEARCHED = {
 """What may have been searched for, in that order, and what it is called."""
 SCALE_HEAD = ("", "σ, px", "correlation: u_l", "v_l", "u_r")
 TURNS_HEAD = ("turn", "likelihood, nats a feature", "end error, m")
-END_ERROR = "End error: how far the motions end from where they should, which learning does not see unless it is told."
+END_ERROR = (
+    "End error: how far the motions end from where they should, which learning does not see unless"
+    " it is told."
+)
 
 
 @dataclass(frozen=True)
@@ -40,19 +44,24 @@ class UsedColumn:
 
 
 def used_columns(model: GeneralizedKernel) -> tuple[UsedColumn, ...]:
-    """Those whose weight is not 0, in the order in which they were chosen; those that were not, the heaviest first."""
+    """Those whose weight is not 0, in the order in which they were chosen; those that were not, the
+    heaviest first."""
     weights = model.metric_.weight
     search = model.training.get("searches", {}).get("weights", {"candidates": [], "gains": []})
     gains = dict(zip(search["candidates"], np.diff([0.0, *search["gains"]]).tolist(), strict=True))
     chosen = [model.columns.index(name) for name in gains]
-    others = sorted((m for m in np.flatnonzero(weights).tolist() if m not in chosen), key=lambda m: -weights[m])
+    others = sorted(
+        (m for m in np.flatnonzero(weights).tolist() if m not in chosen), key=lambda m: -weights[m]
+    )
     return tuple(
-        UsedColumn(m, model.columns[m], float(weights[m]), gains.get(model.columns[m])) for m in (*chosen, *others)
+        UsedColumn(m, model.columns[m], float(weights[m]), gain=gains.get(model.columns[m]))
+        for m in (*chosen, *others)
     )
 
 
 def gained(searches: Mapping[str, Mapping[str, Any]]) -> float | None:
-    """What the model gains over the static one, nats a feature that was left out; None if nothing was searched for."""
+    """What the model gains over the static one, nats a feature that was left out; None if nothing
+    was searched for."""
     for name in reversed(SEARCHED):
         search = searches.get(name)
         if search and name == "weights":
@@ -80,7 +89,8 @@ def turn_rows(turns: Sequence[Mapping[str, float]], first: str) -> list[tuple[st
 
 
 def scale_rows(scale: FloatArray) -> list[tuple[str, ...]]:
-    """A row under ``SCALE_HEAD`` for each coordinate of a scale [4, 4], px², and one for the disparity."""
+    """A row under ``SCALE_HEAD`` for each coordinate of a scale [4, 4], px², and one for the
+    disparity."""
     sigma = np.sqrt(np.diagonal(scale))
     correlation = scale / np.outer(sigma, sigma)
     rows = []
@@ -93,7 +103,11 @@ def scale_rows(scale: FloatArray) -> list[tuple[str, ...]]:
 
 def lasting_text(model: GeneralizedKernel | StudentT) -> str:
     """How much of the error of a disparity is the same in both frames."""
-    return f"{model.lasting:.2g} times what is new of a disparity's error in a frame" if model.lasting else "none"
+    return (
+        f"{model.time_correlation:.2g} times what is new of a disparity's error in a frame"
+        if model.time_correlation
+        else "none"
+    )
 
 
 def signed(value: float | None) -> str:

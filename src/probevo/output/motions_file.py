@@ -1,4 +1,5 @@
-"""``motions.npz``: the relative motions of a run, all that its trajectory, evaluation and report follow from."""
+"""``motions.npz``: the relative motions of a run, all that its trajectory, evaluation and report
+follow from."""
 
 from __future__ import annotations
 
@@ -14,18 +15,20 @@ from probevo.files import NO_ARCHIVE, write_atomically
 from probevo.geometry import se3
 from probevo.output.run_result import RunResult
 
-_STAGE, _REJECTED = "ms_", "rejected_"
+_STAGE = "ms_"
+_REJECTED = "rejected_"
 _CURE = "Expected a motions.npz written by `probevo run`."
 
 
 def write_motions(path: Path, result: RunResult) -> None:
-    """Write a run. The same run gives the same bytes but for its times: ``ms_<stage>`` and ``total_ms``."""
+    """Write a run. The same run gives the same bytes but for its times: ``ms_<stage>`` and
+    ``total_ms``."""
     arrays: dict[str, AnyArray] = {
         "stamps_ns": result.stamps_ns,
         "T_curr_prev": result.T_curr_prev,
         "cov": result.cov,
-        "shared": result.shared,
-        "tied": result.tied,
+        "common_mode": result.common_mode,
+        "path_cross_cov": result.path_cross_cov,
         "status": result.status,
         "num_tracks": result.num_tracks,
         "num_inliers": result.num_inliers,
@@ -35,7 +38,8 @@ def write_motions(path: Path, result: RunResult) -> None:
     arrays |= {name: count for name, count in counts.items() if count is not None}
     arrays |= {_STAGE + name: ms for name, ms in result.stage_ms.items()}
     arrays |= {
-        _REJECTED + name.replace(" ", "_"): np.array(count, dtype=np.int64) for name, count in result.rejected.items()
+        _REJECTED + name.replace(" ", "_"): np.array(count, dtype=np.int64)
+        for name, count in result.rejected.items()
     }
     arrays |= {} if result.stopped is None else {"stopped": np.array(result.stopped)}
     buffer = io.BytesIO()
@@ -47,19 +51,20 @@ def read_motions(path: Path) -> RunResult:
     """Read a run back as it was.
 
     Raises:
-        InputError: the file cannot be read, an array is missing, or its shape does not fit the number of stamps.
+        InputError: the file cannot be read, an array is missing, or its shape does not fit the
+            number of stamps.
     """
     try:
         with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except NO_ARCHIVE as error:
         raise InputError(path, f"cannot be read: {error}", _CURE) from error
-    n = len(_take(path, arrays, "stamps_ns", None))
+    n = len(_take(path, arrays, "stamps_ns", shape=None))
     steps = max(n - 1, 0)
-    T_curr_prev = _take(path, arrays, "T_curr_prev", (steps, 4, 4))
+    T_curr_prev = _take(path, arrays, "T_curr_prev", shape=(steps, 4, 4))
     stages = [name for name in arrays if name.startswith(_STAGE)]
     reasons = [name for name in arrays if name.startswith(_REJECTED)]
-    cov = _take(path, arrays, "cov", (steps, 6, 6))
+    cov = _take(path, arrays, "cov", shape=(steps, 6, 6))
     for k in np.flatnonzero(np.linalg.eigvalsh(cov).min(axis=1, initial=np.inf) <= 0.0)[:1]:
         raise InputError(path, f"cov of motion {k} is not positive definite", _CURE)
     return RunResult(
@@ -67,23 +72,32 @@ def read_motions(path: Path) -> RunResult:
         T_world_cam=se3.chain_motions(T_curr_prev)[:n],
         T_curr_prev=T_curr_prev,
         cov=cov,
-        shared=_take(path, arrays, "shared", (steps, 6, 3)),
-        tied=_take(path, arrays, "tied", (steps, 6, 6)) if "tied" in arrays else np.zeros((steps, 6, 6)),
-        status=_take(path, arrays, "status", (steps,)),
-        num_tracks=_take(path, arrays, "num_tracks", (steps,)),
-        num_inliers=_take(path, arrays, "num_inliers", (steps,)),
-        stage_ms={name.removeprefix(_STAGE): _take(path, arrays, name, (steps,)) for name in stages},
-        total_ms=_take(path, arrays, "total_ms", (steps,)),
-        rejected={
-            name.removeprefix(_REJECTED).replace("_", " "): int(_take(path, arrays, name, ())) for name in reasons
+        common_mode=_take(path, arrays, "common_mode", shape=(steps, 6, 3)),
+        path_cross_cov=_take(path, arrays, "path_cross_cov", shape=(steps, 6, 6))
+        if "path_cross_cov" in arrays
+        else np.zeros((steps, 6, 6)),
+        status=_take(path, arrays, "status", shape=(steps,)),
+        num_tracks=_take(path, arrays, "num_tracks", shape=(steps,)),
+        num_inliers=_take(path, arrays, "num_inliers", shape=(steps,)),
+        stage_ms={
+            name.removeprefix(_STAGE): _take(path, arrays, name, shape=(steps,)) for name in stages
         },
-        num_used=_take(path, arrays, "num_used", (steps,)) if "num_used" in arrays else None,
-        num_out_of_domain=_take(path, arrays, "num_out_of_domain", (steps,)) if "num_out_of_domain" in arrays else None,
+        total_ms=_take(path, arrays, "total_ms", shape=(steps,)),
+        rejected={
+            name.removeprefix(_REJECTED).replace("_", " "): int(_take(path, arrays, name, shape=()))
+            for name in reasons
+        },
+        num_used=_take(path, arrays, "num_used", shape=(steps,)) if "num_used" in arrays else None,
+        num_out_of_domain=_take(path, arrays, "num_out_of_domain", shape=(steps,))
+        if "num_out_of_domain" in arrays
+        else None,
         stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
     )
 
 
-def _take(path: Path, arrays: dict[str, AnyArray], name: str, shape: tuple[int, ...] | None) -> AnyArray:
+def _take(
+    path: Path, arrays: dict[str, AnyArray], name: str, shape: tuple[int, ...] | None
+) -> AnyArray:
     """The array of that name; its shape must be the given one, or any with one axis."""
     if name not in arrays:
         raise InputError(path, f"{name} is missing", _CURE)

@@ -1,4 +1,5 @@
-"""How the error α varies along one predictor: means in bins of equally many samples, with honest standard errors."""
+"""How the error α varies along one predictor: means in bins of equally many samples, with honest
+standard errors."""
 
 from __future__ import annotations
 
@@ -8,7 +9,8 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 
-MOST_BINS, FEWEST_IN_BIN = 20, 40
+MOST_BINS = 20
+FEWEST_IN_BIN = 40
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,8 @@ class Profile:
 def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
     """The profile of N samples with the values [N], NaN where undefined, and ln(α/ᾱ), [N].
 
-    Samples of equal α are taken to be of one subset: α is a real number, which two motions hardly share.
+    Samples of equal α are taken to be of one subset: α is a real number, which two motions hardly
+    share.
     """
     known = np.isfinite(values)
     count = int(np.clip(known.sum() // FEWEST_IN_BIN, 1, MOST_BINS))
@@ -46,7 +49,14 @@ def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
     center = np.array([np.median(values[bins == b]) for b in np.flatnonzero(regular)])
     undefined = None if known.all() else (float(mean[-1]), float(error[-1]))
     share = float(np.clip(between / total, 0.0, 1.0)) if total > 0.0 else 0.0
-    return Profile(center, mean[regular], error[regular], undefined, 1.0 - float(known.mean()), share)
+    return Profile(
+        center,
+        mean[regular],
+        error[regular],
+        undefined=undefined,
+        share_undefined=1.0 - float(known.mean()),
+        share_explained=share,
+    )
 
 
 def _bin_means(bins: IntArray, log_alpha: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -58,6 +68,7 @@ def _bin_means(bins: IntArray, log_alpha: FloatArray) -> tuple[FloatArray, Float
     bin_of_pair = pairs // len(distinct)
     sums = np.bincount(pair, log_alpha - mean[bins])
     subsets = np.bincount(bin_of_pair)
-    # With few subsets their sums scatter less around the mean of the same ones than around the true one.
+    # With few subsets their sums scatter less around the mean of the same ones than around the true
+    # one.
     correction = subsets / np.maximum(subsets - 1, 1)
     return mean, np.sqrt(np.bincount(bin_of_pair, sums**2) * correction) / number, number

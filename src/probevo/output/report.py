@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.consistency import Consistency, motion_consistency
 from probevo.evaluation.metrics import Metrics
 from probevo.evaluation.trajectory_errors import relative_motions
-from probevo.motion.estimate import Status
 from probevo.output.metrics_table import metrics_rows, readable
 from probevo.output.page import frames_section, grid, panel, write_page
 from probevo.output.report_calibration import calibration_figure
@@ -31,8 +31,9 @@ from probevo.output.run_warnings import run_warnings
 from probevo.output.svg import figure_style
 
 _CALIBRATION_NOTE = (
-    "Steps whose error is within what their covariance claims: on the diagonal is honest, below it overconfident. "
-    "Shaded: 95 % of honest runs of independent steps. Noisy truth, such as KITTI’s, shows its own noise instead."
+    "Steps whose error is within what their covariance claims: on the diagonal is honest, below it"
+    " overconfident. Shaded: 95 % of honest runs of independent steps. Noisy truth, such as"
+    " KITTI’s, shows its own noise instead."
 )
 
 
@@ -53,9 +54,11 @@ def write_report(
         result: a run of at least two frames.
         title: heading of the page, e.g. the name of the recording.
         facts: what a reader should know about the run, by name: recording, camera, noise model …
-        truth: true poses T_world_cam of the frames, [N, 4, 4], m, in any world frame; NaN where unknown.
+        truth: true poses T_world_cam of the frames, [N, 4, 4], m, in any world frame; NaN where
+            unknown.
         metrics: comparison with the truth.
-        thumbnails: caption and JPEG file of some frames with their tracks (``drawing.draw_tracks``).
+        thumbnails: caption and JPEG file of some frames with their tracks
+            (``drawing.draw_tracks``).
         config: effective configuration, as text.
 
     Raises:
@@ -72,7 +75,9 @@ def write_report(
         figures = _figures(result, drift, consistency)
     cards = '<section class="cards">\n' + "\n".join(_cards(result, drift, metrics)) + "\n</section>"
     details = [_metrics_section(metrics), frames_section(thumbnails), _config_section(config)]
-    write_page(path, title, facts, [*_warning_sections(result), cards, grid(figures), *details])
+    write_page(
+        path, title, facts, sections=[*_warning_sections(result), cards, grid(figures), *details]
+    )
 
 
 def _cards(result: RunResult, drift: Drift, metrics: Metrics | None) -> list[str]:
@@ -83,16 +88,26 @@ def _cards(result: RunResult, drift: Drift, metrics: Metrics | None) -> list[str
     claimed_m = 3.0 * float(drift.position_sigma_m[-1])
     travelled_m = float(drift.distance_m[-1])
     cards = [
-        _card("Frames", f"{len(result):,}", "", f"{readable(seconds)} s"),
+        _card("Frames", f"{len(result):,}", "", aside=f"{readable(seconds)} s"),
         _card("Travelled", *_length(travelled_m), "as estimated"),
     ]
     cards += _truth_cards(metrics) if metrics else []
     cards.append(_card("Claimed 3σ", *_length(claimed_m, "± "), "end position, worst axis"))
     if metrics and metrics.anees is not None:
-        cards.append(_card("ANEES", readable(metrics.anees), "", "6 is honest"))
+        cards.append(_card("ANEES", readable(metrics.anees), "", aside="6 is honest"))
     cards += [
-        _card("Steps OK", readable(100.0 * (1.0 - carried_on / len(result.status))), "%", f"{carried_on:,} carried on"),
-        _card("Median time", readable(ms), "ms", f"{readable(1000.0 / ms)} frames/s" if ms > 0 else "a frame"),
+        _card(
+            "Steps OK",
+            readable(100.0 * (1.0 - carried_on / len(result.status))),
+            "%",
+            aside=f"{carried_on:,} carried on",
+        ),
+        _card(
+            "Median time",
+            readable(ms),
+            "ms",
+            aside=f"{readable(1000.0 / ms)} frames/s" if ms > 0 else "a frame",
+        ),
     ]
     return cards
 
@@ -102,10 +117,10 @@ def _truth_cards(metrics: Metrics) -> list[str]:
     cards = []
     if metrics.kitti_t_percent is not None and metrics.kitti_r_deg_per_m is not None:
         aside = f"{readable(metrics.kitti_r_deg_per_m)} °/m, 100–800 m"
-        cards.append(_card("Drift", readable(metrics.kitti_t_percent), "%", aside))
+        cards.append(_card("Drift", readable(metrics.kitti_t_percent), "%", aside=aside))
     elif metrics.short_t_percent is not None and metrics.short_r_deg_per_m is not None:
         aside = f"{readable(metrics.short_r_deg_per_m)} °/m, 10–50 m"
-        cards.append(_card("Drift", readable(metrics.short_t_percent), "%", aside))
+        cards.append(_card("Drift", readable(metrics.short_t_percent), "%", aside=aside))
     if metrics.final_error_m is not None and metrics.path_length_m is not None:
         share = 100.0 * metrics.final_error_m / max(metrics.path_length_m, 1e-9)
         aside = f"{readable(share)} % of the path" if metrics.path_length_m > 1.0 else ""
@@ -124,19 +139,45 @@ def _figures(result: RunResult, drift: Drift, consistency: Consistency | None) -
     shown = "Estimate and truth" if drift.error is not None else "No truth is known"
     what = "Error" if drift.error is not None else "Claimed uncertainty"
     panels = [
-        panel("Seen from above", f"{shown}; forward is up. Ellipses: claimed 3σ.", trajectory_figure(drift)),
-        panel(f"{what} along the path", f"{band} for the position, in its worst direction.", error_figure(drift)),
+        panel(
+            "Seen from above",
+            f"{shown}; forward is up. Ellipses: claimed 3σ.",
+            trajectory_figure(drift),
+        ),
+        panel(
+            f"{what} along the path",
+            f"{band} for the position, in its worst direction.",
+            error_figure(drift),
+        ),
         panel(f"{what} by axis", f"Pose along its own camera’s axes. {band}.", axes_figure(drift)),
     ]
     if consistency is not None:
-        panels.append(panel("Claim and truth, step by step", _CALIBRATION_NOTE, calibration_figure(consistency)))
+        panels.append(
+            panel(
+                "Claim and truth, step by step", _CALIBRATION_NOTE, calibration_figure(consistency)
+            )
+        )
     panels.append(panel("Tracks and status", _status_note(result), tracks_figure(result)))
-    if result.num_used is not None and result.num_out_of_domain is not None and result.num_out_of_domain.any():
+    if (
+        result.num_used is not None
+        and result.num_out_of_domain is not None
+        and result.num_out_of_domain.any()
+    ):
         note = "Features that lie where the noise model has seen no training data."
-        panels.append(panel("Out of domain", note, domain_figure(result.num_used, result.num_out_of_domain, result)))
+        panels.append(
+            panel(
+                "Out of domain",
+                note,
+                domain_figure(result.num_used, result.num_out_of_domain, result),
+            )
+        )
     panels.append(panel("Time by stage", _stages_note(result), stages_figure(result)))
     if result.rejected:
-        panels.append(panel("Points turned away", "By the check that did so.", rejected_figure(result.rejected)))
+        panels.append(
+            panel(
+                "Points turned away", "By the check that did so.", rejected_figure(result.rejected)
+            )
+        )
     return panels
 
 
@@ -145,21 +186,32 @@ def _status_note(result: RunResult) -> str:
     size = group_size(result)
     grouped = f" Line: the fewest tracks of every {size} steps." if size > 1 else ""
     if not worst:
-        return f"Every step is OK; {np.median(result.num_tracks):,.0f} tracks in the median.{grouped}"
-    return f"Steps that are not OK ({', '.join(worst)}) are carried on from the gyro and the last velocity.{grouped}"
+        return (
+            f"Every step is OK; {np.median(result.num_tracks):,.0f} tracks in the median.{grouped}"
+        )
+    return (
+        f"Steps that are not OK ({', '.join(worst)}) are carried on from the gyro and the last"
+        f" velocity.{grouped}"
+    )
 
 
 def _stages_note(result: RunResult) -> str:
     size = group_size(result)
-    decoding = " Images are decoded ahead, in threads of their own." if "decode" in result.stage_ms else ""
-    shown = "Wall time of each step." if size == 1 else f"Areas: means over {size} steps. Line: the slowest of them."
+    decoding = (
+        " Images are decoded ahead, in threads of their own." if "decode" in result.stage_ms else ""
+    )
+    shown = (
+        "Wall time of each step."
+        if size == 1
+        else f"Areas: means over {size} steps. Line: the slowest of them."
+    )
     return shown + decoding
 
 
 def _card(name: str, value: str, unit: str, aside: str) -> str:
     return (
-        f'<div class="card"><div class="name">{name}</div><div class="value">{value} <small>{unit}</small></div>'
-        f'<div class="aside">{aside}</div></div>'
+        f'<div class="card"><div class="name">{name}</div><div class="value">{value}'
+        f' <small>{unit}</small></div><div class="aside">{aside}</div></div>'
     )
 
 
@@ -177,10 +229,16 @@ def _metrics_section(metrics: Metrics | None) -> str:
         f'<tr><th>{name}</th><td class="value">{value}</td><td class="text">{text}</td></tr>'
         for name, value, text in metrics_rows(metrics)
     )
-    return f'<section class="panel"><h2>Against the truth</h2>\n<table class="texts">{rows}</table></section>'
+    return (
+        '<section class="panel"><h2>Against the truth</h2>\n<table'
+        f' class="texts">{rows}</table></section>'
+    )
 
 
 def _config_section(config: str) -> str:
     if not config:
         return ""
-    return f'<details class="panel"><summary>Configuration</summary><pre>{escape(config)}</pre></details>'
+    return (
+        "<details"
+        f' class="panel"><summary>Configuration</summary><pre>{escape(config)}</pre></details>'
+    )

@@ -13,14 +13,19 @@ LEVELS = np.arange(1, 100) / 100.0
 
 
 def calibration_figure(consistency: Consistency) -> Figure:
-    """Share of steps inside the ellipsoid that is claimed to hold 1 … 99 % of them; on the diagonal is honest."""
+    """Share of steps inside the ellipsoid that is claimed to hold 1 … 99 % of them; on the diagonal
+    is honest."""
     low, high = consistency.share_interval(LEVELS)
     figure = Figure(figsize=(WIDTH_IN, 3.4))
     axes = figure.add_subplot(xlabel="claimed probability, %", ylabel="steps inside, %")
     percent = 100.0 * LEVELS
-    axes.fill_between(percent, 100.0 * low, 100.0 * high, color=BAND, lw=0, label="95 % of honest runs")
+    axes.fill_between(
+        percent, 100.0 * low, 100.0 * high, color=BAND, lw=0, label="95 % of honest runs"
+    )
     axes.plot([0, 100], [0, 100], color=GREY, lw=0.9, ls="--", label="honest")
-    axes.plot(percent, 100.0 * consistency.share_inside(LEVELS), color=BLUE, lw=1.4, label="this run")
+    axes.plot(
+        percent, 100.0 * consistency.share_inside(LEVELS), color=BLUE, lw=1.4, label="this run"
+    )
     axes.set(xlim=(0, 100), ylim=(-1, 101))  # a line at 0 is seen in full
     axes.legend(ncols=3, **LEGEND_ABOVE)
     return figure

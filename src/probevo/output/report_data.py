@@ -15,9 +15,11 @@ from probevo.output.run_result import RunResult
 
 @dataclass(frozen=True)
 class Drift:
-    """The path of a run over N frames, how far it strayed from the truth, and how far it thinks that it may have.
+    """The path of a run over N frames, how far it strayed from the truth, and how far it thinks
+    that it may have.
 
-    Both start with 0 at the origin: the first frame with a known true pose, or the first of all without truth.
+    Both start with 0 at the origin: the first frame with a known true pose, or the first of all
+    without truth.
     """
 
     time_s: FloatArray
@@ -47,18 +49,27 @@ class Drift:
     def position_cov_world(self) -> FloatArray:
         """Covariance of the position along the axes of the world frame, [N, 3, 3], m²."""
         C_world_cam = self.T_world_cam[:, :3, :3]
-        return np.asarray(np.einsum("nij,njk,nlk->nil", C_world_cam, self.cov[:, :3, :3], C_world_cam))
+        return np.asarray(
+            np.einsum("nij,njk,nlk->nil", C_world_cam, self.cov[:, :3, :3], C_world_cam)
+        )
 
 
 def drift_of(result: RunResult, truth: FloatArray | None) -> Drift:
-    """Drift of a run; the truth, T_world_cam [N, 4, 4], may have any world frame, NaN poses, and needs two others."""
-    known = np.flatnonzero(np.isfinite(truth).all(axis=(1, 2))) if truth is not None else np.empty(0, dtype=np.int64)
-    origin, T_world_cam_true, error = 0, None, None
+    """Drift of a run; the truth, T_world_cam [N, 4, 4], may have any world frame, NaN poses, and
+    needs two others."""
+    known = (
+        np.flatnonzero(np.isfinite(truth).all(axis=(1, 2)))
+        if truth is not None
+        else np.empty(0, dtype=np.int64)
+    )
+    origin = 0
+    T_world_cam_true = None
+    error = None
     if truth is not None and len(known) >= 2:
         origin = int(known[0])
         T_world_cam_true = result.T_world_cam[origin] @ se3.inverse(truth[origin]) @ truth
         error = drift_errors(result.T_world_cam, T_world_cam_true)
-    steps = (result.T_curr_prev, result.cov, result.shared, result.tied)
+    steps = (result.T_curr_prev, result.cov, result.common_mode, result.path_cross_cov)
     cov = drift_covariances(*(array[origin:] for array in steps))
     return Drift(
         time_s=(result.stamps_ns - result.stamps_ns[0]) * 1e-9,

@@ -18,7 +18,11 @@ _AXES = ("right x", "down y", "forward z", "pitch x", "yaw y", "roll z")
 
 def trajectory_figure(drift: Drift) -> Figure:
     """The path from above, forward up, against the truth, with the 3σ ellipses that the run claims."""
-    paths = [drift.T_world_cam] if drift.T_world_cam_true is None else [drift.T_world_cam, drift.T_world_cam_true]
+    paths = (
+        [drift.T_world_cam]
+        if drift.T_world_cam_true is None
+        else [drift.T_world_cam, drift.T_world_cam_true]
+    )
     paths_m = [T[:, [0, 2], 3] for T in paths]
     rings_m = _claimed_rings(drift)
     low_m, high_m = _window(np.concatenate(paths_m), np.concatenate(rings_m))
@@ -26,24 +30,42 @@ def trajectory_figure(drift: Drift) -> Figure:
     aspect = float((high_m - low_m)[1] / (high_m - low_m)[0])
     figure = Figure(figsize=(WIDTH_IN, WIDTH_IN * float(np.clip(aspect, 0.45, 0.85))))
     axes = figure.add_subplot(xlabel=f"right x, {unit}", ylabel=f"forward z, {unit}")
-    # The limits grow to fill the figure: a straight path keeps its surroundings, and its scale stays true.
+    # The limits grow to fill the figure: a straight path keeps its surroundings, and its scale
+    # stays true.
     axes.set_aspect("equal", adjustable="datalim")
     axes.update_datalim([low_m * factor, high_m * factor])
     for ring_m in rings_m:
-        axes.add_artist(Polygon(ring_m * factor, fc=(*to_rgb(BAND), 0.35), ec=(*to_rgb(BLUE), 0.5), lw=0.7, zorder=1))
-    for points_m, color, width, label in zip(paths_m, (BLUE, GREY), (1.4, 3.0), ("estimate", "truth"), strict=False):
+        axes.add_artist(
+            Polygon(
+                ring_m * factor, fc=(*to_rgb(BAND), 0.35), ec=(*to_rgb(BLUE), 0.5), lw=0.7, zorder=1
+            )
+        )
+    for points_m, color, width, label in zip(
+        paths_m, (BLUE, GREY), (1.4, 3.0), ("estimate", "truth"), strict=False
+    ):
         points = points_m * factor
         known = points[np.isfinite(points).all(axis=1)]
         axes.plot(*points.T, color=color, lw=width, label=label, zorder=3 if color == BLUE else 2)
         axes.plot(*known[-1], "s", color=color, ms=6, mec="white", mew=0.8, zorder=5)
-    axes.plot(*(paths_m[0][0] * factor), "o", color=INK, ms=7, mec="white", mew=0.8, zorder=6, ls="", label="start")
+    axes.plot(
+        *(paths_m[0][0] * factor),
+        "o",
+        color=INK,
+        ms=7,
+        mec="white",
+        mew=0.8,
+        zorder=6,
+        ls="",
+        label="start",
+    )
     axes.plot([], [], "s", color=GREY, ms=6, label="end")
     axes.legend(ncols=4, **LEGEND_ABOVE)
     return figure
 
 
 def error_figure(drift: Drift) -> Figure:
-    """Length of the position's part of the pose error, along the path, with its 3σ; the latter alone without truth."""
+    """Length of the position's part of the pose error, along the path, with its 3σ; the latter
+    alone without truth."""
     claimed_m = 3.0 * drift.position_sigma_m
     error_m = None if drift.error is None else np.linalg.norm(drift.error[:, :3], axis=1)
     top_m = readable_top(claimed_m, error_m)
@@ -52,7 +74,15 @@ def error_figure(drift: Drift) -> Figure:
     along, label = along_path(drift)
     axes = figure.add_subplot(xlabel=label, ylabel=f"position error, {unit}")
     dense = len(along) > RASTER_FROM
-    axes.fill_between(along, 0, claimed_m * factor, color=BAND, lw=0, label="3σ claimed by the run", rasterized=dense)
+    axes.fill_between(
+        along,
+        0,
+        claimed_m * factor,
+        color=BAND,
+        lw=0,
+        label="3σ claimed by the run",
+        rasterized=dense,
+    )
     if error_m is not None:
         axes.plot(along, error_m * factor, color=BLUE, lw=1.4, label="error", rasterized=dense)
     axes.set(ylim=(0, top_m * factor), xlim=limits_of(along))
@@ -72,7 +102,9 @@ def axes_figure(drift: Drift) -> Figure:
         error = None if drift.error is None else drift.error[:, i]
         top = readable_top(claimed, error)
         factor, unit = length_unit(top) if i < 3 else (np.rad2deg(1.0), "deg")
-        axes.fill_between(along, -claimed * factor, claimed * factor, color=BAND, lw=0, rasterized=dense)
+        axes.fill_between(
+            along, -claimed * factor, claimed * factor, color=BAND, lw=0, rasterized=dense
+        )
         if error is not None:
             axes.plot(along, error * factor, color=BLUE, lw=1.1, rasterized=dense)
         axes.set(ylim=(-top * factor, top * factor), xlim=limits_of(along))
@@ -94,7 +126,8 @@ def along_path(drift: Drift) -> tuple[FloatArray, str]:
 
 
 def readable_top(claimed: FloatArray, error: FloatArray | None) -> float:
-    """Upper limit of an axis: shows all of the error, and as much of the band as leaves the error readable."""
+    """Upper limit of an axis: shows all of the error, and as much of the band as leaves the error
+    readable."""
     if error is None:
         return 1.05 * float(claimed.max()) + 1e-9
     largest = float(np.nanmax(np.abs(error)))
@@ -102,7 +135,8 @@ def readable_top(claimed: FloatArray, error: FloatArray | None) -> float:
 
 
 def _claimed_rings(drift: Drift) -> list[FloatArray]:
-    """Outlines, [64, 2], m, of the horizontal 3σ ellipse of the position at six places along the path."""
+    """Outlines, [64, 2], m, of the horizontal 3σ ellipse of the position at six places along the
+    path."""
     angle = np.linspace(0.0, 2.0 * np.pi, 64)
     circle = 3.0 * np.stack([np.cos(angle), np.sin(angle)])
     rings_m = []
@@ -114,13 +148,13 @@ def _claimed_rings(drift: Drift) -> list[FloatArray]:
 
 
 def _window(path: FloatArray, rings: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper corner of a box around the path, and around the rings as far as they leave the path readable."""
-    low, high = np.nanmin(path, axis=0), np.nanmax(path, axis=0)
+    """Lower and upper corner of a box around the path, and around the rings as far as they leave
+    the path readable."""
+    low = np.nanmin(path, axis=0)
+    high = np.nanmax(path, axis=0)
     reach = max(float((high - low).max()), 1e-3)
-    low, high = (
-        np.maximum(low - reach, np.minimum(low, rings.min(axis=0))),
-        np.minimum(high + reach, np.maximum(high, rings.max(axis=0))),
-    )
+    low = np.maximum(low - reach, np.minimum(low, rings.min(axis=0)))
+    high = np.minimum(high + reach, np.maximum(high, rings.max(axis=0)))
     return low - 0.04 * reach, high + 0.04 * reach
 
 

@@ -1,4 +1,5 @@
-"""Figures of the report that show how the run went: tracks, status, times, points turned away, the domain."""
+"""Figures of the report that show how the run went: tracks, status, times, points turned away, the
+domain."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.motion.estimate import Status
+from probevo.estimation.motion_estimate import Status
 from probevo.output.domain import WARN_ABOVE
 from probevo.output.run_result import RunResult
 from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
@@ -47,14 +48,20 @@ def tracks_figure(result: RunResult) -> Figure:
     most = np.maximum.reduceat(result.num_tracks, starts)
     tracks.stairs(most, edges_s, color=BLUE, alpha=0.15, fill=True)
     tracks.stairs(fewest, edges_s, baseline=None, color=BLUE, lw=1.1)
-    tracks.set(ylabel="tracks", ylim=(0, 1.1 * max(int(most.max()), 1)), xlim=(edges_s[0], edges_s[-1]))
+    tracks.set(
+        ylabel="tracks", ylim=(0, 1.1 * max(int(most.max()), 1)), xlim=(edges_s[0], edges_s[-1])
+    )
     for start, end in _stretches(result.status):
-        strip.axvspan(time_s[start], time_s[end], color=STATUS_COLORS[Status(result.status[start])], lw=0.8)
+        strip.axvspan(
+            time_s[start], time_s[end], color=STATUS_COLORS[Status(result.status[start])], lw=0.8
+        )
     strip.set(yticks=[], xlabel="time, s")
     strip.grid(False)
     strip.spines["left"].set_visible(False)
     handles = [
-        Patch(color=STATUS_COLORS[Status(status)], label=f"{status_label(Status(status))}: {count:,}")
+        Patch(
+            color=STATUS_COLORS[Status(status)], label=f"{status_label(Status(status))}: {count:,}"
+        )
         for status, count in zip(*np.unique(result.status, return_counts=True), strict=True)
     ]
     tracks.legend(handles=handles, ncols=3, **LEGEND_ABOVE)
@@ -62,9 +69,11 @@ def tracks_figure(result: RunResult) -> Figure:
 
 
 def stages_figure(result: RunResult) -> Figure:
-    """Wall time of each step, its stages stacked, and the total as a line; in groups, means and the slowest step.
+    """Wall time of each step, its stages stacked, and the total as a line; in groups, means and the
+    slowest step.
 
-    Decoding runs ahead in threads of its own and is no part of the total: a line of its own, outside the stack.
+    Decoding runs ahead in threads of its own and is no part of the total: a line of its own,
+    outside the stack.
     """
     starts, edges_s = _groups(result)
     sizes = np.diff([*starts, len(result.status)])
@@ -95,7 +104,8 @@ def stages_figure(result: RunResult) -> Figure:
 
 
 def domain_figure(num_used: IntArray, num_out_of_domain: IntArray, result: RunResult) -> Figure:
-    """Share of the features solved with that the noise model had to guess, over time; in groups, that of all in it.
+    """Share of the features solved with that the noise model had to guess, over time; in groups,
+    that of all in it.
 
     Args:
         num_used: features solved with at each step, [N-1].
@@ -109,8 +119,13 @@ def domain_figure(num_used: IntArray, num_out_of_domain: IntArray, result: RunRe
     axes = figure.add_subplot(xlabel="time, s", ylabel="% of the features")
     axes.stairs(percent, edges_s, color=BLUE, alpha=0.15, fill=True)
     axes.stairs(percent, edges_s, baseline=None, color=BLUE, lw=1.1)
-    axes.axhline(100.0 * WARN_ABOVE, color=GREY, lw=0.9, ls="--", label="warning level of the whole run")
-    axes.set(ylim=(0, min(1.15 * max(float(percent.max()), 100.0 * WARN_ABOVE), 102.0)), xlim=(edges_s[0], edges_s[-1]))
+    axes.axhline(
+        100.0 * WARN_ABOVE, color=GREY, lw=0.9, ls="--", label="warning level of the whole run"
+    )
+    axes.set(
+        ylim=(0, min(1.15 * max(float(percent.max()), 100.0 * WARN_ABOVE), 102.0)),
+        xlim=(edges_s[0], edges_s[-1]),
+    )
     axes.legend(**LEGEND_ABOVE)
     return figure
 
@@ -121,9 +136,15 @@ def rejected_figure(rejected: dict[str, int]) -> Figure:
     total = max(sum(rejected.values()), 1)
     figure = Figure(figsize=(WIDTH_IN, 0.8 + 0.32 * len(ranked)))
     axes = figure.add_subplot(xlabel="points")
-    names, counts = [name.replace("_", " ") for name, _ in ranked], [count for _, count in ranked]
+    names = [name.replace("_", " ") for name, _ in ranked]
+    counts = [count for _, count in ranked]
     bars = axes.barh(names, counts, color=BLUE, height=0.65)
-    axes.bar_label(bars, [f"{count:,} ({100 * count / total:.0f} %)" for count in counts], padding=4, fontsize=8.5)
+    axes.bar_label(
+        bars,
+        [f"{count:,} ({100 * count / total:.0f} %)" for count in counts],
+        padding=4,
+        fontsize=8.5,
+    )
     axes.set_xlim(0, 1.3 * max([*counts, 1]))
     axes.grid(False, axis="y")
     return figure
@@ -134,7 +155,8 @@ def _seconds(result: RunResult) -> FloatArray:
 
 
 def _groups(result: RunResult) -> tuple[IntArray, FloatArray]:
-    """First step of each of G groups of steps, [G], and the times, s, between which they lie, [G+1]."""
+    """First step of each of G groups of steps, [G], and the times, s, between which they lie,
+    [G+1]."""
     starts = np.arange(0, len(result.status), group_size(result))
     return starts, _seconds(result)[[*starts, len(result.status)]]
 
@@ -147,4 +169,6 @@ def _stretches(values: IntArray) -> list[tuple[int, int]]:
 
 def _readable_top(slowest_ms: FloatArray) -> float:
     """Upper limit that a single hiccup does not spoil."""
-    return 1.1 * max(min(float(slowest_ms.max()), 2.0 * float(np.percentile(slowest_ms, 95.0))), 1e-3)
+    return 1.1 * max(
+        min(float(slowest_ms.max()), 2.0 * float(np.percentile(slowest_ms, 95.0))), 1e-3
+    )

@@ -19,7 +19,11 @@ from probevo.sequences import GroundTruth, Sequence
 
 def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[str, str]:
     """What a reader of the report should know about a run, by name."""
-    domain = {} if result.out_of_domain is None else {"Out of its domain": domain_text(result.out_of_domain)}
+    domain = (
+        {}
+        if result.out_of_domain is None
+        else {"Out of its domain": domain_text(result.out_of_domain)}
+    )
     return {
         "Recording": str(sequence.path),
         "Format": sequence.format,
@@ -35,12 +39,16 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
 
 
 def frames_text(stamps_ns: IntArray, recorded: int | None = None) -> str:
-    """Number of frames, duration and rate; and of how many ``recorded`` ones they are the first, if there are more."""
+    """Number of frames, duration and rate; and of how many ``recorded`` ones they are the first, if
+    there are more."""
     of = "" if recorded in (None, len(stamps_ns)) else f" of {recorded:,}"
     seconds = float(stamps_ns[-1] - stamps_ns[0]) * 1e-9
     if len(stamps_ns) < 2:
         return "1"
-    return f"{len(stamps_ns):,}{of} in {seconds:.1f} s ({1e9 / float(np.median(np.diff(stamps_ns))):.2f} Hz)"
+    return (
+        f"{len(stamps_ns):,}{of} in {seconds:.1f} s"
+        f" ({1e9 / float(np.median(np.diff(stamps_ns))):.2f} Hz)"
+    )
 
 
 def camera_text(camera: StereoCamera) -> str:
@@ -55,7 +63,9 @@ def camera_text(camera: StereoCamera) -> str:
 def field_of_view_deg(camera: StereoCamera) -> float:
     """Horizontal field of view; NaN where the image size is not known."""
     width_px = camera.size_px[0] if camera.size_px else math.nan
-    return math.degrees(math.atan(camera.cu_px / camera.fu_px) + math.atan((width_px - camera.cu_px) / camera.fu_px))
+    return math.degrees(
+        math.atan(camera.cu_px / camera.fu_px) + math.atan((width_px - camera.cu_px) / camera.fu_px)
+    )
 
 
 def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
@@ -76,4 +86,7 @@ def truth_text(truth: GroundTruth | None, num_frames: int | None = None) -> str:
     if truth is None:
         return "none"
     known = truth.known[:num_frames]
-    return f"{known.sum():,} of {len(known):,} frames, {path_length(truth.T_world_cam[:num_frames][known]):.1f} m"
+    return (
+        f"{known.sum():,} of {len(known):,} frames,"
+        f" {path_length(truth.T_world_cam[:num_frames][known]):.1f} m"
+    )

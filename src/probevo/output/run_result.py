@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.geometry import se3
-from probevo.motion.estimate import MotionEstimate
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """A run over N frames. The first frame has a pose but no motion: the arrays of motions start at the second."""
+    """A run over N frames. The first frame has a pose but no motion: the arrays of motions start at
+    the second."""
 
     stamps_ns: IntArray
     """[N]."""
@@ -27,10 +28,11 @@ class RunResult:
     """Relative motions, [N-1, 4, 4], m."""
     cov: FloatArray
     """Covariance of the left perturbation [ρ; φ] of each motion, [N-1, 6, 6], m and rad."""
-    shared: FloatArray
-    """Columns of the errors that all motions share, [N-1, 6, 3]: see ``MotionEstimate.shared``."""
-    tied: FloatArray
-    """Covariances of each motion with the path before it, [N-1, 6, 6]: see ``MotionEstimate.tied``."""
+    common_mode: FloatArray
+    """Columns of the errors that all motions share, [N-1, 6, 3]: see ``MotionEstimate.common_mode``."""
+    path_cross_cov: FloatArray
+    """Covariances of each motion with the path before it, [N-1, 6, 6]: see ``MotionEstimate.path_cross_cov``.
+    """
     status: IntArray
     """``motion.estimate.Status`` of each motion, [N-1]."""
     num_tracks: IntArray
@@ -38,7 +40,8 @@ class RunResult:
     num_inliers: IntArray
     """Tracks that were trusted, [N-1]."""
     stage_ms: dict[str, FloatArray]
-    """Wall time of each stage, [N-1], ms, by name in the order of the flow; 0 where a stage did not run."""
+    """Wall time of each stage, [N-1], ms, by name in the order of the flow; 0 where a stage did not
+    run."""
     total_ms: FloatArray
     """Wall time of the whole step, [N-1], ms."""
     rejected: dict[str, int] = field(default_factory=dict)
@@ -46,14 +49,17 @@ class RunResult:
     num_used: IntArray | None = None
     """Tracks that were solved with, [N-1]; None in the files of versions that did not say."""
     num_out_of_domain: IntArray | None = None
-    """Those of them that lie where the noise model has seen no training data, [N-1]; None if it knows of no such place.
+    """Those of them that lie where the noise model has seen no training data, [N-1]; None if it
+    knows of no such place.
     """
     stopped: str | None = None
-    """What stopped the run before all its frames were through, such as a damaged image; None if nothing did."""
+    """What stopped the run before all its frames were through, such as a damaged image; None if
+    nothing did."""
 
     @property
     def out_of_domain(self) -> float | None:
-        """Share, 0 … 1, of all features solved with that lie where the noise model has seen no training data."""
+        """Share, 0 … 1, of all features solved with that lie where the noise model has seen no
+        training data."""
         if self.num_used is None or self.num_out_of_domain is None or not self.num_used.any():
             return None
         return float(self.num_out_of_domain.sum() / self.num_used.sum())
@@ -64,11 +70,12 @@ class RunResult:
 
 
 class RunRecorder:
-    """Collects the estimates of a run as they come, 1 kB each; ``result`` may be asked for at any time."""
+    """Collects the estimates of a run as they come, 1 kB each; ``result`` may be asked for at any
+    time."""
 
     def __init__(self) -> None:
         self._numbers = _Rows(np.float64, 16 + 36 + 18 + 36 + 1)
-        """T_curr_prev, cov, shared, tied, wall time of the step."""
+        """T_curr_prev, cov, common_mode, path_cross_cov, wall time of the step."""
         self._counts = _Rows(np.int64, 6)
         """Stamp, status, tracks, trusted, used, out of domain (−1 for None)."""
         self._stage_ms: dict[str, _Rows] = {}
@@ -91,11 +98,21 @@ class RunRecorder:
             rejected: points turned away at this step, by the check's name.
         """
         total = sum(motion.stage_ms.values()) if total_ms is None else total_ms
-        arrays = (motion.T_curr_prev, motion.cov, motion.shared, motion.tied)
+        arrays = (motion.T_curr_prev, motion.cov, motion.common_mode, motion.path_cross_cov)
         self._numbers.add(np.concatenate([*(array.ravel() for array in arrays), [total]]))
         outside = -1 if motion.num_out_of_domain is None else motion.num_out_of_domain
-        self._counts.add((stamp_ns, motion.status, motion.num_tracks, motion.num_inliers, motion.num_used, outside))
-        first, num_before = len(self._counts) == 1, len(self._counts) - 1
+        self._counts.add(
+            (
+                stamp_ns,
+                motion.status,
+                motion.num_tracks,
+                motion.num_inliers,
+                motion.num_used,
+                outside,
+            )
+        )
+        first = len(self._counts) == 1
+        num_before = len(self._counts) - 1
         for name in () if first else motion.stage_ms:
             if name not in self._stage_ms:
                 self._stage_ms[name] = _Rows(np.float64, 1, zeros=num_before)
@@ -105,16 +122,20 @@ class RunRecorder:
 
     def result(self) -> RunResult:
         """All that was taken in so far."""
-        counts, numbers = self._counts.table(), self._numbers.table()[1:]
-        stamps_ns, (_, status, num_tracks, num_inliers, num_used, outside) = counts[:, 0].copy(), counts[1:].T.copy()
+        counts = self._counts.table()
+        numbers = self._numbers.table()[1:]
+        stamps_ns, (_, status, num_tracks, num_inliers, num_used, outside) = (
+            counts[:, 0].copy(),
+            counts[1:].T.copy(),
+        )
         T_curr_prev = numbers[:, :16].reshape(-1, 4, 4)
         return RunResult(
             stamps_ns=stamps_ns,
             T_world_cam=se3.chain_motions(T_curr_prev)[: len(counts)],
             T_curr_prev=T_curr_prev,
             cov=numbers[:, 16:52].reshape(-1, 6, 6),
-            shared=numbers[:, 52:70].reshape(-1, 6, 3),
-            tied=numbers[:, 70:106].reshape(-1, 6, 6),
+            common_mode=numbers[:, 52:70].reshape(-1, 6, 3),
+            path_cross_cov=numbers[:, 70:106].reshape(-1, 6, 6),
             status=status,
             num_tracks=num_tracks,
             num_inliers=num_inliers,
@@ -127,12 +148,15 @@ class RunRecorder:
 
 
 class _Rows:
-    """A table that grows by rows, in blocks that stay where they are: one that is moved to grow leaves holes."""
+    """A table that grows by rows, in blocks that stay where they are: one that is moved to grow
+    leaves holes."""
 
     BLOCK = 1024
 
     def __init__(self, dtype: type[np.float64 | np.int64], columns: int, zeros: int = 0) -> None:
-        self._blocks = [np.zeros((self.BLOCK, columns), dtype) for _ in range(1 + zeros // self.BLOCK)]
+        self._blocks = [
+            np.zeros((self.BLOCK, columns), dtype) for _ in range(1 + zeros // self.BLOCK)
+        ]
         self._len = zeros
 
     def __len__(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import IntArray
-from probevo.motion.estimate import Status
+from probevo.estimation.motion_estimate import Status
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 
@@ -13,8 +13,12 @@ FEWEST_OK = 0.5
 """Share of steps that have to be OK for a run to be worth believing."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
-    Status.TOO_FEW_TRACKS: "dark, blurred or bare pictures, or left and right not rectified or of different times",
-    Status.NOT_CONVERGED: "stamps or an IMU in wrong units, a wrong calibration, or frames out of order",
+    Status.TOO_FEW_TRACKS: (
+        "dark, blurred or bare pictures, or left and right not rectified or of different times"
+    ),
+    Status.NOT_CONVERGED: (
+        "stamps or an IMU in wrong units, a wrong calibration, or frames out of order"
+    ),
     Status.GAP: "missing frames, or wrong stamps",
 }
 
@@ -22,7 +26,9 @@ _CAUSES = {
 def run_warnings(result: RunResult) -> dict[str, str]:
     """Heading and text of each warning."""
     warnings = {
-        "Stopped before the end": result.stopped and f"After {len(result):,} frames: {result.stopped}",
+        "Stopped before the end": (
+            result.stopped and f"After {len(result):,} frames: {result.stopped}"
+        ),
         "Hardly a step is OK": status_warning(result.status),
         "Out of domain": domain_warning(result.out_of_domain),
     }
@@ -30,7 +36,8 @@ def run_warnings(result: RunResult) -> dict[str, str]:
 
 
 def status_warning(status: IntArray) -> str | None:
-    """What most steps, [N-1], ended with if not with OK, and what it usually comes of; None if half of them are OK."""
+    """What most steps, [N-1], ended with if not with OK, and what it usually comes of; None if half
+    of them are OK."""
     num_ok = int(np.sum(status == Status.OK))
     if num_ok >= FEWEST_OK * len(status):
         return None
@@ -38,6 +45,7 @@ def status_warning(status: IntArray) -> str | None:
     prevailing = Status(found[counts.argmax()])
     name = prevailing.name.replace("_", " ").lower()
     return (
-        f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not to be believed. Most others are "
-        f"{name}, which usually comes of {_CAUSES[prevailing]}: see `probevo info SEQUENCE`."
+        f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not to be believed. Most"
+        f" others are {name}, which usually comes of {_CAUSES[prevailing]}: see `probevo info"
+        " SEQUENCE`."
     )

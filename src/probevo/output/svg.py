@@ -1,4 +1,5 @@
-"""Matplotlib figures as SVG that can stand inside an HTML page: one style, no fonts, links, dates or chance in it."""
+"""Matplotlib figures as SVG that can stand inside an HTML page: one style, no fonts, links, dates
+or chance in it."""
 
 from __future__ import annotations
 
@@ -11,8 +12,12 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-INK, MUTED, RULE = "#1f2933", "#66717d", "#e4e7eb"
-BLUE, BAND, GREY = "#1769aa", "#bcdcf5", "#8a949e"
+INK = "#1f2933"
+MUTED = "#66717d"
+RULE = "#e4e7eb"
+BLUE = "#1769aa"
+BAND = "#bcdcf5"
+GREY = "#8a949e"
 CYCLE = ("#1769aa", "#e08a1e", "#2a9d8f", "#b5446e", "#7a6fd0", "#7d8b3a", "#4fb3d9", "#9a6a4b")
 
 WIDTH_IN = 5.8
@@ -57,13 +62,15 @@ _RASTER_DPI = 170
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """Within it, figures are made in the style of the report; outside, Matplotlib's settings stay as they were."""
+    """Within it, figures are made in the style of the report; outside, Matplotlib's settings stay
+    as they were."""
     with matplotlib.rc_context(_STYLE):
         yield
 
 
 def inline_svg(figure: Figure, name: str, description: str) -> str:
-    """The figure as an ``<svg>`` element. ``name`` keeps its ids apart from those of other figures on the page."""
+    """The figure as an ``<svg>`` element. ``name`` keeps its ids apart from those of other figures
+    on the page."""
     buffer = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     figure.savefig(buffer, format="svg", dpi=_RASTER_DPI, metadata=nothing)

@@ -1,4 +1,5 @@
-"""The form of the papers' tables: a row a trial, of each estimator its errors; as text, HTML and LaTeX."""
+"""The form of the papers' tables: a row a trial, of each estimator its errors; as text, HTML and
+LaTeX."""
 
 from __future__ import annotations
 
@@ -71,18 +72,27 @@ def errors_of(entry: Entry) -> Errors:
 
 
 def trial_table(comparison: Comparison) -> TrialTable:
-    """The runs of a comparison in this form; an estimator that did not run over a recording has dashes."""
+    """The runs of a comparison in this form; an estimator that did not run over a recording has
+    dashes."""
     rows = []
     for name in comparison.sequences:
         entries = {entry.estimator: entry for entry in comparison.of(name)}
         lengths_m = [entry.metrics.path_length_m for entry in entries.values() if entry.metrics]
-        errors = [errors_of(entries[key]) if key in entries else UNKNOWN for key in comparison.estimators]
+        errors = [
+            errors_of(entries[key]) if key in entries else UNKNOWN for key in comparison.estimators
+        ]
         rows.append(TrialRow(name, tuple(errors), next(iter(lengths_m), None)))
-    return TrialTable(comparison.estimators, tuple(rows), (*truth_note(comparison), *_seen_note(comparison)))
+    return TrialTable(
+        comparison.estimators, tuple(rows), (*truth_note(comparison), *_seen_note(comparison))
+    )
 
 
 def _seen_note(comparison: Comparison) -> tuple[str, ...]:
-    seen = [f"{entry.estimator} from {entry.sequence}" for entry in comparison.entries if entry.learned_from_it]
+    seen = [
+        f"{entry.estimator} from {entry.sequence}"
+        for entry in comparison.entries
+        if entry.learned_from_it
+    ]
     return (f"Learned from recordings of the same names: {', '.join(seen)}.",) if seen else ()
 
 
@@ -94,12 +104,15 @@ def trials_text(table: TrialTable) -> list[tuple[str, ...]]:
     rows = []
     for row, *errors in zip(table.rows, *columns, strict=True):
         kind = (row.kind,) if kinds else ()
-        rows.append((f"  {row.name}" if row.is_aside else row.name, *kind, length_text(row), *errors))
+        rows.append(
+            (f"  {row.name}" if row.is_aside else row.name, *kind, length_text(row), *errors)
+        )
     return [head, *rows]
 
 
 def _joined(errors: list[Errors]) -> list[str]:
-    """All numbers of an estimator in a cell, so wide that those of all cells stand below each other."""
+    """All numbers of an estimator in a cell, so wide that those of all cells stand below each
+    other."""
     columns = [[figure_text(value) for value in column] for column in zip(*errors, strict=True)]
     widths = [max(map(len, column), default=0) for column in columns]
     return [" / ".join(map(str.rjust, texts, widths)) for texts in zip(*columns, strict=True)]
@@ -113,7 +126,9 @@ def length_text(row: TrialRow) -> str:
 def trials_section(table: TrialTable) -> str:
     """The table as a section of a page."""
     kinds = '<th rowspan="2">type</th>' if table.has_kinds else ""
-    names = "".join(f'<th colspan="{len(table.measures)}">{escape(name)}</th>' for name in table.estimators)
+    names = "".join(
+        f'<th colspan="{len(table.measures)}">{escape(name)}</th>' for name in table.estimators
+    )
     head = f'<tr><th rowspan="2">trial</th>{kinds}<th rowspan="2">length m</th>{names}</tr>\n'
     first, *others = (f"{escape(name)} {escape(unit)}" for name, unit in table.measures)
     cells = f"<th {_NOT_FIRST}>{first}</th>" + "".join(f"<th>{other}</th>" for other in others)
@@ -121,11 +136,17 @@ def trials_section(table: TrialTable) -> str:
     rows = "\n".join(_html_row(row, table.has_kinds) for row in table.rows)
     notes = "<br/>\n".join(map(escape, ("Bold: the least of a row.", *table.notes)))
     body = f'<table class="figures"><thead>{head}</thead>\n<tbody>\n{rows}\n</tbody></table>'
-    return f'<section class="panel"><h2>In the form of {table.form}</h2><p class="note">{notes}</p>\n{body}</section>'
+    return (
+        f'<section class="panel"><h2>In the form of {table.form}</h2><p'
+        f' class="note">{notes}</p>\n{body}</section>'
+    )
 
 
 def _html_row(row: TrialRow, has_kinds: bool) -> str:
-    cells = "".join(f'<td class="best">{text}</td>' if best else f"<td>{text}</td>" for text, best in _cells(row))
+    cells = "".join(
+        f'<td class="best">{text}</td>' if best else f"<td>{text}</td>"
+        for text, best in _cells(row)
+    )
     kind = f"<td>{escape(row.kind)}</td>" if has_kinds else ""
     name = f"<small>{escape(row.name)}</small>" if row.is_aside else escape(row.name)
     return f"<tr><th>{name}</th>{kind}<td>{length_text(row)}</td>{cells}</tr>"
@@ -136,15 +157,21 @@ def trials_latex(table: TrialTable) -> str:
     kinds = 1 if table.has_kinds else 0
     before = " & " * (1 + kinds)
     each = len(table.measures)
-    groups = " & ".join(rf"\multicolumn{{{each}}}{{c}}{{{latex(name)}}}" for name in table.estimators)
+    groups = " & ".join(
+        rf"\multicolumn{{{each}}}{{c}}{{{latex(name)}}}" for name in table.estimators
+    )
     head = [
         "Trial",
         *(["Type"] if kinds else []),
         "Length [m]",
-        *[f"{name[:1].upper()}{name[1:]} [{unit}]" for name, unit in table.measures] * len(table.estimators),
+        *[f"{name[:1].upper()}{name[1:]} [{unit}]" for name, unit in table.measures]
+        * len(table.estimators),
     ]
     lines = [f"% {' '.join(note.split())}" for note in table.notes]
-    lines += [rf"\begin{{tabular}}{{l{'l' * kinds}r{'r' * each * len(table.estimators)}}}", r"\hline"]
+    lines += [
+        rf"\begin{{tabular}}{{l{'l' * kinds}r{'r' * each * len(table.estimators)}}}",
+        r"\hline",
+    ]
     lines += [rf"{before}& {groups} \\".lstrip(), rf"{' & '.join(head)} \\", r"\hline"]
     lines += [_latex_row(row, table.has_kinds) for row in table.rows]
     return "\n".join([*lines, r"\hline", r"\end{tabular}", ""])

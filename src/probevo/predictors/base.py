@@ -12,15 +12,15 @@ import numpy as np
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.motion.last_residuals import LastResiduals
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame, ImuSamples
+from probevo.tracking.last_residuals import LastResiduals
 from probevo.tracking.tracks import Tracks
 
 
 class Needs(Flag):
-    """What a predictor looks at, beside the tracks, their last residuals, and the motion expected from gyro and last
-    velocity."""
+    """What a predictor looks at, beside the tracks, their last residuals, and the motion expected
+    from gyro and last velocity."""
 
     TRACKS = 0
     LEFT = auto()
@@ -84,10 +84,11 @@ class Step:
 
 @dataclass(frozen=True)
 class Predictor:
-    """One idea of what tells a good feature from a bad one, as one or more columns of the prediction space.
+    """One idea of what tells a good feature from a bad one, as one or more columns of the
+    prediction space.
 
-    ``compute`` maps a step with N features to [N], or to [N, C] with C columns. NaN says that a value is undefined
-    there, and is refused unless ``undefined`` says where that may be.
+    ``compute`` maps a step with N features to [N], or to [N, C] with C columns. NaN says that a
+    value is undefined there, and is refused unless ``undefined`` says where that may be.
     """
 
     name: str
@@ -98,7 +99,8 @@ class Predictor:
     needs: Needs
     compute: Callable[[Step], FloatArray]
     undefined: str = ""
-    """Where it has no value, e.g. "where the patch leaves the image"; empty if it always has one."""
+    """Where it has no value, e.g. "where the patch leaves the image"; empty if it always has one.
+    """
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,9 @@ class PredictionSpace:
         for predictor in self.predictors:
             if not seen.isdisjoint(predictor.columns):
                 what = f"{predictor.name} has a column that an earlier one has too."
-                raise InputError("predictors", what, "Name each predictor once, and give your own other columns.")
+                raise InputError(
+                    "predictors", what, "Name each predictor once, and give your own other columns."
+                )
             seen |= set(predictor.columns)
 
     @property
@@ -133,7 +137,9 @@ class PredictionSpace:
     @property
     def may_be_undefined(self) -> tuple[bool, ...]:
         """Whether each of the M columns may hold NaN."""
-        return tuple(bool(predictor.undefined) for predictor in self.predictors for _ in predictor.columns)
+        return tuple(
+            bool(predictor.undefined) for predictor in self.predictors for _ in predictor.columns
+        )
 
     def __call__(self, step: Step) -> FloatArray:
         """Where the N features of a step lie, [N, M]; NaN where a predictor is undefined.
@@ -143,7 +149,10 @@ class PredictionSpace:
         """
         self._check(step)
         count = len(step.tracks)
-        parts = [predictor.compute(step).reshape(count, len(predictor.columns)) for predictor in self.predictors]
+        parts = [
+            predictor.compute(step).reshape(count, len(predictor.columns))
+            for predictor in self.predictors
+        ]
         return np.concatenate([np.zeros((count, 0)), *parts], axis=1)
 
     def check_recording(self, sequence: Sequence) -> None:
@@ -152,9 +161,11 @@ class PredictionSpace:
         Raises:
             InputError: names the predictor.
         """
-        images, imu = sequence.camera.size_px is not None, sequence.imu is not None
+        images = sequence.camera.size_px is not None
+        imu = sequence.imu is not None
         self._refuse(
-            {Needs.LEFT: not images, Needs.PREVIOUS_LEFT: not images, Needs.ACCELEROMETER: not imu}, sequence.path
+            {Needs.LEFT: not images, Needs.PREVIOUS_LEFT: not images, Needs.ACCELEROMETER: not imu},
+            sequence.path,
         )
 
     def _check(self, step: Step) -> None:
@@ -166,9 +177,17 @@ class PredictionSpace:
         self._refuse(lacking, f"frame {step.now.index}")
 
     def _refuse(self, lacking: Mapping[Needs, bool], where: str | Path) -> None:
-        names = {Needs.LEFT: "images", Needs.PREVIOUS_LEFT: "images", Needs.ACCELEROMETER: "accelerometer"}
+        names = {
+            Needs.LEFT: "images",
+            Needs.PREVIOUS_LEFT: "images",
+            Needs.ACCELEROMETER: "accelerometer",
+        }
         for predictor in self.predictors:
             for need, is_lacking in lacking.items():
                 if is_lacking and need in predictor.needs:
                     what = f"it has no {names[need]}, which the predictor {predictor.name} needs."
-                    raise InputError(where, what, "Train a model without it: name others with `train --predictors`.")
+                    raise InputError(
+                        where,
+                        what,
+                        "Train a model without it: name others with `train --predictors`.",
+                    )

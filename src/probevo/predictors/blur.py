@@ -18,11 +18,11 @@ HALF_SIZE_PX = 10
 def blur(left: Image, uv: FloatArray) -> FloatArray:
     """No-reference perceptual blur of the patch around each feature.
 
-    Blurring a sharp image changes how neighbouring pixels differ, blurring a blurred one hardly does. Along each axis
-    the metric is the share of the differences between neighbours that a 9-tap box along that axis leaves; the patch
-    is as blurred as along its worse axis. An axis along which the patch is constant does not count, and a patch that is
-    constant altogether is blurred. The box takes in what lies around the patch; the image goes on beyond its border
-    as it is there.
+    Blurring a sharp image changes how neighbouring pixels differ, blurring a blurred one hardly
+    does. Along each axis the metric is the share of the differences between neighbours that a 9-tap
+    box along that axis leaves; the patch is as blurred as along its worse axis. An axis along which
+    the patch is constant does not count, and a patch that is constant altogether is blurred. The
+    box takes in what lies around the patch; the image goes on beyond its border as it is there.
 
     Args:
         left: image, [height, width], uint8.
@@ -32,21 +32,25 @@ def blur(left: Image, uv: FloatArray) -> FloatArray:
         [N], 0 (sharp) … 1 (blurred); NaN where the patch leaves the image.
     """
     values = np.full(len(uv), np.nan)
-    _blur(np.ascontiguousarray(left), np.ascontiguousarray(uv), HALF_SIZE_PX, values)
+    _blur(np.ascontiguousarray(left), np.ascontiguousarray(uv), HALF_SIZE_PX, values=values)
     return values
 
 
 @compiled
 def _blur(image: Image, uv: FloatArray, half: int, values: FloatArray) -> None:
     size = 2 * half + 1
-    patch = np.empty((size + 2 * REACH, size + 2 * REACH), np.int32)  # with all that the boxes take in
+    patch = np.empty(
+        (size + 2 * REACH, size + 2 * REACH), np.int32
+    )  # with all that the boxes take in
     turned = np.empty_like(patch)
     for n in range(len(uv)):
-        left = patch_start(uv[n, 0], half, size, image.shape[1])
-        top = patch_start(uv[n, 1], half, size, image.shape[0])
+        left = patch_start(uv[n, 0], half, size, image_px=image.shape[1])
+        top = patch_start(uv[n, 1], half, size, image_px=image.shape[0])
         if left >= 0 and top >= 0:
-            copy_patch(image, top - REACH, left - REACH, patch)
-            for row in range(len(patch)):  # no slice as target: that alone would take Numba 3 s to compile
+            copy_patch(image, top - REACH, left - REACH, patch=patch)
+            for row in range(
+                len(patch)
+            ):  # no slice as target: that alone would take Numba 3 s to compile
                 for column in range(len(patch)):
                     turned[row, column] = patch[column, row]
             kept = max(_kept_along_rows(patch), _kept_along_rows(turned))
@@ -55,9 +59,11 @@ def _blur(image: Image, uv: FloatArray, half: int, values: FloatArray) -> None:
 
 @compiled
 def _kept_along_rows(patch: AnyArray) -> float:
-    """Share of the differences along the rows that a box along the rows leaves; −1 where there are none.
+    """Share of the differences along the rows that a box along the rows leaves; −1 where there are
+    none.
 
-    Two neighbouring boxes differ by the pixel that only the one has, at its end, and the one that only the other has.
+    Two neighbouring boxes differ by the pixel that only the one has, at its end, and the one that
+    only the other has.
     """
     size = len(patch) - 2 * REACH
     total = lost = 0

@@ -11,16 +11,20 @@ FLOOR_PX = 1e-2
 """Distances below this say nothing: Lucas–Kanade is no more precise."""
 WINDOW_PX = 11
 """Side of the window, as that of tracking is by default."""
-MAX_ITERATIONS, MAX_STEP_PX = 10, 1e-3
+MAX_ITERATIONS = 10
+MAX_STEP_PX = 1e-3
 MIN_EIGENVALUE = 1e-4
 """Smallest eigenvalue of the window's gradient matrix, as in tracking."""
 
 
-def forward_backward(previous_left: Image, left: Image, previous_uv: FloatArray, uv: FloatArray) -> FloatArray:
-    """ln(0.01 + distance/px) between where a feature was and where Lucas–Kanade finds the current one there.
+def forward_backward(
+    previous_left: Image, left: Image, previous_uv: FloatArray, uv: FloatArray
+) -> FloatArray:
+    """ln(0.01 + distance/px) between where a feature was and where Lucas–Kanade finds the current
+    one there.
 
-    The search starts at ``previous_uv`` on the images as they are, at full resolution (after Kalal et al. 2010,
-    "Forward-backward error").
+    The search starts at ``previous_uv`` on the images as they are, at full resolution (after Kalal
+    et al. 2010, "Forward-backward error").
 
     Args:
         previous_left: left image before, [height, width].

@@ -11,9 +11,11 @@ FLOOR_PX = 0.1
 
 
 def last_residual(size_px: FloatArray) -> FloatArray:
-    """ln(0.1 + ‖e‖/px) of the residual that a feature left in the step before, at the motion believed then. Ours.
+    """ln(0.1 + ‖e‖/px) of the residual that a feature left in the step before, at the motion
+    believed then. Ours.
 
-    What errs goes on to err: a car drives on, a window goes on slipping. Unlike ``residual_flow`` this does not look at
+    What errs goes on to err: a car drives on, a window goes on slipping. Unlike ``residual_flow``
+    this does not look at
     the current observation, so that it cannot confirm the motion that is expected.
 
     Args:

@@ -9,8 +9,8 @@ from probevo.geometry import se3
 def velocity(expected: FloatArray, duration_s: float) -> FloatArray:
     """Velocity of the expected motion along the camera's own axes, constant over the step.
 
-    With ``turn_rate``, it stands for PROBE-GK's estimated transform parameters; but these are known before the
-    motion is solved. Driving forward is +z.
+    With ``turn_rate``, it stands for PROBE-GK's estimated transform parameters; but these are known
+    before the motion is solved. Driving forward is +z.
 
     Args:
         expected: T_curr_prev, [4, 4].

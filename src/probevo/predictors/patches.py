@@ -13,7 +13,8 @@ def patch_start(center_px: float, before_px: int, patch_px: int, image_px: int) 
     """First pixel, along one axis, of the patch around a feature; −1 where it leaves the image.
 
     Args:
-        center_px: feature, px; the patch is centred on the nearest pixel. If not finite, the patch is nowhere.
+        center_px: feature, px; the patch is centred on the nearest pixel. If not finite, the patch
+            is nowhere.
         before_px: pixels of the patch before that one.
         patch_px: all pixels of the patch.
         image_px: those of the image.
@@ -24,9 +25,11 @@ def patch_start(center_px: float, before_px: int, patch_px: int, image_px: int) 
 
 @compiled
 def copy_patch(image: Image, top: int, left: int, patch: AnyArray) -> None:
-    """Fill a patch, [rows, columns], with the image from (top, left) on; it goes on beyond its border as it is there.
+    """Fill a patch, [rows, columns], with the image from (top, left) on; it goes on beyond its
+    border as it is there.
 
-    The arithmetic that follows on a small copy of a wider type is vectorised; on the image itself it would not be.
+    The arithmetic that follows on a small copy of a wider type is vectorised; on the image itself
+    it would not be.
     """
     height, width = image.shape
     rows, columns = patch.shape

@@ -16,21 +16,24 @@ MIN_FEATURES = 10
 MIN_SCALE_PX = 0.2
 """Deviations below this count in full."""
 DAMPING = np.diag([1.0, 1.0, 1.0, 1e2, 1e2, 1e2])
-"""As if each step of the correction were known to 1 m and 0.1 rad, measured with 1 px: nothing beside what a dozen
-features tell, except of what they cannot tell, such as the translation when all are far away."""
+"""As if each step of the correction were known to 1 m and 0.1 rad, measured with 1 px: nothing
+beside what a dozen features tell, except of what they cannot tell, such as the translation when all
+are far away."""
 
 
 def residual_flow(
     previous_px: FloatArray, curr_px: FloatArray, expected: FloatArray, camera: StereoCamera
 ) -> FloatArray:
-    """ln(1 + deviation/px) of the current left position from where the motion of most features takes it. Ours.
+    """ln(1 + deviation/px) of the current left position from where the motion of most features
+    takes it. Ours.
 
-    The expected motion knows nothing of the last acceleration, nor of the last turn if there is no gyro. What this does
-    to the flow drops out: the motion is corrected by ``STEPS`` Gauss–Newton steps on the deviations (u, v) of all
-    features, each weighed by 1/(1 + e²/s²), s their median. What moves by itself keeps its deviation, unless it fills
-    most of the image.
+    The expected motion knows nothing of the last acceleration, nor of the last turn if there is no
+    gyro. What this does to the flow drops out: the motion is corrected by ``STEPS`` Gauss–Newton
+    steps on the deviations (u, v) of all features, each weighed by 1/(1 + e²/s²), s their median.
+    What moves by itself keeps its deviation, unless it fills most of the image.
 
-    The score is a residual, of a motion that the same features gave: it tells of each feature's own error too.
+    The score is a residual, of a motion that the same features gave: it tells of each feature's own
+    error too.
 
     Args:
         previous_px: features in the previous frame, [N, 4], px.
@@ -44,12 +47,16 @@ def residual_flow(
     T_curr_prev = expected
     if len(curr_px) >= MIN_FEATURES:
         for _ in range(STEPS):
-            T_curr_prev = se3.exp(_correction(previous_px, curr_px, T_curr_prev, camera)) @ T_curr_prev
+            T_curr_prev = (
+                se3.exp(_correction(previous_px, curr_px, T_curr_prev, camera=camera)) @ T_curr_prev
+            )
     du, dv = _deviation(curr_px, moved_by(previous_px, T_curr_prev, camera), camera)
     return np.log1p(np.hypot(du, dv))
 
 
-def _deviation(curr_px: FloatArray, moved: FloatArray, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
+def _deviation(
+    curr_px: FloatArray, moved: FloatArray, camera: StereoCamera
+) -> tuple[FloatArray, FloatArray]:
     """(u, v) observed less predicted, [N] each, px."""
     du = curr_px[:, 0] - camera.cu_px - camera.fu_px * moved[0]
     return du, curr_px[:, 1] - camera.cv_px - camera.fv_px * moved[1]
@@ -62,12 +69,14 @@ def _correction(
     moved = moved_by(previous_px, T_curr_prev, camera)
     x, y, rho = moved
     zero = np.zeros_like(x)
-    # ξ = [ρ; φ] moves q = (x, y, 1) by δ = rho ρ + φ × q, and its image by (δ_x − x δ_z, δ_y − y δ_z).
+    # ξ = [ρ; φ] moves q = (x, y, 1) by δ = rho ρ + φ × q, and its image by (δ_x − x δ_z, δ_y − y
+    # δ_z).
     columns_u = camera.fu_px * np.stack([rho, zero, -rho * x, -x * y, 1.0 + x * x, -y])
     columns_v = camera.fv_px * np.stack([zero, rho, -rho * y, -1.0 - y * y, x * y, x])
     du, dv = _deviation(curr_px, moved, camera)
     squared = du * du + dv * dv
     weights = 1.0 / (1.0 + squared / max(float(np.median(squared)), MIN_SCALE_PX**2))
-    weighted_u, weighted_v = weights * columns_u, weights * columns_v
+    weighted_u = weights * columns_u
+    weighted_v = weights * columns_v
     normal = weighted_u @ columns_u.T + weighted_v @ columns_v.T + DAMPING
     return np.asarray(np.linalg.solve(normal, weighted_u @ du + weighted_v @ dv), np.float64)

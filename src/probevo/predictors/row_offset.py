@@ -8,7 +8,8 @@ from probevo.arrays import FloatArray
 
 
 def row_offset(curr_px: FloatArray) -> FloatArray:
-    """|v_r − v_l| of the current observation, 0 for a perfect match in perfectly rectified images. Ours.
+    """|v_r − v_l| of the current observation, 0 for a perfect match in perfectly rectified images.
+    Ours.
 
     Args:
         curr_px: features in the current frame, [N, 4], px.

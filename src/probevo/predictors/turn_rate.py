@@ -11,8 +11,9 @@ from probevo.geometry import so3
 def turn_rate(expected: FloatArray, duration_s: float) -> FloatArray:
     """Angular rate of the expected motion: about the camera's axes, and its magnitude.
 
-    It is the gyro's, less its bias, or that of the last motion where there is no gyro. PROBE has the magnitude alone.
-    About x it is positive when the camera pitches up, about y when it turns right, about z when it rolls clockwise.
+    It is the gyro's, less its bias, or that of the last motion where there is no gyro. PROBE has
+    the magnitude alone. About x it is positive when the camera pitches up, about y when it turns
+    right, about z when it rolls clockwise.
 
     Args:
         expected: T_curr_prev, [4, 4].

@@ -15,8 +15,8 @@ def window_difference(tracks: Tracks) -> FloatArray:
         tracks: N features.
 
     Returns:
-        In the left and in the right image, [N, 2], ln(1 + grey levels); NaN where somebody else has tracked the
-        features, for whom the predictor is refused.
+        In the left and in the right image, [N, 2], ln(1 + grey levels); NaN where somebody else has
+        tracked the features, for whom the predictor is refused.
     """
     if tracks.difference is None:
         return np.full((len(tracks), 2), np.nan)

@@ -1,4 +1,5 @@
-"""Recordings: one protocol, ``Sequence``, behind which every format hides; ``open_sequence`` opens any of them."""
+"""Recordings: one protocol, ``Sequence``, behind which every format hides; ``open_sequence`` opens
+any of them."""
 
 from probevo.sequences.base import Sequence
 from probevo.sequences.detect import FORMAT_NAMES, open_sequence

@@ -12,7 +12,8 @@ from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration
 
 
 class Sequence(Protocol):
-    """A stereo recording that can be walked through, any number of times, without being held in memory."""
+    """A stereo recording that can be walked through, any number of times, without being held in
+    memory."""
 
     @property
     def path(self) -> Path:

@@ -45,9 +45,13 @@ def open_sequence(path: str | Path, format: str | None = None) -> Sequence:
     """
     path = Path(path)
     if format is not None and format not in FORMAT_NAMES:
-        raise InputError("format", f"{format!r} is not known.", f"Choose one of {', '.join(FORMAT_NAMES)}.")
+        raise InputError(
+            "format", f"{format!r} is not known.", f"Choose one of {', '.join(FORMAT_NAMES)}."
+        )
     if not path.exists():
-        raise InputError(path, "nothing is there.", "Give the folder of a recording, or a tracks file.")
+        raise InputError(
+            path, "nothing is there.", "Give the folder of a recording, or a tracks file."
+        )
     format = format or _detect(path)
     if path.is_dir() == (format == TRACKS):
         kinds = ("an .npz file", "a folder") if format == TRACKS else ("a folder", "a file")
@@ -59,10 +63,14 @@ def _detect(path: Path) -> str:
     if path.is_file():
         if path.suffix == ".npz":
             return TRACKS
-        raise InputError(path, "this file is no recording.", "Give a folder, or an .npz file of tracks.")
+        raise InputError(
+            path, "this file is no recording.", "Give a folder, or an .npz file of tracks."
+        )
     for name, known in FORMATS.items():
         if any((path / sign).exists() for sign in known.signs):
             return name
-    looked_for = "; ".join(f"{' or '.join(known.signs)} ({name})" for name, known in FORMATS.items())
+    looked_for = "; ".join(
+        f"{' or '.join(known.signs)} ({name})" for name, known in FORMATS.items()
+    )
     inside = ", ".join(sorted(entry.name for entry in path.iterdir())[:8]) or "nothing"
     raise InputError(path, f"no known format; found {inside}.", f"Looked for {looked_for}.")

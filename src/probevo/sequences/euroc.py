@@ -1,4 +1,5 @@
-"""EuRoC MAV data in the ASL layout: ``mav0`` with cam0, cam1 and perhaps an IMU and truth (Burri et al., IJRR 2016)."""
+"""EuRoC MAV data in the ASL layout: ``mav0`` with cam0, cam1 and perhaps an IMU and truth (Burri et
+al., IJRR 2016)."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ from probevo.sequences.text import parse_stamp_ns, read_lines, read_stamped_csv
 from probevo.sequences.yaml_file import read_yaml
 
 GYRO_BIAS_SIGMA_RAD_S = 0.1
-"""Of a MEMS gyro switched on; sensor.yaml does not give it. The z axis of V1_01 starts at 0.077 rad/s."""
+"""Of a MEMS gyro switched on; sensor.yaml does not give it. The z axis of V1_01 starts at 0.077
+rad/s."""
 CURE = "Both cam0 and cam1 need sensor.yaml, data.csv and data, as EuRoC's files have them."
 DISTORTION_MODELS: dict[str, Literal["radtan", "equidistant"]] = {
     "radial-tangential": "radtan",
@@ -74,40 +76,69 @@ class ImuFile(SensorFile):
 
 
 def open_euroc(path: Path) -> StereoRecording:
-    """Rectify cam0 and cam1 on the fly; imu0 and state_groundtruth_estimate0 are used if they are there.
+    """Rectify cam0 and cam1 on the fly; imu0 and state_groundtruth_estimate0 are used if they are
+    there.
 
-    Left and right images belong together by their stamps; those without a partner (V2_03 has some) are left out. Truth
-    is interpolated to the images.
+    Left and right images belong together by their stamps; those without a partner (V2_03 has some)
+    are left out. Truth is interpolated to the images.
 
     Args:
         path: ``mav0``, or the folder that holds it.
 
     Raises:
-        InputError: a file or field is missing, few images have a partner, or a value cannot be right.
+        InputError: a file or field is missing, few images have a partner, or a value cannot be
+            right.
     """
     mav = path / "mav0" if (path / "mav0").is_dir() else path
-    path = mav.resolve().parent if mav.resolve().name == "mav0" else path  # its name is the recording's
-    left_yaml, right_yaml = mav / "cam0" / "sensor.yaml", mav / "cam1" / "sensor.yaml"
-    left, right = read_yaml(left_yaml, CameraFile, CURE), read_yaml(right_yaml, CameraFile, CURE)
+    path = (
+        mav.resolve().parent if mav.resolve().name == "mav0" else path
+    )  # its name is the recording's
+    left_yaml = mav / "cam0" / "sensor.yaml"
+    right_yaml = mav / "cam1" / "sensor.yaml"
+    left = read_yaml(left_yaml, CameraFile, CURE)
+    right = read_yaml(right_yaml, CameraFile, CURE)
     T_body_left = left.body_from_sensor(left_yaml)
     T_right_left = se3.inverse(right.body_from_sensor(right_yaml)) @ T_body_left
-    rectification = Rectification.from_calibration(left.pinhole(), right.pinhole(), T_right_left, right_yaml)
+    rectification = Rectification.from_calibration(
+        left.pinhole(), right.pinhole(), T_right_left, where=right_yaml
+    )
     T_body_cam = T_body_left @ se3.from_parts(rectification.C_rect_left.T, np.zeros(3))
     stamps_ns, left_files, right_files = _match_images(mav / "cam0", mav / "cam1")
-    imu, imu_stream = _read_imu(mav / "imu0", T_body_cam, stamps_ns) if (mav / "imu0").is_dir() else (None, None)
+    imu, imu_stream = (
+        _read_imu(mav / "imu0", T_body_cam, stamps_ns) if (mav / "imu0").is_dir() else (None, None)
+    )
     truth = _read_truth(mav / "state_groundtruth_estimate0", T_body_cam, stamps_ns)
     return StereoRecording(
-        path, "euroc", rectification.camera, stamps_ns, left_files, right_files, imu, imu_stream, truth, rectification
+        path,
+        "euroc",
+        rectification.camera,
+        stamps_ns=stamps_ns,
+        left_files=left_files,
+        right_files=right_files,
+        imu=imu,
+        imu_stream=imu_stream,
+        truth=truth,
+        rectification=rectification,
     )
 
 
 def _match_images(left: Path, right: Path) -> tuple[IntArray, list[Path], list[Path]]:
-    left_images, right_images = _list_images(left), _list_images(right)
+    left_images = _list_images(left)
+    right_images = _list_images(right)
     stamps = sorted(left_images.keys() & right_images.keys())
     if 2 * len(stamps) < max(len(left_images), len(right_images)):
-        what = f"only {len(stamps)} of {len(right_images)} stamps are among the {len(left_images)} of {left.name}."
-        raise InputError(right / "data.csv", what, "Left and right images are matched by their stamps.")
-    return np.array(stamps, dtype=np.int64), [left_images[s] for s in stamps], [right_images[s] for s in stamps]
+        what = (
+            f"only {len(stamps)} of {len(right_images)} stamps are among the {len(left_images)} of"
+            f" {left.name}."
+        )
+        raise InputError(
+            right / "data.csv", what, "Left and right images are matched by their stamps."
+        )
+    return (
+        np.array(stamps, dtype=np.int64),
+        [left_images[s] for s in stamps],
+        [right_images[s] for s in stamps],
+    )
 
 
 def _list_images(camera: Path) -> dict[int, Path]:
@@ -118,24 +149,30 @@ def _list_images(camera: Path) -> dict[int, Path]:
     for where, line in read_lines(camera / "data.csv"):
         stamp, _, name = (text.strip() for text in line.partition(","))
         if name not in on_disk:
-            raise InputError(where, f"the image data/{name} is missing.", "Copy it, or remove this line.")
+            raise InputError(
+                where, f"the image data/{name} is missing.", "Copy it, or remove this line."
+            )
         stamps.append(parse_stamp_ns(stamp, where))
         images[stamps[-1]] = camera / "data" / name
     check_stamps(np.array(stamps, dtype=np.int64), camera / "data.csv")
     return images
 
 
-def _read_imu(folder: Path, T_body_cam: FloatArray, frames_ns: IntArray) -> tuple[ImuCalibration, ImuStream]:
+def _read_imu(
+    folder: Path, T_body_cam: FloatArray, frames_ns: IntArray
+) -> tuple[ImuCalibration, ImuStream]:
     sensor = read_yaml(folder / "sensor.yaml", ImuFile)
     T_body_imu = sensor.body_from_sensor(folder / "sensor.yaml")
     calibration = ImuCalibration(
         T_body_cam[:3, :3].T @ T_body_imu[:3, :3],
         sensor.gyroscope_noise_density,
         GYRO_BIAS_SIGMA_RAD_S,
-        sensor.gyroscope_random_walk,
+        gyro_bias_walk_rad_s2_sqrt_hz=sensor.gyroscope_random_walk,
     )
     stamps_ns, values = read_stamped_csv(folder / "data.csv", 6)
-    return calibration, ImuStream.checked(stamps_ns, values[:, :3], values[:, 3:], frames_ns, folder / "data.csv")
+    return calibration, ImuStream.checked(
+        stamps_ns, values[:, :3], values[:, 3:], frames_ns=frames_ns, where=folder / "data.csv"
+    )
 
 
 def _read_truth(folder: Path, T_body_cam: FloatArray, at_ns: IntArray) -> GroundTruth | None:
@@ -150,7 +187,11 @@ def _read_truth(folder: Path, T_body_cam: FloatArray, at_ns: IntArray) -> Ground
     quaternions = values[:, 3:7]
     bad = np.flatnonzero(np.abs(np.linalg.norm(quaternions, axis=1) - 1) > 0.01)
     if len(bad):
-        raise InputError(path, f"the quaternion of pose {bad[0]} (from 0) is not of unit length.", "Order: w, x, y, z.")
+        raise InputError(
+            path,
+            f"the quaternion of pose {bad[0]} (from 0) is not of unit length.",
+            "Order: w, x, y, z.",
+        )
     C = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
     T_map_cam = se3.from_parts(C, values[:, :3]) @ T_body_cam
     return ground_truth(at_ns, interpolate_poses(stamps_ns, T_map_cam, at_ns), path)

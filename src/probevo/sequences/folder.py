@@ -1,4 +1,5 @@
-"""A plain folder: probevo's own layout for rectified recordings that come from nowhere in particular."""
+"""A plain folder: probevo's own layout for rectified recordings that come from nowhere in
+particular."""
 
 from __future__ import annotations
 
@@ -45,8 +46,11 @@ class ImuSection(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    C_cam_imu: Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9), BeforeValidator(_join_rows)]
-    """Rotation from IMU to left camera coordinates: nine numbers row by row, or three rows of three."""
+    C_cam_imu: Annotated[
+        tuple[FiniteFloat, ...], Field(min_length=9, max_length=9), BeforeValidator(_join_rows)
+    ]
+    """Rotation from IMU to left camera coordinates: nine numbers row by row, or three rows of
+    three."""
     gyro_noise_rad_s_sqrt_hz: PositiveFloat
     gyro_bias_sigma_rad_s: NonNegativeFloat
     gyro_bias_walk_rad_s2_sqrt_hz: NonNegativeFloat = 0.0
@@ -72,18 +76,23 @@ class FolderCalibration(BaseModel):
 def open_folder(path: Path) -> StereoRecording:
     """Open a folder of this layout::
 
-        left/ right/   rectified images (PNG, JPEG), paired by name, in the natural order of their names
-        calib.yaml     fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px, and with an IMU the section
+        left/ right/   rectified images (PNG, JPEG), paired by name, in the natural order of their
+        names calib.yaml     fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px, and with
+        an IMU the section
                        imu: C_cam_imu, gyro_noise_rad_s_sqrt_hz, gyro_bias_sigma_rad_s
                        [, gyro_bias_walk_rad_s2_sqrt_hz] [, time_offset_s]
         times.txt      time of each frame, one a line: seconds, or whole nanoseconds
         imu.csv        (optional) header stamp_ns,wx,wy,wz,ax,ay,az: rad/s and m/s² in the IMU frame
-        poses.txt      (optional) ground truth T_world_cam: the 12 numbers of KITTI a line, nan where unknown
+        poses.txt      (optional) ground truth T_world_cam: the 12 numbers of KITTI a line, nan
+        where unknown
 
     Raises:
         InputError: a file or key is missing, unknown or wrong, or counts differ.
     """
-    cure = "Its keys are fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px and, optionally, imu."
+    cure = (
+        "Its keys are fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px and, optionally,"
+        " imu."
+    )
     calibration = read_yaml(path / "calib.yaml", FolderCalibration, cure)
     size_px = (calibration.width_px, calibration.height_px)
     intrinsics = (calibration.fu_px, calibration.fv_px, calibration.cu_px, calibration.cv_px)
@@ -94,7 +103,17 @@ def open_folder(path: Path) -> StereoRecording:
     imu, imu_stream = _read_imu(path, calibration.imu, stamps_ns)
     poses = path / "poses.txt"
     truth = read_kitti_truth(poses, stamps_ns) if poses.exists() else None
-    return StereoRecording(path, "folder", camera, stamps_ns, left_files, right_files, imu, imu_stream, truth)
+    return StereoRecording(
+        path,
+        "folder",
+        camera,
+        stamps_ns=stamps_ns,
+        left_files=left_files,
+        right_files=right_files,
+        imu=imu,
+        imu_stream=imu_stream,
+        truth=truth,
+    )
 
 
 def _read_imu(
@@ -104,15 +123,21 @@ def _read_imu(
     if section is None:
         if samples.exists():
             what = "the section imu is missing, but there is an imu.csv."
-            raise InputError(path / "calib.yaml", what, "Give at least C_cam_imu and the two gyro noise figures.")
+            raise InputError(
+                path / "calib.yaml", what, "Give at least C_cam_imu and the two gyro noise figures."
+            )
         return None, None
     cure = "Without an IMU, leave out the section imu of calib.yaml."
     stamps_ns, values = read_stamped_csv(samples, 6, header=IMU_HEADER, cure=cure)
     stamps_ns = stamps_ns + round(section.time_offset_s * NS_PER_S)
     calibration = ImuCalibration(
-        so3.check_rotation(np.reshape(section.C_cam_imu, (3, 3)), f"{path / 'calib.yaml'}: imu.C_cam_imu"),
+        so3.check_rotation(
+            np.reshape(section.C_cam_imu, (3, 3)), f"{path / 'calib.yaml'}: imu.C_cam_imu"
+        ),
         section.gyro_noise_rad_s_sqrt_hz,
         section.gyro_bias_sigma_rad_s,
-        section.gyro_bias_walk_rad_s2_sqrt_hz,
+        gyro_bias_walk_rad_s2_sqrt_hz=section.gyro_bias_walk_rad_s2_sqrt_hz,
     )
-    return calibration, ImuStream.checked(stamps_ns, values[:, :3], values[:, 3:], frames_ns, samples)
+    return calibration, ImuStream.checked(
+        stamps_ns, values[:, :3], values[:, 3:], frames_ns=frames_ns, where=samples
+    )

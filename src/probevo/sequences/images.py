@@ -1,4 +1,5 @@
-"""Image files: lists of stereo pairs, and a decoder that refuses a damaged picture, as far as its format shows damage.
+"""Image files: lists of stereo pairs, and a decoder that refuses a damaged picture, as far as its
+format shows damage.
 
 PNG has checksums; of JPEG only the end can be checked.
 """
@@ -17,7 +18,8 @@ from probevo.errors import InputError
 from probevo.sequences.png import PNG_MAGIC, DamagedError, chunks_of, plain_grey
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
-JPEG_MAGIC, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+JPEG_MAGIC = b"\xff\xd8"
+JPEG_END = b"\xff\xd9"
 
 
 def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
@@ -26,36 +28,48 @@ def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
     Raises:
         InputError: a folder is missing or holds no image, or an image lacks its partner.
     """
-    left_files, right_files = _list_images(left), _list_images(right)
+    left_files = _list_images(left)
+    right_files = _list_images(right)
     lonely = sorted(left_files.keys() ^ right_files.keys(), key=natural_order)
     if lonely:
         folder, other = (left, right) if lonely[0] in left_files else (right, left)
         what = f"the partner of {folder.name}/{lonely[0]} is missing"
         counts = f"{left.name} has {len(left_files)} images, {right.name} {len(right_files)}"
-        raise InputError(other / lonely[0], f"{what} ({counts}).", "Left and right images must bear the same names.")
+        raise InputError(
+            other / lonely[0],
+            f"{what} ({counts}).",
+            "Left and right images must bear the same names.",
+        )
     return list(left_files.values()), list(right_files.values())
 
 
 def _list_images(folder: Path) -> dict[str, Path]:
     if not folder.is_dir():
-        raise InputError(folder, "this image folder is missing.", "Left and right images lie in one folder each.")
+        raise InputError(
+            folder, "this image folder is missing.", "Left and right images lie in one folder each."
+        )
     files = {path.name: path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
     if not files:
-        raise InputError(folder, "this folder holds no image.", f"Looked for {', '.join(sorted(SUFFIXES))}.")
+        raise InputError(
+            folder, "this folder holds no image.", f"Looked for {', '.join(sorted(SUFFIXES))}."
+        )
     return {name: files[name] for name in sorted(files, key=natural_order)}
 
 
 def natural_order(name: str) -> tuple[tuple[str | int, ...], str]:
     """A key to sort names by, digits as numbers: img_2 before img_10, with zeros in front or not."""
-    parts = re.split("([0-9]+)", name)  # text and number in turn, so that like is compared with like
+    parts = re.split(
+        "([0-9]+)", name
+    )  # text and number in turn, so that like is compared with like
     return tuple(int(part) if at % 2 else part for at, part in enumerate(parts)), name
 
 
 def read_gray(path: Path, size_px: tuple[int, int] | None = None) -> Image:
     """Decode one image to grayscale, [height, width], uint8.
 
-    Colour is turned to gray (Rec. 601 luma, as OpenCV does): everything downstream looks at gray values only, and many
-    cameras record nothing else. Sixteen bits are refused: how to squeeze them into eight decides which features appear.
+    Colour is turned to gray (Rec. 601 luma, as OpenCV does): everything downstream looks at gray
+    values only, and many cameras record nothing else. Sixteen bits are refused: how to squeeze them
+    into eight decides which features appear.
 
     Args:
         path: PNG or JPEG file.
@@ -75,13 +89,19 @@ def read_gray(path: Path, size_px: tuple[int, int] | None = None) -> Image:
     except DamagedError as damage:
         raise InputError(path, f"this image is damaged: {damage}.", "Copy the file anew.") from None
     if image.dtype != np.uint8:
-        raise InputError(path, f"this image is {image.dtype}; expected 8 bits.", "Convert the images to 8 bits.")
+        raise InputError(
+            path, f"this image is {image.dtype}; expected 8 bits.", "Convert the images to 8 bits."
+        )
     if image.ndim == 3:
-        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
+        image = cv2.cvtColor(
+            image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+        )
     height, width = image.shape
     if size_px is not None and (width, height) != size_px:
         what = f"this image has {width}×{height} px; expected {size_px[0]}×{size_px[1]} px."
-        raise InputError(path, what, "All images must have the size that the calibration was made for.")
+        raise InputError(
+            path, what, "All images must have the size that the calibration was made for."
+        )
     return np.asarray(image, dtype=np.uint8)
 
 

@@ -1,4 +1,5 @@
-"""Calibration files of KITTI: one ``NAME: numbers`` a line, with the projections of the rectified cameras."""
+"""Calibration files of KITTI: one ``NAME: numbers`` a line, with the projections of the rectified
+cameras."""
 
 from __future__ import annotations
 
@@ -22,12 +23,17 @@ class KittiCalibration:
         self._texts = dict(line.partition(":")[::2] for _, line in read_lines(path, cure))
 
     def array(self, field: str, *shape: int) -> FloatArray:
-        """Numbers of one field, in ``shape``. Raises InputError if it is missing or has another count of numbers."""
+        """Numbers of one field, in ``shape``. Raises InputError if it is missing or has another
+        count of numbers."""
         if field not in self._texts:
-            raise InputError(self.path, f"the field {field} is missing.", f"Found: {', '.join(self._texts)}.")
+            raise InputError(
+                self.path, f"the field {field} is missing.", f"Found: {', '.join(self._texts)}."
+            )
         numbers = np.array(parse_floats(self._texts[field].split(), f"{self.path}: {field}"))
         if numbers.size != np.prod(shape):
-            raise InputError(f"{self.path}: {field}", f"{numbers.size} numbers; expected {np.prod(shape)}.")
+            raise InputError(
+                f"{self.path}: {field}", f"{numbers.size} numbers; expected {np.prod(shape)}."
+            )
         return numbers.reshape(shape)
 
     def rotation(self, field: str) -> FloatArray:
@@ -44,13 +50,22 @@ class KittiCalibration:
         Raises:
             InputError: the two disagree in more than the baseline, or that is not positive.
         """
-        P_left, P_right = self.array(left, 3, 4), self.array(right, 3, 4)
+        P_left = self.array(left, 3, 4)
+        P_right = self.array(right, 3, 4)
         if not np.allclose(P_left[:, :3], P_right[:, :3]):
             what = f"{left} and {right} differ in focal length or principal point."
             raise InputError(self.path, what, "The images must be rectified to one common camera.")
         shift_px_m = float(P_left[0, 3] - P_right[0, 3])
-        fu, fv = float(P_left[0, 0]), float(P_left[1, 1])
+        fu = float(P_left[0, 0])
+        fv = float(P_left[1, 1])
         baseline_m = shift_px_m / fu if fu else float("nan")
-        camera = StereoCamera(fu, fv, float(P_left[0, 2]), float(P_left[1, 2]), baseline_m, size_px)
+        camera = StereoCamera(
+            fu,
+            fv,
+            float(P_left[0, 2]),
+            cv_px=float(P_left[1, 2]),
+            baseline_m=baseline_m,
+            size_px=size_px,
+        )
         check_camera(camera, f"{self.path}: {right}")
         return camera

@@ -1,4 +1,5 @@
-"""KITTI raw data: one drive in its native layout, ``<date>/<date>_drive_<nnnn>_sync`` (Geiger et al., IJRR 2013)."""
+"""KITTI raw data: one drive in its native layout, ``<date>/<date>_drive_<nnnn>_sync`` (Geiger et
+al., IJRR 2013)."""
 
 from __future__ import annotations
 
@@ -22,25 +23,30 @@ from probevo.sequences.text import parse_floats, read_text
 
 EARTH_RADIUS_M = 6378137.0
 OXTS_VALUES = 30
-LAT_LON_ALT, ROLL_PITCH_YAW = slice(0, 3), slice(3, 6)
-ACCEL_XYZ, GYRO_XYZ = slice(11, 14), slice(17, 20)  # on the axes of the IMU; the next three are on levelled ones
+LAT_LON_ALT = slice(0, 3)
+ROLL_PITCH_YAW = slice(3, 6)
+ACCEL_XYZ = slice(11, 14)
+GYRO_XYZ = slice(17, 20)  # on the axes of the IMU; the next three are on levelled ones
 
 GYRO_NOISE_RAD_S_SQRT_HZ = 1e-3
-"""Far more than the OXTS RT3003's own: 10 packets a second do not tell how the rate moved between them. On drive 0005
-the gyro's rotation of a frame differs from the images' by 0.019° rms an axis, which is 1.0e-3 over 0.103 s."""
+"""Far more than the OXTS RT3003's own: 10 packets a second do not tell how the rate moved between
+them. On drive 0005 the gyro's rotation of a frame differs from the images' by 0.019° rms an axis,
+which is 1.0e-3 over 0.103 s."""
 GYRO_BIAS_SIGMA_RAD_S = 1e-3
 """The OXTS removes its bias: the mean difference on drive 0005 is below 2e-4 rad/s on each axis."""
 
 
 def open_kitti_raw(path: Path) -> StereoRecording:
-    """Grayscale cameras 00 and 01 of a ``*_sync`` drive, with OXTS as IMU and as ground truth if it is there.
+    """Grayscale cameras 00 and 01 of a ``*_sync`` drive, with OXTS as IMU and as ground truth if it
+    is there.
 
-    The calibration lies in the parent folder, that of the date. Ground truth follows KITTI's development kit (Mercator
-    projection scaled at the first latitude), is taken to the rectified camera 00, and is interpolated from the times of
-    the OXTS packets to those of the images. A *sync* drive pairs each image with the nearest packet, but that is up to
-    8 ms away and the offset jumps by 10 ms from frame to frame. On drive 0005, against the rotation between frames seen
-    by the images (essential matrix), interpolated truth is off by 0.018° in the median and 0.019° rms in yaw; packets
-    taken as belonging to their image, by 0.035° and 0.048°.
+    The calibration lies in the parent folder, that of the date. Ground truth follows KITTI's
+    development kit (Mercator projection scaled at the first latitude), is taken to the rectified
+    camera 00, and is interpolated from the times of the OXTS packets to those of the images. A
+    *sync* drive pairs each image with the nearest packet, but that is up to 8 ms away and the
+    offset jumps by 10 ms from frame to frame. On drive 0005, against the rotation between frames
+    seen by the images (essential matrix), interpolated truth is off by 0.018° in the median and
+    0.019° rms in yaw; packets taken as belonging to their image, by 0.035° and 0.048°.
 
     Raises:
         InputError: a file or field is missing, counts differ, or a value cannot be right.
@@ -50,7 +56,14 @@ def open_kitti_raw(path: Path) -> StereoRecording:
     camera = calibration.stereo_camera("P_rect_00", "P_rect_01", (int(width), int(height)))
     left_files, right_files = list_pairs(path / "image_00" / "data", path / "image_01" / "data")
     stamps_ns = read_datetimes(path / "image_00" / "timestamps.txt", len(left_files))
-    recording = StereoRecording(path, "kitti-raw", camera, stamps_ns, left_files, right_files)
+    recording = StereoRecording(
+        path,
+        "kitti-raw",
+        camera,
+        stamps_ns=stamps_ns,
+        left_files=left_files,
+        right_files=right_files,
+    )
     return _with_oxts(recording, calibration) if (path / "oxts").is_dir() else recording
 
 
@@ -69,7 +82,9 @@ def _with_oxts(recording: StereoRecording, cam_to_cam: KittiCalibration) -> Ster
     return dataclasses.replace(
         recording,
         imu=ImuCalibration(T_cam_imu[:3, :3], GYRO_NOISE_RAD_S_SQRT_HZ, GYRO_BIAS_SIGMA_RAD_S),
-        imu_stream=ImuStream.checked(held_ns, gyro, accel, recording.stamps_ns, recording.path / "oxts"),
+        imu_stream=ImuStream.checked(
+            held_ns, gyro, accel, frames_ns=recording.stamps_ns, where=recording.path / "oxts"
+        ),
         truth=ground_truth(recording.stamps_ns, at_images, recording.path / "oxts"),
     )
 
@@ -98,7 +113,8 @@ def _read_oxts(folder: Path) -> tuple[IntArray, FloatArray]:
 
 
 def imu_poses(lat_lon_alt: FloatArray, roll_pitch_yaw: FloatArray) -> FloatArray:
-    """T_map_imu [M, 4, 4] of OXTS packets, map axes east, north, up, as KITTI's development kit computes them.
+    """T_map_imu [M, 4, 4] of OXTS packets, map axes east, north, up, as KITTI's development kit
+    computes them.
 
     Args:
         lat_lon_alt: [M, 3]; degrees, degrees, m.

@@ -1,4 +1,5 @@
-"""Reads poses in the text forms of KITTI and TUM; every error names the file and the line, or the pose."""
+"""Reads poses in the text forms of KITTI and TUM; every error names the file and the line, or the
+pose."""
 
 from __future__ import annotations
 
@@ -16,11 +17,13 @@ from probevo.sequences.stamps import check_stamps, seconds_to_ns
 from probevo.sequences.text import parse_floats, read_fields, read_table
 
 FARTHEST_M = 1e9
-"""Positions beyond are no positions of a vehicle; their squares would overflow in the evaluation."""
+"""Positions beyond are no positions of a vehicle; their squares would overflow in the evaluation.
+"""
 
 
 def read_kitti_poses(path: Path) -> FloatArray:
-    """Poses T_world_cam, [N, 4, 4], m, in KITTI's form: the first three rows, 12 numbers a line, one line a frame.
+    """Poses T_world_cam, [N, 4, 4], m, in KITTI's form: the first three rows, 12 numbers a line,
+    one line a frame.
 
     A line of twelve ``nan`` marks a frame whose pose is unknown, NaN.
 
@@ -37,31 +40,38 @@ def read_kitti_truth(path: Path, stamps_ns: IntArray) -> GroundTruth:
     """The truth of the frames with these stamps, from poses in KITTI's form.
 
     Raises:
-        InputError: the file cannot be read, the counts of poses and frames differ, or as ``ground_truth`` raises.
+        InputError: the file cannot be read, the counts of poses and frames differ, or as
+            ``ground_truth`` raises.
     """
     T = _read_kitti(path)
     if len(T) != len(stamps_ns):
         what = f"{len(T)} poses for {len(stamps_ns)} frames."
-        raise InputError(path, what, "Each frame needs one line; write twelve nan where the pose is unknown.")
+        raise InputError(
+            path, what, "Each frame needs one line; write twelve nan where the pose is unknown."
+        )
     return ground_truth(stamps_ns, T, path)
 
 
 def read_tum(path: Path) -> tuple[IntArray, FloatArray]:
-    """Stamps, [N], ns, exact to the last of nine decimals, and poses T_world_cam, [N, 4, 4], m, in TUM's form.
+    """Stamps, [N], ns, exact to the last of nine decimals, and poses T_world_cam, [N, 4, 4], m, in
+    TUM's form.
 
     A line is ``stamp tx ty tz qx qy qz qw``, s and m.
 
     Raises:
-        InputError: the file cannot be read, a line is not eight numbers, a quaternion is not of unit length, the stamps
-            do not ascend, or a position is absurdly far.
+        InputError: the file cannot be read, a line is not eight numbers, a quaternion is not of
+            unit length, the stamps do not ascend, or a position is absurdly far.
     """
-    stamps, rows = [], []
+    stamps = []
+    rows = []
     for where, fields in read_fields(path, 8):
         stamps.append(seconds_to_ns(fields[0], where))
         rows.append(parse_floats(fields[1:], where))
         length = np.linalg.norm(rows[-1][3:])
         if not abs(length - 1.0) < 1e-3:
-            raise InputError(where, f"the quaternion has length {length:.6g}.", "Expected a unit quaternion.")
+            raise InputError(
+                where, f"the quaternion has length {length:.6g}.", "Expected a unit quaternion."
+            )
     numbers = np.array(rows)
     T = se3.from_parts(Rotation.from_quat(numbers[:, 3:]).as_matrix(), numbers[:, :3])
     _check_positions(T, path)

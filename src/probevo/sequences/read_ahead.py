@@ -16,11 +16,12 @@ def read_ahead(
 ) -> Generator[Result, None, None]:
     """``map(read, items)`` with up to ``ahead`` results in the making while the consumer works.
 
-    Results come in order, and an error comes where its result would have. Work is only handed out when the consumer
-    asks for a result, so memory is bounded without a queue; once it stops asking (``break``, an exception), what has
-    not begun is cancelled.
+    Results come in order, and an error comes where its result would have. Work is only handed out
+    when the consumer asks for a result, so memory is bounded without a queue; once it stops asking
+    (``break``, an exception), what has not begun is cancelled.
 
-    Two threads: reading and decoding release the GIL, and a pair decodes (7 ms at KITTI's size) faster than it is used.
+    Two threads: reading and decoding release the GIL, and a pair decodes (7 ms at KITTI's size)
+    faster than it is used.
     """
     pending: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(threads, thread_name_prefix="probevo-read") as pool:

@@ -48,6 +48,10 @@ class StereoRecording:
             left, right = self.rectification.rectify(left, right)
         imu = None
         if self.imu_stream is not None and index > 0:
-            imu = self.imu_stream.between(int(self.stamps_ns[index - 1]), int(self.stamps_ns[index]))
+            imu = self.imu_stream.between(
+                int(self.stamps_ns[index - 1]), int(self.stamps_ns[index])
+            )
         elapsed_ms = 1e3 * (time.perf_counter() - start)
-        return Frame(index, int(self.stamps_ns[index]), left, right, imu=imu, decode_ms=elapsed_ms)
+        return Frame(
+            index, int(self.stamps_ns[index]), left, right=right, imu=imu, decode_ms=elapsed_ms
+        )

@@ -1,4 +1,5 @@
-"""Times of frames and samples: text in several notations to int64 ns, and the checks that all of them share."""
+"""Times of frames and samples: text in several notations to int64 ns, and the checks that all of
+them share."""
 
 from __future__ import annotations
 
@@ -15,9 +16,11 @@ NS_PER_S = 1_000_000_000
 
 
 def read_times(path: Path, count: int) -> IntArray:
-    """Times of ``count`` frames, one a line: seconds, or nanoseconds where every line is a whole number.
+    """Times of ``count`` frames, one a line: seconds, or nanoseconds where every line is a whole
+    number.
 
-    Seconds are read as decimals, so that Unix times keep their nanoseconds, which a float64 would lose.
+    Seconds are read as decimals, so that Unix times keep their nanoseconds, which a float64 would
+    lose.
 
     Raises:
         InputError: not numbers, not strictly ascending, or not ``count`` of them.
@@ -26,8 +29,13 @@ def read_times(path: Path, count: int) -> IntArray:
     if all(line.lstrip("-").isdigit() for _, line in lines):
         stamps = [parse_stamp_ns(line, where) for where, line in lines]
     else:
-        numbers = [_finite(line, where) for where, line in lines]  # first of all, lest nan make seconds of nanoseconds
-        cure = "Are these nanoseconds? Then write all of them as whole numbers, without point or exponent."
+        numbers = [
+            _finite(line, where) for where, line in lines
+        ]  # first of all, lest nan make seconds of nanoseconds
+        cure = (
+            "Are these nanoseconds? Then write all of them as whole numbers, without point or"
+            " exponent."
+        )
         stamps = [_to_ns(number, *line, cure) for number, line in zip(numbers, lines, strict=True)]
     return check_stamps(np.array(stamps, dtype=np.int64), path, count)
 
@@ -35,7 +43,9 @@ def read_times(path: Path, count: int) -> IntArray:
 def read_datetimes(path: Path, count: int) -> IntArray:
     """Times of ``count`` frames, one a line, written as KITTI's ``2011-09-26 13:04:32.351950336``."""
     lines = read_lines(path, "It gives the time of each frame.")
-    return check_stamps(np.array([_datetime_to_ns(line, where) for where, line in lines]), path, count)
+    return check_stamps(
+        np.array([_datetime_to_ns(line, where) for where, line in lines]), path, count
+    )
 
 
 def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = None) -> IntArray:
@@ -45,7 +55,9 @@ def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = Non
         InputError: names the first pair out of order, or both counts.
     """
     if count is not None and len(stamps_ns) != count:
-        raise InputError(where, f"{len(stamps_ns)} stamps for {count} files.", "Each file needs exactly one.")
+        raise InputError(
+            where, f"{len(stamps_ns)} stamps for {count} files.", "Each file needs exactly one."
+        )
     backwards = np.flatnonzero(np.diff(stamps_ns) <= 0)
     if len(backwards):
         at = int(backwards[0])
@@ -54,13 +66,17 @@ def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = Non
         raise InputError(where, what, "Stamps must ascend strictly; stamps are counted from 0.")
     if len(stamps_ns) > 1 and int(stamps_ns[-1]) - int(stamps_ns[0]) < 1_000 * (len(stamps_ns) - 1):
         what = f"the stamps lie less than 1 µs apart ({stamps_ns[0]} to {stamps_ns[-1]} ns)."
-        raise InputError(where, what, "Whole numbers are read as nanoseconds; write seconds with a decimal point.")
+        raise InputError(
+            where,
+            what,
+            "Whole numbers are read as nanoseconds; write seconds with a decimal point.",
+        )
     return stamps_ns
 
 
 def seconds_to_ns(text: str, where: str) -> int:
     """A stamp written as a decimal number of seconds, ns. Raises InputError for anything else."""
-    return _to_ns(_finite(text, where), where, text, "Are these nanoseconds?")
+    return _to_ns(_finite(text, where), where, text, cure="Are these nanoseconds?")
 
 
 def _finite(text: str, where: str) -> Decimal:
@@ -86,5 +102,9 @@ def _datetime_to_ns(text: str, where: str) -> int:
     except ValueError:
         moment = np.datetime64("NaT", "ns")
     if np.isnat(moment):
-        raise InputError(where, f"the time {text!r} is not a date and time.", "Expected YYYY-MM-DD hh:mm:ss.nnnnnnnnn.")
+        raise InputError(
+            where,
+            f"the time {text!r} is not a date and time.",
+            "Expected YYYY-MM-DD hh:mm:ss.nnnnnnnnn.",
+        )
     return int(moment.astype(np.int64))

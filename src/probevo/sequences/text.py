@@ -33,7 +33,10 @@ def read_lines(path: Path, cure: str = "") -> list[tuple[str, str]]:
     Raises:
         InputError: the file is missing, is not text or has no such line.
     """
-    lines = [(f"{path}:{number}", line.strip()) for number, line in enumerate(read_text(path, cure).splitlines(), 1)]
+    lines = [
+        (f"{path}:{number}", line.strip())
+        for number, line in enumerate(read_text(path, cure).splitlines(), 1)
+    ]
     lines = [(where, line) for where, line in lines if line and not line.startswith("#")]
     if not lines:
         raise InputError(path, "this file holds no values.", cure)
@@ -59,9 +62,13 @@ def parse_stamp_ns(text: str, where: str) -> int:
     try:
         stamp = int(text)
     except ValueError:
-        raise InputError(where, f"the stamp {text.strip()!r} is not a whole number of nanoseconds.") from None
+        raise InputError(
+            where, f"the stamp {text.strip()!r} is not a whole number of nanoseconds."
+        ) from None
     if not -INT64_LIMIT <= stamp < INT64_LIMIT:
-        raise InputError(where, f"the stamp {stamp} does not fit in 64 bits.", "Stamps are nanoseconds.")
+        raise InputError(
+            where, f"the stamp {stamp} does not fit in 64 bits.", "Stamps are nanoseconds."
+        )
     return stamp
 
 
@@ -77,25 +84,34 @@ def read_fields(path: Path, columns: int) -> list[tuple[str, list[str]]]:
 def read_table(path: Path, columns: int, *, nan_allowed: bool = False) -> FloatArray:
     """Rows of ``columns`` numbers apart by blanks, [n, columns]."""
     return np.array(
-        [parse_floats(fields, where, nan_allowed=nan_allowed) for where, fields in read_fields(path, columns)]
+        [
+            parse_floats(fields, where, nan_allowed=nan_allowed)
+            for where, fields in read_fields(path, columns)
+        ]
     )
 
 
 def read_stamped_csv(
     path: Path, columns: int, *, header: str | None = None, cure: str = ""
 ) -> tuple[IntArray, FloatArray]:
-    """A table whose first column is a stamp in ns: stamps [n] and the next ``columns`` values [n, columns].
+    """A table whose first column is a stamp in ns: stamps [n] and the next ``columns`` values [n,
+    columns].
 
     Args:
         path: the file; lines that start with # are comments.
-        columns: how many values after the stamp to read; further ones are ignored where no header is demanded.
-        header: text that the first line must be; None where the file has no header or a commented one.
+        columns: how many values after the stamp to read; further ones are ignored where no header
+            is demanded.
+        header: text that the first line must be; None where the file has no header or a commented
+            one.
         cure: how to mend that the file is missing.
     """
     lines = read_lines(path, cure)
     if header is not None and lines.pop(0)[1].replace(" ", "") != header:
-        raise InputError(path, "the header is not the expected one.", f"Its first line must read {header}.")
-    stamps, rows = [], []
+        raise InputError(
+            path, "the header is not the expected one.", f"Its first line must read {header}."
+        )
+    stamps = []
+    rows = []
     for where, line in lines:
         fields = line.split(",")
         if len(fields) < columns + 1 or (header is not None and len(fields) > columns + 1):

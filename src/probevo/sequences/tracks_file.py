@@ -31,10 +31,12 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
 }
 REQUIRED = ("frame", "track", "uv", "t", "camera")
 GYRO_NOISE_RAD_S_SQRT_HZ = 2e-3
-"""One sample a frame: over six KITTI drives, gyro and truth differ by 0.6e-3 to 2.6e-3 (0.01° to 0.05° a frame)."""
+"""One sample a frame: over six KITTI drives, gyro and truth differ by 0.6e-3 to 2.6e-3 (0.01° to
+0.05° a frame)."""
 GYRO_BIAS_SIGMA_RAD_S = 2e-3
-"""The largest mean difference on an axis of those drives is 1.8e-3 rad/s. It is no drift of the gyro: their omega are
-OXTS's rates on levelled axes, off the IMU's by roll and pitch (compared for drive 0005)."""
+"""The largest mean difference on an axis of those drives is 1.8e-3 rad/s. It is no drift of the
+gyro: their omega are OXTS's rates on levelled axes, off the IMU's by roll and pitch (compared for
+drive 0005)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,18 +66,19 @@ class TracksRecording:
             features = StereoFeatures(self.features.ids[rows], self.features.pixels[rows])
             imu = None
             if self.imu_stream is not None and index > 0:
-                imu = self.imu_stream.between(int(self.stamps_ns[index - 1]), int(self.stamps_ns[index]))
+                imu = self.imu_stream.between(
+                    int(self.stamps_ns[index - 1]), int(self.stamps_ns[index])
+                )
             yield Frame(index, int(self.stamps_ns[index]), features=features, imu=imu)
 
 
 def open_tracks(path: Path) -> TracksRecording:
     """Open an ``.npz`` file with these arrays::
 
-        frame [n], track [n]   frame (from 0, ascending) and identity of each observation, whole numbers
-        uv [n, 4]              (u_l, v_l, u_r, v_r), px
-        t [K]                  time of each frame, s
-        camera [5]             fu, fv, cu, cv, px, and baseline, m
-        omega [K, 3]           (optional, with C_cam_imu [3, 3]) mean angular rate since the frame before, rad/s,
+        frame [n], track [n]   frame (from 0, ascending) and identity of each observation, whole
+        numbers uv [n, 4]              (u_l, v_l, u_r, v_r), px t [K]                  time of each
+        frame, s camera [5]             fu, fv, cu, cv, px, and baseline, m omega [K, 3]
+        (optional, with C_cam_imu [3, 3]) mean angular rate since the frame before, rad/s,
                                IMU frame; the first one is not used
         T_world_cam [K, 4, 4]  (optional) ground truth, NaN where unknown
 
@@ -86,19 +89,36 @@ def open_tracks(path: Path) -> TracksRecording:
     """
     arrays = _load(path)
     _check_shapes(arrays, path)
-    t_ns = arrays["t"].astype(np.float64) * NS_PER_S  # whole seconds would overflow in their own type
+    t_ns = (
+        arrays["t"].astype(np.float64) * NS_PER_S
+    )  # whole seconds would overflow in their own type
     if np.abs(t_ns).max() >= INT64_LIMIT:
-        raise InputError(f"{path}: t", "these times do not fit in 64 bits of nanoseconds.", "Give t in seconds.")
+        raise InputError(
+            f"{path}: t", "these times do not fit in 64 bits of nanoseconds.", "Give t in seconds."
+        )
     stamps_ns = check_stamps(np.round(t_ns).astype(np.int64), f"{path}: t")
     fu, fv, cu, cv, baseline_m = (float(value) for value in arrays["camera"])
-    camera = StereoCamera(fu, fv, cu, cv, baseline_m)
+    camera = StereoCamera(fu, fv, cu, cv_px=cv, baseline_m=baseline_m)
     check_camera(camera, f"{path}: camera")
     ids = arrays["track"].astype(np.int64)
-    first_of_frame = _split_frames(arrays["frame"].astype(np.int64), ids, len(stamps_ns), path)
+    first_of_frame = _split_frames(arrays["frame"].astype(np.int64), ids, len(stamps_ns), path=path)
     features = StereoFeatures(ids, arrays["uv"].astype(np.float64))
     imu, imu_stream = _imu(arrays, stamps_ns, path)
-    truth = ground_truth(stamps_ns, arrays["T_world_cam"], f"{path}: T_world_cam") if "T_world_cam" in arrays else None
-    return TracksRecording(path, camera, stamps_ns, features, first_of_frame, imu, imu_stream, truth)
+    truth = (
+        ground_truth(stamps_ns, arrays["T_world_cam"], f"{path}: T_world_cam")
+        if "T_world_cam" in arrays
+        else None
+    )
+    return TracksRecording(
+        path,
+        camera,
+        stamps_ns,
+        features=features,
+        first_of_frame=first_of_frame,
+        imu=imu,
+        imu_stream=imu_stream,
+        truth=truth,
+    )
 
 
 def _load(path: Path) -> dict[str, AnyArray]:
@@ -108,16 +128,23 @@ def _load(path: Path) -> dict[str, AnyArray]:
     except NO_ARCHIVE as error:
         if str(error).startswith("Object arrays"):
             what = "one of its arrays is pickled; expected plain arrays."
-            raise InputError(path, what, "Save it as whole numbers or floats, not as objects.") from error
-        what = "this is not a readable .npz file of plain arrays."  # NumPy's own words advise to load it unsafely
-        raise InputError(path, what, "If it was one, it is cut short or damaged: copy it again.") from error
+            raise InputError(
+                path, what, "Save it as whole numbers or floats, not as objects."
+            ) from error
+        # NumPy's own words advise to load it unsafely
+        what = "this is not a readable .npz file of plain arrays."
+        raise InputError(
+            path, what, "If it was one, it is cut short or damaged: copy it again."
+        ) from error
 
 
 def _check_shapes(arrays: dict[str, AnyArray], path: Path) -> None:
     """Every array is there, numeric, finite, and agrees with the others in n and K."""
     missing = [name for name in REQUIRED if name not in arrays]
     if missing:
-        raise InputError(path, f"the array {missing[0]} is missing.", f"Needed: {', '.join(REQUIRED)}.")
+        raise InputError(
+            path, f"the array {missing[0]} is missing.", f"Needed: {', '.join(REQUIRED)}."
+        )
     if ("omega" in arrays) != ("C_cam_imu" in arrays):
         raise InputError(path, "of omega and C_cam_imu, one is missing.", "Give both or neither.")
     sizes: dict[int | str, int] = {"n": arrays["frame"].size, "K": arrays["t"].size}
@@ -128,10 +155,14 @@ def _check_shapes(arrays: dict[str, AnyArray], path: Path) -> None:
         where = f"{path}: {name}"
         if array.shape != expected:
             text = ", ".join(map(str, SHAPES[name]))
-            raise InputError(where, f"shape {array.shape}; expected [{text}] with n as frame, K as t.")
+            raise InputError(
+                where, f"shape {array.shape}; expected [{text}] with n as frame, K as t."
+            )
         kinds = "iu" if name in ("frame", "track") else "iuf"
         if array.dtype.kind not in kinds:
-            raise InputError(where, f"type {array.dtype}; expected {'whole ' if kinds == 'iu' else ''}numbers.")
+            raise InputError(
+                where, f"type {array.dtype}; expected {'whole ' if kinds == 'iu' else ''}numbers."
+            )
         bad = np.flatnonzero(~np.isfinite(array).all(axis=tuple(range(1, array.ndim))))
         if len(bad) and name != "T_world_cam":
             raise InputError(where, f"row {bad[0]} (from 0) is not finite.")
@@ -144,7 +175,9 @@ def _split_frames(frame: IntArray, ids: IntArray, frames: int, path: Path) -> In
         what = f"row {backwards[0] + 1} (from 0) goes back to frame {frame[backwards[0] + 1]}."
         raise InputError(f"{path}: frame", what, "Sort the observations by frame.")
     if len(frame) and not (frame[0] >= 0 and frame[-1] < frames):
-        raise InputError(f"{path}: frame", f"frames {frame[0]} to {frame[-1]}, but t has {frames} times.")
+        raise InputError(
+            f"{path}: frame", f"frames {frame[0]} to {frame[-1]}, but t has {frames} times."
+        )
     order = np.lexsort((ids, frame))
     twice = np.flatnonzero((np.diff(frame[order]) == 0) & (np.diff(ids[order]) == 0))
     if len(twice):
@@ -160,5 +193,7 @@ def _imu(
         return None, None
     C_cam_imu = so3.check_rotation(arrays["C_cam_imu"], f"{path}: C_cam_imu")
     held_ns, gyro = hold_over_interval(stamps_ns, arrays["omega"])
-    stream = ImuStream.checked(held_ns, gyro, np.full_like(gyro, np.nan), stamps_ns, f"{path}: omega")
+    stream = ImuStream.checked(
+        held_ns, gyro, np.full_like(gyro, np.nan), frames_ns=stamps_ns, where=f"{path}: omega"
+    )
     return ImuCalibration(C_cam_imu, GYRO_NOISE_RAD_S_SQRT_HZ, GYRO_BIAS_SIGMA_RAD_S), stream

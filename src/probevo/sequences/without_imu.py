@@ -27,7 +27,13 @@ class WithoutImu:
     @staticmethod
     def of(sequence: Sequence) -> WithoutImu:
         """That recording without its IMU."""
-        facts = (sequence.path, sequence.format, sequence.camera, sequence.stamps_ns, sequence.truth)
+        facts = (
+            sequence.path,
+            sequence.format,
+            sequence.camera,
+            sequence.stamps_ns,
+            sequence.truth,
+        )
         return WithoutImu(*facts, sequence)
 
     def __len__(self) -> int:

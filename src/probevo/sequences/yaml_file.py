@@ -20,13 +20,17 @@ def read_yaml(path: Path, model: type[Model], cure: str = "") -> Model:
     """The file as a ``model``.
 
     Raises:
-        InputError: missing, not YAML, or not what the model allows; all the faults of the keys at once.
+        InputError: missing, not YAML, or not what the model allows; all the faults of the keys at
+            once.
     """
     content = load_yaml(path, cure)
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        faults = [f"{'.'.join(map(str, fault['loc'])) or 'content'}: {fault['msg']}" for fault in error.errors()]
+        faults = [
+            f"{'.'.join(map(str, fault['loc'])) or 'content'}: {fault['msg']}"
+            for fault in error.errors()
+        ]
         raise InputError(path, "; ".join(faults) + ".", cure) from error
 
 
@@ -34,7 +38,8 @@ def load_yaml(path: Path, cure: str = "") -> Any:
     """What the file holds: mappings, lists and scalars.
 
     Raises:
-        InputError: missing, not text, not YAML, a key given twice, or an invalid value (such as a 99th of May).
+        InputError: missing, not text, not YAML, a key given twice, or an invalid value (such as a
+            99th of May).
     """
     text = read_text(path, cure)
     if text.startswith("%YAML:"):  # OpenCV's header, as EuRoC has it, is no valid YAML
@@ -42,7 +47,9 @@ def load_yaml(path: Path, cure: str = "") -> Any:
     try:
         return yaml.load(text, _NoKeyTwice)
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
-        raise InputError(path, f"this is not YAML: {' '.join(str(error).split())}.", cure) from error
+        raise InputError(
+            path, f"this is not YAML: {' '.join(str(error).split())}.", cure
+        ) from error
 
 
 class _NoKeyTwice(yaml.SafeLoader):

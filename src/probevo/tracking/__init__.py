@@ -19,7 +19,8 @@ class Tracker(Protocol):
     """Joins each frame to the one before."""
 
     def track(self, frame: Frame, expected: FloatArray) -> Tracks:
-        """Features of the previous frame found in this one; the search starts from T_curr_prev ``expected``, [4, 4].
+        """Features of the previous frame found in this one; the search starts from T_curr_prev
+        ``expected``, [4, 4].
 
         Called again for the same frame, it starts over.
         """
@@ -29,5 +30,6 @@ class Tracker(Protocol):
 
 
 def tracker_for(frame: Frame, camera: StereoCamera, config: TrackingConfig) -> Tracker:
-    """The tracker that suits what the frames of a sequence hold: images, or features already tracked."""
+    """The tracker that suits what the frames of a sequence hold: images, or features already
+    tracked."""
     return FeatureMatcher() if frame.features is not None else ImageTracker(camera, config)

@@ -25,17 +25,19 @@ def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
         config: number of features, threshold, window.
 
     Returns:
-        (u, v) of the corners, [rows, columns, FEATURES_PER_CELL, 2], px, the strongest first; NaN where a cell has no
-        more.
+        (u, v) of the corners, [rows, columns, FEATURES_PER_CELL, 2], px, the strongest first; NaN
+        where a cell has no more.
     """
-    grid, border_px = _grid(image.shape, config), config.window_px // 2 + AROUND_WINDOW_PX
+    grid = _grid(image.shape, config)
+    border_px = config.window_px // 2 + AROUND_WINDOW_PX
     return strongest_of_cells(image, config.fast_threshold, *grid, FEATURES_PER_CELL, border_px)
 
 
 def corners_in_room(
     strongest: FloatArray, occupied_px: FloatArray, shape: tuple[int, int], config: TrackingConfig
 ) -> FloatArray:
-    """Of each cell's strongest corners, those that are apart, as many as fill the share that the features there leave.
+    """Of each cell's strongest corners, those that are apart, as many as fill the share that the
+    features there leave.
 
     Args:
         strongest: from ``strongest_corners``.
@@ -49,7 +51,9 @@ def corners_in_room(
     cell_px, rows, columns = _grid(shape, config)
     column, row = np.clip(occupied_px // cell_px, 0, [columns - 1, rows - 1]).astype(np.int64).T
     taken = np.bincount(row * columns + column, minlength=rows * columns).reshape(rows, columns, 1)
-    chosen = (np.arange(FEATURES_PER_CELL) < FEATURES_PER_CELL - taken) & np.isfinite(strongest[..., 0])
+    chosen = (np.arange(FEATURES_PER_CELL) < FEATURES_PER_CELL - taken) & np.isfinite(
+        strongest[..., 0]
+    )
     corners: FloatArray = strongest[chosen]
     return corners[apart(np.vstack([occupied_px, corners]), shape, config)[len(occupied_px) :]]
 
@@ -57,7 +61,8 @@ def corners_in_room(
 def apart(pixels: FloatArray, shape: tuple[int, int], config: TrackingConfig) -> BoolArray:
     """Which features do not share most of their window with one before them that is kept, [N].
 
-    Two that do are one: their errors are alike, and counted as two they would make the motion look surer than it is.
+    Two that do are one: their errors are alike, and counted as two they would make the motion look
+    surer than it is.
 
     Args:
         pixels: (u, v) of the features, [N, 2], px.
@@ -65,7 +70,12 @@ def apart(pixels: FloatArray, shape: tuple[int, int], config: TrackingConfig) ->
         config: with the window.
     """
     keep = np.empty(len(pixels), np.bool_)
-    _keep_apart(np.round(pixels).astype(np.int64), config.window_px // 2 + 1, np.zeros(shape, np.bool_), keep)
+    _keep_apart(
+        np.round(pixels).astype(np.int64),
+        config.window_px // 2 + 1,
+        np.zeros(shape, np.bool_),
+        keep=keep,
+    )
     return keep
 
 
@@ -74,7 +84,8 @@ def _keep_apart(pixels: IntArray, reach: int, taken: BoolArray, keep: BoolArray)
     """Mark the square around each feature that is kept."""
     height, width = taken.shape
     for n in range(len(pixels)):
-        u, v = min(max(pixels[n, 0], 0), width - 1), min(max(pixels[n, 1], 0), height - 1)
+        u = min(max(pixels[n, 0], 0), width - 1)
+        v = min(max(pixels[n, 1], 0), height - 1)
         keep[n] = not taken[v, u]
         if keep[n]:
             for row in range(max(v - reach, 0), min(v + reach + 1, height)):

@@ -1,7 +1,8 @@
 """FAST corners, the strongest of each cell only.
 
-The same as OpenCV finds (cv2.FastFeatureDetector with non-maximum suppression, type 9-16: tested), which makes a Python
-object of each of ten thousand corners, while all other threads wait, for the six hundred that are wanted.
+The same as OpenCV finds (cv2.FastFeatureDetector with non-maximum suppression, type 9-16: tested),
+which makes a Python object of each of ten thousand corners, while all other threads wait, for the
+six hundred that are wanted.
 """
 
 from __future__ import annotations
@@ -22,12 +23,19 @@ RING = HALF_RING + tuple((-du, -dv) for du, dv in HALF_RING)
 
 
 def strongest_of_cells(
-    image: Image, threshold: int, cell_px: float, rows: int, columns: int, per_cell: int, border_px: int
+    image: Image,
+    threshold: int,
+    cell_px: float,
+    rows: int,
+    columns: int,
+    per_cell: int,
+    border_px: int,
 ) -> FloatArray:
     """The strongest FAST corners of each cell (Rosten and Drummond 2006).
 
-    "Machine learning for high-speed corner detection": a corner is brighter, or darker, than nine pixels in a row of
-    the ring by more than a threshold; the largest such threshold is its strength, and no neighbor is as strong.
+    "Machine learning for high-speed corner detection": a corner is brighter, or darker, than nine
+    pixels in a row of the ring by more than a threshold; the largest such threshold is its
+    strength, and no neighbor is as strong.
 
     Args:
         image: [height, width], uint8.
@@ -39,24 +47,40 @@ def strongest_of_cells(
         border_px: none is taken closer to the border, at least REACH_PX + 1.
 
     Returns:
-        (u, v) of the corners, [rows, columns, per_cell, 2], px, the strongest first, of equals the upper and left one
-        first; NaN where a cell has no more.
+        (u, v) of the corners, [rows, columns, per_cell, 2], px, the strongest first, of equals the
+        upper and left one first; NaN where a cell has no more.
     """
     height, width = image.shape
     at = np.full((rows, columns, per_cell), -1)
     if min(height, width) > 2 * border_px:
-        strength, ring = np.zeros((rows, columns, per_cell), np.int64), np.zeros(len(RING) + 8, np.int32)
+        strength = np.zeros((rows, columns, per_cell), np.int64)
+        ring = np.zeros(len(RING) + 8, np.int32)
         offsets = np.array([dv * width + du for du, dv in RING])
-        pixels, above = np.ascontiguousarray(image).ravel(), _bound(image)
-        _fill(pixels, width, above, offsets, threshold, cell_px, border_px, ring, strength, at)
-    corners: FloatArray = np.where(at[..., None] < 0, np.nan, np.stack([at % width, at // width], axis=-1))
+        pixels = np.ascontiguousarray(image).ravel()
+        above = _bound(image)
+        _fill(
+            pixels,
+            width,
+            above,
+            offsets=offsets,
+            threshold=threshold,
+            cell_px=cell_px,
+            border_px=border_px,
+            ring=ring,
+            strength=strength,
+            at=at,
+        )
+    corners: FloatArray = np.where(
+        at[..., None] < 0, np.nan, np.stack([at % width, at // width], axis=-1)
+    )
     return corners
 
 
 def _bound(image: Image) -> Image:
     """Of each pixel REACH_PX from the border, at least its strength, [height − 6, width − 6].
 
-    Nine in a row of sixteen hold one of each two that face each other. In whole images this takes 0.5 ms.
+    Nine in a row of sixteen hold one of each two that face each other. In whole images this takes
+    0.5 ms.
     """
     height, width = image.shape
 
@@ -64,10 +88,12 @@ def _bound(image: Image) -> Image:
         return image[REACH_PX + dv : height - REACH_PX + dv, REACH_PX + du : width - REACH_PX + du]
 
     center = shifted(0, 0)
-    brighter, darker = np.full(center.shape, 255, np.uint8), np.zeros(center.shape, np.uint8)
+    brighter = np.full(center.shape, 255, np.uint8)
+    darker = np.zeros(center.shape, np.uint8)
     of_two = np.empty_like(brighter)
     for du, dv in HALF_RING:
-        one, other = shifted(du, dv), shifted(-du, -dv)
+        one = shifted(du, dv)
+        other = shifted(-du, -dv)
         cv2.min(brighter, cv2.max(one, other, dst=of_two), dst=brighter)
         cv2.max(darker, cv2.min(one, other, dst=of_two), dst=darker)
     cv2.subtract(brighter, center, dst=brighter)
@@ -88,48 +114,66 @@ def _fill(
     strength: IntArray,
     at: IntArray,
 ) -> None:
-    """Strength and place of each cell's strongest corners, [rows, columns, per_cell]; ``ring`` is work space."""
+    """Strength and place of each cell's strongest corners, [rows, columns, per_cell]; ``ring`` is
+    work space."""
     rows, columns, per_cell = at.shape
     height = len(pixels) // width
     for row in range(rows):
-        top, bottom = _inner(row, cell_px, height, border_px)
+        top, bottom = _inner(row, cell_px, height, border_px=border_px)
         for column in range(columns):
-            first, last = _inner(column, cell_px, width, border_px)
-            held, places, least = strength[row, column], at[row, column], threshold
+            first, last = _inner(column, cell_px, width, border_px=border_px)
+            held = strength[row, column]
+            places = at[row, column]
+            least = threshold
             for v in range(top, bottom):
                 bounds = bound[v - REACH_PX, first - REACH_PX : last - REACH_PX]
                 for i in range(len(bounds)):
                     if bounds[i] <= least:
                         continue
                     u = first + i
-                    found = _strength(pixels, v * width + u, offsets, least, ring)
-                    if found <= least or not _is_peak(pixels, width, u, v, bound, offsets, found, ring):
+                    found = _strength(pixels, v * width + u, offsets, least=least, ring=ring)
+                    if found <= least or not _is_peak(
+                        pixels, width, u, v=v, bound=bound, offsets=offsets, found=found, ring=ring
+                    ):
                         continue
                     place = per_cell - 1
                     while place > 0 and held[place - 1] < found:
-                        held[place], places[place] = held[place - 1], places[place - 1]
+                        held[place] = held[place - 1]
+                        places[place] = places[place - 1]
                         place -= 1
-                    held[place], places[place] = found, v * width + u
+                    held[place] = found
+                    places[place] = v * width + u
                     least = max(threshold, held[per_cell - 1])
 
 
 @compiled
 def _inner(cell: int, cell_px: float, side_px: int, border_px: int) -> tuple[int, int]:
-    """First pixel of a cell, and the one after its last, along a side of the image, without the border."""
+    """First pixel of a cell, and the one after its last, along a side of the image, without the
+    border."""
     first = max(border_px, math.ceil(cell * cell_px))
     return first, max(first, min(side_px - border_px, math.ceil((cell + 1) * cell_px)))
 
 
 @compiled
 def _is_peak(
-    pixels: AnyArray, width: int, u: int, v: int, bound: Image, offsets: IntArray, found: int, ring: AnyArray
+    pixels: AnyArray,
+    width: int,
+    u: int,
+    v: int,
+    bound: Image,
+    offsets: IntArray,
+    found: int,
+    ring: AnyArray,
 ) -> bool:
     """Whether none of the eight neighbors is as strong."""
     for dv in range(-1, 2):
         for du in range(-1, 2):
             if (du == 0 and dv == 0) or bound[v + dv - REACH_PX, u + du - REACH_PX] < found:
                 continue
-            if _strength(pixels, (v + dv) * width + u + du, offsets, found - 1, ring) >= found:
+            if (
+                _strength(pixels, (v + dv) * width + u + du, offsets, least=found - 1, ring=ring)
+                >= found
+            ):
                 return False
     return True
 
@@ -138,7 +182,8 @@ def _is_peak(
 def _strength(pixels: AnyArray, at: int, offsets: IntArray, least: int, ring: AnyArray) -> int:
     """Strength of a pixel if it is more than ``least``, or else that."""
     center = np.int32(pixels[np.uint64(at)])
-    brighter, darker = 0, 0
+    brighter = 0
+    darker = 0
     for k in range(16):
         ring[k] = np.int32(pixels[np.uint64(at + offsets[k])]) - center
         brighter |= (1 << k) if ring[k] > least else 0

@@ -10,7 +10,8 @@ from probevo.tracking.tracks import Tracks
 
 
 class FeatureMatcher:
-    """Joins the features of consecutive frames by identity; the counterpart of ``ImageTracker`` without images."""
+    """Joins the features of consecutive frames by identity; the counterpart of ``ImageTracker``
+    without images."""
 
     def __init__(self) -> None:
         nothing = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
@@ -25,15 +26,20 @@ class FeatureMatcher:
         if frame.features is None:
             raise ValueError(f"frame {frame.index} has no features")
         if frame.stamp_ns != self._now_stamp_ns:
-            self._before, self._now_stamp_ns = self._now, frame.stamp_ns
+            self._before = self._now
+            self._now_stamp_ns = frame.stamp_ns
         previous, previous_age = self._before
         seen = np.isfinite(frame.features.pixels).all(axis=1)
         current = StereoFeatures(frame.features.ids[seen], frame.features.pixels[seen])
-        ids, before, now = np.intersect1d(previous.ids, current.ids, assume_unique=True, return_indices=True)
+        ids, before, now = np.intersect1d(
+            previous.ids, current.ids, assume_unique=True, return_indices=True
+        )
         age = np.ones(len(current.ids), np.int64)
         age[now] = previous_age[before] + 1
         rejected = {"not finite": int((~seen).sum())}
-        tracks = Tracks(previous.pixels[before], current.pixels[now], ids, age[now], rejected)
+        tracks = Tracks(
+            previous.pixels[before], current.pixels[now], ids, age=age[now], rejected=rejected
+        )
         self._now = (current, age)
         return tracks
 

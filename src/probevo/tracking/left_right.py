@@ -11,8 +11,9 @@ FRAMES_TO_SEE = 3
 """Steps after which the matches are judged."""
 FEWEST_MATCHES = 30
 MOST_BEHIND = 0.8
-"""Share of matches with negative disparity beyond which the images are swapped. It is over 0.98 for swapped recordings
-of KITTI and EuRoC, under 0.05 for right ones, and one half where everything is too far away to tell."""
+"""Share of matches with negative disparity beyond which the images are swapped. It is over 0.98 for
+swapped recordings of KITTI and EuRoC, under 0.05 for right ones, and one half where everything is
+too far away to tell."""
 
 
 class SwappedImagesError(InputError):
@@ -20,13 +21,17 @@ class SwappedImagesError(InputError):
 
 
 def count_matches(tracks: Tracks) -> tuple[int, int]:
-    """Stereo matches of one step with positive and with negative disparity, those that the tracker refused included."""
+    """Stereo matches of one step with positive and with negative disparity, those that the tracker
+    refused included."""
     in_front = tracks.curr_px[:, 0] >= tracks.curr_px[:, 2]
-    return int(in_front.sum()), int((~in_front).sum()) + tracks.rejected.get("negative disparity", 0)
+    return int(in_front.sum()), int((~in_front).sum()) + tracks.rejected.get(
+        "negative disparity", 0
+    )
 
 
 def looks_swapped(ahead: int, behind: int) -> bool:
-    """Whether the stereo matches with positive (``ahead``) and negative disparity can only come from swapped images."""
+    """Whether the stereo matches with positive (``ahead``) and negative disparity can only come
+    from swapped images."""
     return ahead + behind >= FEWEST_MATCHES and behind > MOST_BEHIND * (ahead + behind)
 
 
@@ -47,7 +52,8 @@ def check_left_right(ahead: int, behind: int, where: str | Path) -> None:
 
 
 def exchange(recording: str | Path) -> str:
-    """What to do where left and right are swapped; a recording that is a file holds features, not images."""
+    """What to do where left and right are swapped; a recording that is a file holds features, not
+    images."""
     if Path(recording).is_file():
         return "Exchange columns 0 and 2, and 1 and 3, of uv."
     return "Exchange the two image folders."

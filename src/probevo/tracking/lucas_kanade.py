@@ -1,4 +1,5 @@
-"""Where the window around a point is found again, from afar: OpenCV's Lucas–Kanade, on pyramids of our own."""
+"""Where the window around a point is found again, from afar: OpenCV's Lucas–Kanade, on pyramids of
+our own."""
 
 from __future__ import annotations
 
@@ -9,8 +10,10 @@ from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.config import TrackingConfig
 
 MIN_EIGENVALUE = 1e-4
-"""Smallest eigenvalue of the window's gradient matrix (over its area, in OpenCV's scaling) that can be tracked."""
-MAX_ITERATIONS, MAX_STEP_PX = 10, 0.1
+"""Smallest eigenvalue of the window's gradient matrix (over its area, in OpenCV's scaling) that can
+be tracked."""
+MAX_ITERATIONS = 10
+MAX_STEP_PX = 0.1
 """Lucas–Kanade stops here on each pyramid level."""
 LEVELS_IF_NEAR = 2
 """Levels for a point that is within a pixel or two of its start."""
@@ -35,22 +38,26 @@ def find_again(
     config: TrackingConfig,
     near: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Pyramidal Lucas–Kanade of points [N, 2] from the given starts: where they end, [N, 2], px, and what is left.
+    """Pyramidal Lucas–Kanade of points [N, 2] from the given starts: where they end, [N, 2], px,
+    and what is left.
 
-    That is the mean absolute difference of the window there, [N], grey levels; infinite where the search failed. Which
-    starts are about right may be said, [N]: for these the lowest levels do.
+    That is the mean absolute difference of the window there, [N], grey levels; infinite where the
+    search failed. Which starts are about right may be said, [N]: for these the lowest levels do.
 
-    OpenCV's own pyramids can't be handed to it from Python, so that each call would build both anew. Level by level it
-    needs none, and ends at the same place to the last bit.
+    OpenCV's own pyramids can't be handed to it from Python, so that each call would build both
+    anew. Level by level it needs none, and ends at the same place to the last bit.
     """
     if len(template_px) == 0:
         return np.zeros((0, 2)), np.zeros(0)
-    at_px, found_px = template_px.astype(np.float32), start_px.astype(np.float32)
+    at_px = template_px.astype(np.float32)
+    found_px = start_px.astype(np.float32)
     everyone = np.arange(len(at_px))
     far = everyone if near is None else np.flatnonzero(~near)
-    size, enough = (config.window_px, config.window_px), cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS
+    size = (config.window_px, config.window_px)
+    enough = cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS
     for level in reversed(range(len(template))):
-        here, scale = everyone if level < LEVELS_IF_NEAR else far, np.float32(0.5**level)
+        here = everyone if level < LEVELS_IF_NEAR else far
+        scale = np.float32(0.5**level)
         if not len(here):
             continue
         scaled_px, status, difference = cv2.calcOpticalFlowPyrLK(
@@ -66,4 +73,6 @@ def find_again(
         )
         found_px[here] = scaled_px / scale  # a point without texture on this level stays put
     found = (status[:, 0] > 0) & np.isfinite(found_px).all(axis=1)
-    return np.where(found[:, None], found_px, -1.0).astype(np.float64), np.where(found, difference[:, 0], np.inf)
+    return np.where(found[:, None], found_px, -1.0).astype(np.float64), np.where(
+        found, difference[:, 0], np.inf
+    )

@@ -1,4 +1,5 @@
-"""What tracking does with a frame's images before it knows of any motion, so that it can be done ahead of time."""
+"""What tracking does with a frame's images before it knows of any motion, so that it can be done
+ahead of time."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ class PreparedImages:
 
 
 def prepared_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[Frame]:
-    """The same frames, prepared in a thread of their own while the consumer works on the one before.
+    """The same frames, prepared in a thread of their own while the consumer works on the one
+    before.
 
     What reading a frame raises comes where the frame would have.
     """
@@ -51,7 +53,11 @@ def prepared_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[
 
 def with_prepared(frame: Frame, config: TrackingConfig) -> Frame:
     """The frame with its prepared images, if it has any."""
-    return frame if frame.left is None or frame.right is None else replace(frame, prepared=prepared(frame, config))
+    return (
+        frame
+        if frame.left is None or frame.right is None
+        else replace(frame, prepared=prepared(frame, config))
+    )
 
 
 def prepared(frame: Frame, config: TrackingConfig) -> PreparedImages:
@@ -60,12 +66,15 @@ def prepared(frame: Frame, config: TrackingConfig) -> PreparedImages:
         raise ValueError(f"frame {frame.index} has no images")
     if frame.prepared is not None and frame.prepared.config == config:
         return frame.prepared
-    left, right = (pyramid_of(_high_pass(image, config), config) for image in (frame.left, frame.right))
-    return PreparedImages(left, right, strongest_corners(left[0], config), config)
+    left, right = (
+        pyramid_of(_high_pass(image, config), config) for image in (frame.left, frame.right)
+    )
+    return PreparedImages(left, right, strongest_corners(left[0], config), config=config)
 
 
 def _high_pass(image: Image, config: TrackingConfig) -> Image:
-    """The image less its local mean, around 128: exposure and vignetting drop out of the brightness constancy."""
+    """The image less its local mean, around 128: exposure and vignetting drop out of the brightness
+    constancy."""
     if config.high_pass_px == 0:
         return image
     mean = cv2.blur(image, (config.high_pass_px, config.high_pass_px))

@@ -1,6 +1,7 @@
 """The waist of the design: stereo observations of the same points in two frames.
 
-Everything left of it may be absent (a tracks file has no images); everything right of it never sees an image.
+Everything left of it may be absent (a tracks file has no images); everything right of it never sees
+an image.
 """
 
 from __future__ import annotations
@@ -22,15 +23,19 @@ class Tracks:
     curr_px: FloatArray
     """The same points in the current frame, [N, 4], px."""
     ids: IntArray
-    """Identity of each point, [N]. What no longer looks as at first sight goes on under another one."""
+    """Identity of each point, [N]. What no longer looks as at first sight goes on under another
+    one."""
     age: IntArray
-    """Number of frames, the current one included, that have seen the point in a row, [N]; at least 2."""
+    """Number of frames, the current one included, that have seen the point in a row, [N]; at least
+    2."""
     rejected: Mapping[str, int] = field(default_factory=dict)
-    """How many candidate points each consistency check turned away on this step, by the check's name."""
+    """How many candidate points each consistency check turned away on this step, by the check's
+    name."""
     difference: FloatArray | None = None
-    """How differently each point looks from when it was first seen, in the left and in the right image: the mean
-    absolute difference of the windows, [N, 2], grey levels. Where that window does not fit: from the frame before, and
-    from the left image. None where somebody else has tracked the points."""
+    """How differently each point looks from when it was first seen, in the left and in the right
+    image: the mean absolute difference of the windows, [N, 2], grey levels. Where that window does
+    not fit: from the frame before, and from the left image. None where somebody else has tracked
+    the points."""
 
     def __len__(self) -> int:
         """Number of points, N."""
@@ -39,7 +44,9 @@ class Tracks:
     @staticmethod
     def none() -> Tracks:
         """No tracks at all."""
-        return Tracks(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0, np.int64))
+        return Tracks(
+            np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0, np.int64), age=np.zeros(0, np.int64)
+        )
 
     def kept(self, keep: BoolArray | IntArray) -> Tracks:
         """Only those points: a mask [N], or indices."""

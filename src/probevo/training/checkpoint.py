@@ -17,9 +17,9 @@ from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.files import remove_stale, write_atomically
 from probevo.noise.model_io import Learned, Storable, load_model, save_model
-from probevo.training.lesson import StoredLesson, whole
 from probevo.training.recording import TICKET
 from probevo.training.settings import TrainSettings
+from probevo.training.supervised_drive import DriveOnDisk, whole
 
 Iteration = list[tuple[IntArray, FloatArray]]
 """Of each drive, the features that took part in a motion with a known error, and that error."""
@@ -27,7 +27,13 @@ Iteration = list[tuple[IntArray, FloatArray]]
 
 PLAN = "plan.json"
 DRIVES = ("drive-[0-9]*.json", "drive-[0-9]*.npz", "drive-[0-9]*.frames")
-MADE_OF_DRIVES = ("drive-truth-*.npz", "thin-*.json", "thin-*.npz", "iteration-*.npz", "turn-*.safetensors")
+MADE_OF_DRIVES = (
+    "drive-truth-*.npz",
+    "thin-*.json",
+    "thin-*.npz",
+    "iteration-*.npz",
+    "turn-*.safetensors",
+)
 KINDS = (PLAN, TICKET, *DRIVES, *MADE_OF_DRIVES)
 OWN = tuple(f"{name}{end}" for name in KINDS for end in ("", ".part", ".*.part"))
 """All that is ever written into the folder, and so all that is ever removed from it."""
@@ -41,9 +47,14 @@ class Checkpoint:
 
     @staticmethod
     def opened(
-        out: Path, recordings: list[list[Any]], truths: list[str], settings: TrainSettings, columns: tuple[str, ...]
+        out: Path,
+        recordings: list[list[Any]],
+        truths: list[str],
+        settings: TrainSettings,
+        columns: tuple[str, ...],
     ) -> Checkpoint:
-        """The work so far for this model file, or none yet. What other settings or truth made of the drives is dropped.
+        """The work so far for this model file, or none yet. What other settings or truth made of
+        the drives is dropped.
 
         Args:
             out: the model file.
@@ -52,12 +63,14 @@ class Checkpoint:
             columns: of the prediction space.
 
         Raises:
-            InputError: what lies there belongs to other recordings, predictors or settings of the odometry, is damaged
-                or not ours, or the place cannot be written to.
+            InputError: what lies there belongs to other recordings, predictors or settings of the
+                odometry, is damaged or not ours, or the place cannot be written to.
         """
         checkpoint = Checkpoint(out.with_name(out.name + ".work"))
         checkpoint._refuse_foreign()
-        chosen = settings.model_dump(mode="json", exclude={"neighbors", "exponent", "average", "iterations"})
+        chosen = settings.model_dump(
+            mode="json", exclude={"neighbors", "exponent", "average", "iterations"}
+        )
         of_drives = {name: chosen.pop(name) for name in ("odometry", "max_frames", "predictors")}
         facts = {
             "probevo": __version__,
@@ -71,7 +84,9 @@ class Checkpoint:
             if before.get("drives") == facts["drives"]:
                 differs = f"code, probevo {before.get('probevo')} instead of {__version__}"
             what = f"a training that was stopped here had other {differs}."
-            raise InputError(checkpoint.folder, what, "Repeat those to go on with it, or delete this folder.")
+            raise InputError(
+                checkpoint.folder, what, "Repeat those to go on with it, or delete this folder."
+            )
         if not same:  # no drive is begun yet, or ``remove`` was stopped
             checkpoint._remove(*OWN)
         elif before.get("iterations") != facts["iterations"]:
@@ -80,9 +95,9 @@ class Checkpoint:
         write_atomically(checkpoint.folder / PLAN, json.dumps(facts, indent=1) + "\n")
         return checkpoint
 
-    def lesson(self, number: int, camera: StereoCamera) -> StoredLesson:
+    def drive(self, number: int, camera: StereoCamera) -> DriveOnDisk:
         """The recording of that number, whatever there is of it."""
-        return StoredLesson(self.folder, number, camera)
+        return DriveOnDisk(self.folder, number, camera)
 
     def iteration(self, number: int) -> Iteration | None:
         """An iteration that is done."""
@@ -129,11 +144,18 @@ class Checkpoint:
 
     def _refuse_foreign(self) -> None:
         if self.folder.exists() and not self.folder.is_dir():
-            raise InputError(self.folder, "is in the way: a folder of this name keeps the work so far.", "Move it.")
+            raise InputError(
+                self.folder,
+                "is in the way: a folder of this name keeps the work so far.",
+                "Move it.",
+            )
         found = set(self.folder.iterdir()) if self.folder.exists() else set()
         foreign = sorted(found - {path for pattern in OWN for path in self.folder.glob(pattern)})
         if foreign:
-            what = f"holds {foreign[0].name}, which is none of ours; the work so far is kept in a folder of this name."
+            what = (
+                f"holds {foreign[0].name}, which is none of ours; the work so far is kept in a"
+                " folder of this name."
+            )
             raise InputError(self.folder, what, "Move it, or give the model another name.")
 
     def _remove(self, *patterns: str) -> None:

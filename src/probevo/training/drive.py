@@ -18,7 +18,8 @@ SINGLE = ("prev_px", "curr_px", "phi")
 
 @dataclass(frozen=True)
 class Drive:
-    """K − 1 consecutive steps of a recording, all of them or a part, and the n features of all steps, in their order.
+    """K − 1 consecutive steps of a recording, all of them or a part, and the n features of all
+    steps, in their order.
 
     On disk, pixels and predictors are of single precision: half the size, and 0.0001 px at most.
     """
@@ -26,7 +27,8 @@ class Drive:
     T_curr_prev: FloatArray
     """Motion of each step as all its features give it, [K − 1, 4, 4]."""
     numbers: IntArray
-    """Which step of the recording each is, ascending, [K − 1]; what is missing in between was not taken."""
+    """Which step of the recording each is, ascending, [K − 1]; what is missing in between was not
+    taken."""
     first_of_step: IntArray
     """Where the features of each step begin, and the end of the last, [K]."""
     prev_px: FloatArray
@@ -38,7 +40,8 @@ class Drive:
     phi: FloatArray
     """Its place in the prediction space, [n, M]."""
     used: BoolArray
-    """Whether the step was solved and this one had a part in it, [n]; RANSAC and the pre-filter turn some away."""
+    """Whether the step was solved and this one had a part in it, [n]; RANSAC and the pre-filter
+    turn some away."""
 
     def rows(self, step: int) -> slice:
         """Where the features of a step are."""
@@ -48,7 +51,10 @@ class Drive:
         """The features of a step; their ages are not kept."""
         rows = self.rows(step)
         return Tracks(
-            self.prev_px[rows], self.curr_px[rows], self.ids[rows], np.zeros(rows.stop - rows.start, np.int64)
+            self.prev_px[rows],
+            self.curr_px[rows],
+            self.ids[rows],
+            age=np.zeros(rows.stop - rows.start, np.int64),
         )
 
     @property
@@ -59,22 +65,34 @@ class Drive:
     def kept(self, steps: BoolArray) -> Drive:
         """Only the steps that are marked, [K − 1]."""
         rows = steps[self.step_of_feature]
-        features = {name: getattr(self, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")}
+        features = {
+            name: getattr(self, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")
+        }
         counts = np.diff(self.first_of_step)[steps]
-        return Drive(self.T_curr_prev[steps], self.numbers[steps], np.concatenate([[0], np.cumsum(counts)]), **features)
+        return Drive(
+            self.T_curr_prev[steps],
+            self.numbers[steps],
+            np.concatenate([[0], np.cumsum(counts)]),
+            **features,
+        )
 
 
 def joined(parts: Iterable[Drive]) -> Drive:
     """One after another as one."""
     found = list(parts)
-    arrays = {field.name: np.concatenate([getattr(part, field.name) for part in found]) for field in fields(Drive)}
+    arrays = {
+        field.name: np.concatenate([getattr(part, field.name) for part in found])
+        for field in fields(Drive)
+    }
     counts = np.concatenate([np.diff(part.first_of_step) for part in found])
     return Drive(**arrays | {"first_of_step": np.concatenate([[0], np.cumsum(counts)])})
 
 
 def drive_bytes(drive: Drive) -> bytes:
     """An ``.npz`` file."""
-    arrays: dict[str, AnyArray] = {field.name: getattr(drive, field.name) for field in fields(Drive)}
+    arrays: dict[str, AnyArray] = {
+        field.name: getattr(drive, field.name) for field in fields(Drive)
+    }
     arrays |= {name: arrays[name].astype(np.float32) for name in SINGLE}
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)

@@ -1,4 +1,5 @@
-"""Recording → drive, part by part: the odometry runs over it once, and no more than a part is held in memory."""
+"""Recording → drive, part by part: the odometry runs over it once, and no more than a part is held
+in memory."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.config import OdometryConfig
-from probevo.motion.estimate import Status
+from probevo.estimation.motion_estimate import Status
 from probevo.noise import StudentT
 from probevo.noise.metric import check_defined
 from probevo.odometry import StereoOdometry
@@ -23,12 +24,14 @@ from probevo.tracking.tracks import Tracks
 from probevo.training.drive import Drive
 from probevo.training.sources import calibration
 
-MOST_STEPS, MOST_BYTES = 1000, 32_000_000
+MOST_STEPS = 1000
+MOST_BYTES = 32_000_000
 """Of a part, as it lies on disk; a single step may be larger."""
 
 
 class Extraction:
-    """Walk through a recording with static robust noise, and keep every step's features with their predictors.
+    """Walk through a recording with static robust noise, and keep every step's features with their
+    predictors.
 
     Args:
         sequence: the recording.
@@ -46,24 +49,32 @@ class Extraction:
         num_frames: int,
         on_frame: Callable[[int], None] | None = None,
     ) -> None:
-        self.sequence, self.space, self.num_frames, self.on_frame = sequence, space, num_frames, on_frame
-        self._odometry = StereoOdometry(sequence.camera, StudentT(), sequence.imu, config, space)
+        self.sequence = sequence
+        self.space = space
+        self.num_frames = num_frames
+        self.on_frame = on_frame
+        self._odometry = StereoOdometry(
+            sequence.camera, StudentT(), sequence.imu, config=config, predictors=space
+        )
         self._digest = hashlib.sha256(json.dumps(calibration(sequence)).encode())
         self._matches = np.zeros(2, np.int64)
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that the odometry was given so far: calibration, stamps, images or features, IMU samples."""
+        """SHA-256 of all that the odometry was given so far: calibration, stamps, images or
+        features, IMU samples."""
         return self._digest.hexdigest()
 
     def __iter__(self) -> Iterator[Drive]:
         """The parts, each of at most MOST_STEPS and MOST_BYTES.
 
         Raises:
-            InputError: the recording is faulty, its left and right images are swapped, it lacks what a predictor needs,
-                or a predictor is undefined where it must not be.
+            InputError: the recording is faulty, its left and right images are swapped, it lacks
+                what a predictor needs, or a predictor is undefined where it must not be.
         """
-        part, size, number = _Part(), 0, 0
+        part = _Part()
+        size = 0
+        number = 0
         for frame in islice(self.sequence, self.num_frames):
             motion = self._step(frame)
             if motion is None:
@@ -81,7 +92,8 @@ class Extraction:
     def _step(self, frame: Frame) -> tuple[FloatArray, bool] | None:
         """Motion to this frame, and whether it was solved; None of the first."""
         _take_in(self._digest, frame)
-        motion, odometry = self._odometry.step(frame), self._odometry
+        motion = self._odometry.step(frame)
+        odometry = self._odometry
         check_defined(odometry.phi, self.space.columns, self.space.may_be_undefined)
         self._matches += count_matches(odometry.tracks)
         if frame.index == min(FRAMES_TO_SEE, self.num_frames - 1):
@@ -101,20 +113,34 @@ class _Part:
     def __len__(self) -> int:
         return len(self.steps)
 
-    def add(self, T_curr_prev: FloatArray, tracks: Tracks, phi: FloatArray, used: BoolArray) -> None:
+    def add(
+        self, T_curr_prev: FloatArray, tracks: Tracks, phi: FloatArray, used: BoolArray
+    ) -> None:
         self.motions.append(T_curr_prev)
         self.steps.append((tracks.prev_px, tracks.curr_px, tracks.ids, phi, used))
 
     def drive(self, first: int) -> Drive:
         """The part; the number of its first step."""
-        prev_px, curr_px, ids, phi, used = (np.concatenate(part) for part in zip(*self.steps, strict=True))
+        prev_px, curr_px, ids, phi, used = (
+            np.concatenate(part) for part in zip(*self.steps, strict=True)
+        )
         first_of_step = np.cumsum([0, *(len(step[0]) for step in self.steps)])
         numbers = np.arange(first, first + len(self.motions))
-        return Drive(np.array(self.motions), numbers, first_of_step, prev_px, curr_px, ids, phi, used)
+        return Drive(
+            np.array(self.motions),
+            numbers,
+            first_of_step,
+            prev_px=prev_px,
+            curr_px=curr_px,
+            ids=ids,
+            phi=phi,
+            used=used,
+        )
 
 
 def _bytes(phi: FloatArray) -> int:
-    """What a step takes on disk: its features' observations, identities, predictors and marks, its motion and place."""
+    """What a step takes on disk: its features' observations, identities, predictors and marks, its
+    motion and place."""
     count, columns = map(int, phi.shape)
     return count * (4 * (4 + 4 + columns) + 8 + 1) + 136
 

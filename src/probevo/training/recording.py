@@ -1,4 +1,5 @@
-"""Recordings → lessons on disk: each recording is the work of one worker, which tells in a file how far it is."""
+"""Recordings → drives on disk: each recording is the work of one worker, which tells in a file how
+far it is."""
 
 from __future__ import annotations
 
@@ -16,9 +17,9 @@ from probevo.errors import ProbevoError
 from probevo.files import write_atomically
 from probevo.predictors import PredictionSpace
 from probevo.training.extraction import Extraction
-from probevo.training.lesson import StoredLesson
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import Source
+from probevo.training.supervised_drive import DriveOnDisk
 from probevo.training.supervision import supervision_of
 from probevo.training.workers import Workers
 
@@ -31,23 +32,25 @@ TICKET = "ticket"
 @dataclass(frozen=True)
 class _Task:
     source: Source
-    lesson: StoredLesson
+    drive: DriveOnDisk
     space: PredictionSpace
     settings: TrainSettings
     ticket: str
-    """Of this call: a worker that finds another one's goes home, as nobody waits for it any more."""
+    """Of this call: a worker that finds another one's goes home, as nobody waits for it any more.
+    """
 
 
 def record_all(
     sources: Collection[Source],
-    lessons: Collection[StoredLesson],
+    drives: Collection[DriveOnDisk],
     space: PredictionSpace,
     settings: TrainSettings,
     workers: Workers,
     on_frames: OnFrames,
 ) -> None:
-    """Write, of each recording, what is missing of its lesson; in this process, ``on_frames`` hears of every frame."""
-    left = [n for n, lesson in enumerate(lessons) if not lesson.is_complete]
+    """Write, of each recording, what is missing of its drive; in this process, ``on_frames`` hears
+    of every frame."""
+    left = [n for n, drive in enumerate(drives) if not drive.is_complete]
     before = sum(source.num_frames for source in sources) - sum(sources[n].num_frames for n in left)
     if before:
         on_frames(before)
@@ -55,13 +58,23 @@ def record_all(
         return
     if workers.are_here:
         for n in left:
-            _record(sources[n], lessons[n], space, settings, partial(_on_frame, on_frames, before))
+            _record(
+                sources[n],
+                drives[n],
+                space,
+                settings=settings,
+                on_frame=partial(_on_frame, on_frames, before),
+            )
             before += sources[n].num_frames
             on_frames(before)
         return
-    left.sort(key=lambda n: -sources[n].num_frames)  # the longest first, lest all wait for it in the end
-    with _issued(lessons[0].folder) as ticket:
-        tasks = [_Task(sources[n], lessons[n], space, settings, ticket) for n in left]
+    left.sort(
+        key=lambda n: -sources[n].num_frames
+    )  # the longest first, lest all wait for it in the end
+    with _issued(drives[0].folder) as ticket:
+        tasks = [
+            _Task(sources[n], drives[n], space, settings=settings, ticket=ticket) for n in left
+        ]
         with _watched(tasks, lambda done: on_frames(before + done)):
             workers.map(_record_elsewhere, tasks, [str(task.source.path) for task in tasks])
 
@@ -71,13 +84,23 @@ def _on_frame(on_frames: OnFrames, before: int, done: int) -> None:
 
 
 def _record(
-    source: Source, lesson: StoredLesson, space: PredictionSpace, settings: TrainSettings, on_frame: OnFrames
+    source: Source,
+    drive: DriveOnDisk,
+    space: PredictionSpace,
+    settings: TrainSettings,
+    on_frame: OnFrames,
 ) -> None:
     sequence = source.open()
-    lesson.keep_supervision(supervision_of(sequence, settings.supervision, settings.every_s, source.num_frames))
-    if not lesson.is_whole:
-        extraction = Extraction(sequence, space, settings.odometry, source.num_frames, on_frame)
-        lesson.keep_drive(extraction, lambda: extraction.digest, len(space.columns))
+    drive.keep_supervision(
+        supervision_of(
+            sequence, settings.supervision, settings.every_s, num_frames=source.num_frames
+        )
+    )
+    if not drive.is_whole:
+        extraction = Extraction(
+            sequence, space, settings.odometry, num_frames=source.num_frames, on_frame=on_frame
+        )
+        drive.keep_drive(extraction, lambda: extraction.digest, len(space.columns))
 
 
 class _GoneError(ProbevoError):
@@ -91,14 +114,16 @@ def _record_elsewhere(task: _Task) -> None:
         nonlocal due_s
         if time.monotonic() < due_s:
             return
-        if not _is_good(task.ticket, task.lesson.folder):
+        if not _is_good(task.ticket, task.drive.folder):
             raise _GoneError
-        task.lesson.tell(frames)
+        task.drive.tell(frames)
         due_s = time.monotonic() + REPORT_S
 
-    if not task.lesson.is_complete:  # another worker, given up for lost, may have been through all the same
-        _record(task.source, task.lesson, task.space, task.settings, report)
-    task.lesson.tell(task.source.num_frames)
+    if (
+        not task.drive.is_complete
+    ):  # another worker, given up for lost, may have been through all the same
+        _record(task.source, task.drive, task.space, settings=task.settings, on_frame=report)
+    task.drive.tell(task.source.num_frames)
 
 
 @contextmanager
@@ -113,7 +138,8 @@ def _issued(folder: Path) -> Iterator[str]:
 
 
 def _is_good(ticket: str, folder: Path) -> bool:
-    """Whether it is the one that was issued last; if that cannot be told, as on a slow file system, it is."""
+    """Whether it is the one that was issued last; if that cannot be told, as on a slow file system,
+    it is."""
     try:
         return (folder / TICKET).read_text("utf-8") == ticket
     except OSError:
@@ -126,7 +152,7 @@ def _watched(tasks: Collection[_Task], on_frames: OnFrames) -> Iterator[None]:
     is_over = Event()
 
     def frames() -> int:
-        return sum(task.lesson.frames_done for task in tasks)
+        return sum(task.drive.frames_done for task in tasks)
 
     def watch() -> None:
         while not is_over.wait(REPORT_S):

@@ -15,73 +15,138 @@ BaseName = Literal["fixed", "student-t"]
 
 PUBLISHED = ("acceleration", "turn_rate", "blur", "entropy", "frequency", "flow_variance")
 """The predictors of PROBE."""
-DEFAULT = ("blur", "entropy", "frequency", "flow_variance", "place", "disparity", "disparity_change", "residual_flow",
-           "row_offset", "forward_backward", "structure")  # fmt: skip
+DEFAULT = (
+    "blur",
+    "entropy",
+    "frequency",
+    "flow_variance",
+    "place",
+    "disparity",
+    "disparity_change",
+    "residual_flow",
+    "row_offset",
+    "forward_backward",
+    "structure",
+)
 """No accelerometer: a model that needs one is of no use to a recording that has none."""
-KERNEL = ("place", "last_residual", "age", "turn_rate", "blur", "entropy", "frequency", "structure", "forward_backward",
-          "window_difference")  # fmt: skip
-"""Of these the kernel chooses. None is made of the very measurements whose noise is predicted: a weight that goes with
-the error of a disparity, or with how well a feature agrees with the expected motion (``disparity``, ``flow``,
-``residual_flow``), makes residuals more likely and motions worse."""
+KERNEL = (
+    "place",
+    "last_residual",
+    "age",
+    "turn_rate",
+    "blur",
+    "entropy",
+    "frequency",
+    "structure",
+    "forward_backward",
+    "window_difference",
+)
+"""Of these the kernel chooses. None is made of the very measurements whose noise is predicted: a
+weight that goes with the error of a disparity, or with how well a feature agrees with the expected
+motion (``disparity``, ``flow``, ``residual_flow``), makes residuals more likely and motions worse.
+"""
 
 
 class KernelSettings(Settings):
-    """What PROBE-GK is trained with; whatever is left out is chosen by the likelihood of blocks of time left out."""
+    """What PROBE-GK is trained with; whatever is left out is chosen by the likelihood of blocks of
+    time left out."""
 
     variant: Literal["robust", "published"] = Field(
-        "robust", description="Student-t fitted to the K nearest errors, or the inverse-Wishart posterior as published."
+        "robust",
+        description=(
+            "Student-t fitted to the K nearest errors, or the inverse-Wishart posterior as"
+            " published."
+        ),
     )
     neighbors: int | None = Field(None, ge=1, description="K, the errors that a place learns from.")
     reach: float | None = Field(
-        None, gt=0, le=1e6, description="ρ, in standard deviations; farther samples do not contribute."
+        None,
+        gt=0,
+        le=1e6,
+        description="ρ, in standard deviations; farther samples do not contribute.",
     )
-    prior_counts: float | None = Field(None, gt=0, le=1e9, description="How many errors the static model counts for.")
+    prior_counts: float | None = Field(
+        None, gt=0, le=1e9, description="How many errors the static model counts for."
+    )
     bias: bool = Field(
         False,
-        description="Learn what errors are on average too, not only how they scatter. It makes residuals more likely,"
-        " but without truth a bias cannot be told from a motion, and each turn of EM moves both a little further.",
+        description=(
+            "Learn what errors are on average too, not only how they scatter. It makes residuals"
+            " more likely, but without truth a bias cannot be told from a motion, and each turn of"
+            " EM moves both a little further."
+        ),
     )
     centers: int = Field(
-        2000, ge=1, le=1_000_000, description="Places that the model is distilled into; the cost of a run goes by it."
+        2000,
+        ge=1,
+        le=1_000_000,
+        description="Places that the model is distilled into; the cost of a run goes by it.",
     )
     turns: int = Field(
-        5, ge=1, le=1000, description="Turns of EM: motions given the noise, the noise given their residuals."
+        5,
+        ge=1,
+        le=1000,
+        description="Turns of EM: motions given the noise, the noise given their residuals.",
     )
     quadratic: bool = Field(
-        False, description="Solve for the motions of EM by least squares, as PROBE-GK derives it, not by its loss."
+        False,
+        description=(
+            "Solve for the motions of EM by least squares, as PROBE-GK derives it, not by its loss."
+        ),
     )
     refers_to: Literal["observation", "residual"] = Field(
         "observation",
-        description="Learn the noise of single observations, from which the solver derives that of the residual for any"
-        " depth and speed; or that of the residual as a whole, as published.",
+        description=(
+            "Learn the noise of single observations, from which the solver derives that of the"
+            " residual for any depth and speed; or that of the residual as a whole, as published."
+        ),
     )
-    lasting: bool = Field(
+    time_correlation: bool = Field(
         True,
-        description="Learn how much of the error of a disparity is the same in both frames, beside what is new in each;"
-        " the noise of a residual as a whole has no such part.",
+        description=(
+            "Learn how much of the error of a disparity is the same in both frames, beside what is"
+            " new in each; the noise of a residual as a whole has no such part."
+        ),
     )
     truth_sigma_m: float | None = Field(
-        None, ge=0, le=1000, description="How far the true positions are off, between two of them; left out, estimated."
+        None,
+        ge=0,
+        le=1000,
+        description="How far the true positions are off, between two of them; left out, estimated.",
     )
     truth_sigma_deg: float | None = Field(
-        None, ge=0, le=180, description="The same for attitudes; to be given together with the other."
+        None,
+        ge=0,
+        le=180,
+        description="The same for attitudes; to be given together with the other.",
     )
 
     @property
-    def learns_lasting(self) -> bool:
+    def learns_time_correlation(self) -> bool:
         """Whether there is such a part, and it is to be learned."""
-        return self.lasting and self.refers_to == "observation" and self.variant == "robust"
+        return (
+            self.time_correlation and self.refers_to == "observation" and self.variant == "robust"
+        )
 
     @staticmethod
     def published() -> KernelSettings:
-        """As in PROBE-GK: the noise of residuals, an inverse Wishart, least squares in EM, truth that is exact."""
+        """As in PROBE-GK: the noise of residuals, an inverse Wishart, least squares in EM, truth
+        that is exact."""
         return KernelSettings(
-            variant="published", refers_to="residual", quadratic=True, truth_sigma_m=0.0, truth_sigma_deg=0.0
+            variant="published",
+            refers_to="residual",
+            quadratic=True,
+            truth_sigma_m=0.0,
+            truth_sigma_deg=0.0,
         )
 
     def given(self) -> dict[str, Any]:
         """What need not be chosen, as ``GeneralizedKernel`` takes it."""
-        names = {"neighbors": self.neighbors, "reach": self.reach, "prior_counts": self.prior_counts}
+        names = {
+            "neighbors": self.neighbors,
+            "reach": self.reach,
+            "prior_counts": self.prior_counts,
+        }
         names |= {} if self.bias else {"bias_counts": math.inf}
         return {name: value for name, value in names.items() if value is not None}
 
@@ -91,62 +156,91 @@ class TrainSettings(Settings):
 
     kind: Literal["knn", "gk", "student-t"] = Field(
         "knn",
-        description="PROBE: weights from the nearest neighbours in the prediction space; gk is PROBE-GK: a covariance"
-        " and a loss of its own for each feature; student-t one for all, fitted to the same data.",
+        description=(
+            "PROBE: weights from the nearest neighbours in the prediction space; gk is PROBE-GK: a"
+            " covariance and a loss of its own for each feature; student-t one for all, fitted to"
+            " the same data."
+        ),
     )
     supervision: SupervisionName = Field(
         "gt",
-        description="What is known of the drives: the pose at every frame, or at some (sparse), positions alone, only"
-        " that each ends where it began (loop; or where the truth says, if it knows both ends), or none of it: then the"
-        " motion of all features stands in for the truth of a few, better than a truth that is off by centimetres from"
-        " frame to frame, as KITTI's is.",
+        description=(
+            "What is known of the drives: the pose at every frame, or at some (sparse), positions"
+            " alone, only that each ends where it began (loop; or where the truth says, if it knows"
+            " both ends), or none of it: then the motion of all features stands in for the truth of"
+            " a few, better than a truth that is off by centimetres from frame to frame, as"
+            " KITTI's is."
+        ),
     )
     every_s: float = Field(
         0.0,
         ge=0,
         le=3600,
-        description="With sparse and position: use the truth only so often; 0 uses all that there is.",
+        description=(
+            "With sparse and position: use the truth only so often; 0 uses all that there is."
+        ),
     )
     predictors: tuple[str, ...] | None = Field(
         None,
         min_length=1,
-        description="What spans the prediction space; left out, what suits the kind and the recordings.",
+        description=(
+            "What spans the prediction space; left out, what suits the kind and the recordings."
+        ),
     )
     base: BaseName = Field(
         "student-t",
-        description="The model whose noise is scaled: PROBE's is Gaussian (fixed), student-t is robust too.",
+        description=(
+            "The model whose noise is scaled: PROBE's is Gaussian (fixed), student-t is robust too."
+        ),
     )
     iterations: int = Field(
-        40, ge=2, le=10_000, description="Motions of random subsets at each step; PROBE takes 10. More cost time alone."
+        40,
+        ge=2,
+        le=10_000,
+        description="Motions of random subsets at each step; PROBE takes 10. More cost time alone.",
     )
     subset: int = Field(
         8,
         ge=6,
         le=10_000,
-        description="Features in a subset. Few let each one's error show; PROBE takes a tenth of a frame's.",
+        description=(
+            "Features in a subset. Few let each one's error show; PROBE takes a tenth of a frame's."
+        ),
     )
     contrast: float = Field(
         3.0,
         ge=0,
         le=100,
-        description="How much alike the features of a subset are: each subset leans towards a random direction of the"
-        " prediction space, so that its error tells of one region of it. 0 is PROBE: subsets at random.",
+        description=(
+            "How much alike the features of a subset are: each subset leans towards a random"
+            " direction of the prediction space, so that its error tells of one region of it. 0 is"
+            " PROBE: subsets at random."
+        ),
     )
     relative: bool = Field(
         True,
-        description="Compare α with what other subsets reached on the same step. PROBE does not; but what a whole step"
-        " has in common says nothing of which of its features to trust.",
+        description=(
+            "Compare α with what other subsets reached on the same step. PROBE does not; but what a"
+            " whole step has in common says nothing of which of its features to trust."
+        ),
     )
     average: Literal["arithmetic", "geometric"] = Field(
-        "geometric", description="Of α over the neighbours; PROBE's is arithmetic, which single large α carry away."
+        "geometric",
+        description=(
+            "Of α over the neighbours; PROBE's is arithmetic, which single large α carry away."
+        ),
     )
-    neighbors: int | None = Field(None, ge=1, description="K; left out, by cross-validation over blocks of time.")
+    neighbors: int | None = Field(
+        None, ge=1, description="K; left out, by cross-validation over blocks of time."
+    )
     exponent: float | None = Field(
         None,
         ge=0,
         le=1000,
-        description="γ; left out, the least one whose error on the training drives is within a standard error of the"
-        " best one's.",
+        description=(
+            "γ; left out, the least one whose error on the training drives is within a standard"
+            " error of the best one's."
+        ),
     )
     gk: KernelSettings = KernelSettings()
     max_frames: int | None = Field(None, ge=2, description="Of each recording, use so many frames.")
@@ -154,8 +248,8 @@ class TrainSettings(Settings):
 
     @staticmethod
     def published() -> TrainSettings:
-        """As in PROBE: its predictors, Gaussian noise, no RANSAC but the gyro's pre-filter, ten random subsets of 60
-        features (it took tenths of some 600), absolute α, arithmetic means."""
+        """As in PROBE: its predictors, Gaussian noise, no RANSAC but the gyro's pre-filter, ten
+        random subsets of 60 features (it took tenths of some 600), absolute α, arithmetic means."""
         return TrainSettings(
             predictors=PUBLISHED,
             base="fixed",
@@ -164,5 +258,7 @@ class TrainSettings(Settings):
             contrast=0.0,
             relative=False,
             average="arithmetic",
-            odometry=OdometryConfig(ransac=RansacConfig(mode="off"), gyro=GyroConfig(prefilter_deg=5.0)),
+            odometry=OdometryConfig(
+                ransac=RansacConfig(mode="off"), gyro=GyroConfig(prefilter_deg=5.0)
+            ),
         )

@@ -20,7 +20,8 @@ from probevo.training.settings import DEFAULT, KERNEL, TrainSettings
 from probevo.training.supervision import supervision_of
 
 Recording = Sequence | Path
-"""Open, or where it lies: then it is opened when it is needed, by whoever needs it, and closed again."""
+"""Open, or where it lies: then it is opened when it is needed, by whoever needs it, and closed
+again."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,8 @@ class Source:
     num_frames: int
     """Those that are used."""
     facts: list[Any]
-    """By which it is known again, in plain values that JSON can hold: where it lies, how many frames it has, when it
-    begins and ends, and its calibration."""
+    """By which it is known again, in plain values that JSON can hold: where it lies, how many
+    frames it has, when it begins and ends, and its calibration."""
     truth: str
     """Digest of what is used of its truth."""
 
@@ -48,12 +49,14 @@ def opened(recording: Recording) -> Sequence:
     return open_sequence(recording) if isinstance(recording, Path) else recording
 
 
-def checked_sources(recordings: Collection[Recording], settings: TrainSettings, space: PredictionSpace) -> list[Source]:
+def checked_sources(
+    recordings: Collection[Recording], settings: TrainSettings, space: PredictionSpace
+) -> list[Source]:
     """The recordings; refuses before the long work what would only show after it.
 
     Raises:
-        InputError: a recording is faulty, lacks what the supervision or a predictor needs, is named twice, or has
-            another camera than the first.
+        InputError: a recording is faulty, lacks what the supervision or a predictor needs, is named
+            twice, or has another camera than the first.
     """
     sources: list[Source] = []
     named: set[Path] = set()
@@ -61,7 +64,11 @@ def checked_sources(recordings: Collection[Recording], settings: TrainSettings, 
         sequence = opened(recording)
         path = sequence.path.resolve()
         if path in named:
-            raise InputError(sequence.path, "this recording is named twice.", "Name each once: it would count double.")
+            raise InputError(
+                sequence.path,
+                "this recording is named twice.",
+                "Name each once: it would count double.",
+            )
         named.add(path)
         space.check_recording(sequence)
         unlike = difference(sequence.camera, sources[0].camera) if sources else ""
@@ -70,11 +77,31 @@ def checked_sources(recordings: Collection[Recording], settings: TrainSettings, 
             raise InputError(sequence.path, what, "Train one model for each camera.")
         num_frames = min(len(sequence), settings.max_frames or len(sequence))
         if num_frames < 2:
-            raise InputError(sequence.path, "it has one frame, and so no motion to learn from.", "Give a longer one.")
+            raise InputError(
+                sequence.path,
+                "it has one frame, and so no motion to learn from.",
+                "Give a longer one.",
+            )
         check_imu(sequence, settings.odometry)
-        truth = supervision_of(sequence, settings.supervision, settings.every_s, num_frames).digest
-        facts = [str(path), len(sequence), sequence.stamps_ns[[0, -1]].tolist(), calibration(sequence)]
-        sources.append(Source(recording, sequence.path, sequence.camera, num_frames, facts, truth))
+        truth = supervision_of(
+            sequence, settings.supervision, settings.every_s, num_frames=num_frames
+        ).digest
+        facts = [
+            str(path),
+            len(sequence),
+            sequence.stamps_ns[[0, -1]].tolist(),
+            calibration(sequence),
+        ]
+        sources.append(
+            Source(
+                recording,
+                sequence.path,
+                sequence.camera,
+                num_frames=num_frames,
+                facts=facts,
+                truth=truth,
+            )
+        )
     return sources
 
 
@@ -84,7 +111,9 @@ def calibration(sequence: Sequence) -> list[Any]:
     return [np.asarray(value).tolist() for part in parts for value in vars(part).values()]
 
 
-def known_predictors(settings: TrainSettings, recordings: Collection[Recording]) -> tuple[Predictor, ...]:
+def known_predictors(
+    settings: TrainSettings, recordings: Collection[Recording]
+) -> tuple[Predictor, ...]:
     """Those that are named, or those that suit the kind and that every recording can serve."""
     if settings.kind == "student-t":
         return ()

@@ -1,4 +1,5 @@
-"""What is known of a drive, and the α of PROBE: how far motions are from it, over a step, a stretch or all the path."""
+"""What is known of a drive, and the α of PROBE: how far motions are from it, over a step, a stretch
+or all the path."""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ class Supervision:
         return self.kind == "loop" and bool((self.T_world_cam == np.eye(4)).all())
 
     def completed(self, T_curr_prev: FloatArray) -> Supervision:
-        """With ``none``, the motions of all features, [K − 1, 4, 4], in place of the truth; else as it is."""
+        """With ``none``, the motions of all features, [K − 1, 4, 4], in place of the truth; else as
+        it is."""
         return from_step_to_step(T_curr_prev) if self.kind == "none" else self
 
     @property
@@ -49,7 +51,8 @@ class Supervision:
         return np.column_stack([self.frames[:-1], self.frames[1:]])
 
     def stretch_of_step(self, num_steps: int) -> IntArray:
-        """The stretch that each step belongs to, [num_steps]; −1 for none. Step k leads to frame k + 1."""
+        """The stretch that each step belongs to, [num_steps]; −1 for none. Step k leads to frame k
+        + 1."""
         owner = np.full(num_steps, -1)
         for number, (first, last) in enumerate(self.stretches.tolist()):
             owner[first:last] = number
@@ -58,30 +61,39 @@ class Supervision:
     @property
     def digest(self) -> str:
         """SHA-256 of the truth that is used."""
-        content = np.asarray(self.frames, np.int64).tobytes() + np.asarray(self.T_world_cam, np.float64).tobytes()
+        content = (
+            np.asarray(self.frames, np.int64).tobytes()
+            + np.asarray(self.T_world_cam, np.float64).tobytes()
+        )
         return hashlib.sha256(content).hexdigest()
 
     def errors(self, T_curr_prev: FloatArray) -> FloatArray:
         """α of motions T_curr_prev [K − 1, 4, 4] over each of the U stretches, [U], m.
 
-        It is the RMS over the axes of the translation's error, √(‖Δr‖²/3) (PROBE IV-A): of the motion from the first to
-        the last frame of the stretch; for ``position`` the ARMSE of the path after the best rigid fit.
+        It is the RMS over the axes of the translation's error, √(‖Δr‖²/3) (PROBE IV-A): of the
+        motion from the first to the last frame of the stretch; for ``position`` the ARMSE of the
+        path after the best rigid fit.
         """
         T_world_cam = se3.chain_motions(T_curr_prev)[self.frames]
         if self.kind == "position":
-            positions, true = T_world_cam[:, :3, 3], self.T_world_cam[:, :3, 3]
+            positions = T_world_cam[:, :3, 3]
+            true = self.T_world_cam[:, :3, 3]
             T_true_est = rigid_alignment(positions, true)
             return np.maximum([armse(se3.transform(T_true_est, positions) - true)], LEAST_ALPHA_M)
         last = len(self.frames) - 1
-        start, end = ([0], [last]) if self.kind == "loop" else (np.arange(last), np.arange(last) + 1)
+        start, end = (
+            ([0], [last]) if self.kind == "loop" else (np.arange(last), np.arange(last) + 1)
+        )
         estimated, true = (
-            (se3.inverse(poses[start]) @ poses[end])[:, :3, 3] for poses in (T_world_cam, self.T_world_cam)
+            (se3.inverse(poses[start]) @ poses[end])[:, :3, 3]
+            for poses in (T_world_cam, self.T_world_cam)
         )
         alphas: FloatArray = np.linalg.norm(estimated - true, axis=1) / np.sqrt(3.0)
         return np.maximum(alphas, LEAST_ALPHA_M)
 
     def expected_errors(self, T_curr_prev: FloatArray, cov: FloatArray) -> FloatArray:
-        """α that motions with these covariances, [K − 1, 6, 6], should have: √(tr Σ_r/3) at each stretch's end, [U]."""
+        """α that motions with these covariances, [K − 1, 6, 6], should have: √(tr Σ_r/3) at each
+        stretch's end, [U]."""
         alphas = np.empty(len(self.stretches))
         for number, (first, last) in enumerate(self.stretches.tolist()):
             T_start_cam, cov_end = compound_chain(T_curr_prev[first:last], cov[first:last])
@@ -90,7 +102,9 @@ class Supervision:
         return np.maximum(alphas, LEAST_ALPHA_M)
 
 
-def supervision_of(sequence: Sequence, kind: SupervisionName, every_s: float, num_frames: int) -> Supervision:
+def supervision_of(
+    sequence: Sequence, kind: SupervisionName, every_s: float, num_frames: int
+) -> Supervision:
     """What is used of the truth of a recording.
 
     Args:
@@ -103,14 +117,21 @@ def supervision_of(sequence: Sequence, kind: SupervisionName, every_s: float, nu
         InputError: there is no truth, or too little for this kind.
     """
     where = sequence.path
-    poses = np.full((num_frames, 4, 4), np.nan) if sequence.truth is None else sequence.truth.T_world_cam[:num_frames]
+    poses = (
+        np.full((num_frames, 4, 4), np.nan)
+        if sequence.truth is None
+        else sequence.truth.T_world_cam[:num_frames]
+    )
     known: BoolArray = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
     if kind == "loop":
         ends = np.array([0, num_frames - 1])
         if known[ends].all():
             return Supervision(kind, ends, poses[ends])
         if num_frames < len(sequence):
-            what = f"only {num_frames} of its {len(sequence)} frames are used, but the loop closes at the last one."
+            what = (
+                f"only {num_frames} of its {len(sequence)} frames are used, but the loop closes at"
+                " the last one."
+            )
             raise InputError(where, what, "Leave out --max-frames.")
         return Supervision(kind, ends, np.stack([np.eye(4)] * 2))
     if kind == "none":
@@ -135,10 +156,12 @@ def from_step_to_step(T_curr_prev: FloatArray) -> Supervision:
 
 
 def _spaced(frames: IntArray, stamps_ns: IntArray, every_s: float) -> IntArray:
-    """Of these frames the first, and then each that is at least so much later than the last one taken."""
+    """Of these frames the first, and then each that is at least so much later than the last one
+    taken."""
     if every_s == 0.0:
         return frames
-    taken, due_ns = [], -np.inf
+    taken = []
+    due_ns = -np.inf
     for frame in frames.tolist():
         if stamps_ns[frame] >= due_ns:
             taken.append(frame)

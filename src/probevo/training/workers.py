@@ -1,4 +1,5 @@
-"""Who does the work: this process, others of this machine, or a Dask cluster. The results are the same."""
+"""Who does the work: this process, others of this machine, or a Dask cluster. The results are the
+same."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ Run = Callable[[Callable[[Any], Any], Numbered], Generator[tuple[int, Any], None
 """Calls a function with each task, and yields the results as they come."""
 
 MOST_LOSSES = 3
-"""Times in a row that a worker may be lost before any task is through; then each gets one to itself as often."""
+"""Times in a row that a worker may be lost before any task is through; then each gets one to itself
+as often."""
 
 MOST_SUBMITTED = 1000
 """To a cluster at a time: each task brings its model along."""
@@ -32,7 +34,8 @@ class LostWorkerError(Exception):
 
 @dataclass(frozen=True)
 class Workers:
-    """This process alone, or ``jobs`` others of this machine, or all of the Dask cluster at an address."""
+    """This process alone, or ``jobs`` others of this machine, or all of the Dask cluster at an
+    address."""
 
     jobs: int = 1
     """0 takes as many as there are cores."""
@@ -51,7 +54,8 @@ class Workers:
         names: Sequence[str],
         on_done: Callable[[int], None] | None = None,
     ) -> list[Result]:
-        """``[work(task) for task in tasks]``, in whatever order. What was lost with a worker is done again.
+        """``[work(task) for task in tasks]``, in whatever order. What was lost with a worker is
+        done again.
 
         Args:
             work: a function of a module: it, the tasks and the results travel between processes.
@@ -60,8 +64,8 @@ class Workers:
             on_done: called with the number of each task that is through.
 
         Raises:
-            InputError: what a task raised; every worker that had a task to itself was lost; or there is no such
-                cluster.
+            InputError: what a task raised; every worker that had a task to itself was lost; or
+                there is no such cluster.
         """
         job = _Job(work, tasks, on_done or (lambda number: None))
         with self._ready() as run:
@@ -90,8 +94,12 @@ class Workers:
 class _Job(Generic[Task, Result]):
     """Tasks, and the results that are there."""
 
-    def __init__(self, work: Callable[[Task], Result], tasks: Sequence[Task], on_done: Callable[[int], None]) -> None:
-        self.work, self.tasks, self.on_done = work, tasks, on_done
+    def __init__(
+        self, work: Callable[[Task], Result], tasks: Sequence[Task], on_done: Callable[[int], None]
+    ) -> None:
+        self.work = work
+        self.tasks = tasks
+        self.on_done = on_done
         self.found: dict[int, Result] = {}
 
     @property
@@ -102,7 +110,9 @@ class _Job(Generic[Task, Result]):
     def goes_on(self, run: Run, numbers: list[int]) -> bool:
         """Do these tasks; False if a worker was lost meanwhile."""
         try:
-            with closing(run(self.work, [(number, self.tasks[number]) for number in numbers])) as results:
+            with closing(
+                run(self.work, [(number, self.tasks[number]) for number in numbers])
+            ) as results:
                 for number, result in results:
                     self.found[number] = result
                     self.on_done(number)
@@ -116,7 +126,9 @@ def _here(work: Callable[[Any], Any], tasks: Numbered) -> Generator[tuple[int, A
         yield number, work(task)
 
 
-def _on_this_machine(work: Callable[[Any], Any], tasks: Numbered, jobs: int) -> Generator[tuple[int, Any], None, None]:
+def _on_this_machine(
+    work: Callable[[Any], Any], tasks: Numbered, jobs: int
+) -> Generator[tuple[int, Any], None, None]:
     import joblib
 
     with joblib.parallel_config("loky", inner_max_num_threads=1):
@@ -126,12 +138,18 @@ def _on_this_machine(work: Callable[[Any], Any], tasks: Numbered, jobs: int) -> 
             yield from results
 
 
-def _on_cluster(work: Callable[[Any], Any], tasks: Numbered, client: Any) -> Generator[tuple[int, Any], None, None]:
-    # Not joblib's backend for Dask: where a task takes down one worker after another, that waits for ever (1.6.0).
+def _on_cluster(
+    work: Callable[[Any], Any], tasks: Numbered, client: Any
+) -> Generator[tuple[int, Any], None, None]:
+    # Not joblib's backend for Dask: where a task takes down one worker after another, that waits
+    # for ever (1.6.0).
     from distributed import KilledWorker, as_completed
 
     def submitted(count: int) -> list[Any]:
-        return [client.submit(_numbered, work, *numbered, pure=False) for numbered in islice(waiting, count)]
+        return [
+            client.submit(_numbered, work, *numbered, pure=False)
+            for numbered in islice(waiting, count)
+        ]
 
     waiting = iter(tasks)
     running = as_completed(submitted(MOST_SUBMITTED), loop=client.loop)
@@ -157,12 +175,16 @@ def _client(address: str) -> Any:
         from distributed import Client
     except ImportError as error:
         what = "needs Dask, which is not installed."
-        raise InputError("--cluster", what, "Install probevo[cluster], here and where its workers run.") from error
+        raise InputError(
+            "--cluster", what, "Install probevo[cluster], here and where its workers run."
+        ) from error
     try:
         return Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         what = f"no Dask scheduler answers at {address!r}."
-        raise InputError("--cluster", what, "Give its address, such as tcp://10.0.0.1:8786.") from error
+        raise InputError(
+            "--cluster", what, "Give its address, such as tcp://10.0.0.1:8786."
+        ) from error
 
 
 def _given_up(left: list[str]) -> InputError:

@@ -1,0 +1,2 @@
+"""Whatever constrains the state: each measurement has a residual, Jacobians, a covariance and a
+loss."""

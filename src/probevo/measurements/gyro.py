@@ -1,0 +1,193 @@
+"""How the camera turned between two frames, from the gyro (PROBE eqs. 3-4), and what the solves
+tell of its bias."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.geometry import so3
+from probevo.sequences.frame import ImuCalibration, ImuSamples
+
+MOST_UNSEEN = 0.25
+"""Share of an interval that may lie before the first sample, after the last, or in holes between
+them."""
+HOLE = 3.0
+"""A hole is as long as so many usual distances of samples."""
+_NO_BIAS = np.zeros(3)
+
+
+@dataclass(frozen=True)
+class GyroRotation:
+    """Rotation of the camera over one interval as its gyro felt it, for one assumed bias."""
+
+    C_curr_prev: FloatArray
+    """p_curr = C_curr_prev p_prev in the camera's frames, [3, 3]."""
+    cov: FloatArray
+    """Covariance of its left perturbation from the gyro's white noise alone, [3, 3], rad²."""
+    bias_jacobian: FloatArray
+    """J_b, with C_curr_prev(b + δb) ≈ Exp(J_b δb) C_curr_prev(b), [3, 3], s; the bias is in the
+    IMU's frame."""
+    duration_s: float
+
+
+def covers(imu: ImuSamples, start_ns: int, end_ns: int) -> bool:
+    """Whether the samples tell of the whole interval: those of frames that were skipped may be
+    missing."""
+    if not len(imu.stamps_ns):
+        return False
+    ends_ns = max(int(imu.stamps_ns[0]) - start_ns, 0) + max(end_ns - int(imu.stamps_ns[-1]), 0)
+    between_ns = np.diff(imu.stamps_ns)
+    holes_ns = (
+        between_ns[between_ns > HOLE * np.median(between_ns)] if len(between_ns) else between_ns
+    )
+    return ends_ns + int(holes_ns.sum()) <= MOST_UNSEEN * (end_ns - start_ns)
+
+
+def integrate_gyro(
+    imu: ImuSamples,
+    start_ns: int,
+    end_ns: int,
+    calibration: ImuCalibration,
+    bias_rad_s: FloatArray = _NO_BIAS,
+) -> GyroRotation:
+    """C_curr_prev = C_cv Ψ_J ⋯ Ψ_1 C_cvᵀ with Ψ_j = Exp(−ψ_j) and ψ_j the turn in sub-interval j
+    (PROBE eqs. 3-4).
+
+    A rate ω carries the attitude on by Exp(ω Δt), from the right: C_prev_curr = Exp(ψ_1) ⋯
+    Exp(ψ_J). PROBE's C_ba maps coordinates the other way, which transposes the product; hence the
+    minus in Ψ_j and its reversed order.
+
+    Rates are interpolated linearly between the samples, at both ends of the interval too, and each
+    sub-interval turns at the mean of its two ends: the error falls with the square of the sample
+    period.
+
+    Args:
+        imu: samples that cover the interval; beyond them, the outermost ones are held.
+        start_ns, end_ns: time of the previous and of the current frame, ns.
+        calibration: of the IMU on the camera.
+        bias_rad_s: taken off every rate, [3], rad/s, in the IMU's frame.
+    """
+    steps_s, rates_rad_s = _mean_rates(imu, start_ns, end_ns)
+    C_cam_imu = calibration.C_cam_imu
+    turns_rad = steps_s[:, None] * (rates_rad_s - bias_rad_s) @ C_cam_imu.T
+    products = _products_from(so3.exp(-turns_rad))
+    # Exp(−(ψ_j + δ)) = Exp(−J(−ψ_j) δ) Ψ_j, which the later Ψ's then carry to the end of the
+    # interval.
+    sensitivity = products[1:] @ so3.left_jacobian(-turns_rad)
+    variance = calibration.gyro_noise_rad_s_sqrt_hz**2 * steps_s
+    return GyroRotation(
+        C_curr_prev=products[0],
+        cov=np.einsum("j,jab,jcb->ac", variance, sensitivity, sensitivity),
+        bias_jacobian=np.einsum("j,jab->ab", steps_s, sensitivity) @ C_cam_imu,
+        duration_s=1e-9 * (end_ns - start_ns),
+    )
+
+
+def _mean_rates(imu: ImuSamples, start_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray]:
+    """Length of each sub-interval between samples, [J], s, and the mean rate in it, [J, 3], rad/s."""
+    is_inside = (imu.stamps_ns > start_ns) & (imu.stamps_ns < end_ns)
+    knots_ns = (
+        np.concatenate([[start_ns], imu.stamps_ns[is_inside], [end_ns]]) - start_ns
+    )  # small: exact as a float
+    stamps_ns = imu.stamps_ns - start_ns
+    rates = np.stack([np.interp(knots_ns, stamps_ns, axis) for axis in imu.gyro_rad_s.T], axis=1)
+    return 1e-9 * np.diff(knots_ns), 0.5 * (rates[:-1] + rates[1:])
+
+
+def _products_from(Psi: FloatArray) -> FloatArray:
+    """Ψ_J ⋯ Ψ_{j+1} for j = 0 … J, the last of them 1: [J, 3, 3] to [J + 1, 3, 3]."""
+    products = np.empty((len(Psi) + 1, 3, 3))
+    products[-1] = np.eye(3)
+    for j in reversed(range(len(Psi))):
+        products[j] = products[j + 1] @ Psi[j]
+    return products
+
+
+@dataclass(frozen=True)
+class GyroBias:
+    """What is known of the gyro's bias: Gaussian, in the IMU's frame.
+
+    One step is: ``predicted`` over the interval, ``integrate_gyro`` with ``mean``, a solve with
+    ``prior`` as the
+    covariance of the gyro's rotation, ``updated`` with the rotation that came out.
+    """
+
+    mean: FloatArray
+    """[3], rad/s."""
+    cov: FloatArray
+    """[3, 3], rad²/s²."""
+
+    @staticmethod
+    def initial(calibration: ImuCalibration) -> GyroBias:
+        """Zero, as unsure as the calibration says."""
+        return GyroBias(np.zeros(3), calibration.gyro_bias_sigma_rad_s**2 * np.eye(3))
+
+    def predicted(self, duration_s: float, calibration: ImuCalibration) -> GyroBias:
+        """After a random walk of that length."""
+        walked = calibration.gyro_bias_walk_rad_s2_sqrt_hz**2 * duration_s
+        return GyroBias(self.mean, self.cov + walked * np.eye(3))
+
+    def prior(self, gyro: GyroRotation) -> FloatArray:
+        """Q + J P Jᵀ: covariance of the left perturbation of the gyro's rotation, its bias unknown,
+        [3, 3], rad².
+
+        Args:
+            gyro: integrated with the bias ``mean``.
+        """
+        return gyro.cov + gyro.bias_jacobian @ self.cov @ gyro.bias_jacobian.T
+
+    def updated(
+        self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation_posterior: FloatArray
+    ) -> GyroBias:
+        """The bias after a solve that had the gyro's rotation, with covariance ``prior``, among its
+        data.
+
+        The true rotation is Exp(r) C_gyro with r = J δb + n, δb ~ N(0, P), n ~ N(0, Q). Given r,
+        nothing else that was measured tells of the bias: δb | r ~ N(K r, (1 − K J) P), where K = P
+        Jᵀ (Q + J P Jᵀ)⁻¹. Over the posterior r ~ N(r̂, Σ) of the solve, the laws of total
+        expectation and variance give
+
+            mean⁺ = mean + K r̂,    P⁺ = (1 − K J) P + K Σ Kᵀ = (1 − K J) P (1 − K J)ᵀ + K (Q + Σ)
+            Kᵀ.
+
+        So the gyro is counted once, although the posterior holds it already, and a solve that
+        learnt nothing new, Σ = Q + J P Jᵀ and r̂ = 0, leaves the bias as it was.
+
+        Args:
+            gyro: integrated with the bias ``mean``.
+            C_curr_prev_solved: rotation of the solved motion, [3, 3].
+            cov_rotation_posterior: Σ, covariance of its left perturbation, [3, 3], rad².
+        """
+        return self._corrected(gyro, C_curr_prev_solved, cov_rotation_posterior, independent=False)
+
+    def compared(
+        self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation: FloatArray
+    ) -> GyroBias:
+        """The bias after a solve that did without the gyro: a Kalman update with r ~ N(J δb, Q +
+        Σ).
+
+        The arguments are those of ``updated``; Σ is now independent of the gyro.
+        """
+        return self._corrected(gyro, C_curr_prev_solved, cov_rotation, independent=True)
+
+    def _corrected(
+        self,
+        gyro: GyroRotation,
+        C_curr_prev_solved: FloatArray,
+        cov_rotation: FloatArray,
+        *,
+        independent: bool,
+    ) -> GyroBias:
+        P = self.cov
+        Q = gyro.cov
+        J = gyro.bias_jacobian
+        innovation = self.prior(gyro) + cov_rotation if independent else self.prior(gyro)
+        # The pseudo-inverse lets an interval of no length, or a gyro without any noise, say
+        # nothing.
+        K = P @ J.T @ np.linalg.pinv(innovation, hermitian=True)
+        r = so3.log(C_curr_prev_solved @ gyro.C_curr_prev.T)
+        rest = np.eye(3) - K @ J
+        return GyroBias(self.mean + K @ r, rest @ P @ rest.T + K @ (Q + cov_rotation) @ K.T)

@@ -1,0 +1,139 @@
+"""The points behind stereo observations, and how noisy they are, before the solve of a motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.compiled import compiled, invert_positive_definite, invert_symmetric_4
+
+
+@dataclass(frozen=True)
+class KnownDisparities:
+    """What is known of the disparities of M features in the previous frame beside their observation
+    there."""
+
+    rows: IntArray
+    """Which features these are, [M]."""
+    disparity: FloatArray
+    """The true disparity d, [M], px."""
+    error: FloatArray
+    """By how much the measured ones are larger, in both frames, δ, [M], px."""
+    cov: FloatArray
+    """Covariance of (d, δ), [M, 2, 2], px²."""
+
+    @staticmethod
+    def none() -> KnownDisparities:
+        """Of no feature."""
+        return KnownDisparities(
+            np.zeros(0, np.int64), np.zeros(0), np.zeros(0), cov=np.zeros((0, 2, 2))
+        )
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """N points before a solve: s = (u, v, d) in the previous frame, and the error δ of the
+    disparities measured."""
+
+    seen: FloatArray
+    """s, [N, 3], px."""
+    error: FloatArray
+    """δ, [N], px."""
+    cov: FloatArray
+    """Covariance (scale matrix) of (u, v, d, δ), [N, 4, 4], px²."""
+
+    @staticmethod
+    def of(
+        observed: FloatArray, scale: FloatArray, propagate: bool, time_correlated: FloatArray | None
+    ) -> SeenPoints:
+        """By their observations y alone, [N, 4], px, which have the scale R [N, 4, 4] and time_correlated
+        errors [N], px².
+
+        A point of which nothing else is known has d as measured, and δ = 0: what is wrong of the
+        one is that of the other. Without ``propagate`` the points are taken to be free of noise.
+        """
+        count = len(observed)
+        seen = np.empty((count, 3))
+        cov = np.zeros((count, 4, 4))
+        observation_to_point(
+            np.ascontiguousarray(observed), scale, propagate, seen=seen, point_cov=cov
+        )
+        if time_correlated is not None:
+            cov[:, 2, 2] += time_correlated
+            cov[:, 3, 3] = time_correlated
+            cov[:, 2, 3] = cov[:, 3, 2] = -time_correlated
+        return SeenPoints(seen, np.zeros(count), cov)
+
+    def knowing(self, known: KnownDisparities) -> SeenPoints:
+        """The same, with the disparities that are known better; these are independent of u and v."""
+        if not len(known.rows):
+            return self
+        seen = self.seen.copy()
+        error = self.error.copy()
+        cov = self.cov.copy()
+        seen[known.rows, 2] = known.disparity
+        error[known.rows] = known.error
+        cov[known.rows, :2, 2:] = cov[known.rows, 2:, :2] = 0.0
+        cov[known.rows, 2:, 2:] = known.cov
+        return SeenPoints(seen, error, cov)
+
+
+@compiled
+def observation_to_point(
+    observed: FloatArray,
+    scale: FloatArray,
+    propagate: bool,
+    seen: FloatArray,
+    point_cov: FloatArray,
+) -> None:
+    """The point s = (u, v, d) behind each stereo observation y, and its scale matrix S.
+
+    With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale
+    R: the two rows are averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the
+    rows plainly, as g does, and S is 0. A singular R counts as the one before. Fills seen [N, 3]
+    from observed [N, 4], px, and that part of point_cov [N, 4, 4] from scale [N, 4, 4], px².
+    """
+    inverse = np.empty((4, 4))
+    lower = np.zeros((4, 4))
+    weighted = np.empty((3, 4))
+    normal = np.empty((3, 3))
+    lower_3 = np.zeros((3, 3))
+    S = np.zeros((3, 3))
+    K = np.zeros((3, 4))
+    K[0, 0] = K[2, 0] = 1.0
+    K[2, 2] = -1.0
+    K[1, 1] = K[1, 3] = 0.5
+    for n in range(len(observed)):
+        is_new = propagate and n == 0
+        for i in range(4 if propagate and n > 0 else 0):  # most models give all features one scale
+            for j in range(4):
+                is_new = is_new or scale[n, i, j] != scale[n - 1, i, j]
+        if is_new and invert_symmetric_4(scale[n], inverse, lower):
+            for k in range(4):  # Hᵀ R⁻¹; H maps (u, v, d) to (u, v, u − d, v)
+                weighted[0, k] = inverse[0, k] + inverse[2, k]
+                weighted[1, k] = inverse[1, k] + inverse[3, k]
+                weighted[2, k] = -inverse[2, k]
+            for i in range(3):
+                normal[i, 0] = weighted[i, 0] + weighted[i, 2]
+                normal[i, 1] = weighted[i, 1] + weighted[i, 3]
+                normal[i, 2] = -weighted[i, 2]
+            if invert_positive_definite(normal, lower_3, S):
+                for i in range(3):
+                    for k in range(4):
+                        K[i, k] = (
+                            S[i, 0] * weighted[0, k]
+                            + S[i, 1] * weighted[1, k]
+                            + S[i, 2] * weighted[2, k]
+                        )
+        for i in range(3):
+            for j in range(3):
+                point_cov[n, i, j] = S[i, j]
+        for i in range(3):
+            seen[n, i] = (
+                K[i, 0] * observed[n, 0]
+                + K[i, 1] * observed[n, 1]
+                + K[i, 2] * observed[n, 2]
+                + K[i, 3] * observed[n, 3]
+            )

@@ -1,0 +1,1 @@
+"""PROBE learned from drives: random subsets of their features, and the errors of their motions."""

@@ -1,0 +1,263 @@
+"""A checkerboard before a slow stereo rig and a fast camera that a bar holds together (PROBE Fig.
+4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import make_interp_spline
+
+from probevo.arrays import FloatArray, Image
+from probevo.camera.stereo import StereoCamera
+from probevo.geometry import se3
+from probevo_sim.scene.candidates import in_image, towards_sun
+from probevo_sim.scene.drive import Trajectory
+from probevo_sim.scene.ray_caster import add_radiance
+from probevo_sim.scene.route import Route
+from probevo_sim.scene.scene_arrays import pose_solids, scene_arrays
+from probevo_sim.scene.sensor import expose
+from probevo_sim.scene.solids import BOX, join, solid
+from probevo_sim.scene.textures import Texture
+from probevo_sim.scene.world import Ground, Movers, World
+
+CORNERS = (8, 4)
+"""Interior corners of the board along its rows and columns."""
+SQUARE_M = 0.06
+DISTANCE_M = 1.2
+HEIGHT_M = 1.5
+FRAME_STEP_S = 0.05
+"""Of the stereo rig, 20 frames/s."""
+INSTANT_STEP_S = 0.2
+"""Both clocks tick together: every 4th frame at 20 frames/s, every 25th at 125 frames/s."""
+
+_SLOW_RATE = 0.12
+_BLEND_S = 0.5
+"""How fast the first half of the motion goes, against the second, and the time in between."""
+_SINES = 3
+_LOW_HZ = 0.5
+_HIGH_HZ = 1.1
+_MOTION_RMS = np.array([0.05, 0.07, 0.045, 0.06, 0.04, 0.07])
+"""Of (x, y, z, yaw, pitch, roll), m and rad."""
+_MARGIN_S = 0.5
+_KNOT_STEP_S = 0.02
+_WINDOW_MARGIN_PX = 24.0
+_LEAST_RAYS = 4
+_MOST_RAYS = 64
+
+
+@dataclass(frozen=True)
+class BoardCamera:
+    """One camera of the rig."""
+
+    focal_px: float
+    center_px: tuple[float, float]
+    size_px: tuple[int, int]
+    T_left_cam: FloatArray
+    """Pose in the frame of the rig's left camera, [4, 4], m."""
+    shutter_s: float
+    noise: float
+    """Strength of the sensor's noise; see ``sensor.expose``."""
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Points in the left camera's frame [..., 3], m, to pixels [..., 2]. They need to be ahead
+        of the camera."""
+        T_cam_left = se3.inverse(self.T_left_cam)
+        x, y, z = np.moveaxis(points @ T_cam_left[:3, :3].T + T_cam_left[:3, 3], -1, 0)
+        return self.focal_px * np.stack([x / z, y / z], axis=-1) + self.center_px
+
+
+def _beside_left(right_m: float, yaw_left_rad: float = 0.0) -> FloatArray:
+    """T_left_cam of a camera on the bar, turned back towards the left one."""
+    T_left_cam = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, -yaw_left_rad, 0.0]))
+    T_left_cam[0, 3] = right_m
+    return T_left_cam
+
+
+STEREO = StereoCamera(460.0, 460.0, 375.5, cv_px=239.5, baseline_m=0.11, size_px=(752, 480))
+"""Like the VI-Sensor's."""
+LEFT = BoardCamera(
+    460.0, (375.5, 239.5), (752, 480), T_left_cam=np.eye(4), shutter_s=0.04, noise=0.25
+)
+RIGHT = BoardCamera(
+    460.0,
+    (375.5, 239.5),
+    (752, 480),
+    T_left_cam=_beside_left(STEREO.baseline_m),
+    shutter_s=0.04,
+    noise=0.25,
+)
+FAST = BoardCamera(
+    500.0,
+    (319.5, 255.5),
+    (640, 512),
+    T_left_cam=_beside_left(0.25, yaw_left_rad=0.16),
+    shutter_s=0.002,
+    noise=0.35,
+)
+"""Like a Flea3 whose pixels are read out in twos."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """The part of an image that is read out."""
+
+    left_px: int
+    top_px: int
+    width_px: int
+    height_px: int
+
+    @property
+    def corner_px(self) -> FloatArray:
+        """(u, v) of its first pixel, [2]."""
+        return np.array([self.left_px, self.top_px], dtype=np.float64)
+
+
+class BoardScene:
+    """The board, and the motion of the rig before it: the first half slow, the second fast.
+
+    Args:
+        duration_s: of the motion.
+        rng: of the motion.
+    """
+
+    def __init__(self, duration_s: float, rng: np.random.Generator) -> None:
+        self.trajectory = _motion(duration_s, rng)
+        self._world = _world()
+        self._scene = scene_arrays(self._world, shadow=0.0)
+
+    def board(self, camera: BoardCamera, t_s: ArrayLike, *, margin: int = 0) -> FloatArray:
+        """Where the corners truly are in a camera at times [...]: [..., 32, 2], px, by rows from
+        the upper left one.
+
+        ``margin`` adds as many lines of the board on each side; the first one around is its edge.
+        """
+        columns, rows = (
+            np.arange(-margin, count + margin) - 0.5 * (count - 1) for count in CORNERS
+        )
+        down, across = np.meshgrid(rows, columns, indexing="ij")
+        place = [
+            np.full(down.size, DISTANCE_M),
+            -SQUARE_M * across.ravel(),
+            HEIGHT_M - SQUARE_M * down.ravel(),
+        ]
+        T_left_world = se3.inverse(self.trajectory.T_world_cam(t_s))
+        points = np.column_stack(place) @ np.swapaxes(T_left_world[..., :3, :3], -1, -2)
+        return camera.project(points + T_left_world[..., None, :3, 3])
+
+    def window(self, camera: BoardCamera, instants_s: Iterable[float]) -> Window:
+        """The window around the board in which it stays during the exposures around some instants."""
+        half_s = 0.5 * camera.shutter_s
+        edges_s = np.array([t_s + side for t_s in instants_s for side in (-half_s, half_s)])
+        outline_px = self.board(camera, edges_s, margin=1).reshape(-1, 2)
+        low = np.maximum(np.floor(outline_px.min(axis=0) - _WINDOW_MARGIN_PX), 0.0)
+        high = np.minimum(np.ceil(outline_px.max(axis=0) + _WINDOW_MARGIN_PX), camera.size_px)
+        width, height = np.maximum(high - low, 1.0)
+        return Window(int(low[0]), int(low[1]), int(width), height_px=int(height))
+
+    def expose(
+        self, camera: BoardCamera, t_s: float, window: Window, rng: np.random.Generator
+    ) -> Image:
+        """A window of the image whose exposure has its middle at ``t_s``, [height, width], uint8.
+
+        Each pixel is the mean of rays through its middle, spread evenly over the time that the
+        shutter is open; the texture is averaged over the pixel along each ray. Rays spread over
+        pixel and time at once would need to be many more: they leave ripples in blurred edges, and
+        corners are drawn to them.
+        """
+        rays = self._rays(camera, t_s)
+        times_s = t_s + camera.shutter_s * ((np.arange(rays) + 0.5) / rays - 0.5)
+        image = np.zeros((window.height_px, window.width_px), dtype=np.float32)
+        u, v = camera.center_px
+        intrinsics = camera.focal_px, u - window.left_px, v - window.top_px
+        for time_s in times_s.tolist():
+            T_world_left = self.trajectory.T_world_cam(time_s)
+            T_world_object = self._world.poses(time_s, T_world_left)
+            posed = pose_solids(
+                self._world, T_world_object, T_world_left @ camera.T_left_cam, intrinsics=intrinsics
+            )
+            lists = in_image(self._scene, posed, (window.width_px, window.height_px))
+            casters = towards_sun(self._scene, posed)
+            add_radiance(
+                self._scene,
+                posed,
+                lists,
+                casters=casters,
+                time_s=time_s,
+                offsets_px=np.zeros((1, 2)),
+                footprint_px=1.0,
+                image=image,
+            )
+        return expose(image / np.float32(rays), 1.0, camera.noise, rng=rng)
+
+    def _rays(self, camera: BoardCamera, t_s: float) -> int:
+        """How many rays a pixel needs for the board to move by a pixel from one to the next."""
+        start_px, end_px = self.board(camera, t_s + camera.shutter_s * np.array([-0.5, 0.5]))
+        moved_px = float(np.linalg.norm(end_px - start_px, axis=-1).max())
+        return int(np.clip(np.ceil(moved_px), _LEAST_RAYS, _MOST_RAYS))
+
+
+def _motion(duration_s: float, rng: np.random.Generator) -> Trajectory:
+    """All six coordinates swing by sums of sines around a place before the board: slowly, then
+    fast."""
+    frequency = rng.uniform(_LOW_HZ, _HIGH_HZ, (6, _SINES, 1))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (6, _SINES, 1))
+    t_s = np.arange(-_MARGIN_S, duration_s + _MARGIN_S, _KNOT_STEP_S)
+    rate = _SLOW_RATE + (1.0 - _SLOW_RATE) * 0.5 * (
+        1.0 + np.tanh((t_s - 0.5 * duration_s) / _BLEND_S)
+    )
+    way = np.cumsum(rate) * _KNOT_STEP_S
+    swing = np.sqrt(2.0 / _SINES) * np.sin(2.0 * np.pi * frequency * way + phase).sum(axis=1)
+    middle = np.array([0.0, 0.5 * STEREO.baseline_m, HEIGHT_M, 0.0, 0.0, 0.0])
+    return Trajectory(
+        duration_s, make_interp_spline(t_s, middle + (_MOTION_RMS[:, None] * swing).T, k=5)
+    )
+
+
+def _world() -> World:
+    """The board on a larger sheet of white, before a wall, in diffuse light from behind the camera."""
+    columns, rows = (count + 1 for count in CORNERS)
+    size_m = np.array([0.01, columns * SQUARE_M, rows * SQUARE_M])
+    center_m = np.array([DISTANCE_M + 0.5 * size_m[0], 0.0, HEIGHT_M])
+    board = solid(
+        BOX,
+        size_m,
+        center_m,
+        texture=Texture.CHECKERBOARD,
+        tile_m=8 * SQUARE_M,
+        albedo=0.42,
+        contrast=0.85,
+    )
+    sheet_m = size_m + SQUARE_M * np.array([0.0, 1.0, 1.0])
+    sheet = solid(
+        BOX,
+        sheet_m,
+        center_m + np.array([0.002, 0.0, 0.0]),
+        texture=Texture.PLAIN,
+        tile_m=1.0,
+        albedo=0.75,
+        contrast=0.0,
+    )
+    wall = solid(
+        BOX,
+        (0.2, 20.0, 6.0),
+        (2.8, 0.0, 3.0),
+        texture=Texture.PLASTER,
+        tile_m=1.5,
+        albedo=0.3,
+        contrast=0.6,
+    )
+    ground = Ground(
+        Route.from_turns([(20.0, 0.0)]),
+        edge_m=np.array([np.inf]),
+        texture=np.array([int(Texture.CONCRETE)]),
+        tile_m=np.array([2.0]),
+        albedo=np.array([0.35]),
+        contrast=np.array([0.5]),
+    )
+    to_sun = np.array([-0.8, 0.2, 0.5])
+    return World(
+        join([board, sheet, wall]), Movers.none(), ground, to_sun=to_sun / np.linalg.norm(to_sun)
+    )

@@ -1,0 +1,112 @@
+"""``probevo simulate``: a recording of a world of which everything is known."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from probevo.cli.arguments import checked, parse
+from probevo.errors import InputError
+from probevo_sim.point_config import PointConfig
+from probevo_sim.scene.config import SceneConfig
+
+
+@dataclass(frozen=True)
+class PointArguments:
+    """Landmarks with known noise, seen from a circle, as tracks: train.npz and test.npz.
+
+    These are tracks files that `probevo run` reads. Beyond what it needs they hold, of each
+    observation, its covariance (covariance), whether it is none of the outliers (inlier), and where
+    it is without error (true_uv).
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the recordings. What an earlier simulation left there is replaced."""
+    settings: Annotated[PointConfig, tyro.conf.arg(name="")] = field(default_factory=PointConfig)
+
+
+@dataclass(frozen=True)
+class SceneArguments:
+    """Rendered stereo images and IMU of a drive through a place, as a folder sequence."""
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the recording. A simulation that was stopped there goes on."""
+    pixel_truth: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Write disparity, optical flow and the mask of moving objects of each image too."""
+    jobs: int = 0
+    """Threads that render; 0 takes all cores. The images are the same."""
+    settings: Annotated[SceneConfig, tyro.conf.arg(name="")] = field(default_factory=SceneConfig)
+
+
+@dataclass(frozen=True)
+class SimulateArguments:
+    """Record a simulated world, with the truth about all of it. `probevo simulate WORLD --help`
+    shows its options."""
+
+    world: Annotated[
+        Annotated[PointArguments, tyro.conf.subcommand("point")]
+        | Annotated[SceneArguments, tyro.conf.subcommand("scene")],
+        tyro.conf.arg(name=""),
+    ]
+
+
+def main(words: list[str]) -> None:
+    """Parse, simulate, say what to do with it."""
+    arguments = parse(SimulateArguments, words, "simulate").world
+    from probevo.files import check_folder
+
+    check_folder(arguments.out, "--out")
+    lines = _point(arguments) if isinstance(arguments, PointArguments) else _scene(arguments)
+    print("\n".join(lines))
+
+
+def _point(arguments: PointArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    from probevo_sim.point_world import write_training_and_test
+
+    train, test = write_training_and_test(settings, arguments.out)
+    lines = []
+    for name, world in (("train.npz", train), ("test.npz", test)):
+        path_m = settings.speed_m_s * float(world.stamps_ns[-1]) * 1e-9
+        seen = len(world.ids) / len(world)
+        lines.append(
+            f"{arguments.out / name}: {len(world)} frames, {path_m:.0f} m, {seen:.0f} landmarks a"
+            " frame"
+        )
+    return [*lines, _next_command(arguments.out / "test.npz", arguments.out / "run")]
+
+
+def _scene(arguments: SceneArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    if arguments.jobs < 0:
+        raise InputError(
+            "--jobs", f"is {arguments.jobs}.", "Give the number of threads, or 0 for all cores."
+        )
+    from probevo.sequences import open_sequence
+
+    out = render_with_progress(
+        settings, arguments.out, pixel_truth=arguments.pixel_truth, jobs=arguments.jobs
+    )
+    frames = len(open_sequence(out))
+    return [f"{out}: {frames} frames", _next_command(out, out.with_name(f"{out.name}-run"))]
+
+
+def render_with_progress(
+    config: SceneConfig, out: Path, *, pixel_truth: bool = False, jobs: int = 0
+) -> Path:
+    """Render a scene, or what is missing of it, into a folder, and show on stderr how far it is."""
+    from probevo.cli.progress import progress_bar
+    from probevo_sim.scene.writer import write_scene
+
+    with progress_bar(
+        f"rendering {out.name}", "starting (compiling, if this is the first time)"
+    ) as show:
+        return write_scene(config, out, pixel_truth=pixel_truth, jobs=jobs, on_frame=show)
+
+
+def _next_command(recording: Path, out: Path) -> str:
+    return f"next: probevo run {shlex.quote(str(recording))} --out {shlex.quote(str(out))}"

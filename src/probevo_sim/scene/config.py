@@ -1,0 +1,120 @@
+"""Every setting of a simulated scene, with its bounds and its why."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from probevo.settings import Settings
+
+PresetName = Literal["city", "residential", "road", "rover"]
+TruthName = Literal["all", "loop", "none"]
+
+
+class RigConfig(Settings):
+    """The stereo camera and its IMU; by default KITTI's at half the resolution."""
+
+    width_px: int = Field(621, ge=64, le=8192, description="Width of an image.")
+    height_px: int = Field(188, ge=48, le=8192, description="Height of an image.")
+    focal_px: float = Field(360.0, gt=10, le=20_000, description="Focal length.")
+    baseline_m: float = Field(
+        0.54, gt=0.001, le=10, description="Distance of the right camera from the left one."
+    )
+    rate_hz: float = Field(10.0, ge=2, le=1000, description="Frames a second.")
+    imu_rate_hz: float = Field(200.0, ge=10, le=10_000, description="IMU samples a second.")
+    gyro_noise_rad_s_sqrt_hz: float = Field(
+        1.7e-4, gt=0, le=0.1, description="White noise density of the gyro."
+    )
+    gyro_bias_sigma_rad_s: float = Field(
+        2e-3, ge=0, le=0.1, description="Spread of the gyro's bias at start."
+    )
+    gyro_bias_walk_rad_s2_sqrt_hz: float = Field(
+        2e-5, ge=0, le=0.1, description="Random walk of the gyro's bias."
+    )
+    accel_noise_m_s2_sqrt_hz: float = Field(
+        2e-3, gt=0, le=1, description="White noise density of the accelerometer."
+    )
+    accel_bias_sigma_m_s2: float = Field(
+        0.02, ge=0, le=1, description="Spread of the accelerometer's bias at start."
+    )
+    accel_bias_walk_m_s3_sqrt_hz: float = Field(
+        3e-4, ge=0, le=1, description="Random walk of that bias."
+    )
+
+
+class Effects(Settings):
+    """What spoils the images; each from 0, which is off, to 1, which is as bad as one meets on a
+    bad day."""
+
+    blur: float = Field(
+        0.0, ge=0, le=1, description="Motion blur: the shutter is open for 50 ms times this."
+    )
+    traffic: float = Field(
+        0.0, ge=0, le=1, description="Moving cars and people; 1 fills the street."
+    )
+    shadows: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Darkness of cast shadows: of things, the own vehicle, leaves in the wind.",
+    )
+    textureless: float = Field(
+        0.0, ge=0, le=1, description="Share of the road's texture that is taken away."
+    )
+    foliage: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Hedges and trees whose leaves repeat and sway; 1 lines the road.",
+    )
+    exposure: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Changes of the exposure from frame to frame, up to a factor 4.",
+    )
+    noise: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description=(
+            "Sensor noise: 1 is 12 grey levels in the middle of the range, less in the dark."
+        ),
+    )
+    rectification: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description=(
+            "Rectification error: 1 turns the right camera so that corners are off by about 1 px."
+        ),
+    )
+
+
+class SceneConfig(Settings):
+    """A drive through a simulated place. The same settings give the same bytes (on one machine)."""
+
+    preset: PresetName = Field("city", description="The place, after those of the papers.")
+    seed: int = Field(0, ge=0, description="Of the place: another seed is another city.")
+    drive: int = Field(
+        0,
+        ge=0,
+        description="Of the drive: other numbers drive the same place again, with other noise.",
+    )
+    distance_m: float | None = Field(
+        None,
+        gt=1,
+        le=5000,
+        description=(
+            "How far to drive, m; left out, what suits the preset. The rover drives a loop so long."
+        ),
+    )
+    truth: TruthName = Field(
+        "all",
+        description=(
+            "Poses to give away: of every frame, only that the rover's loop closes, or nothing."
+        ),
+    )
+    rig: RigConfig = RigConfig()
+    effects: Effects = Effects()

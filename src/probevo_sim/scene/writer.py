@@ -1,0 +1,162 @@
+"""Writes a drive through a scene as a folder of files that ``open_sequence`` reads."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+from probevo.cores import available_cores
+from probevo.errors import InputError
+from probevo.files import check_folder, remove_stale, write_atomically
+from probevo.output.files import write_kitti_poses
+from probevo.sequences.folder import IMU_HEADER
+from probevo.sequences.read_ahead import read_ahead
+from probevo_sim.scene.config import SceneConfig
+from probevo_sim.scene.recording import SceneRecording, open_scene
+from probevo_sim.scene.renderer import PixelTruth
+
+RENDERER_VERSION = 1
+"""To be counted up when the same settings come to give other images: it tells old folders from new
+ones."""
+SETTINGS_FILE = "scene.yaml"
+LAST_FILE = "times.txt"
+SIDES = ("left", "right")
+
+
+def write_scene(
+    config: SceneConfig,
+    out: Path,
+    *,
+    pixel_truth: bool = False,
+    jobs: int = 0,
+    on_frame: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Render a drive into a folder that ``open_sequence`` reads; what an earlier, stopped call left
+    there is kept.
+
+    Beside the files of the folder layout it holds ``scene.yaml``, the settings, and on request
+    ``pixel_truth/<frame>.npz`` with the arrays of ``PixelTruth`` in single precision.
+
+    Args:
+        config: all settings. ``truth`` may change from call to call: it decides ``poses.txt``
+            alone.
+        out: the folder; made if it is missing.
+        pixel_truth: also write the truth about each pixel.
+        jobs: threads that render; 0 is one for each core.
+        on_frame: called with how many frames are there, and how many there will be.
+
+    Returns:
+        ``out``.
+
+    Raises:
+        InputError: the folder holds something else, or cannot be written to.
+    """
+    settings = settings_text(config)
+    _check_out(settings, out)
+    recording = open_scene(config)
+    write_atomically(out / SETTINGS_FILE, settings)
+
+    def write(index: int) -> None:
+        if not _has_images(out, index):
+            for side, image in zip(SIDES, recording.images(index), strict=True):
+                write_atomically(
+                    _image_file(out, side, index), cv2.imencode(".png", image)[1].tobytes()
+                )
+        if pixel_truth and not _truth_file(out, index).exists():
+            _write_pixel_truth(_truth_file(out, index), recording.pixel_truth(index))
+
+    def is_missing(index: int) -> bool:
+        return not _has_images(out, index) or (pixel_truth and not _truth_file(out, index).exists())
+
+    missing = [index for index in range(len(recording)) if is_missing(index)]
+    threads = min(jobs or available_cores(), len(recording))
+    written = read_ahead(write, missing, ahead=2 * threads, threads=threads)
+    for done, _ in enumerate(written, start=len(recording) - len(missing) + 1):
+        if on_frame is not None:
+            on_frame(done, len(recording))
+    _write_rest(recording, out)
+    return out
+
+
+def settings_text(config: SceneConfig) -> str:
+    """Everything that decides the images, as YAML: two scenes with the same text look the same."""
+    decisive = config.model_dump(exclude={"truth"})
+    return yaml.safe_dump({"renderer": RENDERER_VERSION, **decisive}, sort_keys=False)
+
+
+def _check_out(settings: str, out: Path) -> None:
+    """Refuse a folder that holds anything but a part of this very scene."""
+    check_folder(out, "--out")
+    try:
+        if not out.is_dir() or all(path.suffix == ".part" for path in out.iterdir()):
+            return
+        there = (out / SETTINGS_FILE).read_text()
+    except (OSError, UnicodeDecodeError):
+        what = f"the folder {out} is not empty, and holds no simulated scene."
+        raise InputError("--out", what, "Choose another folder.") from None
+    if there != settings:
+        what = f"the folder {out} holds a scene with other settings, see {SETTINGS_FILE} there."
+        raise InputError("--out", what, f"Choose another folder, or delete {out}.")
+
+
+def _image_file(out: Path, side: str, index: int) -> Path:
+    return out / side / f"{index:06d}.png"
+
+
+def _truth_file(out: Path, index: int) -> Path:
+    return out / "pixel_truth" / f"{index:06d}.npz"
+
+
+def _has_images(out: Path, index: int) -> bool:
+    """Whether the images of a frame were written; files appear whole or not at all."""
+    return all(_image_file(out, side, index).exists() for side in SIDES)
+
+
+def _write_pixel_truth(path: Path, truth: PixelTruth) -> None:
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        depth_m=truth.depth_m.astype(np.float32),
+        disparity_px=truth.disparity_px.astype(np.float32),
+        flow_px=truth.flow_px.astype(np.float32),
+        moving=truth.moving,
+    )
+    write_atomically(path, buffer.getvalue())
+
+
+def _write_rest(recording: SceneRecording, out: Path) -> None:
+    """Calibration, IMU, poses and, last, the times."""
+    camera = recording.camera
+    imu = recording.imu
+    calibration = {
+        "fu_px": camera.fu_px,
+        "fv_px": camera.fv_px,
+        "cu_px": camera.cu_px,
+        "cv_px": camera.cv_px,
+        "baseline_m": camera.baseline_m,
+        "width_px": recording.config.rig.width_px,
+        "height_px": recording.config.rig.height_px,
+        "imu": {
+            "C_cam_imu": imu.C_cam_imu.tolist(),
+            "gyro_noise_rad_s_sqrt_hz": imu.gyro_noise_rad_s_sqrt_hz,
+            "gyro_bias_sigma_rad_s": imu.gyro_bias_sigma_rad_s,
+            "gyro_bias_walk_rad_s2_sqrt_hz": imu.gyro_bias_walk_rad_s2_sqrt_hz,
+        },
+    }
+    write_atomically(out / "calib.yaml", yaml.safe_dump(calibration, sort_keys=False))
+    stamps_ns, gyro_rad_s, accel_m_s2 = recording.imu_samples
+    rows = zip(stamps_ns.tolist(), np.hstack([gyro_rad_s, accel_m_s2]).tolist(), strict=True)
+    lines = [",".join([str(stamp), *map(repr, values)]) for stamp, values in rows]
+    write_atomically(out / "imu.csv", "\n".join([IMU_HEADER, *lines, ""]))
+    if recording.truth is not None:
+        write_kitti_poses(out / "poses.txt", recording.truth.T_world_cam)
+    else:
+        remove_stale(out / "poses.txt")
+    write_atomically(
+        out / LAST_FILE, "".join(f"{stamp}\n" for stamp in recording.stamps_ns.tolist())
+    )

@@ -1,0 +1,321 @@
+"""The reprojection solve: is it right, and is it as sure as it says?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.estimation.gauss_newton import minimize
+from probevo.estimation.reprojection import ReprojectionSolution, RotationPrior, solve_reprojection
+from probevo.geometry import se3, so3
+from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.measurements.robust_loss import RobustLoss
+from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
+from worlds import seen_twice
+
+CAMERA = StereoCamera(fu_px=707.0, fv_px=709.0, cu_px=601.0, cv_px=183.0, baseline_m=0.537)
+T_CURR_PREV = se3.exp(np.array([0.02, 0.01, -1.2, 0.003, 0.01, -0.002]))
+GUESS = se3.exp(np.array([0.02, -0.03, 0.05, 0.004, -0.003, 0.005])) @ T_CURR_PREV
+"""As far off as RANSAC leaves it."""
+NO_PREDICTORS = np.zeros((10_000, 0))
+CORRELATED = np.array(
+    [[1.0, 0.1, 0.6, 0.0], [0.1, 1.0, 0.0, -0.3], [0.6, 0.0, 1.2, 0.1], [0.0, -0.3, 0.1, 0.9]]
+)
+
+
+@dataclass(frozen=True)
+class Scene:
+    prev_px: FloatArray
+    curr_px: FloatArray
+
+
+def scene(
+    rng: np.random.Generator, count: int, *, depth_m: tuple[float, float] = (5.0, 60.0)
+) -> Scene:
+    """Points spread over the image, uniform in inverse depth, before and after T_CURR_PREV; without
+    noise."""
+    rho = rng.uniform(1.0 / depth_m[1], 1.0 / depth_m[0], count)
+    u = rng.uniform(0.0, 1226.0, count)
+    v = rng.uniform(0.0, 370.0, count)
+    prev_px = np.column_stack([u, v, u - CAMERA.fu_px * CAMERA.baseline_m * rho, v])
+    return Scene(prev_px, CAMERA.project(se3.transform(T_CURR_PREV, CAMERA.triangulate(prev_px))))
+
+
+def with_noise(rng: np.random.Generator, clean: Scene, scale: FloatArray, dof: float) -> Scene:
+    """Both observations of a feature disturbed by one Student-t of eight dimensions: they share its
+    mixing weight."""
+    count = len(clean.prev_px)
+    mixing = np.ones((count, 1)) if np.isinf(dof) else np.sqrt(dof / rng.chisquare(dof, (count, 1)))
+    factor = np.linalg.cholesky(scale)
+    prev_noise, curr_noise = (mixing * (rng.normal(size=(count, 4)) @ factor.T) for _ in range(2))
+    return Scene(clean.prev_px + prev_noise, clean.curr_px + curr_noise)
+
+
+def solve(seen: Scene, model: NoiseModel, **options: object) -> ReprojectionSolution:
+    noise = model.predict(NO_PREDICTORS[: len(seen.prev_px)])
+    return solve_reprojection(seen.prev_px, seen.curr_px, noise, GUESS, CAMERA, **options)  # type: ignore[arg-type]
+
+
+def test_noiseless_motion_is_found_exactly() -> None:
+    solution = solve(scene(np.random.default_rng(0), 50), StudentT())
+    assert solution.converged
+    assert np.abs(se3.log(solution.T_curr_prev @ se3.inverse(T_CURR_PREV))).max() < 1e-6
+
+
+@pytest.mark.parametrize("off_m", [0.02, 0.2, 0.5, 1.2])
+def test_a_solve_that_says_it_converged_has(off_m: float) -> None:
+    """From a guess however far off: within 0.05σ of where the solve ends that starts at the truth."""
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        seen = with_noise(rng, scene(rng, 200), 0.04 * np.eye(4), np.inf)
+        noise = StudentT().predict(NO_PREDICTORS[:200])
+        off = rng.normal(size=3)
+        guess = se3.exp(np.r_[off_m * off / np.linalg.norm(off), 0.01 * off_m * off]) @ T_CURR_PREV
+        near = solve_reprojection(
+            seen.prev_px, seen.curr_px, noise, guess=T_CURR_PREV, camera=CAMERA
+        )
+        far = solve_reprojection(seen.prev_px, seen.curr_px, noise, guess=guess, camera=CAMERA)
+        if far.converged:
+            assert (
+                np.sqrt(normalized_error_squared(near.T_curr_prev, far.T_curr_prev, near.cov))
+                < 0.05
+            )
+
+
+def test_motion_is_found_from_afar() -> None:
+    """From the identity, 1.2 m off."""
+    clean = scene(np.random.default_rng(0), 50)
+    solution = solve_reprojection(
+        clean.prev_px,
+        clean.curr_px,
+        StudentT().predict(NO_PREDICTORS[:50]),
+        guess=np.eye(4),
+        camera=CAMERA,
+    )
+    assert solution.converged
+    assert np.abs(se3.log(solution.T_curr_prev @ se3.inverse(T_CURR_PREV))).max() < 1e-4
+
+
+@pytest.mark.parametrize("dof", [3.0, 5.0, np.inf])
+@pytest.mark.parametrize("count", [60, 300])
+def test_motion_covariance_is_consistent(dof: float, count: int) -> None:
+    """Average NEES over 400 noisy solves lies in [5.5, 6.5], for correlated noise with a known
+    scale matrix."""
+    rng = np.random.default_rng(count)
+    scale = 0.3**2 * CORRELATED
+    model = Fixed(scale) if np.isinf(dof) else StudentT(dof, scale)
+    solutions = [solve(with_noise(rng, scene(rng, count), scale, dof), model) for _ in range(400)]
+    nees = [normalized_error_squared(T_CURR_PREV, s.T_curr_prev, s.cov) for s in solutions]
+    assert 5.5 < np.mean(nees) < 6.5
+
+
+def test_plain_irls_hessian_is_overconfident() -> None:
+    """Its inverse lacks the factor (ν+d)/(ν+d+2): average NEES falls outside what 200 consistent
+    runs could give."""
+    rng = np.random.default_rng(1)
+    scale = 0.3**2 * CORRELATED
+    nees = []
+    for _ in range(200):
+        solution = solve(with_noise(rng, scene(rng, 300), scale, 5.0), StudentT(5.0, scale))
+        nees.append(
+            normalized_error_squared(
+                T_CURR_PREV, solution.T_curr_prev, np.linalg.inv(solution.hessian)
+            )
+        )
+    assert np.mean(nees) > chi2.ppf(0.9999, df=6 * 200) / 200
+    assert np.mean(nees) > 6.5
+
+
+def test_covariance_follows_the_residuals_where_the_noise_is_larger_than_the_model_says() -> None:
+    """Gaussian noise of 0.6 px under a Student-t model of 0.2 px: still consistent within 30 %."""
+    rng = np.random.default_rng(2)
+    nees = []
+    for _ in range(100):
+        solution = solve(
+            with_noise(rng, scene(rng, 200), 0.6**2 * np.eye(4), np.inf),
+            StudentT(5.0, 0.04 * np.eye(4)),
+        )
+        nees.append(normalized_error_squared(T_CURR_PREV, solution.T_curr_prev, solution.cov))
+    assert 0.7 < np.mean(nees) / 6.0 < 1.3
+
+
+def test_small_noisy_disparities_do_not_shorten_the_motion() -> None:
+    """Disparities of 3 to 6 px with 0.5 px of noise: without refining the points, the step is 1.5 %
+    short."""
+    rng = np.random.default_rng(3)
+    scale = 0.5**2 * np.eye(4)
+    far = (60.0, 120.0)
+    steps = [
+        solve(with_noise(rng, scene(rng, 400, depth_m=far), scale, np.inf), Fixed(scale))
+        for _ in range(60)
+    ]
+    lengths = np.array([-s.T_curr_prev[2, 3] for s in steps])
+    expected = -T_CURR_PREV[2, 3]
+    assert (
+        abs(lengths.mean() / expected - 1.0)
+        < 3.0 * lengths.std() / np.sqrt(len(lengths)) / expected + 0.002
+    )
+
+
+def test_points_at_infinity_fix_the_rotation_but_not_the_translation() -> None:
+    rng = np.random.default_rng(4)
+    u = rng.uniform(0.0, 1226.0, 40)
+    v = rng.uniform(0.0, 370.0, 40)
+    C = so3.exp(np.array([0.01, -0.02, 0.005]))
+    rays = (
+        np.column_stack(
+            [(u - CAMERA.cu_px) / CAMERA.fu_px, (v - CAMERA.cv_px) / CAMERA.fv_px, np.ones(40)]
+        )
+        @ C.T
+    )
+    u_curr = CAMERA.fu_px * rays[:, 0] / rays[:, 2] + CAMERA.cu_px
+    v_curr = CAMERA.fv_px * rays[:, 1] / rays[:, 2] + CAMERA.cv_px
+    far = Scene(np.column_stack([u, v, u, v]), np.column_stack([u_curr, v_curr, u_curr, v_curr]))
+    solution = solve(far, Fixed())
+    assert np.abs(so3.log(solution.T_curr_prev[:3, :3] @ C.T)).max() < 1e-5
+    assert not np.isfinite(solution.cov).any()
+    mixed = scene(rng, 10)
+    back = se3.from_parts(C, T_CURR_PREV[:3, 3])
+    near_curr = CAMERA.project(se3.transform(back, CAMERA.triangulate(mixed.prev_px)))
+    both = Scene(np.vstack([far.prev_px, mixed.prev_px]), np.vstack([far.curr_px, near_curr]))
+    assert np.abs(se3.log(solve(both, Fixed()).T_curr_prev @ se3.inverse(back))).max() < 1e-5
+
+
+def test_residual_noise_is_taken_as_it_is() -> None:
+    """A model of the residual as a whole, with a bias, which is removed; the point's noise is not
+    added."""
+    rng = np.random.default_rng(5)
+    clean = scene(rng, 200)
+    bias = np.array([0.4, -0.3, 0.8, 0.2])
+    noise = StereoNoise(
+        np.tile(0.04 * np.eye(4), (200, 1, 1)), np.full(200, 5.0), np.tile(bias, (200, 1))
+    )
+    solution = solve_reprojection(
+        clean.prev_px, clean.curr_px + bias, noise, guess=GUESS, camera=CAMERA
+    )
+    assert np.abs(se3.log(solution.T_curr_prev @ se3.inverse(T_CURR_PREV))).max() < 1e-6
+    assert np.allclose(solution.information, 25.0 * np.eye(4))
+
+
+@pytest.mark.parametrize("name", ["l2", "huber", "cauchy", "tukey"])
+def test_every_loss_is_consistent_under_gaussian_noise(name: str) -> None:
+    rng = np.random.default_rng(6)
+    scale = 0.3**2 * np.eye(4)
+    loss = RobustLoss.named(name)
+    noise = Fixed(scale).predict(NO_PREDICTORS[:150])
+    nees = []
+    for _ in range(150):
+        seen = with_noise(rng, scene(rng, 150), scale, np.inf)
+        solution = solve_reprojection(
+            seen.prev_px, seen.curr_px, noise, guess=T_CURR_PREV, camera=CAMERA, loss=loss
+        )
+        nees.append(normalized_error_squared(T_CURR_PREV, solution.T_curr_prev, solution.cov))
+    low, high = chi2.ppf([0.0005, 0.9995], df=6 * 150) / 150
+    assert low < np.mean(nees) < high
+
+
+def test_outliers_hardly_move_a_robust_solve() -> None:
+    rng = np.random.default_rng(7)
+    seen = with_noise(rng, scene(rng, 200), 0.04 * np.eye(4), np.inf)
+    seen.curr_px[:40] += rng.uniform(-30.0, 30.0, (40, 4))
+    error = se3.log(solve(seen, StudentT()).T_curr_prev @ se3.inverse(T_CURR_PREV))
+    assert np.abs(error[:3]).max() < 0.02
+    assert solve(seen, StudentT()).weight[:40].mean() < 0.1
+
+
+def test_rotation_prior_pulls_by_its_information() -> None:
+    """Features and prior that disagree meet where their information matrices balance."""
+    rng = np.random.default_rng(8)
+    scale = 0.09 * np.eye(4)
+    seen = with_noise(rng, scene(rng, 100), scale, np.inf)
+    alone = solve(seen, Fixed(scale))
+    off = np.array([0.002, -0.001, 0.0015])
+    prior = RotationPrior(so3.exp(off) @ alone.T_curr_prev[:3, :3], 1e-7 * np.eye(3))
+    both = solve(seen, Fixed(scale), prior=prior)
+    padded = np.zeros((6, 6))
+    padded[3:, 3:] = 1e7 * np.eye(3)
+    expected = np.linalg.solve(alone.hessian + padded, padded @ np.r_[0.0, 0.0, 0.0, off])
+    moved = se3.log(both.T_curr_prev @ se3.inverse(alone.T_curr_prev))
+    assert np.allclose(moved, expected, rtol=0.02, atol=1e-5)
+    assert np.all(np.diagonal(both.cov)[3:] < np.diagonal(alone.cov)[3:])
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_too_few_features_give_no_covariance(count: int) -> None:
+    solution = solve(scene(np.random.default_rng(9), count), StudentT())
+    assert np.isfinite(solution.T_curr_prev).all()
+    assert not np.isfinite(solution.cov).any()
+
+
+def test_points_that_pass_behind_the_camera_have_no_say() -> None:
+    clean = scene(np.random.default_rng(10), 50)
+    near = CAMERA.project(
+        np.array([[0.3, 0.2, 0.5]])
+    )  # half a metre ahead: the camera drives through it
+    seen = Scene(np.vstack([clean.prev_px, near]), np.vstack([clean.curr_px, near]))
+    solution = solve(seen, Fixed())
+    assert solution.weight[-1] == 0.0
+    assert np.abs(se3.log(solution.T_curr_prev @ se3.inverse(T_CURR_PREV))).max() < 1e-6
+
+
+def with_lasting_error(
+    rng: np.random.Generator, clean: Scene, sigma_px: float, lasting_px: float
+) -> Scene:
+    """New noise in every observation, and an error of the disparity that is the same in both
+    frames."""
+    seen = with_noise(rng, clean, sigma_px**2 * np.eye(4), np.inf)
+    error = np.zeros((len(clean.prev_px), 4))
+    error[:, 2] = -rng.normal(scale=lasting_px, size=len(error))
+    return Scene(seen.prev_px + error, seen.curr_px + error)
+
+
+@pytest.mark.parametrize(("depth_m", "lasting_px"), [((5.0, 60.0), 0.5), ((20.0, 80.0), 0.7)])
+def test_an_error_that_lasts_makes_a_motion_overconfident_unless_it_is_told(
+    depth_m: tuple[float, float], lasting_px: float
+) -> None:
+    """Disparities known to 0.1 px from frame to frame, but those of each feature off by one and the
+    same 0.5 px."""
+    rng = np.random.default_rng(9)
+    scale = 0.1**2 * np.eye(4)
+    seen = [
+        with_lasting_error(rng, scene(rng, 200, depth_m=depth_m), 0.1, lasting_px)
+        for _ in range(300)
+    ]
+    nees = {}
+    for told_px in (lasting_px, 0.0):
+        solutions = [
+            solve(one, StudentT(1e6, scale, time_correlation=told_px / (0.1 * math.sqrt(2.0))))
+            for one in seen
+        ]
+        nees[told_px] = np.mean(
+            [normalized_error_squared(T_CURR_PREV, s.T_curr_prev, s.cov) for s in solutions]
+        )
+        lengths = np.array([-s.T_curr_prev[2, 3] for s in solutions])
+        assert abs(np.mean(lengths) / -T_CURR_PREV[2, 3] - 1.0) < 0.002
+    assert 5.5 < nees[lasting_px] < 6.5
+    assert nees[0.0] > 8.0
+
+
+def test_every_noise_model_uses_the_same_compiled_solve() -> None:
+    """One scale for all or one each, read-only or not: Numba compiles for each kind of array anew,
+    which takes 10 s."""
+    tracks = seen_twice(np.random.default_rng(0), 20)
+    scale = 0.04 * np.eye(4)
+    each = np.tile(scale, (20, 1, 1))
+    locked = each.copy()
+    locked.setflags(write=False)
+    compiled = set()
+    for given in (np.broadcast_to(scale, (20, 4, 4)), each, locked):
+        for dof in (np.full(20, 5.0), np.broadcast_to(5.0, (20,))):
+            noise = StereoNoise(given, dof, np.zeros((20, 4)), refers_to="observation")
+            solve_reprojection(
+                tracks.prev_px, tracks.curr_px, noise, guess=np.eye(4), camera=CAMERA
+            )
+            compiled.add(len(minimize.signatures))
+    assert len(compiled) == 1

@@ -1,0 +1,124 @@
+"""A simulated drive is a sequence like any other."""
+
+import numpy as np
+import pytest
+
+from probevo.errors import InputError
+from probevo.geometry import se3, so3
+from probevo.measurements.gyro import integrate_gyro
+from probevo_sim.scene.config import Effects, RigConfig, SceneConfig
+from probevo_sim.scene.recording import open_scene
+
+SMALL = RigConfig(width_px=96, height_px=48, focal_px=60.0)
+SHORT = SceneConfig(preset="road", distance_m=20.0, rig=SMALL)
+
+
+def test_frames_carry_images_times_and_imu() -> None:
+    recording = open_scene(SHORT)
+    frames = list(recording)
+    assert len(frames) == len(recording) >= 9
+    assert [frame.stamp_ns for frame in frames] == recording.stamps_ns.tolist()
+    np.testing.assert_array_equal(np.diff(recording.stamps_ns), 100_000_000)
+    assert frames[0].imu is None
+    for frame in frames:
+        assert frame.left is not None
+        assert frame.right is not None
+        assert frame.left.shape == frame.right.shape == (48, 96)
+        assert frame.left.std() > 10.0
+        assert not np.array_equal(frame.left, frame.right)
+
+
+def test_truth_is_relative_to_the_first_camera_and_agrees_with_the_imu() -> None:
+    """The gyro's rotation of each frame is the truth's, up to its bias of some mrad/s."""
+    recording = open_scene(SHORT)
+    assert recording.truth is not None
+    T = recording.truth.T_world_cam
+    np.testing.assert_allclose(T[0], np.eye(4), atol=1e-12)
+    for frame in list(recording)[1:]:
+        T_curr_prev = se3.inverse(T[frame.index]) @ T[frame.index - 1]
+        assert frame.imu is not None
+        start_ns, end_ns = (
+            int(stamp) for stamp in recording.stamps_ns[frame.index - 1 : frame.index + 1]
+        )
+        gyro = integrate_gyro(
+            frame.imu, start_ns, end_ns, calibration=recording.imu, bias_rad_s=np.zeros(3)
+        )
+        assert gyro is not None
+        assert np.linalg.norm(so3.log(gyro.C_curr_prev @ T_curr_prev[:3, :3].T)) < 0.1 * 5 * 2e-3
+
+
+def test_flow_of_the_pixels_leads_to_the_next_frame() -> None:
+    recording = open_scene(SHORT)
+    truth = recording.pixel_truth(3)
+    assert recording.truth is not None
+    T_next_curr = se3.inverse(recording.truth.T_world_cam[4]) @ recording.truth.T_world_cam[3]
+    u = 40
+    v = 40
+    d = truth.disparity_px[v, u]
+    point = recording.camera.triangulate(np.array([u, v, u - d, v], float))
+    expected = recording.camera.project(se3.transform(T_next_curr, point))[:2] - [u, v]
+    np.testing.assert_allclose(truth.flow_px[v, u], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("drive", [0, 1])
+def test_same_settings_same_bytes(drive: int) -> None:
+    config = SHORT.model_copy(
+        update={"drive": drive, "effects": Effects(noise=0.5, exposure=0.5, blur=0.3)}
+    )
+    first = open_scene(config)
+    second = open_scene(config)
+    np.testing.assert_array_equal(first.images(4), second.images(4))
+    np.testing.assert_array_equal(first.imu_samples[1], second.imu_samples[1])
+
+
+def test_another_drive_is_another_path_through_the_same_place() -> None:
+    first = open_scene(SHORT)
+    second = open_scene(SHORT.model_copy(update={"drive": 1}))
+    np.testing.assert_array_equal(
+        first.renderer.world.solids.T_object_solid, second.renderer.world.solids.T_object_solid
+    )
+    assert not np.array_equal(first.images(2), second.images(2))
+
+
+def test_truth_can_be_withheld() -> None:
+    loop = open_scene(SceneConfig(preset="rover", distance_m=60.0, truth="loop", rig=SMALL)).truth
+    assert loop is not None
+    assert np.flatnonzero(loop.known).tolist() == [0, len(loop.known) - 1]
+    np.testing.assert_allclose(loop.T_world_cam[-1], np.eye(4), atol=1e-9)
+    assert open_scene(SHORT.model_copy(update={"truth": "none"})).truth is None
+
+
+def test_no_loop_no_truth_of_one() -> None:
+    with pytest.raises(InputError, match="drives no loop"):
+        open_scene(SHORT.model_copy(update={"truth": "loop"}))
+
+
+def test_flow_of_the_last_frame_goes_on_as_the_drive_did() -> None:
+    """At the lowest rate the next frame would come half a second after the end."""
+    recording = open_scene(
+        SHORT.model_copy(update={"rig": SMALL.model_copy(update={"rate_hz": 2.0})})
+    )
+    last, before = (recording.pixel_truth(len(recording) - k).flow_px for k in (1, 2))
+    lower = np.s_[26:34, :]  # the road, far enough ahead that it stays there
+    assert np.nanmedian(np.abs(last[lower])) == pytest.approx(
+        np.nanmedian(np.abs(before[lower])), rel=0.5
+    )
+
+
+def test_noise_of_left_and_right_is_independent() -> None:
+    quiet = open_scene(SHORT)
+    noisy = open_scene(SHORT.model_copy(update={"effects": Effects(noise=1.0)}))
+    left, right = (
+        a.astype(float) - b for a, b in zip(noisy.images(2), quiet.images(2), strict=True)
+    )
+    assert left.std() > 5.0
+    assert abs(np.corrcoef(left.ravel(), right.ravel())[0, 1]) < 0.1
+
+
+def test_a_drive_of_less_than_a_frame_is_refused() -> None:
+    with pytest.raises(InputError, match="distance_m"):
+        open_scene(
+            SceneConfig(
+                preset="road", distance_m=1.1, rig=SMALL.model_copy(update={"rate_hz": 2.0})
+            )
+        )

@@ -1,0 +1,243 @@
+"""The E-step: motions as the solver and the truth give them, and the errors that are then left."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from training.supervised_drives import drive_of, known, point_world, true_motions
+
+from probevo.arrays import FloatArray
+from probevo.config import SolverConfig
+from probevo.geometry import se3
+from probevo.noise import StereoNoise, StudentT
+from probevo.training.drive import Drive
+from probevo.training.gk.expectation import UNSOLVED_SIGMA, Expectation, expect, solve_drive
+from probevo.training.supervised_drive import DriveInMemory
+from probevo.training.supervision import Supervision
+from probevo_sim.point_world import PointWorld
+
+EXACT = np.zeros(6)
+
+
+@pytest.fixture(scope="module")
+def world() -> PointWorld:
+    """All of σ = 0.3 px."""
+    return point_world("constant", frames=40, sigma_px=(0.3, 0.3))
+
+
+@pytest.fixture(scope="module")
+def drive(world: PointWorld) -> Drive:
+    return drive_of(world)
+
+
+SIGMA = 0.3
+R = SIGMA**2 * np.eye(4)
+
+
+def right_noise(
+    drive: Drive, refers_to: str = "observation", bias: FloatArray | None = None
+) -> StereoNoise:
+    """What the features truly have."""
+    count = len(drive.phi)
+    bias = np.zeros(4) if bias is None else bias
+    return StereoNoise(
+        np.tile(R, (count, 1, 1)),
+        np.full(count, np.inf),
+        np.tile(bias, (count, 1)),
+        refers_to=refers_to,
+    )  # type: ignore[arg-type]
+
+
+def expected(world: PointWorld, drive: Drive, noise: StereoNoise, kind: str = "gt") -> Expectation:
+    nothing = Supervision("none", np.arange(len(world)), np.full((len(world), 4, 4), np.nan))
+    supervision = nothing if kind == "none" else known(world, kind)
+    return expect(
+        DriveInMemory(drive, world.camera, supervision),
+        lambda _: noise,
+        SolverConfig(),
+        truth_sigma=EXACT,
+    )
+
+
+def test_motions_without_truth_are_those_of_the_solver(world: PointWorld, drive: Drive) -> None:
+    noise = right_noise(drive)
+    alone, _ = solve_drive([drive], lambda _: noise, world.camera, solver=SolverConfig())
+    found = expected(world, drive, noise, "none")
+    np.testing.assert_array_equal(found.T_curr_prev, alone)
+    np.testing.assert_array_equal(found.T_alone, alone)
+
+
+def test_with_exact_truth_the_motions_are_true(world: PointWorld, drive: Drive) -> None:
+    found = expected(world, drive, right_noise(drive))
+    assert np.abs(se3.log(true_motions(world) @ se3.inverse(found.T_curr_prev))).max() < 2e-4
+    assert np.abs(se3.log(true_motions(world) @ se3.inverse(found.T_alone))).max() > 2e-3
+
+
+def test_truth_that_is_given_as_exact_may_be_wrong(world: PointWorld, drive: Drive) -> None:
+    """By 20 m a step, so that some points end up all but in the camera: their Σ is as good as
+    singular."""
+    off = se3.exp(
+        np.random.default_rng(1).normal(size=(40, 6)) * np.r_[np.full(3, 20.0), np.zeros(3)]
+    )
+    wrong = replace(known(world), T_world_cam=world.T_world_cam @ off)
+    supervised = DriveInMemory(drive, world.camera, wrong)
+    noise = StudentT()
+    found = expect(supervised, noise.predict, SolverConfig(), truth_sigma=EXACT).feature_errors
+    assert np.isfinite(found.errors).all()
+    assert np.isfinite(found.spread).all()
+    assert np.isfinite(found.log_likelihood).all()
+
+
+def test_errors_of_observations_have_the_covariance_of_one(world: PointWorld, drive: Drive) -> None:
+    """Though residuals are larger, by the noise of the point: 5,000 errors at the true motion
+    scatter as R, within 6 %, and so do those of the nearest and of the farthest half alone."""
+    found = expected(world, drive, right_noise(drive))
+    assert len(found.feature_errors.errors) > 4000
+    disparity = (
+        drive.prev_px[found.feature_errors.features, 0]
+        - drive.prev_px[found.feature_errors.features, 2]
+    )
+    near = disparity > np.median(disparity)
+    for some in (near, ~near):
+        scatter = (
+            found.feature_errors.errors[some].T @ found.feature_errors.errors[some] / some.sum()
+        )
+        assert np.linalg.norm(scatter - R) < 0.06 * np.linalg.norm(R)
+
+
+def test_residuals_are_larger_than_errors_of_observations(world: PointWorld, drive: Drive) -> None:
+    """By the noise of the earlier observation, which a moved point carries along: more than half as
+    much again."""
+    residuals, errors = (
+        expected(world, drive, right_noise(drive, refers_to)).feature_errors.errors
+        for refers_to in ("residual", "observation")
+    )
+    assert np.sum(residuals**2) > 1.5 * np.sum(errors**2)
+
+
+@pytest.mark.parametrize(("refers_to", "off"), [("observation", 0.08), ("residual", 0.02)])
+def test_the_spread_is_what_the_doubt_about_the_motion_makes_of_the_errors(
+    world: PointWorld, drive: Drive, refers_to: str, off: float
+) -> None:
+    """J C Jᵀ, J by central differences of the errors by the motion, and C the covariance of the
+    step. Errors of observations hang on the motion by the Σ that they are scaled with, too, by some
+    4 %, which is left aside."""
+    noise = right_noise(drive, refers_to)
+    step = 5
+    h = 1e-6
+    found = expected(world, drive, noise, "none")
+    _, cov = solve_drive([drive], lambda _: noise, world.camera, solver=SolverConfig())
+
+    def errors_at(T: FloatArray) -> FloatArray:
+        """With the motion given, as if it were the exact truth."""
+        poses = se3.chain_motions(T[None])
+        frames = np.array([step, step + 1])
+        supervised = DriveInMemory(drive, world.camera, Supervision("sparse", frames, poses))
+        given = expect(supervised, lambda _: noise, SolverConfig(), truth_sigma=EXACT)
+        return given.feature_errors.errors[
+            drive.step_of_feature[given.feature_errors.features] == step
+        ]
+
+    at = drive.step_of_feature[found.feature_errors.features] == step
+    T = found.T_curr_prev[step]
+    # Exact truth is off by 1e-4 at best, so that a motion follows it by a gain only, which is taken
+    # out again.
+    J = np.stack(
+        [
+            (errors_at(se3.exp(h * axis) @ T) - errors_at(se3.exp(-h * axis) @ T))
+            for axis in np.eye(6)
+        ],
+        axis=-1,
+    )
+    gain = cov[step] @ np.linalg.inv(
+        cov[step] + np.diag(np.r_[np.full(3, 1e-4), np.full(3, 1e-5)] ** 2)
+    )
+    J = J / (2.0 * h) @ np.linalg.inv(gain)
+    by_differences = J @ cov[step] @ J.mT
+    spread = found.feature_errors.spread[at]
+    assert np.linalg.norm(spread - by_differences) < off * np.linalg.norm(by_differences)
+
+
+def test_errors_and_spread_together_scatter_as_the_noise_does(
+    world: PointWorld, drive: Drive
+) -> None:
+    """Without truth, the motion follows the features, and residuals are too small: by just the
+    spread, within 4 %."""
+    found = expected(world, drive, right_noise(drive), "none")
+    scatter = (
+        found.feature_errors.errors.T
+        @ found.feature_errors.errors
+        / len(found.feature_errors.errors)
+    )
+    assert np.trace(scatter) < 0.99 * np.trace(R)
+    whole = scatter + found.feature_errors.spread.mean(axis=0)
+    assert np.linalg.norm(whole - R) < 0.04 * np.linalg.norm(R)
+
+
+@pytest.mark.parametrize("refers_to", ["observation", "residual"])
+def test_errors_hold_the_bias_that_the_noise_takes_off(
+    world: PointWorld, drive: Drive, refers_to: str
+) -> None:
+    """So that what is learned is the bias, and not what is left of it: here of an image that is off
+    by a pixel."""
+    bias = np.array([0.5, -0.3, 0.5, -0.3])
+    off = replace(drive, curr_px=drive.curr_px + bias)
+    found = expected(world, off, right_noise(off, refers_to, bias))
+    np.testing.assert_allclose(found.feature_errors.errors.mean(axis=0), bias, atol=0.05)
+    plain = expected(world, drive, right_noise(drive, refers_to))
+    np.testing.assert_allclose(
+        found.feature_errors.log_likelihood.mean(),
+        plain.feature_errors.log_likelihood.mean(),
+        rtol=1e-6,
+    )
+
+
+def test_the_right_noise_is_the_likeliest(world: PointWorld, drive: Drive) -> None:
+    """Of observations, though what is judged are residuals."""
+    noise = right_noise(drive)
+    likelihoods = [
+        expected(
+            world, drive, noise.scaled(np.full(len(drive.phi), factor))
+        ).feature_errors.log_likelihood.mean()
+        for factor in (0.8, 1.0, 1.25)
+    ]
+    assert likelihoods[1] > max(likelihoods[0], likelihoods[2])
+
+
+def test_a_step_of_too_few_features_keeps_its_motion_and_teaches_nothing(
+    world: PointWorld, drive: Drive
+) -> None:
+    """And is as good as unknown."""
+    used = drive.used.copy()
+    used[drive.rows(4)] = False
+    used[drive.rows(4).start : drive.rows(4).start + 2] = True
+    few = replace(drive, used=used)
+    noise = right_noise(drive)
+    T, cov = solve_drive([few], lambda _: noise, world.camera, solver=SolverConfig())
+    np.testing.assert_array_equal(T[4], drive.T_curr_prev[4])
+    np.testing.assert_array_equal(cov[4], np.diag(UNSOLVED_SIGMA**2))
+    found = expected(world, few, noise)
+    assert not (drive.step_of_feature[found.feature_errors.features] == 4).any()
+    assert np.isfinite(found.T_curr_prev).all()
+
+
+def test_of_features_that_are_not_used_nothing_is_learned(world: PointWorld, drive: Drive) -> None:
+    used = np.arange(len(drive.phi)) % 3 > 0
+    found = expected(world, replace(drive, used=used), right_noise(drive))
+    assert used[found.feature_errors.features].all()
+    assert (np.diff(found.feature_errors.features) > 0).all()
+
+
+def test_without_any_step_to_solve_there_is_nothing(world: PointWorld, drive: Drive) -> None:
+    blind = replace(drive, used=np.zeros_like(drive.used))
+    found = expected(world, blind, right_noise(drive), "none")
+    assert [
+        len(part)
+        for part in (
+            found.feature_errors.features,
+            found.feature_errors.errors,
+            found.feature_errors.spread,
+            found.feature_errors.log_likelihood,
+        )
+    ] == [0] * 4
+    np.testing.assert_array_equal(found.T_curr_prev, drive.T_curr_prev)

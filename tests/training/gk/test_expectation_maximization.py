@@ -1,0 +1,387 @@
+"""PROBE-GK from drives through point worlds whose noise is known: with truth, with some of it, and
+with none."""
+
+import json
+import shutil
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from training.supervised_drives import drive_of, known, point_world, rmse_m, true_motions
+
+import probevo as pv
+from probevo.arrays import FloatArray
+from probevo.config import SolverConfig
+from probevo.errors import InputError
+from probevo.noise import GeneralizedKernel, NoiseModel, StudentT
+from probevo.noise.metric import Metric
+from probevo.sequences.base import Sequence
+from probevo.training.drive import Drive
+from probevo.training.gk.expectation import solve_drive
+from probevo.training.gk.expectation_maximization import (
+    STATIC_TURNS,
+    Course,
+    learn_kernel,
+    learn_student_t,
+    num_turns,
+)
+from probevo.training.settings import KernelSettings, TrainSettings
+from probevo.training.supervised_drive import DriveInMemory
+from probevo.training.supervision import Supervision
+from probevo_sim.point_config import PointConfig
+from probevo_sim.point_world import PointWorld, simulate_points, write_points
+
+FRAMES = 64
+RECORDINGS = [{"name": "circle", "frames": FRAMES}]
+GIVEN: dict[str, Any] = {"neighbors": 150, "prior_counts": 8.0, "turns": 2, "centers": 300}
+"""Weights and the dof are searched for."""
+
+
+@dataclass(frozen=True)
+class Taught:
+    """What was learned, and how."""
+
+    model: GeneralizedKernel
+    settings: TrainSettings
+
+    @property
+    def likelihoods(self) -> list[float]:
+        return [turn["log_likelihood"] for turn in self.model.training["turns"]]
+
+
+@cache
+def world(seed: int = 0, frames: int = FRAMES) -> PointWorld:
+    """σ grows from 0.05 px at the bottom of the image to 1 px at its top."""
+    return point_world(seed=seed, frames=frames)
+
+
+@cache
+def drive(seed: int = 0, frames: int = FRAMES) -> Drive:
+    """Its columns are ln σ, and a random number."""
+    return drive_of(world(seed, frames), seed=seed)
+
+
+def supervised_drive(kind: str = "none", seed: int = 0, frames: int = FRAMES) -> DriveInMemory:
+    there = world(seed, frames)
+    nothing = Supervision("none", np.arange(frames), np.full((frames, 4, 4), np.nan))
+    supervision = nothing if kind == "none" else known(there, kind, 10 if kind == "sparse" else 1)
+    return DriveInMemory(drive(seed, frames), there.camera, supervision)
+
+
+def settings_of(**gk: Any) -> TrainSettings:
+    return TrainSettings(kind="gk", gk=KernelSettings(**GIVEN | gk))
+
+
+def metric() -> Metric:
+    return Metric.fitted(drive().phi, ("ln_sigma", "random"))
+
+
+def learn(drives: list[DriveInMemory], **gk: Any) -> Taught:
+    settings = settings_of(**gk)
+    return Taught(learn_kernel(drives, metric(), settings, recordings=RECORDINGS), settings)
+
+
+@cache
+def taught(kind: str = "none") -> Taught:
+    return learn([supervised_drive(kind)])
+
+
+@cache
+def static() -> StudentT:
+    return learn_student_t([supervised_drive()], settings_of(), RECORDINGS)
+
+
+def error_m(model: NoiseModel) -> float:
+    """RMS of the steps of another drive, through a world of its own."""
+    motions, _ = solve_drive([drive(1)], model.predict, world(1).camera, solver=SolverConfig())
+    return rmse_m(motions, true_motions(world(1)))
+
+
+def log_ratio(model: GeneralizedKernel) -> FloatArray:
+    """Of the σ that is predicted over the true one, ln, of the features of another drive."""
+    scale = model.predict(drive(1).phi).scale
+    found: FloatArray = 0.5 * np.log(np.trace(scale, axis1=1, axis2=2) / 4.0) - drive(1).phi[:, 0]
+    return found
+
+
+@pytest.mark.parametrize("kind", ["none", "gt"])
+def test_each_turn_makes_the_residuals_likelier(kind: str) -> None:
+    """Until it no longer matters: within 0.002 nats a feature of the best before; and the first by
+    more than 0.1."""
+    likelihoods = taught(kind).likelihoods
+    assert len(likelihoods) == GIVEN["turns"] + 1
+    assert likelihoods[1] > likelihoods[0] + 0.1
+    assert (np.diff(likelihoods) > -2e-3).all()
+
+
+def test_the_static_fit_gets_likelier_too() -> None:
+    likelihoods = [turn["log_likelihood"] for turn in static().training["turns"]]
+    assert (
+        len(likelihoods) == STATIC_TURNS + 1
+    )  # the last, with and without what lasts, is judged too
+    assert (np.diff(likelihoods) > -2e-3).all()
+    assert likelihoods[-1] > likelihoods[0] + 0.1
+
+
+def test_without_any_truth_the_motions_of_another_drive_get_better() -> None:
+    """GK-EM against one Student-t for all features, fitted to the same drive; by more than 5 %."""
+    assert error_m(taught("none").model) < 0.95 * error_m(static())
+
+
+@pytest.mark.parametrize("kind", ["gt", "sparse", "loop", "none"])
+def test_whatever_is_known_the_noise_comes_out_as_it_is(kind: str) -> None:
+    """σ, which ranges over a factor of 20, within 15 % for nine of ten features, and 5 % on
+    average."""
+    left = log_ratio(taught(kind).model)
+    assert np.quantile(np.abs(left), 0.9) < 0.15
+    assert abs(np.mean(left)) < 0.05
+
+
+@pytest.mark.parametrize("kind", ["gt", "sparse", "loop"])
+def test_with_truth_the_motions_get_better_too(kind: str) -> None:
+    assert error_m(taught(kind).model) < 0.95 * error_m(static())
+
+
+def test_the_random_column_gets_no_weight() -> None:
+    np.testing.assert_array_equal(taught("none").model.weights_ > 0.0, [True, False])
+
+
+def test_truth_that_is_exact_is_found_to_be_so() -> None:
+    """With its σ estimated, all is as if the motions were known (PROBE-GK Alg. 1): σ of each
+    feature within 1 %."""
+    exact = learn([supervised_drive("gt")], truth_sigma_m=0.0, truth_sigma_deg=0.0)
+    np.testing.assert_allclose(log_ratio(taught("gt").model), log_ratio(exact.model), atol=0.01)
+
+
+def test_with_exact_truth_one_turn_does() -> None:
+    """More hardly change it: σ of a feature by 2 % in the mean."""
+    once = learn([supervised_drive("gt")], truth_sigma_m=0.0, truth_sigma_deg=0.0, turns=1)
+    assert np.mean(np.abs(log_ratio(once.model) - log_ratio(taught("gt").model))) < 0.02
+
+
+def test_truth_that_is_far_off_does_no_harm() -> None:
+    """By 5 cm and 0.5° from frame to frame, ten times what the features are: it is hardly listened
+    to."""
+    right = supervised_drive("gt", frames=30)
+    off = (
+        np.random.default_rng(4).normal(size=(30, 6))
+        * np.r_[np.full(3, 0.05), np.full(3, np.deg2rad(0.5))]
+    )
+    poses = right.supervision.T_world_cam @ pv.geometry.se3.exp(off)
+    wrong = replace(right, supervision=replace(right.supervision, T_world_cam=poses))
+    left = log_ratio(learn([wrong], turns=1).model)
+    assert abs(np.mean(left)) < 0.1
+    believed = log_ratio(learn([wrong], truth_sigma_m=0.0, truth_sigma_deg=0.0, turns=1).model)
+    assert np.mean(believed) > 0.5
+
+
+def test_by_least_squares_it_works_too() -> None:
+    """As PROBE-GK derives it. Of fewer frames, to save time."""
+    model = learn([supervised_drive(frames=30)], quadratic=True, turns=1).model
+    assert error_m(model) < 0.97 * error_m(static())
+
+
+def test_the_published_variant_tells_good_features_from_bad() -> None:
+    """By how much, it tells less well."""
+    model = learn(
+        [supervised_drive("gt")],
+        variant="published",
+        neighbors=None,
+        reach=1.0,
+        turns=1,
+        centers=2000,
+    ).model
+    home = ~np.asarray(model.predict(drive(1).phi).out_of_domain)
+    assert home.mean() > 0.99
+    true = drive(1).phi[:, 0]
+    assert np.corrcoef((log_ratio(model) + true)[home], true[home])[0, 1] > 0.9
+
+
+def test_of_residuals_it_learns_more_noise_than_of_observations() -> None:
+    """They hold that of the point, too; and each says what it refers to."""
+    residual = learn([supervised_drive(frames=30)], refers_to="residual", turns=1).model
+    assert (residual.refers_to, taught().model.refers_to) == ("residual", "observation")
+    assert np.mean(log_ratio(residual)) > np.mean(log_ratio(taught().model)) + 0.1
+
+
+def test_a_bias_is_left_out_unless_it_is_asked_for() -> None:
+    """Of 0.4 px to the right in both images, with exact truth, without which it would pass for a
+    motion."""
+    right = supervised_drive("gt", frames=30)
+    shifted = right.drive.curr_px + np.array([0.4, 0.0, 0.4, 0.0])
+    off = replace(right, drive=replace(right.drive, curr_px=shifted))
+    without, with_bias = (
+        learn([off], bias=bias, turns=2, truth_sigma_m=0.0, truth_sigma_deg=0.0)
+        .model.predict(drive(1).phi)
+        .bias
+        for bias in (False, True)
+    )
+    np.testing.assert_array_equal(without, np.zeros_like(without))
+    np.testing.assert_allclose(with_bias.mean(axis=0), [0.4, 0.0, 0.4, 0.0], atol=0.12)
+
+
+def correlated(rho: float) -> DriveInMemory:
+    """Errors in the left and the right image of that correlation, and of σ = 0.4 px and 4 dof."""
+    noise = {
+        "law": "constant",
+        "sigma_low_px": 0.4,
+        "sigma_high_px": 0.4,
+        "correlation": rho,
+        "dof": 4.0,
+    }
+    config = PointConfig.model_validate(
+        {
+            "radius_m": 3.0,
+            "height_m": 5.0,
+            "landmarks": 800,
+            "noise": noise,
+            "outliers": {"fraction": 0.0},
+        }
+    )
+    there = simulate_points(config, 4.0, np.random.default_rng(0))
+    return DriveInMemory(drive_of(there), there.camera, known(there))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8])
+def test_the_static_fit_finds_how_left_and_right_go_together(rho: float) -> None:
+    """Only the static Student-t knows of correlations among the four numbers; within 0.08, and its
+    σ within 10 %."""
+    model = learn_student_t([correlated(rho)], TrainSettings(kind="student-t"), RECORDINGS)
+    sigma = np.sqrt(np.diag(model.scale_))
+    correlation = model.scale_ / np.outer(sigma, sigma)
+    np.testing.assert_allclose([correlation[0, 2], correlation[1, 3]], [rho, rho], atol=0.08)
+    np.testing.assert_allclose(sigma * np.sqrt(model.dof_ / (model.dof_ - 2.0)), 0.4, rtol=0.1)
+
+
+def test_of_two_drives_both_are_learned_from() -> None:
+    """One with truth, one without; their blocks of time are told apart."""
+    drives = [supervised_drive("gt", 0, 20), supervised_drive("none", 2, 20)]
+    model = learn(drives, turns=1).model
+    assert model.samples_ == sum(len(each.drive.phi) for each in drives)
+    assert np.mean(np.abs(log_ratio(model))) < 0.1
+
+
+def test_the_shape_is_chosen_at_the_first_turn_and_kept() -> None:
+    model = taught().model
+    searches = model.training["searches"]
+    assert set(searches) == {"weights", "dof", "dof_counts"}
+    assert list(searches["weights"]["chosen"].values()) == model.weights_.tolist()
+    assert model.search_.keys() == {"dof"}  # of the errors, which change with the motions
+    assert model.shape_.neighbors == GIVEN["neighbors"]
+
+
+def test_what_the_model_tells_of_its_training_is_json() -> None:
+    """No infinity, and nothing of NumPy's."""
+    for model in (taught("none").model, taught("loop").model, static()):
+        assert json.loads(json.dumps(model.training, allow_nan=False)) == model.training
+    assert pv.TrainSettings.model_validate(taught().model.training["settings"]) == taught().settings
+
+
+def test_how_far_a_loop_is_from_closing_is_told_where_it_is_known() -> None:
+    assert all("loop_error_m" in turn for turn in taught("gt").model.training["turns"])
+    assert not any("loop_error_m" in turn for turn in taught("none").model.training["turns"])
+
+
+def test_every_turn_is_told() -> None:
+    turns = []
+    within = []
+    settings = settings_of(turns=2)
+    course = Course(on_turn=lambda: turns.append(1), on_part=within.append)
+    learn_kernel(
+        [supervised_drive(frames=20)], metric(), settings, recordings=RECORDINGS, course=course
+    )
+    assert len(turns) == num_turns(settings) == 2 * STATIC_TURNS + 2
+    assert within
+
+
+def test_the_same_drives_give_the_same_model() -> None:
+    one, other = (learn([supervised_drive(frames=20)], turns=2).model.to_file() for _ in range(2))
+    assert one.facts == other.facts
+    for name, array in one.arrays.items():
+        assert np.asarray(array).tobytes() == np.asarray(other.arrays[name]).tobytes()
+
+
+def test_a_drive_that_shows_too_little_is_refused() -> None:
+    blind = replace(supervised_drive(), drive=replace(drive(), used=np.zeros_like(drive().used)))
+    with pytest.raises(InputError, match="no step has"):
+        learn_kernel([blind], metric(), settings_of(), recordings=RECORDINGS)
+
+
+def test_a_drive_of_a_single_step_will_do() -> None:
+    there = world(0, 2)
+    single = DriveInMemory(drive(0, 2), there.camera, known(there))
+    noise = learn([single], turns=1).model.predict(drive(1).phi)
+    assert (np.linalg.eigvalsh(noise.scale) > 0.0).all()
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Sequence]:
+    """One short drive, of some 75 landmarks a frame."""
+    path = tmp_path_factory.mktemp("tracks") / "0.npz"
+    write_points(point_world("column", frames=16, landmarks=400), path)
+    return [pv.open_sequence(path)]
+
+
+SMALL = {"neighbors": 50, "prior_counts": 8.0, "turns": 2, "centers": 100}
+
+
+@pytest.mark.parametrize("kind", ["gk", "student-t"])
+@pytest.mark.parametrize("supervision", ["gt", "sparse", "loop", "none"])
+def test_a_recording_gives_the_same_bytes_whenever(
+    recordings: list[Sequence], tmp_path: Path, kind: Any, supervision: Any
+) -> None:
+    """By ``train_model``, as ``probevo train`` does; and the model takes the odometry's predictors."""
+    settings = TrainSettings(
+        kind=kind,
+        supervision=supervision,
+        every_s=0.5 if supervision == "sparse" else 0.0,
+        predictors=("place",) if kind == "gk" else None,
+        gk=KernelSettings(**SMALL) if kind == "gk" else KernelSettings(),
+    )
+    contents = set()
+    for name in "ab":
+        contents.add(
+            pv.train_model(recordings, settings, tmp_path / f"{name}.safetensors").read_bytes()
+        )
+    assert len(contents) == 1
+    model = pv.load_model(tmp_path / "a.safetensors")
+    assert model.camera == recordings[0].camera
+    noise = model.predict(np.zeros((3, len(model.columns))))
+    assert (np.linalg.eigvalsh(noise.scale) > 0.0).all()
+    odometry = pv.StereoOdometry(recordings[0].camera, model)
+    assert all(np.isfinite(odometry.step(frame).T_curr_prev).all() for frame in recordings[0])
+
+
+@pytest.mark.parametrize("kind", ["gk", "student-t"])
+def test_stopped_after_any_turn_and_resumed_it_gives_the_same_bytes(
+    recordings: list[Sequence], tmp_path: Path, kind: Any
+) -> None:
+    """Once in the second turn; or in each turn but the first, again and again, each time with that
+    one alone left."""
+    gk = KernelSettings(**SMALL) if kind == "gk" else KernelSettings()
+    settings = TrainSettings(
+        kind=kind, supervision="none", predictors=("place",) if kind == "gk" else None, gk=gk
+    )
+    whole = tmp_path / "whole.safetensors"
+    turns = num_turns(settings)
+    pv.train_model(recordings, settings, whole)
+    out = tmp_path / "again.safetensors"
+    work = tmp_path / "again.safetensors.work"
+    for stop in range(1, turns):
+
+        def show(done: int, total: int, after: int = stop) -> None:
+            if done > total * (1 + after) / (1 + turns):
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            pv.train_model(recordings, settings, out, show)
+        assert {path.name for path in work.glob("turn-*")} == {
+            f"turn-{number}.safetensors" for number in range(stop)
+        }
+        if stop == 1:
+            shutil.copytree(work, tmp_path / "once.safetensors.work")
+    for stopped in (tmp_path / "once.safetensors", out):
+        assert pv.train_model(recordings, settings, stopped).read_bytes() == whole.read_bytes()

@@ -1,0 +1,293 @@
+"""K and γ: what they come to where the answer is known, and that they make a second drive better."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from training.supervised_drives import (
+    drive_of,
+    known,
+    learner_of,
+    point_world,
+    rmse_m,
+    true_motions,
+)
+
+from probevo.arrays import IntArray
+from probevo.noise import Fixed, NoiseModel, StudentT
+from probevo.noise.metric import Metric
+from probevo.noise.probe.nearest_neighbors import NearestNeighbors
+from probevo.training.checkpoint import Iteration
+from probevo.training.drive import Drive
+from probevo.training.probe.samples import folds_of_steps, gather
+from probevo.training.probe.selection import (
+    EXPONENTS,
+    NEIGHBORS,
+    choose_exponent,
+    choose_neighbors,
+    out_of_fold,
+    weighted_motions,
+)
+from probevo.training.probe.subsets import Learner
+from probevo.training.settings import TrainSettings
+from probevo.training.supervision import from_step_to_step
+from probevo_sim.point_world import PointWorld
+
+
+def blocks(count: int) -> IntArray:
+    return np.arange(count) * 10 // count % 5
+
+
+def test_pure_noise_wants_as_many_neighbours_as_there_are() -> None:
+    """Nothing to be learned from a place: the mean of all is best."""
+    rng = np.random.default_rng(0)
+    search = choose_neighbors(rng.normal(size=(3000, 2)), rng.normal(size=3000), blocks(3000))
+    assert search.chosen == max(search.candidates) == NEIGHBORS[-1]
+    assert search.errors[0] > search.errors[-1]
+
+
+def test_a_fine_structure_without_noise_wants_few() -> None:
+    rng = np.random.default_rng(1)
+    places = rng.uniform(size=(3000, 1))
+    assert (
+        choose_neighbors(places, np.sin(100.0 * places[:, 0]), blocks(3000)).chosen == NEIGHBORS[0]
+    )
+
+
+def test_between_them_it_is_a_balance() -> None:
+    """One period and as much noise as signal: neither 10 nor 800; the error that is left is that of
+    the noise."""
+    rng = np.random.default_rng(2)
+    places = rng.uniform(size=(4000, 1))
+    search = choose_neighbors(
+        places, np.sin(6.0 * places[:, 0]) + rng.normal(size=4000), blocks(4000)
+    )
+    assert NEIGHBORS[0] < search.chosen < NEIGHBORS[-1]
+    assert min(search.errors) == pytest.approx(1.0, rel=0.08)
+    assert search.as_dict() == {
+        "candidates": [float(k) for k in NEIGHBORS],
+        "errors": list(search.errors),
+        "chosen": search.chosen,
+    }
+
+
+@pytest.mark.parametrize("count", [10, 30, 100])
+def test_no_k_is_larger_than_what_other_folds_hold(count: int) -> None:
+    rng = np.random.default_rng(3)
+    search = choose_neighbors(rng.normal(size=(count, 2)), rng.normal(size=count), blocks(count))
+    assert max(search.candidates) <= 0.8 * count
+    assert 1 <= search.chosen <= 0.8 * count
+
+
+def test_samples_of_one_fold_alone_still_give_some_k() -> None:
+    search = choose_neighbors(np.zeros((6, 1)), np.ones(6), np.zeros(6, np.int64))
+    assert 1 <= search.chosen <= 6
+
+
+def test_neighbours_come_from_other_folds() -> None:
+    """α says which fold it is from; a place never hears of its own."""
+    rng = np.random.default_rng(4)
+    coordinates = rng.normal(size=(500, 2))
+    fold = blocks(500)
+    for k in range(5):
+        asked = np.full(40, k)
+        means = out_of_fold(
+            coordinates,
+            (fold == k).astype(float),
+            fold,
+            neighbors=10,
+            asked=coordinates[fold == k][:40],
+            fold_asked=asked,
+        )
+        np.testing.assert_array_equal(means, 0.0)
+    everywhere = out_of_fold(
+        coordinates, fold.astype(float), fold, neighbors=10, asked=coordinates, fold_asked=fold
+    )
+    assert np.isfinite(everywhere).all()
+
+
+def test_k_is_no_larger_than_what_other_folds_hold() -> None:
+    means = out_of_fold(
+        np.zeros((4, 1)),
+        np.arange(4.0),
+        np.array([0, 0, 0, 1]),
+        neighbors=10,
+        asked=np.zeros((2, 1)),
+        fold_asked=np.array([1, 0]),
+    )
+    np.testing.assert_allclose(means, [1.0, 3.0])
+
+
+def test_one_alpha_for_a_whole_drive_is_no_structure_of_its_features() -> None:
+    """Each iteration has one α, by chance, for all of its features: folds by time find it in the
+    features nearby, which are of the same iteration too, and folds by iteration do not."""
+    world = point_world(seed=0)
+    drive = drive_of(world)
+    learner = learner_of(drive, known(world, "loop"), world.camera)
+    rng = np.random.default_rng(6)
+    iterations: list[Iteration] = []
+    for _ in range(60):
+        near = np.argsort(np.abs(learner.coordinates[:, 1] - rng.normal()))[:500]
+        iterations.append([(np.sort(near), np.full(500, np.exp(rng.normal())))])
+    samples = gather(iterations, [learner], TrainSettings(relative=False))
+    coordinates = learner.coordinates[samples.features, 1:]
+    values = np.log(samples.alphas)
+    assert choose_neighbors(coordinates, values, samples.left_out).chosen == NEIGHBORS[-1]
+    assert choose_neighbors(coordinates, values, samples.fold).chosen < NEIGHBORS[-1]
+
+
+@dataclass(frozen=True)
+class SupervisedDrive:
+    world: PointWorld
+    drive: Drive
+    learner: Learner
+
+
+def supervised_drive(
+    kind: str = "gt", *, seed: int = 0, every: int = 1, base: NoiseModel | None = None
+) -> SupervisedDrive:
+    """σ from 0.05 px to 1 px from the left to the right of the image."""
+    base = base or Fixed()
+    world = point_world("column", seed=seed)
+    drive = drive_of(world, base=base, seed=seed)
+    supervision = known(world, kind, every).completed(drive.T_curr_prev)
+    return SupervisedDrive(
+        world, drive, learner_of(drive, supervision, world.camera, base=base, relative=True)
+    )
+
+
+@pytest.fixture(scope="module")
+def taught() -> SupervisedDrive:
+    return supervised_drive()
+
+
+def test_where_phi_says_nothing_gamma_is_0(taught: SupervisedDrive) -> None:
+    """ln of the mean α of K random neighbours is a random number, of whatever size."""
+    for scale in (0.0, 0.05, 0.5):
+        noise = scale * np.random.default_rng(5).normal(size=len(taught.drive.used))
+        search = choose_exponent([taught.learner], [noise])
+        assert search.chosen == 0.0
+        assert search.candidates == EXPONENTS
+
+
+def test_where_phi_is_the_noise_gamma_is_that_of_variances(taught: SupervisedDrive) -> None:
+    """With ln(σ/σ̄) in place of ln(α/ᾱ), the weight that minimises the variance is β = (σ/σ̄)²."""
+    log_sigma = taught.drive.phi[:, 0] - taught.drive.phi[:, 0].mean()
+    search = choose_exponent([taught.learner], [log_sigma])
+    assert search.chosen in (2.0, 3.0)
+    errors = dict(zip(search.candidates, search.errors, strict=True))
+    assert errors[search.chosen] < 0.8 * errors[0.0]
+    assert errors[32.0] > errors[0.0]
+
+
+def test_where_phi_says_the_contrary_gamma_is_0(taught: SupervisedDrive) -> None:
+    log_sigma = taught.drive.phi[:, 0] - taught.drive.phi[:, 0].mean()
+    assert choose_exponent([taught.learner], [-log_sigma]).chosen == 0.0
+
+
+def test_equal_weights_give_the_motions_back(taught: SupervisedDrive) -> None:
+    """Noise of another size all over does not move the optimum; a step with too few features keeps
+    its motion."""
+    ones = np.ones(len(taught.drive.used))
+    used = taught.drive.used.copy()
+    for factor in (1.0, 4.0):
+        motions = weighted_motions(taught.learner, factor * ones, used)
+        np.testing.assert_allclose(motions, taught.drive.T_curr_prev, atol=3e-4)
+    used[taught.drive.rows(5)] = False
+    motions = weighted_motions(taught.learner, 4.0 * ones, used)
+    np.testing.assert_array_equal(motions[5], taught.drive.T_curr_prev[5])
+
+
+def test_steps_that_no_half_can_solve_have_no_say() -> None:
+    """Both halves keep the motion of all features there and agree: γ and errors are those of the
+    drive without them."""
+    whole = supervised_drive("none")
+    end = 40
+    first = whole.drive.first_of_step[end]
+    lost = replace(whole.drive, used=np.arange(len(whole.drive.used)) < first)
+    short = replace(
+        whole.drive,
+        T_curr_prev=whole.drive.T_curr_prev[:end],
+        first_of_step=whole.drive.first_of_step[: end + 1],
+        **{
+            name: getattr(whole.drive, name)[:first]
+            for name in ("prev_px", "curr_px", "ids", "phi", "used")
+        },
+    )
+    log_sigma = whole.drive.phi[:, 0] - whole.drive.phi[:, 0].mean()
+    searches = []
+    for drive in (lost, short):
+        learner = learner_of(
+            drive, from_step_to_step(drive.T_curr_prev), whole.world.camera, base=Fixed()
+        )
+        searches.append(choose_exponent([learner], [log_sigma[: len(drive.used)]]))
+    np.testing.assert_allclose(searches[0].errors, searches[1].errors, rtol=1e-9)
+    assert searches[0].chosen == searches[1].chosen > 0.0
+    alone = [
+        learner_of(
+            replace(lost, used=lost.used & False), whole.learner.supervision, whole.world.camera
+        )
+    ]
+    assert choose_exponent(alone, [log_sigma]).chosen == 0.0  # no step at all
+
+
+def learned(supervised: SupervisedDrive, settings: TrainSettings) -> NearestNeighbors:
+    """A model of one drive, with K and γ chosen, as ``probevo train`` does it."""
+    learner = supervised.learner
+    drive = supervised.drive
+    samples = gather(
+        [[learner.iterate(k)] for k in range(settings.iterations)], [learner], settings
+    )
+    values = np.log(samples.alphas)
+    coordinates = learner.coordinates[samples.features]
+    neighbors = int(choose_neighbors(coordinates, values, samples.left_out).chosen)
+    own = folds_of_steps(learner, 0)[drive.step_of_feature]
+    means = out_of_fold(
+        coordinates,
+        values,
+        samples.fold,
+        neighbors=neighbors,
+        asked=learner.coordinates,
+        fold_asked=own,
+    )
+    exponent = choose_exponent([learner], [means - values.mean()]).chosen
+    metric = Metric.fitted(drive.phi, ("log_sigma", "chance"))
+    return NearestNeighbors(neighbors, exponent).fit(
+        drive.phi[samples.features], samples.alphas, metric=metric
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "every", "base", "better"),
+    [
+        ("gt", 1, Fixed(), 0.85),
+        ("gt", 1, StudentT(), 0.97),
+        ("sparse", 5, Fixed(), 0.85),
+        ("none", 1, Fixed(), 0.85),
+        ("loop", 1, Fixed(), 1.0),
+    ],
+)
+def test_a_model_learned_on_one_drive_makes_another_one_better(
+    kind: str, every: int, base: NoiseModel, better: float
+) -> None:
+    """RMSE against that of the static base: with truth at every frame, at every fifth, or none; one
+    closed loop at least makes it no worse. Student-t, which forgives bad features as it goes,
+    leaves less to learn.
+
+    β follows the noise, and not the column of chance.
+    """
+    train = supervised_drive(kind, every=every, base=base)
+    test = supervised_drive(seed=1, base=base)
+    model = learned(train, TrainSettings(iterations=30))
+    beta = model.weights(test.drive.phi)
+    truth = true_motions(test.world)
+    weighted, static = (
+        rmse_m(weighted_motions(test.learner, weights, test.drive.used), truth)
+        for weights in (beta, np.ones_like(beta))
+    )
+    assert weighted < better * static
+    of_noise, of_chance = (
+        abs(np.corrcoef(np.log(beta), column)[0, 1]) for column in test.drive.phi.T
+    )
+    assert of_noise > 0.85
+    assert of_chance < 0.3
