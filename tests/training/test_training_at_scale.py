@@ -18,7 +18,8 @@ from probevo.noise import StudentT
 from probevo.predictors import Needs, Predictor, Step, prediction_space
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
-from probevo.training import evidence, extraction, recording, thinning
+from probevo.training import extraction, recording
+from probevo.training.gk import evidence, thinning
 from probevo.training.drive import Drive, joined
 from probevo.training.extraction import Extraction
 from probevo.training.gk.expectation import Expectation, expect, solve_drive
