@@ -114,9 +114,9 @@ class StereoOdometry:
                 tracks,
                 self.camera,
                 expected.T_curr_prev,
-                before=before,
-                now=frame,
-                last_residuals=self._residuals,
+                prev_frame=before,
+                curr_frame=frame,
+                previous_residuals=self._residuals,
             )
         )  # [N, M]
         clock.lap("predict")
