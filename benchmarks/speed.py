@@ -96,10 +96,10 @@ def kernel(sequence, frames: int):
 
 def ours_over(sequence, model, keep: Callable[[dict[str, float]], None]) -> Iterator[None]:
     import probevo as pv
-    from probevo.tracking.preparation import prepared_ahead
+    from probevo.tracking.preparation import prepare_ahead
 
     odometry = pv.StereoOdometry(sequence.camera, model, sequence.imu)
-    for frame in prepared_ahead(sequence, odometry.config.tracking):
+    for frame in prepare_ahead(sequence, odometry.config.tracking):
         motion = odometry.step(frame)
         if frame.index >= FIRST:
             keep(dict(motion.stage_ms))

@@ -36,7 +36,7 @@ from probevo.tracking.left_right import (
     check_left_right,
     count_matches,
 )
-from probevo.tracking.preparation import prepared_ahead
+from probevo.tracking.preparation import prepare_ahead
 
 NUM_PICTURES = 4
 
@@ -88,7 +88,7 @@ def run_sequence(
     pictures = _Pictures.spread_over(num_frames)
     matches = np.zeros(2, np.int64)
     try:
-        for frame in prepared_ahead(islice(sequence, num_frames), config.tracking):
+        for frame in prepare_ahead(islice(sequence, num_frames), config.tracking):
             start = perf_counter()
             motion = odometry.step(frame)
             total_ms = 1e3 * (perf_counter() - start)

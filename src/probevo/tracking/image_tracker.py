@@ -13,10 +13,10 @@ from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
-from probevo.tracking.anchor_patches import Windows
-from probevo.tracking.detection import apart, corners_in_room
-from probevo.tracking.lucas_kanade import Pyramid, find_again
-from probevo.tracking.preparation import PreparedImages, prepared
+from probevo.tracking.anchor_patches import AnchorPatches
+from probevo.tracking.detection import corners_in_free_cells, non_overlapping
+from probevo.tracking.lucas_kanade import Pyramid, track_points
+from probevo.tracking.preparation import PreparedImages, prepare_images
 from probevo.tracking.tracks import Tracks
 
 
@@ -28,14 +28,14 @@ class _Followed:
     pixels: FloatArray  # [N, 4]
     ids: IntArray
     age: IntArray
-    windows: Windows
+    windows: AnchorPatches
     same: BoolArray  # whether each still looks as at first sight, in both images
     next_id: int
 
     @staticmethod
     def none(left: Pyramid, config: TrackingConfig) -> _Followed:
         nobody = np.zeros(0, np.int64)
-        windows = Windows.cut(left[0], np.zeros((0, 2)), config.window_px)
+        windows = AnchorPatches.cut(left[0], np.zeros((0, 2)), config.window_px)
         return _Followed(
             left,
             np.zeros((0, 4)),
@@ -51,7 +51,7 @@ class _Followed:
             self.pixels[keep],
             self.ids[keep],
             self.age[keep],
-            self.windows.kept(keep),
+            self.windows.subset(keep),
             self.same[keep],
         )
         return _Followed(self.left, *arrays, self.next_id)
@@ -91,7 +91,7 @@ class ImageTracker:
             expected: T_curr_prev that the search starts from, [4, 4].
         """
         if self._images is None or frame.stamp_ns != self._now_stamp_ns:
-            self._images = prepared(frame, self._config)
+            self._images = prepare_images(frame, self._config)
             self._before = self._now
             self._now_stamp_ns = frame.stamp_ns
         left = self._images.left
@@ -101,14 +101,16 @@ class ImageTracker:
         next_id = before.next_id
         followed = self._follow_in_time(before, left, expected, rejected=rejected)
         before, windows, left_px, disparity, difference, same = followed
-        corners = corners_in_room(self._images.corners, left_px, left[0].shape, config=self._config)
+        corners = corners_in_free_cells(
+            self._images.corners, left_px, left[0].shape, config=self._config
+        )
         all_px = np.vstack([left_px, corners])
         right_px, windows, matched, difference_right, same_right = self._match_right(
             left,
             right,
             all_px,
             disparity=np.r_[disparity, _of_nearest(corners, left_px, disparity)],
-            windows=windows.joined(Windows.cut(left[0], corners, self._config.window_px)),
+            windows=windows.joined(AnchorPatches.cut(left[0], corners, self._config.window_px)),
             num_followed=len(left_px),
             rejected=rejected,
         )
@@ -142,14 +144,14 @@ class ImageTracker:
 
     def _follow_in_time(
         self, before: _Followed, left: Pyramid, expected: FloatArray, rejected: Counter[str]
-    ) -> tuple[_Followed, Windows, FloatArray, FloatArray, FloatArray, BoolArray]:
+    ) -> tuple[_Followed, AnchorPatches, FloatArray, FloatArray, FloatArray, BoolArray]:
         """Features found again: what they were; now windows, (u, v) [N, 2], expected disparity [N],
         difference [N], and whether the first sight fits, [N]."""
         predicted, growth, ahead = _predict(before.pixels, expected, self._camera)
         visible = ahead & _inside(predicted, left[0])
         rejected["left the view"] += int((~visible).sum())
         seen = np.flatnonzero(visible)
-        found_px, difference = find_again(
+        found_px, difference = track_points(
             before.left,
             left,
             before.pixels[seen, :2],
@@ -163,15 +165,15 @@ class ImageTracker:
         before = before.kept(seen[alike])
         growth = growth[seen[alike]]
         difference = difference[alike]
-        found_px, fitted, windows = before.windows.found_in_left(left[0], found_px[alike], growth)
+        found_px, fitted, windows = before.windows.align_left(left[0], found_px[alike], growth)
         same = np.isfinite(fitted)
         difference = np.where(same, fitted, difference)
-        alone = apart(
+        alone = non_overlapping(
             found_px, left[0].shape, self._config
         )  # of two, the older one: it comes first
         rejected["met another"] += int((~alone).sum())
         before = before.kept(alone)
-        windows = windows.kept(alone)
+        windows = windows.subset(alone)
         found_px = found_px[alone]
         disparity = growth[alone] * np.maximum(before.pixels[:, 0] - before.pixels[:, 2], 0.0)
         return before, windows, found_px, disparity, difference[alone], same[alone]
@@ -182,16 +184,16 @@ class ImageTracker:
         right: Pyramid,
         left_px: FloatArray,
         disparity: FloatArray,
-        windows: Windows,
+        windows: AnchorPatches,
         num_followed: int,
         rejected: Counter[str],
-    ) -> tuple[FloatArray, Windows, BoolArray, FloatArray, BoolArray]:
+    ) -> tuple[FloatArray, AnchorPatches, BoolArray, FloatArray, BoolArray]:
         """Of N points in the left image, the followed ones first, those M that pass the checks: (u,
         v) in the right one, [M, 2], their windows, which they are, [N], how different they look,
         [M], and whether the first sight fits, [M]."""
         start = left_px - np.column_stack([disparity, np.zeros(len(disparity))])
         followed = np.arange(len(left_px)) < num_followed  # their disparities are about known
-        right_px, difference = find_again(
+        right_px, difference = track_points(
             left, right, left_px, start_px=start, config=self._config, near=followed
         )
         level, ahead = self._consistent(left_px, right_px)
@@ -204,7 +206,7 @@ class ImageTracker:
         )
         matched = _alike(difference, level & ahead, self._config)
         rejected["no stereo match"] += int((level & ahead & ~matched).sum())
-        fitted_px, fitted, windows = windows.kept(matched).found_in_right(
+        fitted_px, fitted, windows = windows.subset(matched).align_right(
             right[0], right_px[matched]
         )
         still = np.logical_and(*self._consistent(left_px[matched], fitted_px))
