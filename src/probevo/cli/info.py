@@ -209,7 +209,7 @@ def examine(sequence: Sequence) -> Rows:
     are swapped."""
     import numpy as np
 
-    from probevo.tracking import Tracks, tracker_for
+    from probevo.tracking import TrackingState, Tracks, tracker_for
     from probevo.tracking.left_right import FRAMES_TO_SEE, count_matches, exchange, looks_swapped
 
     config = RunConfig().tracking
@@ -233,7 +233,12 @@ def examine(sequence: Sequence) -> Rows:
         return []
     same, sharp = FEATURE_DOUBTS if frames[0].features is not None else IMAGE_DOUBTS
     tracker = tracker_for(frames[0], sequence.camera, config)
-    seen: list[Tracks] = [tracker.track(frame, np.eye(4)) for frame in frames]
+    state = TrackingState.none()
+    seen: list[Tracks] = []
+    for frame in frames:
+        tracked = tracker.track(state, frame, np.eye(4))
+        state = tracked.state
+        seen.append(tracked.tracks)
     ahead, behind = np.sum([count_matches(tracks) for tracks in seen], axis=0).tolist()
     pixels = np.concatenate([tracks.curr_px for tracks in seen])
     # First, as noise drives most matches of a picture with itself below zero, and so out of the

@@ -8,7 +8,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.measurements.stereo_numba import NEAREST
+from probevo.camera.transfer_numba import NEAREST
 from probevo.tracking.tracks import Tracks
 
 LAST_RESIDUAL = "last_residual"
