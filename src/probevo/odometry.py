@@ -16,7 +16,8 @@ from probevo.estimation.two_frame import estimate_motion
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
 from probevo.noise import NoiseModel, StudentT
 from probevo.predictors import PredictionSpace, Step, space_for
-from probevo.sequences.frame import Frame, ImuCalibration, check_frame, check_order, is_repeated
+from probevo.sequences.frame import Frame, check_frame, check_order, is_repeated
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.stage_clock import StageClock
 from probevo.tracking import Tracker, Tracks, tracker_for
 from probevo.tracking.last_residuals import LastResiduals

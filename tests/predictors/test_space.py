@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from training.supervised_drives import recording
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
@@ -20,8 +19,10 @@ from probevo.predictors import (
     prediction_space,
     space_for,
 )
-from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples
+from probevo.sequences.frame import Frame, ImuSamples
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.tracking.tracks import Tracks
+from training.supervised_drives import recording
 from worlds import CAMERA, FORWARD, FRAME_NS, seen_twice
 
 COUNT = 20
@@ -176,7 +177,7 @@ def test_a_recording_with_images_and_imu_has_all_that_predictors_need() -> None:
     whole = replace(
         recording(None),
         camera=replace(CAMERA, size_px=(1226, 370)),
-        imu=ImuCalibration(np.eye(3), 1e-4, 1e-3),
+        imu=ImuCalibration(np.eye(4), 1e-4, 1e-3),
     )
     prediction_space(list(PREDICTORS)).check_recording(whole)
 

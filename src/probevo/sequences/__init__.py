@@ -18,18 +18,13 @@ from probevo.sequences.registry import (
 
 if TYPE_CHECKING:
     from probevo.sequences.base import Sequence
-    from probevo.sequences.frame import (
-        Frame,
-        GroundTruth,
-        ImuCalibration,
-        ImuSamples,
-        StereoFeatures,
-    )
+    from probevo.sequences.frame import Frame, GroundTruth, ImuSamples, StereoFeatures
+    from probevo.sequences.imu_calibration import ImuCalibration
 
 _HOMES = {
     "Frame": "probevo.sequences.frame",
     "GroundTruth": "probevo.sequences.frame",
-    "ImuCalibration": "probevo.sequences.frame",
+    "ImuCalibration": "probevo.sequences.imu_calibration",
     "ImuSamples": "probevo.sequences.frame",
     "Sequence": "probevo.sequences.base",
     "StereoFeatures": "probevo.sequences.frame",
