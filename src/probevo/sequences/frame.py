@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
+from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-
-if TYPE_CHECKING:
-    from probevo.camera.stereo import StereoCamera
-    from probevo.tracking.preparation import PreparedImages
+from probevo.sequences.prepared_images import PreparedImages
 
 SHORTEST_STEP_NS = 1_000
 """No camera takes frames closer together; stamps that are have another unit."""

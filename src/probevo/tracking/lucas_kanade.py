@@ -8,6 +8,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.config import TrackingConfig
+from probevo.sequences.prepared_images import Pyramid as Pyramid
 
 MIN_EIGENVALUE = 1e-4
 """Smallest eigenvalue of the window's gradient matrix (over its area, in OpenCV's scaling) that can
@@ -17,9 +18,6 @@ MAX_STEP_PX = 0.1
 """Lucas–Kanade stops here on each pyramid level."""
 LEVELS_IF_NEAR = 2
 """Levels for a point that is within a pixel or two of its start."""
-
-Pyramid = tuple[Image, ...]
-"""An image, and each time half of it, [height / 2^level, width / 2^level], uint8."""
 
 
 def pyramid_of(image: Image, config: TrackingConfig) -> Pyramid:

@@ -5,31 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 
 import cv2
 import numpy as np
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import Image
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
+from probevo.sequences.prepared_images import PreparedImages as PreparedImages
 from probevo.sequences.read_ahead import read_ahead
 from probevo.tracking.detection import strongest_corners
-from probevo.tracking.lucas_kanade import Pyramid, pyramid_of
-
-
-@dataclass(frozen=True)
-class PreparedImages:
-    """A stereo pair as it is tracked in."""
-
-    left: Pyramid
-    """Less its local mean, and the levels above it."""
-    right: Pyramid
-    corners: FloatArray
-    """The strongest of each cell of the left image, as from ``strongest_corners``."""
-    config: TrackingConfig
-    """The settings that it was prepared with."""
+from probevo.tracking.lucas_kanade import pyramid_of
 
 
 def prepared_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[Frame]:
