@@ -6,6 +6,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
+from probevo.camera.transfer import seen_from_left, transfer
 
 MIN_DEPTH = 0.05
 """Least new depth over the old one: what would come behind the camera is put here, and so far off.
@@ -15,8 +16,7 @@ MIN_DEPTH = 0.05
 def moved_by(pixels: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera) -> FloatArray:
     """Where a motion takes features [N, 4]: x, y and inverse depth, 1/m, in the current frame, [3,
     N]."""
-    q, rho = camera.moved_rays(pixels, T_curr_prev)
-    depth = np.maximum(q[2], MIN_DEPTH)
-    q[2] = rho
-    place: FloatArray = q / depth
+    moved = transfer(seen_from_left(pixels), T_curr_prev, camera)
+    x, y, depth_ratio = moved.scaled_points
+    place: FloatArray = np.stack([x, y, moved.inverse_depth_a]) / np.maximum(depth_ratio, MIN_DEPTH)
     return place
