@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from probevo.odometry import StereoOdometry as StereoOdometry
     from probevo.sequences import open_sequence as open_sequence
     from probevo.sequences.frame import Frame as Frame
-    from probevo.sequences.frame import ImuCalibration as ImuCalibration
     from probevo.sequences.frame import ImuSamples as ImuSamples
+    from probevo.sequences.imu_calibration import ImuCalibration as ImuCalibration
     from probevo.training.api import train_model as train_model
     from probevo.training.settings import TrainSettings as TrainSettings
 
@@ -29,7 +29,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Frame": "probevo.sequences.frame",
-    "ImuCalibration": "probevo.sequences.frame",
+    "ImuCalibration": "probevo.sequences.imu_calibration",
     "ImuSamples": "probevo.sequences.frame",
     "LiveEstimate": "probevo.live",
     "LiveOdometry": "probevo.live",

@@ -21,7 +21,8 @@ from probevo.measurements.base import Measurement, pose_of
 from probevo.measurements.gyro import GyroBias
 from probevo.noise import NoiseModel, StudentT
 from probevo.predictors import PredictionSpace, Step, space_for
-from probevo.sequences.frame import Frame, ImuCalibration, is_repeated
+from probevo.sequences.frame import Frame, is_repeated
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
 from probevo.stage_clock import StageClock
 from probevo.state import OdometryState, Prediction, StepFeatures

@@ -5,27 +5,35 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Literal, Self
+from typing import Self
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
+from probevo.sequences.registry import format_names
 
-FormatName = Literal["kitti-raw", "kitti-odometry", "euroc", "folder", "tracks"]
+FORMAT_HELP = (
+    f"Layout of the recording: {', '.join(format_names())}; recognised if it is not named."
+)
 
 
 class SharedConfig(OdometryConfig):
     """What runs can have in common, whatever recording and noise model each has: all settings of a
     comparison."""
 
-    format: FormatName | None = Field(
-        None, description="Layout of the recording; found out where it is not named."
-    )
+    format: str | None = Field(None, description=FORMAT_HELP)
     max_frames: int | None = Field(None, ge=2, description="Stop after this many frames.")
     imu: bool = Field(True, description="Use the recording's IMU, if it has one.")
+
+    @field_validator("format")
+    @classmethod
+    def _check_format(cls, name: str | None) -> str | None:
+        if name is not None and name not in format_names():
+            raise ValueError("it should be the name of a format")
+        return name
 
     @model_validator(mode="after")
     def _check_imu(self) -> Self:

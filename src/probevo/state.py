@@ -15,7 +15,8 @@ from probevo.estimation.pose_filter import PoseFilter
 from probevo.measurements.base import pose_of
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
 from probevo.measurements.relative_rotation import RelativeRotation
-from probevo.sequences.frame import Frame, ImuCalibration
+from probevo.sequences.frame import Frame
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.tracking import TrackingState, Tracks
 from probevo.tracking.last_residuals import LastResiduals
 from probevo.tracking.observations import ObservationStore

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from probevo.cli.info_imu import Turns, imu_doubt
-from probevo.geometry import so3
-from probevo.sequences.frame import ImuCalibration
+from probevo.geometry import se3, so3
 from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu_calibration import ImuCalibration
 
-CALIBRATION = ImuCalibration(so3.exp(np.array([0.3, -1.2, 0.5])), 1e-3, 0.02)
+CALIBRATION = ImuCalibration(se3.exp(np.array([0.1, 0.2, -0.3, 0.3, -1.2, 0.5])), 1e-3, 0.02)
 BIAS_RAD_S = np.array([0.02, -0.03, 0.01])
 LATER = 30_000_000
 SLOW = 0.02
@@ -62,7 +62,9 @@ def test_mistakes_are_named(
     wrong = replace(
         stream, gyro_rad_s=scale * stream.gyro_rad_s, stamps_ns=stream.stamps_ns + later_ns
     )
-    doubt = imu_doubt(turns, wrong, replace(CALIBRATION, C_cam_imu=C_cam_imu))
+    doubt = imu_doubt(
+        turns, wrong, replace(CALIBRATION, T_cam_imu=se3.from_parts(C_cam_imu, np.zeros(3)))
+    )
     assert (
         (doubt == "")
         if fragment is None

@@ -15,7 +15,8 @@ from probevo.predictors import (
     Step,
     prediction_space,
 )
-from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples
+from probevo.sequences.frame import Frame, ImuSamples
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.tracking.tracks import Tracks
 from training.supervised_drives import recording
 from worlds import CAMERA, FORWARD
@@ -182,7 +183,7 @@ def test_a_recording_with_images_and_imu_has_all_that_predictors_need() -> None:
     whole = replace(
         recording(None),
         camera=replace(CAMERA, size_px=(1226, 370)),
-        imu=ImuCalibration(np.eye(3), 1e-4, 1e-3),
+        imu=ImuCalibration(np.eye(4), 1e-4, 1e-3),
     )
     prediction_space(list(PREDICTORS)).check_recording(whole)
 

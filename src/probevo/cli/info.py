@@ -11,7 +11,7 @@ import tyro
 
 from probevo.cli.arguments import parse
 from probevo.cli.text import columns
-from probevo.run_config import FormatName, RunConfig
+from probevo.run_config import FORMAT_HELP, RunConfig
 
 if TYPE_CHECKING:
     from probevo.sequences import Sequence
@@ -44,8 +44,7 @@ class InfoArguments:
 
     sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
     """Folder of the recording, or a tracks file (.npz)."""
-    format: Annotated[FormatName | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Layout of the recording; found out where it is not named."""
+    format: Annotated[str | None, tyro.conf.arg(help=FORMAT_HELP, help_behavior_hint="")] = None
 
 
 def main(words: list[str]) -> None:

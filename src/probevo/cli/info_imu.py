@@ -17,8 +17,8 @@ from probevo.odometry import StereoOdometry
 
 if TYPE_CHECKING:
     from probevo.sequences import Sequence
-    from probevo.sequences.frame import ImuCalibration
     from probevo.sequences.imu import ImuStream
+    from probevo.sequences.imu_calibration import ImuCalibration
 
 MOST_STEPS = 60
 """Steps that are looked at: the first."""

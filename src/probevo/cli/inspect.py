@@ -14,7 +14,7 @@ from probevo.cli.arguments import checked, parse
 from probevo.cli.text import table
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.run_config import FormatName
+from probevo.run_config import FORMAT_HELP
 
 if TYPE_CHECKING:
     from probevo.noise.gk.generalized_kernel import GeneralizedKernel
@@ -53,8 +53,7 @@ class InspectArguments:
     ] = ()
     """Without a model, or with one that takes none, the predictors to show; if left out, those that
     `probevo train` takes by default, as far as the recording has what they need."""
-    format: Annotated[FormatName | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Layout of the recording; found out where it is not named."""
+    format: Annotated[str | None, tyro.conf.arg(help=FORMAT_HELP, help_behavior_hint="")] = None
     settings: Annotated[OdometryConfig, tyro.conf.arg(name="")] = field(
         default_factory=OdometryConfig
     )

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from probevo.arrays import BoolArray
 from probevo.camera.stereo import StereoCamera
 from probevo.sequences.frame import Frame, ImuSamples, check_frame, check_order
 
@@ -33,7 +34,7 @@ def validated(
     missing: list[str] = []
     imu = frame.imu
     if imu is not None and _has_rows(imu):
-        has_gyro = np.isfinite(imu.gyro_rad_s).all(axis=1)
+        has_gyro: BoolArray = np.asarray(np.isfinite(imu.gyro_rad_s).all(axis=1))
         if not has_gyro.all():
             missing.append(f"{_samples(int((~has_gyro).sum()), len(has_gyro))} without a finite angular rate")
             imu = ImuSamples(
@@ -42,7 +43,7 @@ def validated(
                 accel_m_s2=imu.accel_m_s2[has_gyro],
             )
             frame = replace(frame, imu=imu)
-        has_accel = np.isfinite(imu.accel_m_s2).all(axis=1)
+        has_accel: BoolArray = np.asarray(np.isfinite(imu.accel_m_s2).all(axis=1))
         if has_accel.any() and not has_accel.all():
             missing.append(f"{_samples(int((~has_accel).sum()), len(has_accel))} without a finite specific force")
     check_frame(frame, camera)

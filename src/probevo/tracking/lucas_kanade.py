@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.config import TrackingConfig
+from probevo.sequences.prepared_images import Pyramid as Pyramid
 
 MIN_EIGENVALUE = 1e-4
 """Smallest eigenvalue of the window's gradient matrix that can be tracked.
@@ -19,9 +20,6 @@ MAX_STEP_PX = 0.1
 """Lucas–Kanade has converged on a pyramid level when its step is shorter."""
 LEVELS_IF_NEAR = 2
 """Pyramid levels for a point that starts within a pixel or two of its place."""
-
-Pyramid = tuple[Image, ...]
-"""An image, and each time half of it, [height / 2^level, width / 2^level], uint8."""
 
 
 class TrackedPoints(NamedTuple):

@@ -7,32 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 
 import cv2
 import numpy as np
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import Image
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
+from probevo.sequences.prepared_images import PreparedImages as PreparedImages
 from probevo.sequences.read_ahead import read_ahead
 from probevo.tracking.detection import strongest_corners
-from probevo.tracking.lucas_kanade import Pyramid, build_pyramid
-
-
-@dataclass(frozen=True)
-class PreparedImages:
-    """The pyramids of a stereo pair, and the corners of its left image."""
-
-    left: Pyramid
-    """Pyramid of the high-pass filtered left image."""
-    right: Pyramid
-    """Pyramid of the high-pass filtered right image."""
-    corners: FloatArray
-    """Strongest corners of each grid cell of the left image, as from ``strongest_corners``."""
-    config: TrackingConfig
-    """The settings with which they were prepared."""
+from probevo.tracking.lucas_kanade import build_pyramid
 
 
 def prepare_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[Frame]:
