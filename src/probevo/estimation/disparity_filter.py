@@ -2,7 +2,7 @@
 all share.
 
 A disparity that was wrong in one frame is wrong by nearly as much in the next
-(``StereoNoise.time_correlation``): a residual hardly shows it, but the parallax of many frames does. So each
+(``StereoNoise.time_correlated``): a residual hardly shows it, but the parallax of many frames does. So each
 track carries x = (d, δ), its true disparity and the error of the measured one. The first sight
 gives d = measured and δ = 0, with [[S_dd + τ², −τ²], [−τ², τ²]]; every further one is a Kalman
 update with the residual of the motion's solve.
@@ -187,7 +187,7 @@ def remember(
         trusted: which of the tracks to remember, [N]; the others start anew.
         before: what was known of the tracks.
     """
-    if noise.time_correlation is None or not (
+    if noise.time_correlated is None or not (
         np.isfinite(solution.cov).all() and np.linalg.eigvalsh(solution.hessian)[0] > 0.0
     ):
         return solution, DisparityMemory.none()
@@ -226,7 +226,7 @@ def carried_on(
 ) -> DisparityMemory:
     """The memory after a step whose motion is known, or uncertain with the errors in common
     (``posterior``)."""
-    if noise.time_correlation is None:
+    if noise.time_correlated is None:
         return DisparityMemory.none()
     order = np.argsort(tracks.ids)
     chosen = order[(trusted & (solution.information[:, 0, 0] > 0.0))[order]]
@@ -242,7 +242,7 @@ def carried_on(
     solved = (solution.shared, solution.information, solution.residuals)
     jacobians = solution.jacobian, solution.disparity_jacobian
     renew(chosen, points.seen, points.error, points.cov, *solved, *jacobians, U, mean, x, cov, felt)
-    cov[:, 1, 1] += WANDERING * noise.time_correlation[chosen]
+    cov[:, 1, 1] += WANDERING * noise.time_correlated[chosen]
     T = solution.T_curr_prev
     px = tracks.prev_px[chosen]
     right, down = camera.normalized(px[:, 0], px[:, 1])

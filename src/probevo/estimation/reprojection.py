@@ -124,7 +124,7 @@ def solve_reprojection(
     dof = np.array(np.broadcast_to(noise.dof, (count,)))
     parameter = loss.parameters(dof)
 
-    points = SeenPoints.of(prev_px, scale, propagate, time_correlated=noise.time_correlation)
+    points = SeenPoints.of(prev_px, scale, propagate, time_correlated=noise.time_correlated)
     if known is not None:
         points = points.knowing(known)
     seen = points.seen
