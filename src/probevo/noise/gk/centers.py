@@ -8,7 +8,6 @@ way between σ = 0.1 px and 10 px lies 1 px.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,20 +15,17 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from probevo.arrays import BoolArray, FloatArray
-from probevo.compiled import compiled
-from probevo.noise.gk.center_search import NEAREST, Leaves, NearestCenters, SingleArray
-from probevo.noise.student_t_arrays import LOG_PARAMETERS, NUM_PARAMETERS, StudentTs
+from probevo.noise.gk.center_search import Leaves
+from probevo.noise.gk.center_search_numba import SingleArray
+from probevo.noise.gk.centers_numba import DOMAIN_MARGIN, interpolate
+from probevo.noise.student_t_arrays import LOG_PARAMETERS, StudentTs
 
 MAX_LOG = 100.0
 """Bound of the logarithms of σ in pixels and of ν; a valid model stays far below."""
 DOMAIN_QUANTILE = 0.999
-"""The domain is derived from the distance within which this share of the training data lies from
-the nearest center."""
-DOMAIN_MARGIN = 1.5
-"""Radius of the domain over that distance."""
+"""The radius of the domain is ``DOMAIN_MARGIN`` times the distance from the nearest center within
+which this share of the training data lies."""
 MIN_DOMAIN_RADIUS = 1e-6
-FADE = DOMAIN_MARGIN / (DOMAIN_MARGIN - 1.0)
-"""Slope of the transition to the prior, which begins at that distance and ends at the radius."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +86,7 @@ class Centers:
             scale=np.empty((count, 4, 4)), dof=np.empty(count), bias=np.empty((count, 4))
         )
         nearest = self._leaves.nearest(queries)
-        _interpolate(
+        interpolate(
             nearest,
             self.parameters,
             prior.log_cholesky()[0],
@@ -102,66 +98,3 @@ class Centers:
     @cached_property
     def _leaves(self) -> Leaves:
         return Leaves.of(self.places.T.astype(np.float64))
-
-
-@compiled
-def _interpolate(
-    nearest: NearestCenters,
-    parameters: SingleArray,
-    prior: SingleArray,
-    domain_radius: float,
-    mixed: StudentTs,
-) -> None:
-    """Fill in the distributions from the parameters of the nearest centers and of the prior."""
-    index = nearest.centers
-    squared = nearest.squared
-    count, num_nearest = index.shape
-    mean = np.empty(NUM_PARAMETERS)
-    lower = np.zeros((4, 4))
-    weight = np.zeros(NEAREST)
-    for n in range(count):
-        # Weights of inverse squared distance, bounded where a center is very near.
-        total = 0.0
-        farthest = squared[n, num_nearest - 1]
-        for k in range(num_nearest):
-            weight[k] = (
-                1.0 / (squared[n, k] + 0.01 * farthest + 1e-12) if farthest < np.inf else 0.0
-            )
-            total += weight[k]
-        # If there are fewer than four centers, the indices repeat, with weights of zero.
-        a = index[n, 0]
-        b = index[n, 1 % num_nearest]
-        c = index[n, 2 % num_nearest]
-        d = index[n, 3 % num_nearest]
-        # Share of the centers; that of the prior is the rest.
-        share = (
-            min(1.0, max(0.0, FADE * (1.0 - math.sqrt(squared[n, 0]) / domain_radius)))
-            if total > 0.0
-            else 0.0
-        )
-        part = share / total if share > 0.0 else 0.0
-        wa = part * weight[0]
-        wb = part * weight[1]
-        wc = part * weight[2]
-        wd = part * weight[3]
-        for j in range(NUM_PARAMETERS):
-            near = (
-                wa * parameters[a, j]
-                + wb * parameters[b, j]
-                + wc * parameters[c, j]
-                + wd * parameters[d, j]
-            )
-            mean[j] = (1.0 - share) * prior[j] + near
-        # From the parameters back to bias, scale and ν.
-        for i in range(4):
-            mixed.bias[n, i] = mean[i]
-            for j in range(i + 1):
-                factor = mean[4 + i * (i + 1) // 2 + j]
-                lower[i, j] = math.exp(factor) if i == j else factor
-        for i in range(4):
-            for j in range(i + 1):
-                product = 0.0
-                for k in range(j + 1):
-                    product += lower[i, k] * lower[j, k]
-                mixed.scale[n, i, j] = mixed.scale[n, j, i] = product
-        mixed.dof[n] = math.exp(mean[14])
