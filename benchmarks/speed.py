@@ -89,9 +89,9 @@ def kernel(sequence, frames: int):
         bias_counts=np.inf,
         weights=np.ones(len(space.columns)),
         refers_to="observation",
-        time_correlation=1.0,
+        time_correlation_ratio=1.0,
     )
-    return model.fit(found.phi, found.errors, spread=found.spread, metric=metric)
+    return model.fit(found.phi, found.errors, error_cov=found.spread, metric=metric)
 
 
 def ours_over(sequence, model, keep: Callable[[dict[str, float]], None]) -> Iterator[None]:

@@ -196,7 +196,7 @@ def test_a_frame_s_randomness_does_not_depend_on_those_before() -> None:
     """Seeded by its index: a run that starts at frame 5 draws the same samples there. Of its noise
     nothing lasts, or tracks would remember the frames before."""
     frames = drive(np.random.default_rng(11), 12)
-    noise = pv.noise.StudentT(time_correlation=0.0)
+    noise = pv.noise.StudentT(time_correlation_ratio=0.0)
     whole = run(frames, PLAIN, noise)
     late = run(frames[5:], PLAIN, noise)
     np.testing.assert_allclose(whole[-1].T_curr_prev, late[-1].T_curr_prev, atol=1e-6)

@@ -14,7 +14,6 @@ from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.evaluation.metrics import evaluate
 from probevo.noise import NearestNeighbors, StudentT
-from probevo.noise.classical import CLASSICAL
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.output.motions_file import read_motions
@@ -177,7 +176,7 @@ def test_features_unlike_the_training_are_counted_and_warned_of(
     capsys: pytest.CaptureFixture[str],
     truth: bool,
 ) -> None:
-    monkeypatch.setitem(CLASSICAL, "student-t", Homesick)
+    monkeypatch.setattr("probevo.noise.named.untrained_model", lambda name: Homesick())
     recording = shutil.copytree(wall, tmp_path / "wall")
     out = tmp_path / "out"
     if not truth:

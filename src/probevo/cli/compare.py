@@ -141,11 +141,11 @@ def estimators_of(specs: Sequence[str], settings: SharedConfig) -> list[Estimato
     Raises:
         InputError: there is none, or one is there twice.
     """
-    from probevo.noise.classical import CLASSICAL
     from probevo.noise.named import portable
+    from probevo.noise.registry import untrained_names
     from probevo.output.comparison import distinct_labels
 
-    names = (*CLASSICAL, AGGRESSIVE)
+    names = (*untrained_names(), AGGRESSIVE)
     _refuse_twice("--noise", [(spec, spec if spec in names else portable(spec)) for spec in specs])
     if not specs:
         raise InputError(

@@ -62,7 +62,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     from probevo import __version__
     from probevo.cli.train import train_with_progress
     from probevo.files import check_folder
-    from probevo.noise.classical import CLASSICAL
+    from probevo.noise.registry import untrained_names
     from probevo.output.comparison import Comparison, comparison_rows
     from probevo.output.comparison_page import write_comparison
     from probevo_sim.command import render_with_progress
@@ -79,7 +79,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     }
     model = out / "probe.safetensors"
     train_with_progress(tuple(folders.values())[:1], TrainSettings(), model)
-    classical = {name: name for name in CLASSICAL}
+    classical = {name: name for name in untrained_names()}
     entries = []
     for number, (name, folder) in enumerate(folders.items()):
         estimators = classical | (

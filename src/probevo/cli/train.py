@@ -14,7 +14,7 @@ from probevo.errors import InputError
 from probevo.training.settings import TrainSettings
 
 if TYPE_CHECKING:
-    from probevo.noise.model_io import Learned
+    from probevo.noise.base import LearnedNoiseModel
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def train_with_progress(
     out: Path,
     jobs: int = 1,
     cluster: str = "",
-) -> Learned:
+) -> LearnedNoiseModel:
     """Learn from recordings, and show how far it is on stderr."""
     import cv2
 
