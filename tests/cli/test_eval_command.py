@@ -87,13 +87,13 @@ def test_mistakes_exit_with_2(
     for run, gt, fragments in [
         (wall_run, "short.txt", ["short.txt: 5 poses for the 8 frames", "motions.npz"]),
         (wall_run, "late.tum", ["late.tum: 0 of 8 frames have a true pose", "same clock"]),
-        (wall_run, "unknown.txt", ["unknown.txt: 1 of 8 frames have a true pose; it takes two"]),
+        (wall_run, "unknown.txt", ["unknown.txt: 1 of 8 frames have a true pose; two are needed"]),
         (tmp_path / "unknown.txt", "short.txt", ["unknown.txt: pose 1 (from 0) is not known"]),
         (kitti, "long.tum", ["long.tum: 20 poses for the 8 frames", "trajectory.tum"]),
         (
             wall_run,
             "text.txt",
-            ["text.txt:1: this line has 3 columns", "12 columns in KITTI's form"],
+            ["text.txt:1: this line has 3 columns", "12 columns in the KITTI format"],
         ),
         (wall_run, "data.csv", ["data.csv:2: ", "commas", "EuRoC's own truth is of the body"]),
         (wall_run, "far.txt", ["far.txt: the position of pose 0 (from 0) is over 1e+09 m away"]),
