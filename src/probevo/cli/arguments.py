@@ -77,7 +77,12 @@ def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
     own_keys = OWN_KEYS if issubclass(model, RunConfig) else ()
     own_first = sorted(model.model_fields.items(), key=lambda item: item[0] not in own_keys)
     fields = [
-        StructFieldSpec(name, field.annotation, getattr(info.default, name), field.description)  # type: ignore[arg-type]
+        StructFieldSpec(
+            name,
+            field.annotation,  # type: ignore[arg-type]
+            getattr(info.default, name),
+            field.description,
+        )
         for name, field in own_first
         if name not in NOT_FLAGS
     ]
