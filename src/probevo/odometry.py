@@ -74,7 +74,9 @@ class StereoOdometry:
             camera,
             self.noise,
             self.config,
-            predicts_from_motion=self.predictors.depends_on_previous_motion,
+            predicts_from_motion=(
+                bool(self.noise.columns) and self.predictors.depends_on_previous_motion
+            ),
         )
         self._state: OdometryState | None = None
 

@@ -86,7 +86,11 @@ def test_an_empty_file_means_the_defaults(text: str, tmp_path: Path) -> None:
             "ransac.threshold_px is nan; it should be a finite number.",
             "Reprojection",
         ),
-        ("seed: many", "seed is 'many'; it should be a valid integer", "Of all random choices"),
+        (
+            "seed: many",
+            "seed is 'many'; it should be a valid integer",
+            "Seed of all random choices",
+        ),
         ("solver: 3", "solver is 3; it should be a valid dictionary", ""),
         ("[seed, 3]", "holds a list; expected `key: value` lines.", "pattern"),
         ("seed: [", "this is not YAML", "pattern"),

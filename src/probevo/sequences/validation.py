@@ -36,7 +36,9 @@ def validated(
     if imu is not None and _has_rows(imu):
         has_gyro: BoolArray = np.asarray(np.isfinite(imu.gyro_rad_s).all(axis=1))
         if not has_gyro.all():
-            missing.append(f"{_samples(int((~has_gyro).sum()), len(has_gyro))} without a finite angular rate")
+            missing.append(
+                f"{_samples(int((~has_gyro).sum()), len(has_gyro))} without a finite angular rate"
+            )
             imu = ImuSamples(
                 stamps_ns=imu.stamps_ns[has_gyro],
                 gyro_rad_s=imu.gyro_rad_s[has_gyro],
@@ -45,7 +47,9 @@ def validated(
             frame = replace(frame, imu=imu)
         has_accel: BoolArray = np.asarray(np.isfinite(imu.accel_m_s2).all(axis=1))
         if has_accel.any() and not has_accel.all():
-            missing.append(f"{_samples(int((~has_accel).sum()), len(has_accel))} without a finite specific force")
+            missing.append(
+                f"{_samples(int((~has_accel).sum()), len(has_accel))} without a finite specific force"
+            )
     check_frame(frame, camera)
     if prev_frame is not None:
         check_order(prev_frame, frame)
