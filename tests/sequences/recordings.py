@@ -153,7 +153,7 @@ def sensor_yaml(T_body_sensor: AnyArray, *more: str) -> list[str]:
 
 
 def write_euroc(root: Path, frames: int = 4) -> Path:
-    """``mav0`` with ideal cameras side by side, a body that looks along +z and truth every 50 ms."""
+    """``mav0`` with ideal cameras side by side, a body looking along +z, and truth every 50 ms."""
     mav = root / "mav0"
     stamps = stamps_ns(frames)
     for side, camera in enumerate(("cam0", "cam1")):
