@@ -202,12 +202,12 @@ def perturb(
     for i in range(3):
         moved = 0.0
         for k in range(3):
-            turn = a * wedge[i, k] + b * wedge_2[i, k]
+            rotation = a * wedge[i, k] + b * wedge_2[i, k]
             left_jacobian = b * wedge[i, k] + c * wedge_2[i, k]
             if i == k:
-                turn += 1.0
+                rotation += 1.0
                 left_jacobian += 1.0
-            moved += turn * t[k] + left_jacobian * xi[k]
+            moved += rotation * t[k] + left_jacobian * xi[k]
         t_out[i] = moved
         for j in range(3):
             total = C[i, j]

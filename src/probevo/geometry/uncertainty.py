@@ -62,6 +62,7 @@ def compound_chain(
     T_prev_curr, cov_prev_curr = invert(T_curr_prev, cov_curr_prev)
     T_world_cam = np.empty_like(T_prev_curr)
     cov_world_cam = np.empty_like(cov_prev_curr)
+    # The world is known exactly; each motion adds its own uncertainty.
     T = np.eye(4)
     cov = np.zeros((6, 6))
     for k in range(len(T_prev_curr)):

@@ -202,6 +202,7 @@ def _read_imu(
     """
     sensor = read_yaml(folder / "sensor.yaml", ImuFile)
     T_body_imu = sensor.body_from_sensor(folder / "sensor.yaml")
+    # p_cam = C_cam_body (p_body − t_body_cam), and p_body = C_body_imu p_imu + t_body_imu.
     C_cam_body = T_body_cam[:3, :3].T
     T_cam_imu = se3.from_parts(
         C_cam_body @ T_body_imu[:3, :3], C_cam_body @ (T_body_imu[:3, 3] - T_body_cam[:3, 3])
@@ -246,6 +247,7 @@ def _read_truth(folder: Path, T_body_cam: FloatArray, at_ns: IntArray) -> Ground
     if len(bad):
         what = f"the quaternion of pose {bad[0]} (from 0) is not of unit length."
         raise InputError(path, what, "Order: w, x, y, z.")
+    # The file has the body's poses in the map frame; the camera is fixed to the body.
     C = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
     T_map_cam = se3.from_parts(C, values[:, :3]) @ T_body_cam
     return ground_truth(at_ns, interpolate_poses(stamps_ns, T_map_cam, at_ns), path)

@@ -120,6 +120,7 @@ def _decoded(data: bytes) -> AnyArray | None:
         DamagedError: the file is incomplete, or neither PNG nor JPEG.
     """
     if data.startswith(PNG_MAGIC):
+        # chunks_of verifies the checksums; OpenCV decodes what is not plain grey.
         image = plain_grey(chunks_of(data))
         if image is not None:
             return image

@@ -78,6 +78,7 @@ class KittiCalibration:
         if not np.allclose(P_left[:, :3], P_right[:, :3]):
             what = f"{left} and {right} differ in focal length or principal point."
             raise InputError(self.path, what, "The images must be rectified to one common camera.")
+        # The last column of P is −f b of the camera; only their difference is the baseline.
         shift_px_m = float(P_left[0, 3] - P_right[0, 3])
         fu = float(P_left[0, 0])
         fv = float(P_left[1, 1])

@@ -93,6 +93,7 @@ def _with_oxts(recording: StereoRecording, cam_to_cam: KittiCalibration) -> Ster
     oxts_ns, oxts = _read_oxts(recording.path / "oxts")
     T_cam_imu = _rectified_camera_from_imu(recording.path, cam_to_cam)
     T_map_cam = imu_poses(oxts[:, LAT_LON_ALT], oxts[:, ROLL_PITCH_YAW]) @ se3.inverse(T_cam_imu)
+    # The packets have times of their own.
     at_images = interpolate_poses(oxts_ns, T_map_cam, recording.stamps_ns)
     held_ns, gyro = hold_over_interval(oxts_ns, oxts[:, GYRO_XYZ])
     _, accel = hold_over_interval(oxts_ns, oxts[:, ACCEL_XYZ])
@@ -157,6 +158,7 @@ def imu_poses(lat_lon_alt: FloatArray, roll_pitch_yaw: FloatArray) -> FloatArray
         lat_lon_alt: latitude and longitude, degrees, and altitude, m, [M, 3].
         roll_pitch_yaw: attitude, [M, 3], rad; C = R_z(yaw) R_y(pitch) R_x(roll).
     """
+    # Mercator projection, whose scale is right at the first latitude.
     lat, lon, alt = lat_lon_alt.T
     scale = np.cos(np.radians(lat[0]))
     east = scale * EARTH_RADIUS_M * np.radians(lon)

@@ -160,6 +160,7 @@ def _check_shapes(arrays: dict[str, AnyArray], path: Path) -> None:
         )
     if ("omega" in arrays) != ("C_cam_imu" in arrays):
         raise InputError(path, "of omega and C_cam_imu, one is missing.", "Give both or neither.")
+    # n and K are what frame and t have; the other arrays must agree.
     sizes: dict[int | str, int] = {"n": arrays["frame"].size, "K": arrays["t"].size}
     if not sizes["K"]:
         raise InputError(f"{path}: t", "this array is empty.", "It holds the time of each frame.")
@@ -195,6 +196,7 @@ def _split_frames(frame: IntArray, ids: IntArray, frames: int, path: Path) -> In
         raise InputError(
             f"{path}: frame", f"frames {frame[0]} to {frame[-1]}, but t has {frames} times."
         )
+    # Sorted by frame and identity, a track that is twice in a frame is its own neighbour.
     order = np.lexsort((ids, frame))
     twice = np.flatnonzero((np.diff(frame[order]) == 0) & (np.diff(ids[order]) == 0))
     if len(twice):
