@@ -1,5 +1,6 @@
-"""Writes tiny recordings, one function a format. Each returns the path to open; the vehicle drives
-1 m along z a frame.
+"""Writers of tiny recordings, one function a format.
+
+Each returns the path to open. The vehicle drives 1 m along z in each frame.
 
 Other tests use them too: ``from sequences.recordings import write_folder_sequence``.
 """
@@ -32,7 +33,7 @@ def stamps_ns(frames: int) -> IntArray:
 
 
 def image(index: int, right: bool = False) -> Image:
-    """A random picture that tells frames and sides apart."""
+    """A random image that differs between frames and sides."""
     return np.random.default_rng([index, right]).integers(
         0, 256, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8
     )
@@ -61,8 +62,10 @@ def poses(frames: int) -> AnyArray:
 def write_folder_sequence(
     root: Path, frames: int = 4, *, imu: bool = True, truth: bool = True
 ) -> Path:
-    """The layout of ``open_folder``; the IMU turns at 0.1 rad/s around the up axis and is sampled
-    every 10 ms."""
+    """The layout of ``open_folder``.
+
+    The IMU rotates at 0.1 rad/s about its up axis and is sampled every 10 ms.
+    """
     for index in range(frames):
         write_image(root / "left" / f"{index:06d}.png", image(index))
         write_image(root / "right" / f"{index:06d}.png", image(index, right=True))
@@ -153,7 +156,7 @@ def sensor_yaml(T_body_sensor: AnyArray, *more: str) -> list[str]:
 
 
 def write_euroc(root: Path, frames: int = 4) -> Path:
-    """``mav0`` with ideal cameras side by side, a body that looks along +z and truth every 50 ms."""
+    """``mav0`` with ideal cameras side by side, a body looking along +z, and truth every 50 ms."""
     mav = root / "mav0"
     stamps = stamps_ns(frames)
     for side, camera in enumerate(("cam0", "cam1")):

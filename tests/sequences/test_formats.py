@@ -62,7 +62,7 @@ def test_truth_advances_one_metre_a_frame(format: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("format", WRITERS)
-def test_a_sequence_can_be_walked_twice(format: str, tmp_path: Path) -> None:
+def test_a_sequence_can_be_read_twice(format: str, tmp_path: Path) -> None:
     sequence = open_sequence(WRITERS[format](tmp_path))
     for first, second in zip(sequence, sequence, strict=True):
         np.testing.assert_equal(first.left, second.left)

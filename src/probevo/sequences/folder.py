@@ -1,5 +1,4 @@
-"""A plain folder: probevo's own layout for rectified recordings that come from nowhere in
-particular."""
+"""A plain folder: probevo's own layout for rectified recordings from any source."""
 
 from __future__ import annotations
 
@@ -40,14 +39,14 @@ IMU_HEADER = "stamp_ns,wx,wy,wz,ax,ay,az"
 
 
 def _join_rows(value: object) -> object:
-    """A matrix written as a list of rows, as one list of numbers."""
+    """Return a matrix that is written as a list of rows as one list of numbers."""
     if isinstance(value, list) and all(isinstance(row, list) for row in value):
         return [number for row in value for number in row]
     return value
 
 
 class ImuSection(BaseModel):
-    """The ``imu`` section of ``calib.yaml``."""
+    """The section ``imu`` of ``calib.yaml``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -85,7 +84,7 @@ class ImuSection(BaseModel):
 
 
 class FolderCalibration(BaseModel):
-    """Content of ``calib.yaml``."""
+    """The content of ``calib.yaml``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -100,7 +99,9 @@ class FolderCalibration(BaseModel):
 
 
 def open_folder(path: Path) -> StereoRecording:
-    """Open a folder of this layout::
+    """Open a folder in probevo's own layout.
+
+    It holds::
 
         left/ right/   rectified images (PNG, JPEG), paired by name, in the natural order of names
         calib.yaml     fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px, and with an IMU
