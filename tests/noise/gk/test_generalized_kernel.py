@@ -1,8 +1,6 @@
 """PROBE-GK learns the noise of each feature from the errors of those like it; on data whose noise
 is known."""
 
-import copy
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -401,50 +399,6 @@ def with_array(name: str, array: AnyArray) -> ModelFile:
     return ModelFile("gk", {**file().arrays, name: array}, file().facts)
 
 
-ARRAYS = ("mean", "spread", "weight", "places", "values", "prior_scale", "prior_dof", "prior_bias")
-SHAPES: dict[str, Any] = {
-    "the last is missing": lambda array: array[..., :-1],
-    "one more": lambda array: np.concatenate([array, array[..., -1:]], axis=-1),
-    "twice as many rows": lambda array: np.concatenate([array, array]),
-    "one more axis": lambda array: array[..., None],
-    "one more axis in front": lambda array: array[None],
-    "a single number": lambda array: np.asarray(array.reshape(-1)[0]),
-    "nothing": lambda array: array[:0],
-    "nothing in two dimensions": lambda array: np.zeros((0, 0), array.dtype),
-    "all of them nothing": lambda array: np.zeros([0] * array.ndim, array.dtype),
-}
-
-
-@pytest.mark.parametrize("name", ARRAYS)
-@pytest.mark.parametrize("change", SHAPES.values(), ids=SHAPES.keys())
-def test_an_array_of_another_shape_is_refused(path: Path, name: str, change: Any) -> None:
-    refuse(path, with_array(name, change(np.asarray(file().arrays[name]))))
-
-
-@pytest.mark.parametrize("name", ARRAYS)
-def test_a_missing_array_is_refused(path: Path, name: str) -> None:
-    refuse(
-        path, ModelFile("gk", {n: a for n, a in file().arrays.items() if n != name}, file().facts)
-    )
-
-
-@pytest.mark.parametrize("name", ARRAYS)
-@pytest.mark.parametrize("dtype", ["float32", "float64", "int64", "uint8", "bool"])
-def test_an_array_of_another_type_is_refused(path: Path, name: str, dtype: str) -> None:
-    """Compiled code takes each in one precision."""
-    array = np.asarray(file().arrays[name])
-    if array.dtype != dtype:
-        refuse(path, with_array(name, array.astype(dtype)))
-
-
-@pytest.mark.parametrize("name", ARRAYS)
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_an_array_that_is_not_finite_is_refused(path: Path, name: str, value: float) -> None:
-    array = np.asarray(file().arrays[name]).copy()
-    array.reshape(-1)[array.size // 2] = value
-    refuse(path, with_array(name, array))
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -475,51 +429,3 @@ def test_a_center_that_no_fit_gives_is_refused(path: Path, column: int, value: f
 def test_a_prior_that_is_no_covariance_is_refused(path: Path) -> None:
     refuse(path, with_array("prior_scale", -np.asarray(file().arrays["prior_scale"])))
     refuse(path, with_array("prior_scale", np.zeros((1, 4, 4))))
-
-
-FACTS: dict[str, list[Any]] = {
-    "columns": [None, "abc", ["place"], [1, 2], ["a", "a"], {"a": 1, "b": 2}],
-    "may_be_undefined": [None, "abc", [True], ["a", "b"], 7],
-    "variant": [None, "", "optimal", 3],
-    "neighbors": ["20", 2.5, None, True, 0, -1, [20]],
-    "reach": ["4", None, [4.0], True, 0.0, -1.0],
-    "domain_radius": ["4", None, [4.0], True, 0.0, -1.0],
-    "prior_counts": ["4", None, [4.0], True, 0.0, -1.0],
-    "refers_to": [None, "", "motion", 3],
-    "samples": ["20", 2.5, None, True, 0, -1],
-    "camera": ["KITTI", [], {}, 7],
-    "training": [None, "06", 3, []],
-}
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [(key, value) for key, values in FACTS.items() for value in values]
-)
-def test_a_fact_of_another_type_is_refused(path: Path, key: str, value: Any) -> None:
-    refuse(path, ModelFile("gk", file().arrays, copy.deepcopy(dict(file().facts)) | {key: value}))
-
-
-@pytest.mark.parametrize("key", FACTS)
-def test_a_missing_fact_is_refused(path: Path, key: str) -> None:
-    refuse(
-        path, ModelFile("gk", file().arrays, {k: v for k, v in file().facts.items() if k != key})
-    )
-
-
-@pytest.mark.parametrize(
-    "camera", [{"fu_px": -700.0}, {"baseline_m": 0.0}, {"fu_px": "700"}, {"name": "left"}]
-)
-def test_a_camera_that_is_none_is_refused(path: Path, camera: dict[str, Any]) -> None:
-    refuse(
-        path,
-        ModelFile("gk", file().arrays, {**file().facts, "camera": file().facts["camera"] | camera}),
-    )
-
-
-def test_another_camera_is_refused() -> None:
-    model = trained(200)
-    model.check_camera(CAMERA)
-    model.check_camera(replace(CAMERA, fu_px=1.05 * CAMERA.fu_px))
-    with pytest.raises(InputError, match="trained with another camera: this one's baseline is"):
-        model.check_camera(replace(CAMERA, baseline_m=2.0 * CAMERA.baseline_m))
-    trained(200, camera=None).check_camera(replace(CAMERA, baseline_m=2.0))

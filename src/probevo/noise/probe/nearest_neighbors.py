@@ -121,7 +121,8 @@ class NearestNeighbors:
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """Return β R for each of N features from its place in the prediction space, [N, M]."""
-        return self.base.predict(predictors).scaled(self.weights(predictors))
+        beta = self.weights(predictors)
+        return self.base.predict(predictors).scaled(beta)
 
     def weights(self, predictors: FloatArray) -> FloatArray:
         """Compute β = (ᾱ_K/ᾱ)^γ at N places [N, M], bounded by ``LARGEST_WEIGHT``: [N]."""
