@@ -1,5 +1,4 @@
-"""Learned models to and from files. Compiled code reads the arrays, so none that does not fit may
-come through."""
+"""Learned models to and from files; what is particular to the files of nearest neighbours."""
 
 import json
 from collections.abc import Callable

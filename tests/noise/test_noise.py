@@ -58,11 +58,11 @@ def test_each_feature_has_its_own_dof() -> None:
     dof = np.array([3.0, np.inf, 5.0])
     mixed = random_noise(rng, dof)
     residuals = residuals_around(rng, mixed)
-    alone = [
+    separate = [
         StereoNoise(mixed.scale[[n]], dof[[n]], mixed.bias[[n]]).log_likelihood(residuals[[n]])[0]
         for n in range(3)
     ]
-    np.testing.assert_allclose(mixed.log_likelihood(residuals), alone, rtol=1e-14)
+    np.testing.assert_allclose(mixed.log_likelihood(residuals), separate, rtol=1e-14)
 
 
 def test_student_t_tends_to_the_normal() -> None:

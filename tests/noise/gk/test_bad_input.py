@@ -37,7 +37,7 @@ def errors(count: int = COUNT, seed: int = 0) -> FloatArray:
 
 
 def queries(columns: int = 2) -> FloatArray:
-    """From amidst the data to absurdly far."""
+    """From within the data to very far away."""
     factor = np.geomspace(1e-9, 1e12, 22)[:, None]
     return np.concatenate([np.zeros((1, columns)), factor * places(22, columns, seed=7)])
 
@@ -136,7 +136,7 @@ def test_poor_data_give_something_sound(name: str, variant: str) -> None:
         {"weights": np.array([1e-9, 1e6])},
     ],
 )
-def test_extreme_shapes_of_the_kernel_are_fine(options: dict[str, Any], variant: str) -> None:
+def test_extreme_hyperparameters_are_accepted(options: dict[str, Any], variant: str) -> None:
     """K larger than N, a reach that nothing is within, …"""
     check(places(), errors(), variant=variant, **options)
 
@@ -248,9 +248,7 @@ def test_no_query_no_noise() -> None:
         ("robust", {"weights": np.array([1.0, 1e30])}),
     ],
 )
-def test_a_shape_of_the_kernel_that_is_none_is_refused(
-    variant: Any, options: dict[str, Any]
-) -> None:
+def test_an_invalid_hyperparameter_is_refused(variant: Any, options: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=f"generalized kernel: {next(iter(options))}") as caught:
         GeneralizedKernel(variant, **options).fit(places(), errors())
     assert caught.value.cure

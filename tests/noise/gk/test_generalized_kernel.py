@@ -1,5 +1,4 @@
-"""PROBE-GK learns the noise of each feature from the errors of those like it; on data whose noise
-is known."""
+"""The generalized kernel on data whose noise is known: accuracy, tails, outliers and files."""
 
 from functools import cache
 from pathlib import Path
@@ -102,7 +101,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_the_covariances_come_out_as_they_went_in() -> None:
-    """Within a tenth of their norm, from 100,000 samples; a thousand leave more than twice as much."""
+    """Within a tenth of their norm from 100,000 samples; more than twice that from a thousand."""
     few = error_after(1000)
     many = error_after(100_000)
     assert many < 0.1
@@ -164,7 +163,7 @@ def test_regions_hold_as_many_errors_held_out_as_they_should(dof: float) -> None
 
 
 def test_a_bias_is_learned_where_it_is() -> None:
-    """Of half a pixel, of opposite sign to both sides; with its prior held at zero, there is none."""
+    """Half a pixel, of opposite sign on both sides; none if its prior is held at zero."""
     places, errors = samples(4000)
     errors = 0.2 * errors + 0.5 * np.sign(places[:, :1])
     queries = np.array([[-1.0, 0.0], [1.0, 0.0]])
@@ -176,7 +175,7 @@ def test_a_bias_is_learned_where_it_is() -> None:
 
 
 def test_a_column_that_says_nothing_gets_no_weight() -> None:
-    """σ depends on the first of four alone."""
+    """σ depends on the first of four columns only."""
     rng = np.random.default_rng(2)
     places = rng.normal(size=(3000, 4))
     errors = np.exp(places[:, :1]) * rng.normal(size=(3000, 4))
@@ -186,7 +185,7 @@ def test_a_column_that_says_nothing_gets_no_weight() -> None:
 
 
 def test_where_no_column_says_anything_one_is_left() -> None:
-    """Of six. All of them would tell places apart by nothing."""
+    """Of six. With all of them, distances would be noise."""
     rng = np.random.default_rng(3)
     model = GeneralizedKernel(**GIVEN).fit(rng.normal(size=(300, 6)), rng.standard_t(4.0, (300, 4)))
     assert np.count_nonzero(model.weights_) == 1
@@ -213,12 +212,12 @@ def median_ratio(variant: Any, share: float) -> float:
     )
 
 
-def test_gross_errors_leave_the_robust_scale_alone() -> None:
+def test_gross_errors_hardly_change_the_robust_scale() -> None:
     """5 % of them, thirty times σ: it stays within a factor of 2."""
     assert 0.5 < median_ratio("robust", 0.05) < 2.0
 
 
-def test_gross_errors_carry_the_published_scale_away() -> None:
+def test_gross_errors_inflate_the_published_scale() -> None:
     """By a factor of more than ten, where without them it is right within a factor of 2: this is
     why ours is robust."""
     assert 0.5 < median_ratio("published", 0.0) < 2.0
@@ -268,8 +267,8 @@ def test_each_feature_is_predicted_on_its_own() -> None:
 
 
 def test_groups_are_left_out_together() -> None:
-    """Of 40 groups with a σ of its own each, to which the first column leads: of no use for other
-    groups; taken singly, samples seem to learn from their like."""
+    """Of 40 groups with a σ of its own each, which the first column identifies: useless for other
+    groups; held out singly, samples are predicted from their own group."""
     rng = np.random.default_rng(5)
     groups = np.repeat(np.arange(40), 50)
     places = np.column_stack(
@@ -284,7 +283,7 @@ def test_groups_are_left_out_together() -> None:
     assert max(together, default=0.0) < 0.1
 
 
-def test_columns_without_a_say_may_be_left_out() -> None:
+def test_columns_without_weight_may_be_left_out() -> None:
     """The same predictions, without having to look at them; one that contributes may not."""
     model = trained(weights=np.array([2.0, 0.0]))
     kept = model.kept(np.array([0]))
@@ -294,9 +293,9 @@ def test_columns_without_a_say_may_be_left_out() -> None:
         model.kept(np.array([1]))
 
 
-def test_what_is_given_is_not_searched_for() -> None:
+def test_given_hyperparameters_are_not_searched_for() -> None:
     model = trained()
-    assert model.search_.keys() == {"dof"}  # which is estimated at each turn of EM
+    assert model.search_.keys() == {"dof"}  # which is estimated at each EM iteration
     assert (model.shape_.neighbors, model.shape_.prior_counts, model.shape_.dof_counts) == (
         60,
         8.0,
@@ -324,7 +323,7 @@ def test_progress_goes_up_to_its_total() -> None:
 
 @pytest.mark.parametrize("variant", ["robust", "published"])
 def test_the_same_data_give_the_same_bytes(path: Path, variant: Any) -> None:
-    """Although folds are judged side by side."""
+    """Although folds are evaluated in parallel."""
     contents = set()
     for _ in range(3):
         save_model(GeneralizedKernel(variant).fit(*samples(600)), path)

@@ -75,7 +75,7 @@ def test_the_noise_is_beta_times_that_of_the_base(base: Fixed | StudentT) -> Non
 
 
 def test_beta_is_bounded() -> None:
-    """Beyond four orders of magnitude a feature has no say, or all of it; no overflow, and no zero."""
+    """To four orders of magnitude: neither overflow nor zero."""
     model = NearestNeighbors(1, exponent=300.0).fit(PLACES, np.array([1e-6, 1.0, 1.0, 1e6]))
     np.testing.assert_allclose(
         model.weights(PLACES[[0, 3]]), [1.0 / LARGEST_WEIGHT, LARGEST_WEIGHT], rtol=1e-9
@@ -83,7 +83,7 @@ def test_beta_is_bounded() -> None:
 
 
 def test_the_nearest_are_those_of_the_standardised_columns() -> None:
-    """A column in millimetres does not drown the one that tells: 2,000 samples, α 1 or 3 by the
+    """A column in millimetres does not dominate the informative one: 2,000 samples, α 1 or 3 by the
     sign of the first."""
     rng = np.random.default_rng(0)
     places = rng.normal(size=(2000, 2)) * [1.0, 1e3]
