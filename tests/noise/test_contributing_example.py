@@ -37,7 +37,7 @@ def test_the_model_of_the_example_is_selected_by_its_name(
     example: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Through an entry point, as the text says; its noise grows with the predictor."""
-    monkeypatch.setitem(sys.modules, "my_module", SimpleNamespace(**example))  # type: ignore[misc]
+    monkeypatch.setitem(sys.modules, "my_module", SimpleNamespace(**example))
     point = EntryPoint(name="blurred", value="my_module:BLURRED", group="probevo.noise")
     monkeypatch.setattr(registry, "entry_points", lambda group: [point])
     model = noise_model("blurred")
