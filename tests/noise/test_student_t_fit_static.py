@@ -80,7 +80,7 @@ def test_scale_dof_and_bias_come_out_as_they_went_in(dof: float) -> None:
     np.testing.assert_allclose(found.bias[0], BIAS, atol=0.02)
 
 
-def test_more_errors_tell_more() -> None:
+def test_more_errors_give_a_better_estimate() -> None:
     """Ten times as many, averaged over seeds, are three times as near."""
     few, many = (
         np.mean([distance(fitted(drawn(count, seed=seed)).scale[0]) for seed in range(20)])
@@ -275,9 +275,9 @@ def test_each_neighbourhood_is_fitted_on_its_own() -> None:
     for c in range(3):
         rows = slice(first[c], first[c + 1])
         near = Neighborhoods(np.array([0, first[c + 1] - first[c]]), index[rows], kernel[rows])
-        alone = fit_student_ts(errors, near, prior)
+        separate = fit_student_ts(errors, near, prior)
         for name in ("scale", "dof", "bias"):
-            np.testing.assert_array_equal(getattr(together, name)[c], getattr(alone, name)[0])
+            np.testing.assert_array_equal(getattr(together, name)[c], getattr(separate, name)[0])
 
 
 def test_a_kernel_of_two_is_the_error_twice() -> None:

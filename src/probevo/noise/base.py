@@ -83,6 +83,7 @@ class StereoNoise:
 
         The noise of a single feature is broadcast to all residuals.
         """
+        # The compiled loop takes contiguous, writable arrays.
         squared = np.empty(len(residuals))
         log_det = np.empty(len(residuals))
         scale = np.array(np.broadcast_to(self.scale, (len(residuals), 4, 4)), order="C")

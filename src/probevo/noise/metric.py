@@ -63,6 +63,7 @@ class Metric:
             raise InputError(
                 "predictors", f"their shape is {predictors.shape}, where [N, M] is expected."
             )
+        # Without names, as in quick experiments, the columns are numbered.
         names = tuple(columns) or tuple(f"column {m}" for m in range(predictors.shape[1]))
         check_defined(predictors, names, may_be_undefined)
         return Metric.of_moments(Moments.of(predictors), names, may_be_undefined)
@@ -124,6 +125,7 @@ class Metric:
         )
 
     def _standardised(self, predictors: FloatArray) -> FloatArray:
+        # Undefined values pass through as NaN until they get their own coordinate.
         standard = (predictors - self.mean) / self.spread
         np.clip(standard, -FARTHEST, FARTHEST, out=standard)
         standard[np.isnan(standard)] = UNDEFINED
@@ -145,6 +147,7 @@ def check_defined(
             "predictors", f"their shape is {predictors.shape}, where the model takes {expected}."
         )
     wrong = ~np.isfinite(predictors)
+    # Infinity is wrong everywhere, NaN where a column must be defined.
     if wrong.any():
         optional = np.array(tuple(may_be_undefined) or (False,) * len(columns))
         wrong &= ~(np.isnan(predictors) & optional)

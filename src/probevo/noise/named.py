@@ -58,6 +58,7 @@ def _unknown(spec: str, names: Collection[str]) -> InputError:
         return InputError(
             "--noise", f"{spec!r} is a folder.", "Give the model file (.safetensors) in it."
         )
+    # Similar names and similar files in the same folder, in case of a typing error.
     parent = os.path.dirname(spec)
     folder = parent or "."
     files = []

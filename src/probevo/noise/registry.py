@@ -104,6 +104,7 @@ def noise_kinds() -> Mapping[str, NoiseKind]:
 
 
 def _load(entry: EntryPoint) -> NoiseKind:
+    # What an import and a look-up raise; a package with other faults should show its own traceback.
     try:
         kind = entry.load()
     except (ImportError, AttributeError, SyntaxError, TypeError, ValueError) as error:

@@ -58,6 +58,7 @@ class StudentT:
         training: Mapping[str, Any] | None = None,
         time_correlation_ratio: float | None = None,
     ) -> None:
+        # The default ratio belongs to the default scale.
         if time_correlation_ratio is None:
             is_default = scale is None and refers_to == "observation"
             time_correlation_ratio = TIME_CORRELATION_RATIO if is_default else 0.0
@@ -69,6 +70,7 @@ class StudentT:
         self.camera = camera
         self.training = training or {}
         self.time_correlation_ratio = time_correlation_ratio
+        # What ``predict`` uses; ``fit`` replaces it.
         self.dof_ = dof
         self.scale_ = scale
 

@@ -135,6 +135,7 @@ def check_errors(errors: FloatArray, error_cov: FloatArray | None = None) -> Non
         )
     if not len(errors):
         raise InputError("residuals", "there is none.", "Give at least one.")
+    # NaN fails the comparison, too.
     valid = np.abs(errors) < MAX_ERROR_PX
     if not valid.all():
         row = int(np.argwhere(~valid)[0, 0])

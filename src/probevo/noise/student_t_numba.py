@@ -61,6 +61,7 @@ def _dof_root(mean_log_weight: float) -> float:
     Args:
         mean_log_weight: mean of ln w − w.
     """
+    # Bracket the root; without a change of sign, the likelihood is largest at a bound.
     low = math.log(MIN_DOF)
     high = math.log(MAX_DOF)
     above = _dof_slope(MIN_DOF) + mean_log_weight
@@ -76,6 +77,7 @@ def _dof_root(mean_log_weight: float) -> float:
         middle = (low * below - high * above) / (below - above)
         if abs(middle - prev_middle) < DOF_TOLERANCE:
             break
+        # Illinois: halve the value at an end that stays for two iterations, so that both converge.
         value = _dof_slope(math.exp(middle)) + mean_log_weight
         if value > 0.0:
             low = middle
@@ -108,6 +110,7 @@ def _weigh(rows: _Rows, bias: FloatArray, W: FloatArray, dof: float, weight: Flo
 
     W = Σ⁻¹ is [4, 4]; U is the covariance of the error.
     """
+    # Every entry has a name, so that the loop below contains no inner loop and vectorises.
     b0, b1, b2, b3 = bias
     w00 = W[0, 0]
     w11 = W[1, 1]
@@ -160,6 +163,8 @@ def weighted_log_sum(values: FloatArray, factors: FloatArray, scratch: FloatArra
         values, factors: [n].
         scratch: work space, [2, n] at least.
     """
+    # Split each number into its mantissa, as a double from 1 to 2, and its exponent, as 2⁵² + k,
+    # by operations on integers only.
     bits = values.view(np.int64)
     split = scratch.view(np.int64)
     for m in range(len(values)):
@@ -170,6 +175,7 @@ def weighted_log_sum(values: FloatArray, factors: FloatArray, scratch: FloatArra
     for m in range(len(values)):
         # Two sums: in one, the compiler would merge this constant with those of the series.
         powers += factors[m] * (scratch[1, m] - (2.0**52 + 1023.0))
+        # ln m, by the series of artanh around m = √2.
         t = (scratch[0, m] - ROOT_2) / (scratch[0, m] + ROOT_2)
         y = t * t
         series = 1.0 + y * (
@@ -205,6 +211,7 @@ def mahalanobis_and_log_det(
             squared[n] = np.nan
             log_det[n] = np.nan
             continue
+        # Forward substitution: with Σ = L Lᵀ, the norm of L⁻¹ e is the Mahalanobis distance.
         squares = 0.0
         determinant = 1.0
         for i in range(4):
@@ -227,6 +234,7 @@ def _moments(
     ``first`` becomes Σ w (e − b), [4]; ``second`` becomes the upper triangle of
     Σ w ((e − b)(e − b)ᵀ + U), [4, 4].
     """
+    # As in ``_weigh``, every entry has a name, so that the loop vectorises.
     b0, b1, b2, b3 = bias
     x0 = rows.errors[0]
     x1 = rows.errors[1]
@@ -300,6 +308,7 @@ def fit_all(
     has_bias = robust and prior.bias_counts < np.inf
     learns_dof = robust and prior.dof_counts < np.inf
     prior_log_weight = -_dof_slope(prior.dof) if learns_dof else 0.0
+    # Work space for the largest neighbourhood.
     W = np.empty((4, 4))
     lower = np.zeros((4, 4))
     mean = np.zeros(4)
@@ -328,19 +337,21 @@ def fit_all(
             log_weights = weighted_log_sum(weight, k, scratch) if learns_dof else 0.0
             for m in range(len(k)):
                 weight[m] = k[m] * weight[m] if robust else k[m]
-            # M-step: scale and bias from the moments of the errors around the present bias.
+            # M-step for the scale: second moment around the present bias, shrunk to the prior.
             weights = _moments(rows, b, weight, first=mean, second=S)
             for i in range(4):
                 for j in range(i, 4):
                     S[i, j] = S[j, i] = (S[i, j] + prior.counts * prior.scale[i, j]) / (
                         weights + prior.counts
                     )
+            # M-step for the bias, which shrinks to zero.
             if has_bias:
                 for i in range(4):
                     b[i] += (
                         mean[i] / (weights + prior.bias_counts)
                         - prior.bias_counts / (weights + prior.bias_counts) * b[i]
                     )
+            # M-step for ν, whose prior counts as errors that have its mean log weight.
             if learns_dof:
                 nu = _dof_root(
                     (log_weights - weights + prior.dof_counts * prior_log_weight)

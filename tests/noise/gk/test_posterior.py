@@ -60,7 +60,7 @@ def test_as_published_it_is_the_posterior_of_an_inverse_wishart(place: FloatArra
 
 
 def test_the_published_predictive_density_is_that_of_scipy() -> None:
-    """The Student-t of eq. 13, whose covariance is the mean Ψ*/(ν* − d − 1) of the inverse Wishart."""
+    """The Student-t of eq. (13), whose covariance is the mean of the inverse Wishart."""
     psi, nu = published_by_hand(PLACES[1], PUBLISHED)
     dof = nu - DIM + 1.0
     errors = np.geomspace(0.01, 50.0, 6)[:, None] * np.random.default_rng(1).normal(size=(6, DIM))
@@ -121,9 +121,9 @@ def test_samples_all_in_one_place_all_count(published: bool) -> None:
     """Forty samples at the very place, and any K: their kernel is one, and the K-th neighbour is at
     no distance."""
     errors = np.random.default_rng(2).normal(size=(40, DIM))
-    crowd = KernelPosterior.of(KernelSamples(np.ones((40, 2)), errors), published=published)
+    coincident = KernelPosterior.of(KernelSamples(np.ones((40, 2)), errors), published=published)
     shape = KernelShape(neighbors=40, reach=0.5, prior_counts=6.0)
-    found, counts = crowd.at(np.ones((1, 2)), shape)
+    found, counts = coincident.at(np.ones((1, 2)), shape)
     assert counts[0] == pytest.approx(40.0)
     assert np.isfinite(found.scale).all()
 
@@ -149,7 +149,7 @@ def test_beyond_the_reach_of_all_the_prior_holds(published: bool) -> None:
     np.testing.assert_array_equal(found.bias, np.zeros((1, DIM)))
 
 
-def test_at_the_very_reach_a_sample_has_no_say() -> None:
+def test_at_the_very_reach_a_sample_has_no_influence() -> None:
     """So that nothing jumps where one comes into reach."""
     lonely = KernelPosterior.of(
         KernelSamples(np.zeros((1, 1)), np.full((1, DIM), 3.0)), published=True

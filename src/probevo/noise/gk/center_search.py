@@ -84,6 +84,7 @@ class Leaves(NamedTuple):
 
 def _with_whole_head(rotated: FloatArray) -> SingleArray:
     """Return the coordinates in single precision, with columns of zeros up to HEAD of them."""
+    # Queries beyond single precision become ∞, which is handled as infinitely far.
     rows, columns = rotated.shape
     whole = np.zeros((rows, max(columns, HEAD)), np.float32)
     with np.errstate(over="ignore"):
@@ -104,6 +105,7 @@ def _leaf_order(places: SingleArray) -> IntArray:
         if len(part) <= LEAF:
             done.append(part)
             continue
+        # Split at a multiple of LEAF, so that all leaves but the last are full.
         column = int(np.argmax(np.ptp(places[part], axis=0)))
         order = part[np.argsort(places[part, column], kind="stable")]
         middle = LEAF * -(-len(part) // (2 * LEAF))

@@ -56,6 +56,7 @@ class Centers:
             samples: training data that are no centers, [N, M]. If they are too few to determine the
                 quantile, the distances between neighbouring centers count, too.
         """
+        # Distances of the other training samples from their nearest centers.
         tree = KDTree(self.places.T)
         distance = np.asarray(tree.query(samples)[0]) if len(samples) else np.zeros(0)
         if len(samples) * (1.0 - DOMAIN_QUANTILE) < 1.0 and len(self.parameters) > 1:

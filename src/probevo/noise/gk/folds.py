@@ -40,6 +40,8 @@ def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -
         groups: number of the group of each sample, [N]; by default blocks of consecutive samples.
         published: whether the prior is that of the published variant.
     """
+    # Whole groups go into a fold: neighbouring samples of a drive are correlated, and a model would
+    # seem good that has only memorised them.
     count = len(samples.errors)
     if groups is None:
         groups = np.arange(count) * 2 * FOLDS // max(count, 1)
@@ -50,8 +52,10 @@ def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -
         outside = np.flatnonzero(fold != number)
         if not len(outside):
             continue
+        # Thinned out evenly, to bound the time of the search.
         held_out = samples.subset(inside[evenly(len(inside), MAX_HELD_OUT)])
         training = samples.subset(outside[evenly(len(outside), MAX_SAMPLES)])
+        # The static fit is the baseline of the score, and the prior of the robust kernel.
         fitted = fit_static(training.errors, training.error_cov)
         noise = StereoNoise(scale=fitted.scale, dof=fitted.dof, bias=fitted.bias)
         folds.append(

@@ -157,6 +157,7 @@ class GeneralizedKernel:
         self.posterior_ = KernelPosterior.of(samples, published=published)
         is_center = evenly(len(residuals), int(self.centers))
         places = samples.coordinates[is_center]
+        # A support that was not chosen covers nearly all places with K neighbours.
         if not np.isfinite(shape.reach):
             radius = self.posterior_.radius(places, shape.neighbors)
             reach = REACH_FACTOR * float(np.quantile(radius, REACH_QUANTILE))

@@ -129,6 +129,7 @@ def choose_shape(
     Returns:
         The weights [M], the hyperparameters, and a log of the search.
     """
+    # Start from what is given and from the defaults.
     dimension = samples.coordinates.shape[1]
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
     fixed = {name: value for name, value in given.items() if name != "weights"}
@@ -137,6 +138,7 @@ def choose_shape(
     shape = replace(KernelShape(), **fixed)
     if published and "reach" not in given:
         shape = replace(shape, reach=DEFAULT_REACH)
+    # Divide the samples into folds, unless there is nothing to choose, or too few groups.
     candidates = {
         name: values
         for name, values in (PUBLISHED_CANDIDATES if published else CANDIDATES).items()
@@ -158,6 +160,8 @@ def choose_shape(
     weight_steps = dimension * (dimension + 1) // 2 if has_free_weights else 0
     search = _Search(folds, published, on_progress, total_steps=weight_steps + len(candidates))
 
+    # Greedy search: columns and their weights, then one hyperparameter after another. The prior
+    # degrees of freedom are estimated before the other hyperparameters, and again after them.
     if has_free_weights:
         weights = search.choose_weights(dimension, shape)
     if candidates and not published:
@@ -165,8 +169,8 @@ def choose_shape(
     for name, values in candidates.items():
         shape = search.choose(name, values, weights, shape)
     if not published:
-        # Once more, for the neighbourhoods that were chosen.
         shape = search.choose_dof(weights, shape)
+    # K for all samples again.
     neighbors = fixed.get("neighbors", round(shape.neighbors * ratio))
     return weights, replace(shape, neighbors=neighbors), search.log
 
@@ -253,6 +257,7 @@ class _Search:
         """
         from scipy.optimize import minimize_scalar  # slow to import, and needed in training only
 
+        # With the degrees of freedom held at the prior, the likelihood is a function of these only.
         held = replace(shape, dof_counts=np.inf)
 
         def loss(log_dof: float) -> float:
@@ -297,6 +302,7 @@ class _Search:
     def _neighborhoods(
         self, fold: Fold, weights: FloatArray, shape: KernelShape
     ) -> tuple[KernelPosterior, Neighborhoods]:
+        # Columns without weight do not enter the tree.
         used = weights > 0.0
         coordinates = np.ascontiguousarray((fold.training.coordinates * weights)[:, used])
         places = np.ascontiguousarray((fold.held_out.coordinates * weights)[:, used])

@@ -149,6 +149,7 @@ class KernelPosterior:
 
     def _within_reach(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
         """Find all samples within ρ."""
+        # The tree returns a list of neighbours for each place; they are joined into one array.
         found = self.tree.query_ball_point(places, shape.reach, return_sorted=True)
         members_of_each = [self.order[own] for own in found]
         first: IntArray = np.cumsum([0, *map(len, members_of_each)])
@@ -159,6 +160,7 @@ class KernelPosterior:
 
     def _nearest(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
         """Find the K nearest samples within ρ; the kernel ends at the K-th."""
+        # The tree reports a missing neighbour at distance ∞.
         ranks = np.arange(1, min(shape.neighbors, len(self.samples.errors)) + 1)
         distance, near = map(
             np.asarray, self.tree.query(places, ranks, distance_upper_bound=shape.reach)

@@ -121,10 +121,12 @@ class NearestNeighbors:
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """Return β R for each of N features from its place in the prediction space, [N, M]."""
-        return self.base.predict(predictors).scaled(self.weights(predictors))
+        beta = self.weights(predictors)
+        return self.base.predict(predictors).scaled(beta)
 
     def weights(self, predictors: FloatArray) -> FloatArray:
         """Compute β = (ᾱ_K/ᾱ)^γ at N places [N, M], bounded by ``LARGEST_WEIGHT``: [N]."""
+        # In logarithms, so that a large exponent cannot overflow.
         bound = np.log(LARGEST_WEIGHT)
         log_beta = self.exponent * self.log_relative_alpha(predictors)
         beta: FloatArray = np.exp(np.clip(log_beta, -bound, bound))
@@ -144,6 +146,7 @@ class NearestNeighbors:
         """
         metric = self.metric_
         coordinates = self.index_.samples.T
+        # A value is undefined if it lies exactly where the metric puts such values.
         undefined = metric.may_be_undefined & (
             coordinates == (UNDEFINED * metric.weight).astype(np.float32)
         )
@@ -171,6 +174,7 @@ class NearestNeighbors:
         """
         metric = self.metric_
         index = self.index_
+        # The base is stored by name.
         bases = [name for name, base in _BASES.items() if type(self.base) is base]
         if not bases:
             raise InputError(

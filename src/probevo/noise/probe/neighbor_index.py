@@ -40,6 +40,7 @@ class NeighborIndex(NamedTuple):
 
         The centers are samples at regular steps of the training data.
         """
+        # About √N cells of √N samples, so that neither centers nor cells dominate a query.
         points = np.ascontiguousarray(samples, dtype=np.float32)
         num_cells = max(1, round(math.sqrt(len(points))), len(points) // MEAN_CELL_SIZE)
         centers = points[np.linspace(0, len(points) - 1, num_cells).astype(np.int64)]

@@ -31,6 +31,7 @@ def fill_means(
     index: NeighborIndex, queries: SingleArray, neighbors: IntArray, means: FloatArray
 ) -> None:
     """Fill in the mean value over the K nearest samples of each query, [n, J]."""
+    # Work space: distances to all centers, and distances and values of the candidates.
     num_cells = index.centers.shape[1]
     wanted = CANDIDATES_PER_NEIGHBOR * neighbors.max()
     most_of_cell = max(wanted, MAX_VISITED_OF_CELL)
@@ -56,6 +57,7 @@ def fill_means(
             for i in range(end - first):
                 value[count + i] = index.values[first + i]
             count += end - first
+        # The candidates serve every K.
         for j in range(len(neighbors)):
             means[n, j] = _mean_of_smallest(squared[:count], value[:count], neighbors[j])
 
@@ -107,6 +109,7 @@ def _mean_of_smallest(squared: SingleArray, value: SingleArray, wanted: int) -> 
             low = middle
         if below == wanted:
             break
+    # Mean over all samples within the threshold, without a branch.
     sum_of_values = zero
     number = zero
     for i in range(len(squared)):
