@@ -86,6 +86,7 @@ def _strength_bound(image: Image) -> Image:
     brighter = np.full(center.shape, 255, np.uint8)
     darker = np.zeros(center.shape, np.uint8)
     of_two = np.empty_like(brighter)
+    # Of each facing pair, at least the larger (smaller) pixel must differ by the strength
     for du, dv in HALF_RING:
         one = shifted(du, dv)
         facing = shifted(-du, -dv)

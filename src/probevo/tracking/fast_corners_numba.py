@@ -60,6 +60,7 @@ def fill_strongest(
             first, last = _extent(column, cell_px, width, border_px=border_px)
             strengths = strongest.strength[row, column]
             indices = strongest.flat_index[row, column]
+            # Only pixels whose bound exceeds ``least`` can be among the strongest
             least = threshold
             for v in range(top, bottom):
                 bounds = image.bound[v - REACH_PX, first - REACH_PX : last - REACH_PX]
@@ -109,6 +110,7 @@ def _is_local_maximum(image: FlatImage, u: int, v: int, strength: int) -> bool:
 def _strength(image: FlatImage, index: int, least: int) -> int:
     """Return the strength of a pixel if it is more than ``least``, or else ``least``."""
     ring = image.ring
+    # Which of the ring's pixels are brighter, or darker, as bits
     center = np.int32(image.pixels[np.uint64(index)])
     brighter = 0
     darker = 0
