@@ -167,9 +167,8 @@ def check_imu(sequence: Sequence, config: OdometryConfig) -> None:
 def _write(
     out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures
 ) -> Run:
-    from probevo.output.report import (
-        write_report,
-    )  # only now: importing Matplotlib would hold up the first frame
+    # Only now: importing Matplotlib would hold up the first frame.
+    from probevo.output.report import RunDescription, write_report
 
     # Absolute, so that --config finds the recording and the noise model from any directory.
     found = {
@@ -195,12 +194,10 @@ def _write(
         write_report(
             out / "report.html",
             result,
-            title,
-            facts=facts,
+            RunDescription(title, facts, settings),
             truth=truth,
             metrics=metrics,
             thumbnails=pictures.drawn,
-            config=settings,
         )
     else:
         remove_stale(out / "report.html")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from probevo.output.metrics_table import readable
+from probevo.output.table import readable
 
 WARN_ABOVE = 0.1
 """Share of features out of domain from which on a reader is warned."""

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image
 from probevo.output.drawing import TRUST_COLORS_BGR
-from probevo.output.metrics_table import readable
+from probevo.output.table import readable
 
 LEGEND_PX = 46
 """Height of the legend below a picture of REFERENCE_PX; dots and legend grow with the picture's
