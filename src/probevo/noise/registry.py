@@ -60,18 +60,21 @@ _BUILT_IN = (
         summary="one Student-t for every observation",
         untrained=StudentT,
         from_file=StudentT.from_file,
+        inspection="probevo.output.inspection.student_t:sections",
     ),
     NoiseKind(
         name="knn",
         model=NearestNeighbors,
         summary="PROBE: a weight for each feature from its nearest neighbours",
         from_file=NearestNeighbors.from_file,
+        inspection="probevo.output.inspection.knn:sections",
     ),
     NoiseKind(
         name="gk",
         model=GeneralizedKernel,
         summary="PROBE-GK: a covariance for each feature from a generalized kernel",
         from_file=GeneralizedKernel.from_file,
+        inspection="probevo.output.inspection.gk:sections",
     ),
 )
 
