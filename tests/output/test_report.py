@@ -13,11 +13,11 @@ from output.pages import Balance
 from probevo.evaluation.consistency import Consistency
 from probevo.evaluation.metrics import evaluate
 from probevo.output.drawing import draw_tracks
-from probevo.output.table import readable
 from probevo.output.report import RunDescription, write_report
 from probevo.output.report_calibration import calibration_figure
 from probevo.output.report_timelines import domain_figure, stages_figure
 from probevo.output.run_result import RunResult
+from probevo.output.table import readable
 
 
 def page_of(
