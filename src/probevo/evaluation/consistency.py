@@ -48,7 +48,8 @@ class Consistency:
     def share_inside(self, probability: FloatArray) -> FloatArray:
         """Compute the share of errors inside the ellipsoids of P probabilities, 0 … 1, [P].
 
-        The ellipsoid of probability p holds the errors whose NEES is at most the p-quantile of χ²(6).
+        The ellipsoid of probability p holds the errors whose NEES is at most the p-quantile of
+        χ²(6).
         """
         radius_squared = chdtri(6, 1.0 - probability)
         return np.asarray(np.mean(self.nees[:, None] <= radius_squared, axis=0))
@@ -56,10 +57,10 @@ class Consistency:
     def share_interval(
         self, probability: FloatArray, confidence: float = 0.95
     ) -> tuple[FloatArray, FloatArray]:
-        """Compute where that share lies for consistent covariances and independent errors, [P] each.
+        """Compute the interval of that share for consistent covariances, [P] each.
 
-        K times the share is then binomial, Bin(K, p). Both ends are quantiles of it, so that each
-        tail holds at most half of 1 − ``confidence``.
+        For independent errors, K times the share is binomial, Bin(K, p). Both ends are quantiles
+        of it, so that each tail holds at most half of 1 − ``confidence``.
         """
         tail = 0.5 * (1.0 - confidence)
         count = len(self.nees)
@@ -79,6 +80,7 @@ def feature_coverage(noise: StereoNoise, residuals: FloatArray) -> dict[str, flo
         noise: noise of the residuals of N ≥ 1 features.
         residuals: e, [N, 4], px.
     """
+    # Squared Mahalanobis distance of each feature, [N].
     error = (residuals - noise.bias)[..., None]
     squared = (error.mT @ np.linalg.solve(noise.scale, error))[:, 0, 0]
     # Probability of an ellipsoid that ends at the error of each feature, [N].
@@ -152,6 +154,7 @@ def drift_covariances(
         0 at the first.
     """
     adjoints = se3.adjoint(T_curr_prev)
+    # B and P of the first pose are 0: it defines the world frame.
     common = np.zeros(common_mode.shape[1:])
     rest = np.zeros((6, 6))
     drift = np.zeros((len(cov) + 1, 6, 6))

@@ -34,7 +34,7 @@ def distance_along_path(T_world_cam: FloatArray) -> FloatArray:
 
 
 def position_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> FloatArray:
-    """Compute e_k, estimated minus true position in the first camera frame, [K, 3], m; unaligned."""
+    """Compute e_k, estimated minus true position in the first camera frame, [K, 3], m."""
     return (from_first_camera(T_world_cam_est) - from_first_camera(T_world_cam_true))[:, :3, 3]
 
 
@@ -58,7 +58,7 @@ def ate_rmse(
 ) -> float:
     """Compute the absolute trajectory error (ATE), RMS over positions, m.
 
-    Positions are compared after the best rigid alignment, or else with the first cameras made equal.
+    Positions are compared after the best rigid alignment, or with the first cameras made equal.
     """
     if not align:
         return _rms(position_errors(T_world_cam_est, T_world_cam_true))

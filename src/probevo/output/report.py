@@ -195,12 +195,15 @@ def _figures(result: RunResult, drift: Drift, consistency: Consistency | None) -
         figure = calibration_figure(consistency)
         panels.append(panel("Claim and truth, step by step", _CALIBRATION_NOTE, figure))
     panels.append(panel("Tracks and status", _status_note(result), tracks_figure(result)))
-    if result.num_used is not None and result.num_out_of_domain is not None:
-        # A run that never left the domain of its noise model needs no figure of that.
-        if result.num_out_of_domain.any():
-            figure = domain_figure(result.num_used, result.num_out_of_domain, result)
-            note = "Features that lie where the noise model has seen no training data."
-            panels.append(panel("Out of domain", note, figure))
+    # A run that never left the domain of its noise model needs no figure of that.
+    if (
+        result.out_of_domain
+        and result.num_used is not None
+        and result.num_out_of_domain is not None
+    ):
+        figure = domain_figure(result.num_used, result.num_out_of_domain, result)
+        note = "Features that lie where the noise model has seen no training data."
+        panels.append(panel("Out of domain", note, figure))
     panels.append(panel("Time by stage", _stages_note(result), stages_figure(result)))
     if result.rejected:
         figure = rejected_figure(result.rejected)

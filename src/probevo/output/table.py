@@ -141,14 +141,17 @@ class Table:
         All values of a group of columns share a cell, padded such that they stand below each other.
         """
         texts = [
-            [column.format(cell.value) for column, cell in self._cells(row)] for row in self.rows
+            [column.format(cell.value) for column, cell in row.cells_by_column(self.columns)]
+            for row in self.rows
         ]
+        # All columns of a group become one.
         merged_head = []
         merged_columns = []
         for members in self._merged_columns():
             first = self.columns[members[0]]
             merged_head.append(first.group or first.head)
             merged_columns.append(_joined([[text[k] for text in texts] for k in members]))
+        # A section begins where a row names another one than the row before.
         rows = [tuple(merged_head)]
         previous_section = ""
         for row, merged in zip(self.rows, zip(*merged_columns, strict=True), strict=True):
@@ -201,15 +204,13 @@ class Table:
         writer.writerows([cell.value for cell in row.cells] for row in self.rows)
         return buffer.getvalue()
 
-    def _cells(self, row: Row) -> list[tuple[Column, Cell]]:
-        return row.cells_by_column(self.columns)
-
     def _merged_columns(self) -> list[list[int]]:
         """Find the indices of the columns that share a cell of the text: those of each group."""
         runs = groupby(range(len(self.columns)), lambda k: self.columns[k].group or k)
         return [list(members) for _, members in runs]
 
     def _latex_group_heads(self) -> list[str]:
+        """Make the cells of the row above the head, one for each group, empty ones between."""
         heads = []
         for name, run in groupby(column.group for column in self.columns):
             count = len(list(run))
@@ -218,8 +219,9 @@ class Table:
         return heads
 
     def _latex_cells(self, row: Row) -> list[str]:
+        """Make the cells of a row; an aside is indented."""
         cells = []
-        for column, cell in self._cells(row):
+        for column, cell in row.cells_by_column(self.columns):
             text = latex(column.format(cell.value))
             cells.append(rf"\textbf{{{text}}}" if cell.is_best else text)
         if row.is_aside:
@@ -272,10 +274,12 @@ def latex(text: str) -> str:
 
 
 def _latex_row(cells: Sequence[str]) -> str:
+    """Join cells to a row."""
     return rf"{' & '.join(cells)} \\"
 
 
 def _latex_head(column: Column) -> str:
+    """Write the head of a column as the papers do: a capital, and the unit in brackets."""
     title = latex(column.title[:1].upper() + column.title[1:])
     return f"{title} [{latex(column.unit)}]" if column.unit else title
 

@@ -144,6 +144,7 @@ class Course:
 
 def course_along(column: FloatArray, values: FloatArray) -> Course:
     """Follow C values [C] along a column [C], NaN where undefined."""
+    # Bins of equally many centers; equal values stay together.
     known = np.isfinite(column)
     count = int(np.clip(known.sum() // FEWEST_IN_BIN, 1, MOST_BINS))
     inner = np.linspace(0.0, 1.0, count + 1)[1:-1] if known.any() else np.zeros(0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Any
 
@@ -170,6 +170,7 @@ def centers_figure(view: CentersView, frame: FrameView | None) -> Figure:
 
     The frame's features are rings.
     """
+    # One plot for each pair of columns, at most three beside each other.
     pairs = list(combinations(range(min(len(view.used), MOST_PAIRED)), 2))
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
@@ -213,6 +214,7 @@ def histogram_figure(training: FloatArray, frame: FloatArray, label: str, prior:
 
     The dashed line is the prior, which holds out of the reach of all samples.
     """
+    # The window holds nearly all values and the prior, unless that is infinite.
     every = np.concatenate([training, frame, [prior] if np.isfinite(prior) else []])
     low, high = np.quantile(every, [0.002, 0.998]).tolist()
     low = min(low, 0.98 * prior) / 1.05

@@ -96,6 +96,7 @@ def correlation_figure(view: ModelView) -> Figure:
 
     The last row is the correlation of each with ln(α/ᾱ).
     """
+    # Only the lower triangle: the matrix is symmetric, and its diagonal is 1.
     order = view.order
     table = rank_correlation(np.column_stack([view.places[:, order], view.log_alpha]))
     names = [*(view.columns[m] for m in order), "ln(α/ᾱ)"]
@@ -125,6 +126,7 @@ def pairs_figure(view: ModelView, frame: FrameView | None) -> Figure:
 
     The frame's features are points.
     """
+    # One plot for each pair of columns, at most three beside each other.
     pairs = list(combinations(view.order[:MOST_PAIRED], 2))
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
@@ -155,6 +157,7 @@ def _label(view: ModelView, m: int) -> str:
 def weights_figure(view: ModelView, beta: FloatArray) -> Figure:
     """Draw β of the frame's features, [N], beside that of the training samples."""
     logs = np.log10(np.concatenate([view.beta, beta]))
+    # The window is symmetric about β = 1, on a logarithmic scale.
     reach = max(float(np.quantile(np.abs(logs), 0.998)), 0.35)
     figure, axes = two_histograms(np.log10(view.beta), np.log10(beta), (-reach, reach))
     axes.axvline(0.0, color=INK, lw=0.8)

@@ -39,6 +39,7 @@ def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
     Samples of equal α are taken to be of one subset: α is a real number, which two motions hardly
     share.
     """
+    # Bins of equally many samples; equal values stay together, undefined ones have the last bin.
     known = np.isfinite(values)
     count = int(np.clip(known.sum() // FEWEST_IN_BIN, 1, MOST_BINS))
     inner = np.linspace(0.0, 1.0, count + 1)[1:-1] if known.any() else np.zeros(0)
@@ -46,6 +47,7 @@ def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
     bins = np.where(known, np.searchsorted(edges, values, side="right"), MOST_BINS)
     used, bins = np.unique(bins, return_inverse=True)
     mean, error, number = _bin_means(bins, log_alpha)
+    # Variance between the bins, less the one that chance would give their means.
     between = np.sum(number * ((mean - log_alpha.mean()) ** 2 - error**2)) / len(values)
     total = float(log_alpha.var())
     regular = used < MOST_BINS
@@ -64,6 +66,8 @@ def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
 
 def _bin_means(bins: IntArray, log_alpha: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute mean, its standard error over subsets, and number of samples of B bins, [B] each."""
+    # Samples of a subset have one α, and so the same error: the variance of a bin's mean is the sum
+    # of the squared errors of its subsets, and not of its samples.
     number = np.bincount(bins).astype(np.float64)
     mean = np.bincount(bins, log_alpha) / number
     distinct, subset = np.unique(log_alpha, return_inverse=True)
