@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -146,13 +147,13 @@ def write_blur_page(
 
 def _verdict(
     views: Sequence[BlurView], observations: BlurObservations, results: tuple[Finding, ...]
-) -> str:
+) -> Markup:
     claim = "PROBE Fig. 5: errors stay approximately zero-mean, and their variance grows with blur."
     lines = "".join(
         f"<li>{escape(line)}</li>"
         for line in (*verdicts(results), counts_text(views, observations))
     )
-    return (
+    return Markup(
         '<section class="panel"><h2>Does the claim hold?</h2><p'
         f' class="note">{claim}</p><ul>{lines}</ul></section>'
     )
@@ -212,7 +213,7 @@ def _draw(
         axes.plot(x_px, width_px * normal, color=color, lw=1.6)
 
 
-def _table(results: Sequence[Finding]) -> str:
+def _table(results: Sequence[Finding]) -> Markup:
     head = "".join(f"<th>{escape(name)}</th>" for name in TABLE_HEAD[1:])
     body = []
     for k, (name, *cells) in enumerate(table_rows(results)):
@@ -231,14 +232,14 @@ def _table(results: Sequence[Finding]) -> str:
         " mostly corners that tracking lost, would flatten any other."
     )
     rows = "\n".join(body)
-    return (
+    return Markup(
         f'<section class="panel"><h2>Mean and spread</h2><p class="note">{note}</p>\n'
         "<table"
         f' class="figures"><thead><tr>{head}</tr></thead><tbody>\n{rows}\n</tbody></table></section>'
     )
 
 
-def _pictures(views: Sequence[BlurView]) -> str:
+def _pictures(views: Sequence[BlurView]) -> Markup:
     """The board at little and at much blur, with the corners as detected and as tracked."""
     seen = sorted(
         ((float(np.mean(v.blur)), v) for v in views if v.blur is not None), key=lambda pair: pair[0]
@@ -255,7 +256,9 @@ def _pictures(views: Sequence[BlurView]) -> str:
         " as tracked to here."
     )
     head = f'<h2>The board</h2><p class="note">{note}</p>'
-    return f'<section class="panel">{head}\n<div class="frames">{"".join(figures)}</div></section>'
+    return Markup(
+        f'<section class="panel">{head}\n<div class="frames">{"".join(figures)}</div></section>'
+    )
 
 
 def _marked(view: BlurView) -> AnyArray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
-from probevo.output.metrics_table import readable
+from probevo.output.table import readable
 from probevo_paper.blur import BlurObservations
 
 STANDARD_ERRORS = 3.0

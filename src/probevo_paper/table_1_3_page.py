@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
+from markupsafe import Markup, escape
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -98,7 +98,7 @@ def _draw(axes: Axes, values: Sequence[float], label_y: str, label: str | None =
 
 
 def _progress_note(turns: Sequence[Mapping[str, float]], first: str) -> str:
-    note = f"Training on {escape(first)}, of which EM knows no pose, as in thesis Fig. 1.20."
+    note = f"Training on {first}, of which EM knows no pose, as in thesis Fig. 1.20."
     if not any("loop_error_m" in turn for turn in turns):
         note += (
             " No truth says where the loop ends, and so no closure error is known for the turns."
@@ -106,7 +106,7 @@ def _progress_note(turns: Sequence[Mapping[str, float]], first: str) -> str:
     return note
 
 
-def _paths_panel(entries: Sequence[Entry], folder: Path) -> str:
+def _paths_panel(entries: Sequence[Entry], folder: Path) -> Markup:
     """The paths of a loop over each other, with links to the reports of the runs."""
     links = [
         f'<a href="{quote(Path(os.path.relpath(entry.report, folder)).as_posix())}">{escape(entry.estimator)}</a>'
@@ -114,10 +114,12 @@ def _paths_panel(entries: Sequence[Entry], folder: Path) -> str:
         if entry.report is not None
     ]
     name = entries[0].sequence
-    note = f"Seen from above; a loop should end where it began. Reports: {', '.join(links)}."
+    note = Markup(
+        f"Seen from above; a loop should end where it began. Reports: {', '.join(links)}."
+    )
     figure = paths_figure([_without_gaps(entry) for entry in entries], COLORS)
     return panel(
-        escape(name), note, figure, name="paths-" + "".join(c if c.isalnum() else "-" for c in name)
+        name, note, figure, name="paths-" + "".join(c if c.isalnum() else "-" for c in name)
     )
 
 

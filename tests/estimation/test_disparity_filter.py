@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from intervals import chi2_interval
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.disparity_filter import WANDERING, DisparityMemory, carried_on, remember
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
@@ -262,7 +263,9 @@ def test_it_makes_better_motions_that_are_as_sure_as_they_say(
         nees[remembers] = float(np.mean(normalized_error_squared(true, T, cov)))
         errors[remembers] = float(np.sqrt(np.mean(np.sum((T - true)[:, :3, 3] ** 2, axis=1))))
     assert errors[True] < 0.9 * errors[False]
-    assert 5.3 < nees[True] < 7.2
+    # The steps of a drive share features, and are not independent: the upper bound is looser.
+    low, _ = chi2_interval(6, len(drives[True]) * (25 - 8))
+    assert low < nees[True] < 7.2
 
 
 def test_a_path_is_as_sure_as_its_ties_say(drives: dict[bool, list[Driven]]) -> None:
@@ -270,7 +273,8 @@ def test_a_path_is_as_sure_as_its_ties_say(drives: dict[bool, list[Driven]]) -> 
     untied = np.mean(
         [each.end_error_squared(np.zeros_like(each.path_cross_cov)) for each in drives[True]]
     )
-    assert 4.5 < tied < 8.0
+    low, high = chi2_interval(6, len(drives[True]), confidence=0.99)
+    assert low < tied < high
     assert untied > 1.5 * tied
 
 

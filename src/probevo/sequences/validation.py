@@ -57,8 +57,7 @@ def validated(
 
 
 def usable_imu(frame: Frame) -> ImuSamples | None:
-    """Return the IMU samples of a frame that is refused, for the next one; None if they are faulty.
-    """
+    """Return the IMU samples of a frame that is refused, for the next one; None if they are faulty."""
     imu = frame.imu
     if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) > 0).all():
         return None

@@ -1,4 +1,4 @@
-"""What the pages on generalized kernels show, against models whose noise is known."""
+"""What the pages on PROBE-GK models show, against models whose noise is known."""
 
 import math
 import re
@@ -13,15 +13,19 @@ from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import load_model, save_model
 from probevo.output.feature_pictures import _MARK, draw_features, value_shades
-from probevo.output.inspection_data import FrameView
-from probevo.output.inspection_kernel_data import KernelView, course_along, sigma_px, size_px
-from probevo.output.inspection_kernel_page import (
-    kernel_rows,
+from probevo.output.inspection.gk import column_table, sections, summary
+from probevo.output.inspection.gk_data import (
+    CentersView,
+    course_along,
+    gained,
     share_out_of_domain,
-    write_kernel_inspection,
+    sigma_px,
+    size_px,
+    used_columns,
 )
-from probevo.output.inspection_kernel_pictures import kernel_pictures
-from probevo.output.model_facts import gained, scale_rows, signed, turn_rows, used_columns
+from probevo.output.inspection.page import write_inspection
+from probevo.output.inspection.subject import FrameView, Subject
+from probevo.output.inspection.training_facts import em_table, scale_table, signed
 
 COLUMNS = ("x", "idle", "holey")
 SEARCHES: dict[str, Any] = {
@@ -45,7 +49,7 @@ TRAINING: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def view() -> KernelView:
+def view() -> CentersView:
     """σ is e^x/10 px along u and v_l a third of it; where ``holey`` is undefined, in a fifth of
     all, ten times that."""
     rng = np.random.default_rng(0)
@@ -63,27 +67,26 @@ def view() -> KernelView:
         centers=1500,
         training=TRAINING,
     ).fit(phi, errors, metric=metric)
-    return KernelView.of("m.safetensors", model, {"x": "focal lengths", "holey": "px"})
+    return CentersView.of("m.safetensors", model, {"x": "focal lengths", "holey": "px"})
 
 
-def frame_of(view: KernelView, phi: list[list[float]]) -> FrameView:
+def frame_of(view: CentersView, phi: list[list[float]]) -> FrameView:
     """Features with these predictors."""
     places = np.array(phi)
     uv = np.random.default_rng(1).uniform([0, 0], [300, 100], (len(places), 2))
     columns = {"x": "focal lengths", "idle": "", "holey": "px"}
     return FrameView(
-        "d",
-        3,
-        None,
+        recording="d",
+        index=3,
+        left=None,
         size_px=(300, 100),
         uv=uv,
         columns=columns,
         phi=places,
-        noise=view.model.predict(places),
     )
 
 
-def test_used_columns_come_in_the_order_of_their_gain(view: KernelView) -> None:
+def test_used_columns_come_in_the_order_of_their_gain(view: CentersView) -> None:
     assert [(c.name, c.weight, c.gain) for c in view.used] == [
         ("holey", 2.0, 0.3),
         ("x", 1.0, pytest.approx(0.2)),
@@ -98,7 +101,7 @@ def test_used_columns_come_in_the_order_of_their_gain(view: KernelView) -> None:
     ]
 
 
-def test_centers_lie_where_the_samples_did(view: KernelView) -> None:
+def test_centers_lie_where_the_samples_did(view: CentersView) -> None:
     assert view.places.shape == (1500, 2)
     holey, x = view.places.T
     assert np.isnan(holey).mean() == pytest.approx(0.2, abs=0.01)
@@ -107,7 +110,7 @@ def test_centers_lie_where_the_samples_did(view: KernelView) -> None:
     )
 
 
-def test_the_noise_at_the_centers_is_that_of_the_data(view: KernelView) -> None:
+def test_the_noise_at_the_centers_is_that_of_the_data(view: CentersView) -> None:
     undefined = np.isnan(view.places[:, 0])
     x = view.places[:, 1]
     inner = np.abs(x) < 0.6
@@ -137,21 +140,30 @@ def test_a_course_is_the_quantiles_in_bins() -> None:
     assert course_along(np.full(3, np.nan), np.arange(3.0)).quantiles.shape == (3, 0)
 
 
-def test_gains_turns_and_scales_in_words() -> None:
+def test_the_gain_is_that_of_the_last_search() -> None:
     assert gained(SEARCHES) == 0.61
     assert gained({"weights": SEARCHES["weights"]}) == 0.5
     assert gained({}) is None
     assert gained({"weights": {"candidates": [], "gains": [], "chosen": [0.0]}}) is None
     assert (signed(0.5), signed(-0.25), signed(None)) == ("+0.500", "−0.250", "–")
-    rows = turn_rows([*TRAINING["turns"], {"log_likelihood": 0.5}], "the static model")
-    assert rows == [
+
+
+def test_em_iterations_are_rows_and_the_end_error_has_a_column_where_it_is_known() -> None:
+    table = em_table([*TRAINING["turns"], {"log_likelihood": 0.5}], "the static model")
+    assert table.text_rows()[1:] == [
         ("0: the static model", "-1.0000", "2.500"),
         ("1", "0.2500", "1.500"),
         ("2", "0.5000", "–"),
     ]
+    without = em_table([{"log_likelihood": 0.5}], "not trained")
+    assert without.text_rows()[1:] == [("0: not trained", "0.5000")]
+    assert without.notes == ()
+
+
+def test_a_scale_matrix_is_shown_as_sigma_and_correlations() -> None:
     scale = np.diag([4.0, 1.0, 9.0, 1.0])
     scale[0, 2] = scale[2, 0] = -3.0
-    rows = scale_rows(scale)
+    rows = scale_table(scale).text_rows()[1:]
     assert [row[1] for row in rows] == [
         "2.000",
         "1.000",
@@ -162,33 +174,33 @@ def test_gains_turns_and_scales_in_words() -> None:
     assert rows[2][2:] == ("−0.50", "+0.00", "")
 
 
-def test_rows_of_columns(view: KernelView) -> None:
+def test_rows_of_columns(view: CentersView) -> None:
     frame = frame_of(view, [[0.0, 1.0, 2.0], [1.0, 3.0, np.nan]])
-    holey, x, idle = kernel_rows(view, frame)
+    holey, x, idle = column_table(view, frame).text_rows()[1:]
     assert holey[:4] == ("holey", "px", "2", "+0.300")
     assert holey[-2:] == ("2.00", "50.0 %")
     assert x[-2:] == ("0.500", "–")
     assert idle[:4] == ("idle", "", "–", "–")
-    alone = kernel_rows(view, None)
-    assert [row[-2] for row in alone] == ["–"] * 3
-    assert alone[0][-1] == f"{100 * np.isnan(view.places[:, 0]).mean():.1f} %"
-    assert alone[2][-1] == "–"  # the file does not say
+    without_frame = column_table(view, None).text_rows()[1:]
+    assert [row[-2] for row in without_frame] == ["–"] * 3
+    assert without_frame[0][-1] == f"{100 * np.isnan(view.places[:, 0]).mean():.1f} %"
+    assert without_frame[2][-1] == "–"  # the file does not say
 
 
 def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(
-    view: KernelView, tmp_path: Path
+    view: CentersView, tmp_path: Path
 ) -> None:
     frame = frame_of(
         view, [[0.1, 1.0, 2.0], [-0.3, 3.0, np.nan], [0.2, 3.0, 2.1], [40.0, 0.0, 2.0]]
     )
-    assert share_out_of_domain(frame) == 0.25
-    pictures = kernel_pictures(view, frame)
+    assert share_out_of_domain(view.model.predict(frame.phi)) == 0.25
+    subject = Subject(view.name, view.model, frame, view.units)
+    pictures = write_inspection(tmp_path / "a", subject).pictures
     assert list(pictures) == ["sigma", "dof", "holey", "x"]
     assert pictures["holey"][0] == "holey: undefined for 1 of 4"
-    for name in ("a", "b"):
-        write_kernel_inspection(tmp_path / name, view, frame, pictures=pictures)
-    html = (tmp_path / "a").read_text()
-    assert html == (tmp_path / "b").read_text()
+    write_inspection(tmp_path / "b", subject)
+    html = (tmp_path / "a" / "inspection.html").read_text()
+    assert html == (tmp_path / "b" / "inspection.html").read_text()
     page = Balance()
     page.feed(html)
     assert page.open == []
@@ -202,7 +214,7 @@ def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(
         "What the model learned",
         "holey",
         "x",
-        "Learning by turns",
+        "EM iterations",
         "How it was chosen",
         "The prior",
         "Trained on",
@@ -216,7 +228,7 @@ def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(
     assert ">bias, px<" not in html  # it was held at zero
 
 
-def test_a_model_without_a_history_has_a_page_too(view: KernelView, tmp_path: Path) -> None:
+def test_a_model_without_a_history_has_a_page_too(view: CentersView, tmp_path: Path) -> None:
     """From Python, and with a single used column; out of the file, nothing else is known."""
     rng = np.random.default_rng(0)
     phi = rng.normal(size=(300, 2))
@@ -230,8 +242,8 @@ def test_a_model_without_a_history_has_a_page_too(view: KernelView, tmp_path: Pa
     save_model(model, tmp_path / "m.safetensors")
     read = load_model(tmp_path / "m.safetensors")
     assert isinstance(read, GeneralizedKernel)
-    write_kernel_inspection(tmp_path / "page.html", KernelView.of("m", read, {}), None, pictures={})
-    html = (tmp_path / "page.html").read_text()
+    write_inspection(tmp_path, Subject("m", read))
+    html = (tmp_path / "inspection.html").read_text()
     assert re.findall(r"<h2[^>]*>([^<]*)", html) == [
         "The predictors in figures",
         "What the model learned",
@@ -240,6 +252,26 @@ def test_a_model_without_a_history_has_a_page_too(view: KernelView, tmp_path: Pa
     ]
     assert ">bias, px<" in html
     assert "<dt>Samples</dt><dd>300</dd>" in html
+
+
+def test_the_summary_names_used_and_unused_predictors_and_the_gain(view: CentersView) -> None:
+    found = summary(view.model)
+    assert found.facts["predictors"] == "holey, x"
+    assert found.facts["not used"] == "idle"
+    assert found.facts["gain"].startswith("+0.610 nats a feature")
+    gains, iterations = found.paragraphs
+    assert [line.split()[0] for line in gains.splitlines()[2:]] == ["holey", "x"]
+    assert iterations.splitlines()[2].startswith("0: the static model")
+
+
+def test_hostile_names_are_escaped(view: CentersView) -> None:
+    hostile = sections(
+        Subject("<m>", view.model, frame_of(view, [[0.1, 1.0, 2.0]] * 2), {"x": "<u>"})
+    )
+    html = "".join(hostile.sections)
+    assert "<u>" not in html
+    assert "<m>" not in html
+    assert "&lt;drive&gt;" in html
 
 
 def test_out_of_domain_features_get_a_ring() -> None:

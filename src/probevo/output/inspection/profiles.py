@@ -1,5 +1,4 @@
-"""How the error α varies along one predictor: means in bins of equally many samples, with honest
-standard errors."""
+"""The error α along one predictor: means in bins of equally many samples, with standard errors."""
 
 from __future__ import annotations
 
@@ -20,22 +19,27 @@ class Profile:
     center: FloatArray
     """Median of the column in each bin, [B], ascending."""
     mean: FloatArray
-    """[B]."""
+    """Mean ln(α/ᾱ) in each bin, [B]."""
     standard_error: FloatArray
-    """Of the mean, [B]: the samples of one subset share its α, and count as one."""
+    """Standard error of the mean, [B]: the samples of one subset share its α, and count as one."""
     undefined: tuple[float, float] | None
     """Mean and standard error where the column is undefined; None if it never is."""
     share_undefined: float
     share_explained: float
-    """Share of the variance of ln α that the bins tell, less what chance would give them."""
+    """Share of the variance of ln α that the bins explain, less what chance would give them."""
 
 
 def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
-    """The profile of N samples with the values [N], NaN where undefined, and ln(α/ᾱ), [N].
+    """Compute the profile of N samples.
+
+    Args:
+        values: value of the column for each sample, [N]; NaN where undefined.
+        log_alpha: ln(α/ᾱ) of each, [N].
 
     Samples of equal α are taken to be of one subset: α is a real number, which two motions hardly
     share.
     """
+    # Bins of equally many samples; equal values stay together, undefined ones have the last bin.
     known = np.isfinite(values)
     count = int(np.clip(known.sum() // FEWEST_IN_BIN, 1, MOST_BINS))
     inner = np.linspace(0.0, 1.0, count + 1)[1:-1] if known.any() else np.zeros(0)
@@ -43,6 +47,7 @@ def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
     bins = np.where(known, np.searchsorted(edges, values, side="right"), MOST_BINS)
     used, bins = np.unique(bins, return_inverse=True)
     mean, error, number = _bin_means(bins, log_alpha)
+    # Variance between the bins, less the one that chance would give their means.
     between = np.sum(number * ((mean - log_alpha.mean()) ** 2 - error**2)) / len(values)
     total = float(log_alpha.var())
     regular = used < MOST_BINS
@@ -60,7 +65,9 @@ def profile_along(values: FloatArray, log_alpha: FloatArray) -> Profile:
 
 
 def _bin_means(bins: IntArray, log_alpha: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean, its standard error over subsets, and number of samples in each bin 0 … B − 1, [B] each."""
+    """Compute mean, its standard error over subsets, and number of samples of B bins, [B] each."""
+    # Samples of a subset have one α, and so the same error: the variance of a bin's mean is the sum
+    # of the squared errors of its subsets, and not of its samples.
     number = np.bincount(bins).astype(np.float64)
     mean = np.bincount(bins, log_alpha) / number
     distinct, subset = np.unique(log_alpha, return_inverse=True)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from probevo.output.profiles import MOST_BINS, profile_along
+from probevo.output.inspection.profiles import MOST_BINS, profile_along
 
 
 def test_a_straight_line_is_found_and_explains_its_share() -> None:

@@ -1,4 +1,4 @@
-"""Figures that show what a noise model learned, and how a frame's features lie in it."""
+"""Figures that show what a PROBE model learned, and how a frame's features lie in it."""
 
 from __future__ import annotations
 
@@ -10,44 +10,34 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from probevo.arrays import FloatArray
-from probevo.output.inspection_data import FrameView, ModelView, rank_correlation
-from probevo.output.profiles import Profile
-from probevo.output.svg import BAND, BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, MUTED, WIDTH_IN
-
-NARROW_IN = 4.0
-MOST_PAIRED = 4
-ORANGE = CYCLE[1]
-_BINS = 40
-_SHOWN = (0.005, 0.995)
-"""The outermost half percent of the training samples on either side, and all beyond, lie in the
-outermost bins."""
+from probevo.output.inspection.knn_data import ModelView, rank_correlation
+from probevo.output.inspection.plots import (
+    MOST_PAIRED,
+    NARROW_IN,
+    draw_column,
+    two_histograms,
+    window_of,
+)
+from probevo.output.inspection.profiles import Profile
+from probevo.output.inspection.subject import FrameView
+from probevo.output.svg import BAND, BLUE, GREY, INK, MUTED, ORANGE, WIDTH_IN
 
 
 def profile_figure(view: ModelView, m: int, frame: FrameView | None) -> Figure:
-    """Above: mean ln(α/ᾱ) along a column, with two standard errors. Below: where the samples, and
-    the frame's features, lie on it. Undefined ones stand apart at the left."""
+    """Draw how ln(α/ᾱ) varies along a column of φ.
+
+    Above: its mean, with two standard errors. Below: where the samples, and the frame's features,
+    lie. Undefined ones stand apart at the left.
+    """
     figure = Figure(figsize=(NARROW_IN, 2.9))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))
-    profile = view.profiles[m]
-    values = view.places[:, m]
-    low, high = window_of(values)
-    apart = low - 0.07 * (high - low)
-    _draw_profile(above, profile, apart)
+    unit = view.units.get(view.columns[m], "")
+    features = None if frame is None else frame.phi[:, m]
+    apart = draw_column(below, view.places[:, m], features, unit)
+    _draw_profile(above, view.profiles[m], apart)
     above.set(ylim=_common_limits(view.profiles), ylabel="mean ln(α/ᾱ)")
-    drawn = [(values, GREY, True)] + ([] if frame is None else [(frame.phi[:, m], ORANGE, False)])
-    top = max(
-        draw_shares(below, column, (low, high), apart=apart, color=color, fill=fill)
-        for column, color, fill in drawn
-    )
-    some_undefined = any(np.isnan(column).any() for column, *_ in drawn)
-    margin = 0.03 * (high - low)
-    below.set(xlabel=view.units.get(view.columns[m], ""), ylim=(0, 1.08 * top + 1e-6), yticks=[])
-    below.set_xlim((apart if some_undefined else low) - margin, high + margin)
-    below.xaxis.set_major_locator(MaxNLocator(5))
-    below.grid(visible=False, axis="y")
     return figure
 
 
@@ -67,51 +57,16 @@ def _draw_profile(axes: Axes, profile: Profile, apart: float) -> None:
         axes.errorbar(apart, mean, 2.0 * error, color=BLUE, fmt="o", mfc="white", ms=4, lw=1.2)
 
 
-def draw_shares(
-    axes: Axes,
-    values: FloatArray,
-    window: tuple[float, float],
-    apart: float,
-    color: str,
-    fill: bool,
-) -> float:
-    """Histogram as a share of all, and a bar of its own for what is undefined; returns the largest
-    share of a bin."""
-    known = values[np.isfinite(values)]
-    counts, edges = np.histogram(np.clip(known, *window), _BINS, window)
-    shares = counts / max(len(values), 1)
-    style: dict[str, Any] = {"fill": True, "alpha": 0.55} if fill else {"fill": False, "lw": 1.3}
-    axes.stairs(shares, edges, color=color, **style)
-    if len(known) < len(values):
-        axes.bar(
-            apart,
-            1.0 - len(known) / len(values),
-            1.6 * (edges[1] - edges[0]),
-            fc=color,
-            ec=color,
-            **style,
-        )
-    return float(shares.max())
-
-
-def window_of(values: FloatArray) -> tuple[float, float]:
-    """What of a column is shown; never of no width."""
-    known = values[np.isfinite(values)]
-    low, high = np.quantile(known, _SHOWN).tolist() if len(known) else (0.0, 0.0)
-    least = 1e-6 + 1e-3 * abs(low)
-    return (low, high) if high - low > least else (low - least, high + least)
-
-
 def _common_limits(profiles: Sequence[Profile]) -> tuple[float, float]:
-    """The same scale for all columns, so that their strengths compare."""
-    means = np.concatenate([profile.mean for profile in profiles] + [np.zeros(1)])
-    means = np.r_[means, [profile.undefined[0] for profile in profiles if profile.undefined]]
+    """Choose the same scale for all columns, so that their strengths compare."""
+    undefined = [profile.undefined[0] for profile in profiles if profile.undefined]
+    means = np.concatenate([*(profile.mean for profile in profiles), [0.0], undefined])
     reach = max(float(np.ptp(means)), 0.05)
     return float(means.min()) - 0.2 * reach, float(means.max()) + 0.2 * reach
 
 
 def searches_figure(searches: dict[str, dict[str, Any]]) -> Figure:
-    """Error over the candidates for K and γ, and which was chosen."""
+    """Draw the error over the candidates for K and γ, and which was chosen."""
     labels = {
         "neighbors": ("K", "squared error, left-out samples", 1.0),
         "exponent": ("γ", "mean α, training drives, mm", 1e3),
@@ -137,8 +92,11 @@ def searches_figure(searches: dict[str, dict[str, Any]]) -> Figure:
 
 
 def correlation_figure(view: ModelView) -> Figure:
-    """Spearman's correlation of the columns over the training samples, and of each with ln(α/ᾱ) in
-    the last row."""
+    """Draw Spearman's correlation of the columns over the training samples.
+
+    The last row is the correlation of each with ln(α/ᾱ).
+    """
+    # Only the lower triangle: the matrix is symmetric, and its diagonal is 1.
     order = view.order
     table = rank_correlation(np.column_stack([view.places[:, order], view.log_alpha]))
     names = [*(view.columns[m] for m in order), "ln(α/ᾱ)"]
@@ -164,8 +122,11 @@ def correlation_figure(view: ModelView) -> Figure:
 
 
 def pairs_figure(view: ModelView, frame: FrameView | None) -> Figure:
-    """How dense the training samples lie over each two of the most telling columns, and the frame's
-    features."""
+    """Draw the density of the training samples over each two of the most telling columns.
+
+    The frame's features are points.
+    """
+    # One plot for each pair of columns, at most three beside each other.
     pairs = list(combinations(view.order[:MOST_PAIRED], 2))
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
@@ -193,12 +154,12 @@ def _label(view: ModelView, m: int) -> str:
     return f"{name}, {view.units[name]}" if name in view.units else name
 
 
-def weights_figure(view: ModelView, frame: FrameView) -> Figure:
-    """β of the frame's features beside that of the training samples."""
-    frame_beta = np.zeros(0) if frame.beta is None else frame.beta
-    logs = np.log10(np.concatenate([view.beta, frame_beta]))
+def weights_figure(view: ModelView, beta: FloatArray) -> Figure:
+    """Draw β of the frame's features, [N], beside that of the training samples."""
+    logs = np.log10(np.concatenate([view.beta, beta]))
+    # The window is symmetric about β = 1, on a logarithmic scale.
     reach = max(float(np.quantile(np.abs(logs), 0.998)), 0.35)
-    figure, axes = two_histograms(np.log10(view.beta), np.log10(frame_beta), (-reach, reach))
+    figure, axes = two_histograms(np.log10(view.beta), np.log10(beta), (-reach, reach))
     axes.axvline(0.0, color=INK, lw=0.8)
     axes.set_xlabel("β: trusted < 1 < distrusted", color=MUTED)
     ticks = [n * 10.0**k for k in range(-4, 5) for n in ((1, 2, 5) if reach < 1.5 else (1,))]
@@ -207,10 +168,10 @@ def weights_figure(view: ModelView, frame: FrameView) -> Figure:
     return figure
 
 
-def distances_figure(view: ModelView, frame: FrameView) -> Figure:
-    """Distance to the K-th nearest training sample: of the frame's features, and of the training
-    samples themselves."""
-    radius = np.zeros(0) if frame.radius is None else frame.radius
+def distances_figure(view: ModelView, radius: FloatArray) -> Figure:
+    """Draw distances to the K-th nearest training sample: of the frame's features, [N], and of the
+    training samples themselves.
+    """
     top = 1.02 * max(float(radius.max(initial=0.0)), float(view.radius.max()), 1e-3)
     figure, axes = two_histograms(view.radius, radius, (0.0, top))
     axes.axvline(view.far_radius, color=INK, lw=0.9, ls="--")
@@ -218,21 +179,3 @@ def distances_figure(view: ModelView, frame: FrameView) -> Figure:
     place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
     axes.annotate("far", (view.far_radius, 0.96), (4, 0), va="top", color=INK, **place)
     return figure
-
-
-def two_histograms(
-    training: FloatArray, frame: FloatArray, window: tuple[float, float]
-) -> tuple[Figure, Axes]:
-    """Of the training samples, filled, and of the frame's features; what lies beyond the window is
-    in its end bins."""
-    figure = Figure(figsize=(WIDTH_IN, 2.5))
-    axes = figure.add_subplot(ylabel="share in a bin, %", xlim=window)
-    for values, name in ((training, "training samples"), (frame, "this frame")):
-        counts, edges = np.histogram(np.clip(values, *window), _BINS, window)
-        shares = 100.0 * counts / max(len(values), 1)
-        if name == "this frame":
-            axes.stairs(shares, edges, color=ORANGE, lw=1.6, label=name)
-        else:
-            axes.stairs(shares, edges, color=GREY, fill=True, alpha=0.55, label=name)
-    axes.legend(ncols=2, **LEGEND_ABOVE)
-    return figure, axes

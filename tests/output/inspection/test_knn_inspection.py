@@ -1,3 +1,5 @@
+"""What the pages on PROBE models show, against models whose α is known."""
+
 import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.stats import spearmanr
@@ -5,14 +7,11 @@ from scipy.stats import spearmanr
 from probevo.arrays import FloatArray
 from probevo.noise.metric import Metric
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
-from probevo.output.inspection_data import (
-    FrameView,
-    ModelView,
-    column_summaries,
-    is_the_same,
-    neighbor_radius,
-    rank_correlation,
-)
+from probevo.output.inspection.common_sections import is_constant
+from probevo.output.inspection.knn import sections
+from probevo.output.inspection.knn_data import ModelView, neighbor_radius, rank_correlation
+from probevo.output.inspection.predictors import column_summaries
+from probevo.output.inspection.subject import FrameView, Subject
 
 
 def fitted(places: FloatArray, log_alpha: FloatArray, neighbors: int = 5) -> NearestNeighbors:
@@ -61,34 +60,55 @@ def test_correlation_is_spearmans() -> None:
     assert table[0, 2] == 0.0
 
 
-def test_summaries_are_those_of_the_data() -> None:
+def test_column_summaries_are_those_of_the_data() -> None:
     model, places, _ = view()
+    training = (model.model.metric_.mean, model.model.metric_.spread)
     phi = np.array([[1.0, np.nan, np.nan], [3.0, 5.0, np.nan]])
-    frame = FrameView(
-        "drive",
-        3,
-        None,
-        size_px=(4, 4),
-        uv=np.zeros((2, 2)),
-        columns=dict.fromkeys(model.columns, "px"),
-        phi=phi,
-    )
-    weak, strong, holey = column_summaries(model, frame)
+    units = dict.fromkeys(model.columns, "px")
+    weak, strong, holey = column_summaries(units, phi, training)
     assert weak.frame_mean == 2.0
     np.testing.assert_allclose(weak.training or (), (places[:, 0].mean(), places[:, 0].std()))
     assert (strong.frame_mean, strong.undefined) == (5.0, 0.5)
     assert (holey.frame_mean, holey.undefined, holey.unit) == (None, 1.0, "px")
-    alone = column_summaries(model, None)
-    assert [(column.unit, column.frame_mean) for column in alone] == [
+    assert column_summaries(units, phi)[0].training is None
+
+
+def test_without_a_frame_the_table_shows_the_training_data_only() -> None:
+    model, _, _ = view()
+    units = {"weak": "m", "strong": "", "holey": ""}
+    summaries = column_summaries(units, model.places, of_frame=False)
+    assert [(column.unit, column.frame_mean) for column in summaries] == [
         ("m", None),
         ("", None),
         ("", None),
     ]
-    np.testing.assert_allclose([column.undefined for column in alone], [0.0, 0.0, 0.2])
-    assert column_summaries(None, frame)[0].training is None
+    np.testing.assert_allclose([column.undefined for column in summaries], [0.0, 0.0, 0.2])
 
 
-def test_is_the_same() -> None:
-    assert is_the_same(np.full(3, 0.1))
-    assert not is_the_same(np.array([0.1, 0.1, 0.2]))
-    assert not is_the_same(np.full(3, np.nan))
+def test_a_frame_has_a_picture_of_its_weights_distances_and_columns() -> None:
+    model, _, _ = view()
+    phi = np.array([[1.0, -2.0, np.nan], [3.0, -1.0, 0.5]])
+    frame = FrameView(
+        recording="drive",
+        index=3,
+        left=None,
+        size_px=(40, 40),
+        uv=np.array([[10.0, 10.0], [30.0, 30.0]]),
+        columns=dict.fromkeys(model.columns, "px"),
+        phi=phi,
+    )
+    findings = sections(Subject("model", model.model, frame, {"weak": "m"}))
+    assert list(findings.pictures) == ["weight", "distance", "strong", "weak", "holey"]
+    assert [line.split()[0] for line in findings.text.splitlines()] == [
+        "column",
+        "──────",
+        "weak",
+        "strong",
+        "holey",
+    ]
+
+
+def test_is_constant() -> None:
+    assert is_constant(np.full(3, 0.1))
+    assert not is_constant(np.array([0.1, 0.1, 0.2]))
+    assert not is_constant(np.full(3, np.nan))

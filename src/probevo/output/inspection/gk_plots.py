@@ -1,8 +1,8 @@
-"""Figures that show the noise that a generalized kernel learned, and how it came about."""
+"""Figures that show the noise that a PROBE-GK model has learned, and how it was chosen."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Any
 
@@ -10,48 +10,47 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from probevo.arrays import FloatArray
-from probevo.output.inspection_data import FrameView
-from probevo.output.inspection_kernel_data import (
+from probevo.output.inspection.gk_data import (
     AXES,
+    SEARCHED,
     TO_AXES,
-    KernelView,
+    CentersView,
     course_along,
     sigma_px,
     size_px,
 )
-from probevo.output.inspection_plots import (
+from probevo.output.inspection.plots import (
     MOST_PAIRED,
     NARROW_IN,
-    ORANGE,
-    draw_shares,
+    draw_column,
     two_histograms,
     window_of,
 )
-from probevo.output.model_facts import SEARCHED
-from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, MUTED, WIDTH_IN
+from probevo.output.inspection.subject import FrameView
+from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, MUTED, ORANGE, WIDTH_IN
 
 COLORS = (CYCLE[0], CYCLE[2], CYCLE[3])
-"""Of the three ``AXES``."""
+"""Colours of the three ``AXES``."""
 _LOGARITHMIC = ("σ, px", "ν")
 _NAMES = {"u_l": "$u_l$", "v_l": "$v_l$", "disparity": "disparity"}
 
 
-def course_figure(view: KernelView, k: int, frame: FrameView | None) -> Figure:
-    """From above: σ, ν and, if it was learned, bias along the k-th used column, medians and 16 to
-    84 % of the centers; and where these lie, and the frame's features. What is undefined stands
-    apart at the left."""
+def course_figure(view: CentersView, k: int, frame: FrameView | None) -> Figure:
+    """Draw the noise at the centers along the k-th used column.
+
+    From above: σ, ν and, if it was learned, the bias, medians and 16 to 84 % of the centers; and
+    where these lie, and the frame's features. What is undefined stands apart at the left.
+    """
     shown = _shown(view)
     figure = Figure(figsize=(NARROW_IN, 2.6 + 0.85 * (len(shown) - 1)))
-    *above, below = figure.subplots(
-        len(shown) + 1, 1, sharex=True, height_ratios=(5, *[3] * (len(shown) - 1), 2)
-    )
+    heights = (5, *[3] * (len(shown) - 1), 2)
+    *above, below = figure.subplots(len(shown) + 1, 1, sharex=True, height_ratios=heights)
+    column = view.used[k]
     values = view.places[:, k]
-    m = view.used[k].index
-    low, high = window_of(values)
-    apart = low - 0.07 * (high - low)
+    features = None if frame is None else frame.phi[:, column.index]
+    apart = draw_column(below, values, features, view.units.get(column.name, ""))
     for axes, (name, each), limits in zip(above, shown.items(), _limits(view), strict=True):
         colors = COLORS if each.shape[1] == len(AXES) else (BLUE,)
         for color, axis, one in zip(colors, AXES, each.T, strict=False):
@@ -63,29 +62,20 @@ def course_figure(view: KernelView, k: int, frame: FrameView | None) -> Figure:
         else:
             axes.axhline(0.0, color=GREY, lw=0.8)
     above[0].legend(ncols=3, handlelength=1.2, **LEGEND_ABOVE)
-    drawn = [(values, GREY, True)] + ([] if frame is None else [(frame.phi[:, m], ORANGE, False)])
-    top = max(
-        draw_shares(below, column, (low, high), apart=apart, color=color, fill=fill)
-        for column, color, fill in drawn
-    )
-    some_undefined = any(np.isnan(column).any() for column, *_ in drawn)
-    margin = 0.03 * (high - low)
-    below.set(xlabel=view.units.get(view.used[k].name, ""), ylim=(0, 1.08 * top + 1e-6), yticks=[])
-    below.set_xlim((apart if some_undefined else low) - margin, high + margin)
-    below.xaxis.set_major_locator(MaxNLocator(5))
-    below.grid(visible=False, axis="y")
     figure.align_ylabels(above)
     return figure
 
 
-def _shown(view: KernelView) -> dict[str, FloatArray]:
-    """σ, [C, 3], ν, [C, 1], and bias, [C, 3], of the centers, by what stands at their axes."""
+def _shown(view: CentersView) -> dict[str, FloatArray]:
+    """Collect σ, [C, 3], ν, [C, 1], and bias, [C, 3], of the centers, by their axis labels."""
     shown = {"σ, px": sigma_px(view.noise.scale), "ν": view.noise.dof[:, None]}
-    return shown | ({"bias, px": view.noise.bias @ TO_AXES.T} if view.noise.bias.any() else {})
+    if view.noise.bias.any():
+        shown["bias, px"] = view.noise.bias @ TO_AXES.T
+    return shown
 
 
-def _limits(view: KernelView) -> list[tuple[float, float]]:
-    """The same scales for all columns, so that their strengths compare."""
+def _limits(view: CentersView) -> list[tuple[float, float]]:
+    """Choose the same scales for all columns, so that their strengths compare."""
     limits = []
     for name, each in _shown(view).items():
         courses = [course_along(column, one) for column in view.places.T for one in each.T]
@@ -102,8 +92,9 @@ def _limits(view: KernelView) -> list[tuple[float, float]]:
 
 
 def _draw_course(
-    axes: Axes, column: FloatArray, values: FloatArray, apart: float, color: str, label: str
+    axes: Axes, column: FloatArray, values: FloatArray, *, apart: float, color: str, label: str
 ) -> None:
+    """Draw the course of one value; where the column is undefined, it stands at ``apart``."""
     course = course_along(column, values)
     low, median, high = course.quantiles
     axes.fill_between(course.center, low, high, color=color, alpha=0.16, lw=0)
@@ -130,37 +121,17 @@ def _plain_ticks(axes: Axes) -> None:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers of every power of ten within, and not powers alone, of which a narrow scale may
-    show none."""
-    steps = (
-        (1, 1.5, 2, 3, 4, 5, 7) if high / low < 8.0 else (1, 2, 5) if high / low < 150.0 else (1,)
-    )
+    """Choose round numbers for a logarithmic axis: the narrower, the more to a power of ten."""
+    steps: tuple[float, ...] = (1,)
+    if high / low < 8.0:
+        steps = (1, 1.5, 2, 3, 4, 5, 7)
+    elif high / low < 150.0:
+        steps = (1, 2, 5)
     return [n * 10.0**k for k in range(-4, 5) for n in steps if low <= n * 10.0**k <= high]
 
 
-def turns_figure(turns: Sequence[Mapping[str, float]]) -> Figure:
-    """Likelihood, and where it is known the end error, over the turns of EM (PROBE-GK Fig. 8)."""
-    rows = [("log_likelihood", "log likelihood, nats a feature", BLUE)]
-    rows += (
-        [("loop_error_m", "end error, m", ORANGE)]
-        if all("loop_error_m" in turn for turn in turns)
-        else []
-    )
-    figure = Figure(figsize=(WIDTH_IN, 2.6))
-    for axes, (key, meaning, color) in zip(
-        np.atleast_1d(figure.subplots(1, len(rows))), rows, strict=True
-    ):
-        axes.plot([turn[key] for turn in turns], color=color, lw=1.4, marker="o", ms=3.5)
-        axes.set_title(meaning, color=MUTED)
-        axes.set_xlabel("turn of EM")
-        axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
-        if key == "loop_error_m":
-            axes.set_ylim(0.0, 1.1 * max(turn[key] for turn in turns) + 1e-9)
-    return figure
-
-
 def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """What each candidate gains over the static model, and which was chosen."""
+    """Draw what each candidate gains over the static model, and which was chosen."""
     shown = [name for name in SEARCHED if searches.get(name, {}).get("gains")]
     across = min(3, len(shown))
     down = -(-len(shown) // across)
@@ -189,16 +160,17 @@ def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
 
 
 def _plain(candidate: float | str) -> str:
-    return (
-        {"none": "fixed"}.get(candidate, candidate)
-        if isinstance(candidate, str)
-        else f"{candidate:g}"
-    )
+    if isinstance(candidate, str):
+        return "fixed" if candidate == "none" else candidate
+    return f"{candidate:g}"
 
 
-def centers_figure(view: KernelView, frame: FrameView | None) -> Figure:
-    """Where the centers lie over each two of the first used columns, in the colour of their σ; and
-    the features."""
+def centers_figure(view: CentersView, frame: FrameView | None) -> Figure:
+    """Draw the centers over each two of the first used columns, in the colour of their σ.
+
+    The frame's features are rings.
+    """
+    # One plot for each pair of columns, at most three beside each other.
     pairs = list(combinations(range(min(len(view.used), MOST_PAIRED)), 2))
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
@@ -232,14 +204,17 @@ def centers_figure(view: KernelView, frame: FrameView | None) -> Figure:
     return figure
 
 
-def _label(view: KernelView, k: int) -> str:
+def _label(view: CentersView, k: int) -> str:
     name = view.used[k].name
     return f"{name}, {view.units[name]}" if view.units.get(name) else name
 
 
 def histogram_figure(training: FloatArray, frame: FloatArray, label: str, prior: float) -> Figure:
-    """How σ or ν of the frame's features is spread beside that of the centers; dashed, what holds
-    out of reach."""
+    """Draw σ or ν of the frame's features, [N], beside that of the centers, [C].
+
+    The dashed line is the prior, which holds out of the reach of all samples.
+    """
+    # The window holds nearly all values and the prior, unless that is infinite.
     every = np.concatenate([training, frame, [prior] if np.isfinite(prior) else []])
     low, high = np.quantile(every, [0.002, 0.998]).tolist()
     low = min(low, 0.98 * prior) / 1.05
