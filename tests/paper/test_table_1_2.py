@@ -11,7 +11,7 @@ import pytest
 from cli.rendering import write_wall
 from output.pages import Balance
 from output.test_trial_table import tabular, width
-from paper.gk_stand_ins import stand_ins
+from paper.stand_ins import interrupt_run, stand_ins
 from probevo.cli.main import main
 from probevo.run_config import read_config
 from probevo.sequences import open_sequence
@@ -142,18 +142,7 @@ def test_ours_stand_beside_what_was_published(repeated: Any) -> None:
 def test_where_it_is_stopped_what_is_done_is_in_the_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from probevo.cli import run
-
-    original = run.run_with_progress
-    done = []
-
-    def stopping(*arguments: Any) -> Any:
-        done.append(None)
-        if len(done) == 3:
-            raise KeyboardInterrupt
-        return original(*arguments)
-
-    monkeypatch.setattr(run, "run_with_progress", stopping)
+    interrupt_run(monkeypatch, 3)
     with stand_ins():
         assert run_table(tmp_path / "out", "--rows", "city", "--max-frames", "3") == 130
     assert "The 2 finished of 5 runs are compared in" in capsys.readouterr().err

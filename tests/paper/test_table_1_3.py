@@ -11,7 +11,7 @@ import pytest
 from cli.rendering import write_wall
 from output.pages import Balance
 from output.test_trial_table import tabular
-from paper.gk_stand_ins import TURNS, stand_ins
+from paper.stand_ins import TURNS, interrupt_run, stand_ins
 from probevo.arrays import FloatArray
 from probevo.cli.main import main
 from probevo.estimation.motion_estimate import MotionEstimate, Status
@@ -146,18 +146,7 @@ def runs_of(out: Path) -> list[dict[str, Any]]:
 def test_where_it_is_stopped_what_is_done_is_in_the_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from probevo.cli import run
-
-    original = run.run_with_progress
-    done = []
-
-    def stopping(*arguments: Any) -> Any:
-        done.append(None)
-        if len(done) == 2:
-            raise KeyboardInterrupt
-        return original(*arguments)
-
-    monkeypatch.setattr(run, "run_with_progress", stopping)
+    interrupt_run(monkeypatch, 2)
     with stand_ins():
         assert main(["paper", "table-1.3", "--out", str(tmp_path), "--trials", "2"]) == 130
     assert [run["sequence"] for run in runs_of(tmp_path)] == ["trial 1"]

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from output.test_trial_table import tabular, width
+from paper.stand_ins import interrupt_run
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.noise import StudentT
@@ -250,21 +251,10 @@ def test_where_it_is_stopped_what_is_done_is_in_the_table(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    from probevo.cli import run
-
     drive = write_kitti_raw(tmp_path / "kitti")
     for copy in (CITY, drive_named("26_drive_0051")):
         shutil.copytree(drive, tmp_path / "kitti" / copy.folder)
-    done: list[None] = []
-    original = run.run_with_progress
-
-    def stopping(*arguments: Any) -> Any:
-        done.append(None)
-        if len(done) == 2:
-            raise KeyboardInterrupt
-        return original(*arguments)
-
-    monkeypatch.setattr(run, "run_with_progress", stopping)
+    interrupt_run(monkeypatch, 2)
     assert repeat_table(tmp_path / "kitti", tmp_path / "out", "--max-frames", "3") == 130
     assert "The 1 finished of 5 runs are compared in" in capsys.readouterr().err
     text = (tmp_path / "out" / "table_i.txt").read_text()

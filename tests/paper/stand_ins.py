@@ -1,4 +1,4 @@
-"""Stand-ins for rendering and training, for the tests of the tables of PROBE-GK."""
+"""Stand-ins for rendering, training and single runs, for the tests of the tables."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from cli.rendering import write_wall
+from probevo.cli import run
 from probevo.noise import StudentT
 from probevo.noise.model_io import save_model
 
@@ -41,3 +42,17 @@ def stand_ins(turns: list[dict[str, float]] | None = None) -> Iterator[SimpleNam
         patch.setattr("probevo.cli.train.train_with_progress", train)
         patch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
         yield calls
+
+
+def interrupt_run(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """Raise KeyboardInterrupt, as Ctrl-C does, in place of the run of this number, from 1."""
+    run_with_progress = run.run_with_progress
+    started: list[None] = []
+
+    def interrupted(*arguments: Any, **keywords: Any) -> Any:
+        started.append(None)
+        if len(started) == number:
+            raise KeyboardInterrupt
+        return run_with_progress(*arguments, **keywords)
+
+    monkeypatch.setattr(run, "run_with_progress", interrupted)
