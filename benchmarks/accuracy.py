@@ -1,8 +1,8 @@
-"""How accurate is each classical noise model on the real recordings, with one set of settings?
+"""Measure the accuracy of the classical noise models on the real recordings.
 
     python benchmarks/accuracy.py
 
-Prints drift and rotation over pieces of 10 to 50 m, the worst step against the truth, and how many
+All runs have the same settings. Prints drift and rotation over pieces of 10 to 50 m, the worst step against the truth, and how many
 steps were not solved; and the drift on EuRoC V1_01, which is at rest, beside its claimed 3σ.
 """
 

@@ -1,4 +1,4 @@
-"""How long does it take from the command to the first frame?
+"""Measure how long it takes from the command to the first frame.
 
     python benchmarks/cold_start.py [--model MODEL.safetensors] [--repeats 3] [--install]
 

@@ -1,4 +1,4 @@
-"""How far are features off in clean scenes, on the ground and above the horizon?
+"""Measure how far features are off in clean scenes, on the ground and above the horizon.
 
     python benchmarks/feature_errors.py
 

@@ -1,8 +1,9 @@
-"""What does PROBE-GK gain over the best static Student-t in the point world, and is it consistent?
+"""Compare PROBE-GK with the best static Student-t in the point world.
 
     python benchmarks/kernel_points.py [seeds] [law …]    20 seeds of every law by default
 
-Prints error and consistency of the motion for each noise law. 5 % of the landmarks are outliers,
+Prints error and consistency of the motion for each noise law: how the noise depends on the place
+in the image. 5 % of the landmarks are outliers,
 ±20 px. Training and test worlds are independent, the rig is flawless, and all estimators start from
 the same RANSAC:
 

@@ -1,4 +1,4 @@
-"""What does PROBE-GK gain over the static Student-t on rendered streets and on real images?
+"""Compare PROBE-GK with the static Student-t on rendered streets and on real images.
 
     python benchmarks/kernel_streets.py [city|residential|road|kitti …, all of these by default]
 

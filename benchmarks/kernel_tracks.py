@@ -1,4 +1,4 @@
-"""What does PROBE-GK gain over the fitted Student-t on KITTI tracks that it was not trained on?
+"""Compare PROBE-GK with the fitted Student-t on KITTI tracks that it was not trained on.
 
     python benchmarks/kernel_tracks.py [iterations of EM, 5 by default]
 

@@ -1,4 +1,4 @@
-"""What limits accuracy on the real recordings, and are the claimed covariances consistent there?
+"""Measure what limits accuracy on the real recordings, and how consistent covariances are.
 
     python benchmarks/limits.py
 

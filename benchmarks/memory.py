@@ -1,4 +1,4 @@
-"""Does resident memory grow over many frames?
+"""Measure whether resident memory grows over many frames.
 
     python benchmarks/memory.py [--frames 20000] [--of images|tracks] [--noise NAME|MODEL]
                                 [--recorded] [--live]

@@ -1,4 +1,4 @@
-"""How close do the classical noise models come to knowing every covariance, in the point world?
+"""Compare the classical noise models with knowing every covariance, in the point world.
 
 python benchmarks/points.py [number of worlds, 3 by default]
 """

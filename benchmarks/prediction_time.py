@@ -1,4 +1,4 @@
-"""How long do prediction and loading of a learned model take, by the number of training samples?
+"""Measure prediction and loading of a learned model, by the number of training samples.
 
 python benchmarks/prediction_time.py [samples …]    10,000 to 1,000,000 by default
 """

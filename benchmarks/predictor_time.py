@@ -1,4 +1,4 @@
-"""How long do the image predictors take for 1,000 features of one image on one core?
+"""Measure the time of the image predictors for 1,000 features of one image on one core.
 
 python benchmarks/predictor_time.py
 """

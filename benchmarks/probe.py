@@ -1,4 +1,4 @@
-"""What does PROBE gain over nominal and aggressive RANSAC and over the static Student-t?
+"""Compare PROBE with nominal and aggressive RANSAC and with the static Student-t.
 
     python benchmarks/probe.py [point|city|residential|road|rover|kitti|loop …, all by default]
     python benchmarks/probe.py ablation     from PROBE as published to ours, one change at a time

@@ -1,4 +1,4 @@
-"""How long do ten iterations of the reprojection solve and RANSAC take for 1,000 features?
+"""Measure ten iterations of the reprojection solve, and RANSAC, for 1,000 features.
 
 python benchmarks/solve_time.py
 """
