@@ -2,8 +2,9 @@
 
     python benchmarks/accuracy.py
 
-All runs have the same settings. Prints drift and rotation over pieces of 10 to 50 m, the worst step against the truth, and how many
-steps were not solved; and the drift on EuRoC V1_01, which is at rest, beside its claimed 3σ.
+All runs have the same settings. Prints drift and rotation over pieces of 10 to 50 m, the worst step
+against the truth, and how many steps were not solved; and the drift on EuRoC V1_01, which is at
+rest, beside its claimed 3σ.
 """
 
 from __future__ import annotations
