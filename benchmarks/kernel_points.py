@@ -116,7 +116,7 @@ def coverage(world: PointWorld, model: pv.noise.NoiseModel) -> list[float]:
     odometry.step(next(frames))
     for step, frame in zip(world.steps(), frames, strict=True):
         odometry.step(frame)
-        noise = model.predict(odometry.phi).of(np.flatnonzero(odometry.used))
+        noise = model.predict(odometry.phi).subset(np.flatnonzero(odometry.used))
         tracks = odometry.tracks.kept(odometry.used)
         # No iteration is taken, so that residuals and their information are those at the truth.
         at_truth = solve_reprojection(

@@ -87,7 +87,7 @@ def print_trial(trial: Trial) -> None:
     """Print a row for each noise model and test drive, and their mean if there are several."""
     first = trial.half or 0
     for name, model in models(trial).items():
-        start = f"| {name} | {model.time_correlation:.1f} |"
+        start = f"| {name} | {model.time_correlation_ratio:.1f} |"
         rows = []
         for test in trial.tests:
             result = estimate(test, model, pv.OdometryConfig())

@@ -23,7 +23,8 @@ from probevo.geometry import se3
 from probevo.geometry.uncertainty import compound
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.sequences import Sequence
-from probevo.tracking import Tracks, image_tracker
+from probevo.tracking import image_tracker
+from probevo.tracking.tracker import Tracked, TrackingState
 
 CONFIGS = {
     "with self-calibration": pv.OdometryConfig(),
@@ -51,9 +52,9 @@ def run(
     for k, frame in enumerate(list(sequence)[::every]):
         stamp_ns = frame.stamp_ns if slower else int(sequence.stamps_ns[k])
         recorder.add(stamp_ns, odometry.step(replace(frame, index=k, stamp_ns=stamp_ns, imu=None)))
-    if odometry.calibration:
-        print(f"      b1, b2 = {np.round(odometry.calibration.disparity, 2)} px", end=" ")
-        print(f"a4 = {odometry.calibration.rows[4]:.1f} px")
+    if odometry.rig:
+        print(f"      b1, b2 = {np.round(odometry.rig.disparity, 2)} px", end=" ")
+        print(f"a4 = {odometry.rig.rows[4]:.1f} px")
     return recorder.result(), sequence.truth.T_world_cam[::every]
 
 
@@ -67,9 +68,15 @@ def track_only_far_features() -> None:
     """Remove near features from the tracks of all odometries from here on."""
     track = image_tracker.ImageTracker.track
 
-    def far(self: image_tracker.ImageTracker, frame: pv.Frame, predicted: FloatArray) -> Tracks:
-        tracks = track(self, frame, predicted)
-        return tracks.kept(tracks.prev_px[:, 0] - tracks.prev_px[:, 2] < FAR_PX)
+    def far(
+        self: image_tracker.ImageTracker,
+        state: TrackingState,
+        frame: pv.Frame,
+        T_curr_prev: FloatArray,
+    ) -> Tracked:
+        tracked = track(self, state, frame, T_curr_prev)
+        disparity_px = tracked.tracks.prev_px[:, 0] - tracked.tracks.prev_px[:, 2]
+        return replace(tracked, tracks=tracked.tracks.kept(disparity_px < FAR_PX))
 
     image_tracker.ImageTracker.track = far
 

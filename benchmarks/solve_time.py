@@ -12,8 +12,9 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation import reprojection
+from probevo.estimation import gauss_newton
 from probevo.estimation.ransac import find_consensus
+from probevo.estimation.reprojection import solve_reprojection
 from probevo.geometry import se3
 from probevo.noise import StudentT
 
@@ -53,10 +54,10 @@ def main() -> None:
     noise = StudentT().predict(np.zeros((COUNT, 0)))
 
     # This tolerance is never reached, so that all ten iterations are taken.
-    reprojection.CONVERGED_BELOW = 0.0
+    gauss_newton.CONVERGED_BELOW = 0.0
 
     # Measure the iterations inside of the solve.
-    minimize = reprojection.minimize
+    minimize = gauss_newton.minimize
     iterations_ms = []
 
     def timed(*arguments: object, **keywords: object) -> object:
@@ -65,12 +66,10 @@ def main() -> None:
         iterations_ms.append(1e3 * (perf_counter() - start))
         return result
 
-    reprojection.minimize = timed
+    gauss_newton.minimize = timed
     guess = find_consensus(prev, curr, CAMERA, rng=rng, guess=np.eye(4)).T_curr_prev
     whole_ms = median_ms(
-        lambda: reprojection.solve_reprojection(
-            prev, curr, noise, guess=guess, camera=CAMERA, max_iterations=10
-        )
+        lambda: solve_reprojection(prev, curr, noise, guess=guess, camera=CAMERA, max_iterations=10)
     )
     print(f"ten iterations over {COUNT} features: {np.median(iterations_ms):.2f} ms")
     print(f"  with set-up, weights and covariance: {whole_ms:.2f} ms")

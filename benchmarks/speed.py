@@ -95,9 +95,9 @@ def kernel(sequence: Sequence, frames: int) -> GeneralizedKernel:
         bias_counts=np.inf,
         weights=np.ones(len(space.columns)),
         refers_to="observation",
-        time_correlation=1.0,
+        time_correlation_ratio=1.0,
     )
-    return model.fit(found.phi, found.errors, spread=found.spread, metric=metric)
+    return model.fit(found.phi, found.errors, error_cov=found.spread, metric=metric)
 
 
 def ours_over(
@@ -105,10 +105,10 @@ def ours_over(
 ) -> Iterator[None]:
     """Yield after each motion of probevo; hand the times of its stages to ``keep``."""
     import probevo as pv
-    from probevo.tracking.preparation import prepared_ahead
+    from probevo.tracking.preparation import prepare_ahead
 
     odometry = pv.StereoOdometry(sequence.camera, model, sequence.imu)
-    for frame in prepared_ahead(sequence, odometry.config.tracking):
+    for frame in prepare_ahead(sequence, odometry.config.tracking):
         motion = odometry.step(frame)
         if frame.index >= FIRST:
             keep(dict(motion.stage_ms))

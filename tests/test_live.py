@@ -279,7 +279,7 @@ def test_at_least_one_frame_waits() -> None:
         pv.LiveOdometry(free(), waiting=0)
 
 
-GYRO = pv.ImuCalibration(np.eye(3), 2e-4, 0.01)
+GYRO = pv.ImuCalibration(np.eye(4), 2e-4, 0.01)
 
 
 def felt(frames: list[Frame]) -> ImuStream:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from probevo.cli import compare
 from probevo.errors import InputError
-from probevo.noise.classical import CLASSICAL
+from probevo.noise.registry import untrained_names
 from probevo.output.comparison import Comparison
 from probevo.output.trial_table import TrialTable
 from probevo.sequences import open_sequence
@@ -104,7 +104,7 @@ def _runs(
     """
     runs = []
     for trial in trials:
-        noises = {name: name for name in CLASSICAL}
+        noises = {name: name for name in untrained_names()}
         for name, model in models.get(trial.name, {}).items():
             noises[name] = str(model)
         estimators = [

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from probevo.config import OdometryConfig
-from probevo.run_config import SharedConfig
+from probevo.run_config import CommonRunSettings
 from probevo.training.settings import KernelSettings, SupervisionName, TrainSettings
 from probevo.training.settings_check import KERNEL_ONLY
 
@@ -36,15 +36,18 @@ class GkTableConfig(OdometryConfig):
 
     def run_settings(
         self, *, self_calibration: bool | None = None, max_frames: int | None = None
-    ) -> SharedConfig:
+    ) -> CommonRunSettings:
         """Return the settings of the runs, with another self-calibration if one is given."""
         settings = {name: getattr(self, name) for name in OdometryConfig.model_fields}
         if self_calibration is not None:
             settings["self_calibration"] = self_calibration
-        return SharedConfig.model_validate(settings | {"max_frames": max_frames})
+        return CommonRunSettings.model_validate(settings | {"max_frames": max_frames})
 
     def training_settings(
-        self, kind: Literal["gk", "student-t"], supervision: SupervisionName, runs: SharedConfig
+        self,
+        kind: Literal["gk", "student-t"],
+        supervision: SupervisionName,
+        runs: CommonRunSettings,
     ) -> TrainSettings:
         """Return the settings of a training whose model is for such runs."""
         odometry = OdometryConfig.model_validate(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.output.trial_table import Errors
-from probevo.run_config import SharedConfig
+from probevo.run_config import CommonRunSettings
 from probevo.sequences.base import Sequence
 from probevo.training.settings import SupervisionName, TrainSettings
 from probevo_paper.gk_tables import FITTED, FIXED, GK_EM, GK_GT, STATIC
@@ -84,7 +84,7 @@ def scenes(name: RowName, settings: Table12Config) -> tuple[SceneConfig, SceneCo
     return train, train.model_copy(update={"seed": TEST_SEED})
 
 
-def run_settings(name: str, settings: Table12Config) -> SharedConfig:
+def run_settings(name: str, settings: Table12Config) -> CommonRunSettings:
     """Return the settings of the runs in a row.
 
     The rig of the point world is flawless, so that its calibration is not estimated.
@@ -101,7 +101,7 @@ class TrialRecordings:
     name: str
     train: Sequence
     test: Sequence
-    runs: SharedConfig
+    runs: CommonRunSettings
     """Settings of the runs in the row, and of its trainings."""
 
     @property

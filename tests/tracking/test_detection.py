@@ -5,7 +5,12 @@ import pytest
 
 from probevo.arrays import FloatArray, Image, IntArray
 from probevo.config import TrackingConfig
-from probevo.tracking.detection import AROUND_WINDOW_PX, apart, corners_in_room, strongest_corners
+from probevo.tracking.detection import (
+    AROUND_WINDOW_PX,
+    corners_in_free_cells,
+    non_overlapping,
+    strongest_corners,
+)
 
 HEIGHT_PX = 120
 WIDTH_PX = 160
@@ -19,7 +24,7 @@ BORDER_PX = TWO_A_CELL.window_px // 2 + AROUND_WINDOW_PX
 
 
 def detect_corners(image: Image, occupied_px: FloatArray, config: TrackingConfig) -> FloatArray:
-    return corners_in_room(
+    return corners_in_free_cells(
         strongest_corners(image, config), occupied_px, image.shape, config=config
     )
 
@@ -91,8 +96,8 @@ def test_strength_is_compared_within_a_cell_only() -> None:
     assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(52, 60), (60, 60), (100, 60)}
 
 
-def test_what_is_half_a_window_from_another_is_no_new_corner() -> None:
-    """Neither of the weaker one of two dots, nor of one beside a feature that is there."""
+def test_corners_less_than_half_a_window_from_another_are_dropped() -> None:
+    """Neither the weaker one of two dots, nor one beside a feature already tracked."""
     image = dots((60, 60, 90), (66, 54, 80), (100, 60, 90), (107, 60, 80))
     assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(60, 60), (100, 60), (107, 60)}
     assert as_set(detect_corners(image, np.array([[62.4, 58.2]]), TWO_A_CELL)) == {
@@ -103,14 +108,14 @@ def test_what_is_half_a_window_from_another_is_no_new_corner() -> None:
     assert as_set(detect_corners(image, NOBODY, wide)) == {(60, 60), (100, 60)}
 
 
-def test_of_features_that_have_met_the_first_is_kept() -> None:
+def test_of_overlapping_features_the_first_is_kept() -> None:
     """A chain: the third is near the second alone, which is gone."""
     pixels = np.array([[50.0, 50.0], [55.0, 50.0], [60.0, 50.0], [50.2, 50.0], [50.0, 80.0]])
     shape = (HEIGHT_PX, WIDTH_PX)
     np.testing.assert_array_equal(
-        apart(pixels, shape, TWO_A_CELL), [True, False, True, False, True]
+        non_overlapping(pixels, shape, TWO_A_CELL), [True, False, True, False, True]
     )
-    assert len(apart(NOBODY, shape, TWO_A_CELL)) == 0
+    assert len(non_overlapping(NOBODY, shape, TWO_A_CELL)) == 0
 
 
 def test_contrast_below_the_threshold_is_no_corner() -> None:

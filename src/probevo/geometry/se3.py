@@ -6,10 +6,12 @@ Functions are batched over leading dimensions; poses compose with ``@``.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.errors import InputError
 from probevo.geometry import so3
 from probevo.geometry.logarithms import log_translations
 
@@ -68,6 +70,24 @@ def adjoint(T: FloatArray) -> FloatArray:
     C = T[..., :3, :3]
     t = T[..., :3, 3]
     return _block_triangular(C, so3.wedge(t) @ C)
+
+
+def check_transform(T: FloatArray, where: str | Path) -> FloatArray:
+    """Return the rigid transform nearest to a matrix, [4, 4].
+
+    Raises:
+        InputError: it is no [4, 4] matrix of finite numbers, its last row is not 0 0 0 1, or its
+            rotation is none beyond rounding.
+    """
+    matrix = np.asarray(T)
+    if matrix.shape != (4, 4) or matrix.dtype.kind not in "iuf":
+        what = f"this is {matrix.dtype} of shape {matrix.shape}."
+        raise InputError(where, what, "Give a rigid transform, [4, 4]: [C, t; 0 0 0 1].")
+    if not np.isfinite(matrix).all():
+        raise InputError(where, "an entry of this transform is not finite.")
+    if not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+        raise InputError(where, "the last row of this transform is not 0 0 0 1.")
+    return from_parts(so3.check_rotation(matrix[:3, :3], where), matrix[:3, 3])
 
 
 def _block_triangular(diagonal: FloatArray, upper_right: FloatArray) -> FloatArray:

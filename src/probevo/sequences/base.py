@@ -8,7 +8,8 @@ from typing import Protocol
 
 from probevo.arrays import IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration
+from probevo.sequences.frame import Frame, GroundTruth
+from probevo.sequences.imu_calibration import ImuCalibration
 
 
 class Sequence(Protocol):

@@ -14,8 +14,13 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.camera.rectification import PinholeCamera, Rectification
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
-from probevo.sequences.frame import GroundTruth, ImuCalibration
+from probevo.sequences.frame import GroundTruth
 from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu_calibration import (
+    ACCEL_BIAS_WALK_M_S3_SQRT_HZ,
+    ACCEL_NOISE_M_S2_SQRT_HZ,
+    ImuCalibration,
+)
 from probevo.sequences.poses import ground_truth, interpolate_poses
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import check_stamps
@@ -23,8 +28,11 @@ from probevo.sequences.text import parse_stamp_ns, read_lines, read_stamped_csv
 from probevo.sequences.yaml_file import read_yaml
 
 GYRO_BIAS_SIGMA_RAD_S = 0.1
-"""Of a MEMS gyro switched on; sensor.yaml does not give it. The z axis of V1_01 starts at 0.077
-rad/s."""
+"""Bias of a MEMS gyro at power-up, which sensor.yaml does not give. On the z axis of V1_01 it is
+0.077 rad/s."""
+ACCEL_BIAS_SIGMA_M_S2 = 0.1
+"""Bias of the accelerometer at power-up, which sensor.yaml does not give. The largest on an axis of
+V1_01 is 0.066 m/s²."""
 CURE = "Both cam0 and cam1 need sensor.yaml, data.csv and data, as EuRoC's files have them."
 DISTORTION_MODELS: dict[str, Literal["radtan", "equidistant"]] = {
     "radial-tangential": "radtan",
@@ -73,6 +81,8 @@ class ImuFile(SensorFile):
 
     gyroscope_noise_density: PositiveFloat
     gyroscope_random_walk: PositiveFloat
+    accelerometer_noise_density: PositiveFloat = ACCEL_NOISE_M_S2_SQRT_HZ
+    accelerometer_random_walk: PositiveFloat = ACCEL_BIAS_WALK_M_S3_SQRT_HZ
 
 
 def open_euroc(path: Path) -> StereoRecording:
@@ -163,11 +173,18 @@ def _read_imu(
 ) -> tuple[ImuCalibration, ImuStream]:
     sensor = read_yaml(folder / "sensor.yaml", ImuFile)
     T_body_imu = sensor.body_from_sensor(folder / "sensor.yaml")
+    C_cam_body = T_body_cam[:3, :3].T
+    T_cam_imu = se3.from_parts(
+        C_cam_body @ T_body_imu[:3, :3], C_cam_body @ (T_body_imu[:3, 3] - T_body_cam[:3, 3])
+    )
     calibration = ImuCalibration(
-        T_body_cam[:3, :3].T @ T_body_imu[:3, :3],
-        sensor.gyroscope_noise_density,
-        GYRO_BIAS_SIGMA_RAD_S,
+        T_cam_imu=T_cam_imu,
+        gyro_noise_rad_s_sqrt_hz=sensor.gyroscope_noise_density,
+        gyro_bias_sigma_rad_s=GYRO_BIAS_SIGMA_RAD_S,
         gyro_bias_walk_rad_s2_sqrt_hz=sensor.gyroscope_random_walk,
+        accel_noise_m_s2_sqrt_hz=sensor.accelerometer_noise_density,
+        accel_bias_sigma_m_s2=ACCEL_BIAS_SIGMA_M_S2,
+        accel_bias_walk_m_s3_sqrt_hz=sensor.accelerometer_random_walk,
     )
     stamps_ns, values = read_stamped_csv(folder / "data.csv", 6)
     return calibration, ImuStream.checked(

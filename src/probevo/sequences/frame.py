@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
+from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.geometry import so3
-
-if TYPE_CHECKING:
-    from probevo.camera.stereo import StereoCamera
-    from probevo.tracking.preparation import PreparedImages
+from probevo.sequences.prepared_images import PreparedImages
 
 SHORTEST_STEP_NS = 1_000
 """No camera takes frames closer together; stamps that are have another unit."""
@@ -41,39 +36,6 @@ class ImuSamples:
             np.concatenate([self.gyro_rad_s, later.gyro_rad_s[new]]),
             np.concatenate([self.accel_m_s2, later.accel_m_s2[new]]),
         )
-
-
-@dataclass(frozen=True)
-class ImuCalibration:
-    """How the IMU sits on the camera and how far its gyro can be trusted."""
-
-    C_cam_imu: FloatArray
-    """Rotation taking IMU coordinates to those of the (rectified) left camera, [3, 3]."""
-    gyro_noise_rad_s_sqrt_hz: float
-    """White noise density of the gyro, rad/s/√Hz."""
-    gyro_bias_sigma_rad_s: float
-    """Standard deviation of the unknown constant gyro bias at start, rad/s."""
-    gyro_bias_walk_rad_s2_sqrt_hz: float = 0.0
-    """Density of the bias random walk, rad/s²/√Hz."""
-
-    def __post_init__(self) -> None:
-        """Refuse what no IMU has.
-
-        Raises:
-            InputError: C_cam_imu is no rotation, or a noise figure is negative or not finite.
-        """
-        so3.check_rotation(self.C_cam_imu, "C_cam_imu")
-        for name in (
-            "gyro_noise_rad_s_sqrt_hz",
-            "gyro_bias_sigma_rad_s",
-            "gyro_bias_walk_rad_s2_sqrt_hz",
-        ):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise InputError(
-                    name,
-                    f"is {getattr(self, name)}.",
-                    "It must be a finite number, and not negative.",
-                )
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from pathlib import Path
 from probevo.arrays import IntArray
 from probevo.camera.rectification import Rectification
 from probevo.camera.stereo import StereoCamera
-from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration
+from probevo.sequences.frame import Frame, GroundTruth
 from probevo.sequences.images import read_gray
 from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.read_ahead import read_ahead
 
 

@@ -1,4 +1,4 @@
-"""A tracks file: stereo features that somebody else has tracked, in one ``.npz``, without images."""
+"""A tracks file: stereo features of another front end, in one ``.npz``, without images."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.files import NO_ARCHIVE
-from probevo.geometry import so3
-from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration, StereoFeatures
+from probevo.geometry import se3, so3
+from probevo.sequences.frame import Frame, GroundTruth, StereoFeatures
 from probevo.sequences.imu import ImuStream, hold_over_interval
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.poses import ground_truth
 from probevo.sequences.stamps import NS_PER_S, check_stamps
 from probevo.sequences.text import INT64_LIMIT
@@ -27,6 +28,7 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     "camera": (5,),
     "omega": ("K", 3),
     "C_cam_imu": (3, 3),
+    "p_imu_cam": (3,),
     "T_world_cam": ("K", 4, 4),
 }
 REQUIRED = ("frame", "track", "uv", "t", "camera")
@@ -76,10 +78,15 @@ def open_tracks(path: Path) -> TracksRecording:
     """Open an ``.npz`` file with these arrays::
 
         frame [n], track [n]   frame (from 0, ascending) and identity of each observation, whole
-        numbers uv [n, 4]              (u_l, v_l, u_r, v_r), px t [K]                  time of each
-        frame, s camera [5]             fu, fv, cu, cv, px, and baseline, m omega [K, 3]
-        (optional, with C_cam_imu [3, 3]) mean angular rate since the frame before, rad/s,
-                               IMU frame; the first one is not used
+                               numbers
+        uv [n, 4]              (u_l, v_l, u_r, v_r), px
+        t [K]                  time of each frame, s
+        camera [5]             fu, fv, cu, cv, px, and baseline, m
+        omega [K, 3]           (optional, with C_cam_imu) mean angular rate since the previous
+                               frame, rad/s, IMU frame; the first one is not used
+        C_cam_imu [3, 3]       (optional, with omega) rotation from IMU to left camera
+        p_imu_cam [3]          (optional, 0 if left out) position of the left camera in the IMU
+                               frame, m: p_cam = C_cam_imu (p_imu − p_imu_cam)
         T_world_cam [K, 4, 4]  (optional) ground truth, NaN where unknown
 
     Further arrays are ignored. Objects (pickles) are refused.
@@ -191,9 +198,16 @@ def _imu(
 ) -> tuple[ImuCalibration | None, ImuStream | None]:
     if "omega" not in arrays or len(stamps_ns) < 2:
         return None, None
+    # p_cam = C_cam_imu (p_imu − p_imu_cam)
     C_cam_imu = so3.check_rotation(arrays["C_cam_imu"], f"{path}: C_cam_imu")
+    p_imu_cam = arrays.get("p_imu_cam", np.zeros(3))
+    calibration = ImuCalibration(
+        T_cam_imu=se3.from_parts(C_cam_imu, -C_cam_imu @ p_imu_cam),
+        gyro_noise_rad_s_sqrt_hz=GYRO_NOISE_RAD_S_SQRT_HZ,
+        gyro_bias_sigma_rad_s=GYRO_BIAS_SIGMA_RAD_S,
+    )
     held_ns, gyro = hold_over_interval(stamps_ns, arrays["omega"])
     stream = ImuStream.checked(
         held_ns, gyro, np.full_like(gyro, np.nan), frames_ns=stamps_ns, where=f"{path}: omega"
     )
-    return ImuCalibration(C_cam_imu, GYRO_NOISE_RAD_S_SQRT_HZ, GYRO_BIAS_SIGMA_RAD_S), stream
+    return calibration, stream

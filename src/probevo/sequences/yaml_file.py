@@ -17,13 +17,20 @@ MERGE = "tag:yaml.org,2002:merge"
 
 
 def read_yaml(path: Path, model: type[Model], cure: str = "") -> Model:
-    """The file as a ``model``.
+    """Read a YAML file as a ``model``.
 
     Raises:
-        InputError: missing, not YAML, or not what the model allows; all the faults of the keys at
-            once.
+        InputError: it is missing, not YAML, or not what the model allows.
     """
-    content = load_yaml(path, cure)
+    return validated(load_yaml(path, cure), model, path, cure)
+
+
+def validated(content: object, model: type[Model], path: Path, cure: str = "") -> Model:
+    """Return the content of a file as a ``model``.
+
+    Raises:
+        InputError: the content is not what the model allows; names all keys at fault.
+    """
     try:
         return model.model_validate(content)
     except ValidationError as error:

@@ -247,7 +247,7 @@ def test_no_query_no_noise() -> None:
 
 
 @pytest.mark.parametrize(
-    "spread",
+    "error_cov",
     [
         np.zeros((59, 4, 4)),
         np.zeros((COUNT, 4)),
@@ -255,10 +255,10 @@ def test_no_query_no_noise() -> None:
         np.full((COUNT, 4, 4), np.inf),
     ],
 )
-def test_a_spread_that_is_none_is_refused(spread: FloatArray) -> None:
+def test_an_error_cov_that_is_none_is_refused(error_cov: FloatArray) -> None:
     """Compiled code would read beyond its end."""
-    with pytest.raises(InputError, match="spread"):
-        GeneralizedKernel().fit(places(), errors(), spread=spread)
+    with pytest.raises(InputError, match="error_cov"):
+        GeneralizedKernel().fit(places(), errors(), error_cov=error_cov)
 
 
 @pytest.mark.parametrize(
@@ -295,7 +295,7 @@ def test_a_shape_of_the_kernel_that_is_none_is_refused(
 
 def test_whole_numbers_may_be_written_as_floats() -> None:
     model = check(places(), errors(), neighbors=8.0, centers=30.0)
-    assert (model.shape_.neighbors, len(model.centers_.values)) == (8, 30)
+    assert (model.shape_.neighbors, len(model.centers_.parameters)) == (8, 30)
 
 
 @st.composite

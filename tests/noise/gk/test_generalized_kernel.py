@@ -483,7 +483,7 @@ FACTS: dict[str, list[Any]] = {
     "variant": [None, "", "optimal", 3],
     "neighbors": ["20", 2.5, None, True, 0, -1, [20]],
     "reach": ["4", None, [4.0], True, 0.0, -1.0],
-    "edge": ["4", None, [4.0], True, 0.0, -1.0],
+    "domain_radius": ["4", None, [4.0], True, 0.0, -1.0],
     "prior_counts": ["4", None, [4.0], True, 0.0, -1.0],
     "refers_to": [None, "", "motion", 3],
     "samples": ["20", 2.5, None, True, 0, -1],

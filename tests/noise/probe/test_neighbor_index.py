@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray
-from probevo.noise.probe.neighbor_index import CROWD, LARGEST_CELL, NeighborIndex
+from probevo.noise.probe.neighbor_index import NeighborIndex
+from probevo.noise.probe.neighbor_index_numba import MAX_VISITED_OF_CELL
 
 
 def exact_means(
@@ -174,7 +175,7 @@ def test_of_a_crowd_in_one_place_a_sample_at_random_is_looked_at(away: int) -> N
         [np.zeros((50_000, 2)), 9.0 + np.random.default_rng(7).normal(size=(away, 2))]
     )
     found = means(places, np.concatenate([values, np.full(away, 7.0)]), np.zeros((1, 2)), [10])
-    assert abs(found[0, 0] - 0.5) < 4.0 * values.std() / np.sqrt(CROWD * LARGEST_CELL)
+    assert abs(found[0, 0] - 0.5) < 4.0 * values.std() / np.sqrt(MAX_VISITED_OF_CELL)
 
 
 def test_no_query_no_mean() -> None:
