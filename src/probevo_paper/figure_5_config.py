@@ -1,4 +1,4 @@
-"""The settings of the blur experiment."""
+"""The settings of the blur experiment, PROBE Fig. 5."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from probevo.settings import Settings
 
 
 class BlurConfig(Settings):
-    """How long to look at the board. The same settings give the same bytes."""
+    """Length and seed of the experiment. The same settings give the same bytes."""
 
     instants: int = Field(
         120,

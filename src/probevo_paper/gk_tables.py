@@ -1,5 +1,4 @@
-"""What the tables of PROBE-GK have in common: their estimators, and the settings that they are
-trained and run with."""
+"""What the tables of PROBE-GK have in common: their estimators, and how these train and run."""
 
 from __future__ import annotations
 
@@ -13,45 +12,50 @@ from probevo.training.settings import KernelSettings, SupervisionName, TrainSett
 from probevo.training.settings_check import KERNEL_ONLY
 
 FIXED = "fixed"
+"""One Gaussian covariance for all features."""
 STATIC = "student-t"
+"""The static M-estimator as shipped: one Student-t for all features."""
 FITTED = "student-t fitted"
+"""The static M-estimator with scale matrix and degrees of freedom fitted to the training drive."""
 GK_GT = "GK-GT"
+"""The generalized kernel, trained with ground truth."""
 GK_EM = "GK-EM"
-"""The fixed covariance; the static M-estimator, as shipped and with its scale matrix fitted to the
-training data; the generalized kernel, trained with the truth and without."""
+"""The generalized kernel, trained by EM without ground truth."""
 ESTIMATOR_NOTE = (
     f"{STATIC}: the static M-estimator as shipped; {FITTED}, of which nothing was published: the"
     " same with the scale matrix and the degrees of freedom of the training data."
 )
 
 
-class KernelTableConfig(OdometryConfig):
-    """All runs and trainings share these; the estimators differ in their noise model alone."""
+class GkTableConfig(OdometryConfig):
+    """The settings of all runs and trainings; estimators differ only in their noise model."""
 
     gk: KernelSettings = Field(
         KernelSettings(), description="How the generalized kernel is trained."
     )
 
-    def shared(
+    def run_settings(
         self, *, self_calibration: bool | None = None, max_frames: int | None = None
     ) -> CommonRunSettings:
-        """The settings of the runs."""
-        given = {name: getattr(self, name) for name in OdometryConfig.model_fields}
-        given |= {} if self_calibration is None else {"self_calibration": self_calibration}
-        return CommonRunSettings.model_validate(given | {"max_frames": max_frames})
+        """Return the settings of the runs, with another self-calibration if one is given."""
+        settings = {name: getattr(self, name) for name in OdometryConfig.model_fields}
+        if self_calibration is not None:
+            settings["self_calibration"] = self_calibration
+        return CommonRunSettings.model_validate(settings | {"max_frames": max_frames})
 
-    def training(
+    def training_settings(
         self,
         kind: Literal["gk", "student-t"],
         supervision: SupervisionName,
         runs: CommonRunSettings,
     ) -> TrainSettings:
-        """The settings of a training for such runs."""
+        """Return the settings of a training whose model is for such runs."""
         odometry = OdometryConfig.model_validate(
             {name: getattr(runs, name) for name in OdometryConfig.model_fields}
         )
         gk = self.gk
-        if kind == "student-t":  # which would refuse what is the kernel's alone
+        if kind == "student-t":
+            # A training of the Student-t refuses settings that only a kernel has.
             default = KernelSettings()
             gk = gk.model_copy(update={name: getattr(default, name) for name in KERNEL_ONLY})
         return TrainSettings(

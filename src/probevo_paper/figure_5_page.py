@@ -1,4 +1,4 @@
-"""The blur experiment as a table, a page and a file of its observations."""
+"""The results of PROBE Fig. 5: a table, a page, and a file of the observations."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from probevo.arrays import AnyArray, FloatArray
 from probevo.files import write_atomically
 from probevo.output.page import grid, panel, write_page
 from probevo.output.svg import CYCLE, LEGEND_ABOVE, MUTED, WIDTH_IN, figure_style
-from probevo_paper.blur import BlurObservations, BlurView
-from probevo_paper.blur_scene import FAST, INSTANT_STEP_S, LEFT
-from probevo_paper.blur_statistics import AXES, KINDS, ErrorSummary, Finding, verdicts
+from probevo_paper.figure_5 import BlurObservations, BlurView
+from probevo_paper.figure_5_scene import FAST, INSTANT_STEP_S, LEFT
+from probevo_paper.figure_5_statistics import AXES, KINDS, ErrorSummary, Finding, verdicts
 
 TABLE_HEAD = (
     "error",
@@ -39,42 +39,47 @@ LOW_COLOR = CYCLE[0]
 HIGH_COLOR = CYCLE[1]
 _BINS = 48
 _SHOWN_CORES = 4.5
+"""Reach of a histogram, in σ of the core."""
 _ENLARGED = 3
+_DETECTED_BGR = (30, 138, 224)
+_TRACKED_BGR = (60, 60, 225)
 _SHIFT = 4
 """Fractional bits of the coordinates that OpenCV draws at."""
 
 
 def table_rows(results: Sequence[Finding]) -> list[tuple[str, ...]]:
-    """A row for each error, axis and class of blur, under ``TABLE_HEAD``."""
+    """Return a row for each error, axis and class of blur, under ``TABLE_HEAD``."""
     rows = []
     for finding in results:
-        ratios = (f"{finding.ratio:.1f}", "{:.1f} … {:.1f}".format(*finding.ratio_interval))
-        for blur, part, ratio in (("low", finding.low, ("", "")), ("high", finding.high, ratios)):
-            rows.append((f"{finding.kind}, {finding.axis}", blur, *_cells(part), *ratio))
+        name = f"{finding.kind}, {finding.axis}"
+        low, high = finding.ratio_interval
+        rows.append((name, "low", *_cells(finding.low), "", ""))
+        rows.append(
+            (name, "high", *_cells(finding.high), f"{finding.ratio:.1f}", f"{low:.1f} … {high:.1f}")
+        )
     return rows
 
 
 def _cells(part: ErrorSummary) -> tuple[str, ...]:
-    mean = f"{part.mean_px:+.4f} ± {part.standard_error_px:.4f}"
+    """Return what the table says of the errors in one class of blur."""
     return (
         f"{part.count:,}",
         f"{part.instants}",
-        mean,
+        f"{part.mean_px:+.4f} ± {part.standard_error_px:.4f}",
         f"{part.sigma_px:.3f}",
         f"{part.core_px:.3f}",
     )
 
 
 def counts_text(views: Sequence[BlurView], observations: BlurObservations) -> str:
-    """How often the board was not found, and corners lost in tracking."""
+    """Say how often the board was not found, and how many corners were lost in tracking."""
     missed = {
         "left": sum(view.left_px is None for view in views),
         "right": sum(not view.right_found for view in views),
         "fast": sum(not view.fast_found for view in views),
     }
-    trackable = sum(view.previous_found and view.left_px is not None for view in views) * len(
-        np.unique(observations.corner)
-    )
+    tracked_views = sum(view.previous_found and view.left_px is not None for view in views)
+    trackable = tracked_views * len(np.unique(observations.corner))
     lost = trackable - int(np.isfinite(observations.tracking_px[:, 0]).sum())
     where = ", ".join(f"{count} {name}" for name, count in missed.items())
     return (
@@ -84,7 +89,12 @@ def counts_text(views: Sequence[BlurView], observations: BlurObservations) -> st
 
 
 def write_csv(path: Path, observations: BlurObservations) -> None:
-    """One line a corner observation, at full precision; ``nan`` where a detection failed."""
+    """Write a line for each corner observation at full precision; ``nan`` where it has no error.
+
+    Raises:
+        InputError: the file cannot be written.
+
+    """
     columns = (
         observations.time_s,
         observations.instant,
@@ -104,14 +114,15 @@ def write_blur_page(
     path: Path,
     views: Sequence[BlurView],
     observations: BlurObservations,
+    *,
     results: tuple[Finding, ...],
     seed: int,
 ) -> None:
-    """Write the page: what was found, histograms as in PROBE Fig. 5, the table, two images of the
-    board.
+    """Write the page: verdicts, histograms as in PROBE Fig. 5, the table, two images of the board.
 
     Raises:
         InputError: the file cannot be written.
+
     """
     facts = {
         "Instants": f"{len(views)}, {INSTANT_STEP_S:g} s apart",
@@ -119,22 +130,21 @@ def write_blur_page(
         "Low from high": f"median of the blur metric, {observations.threshold:.3f}",
         "Seed": str(seed),
     }
-    errors = (observations.reprojection_px, observations.tracking_px)
-    notes = (
-        (
-            "Corners triangulated by the slow stereo rig and projected into the fast camera −"
-            " corners seen there."
-        ),
-        "Corners tracked by Lucas–Kanade from the left image before − corners detected anew.",
-    )
+    reprojection, tracking = KINDS
     with figure_style():
         figures = [
             panel(
-                f"{kind.capitalize()} error",
-                note,
-                _histograms(error, observations, results, kind=kind),
-            )
-            for kind, note, error in zip(KINDS, notes, errors, strict=True)
+                f"{reprojection.capitalize()} error",
+                "Corners triangulated by the slow stereo rig and projected into the fast camera −"
+                " corners seen there.",
+                _histograms(observations.reprojection_px, observations, results, kind=reprojection),
+            ),
+            panel(
+                f"{tracking.capitalize()} error",
+                "Corners tracked by Lucas–Kanade from the left image before − corners detected"
+                " anew.",
+                _histograms(observations.tracking_px, observations, results, kind=tracking),
+            ),
         ]
     sections = [
         _verdict(views, observations, results),
@@ -148,6 +158,7 @@ def write_blur_page(
 def _verdict(
     views: Sequence[BlurView], observations: BlurObservations, results: tuple[Finding, ...]
 ) -> Markup:
+    """Return the section that says whether the paper's claim holds."""
     claim = "PROBE Fig. 5: errors stay approximately zero-mean, and their variance grows with blur."
     lines = "".join(
         f"<li>{escape(line)}</li>"
@@ -162,8 +173,7 @@ def _verdict(
 def _histograms(
     error: FloatArray, observations: BlurObservations, results: Sequence[Finding], kind: str
 ) -> Figure:
-    """Errors along both axes, [N, 2], px, low and high blur over each other, with normals fitted to
-    the cores."""
+    """Draw errors, [N, 2], px, along both axes at low and high blur, with normals of the cores."""
     figure = Figure(figsize=(WIDTH_IN, 2.9))
     chosen = [finding for finding in results if finding.kind == kind]
     for k, (axes, finding) in enumerate(zip(figure.subplots(1, len(AXES)), chosen, strict=True)):
@@ -193,8 +203,9 @@ def _histograms(
 
 
 def _draw(
-    axes: Axes, error: FloatArray, part: ErrorSummary, bins: FloatArray, color: str, name: str
+    axes: Axes, error: FloatArray, part: ErrorSummary, *, bins: FloatArray, color: str, name: str
 ) -> None:
+    """Draw the histogram of the errors of one class, [N], px, and the normal of their core."""
     known = error[np.isfinite(error)]
     axes.hist(
         known,
@@ -214,6 +225,7 @@ def _draw(
 
 
 def _table(results: Sequence[Finding]) -> Markup:
+    """Return the section with the table of means and spreads."""
     head = "".join(f"<th>{escape(name)}</th>" for name in TABLE_HEAD[1:])
     body = []
     for k, (name, *cells) in enumerate(table_rows(results)):
@@ -226,21 +238,21 @@ def _table(results: Sequence[Finding]) -> Markup:
             f"<tr><th>{first}</th>" + "".join(f"<td>{cell}</td>" for cell in others) + "</tr>"
         )
     note = (
-        "Errors within a second have causes in common: the standard error of a mean and the"
-        " interval of the ratio of the variances count seconds, not corners. The core’s σ is 1.4826"
-        " times the median absolute deviation. The curves above are normals with it, as the tails,"
-        " mostly corners that tracking lost, would flatten any other."
+        "Errors within a second are correlated: the standard error of a mean and the interval of"
+        " the ratio of the variances count seconds, not corners. The core’s σ is 1.4826 times the"
+        " median absolute deviation. The curves above are normals with this σ; the tails, mostly"
+        " corners that tracking lost, would flatten any other."
     )
     rows = "\n".join(body)
     return Markup(
         f'<section class="panel"><h2>Mean and spread</h2><p class="note">{note}</p>\n'
-        "<table"
-        f' class="figures"><thead><tr>{head}</tr></thead><tbody>\n{rows}\n</tbody></table></section>'
+        f'<table class="figures"><thead><tr>{head}</tr></thead>'
+        f"<tbody>\n{rows}\n</tbody></table></section>"
     )
 
 
 def _pictures(views: Sequence[BlurView]) -> Markup:
-    """The board at little and at much blur, with the corners as detected and as tracked."""
+    """Return the section with the board at low and at high blur, and its corners."""
     seen = sorted(
         ((float(np.mean(v.blur)), v) for v in views if v.blur is not None), key=lambda pair: pair[0]
     )
@@ -262,19 +274,35 @@ def _pictures(views: Sequence[BlurView]) -> Markup:
 
 
 def _marked(view: BlurView) -> AnyArray:
+    """Return the enlarged left image with the detected and the tracked corners."""
     image = cv2.resize(view.left, None, fx=_ENLARGED, fy=_ENLARGED, interpolation=cv2.INTER_NEAREST)
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     if view.left_px is None:
         return picture
-    for places, radius, thickness, color in (
-        (view.left_px, 6.0, 1, (30, 138, 224)),
-        (view.left_px + view.tracking_px, 2.2, cv2.FILLED, (60, 60, 225)),
-    ):
-        centers = np.round(
-            ((places + 0.5) * _ENLARGED - 0.5)[np.isfinite(places).all(axis=1)] * 2**_SHIFT
-        ).astype(int)
-        for u, v in centers.tolist():
-            cv2.circle(
-                picture, (u, v), int(radius * 2**_SHIFT), color, thickness, cv2.LINE_AA, _SHIFT
-            )
+    _draw_circles(picture, view.left_px, _DETECTED_BGR, radius_px=6.0, thickness=1)
+    tracked_px = view.left_px + view.tracking_px
+    _draw_circles(picture, tracked_px, _TRACKED_BGR, radius_px=2.2, thickness=cv2.FILLED)
     return picture
+
+
+def _draw_circles(
+    picture: AnyArray,
+    places_px: FloatArray,
+    color: tuple[int, int, int],
+    *,
+    radius_px: float,
+    thickness: int,
+) -> None:
+    """Draw circles into the enlarged picture at places of the image, [N, 2], px; none at NaN."""
+    known_px = places_px[np.isfinite(places_px).all(axis=1)]
+    centers_px = (known_px + 0.5) * _ENLARGED - 0.5
+    for u, v in np.round(centers_px * 2**_SHIFT).astype(int).tolist():
+        cv2.circle(
+            picture,
+            (u, v),
+            radius=int(radius_px * 2**_SHIFT),
+            color=color,
+            thickness=thickness,
+            lineType=cv2.LINE_AA,
+            shift=_SHIFT,
+        )

@@ -1,5 +1,4 @@
-"""A checkerboard before a slow stereo rig and a fast camera that a bar holds together (PROBE Fig.
-4)."""
+"""The scene of PROBE Fig. 4: a checkerboard before a slow stereo rig and a fast camera on a bar."""
 
 from __future__ import annotations
 
@@ -29,28 +28,30 @@ SQUARE_M = 0.06
 DISTANCE_M = 1.2
 HEIGHT_M = 1.5
 FRAME_STEP_S = 0.05
-"""Of the stereo rig, 20 frames/s."""
+"""Time from one frame of the stereo rig to the next: 20 frames/s."""
 INSTANT_STEP_S = 0.2
-"""Both clocks tick together: every 4th frame at 20 frames/s, every 25th at 125 frames/s."""
+"""Time between synchronised exposures: every 4th frame of the rig, every 25th of the fast camera at
+125 frames/s."""
 
 _SLOW_RATE = 0.12
+"""Speed of the first half of the motion over that of the second."""
 _BLEND_S = 0.5
-"""How fast the first half of the motion goes, against the second, and the time in between."""
+"""Time constant of the transition between the halves."""
 _SINES = 3
 _LOW_HZ = 0.5
 _HIGH_HZ = 1.1
 _MOTION_RMS = np.array([0.05, 0.07, 0.045, 0.06, 0.04, 0.07])
-"""Of (x, y, z, yaw, pitch, roll), m and rad."""
+"""RMS of the motion in (x, y, z, yaw, pitch, roll), m and rad."""
 _MARGIN_S = 0.5
 _KNOT_STEP_S = 0.02
 _WINDOW_MARGIN_PX = 24.0
-_LEAST_RAYS = 4
-_MOST_RAYS = 64
+_MIN_RAYS = 4
+_MAX_RAYS = 64
 
 
 @dataclass(frozen=True)
 class BoardCamera:
-    """One camera of the rig."""
+    """A camera of the rig."""
 
     focal_px: float
     center_px: tuple[float, float]
@@ -62,42 +63,51 @@ class BoardCamera:
     """Strength of the sensor's noise; see ``sensor.expose``."""
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Points in the left camera's frame [..., 3], m, to pixels [..., 2]. They need to be ahead
-        of the camera."""
+        """Project points in the left camera's frame, [..., 3], m, to pixels, [..., 2].
+
+        The points must be in front of the camera.
+        """
         T_cam_left = se3.inverse(self.T_left_cam)
         x, y, z = np.moveaxis(points @ T_cam_left[:3, :3].T + T_cam_left[:3, 3], -1, 0)
         return self.focal_px * np.stack([x / z, y / z], axis=-1) + self.center_px
 
 
 def _beside_left(right_m: float, yaw_left_rad: float = 0.0) -> FloatArray:
-    """T_left_cam of a camera on the bar, turned back towards the left one."""
+    """Return T_left_cam of a camera on the bar, turned towards the left one by the yaw, [4, 4]."""
     T_left_cam = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, -yaw_left_rad, 0.0]))
     T_left_cam[0, 3] = right_m
     return T_left_cam
 
 
-STEREO = StereoCamera(460.0, 460.0, 375.5, cv_px=239.5, baseline_m=0.11, size_px=(752, 480))
-"""Like the VI-Sensor's."""
+STEREO = StereoCamera(
+    fu_px=460.0, fv_px=460.0, cu_px=375.5, cv_px=239.5, baseline_m=0.11, size_px=(752, 480)
+)
+"""The stereo camera, similar to a VI-Sensor."""
 LEFT = BoardCamera(
-    460.0, (375.5, 239.5), (752, 480), T_left_cam=np.eye(4), shutter_s=0.04, noise=0.25
+    focal_px=460.0,
+    center_px=(375.5, 239.5),
+    size_px=(752, 480),
+    T_left_cam=np.eye(4),
+    shutter_s=0.04,
+    noise=0.25,
 )
 RIGHT = BoardCamera(
-    460.0,
-    (375.5, 239.5),
-    (752, 480),
+    focal_px=460.0,
+    center_px=(375.5, 239.5),
+    size_px=(752, 480),
     T_left_cam=_beside_left(STEREO.baseline_m),
     shutter_s=0.04,
     noise=0.25,
 )
 FAST = BoardCamera(
-    500.0,
-    (319.5, 255.5),
-    (640, 512),
+    focal_px=500.0,
+    center_px=(319.5, 255.5),
+    size_px=(640, 512),
     T_left_cam=_beside_left(0.25, yaw_left_rad=0.16),
     shutter_s=0.002,
     noise=0.35,
 )
-"""Like a Flea3 whose pixels are read out in twos."""
+"""The fast camera, similar to a Flea3 with 2 × 2 binning."""
 
 
 @dataclass(frozen=True)
@@ -111,67 +121,72 @@ class Window:
 
     @property
     def corner_px(self) -> FloatArray:
-        """(u, v) of its first pixel, [2]."""
+        """Position (u, v) of the window's first pixel in the image, [2], px."""
         return np.array([self.left_px, self.top_px], dtype=np.float64)
 
 
 class BoardScene:
-    """The board, and the motion of the rig before it: the first half slow, the second fast.
-
-    Args:
-        duration_s: of the motion.
-        rng: of the motion.
-    """
+    """The board, and the motion of the rig before it: the first half slow, the second fast."""
 
     def __init__(self, duration_s: float, rng: np.random.Generator) -> None:
+        """Build the scene, and draw a motion of the given duration."""
         self.trajectory = _motion(duration_s, rng)
         self._world = _world()
         self._scene = scene_arrays(self._world, shadow=0.0)
 
     def board(self, camera: BoardCamera, t_s: ArrayLike, *, margin: int = 0) -> FloatArray:
-        """Where the corners truly are in a camera at times [...]: [..., 32, 2], px, by rows from
-        the upper left one.
+        """Return the true pixels of the corners in a camera at times [...]: [..., 32, 2], px.
 
-        ``margin`` adds as many lines of the board on each side; the first one around is its edge.
+        Corners are ordered by rows from the upper left one. ``margin`` adds as many lines of the
+        board on each side; the first of these is its edge.
         """
         columns, rows = (
             np.arange(-margin, count + margin) - 0.5 * (count - 1) for count in CORNERS
         )
+        # In the world, x points forward to the board, y left and z up.
         down, across = np.meshgrid(rows, columns, indexing="ij")
-        place = [
-            np.full(down.size, DISTANCE_M),
-            -SQUARE_M * across.ravel(),
-            HEIGHT_M - SQUARE_M * down.ravel(),
-        ]
+        corners = np.column_stack(
+            [
+                np.full(down.size, DISTANCE_M),
+                -SQUARE_M * across.ravel(),
+                HEIGHT_M - SQUARE_M * down.ravel(),
+            ]
+        )
         T_left_world = se3.inverse(self.trajectory.T_world_cam(t_s))
-        points = np.column_stack(place) @ np.swapaxes(T_left_world[..., :3, :3], -1, -2)
+        points = corners @ np.swapaxes(T_left_world[..., :3, :3], -1, -2)
         return camera.project(points + T_left_world[..., None, :3, 3])
 
     def window(self, camera: BoardCamera, instants_s: Iterable[float]) -> Window:
-        """The window around the board in which it stays during the exposures around some instants."""
+        """Return the window that holds the board during the exposures around some instants."""
+        # The outline of the board at the start and at the end of each exposure.
         half_s = 0.5 * camera.shutter_s
         edges_s = np.array([t_s + side for t_s in instants_s for side in (-half_s, half_s)])
         outline_px = self.board(camera, edges_s, margin=1).reshape(-1, 2)
+        # Its bounding box with a margin, cut off at the borders of the image.
         low = np.maximum(np.floor(outline_px.min(axis=0) - _WINDOW_MARGIN_PX), 0.0)
         high = np.minimum(np.ceil(outline_px.max(axis=0) + _WINDOW_MARGIN_PX), camera.size_px)
         width, height = np.maximum(high - low, 1.0)
-        return Window(int(low[0]), int(low[1]), int(width), height_px=int(height))
+        return Window(
+            left_px=int(low[0]), top_px=int(low[1]), width_px=int(width), height_px=int(height)
+        )
 
     def expose(
         self, camera: BoardCamera, t_s: float, window: Window, rng: np.random.Generator
     ) -> Image:
-        """A window of the image whose exposure has its middle at ``t_s``, [height, width], uint8.
+        """Render a window of the image whose exposure has its middle at ``t_s``, [H, W], uint8.
 
-        Each pixel is the mean of rays through its middle, spread evenly over the time that the
-        shutter is open; the texture is averaged over the pixel along each ray. Rays spread over
-        pixel and time at once would need to be many more: they leave ripples in blurred edges, and
-        corners are drawn to them.
+        Each pixel is the mean of rays through its centre, spread evenly over the time that the
+        shutter is open; the texture is averaged over the pixel along each ray. Rays that are spread
+        over pixel and time at once would need to be many more: they leave ripples in blurred edges,
+        which bias the detected corners.
         """
+        # The times of the rays, and the camera of the window alone.
         rays = self._rays(camera, t_s)
         times_s = t_s + camera.shutter_s * ((np.arange(rays) + 0.5) / rays - 0.5)
         image = np.zeros((window.height_px, window.width_px), dtype=np.float32)
         u, v = camera.center_px
         intrinsics = camera.focal_px, u - window.left_px, v - window.top_px
+        # Sum the light of one ray a pixel at each of these times.
         for time_s in times_s.tolist():
             T_world_left = self.trajectory.T_world_cam(time_s)
             T_world_object = self._world.poses(time_s, T_world_left)
@@ -190,26 +205,28 @@ class BoardScene:
                 footprint_px=1.0,
                 image=image,
             )
+        # The sensor adds its noise to the mean, and rounds it to eight bits.
         return expose(image / np.float32(rays), 1.0, camera.noise, rng=rng)
 
     def _rays(self, camera: BoardCamera, t_s: float) -> int:
-        """How many rays a pixel needs for the board to move by a pixel from one to the next."""
+        """Return how many rays make the board move by one pixel from each ray to the next."""
         start_px, end_px = self.board(camera, t_s + camera.shutter_s * np.array([-0.5, 0.5]))
         moved_px = float(np.linalg.norm(end_px - start_px, axis=-1).max())
-        return int(np.clip(np.ceil(moved_px), _LEAST_RAYS, _MOST_RAYS))
+        return int(np.clip(np.ceil(moved_px), _MIN_RAYS, _MAX_RAYS))
 
 
 def _motion(duration_s: float, rng: np.random.Generator) -> Trajectory:
-    """All six coordinates swing by sums of sines around a place before the board: slowly, then
-    fast."""
+    """Draw a motion: all six coordinates are sums of sines, first slow, then fast."""
     frequency = rng.uniform(_LOW_HZ, _HIGH_HZ, (6, _SINES, 1))
     phase = rng.uniform(0.0, 2.0 * np.pi, (6, _SINES, 1))
+    # The phase advances at a rate that grows from slow to fast in the middle of the motion.
     t_s = np.arange(-_MARGIN_S, duration_s + _MARGIN_S, _KNOT_STEP_S)
     rate = _SLOW_RATE + (1.0 - _SLOW_RATE) * 0.5 * (
         1.0 + np.tanh((t_s - 0.5 * duration_s) / _BLEND_S)
     )
-    way = np.cumsum(rate) * _KNOT_STEP_S
-    swing = np.sqrt(2.0 / _SINES) * np.sin(2.0 * np.pi * frequency * way + phase).sum(axis=1)
+    slowed_s = np.cumsum(rate) * _KNOT_STEP_S
+    swing = np.sqrt(2.0 / _SINES) * np.sin(2.0 * np.pi * frequency * slowed_s + phase).sum(axis=1)
+    # The rig swings around a place in which the board is before the middle of its baseline.
     middle = np.array([0.0, 0.5 * STEREO.baseline_m, HEIGHT_M, 0.0, 0.0, 0.0])
     return Trajectory(
         duration_s, make_interp_spline(t_s, middle + (_MOTION_RMS[:, None] * swing).T, k=5)
@@ -217,7 +234,7 @@ def _motion(duration_s: float, rng: np.random.Generator) -> Trajectory:
 
 
 def _world() -> World:
-    """The board on a larger sheet of white, before a wall, in diffuse light from behind the camera."""
+    """Build the board on a larger white sheet, before a wall, lit from behind the camera."""
     columns, rows = (count + 1 for count in CORNERS)
     size_m = np.array([0.01, columns * SQUARE_M, rows * SQUARE_M])
     center_m = np.array([DISTANCE_M + 0.5 * size_m[0], 0.0, HEIGHT_M])

@@ -1,4 +1,4 @@
-"""In place of rendering and of training, for the tests of the tables of PROBE-GK."""
+"""Stand-ins for rendering, training and single runs, for the tests of the tables."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from cli.rendering import write_wall
+from probevo.cli import run
 from probevo.noise import StudentT
 from probevo.noise.model_io import save_model
 
@@ -22,10 +23,13 @@ TURNS = [
 
 @contextmanager
 def stand_ins(turns: list[dict[str, float]] | None = None) -> Iterator[SimpleNamespace]:
-    """Walls for scenes, Student-t for all models; what was to be rendered and trained is collected."""
+    """Replace scenes by walls and models by Student-t; record what was to be rendered and trained.
+
+    ``turns`` is what the models say of the iterations of EM, ``TURNS`` if it is not given.
+    """
     calls = SimpleNamespace(scenes=[], trainings=[])
 
-    def put_a_wall(config: Any, folder: Path) -> Path:
+    def render_wall(config: Any, folder: Path) -> Path:
         calls.scenes.append(config)
         return write_wall(folder)
 
@@ -34,7 +38,21 @@ def stand_ins(turns: list[dict[str, float]] | None = None) -> Iterator[SimpleNam
         save_model(StudentT(dof=4.0, training={"turns": TURNS if turns is None else turns}), out)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("probevo_sim.command.render_with_progress", put_a_wall)
+        patch.setattr("probevo_sim.command.render_with_progress", render_wall)
         patch.setattr("probevo.cli.train.train_with_progress", train)
-        patch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
+        patch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
         yield calls
+
+
+def interrupt_run(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """Raise KeyboardInterrupt, as Ctrl-C does, in place of the run of this number, from 1."""
+    run_with_progress = run.run_with_progress
+    started: list[None] = []
+
+    def interrupted(*arguments: Any, **keywords: Any) -> Any:
+        started.append(None)
+        if len(started) == number:
+            raise KeyboardInterrupt
+        return run_with_progress(*arguments, **keywords)
+
+    monkeypatch.setattr(run, "run_with_progress", interrupted)

@@ -1,4 +1,4 @@
-"""The blur experiment: its geometry, its statistics, and a small version of it whole."""
+"""PROBE Fig. 5: geometry, statistics, and a small version of the whole experiment."""
 
 from dataclasses import replace
 from itertools import islice
@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import f as f_distribution
 
 from output.pages import Balance
-from probevo_paper.blur import (
+from probevo_paper.figure_5 import (
     NUM_CORNERS,
     BlurObservations,
     BlurView,
@@ -18,10 +18,10 @@ from probevo_paper.blur import (
     reproject,
     track,
 )
-from probevo_paper.blur_page import CSV_HEAD, counts_text, write_blur_page, write_csv
-from probevo_paper.blur_scene import FAST, FRAME_STEP_S, LEFT, RIGHT, BoardScene
-from probevo_paper.blur_statistics import (
-    STRETCH,
+from probevo_paper.figure_5_page import CSV_HEAD, counts_text, write_blur_page, write_csv
+from probevo_paper.figure_5_scene import FAST, FRAME_STEP_S, LEFT, RIGHT, BoardScene
+from probevo_paper.figure_5_statistics import (
+    INSTANTS_PER_CLUSTER,
     Finding,
     findings,
     summarise,
@@ -30,8 +30,8 @@ from probevo_paper.blur_statistics import (
 )
 
 INSTANTS = 60
+"""Half as many as by default, and the fewest that the settings recommend."""
 SEED = 0
-"""Half as many as by default, and the fewest that its settings recommend."""
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +55,7 @@ def results(observations: BlurObservations) -> tuple[Finding, ...]:
 
 
 def test_true_corners_reproject_onto_true_corners(scene: BoardScene) -> None:
-    """Triangulation by the stereo rig and projection into the fast camera undo the projection from
-    the board."""
+    """Triangulating by the stereo rig and projecting into the fast camera undoes the projection."""
     t_s = np.linspace(0.0, 8.0, 9)
     left, right, fast = (scene.board(camera, t_s) for camera in (LEFT, RIGHT, FAST))
     np.testing.assert_allclose(reproject(np.concatenate([left, right], axis=-1)), fast, atol=1e-9)
@@ -64,7 +63,7 @@ def test_true_corners_reproject_onto_true_corners(scene: BoardScene) -> None:
 
 @pytest.mark.parametrize("camera", [LEFT, RIGHT, FAST], ids=["left", "right", "fast"])
 def test_corners_are_seen_where_they_are(scene: BoardScene, camera: object) -> None:
-    """Detected in a slow image they lie within noise of the projection, in the same order."""
+    """Corners detected in slow motion lie within noise of the projection, in the same order."""
     assert isinstance(camera, type(LEFT))
     window = scene.window(camera, [1.0])
     found_px = find_corners(scene.expose(camera, 1.0, window, np.random.default_rng(1)))
@@ -75,8 +74,7 @@ def test_corners_are_seen_where_they_are(scene: BoardScene, camera: object) -> N
 
 
 def test_the_rig_moves_slowly_and_then_fast_with_the_board_in_view(scene: BoardScene) -> None:
-    """All see the whole board; in the second half it moves far more during an exposure, but by less
-    than a square."""
+    """All cameras see the whole board; its motion during an exposure grows, but below a square."""
     t_s = np.linspace(0.0, 8.0, 161)
     for camera in (LEFT, RIGHT, FAST):
         board_px = scene.board(camera, t_s, margin=1)
@@ -97,9 +95,10 @@ def test_the_rig_moves_slowly_and_then_fast_with_the_board_in_view(scene: BoardS
 def test_a_slowly_moving_corner_is_tracked_to_where_it_is(scene: BoardScene) -> None:
     window = scene.window(LEFT, [1.0, 1.0 - FRAME_STEP_S])
     rng = np.random.default_rng(2)
-    before, after = (scene.expose(LEFT, t_s, window, rng) for t_s in (1.0 - FRAME_STEP_S, 1.0))
+    previous = scene.expose(LEFT, 1.0 - FRAME_STEP_S, window, rng)
+    current = scene.expose(LEFT, 1.0, window, rng)
     start_px = scene.board(LEFT, 1.0 - FRAME_STEP_S) - window.corner_px
-    error = track(before, after, start_px) + window.corner_px - scene.board(LEFT, 1.0)
+    error = track(previous, current, start_px) + window.corner_px - scene.board(LEFT, 1.0)
     assert np.abs(error).max() < 0.4
 
 
@@ -107,17 +106,16 @@ def test_no_board_no_corners() -> None:
     assert find_corners(np.full((200, 300), 90, dtype=np.uint8)) is None
 
 
-def test_the_standard_error_knows_of_common_causes() -> None:
-    """Over 2,000 draws of errors that share most of their noise within a second, it is the spread
-    of the means."""
+def test_the_standard_error_of_correlated_errors_is_the_spread_of_their_means() -> None:
+    """Over 2,000 draws of errors that have most of their noise in common within a second."""
     rng = np.random.default_rng(0)
     instant = np.repeat(np.arange(100), 8)
     means = []
     claims = []
     for _ in range(2000):
-        error = rng.normal(size=100 // STRETCH)[instant // STRETCH] + 0.5 * rng.normal(
-            size=len(instant)
-        )
+        error = rng.normal(size=100 // INSTANTS_PER_CLUSTER)[
+            instant // INSTANTS_PER_CLUSTER
+        ] + 0.5 * rng.normal(size=len(instant))
         summary = summarise(error, instant)
         means.append(summary.mean_px)
         claims.append(summary.standard_error_px)
@@ -137,11 +135,10 @@ def test_the_interval_of_independent_normal_errors_is_that_of_the_f_test() -> No
 
 
 def test_errors_stay_zero_mean_while_their_variance_grows(results: tuple[Finding, ...]) -> None:
-    """PROBE Fig. 5 for both errors and axes: every mean is within 3 standard errors, or below a
-    tenth of σ.
+    """Check PROBE Fig. 5 for both errors and axes.
 
-    Each interval of a ratio of variances lies above 1 as a whole, and the variance of both axes
-    together doubles.
+    Every mean is within 3 standard errors, or below a tenth of σ. Each interval of a ratio of
+    variances lies above 1, and the variance of both axes together doubles.
     """
     assert [(finding.kind, finding.axis) for finding in results] == [
         ("reprojection", "horizontal"),
@@ -153,16 +150,13 @@ def test_errors_stay_zero_mean_while_their_variance_grows(results: tuple[Finding
     assert first.startswith(("Zero-mean: yes; ", "Zero-mean: nearly; "))
     assert second.startswith("Variance grows with blur: yes;")
     for pair in (results[:2], results[2:]):
-        low, high = (
-            sum(part.sigma_px**2 for part in parts)
-            for parts in zip(*((f.low, f.high) for f in pair), strict=True)
-        )
+        low = sum(finding.low.sigma_px**2 for finding in pair)
+        high = sum(finding.high.sigma_px**2 for finding in pair)
         assert high > 2.0 * low
 
 
 def test_a_claim_that_fails_is_called_failed(observations: BlurObservations) -> None:
-    """With an offset far above the standard error the mean is not zero; with high and low swapped
-    nothing grows."""
+    """A large offset is no zero mean; with high and low blur swapped, no variance grows."""
     shifted = replace(
         observations, tracking_px=observations.tracking_px + 20.0, blur=1.0 - observations.blur
     )
