@@ -68,7 +68,7 @@ def seen_twice(
 
 
 def at_infinity(rng: np.random.Generator, count: int, T_curr_prev: FloatArray = FORWARD) -> Tracks:
-    """Points without disparity: only the rotation moves them. Their rays stay ahead of the camera."""
+    """Points without disparity: only the rotation moves them. Their rays stay ahead of it."""
     prev_px = random_pixels(rng, count)
     prev_px[:, 2] = prev_px[:, 0]
     x = (prev_px[:, 0] - CAMERA.cu_px) / CAMERA.fu_px

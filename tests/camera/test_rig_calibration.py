@@ -95,10 +95,9 @@ def test_disparity_update_is_that_of_the_normal_equations() -> None:
 
 
 def test_disparity_covariance_holds_the_constant_that_is_not_estimated() -> None:
-    rig = replace(
-        RigCalibration.initial(), disparity_information=np.array([[4.0, 1.0], [1.0, 9.0]])
-    )
+    information = np.array([[4.0, 1.0], [1.0, 9.0]])
+    rig = replace(RigCalibration.initial(), disparity_information=information)
     expected = np.zeros((3, 3))
     expected[0, 0] = CONSTANT_SIGMA_PX**2
-    expected[1:, 1:] = np.linalg.inv([[4.0, 1.0], [1.0, 9.0]])
+    expected[1:, 1:] = np.linalg.inv(information)
     np.testing.assert_allclose(rig.disparity_cov, expected, rtol=1e-12)

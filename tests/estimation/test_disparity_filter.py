@@ -1,5 +1,4 @@
-"""The filter of each track's disparity: it is the joint Gaussian's posterior, and makes motions whose
-covariance is consistent."""
+"""The disparity filter is the posterior of the joint Gaussian; its motions are consistent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Known errors of the rectification: whether residuals reveal them, with a consistent uncertainty."""
+"""Known errors of the rectification: the residuals reveal them, with a consistent covariance."""
 
 from dataclasses import replace
 
