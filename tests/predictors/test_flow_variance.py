@@ -81,7 +81,7 @@ def test_without_variance_it_is_the_floor_that_counts() -> None:
     np.testing.assert_allclose(values, np.log(FLOOR_PX2 / np.var(flow)), rtol=1e-9)
 
 
-def test_lonely_features_are_unknown() -> None:
+def test_features_with_fewer_than_two_neighbours_are_undefined() -> None:
     uv = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [500.0, 0.0], [510.0, 0.0]])
     np.testing.assert_array_equal(
         np.isnan(flow_variance(uv - 1.0, uv)), [False, False, False, True, True]

@@ -41,7 +41,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Install:
 
 
 def test_no_two_predictors_share_a_column() -> None:
-    """A model knows its predictors by their columns alone."""
+    """A model knows its predictors only by their columns."""
     columns = [column for predictor in PREDICTORS.values() for column in predictor.columns]
     assert len(set(columns)) == len(columns)
     assert list(PREDICTORS) == [predictor.name for predictor in PREDICTORS.values()]

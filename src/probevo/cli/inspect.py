@@ -101,11 +101,11 @@ def _check(arguments: InspectArguments) -> None:
 
 def known_units() -> dict[str, str]:
     """Unit of every column of every predictor."""
-    from probevo.predictors import PREDICTORS
+    from probevo.predictors import all_predictors
 
     return {
         column: unit
-        for predictor in PREDICTORS.values()
+        for predictor in all_predictors().values()
         for column, unit in predictor.columns.items()
     }
 

@@ -33,7 +33,9 @@ def acceleration(imu: ImuSamples) -> FloatArray:
     if not len(imu.stamps_ns):
         return np.full(2, np.nan)
     mean = imu.accel_m_s2.mean(axis=0)
+    # The direction of gravity is unknown: compare magnitudes
     offset = abs(float(np.linalg.norm(mean)) - GRAVITY_M_S2)
+    # Subtracting the mean removes gravity and bias
     squared = np.sum((imu.accel_m_s2 - mean) ** 2, axis=1)
     return np.array([offset, np.sqrt(squared.mean())])
 

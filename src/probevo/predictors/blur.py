@@ -69,6 +69,7 @@ def _share_kept_along_rows(patch: AnyArray) -> float:
     total = lost = 0
     for v in range(size):
         for u in range(size - 1):
+            # Difference of two neighbours, before and after the filter, both times TAPS
             sharp = TAPS * abs(patch[v + REACH, u + REACH + 1] - patch[v + REACH, u + REACH])
             blurred = abs(patch[v + REACH, u + TAPS] - patch[v + REACH, u])
             total += sharp

@@ -57,9 +57,11 @@ def _fill_entropy(
         left = patch_start(uv[n, 0], half, size, image_px=image.shape[1])
         top = patch_start(uv[n, 1], half, size, image_px=image.shape[0])
         if left >= 0 and top >= 0:
+            # Histogram of the patch
             for v in range(top, top + size):
                 for u in range(left, left + size):
                     counts[image[v, u]] += 1
+            # Sum over the bins, which are emptied for the next feature
             total = 0.0
             for level in range(BINS):
                 total += terms[counts[level]]

@@ -52,6 +52,7 @@ def flow_variance(
     """
     if not len(uv):
         return np.zeros(0)
+    # Sorted by u, the features of a window are consecutive but for their rows
     order = np.argsort(uv[:, 0], kind="stable")
     flow = uv - previous_uv
     # Relative to their median, the flows are small enough for sums of squares to lose no precision
@@ -95,6 +96,7 @@ def _fill_variances(flow: SortedFlow, half_px: float, variances: FloatArray) -> 
             first += 1
         while end < len(u) and u[end] <= u[i] + half_px:
             end += 1
+        # Sum over the window without branches, so that the compiler can vectorise the loop
         count = 0.0
         sum_u = 0.0
         sum_v = 0.0
@@ -105,6 +107,7 @@ def _fill_variances(flow: SortedFlow, half_px: float, variances: FloatArray) -> 
             sum_u += inside * du[j]
             sum_v += inside * dv[j]
             squares += inside * (du[j] * du[j] + dv[j] * dv[j])
+        # Mean of the two variances, E[x²] − E[x]² each
         mean_u = sum_u / count
         mean_v = sum_v / count
         total = 0.5 * (squares / count - mean_u * mean_u - mean_v * mean_v)

@@ -50,6 +50,7 @@ def forward_backward(
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=MIN_EIGENVALUE,
     )
+    # How far the track back ends from where the feature was
     offset = found_uv.astype(np.float64) - previous_uv
     distance = np.hypot(offset[:, 0], offset[:, 1])
     return np.where(status[:, 0] > 0, np.log(FLOOR_PX + distance), np.nan)

@@ -67,6 +67,7 @@ def _fill_frequency(image: Image, uv: FloatArray, waves: FloatArray, values: Flo
         top = patch_start(uv[n, 1], size // 2, size, image_px=image.shape[0])
         if left >= 0 and top >= 0:
             copy_patch(image, top, left, patch=patch)
+            # Transform along u, then along v, at the frequencies of the two bands only
             np.dot(patch, waves_u, along_u)
             np.dot(waves, along_u, spectrum)
             spectrum[0, 0] = 0.0  # brightness is no texture
@@ -83,6 +84,7 @@ def _log_sum(spectrum: FloatArray, first: int) -> float:
     product = 1.0
     for k in range(first, first + BAND):
         for j in range(first, first + BAND):
+            # cos·cos − sin·sin and cos·sin + sin·cos: the transform of a real patch
             real = spectrum[k, j] - spectrum[k + BAND, j + BAND]
             imaginary = spectrum[k, j + BAND] + spectrum[k + BAND, j]
             product *= 1.0 + math.sqrt(real * real + imaginary * imaginary)

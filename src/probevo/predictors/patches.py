@@ -32,6 +32,7 @@ def copy_patch(image: Image, top: int, left: int, patch: AnyArray) -> None:
     """
     height, width = image.shape
     rows, columns = patch.shape
+    # Inside the image no index needs clamping, which would prevent vectorisation
     if top >= 0 and left >= 0 and top + rows <= height and left + columns <= width:
         for i in range(rows):
             for j in range(columns):

@@ -27,6 +27,7 @@ def predicted_place(
     Returns:
         Normalized image coordinates x and y, and inverse depth, 1/m, in the current frame, [3, N].
     """
+    # Points over their old depth: the third coordinate is the new depth over the old one
     q, inverse_depth = camera.moved_rays(prev_px, T_curr_prev)
     depth_ratio = np.maximum(q[2], MIN_DEPTH_RATIO)
     q[2] = inverse_depth

@@ -21,7 +21,7 @@ class PredictionSpace:
     predictors: tuple[Predictor, ...]
 
     def __post_init__(self) -> None:
-        """Refuse two columns of one name: a model knows its predictors by their columns alone.
+        """Refuse two columns of one name: a model knows its predictors only by their columns.
 
         Raises:
             InputError: names the second predictor.

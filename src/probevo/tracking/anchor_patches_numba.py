@@ -211,6 +211,7 @@ def _linearize(
             descent[1, k] = np.float32(0.5) * (
                 np.float32(brightness[at + width]) - np.float32(brightness[at - width])
             )
+    # Derivatives by S: x times those by t
     for i in range(len(window)):
         along = descent[0, i]
         down = descent[1, i]
@@ -220,6 +221,7 @@ def _linearize(
         descent[3, i] = along * y
         descent[4, i] = down * x
         descent[5, i] = down * y
+    # Gauss–Newton information of the patch, constant during the alignment
     for m in range(6):
         for n in range(m + 1):
             total = np.float32(0.0)

@@ -99,6 +99,7 @@ def _fill_non_overlapping(pixels: IntArray, reach: int, taken: BoolArray, keep: 
     for n in range(len(pixels)):
         u = min(max(pixels[n, 0], 0), width - 1)
         v = min(max(pixels[n, 1], 0), height - 1)
+        # Overlapping by half: the centre lies in the square around an earlier feature
         keep[n] = not taken[v, u]
         if keep[n]:
             for row in range(max(v - reach, 0), min(v + reach + 1, height)):

@@ -51,7 +51,7 @@ def strongest_of_cells(
     """
     height, width = image.shape
     shape = (grid.rows, grid.columns, per_cell)
-    strongest = Strongest(strength=np.zeros(shape, np.int64), index=np.full(shape, -1))
+    strongest = Strongest(strength=np.zeros(shape, np.int64), flat_index=np.full(shape, -1))
     if min(height, width) > 2 * border_px:
         flat_image = FlatImage(
             pixels=np.ascontiguousarray(image).ravel(),
@@ -61,9 +61,9 @@ def strongest_of_cells(
             ring=np.zeros(len(RING) + 8, np.int32),
         )
         fill_strongest(flat_image, grid.cell_px, threshold, border_px, strongest)
-    u = strongest.index % width
-    v = strongest.index // width
-    is_missing = strongest.index[..., None] < 0
+    u = strongest.flat_index % width
+    v = strongest.flat_index // width
+    is_missing = strongest.flat_index[..., None] < 0
     corners: FloatArray = np.where(is_missing, np.nan, np.stack([u, v], axis=-1))
     return corners
 
@@ -86,6 +86,7 @@ def _strength_bound(image: Image) -> Image:
     brighter = np.full(center.shape, 255, np.uint8)
     darker = np.zeros(center.shape, np.uint8)
     of_two = np.empty_like(brighter)
+    # Of each facing pair, at least the larger (smaller) pixel must differ by the strength
     for du, dv in HALF_RING:
         one = shifted(du, dv)
         facing = shifted(-du, -dv)

@@ -34,7 +34,7 @@ class Strongest(NamedTuple):
 
     strength: IntArray
     """[rows, columns, per_cell], grey levels; 0 where there is no corner."""
-    index: IntArray
+    flat_index: IntArray
     """Index of the corner in the flat image, [rows, columns, per_cell]; −1 where there is none."""
 
 
@@ -51,7 +51,7 @@ def fill_strongest(
         border_px: least distance of a corner from the border.
         strongest: in: no corners; out: the strongest ones.
     """
-    rows, columns, per_cell = strongest.index.shape
+    rows, columns, per_cell = strongest.flat_index.shape
     width = image.width
     height = len(image.pixels) // width
     for row in range(rows):
@@ -59,7 +59,8 @@ def fill_strongest(
         for column in range(columns):
             first, last = _extent(column, cell_px, width, border_px=border_px)
             strengths = strongest.strength[row, column]
-            indices = strongest.index[row, column]
+            indices = strongest.flat_index[row, column]
+            # Only pixels whose bound exceeds ``least`` can be among the strongest
             least = threshold
             for v in range(top, bottom):
                 bounds = image.bound[v - REACH_PX, first - REACH_PX : last - REACH_PX]
@@ -109,6 +110,7 @@ def _is_local_maximum(image: FlatImage, u: int, v: int, strength: int) -> bool:
 def _strength(image: FlatImage, index: int, least: int) -> int:
     """Return the strength of a pixel if it is more than ``least``, or else ``least``."""
     ring = image.ring
+    # Which of the ring's pixels are brighter, or darker, as bits
     center = np.int32(image.pixels[np.uint64(index)])
     brighter = 0
     darker = 0
