@@ -11,15 +11,15 @@ import sys
 from functools import cache
 from pathlib import Path
 
-from probevo.cores import available_cores
-
 
 def getting_ready() -> str:
     """What to say until the first frame is through; the first time of all, the compiling of the
     solver is begun."""
     if any(compiled_in().glob("minimize.minimize-*.nbi")):
         return "starting"
-    if available_cores() > 1:
+    import joblib
+
+    if joblib.cpu_count() > 1:
         compile_solver()
     return "compiling, this first time of all: 10 to 30 s"
 

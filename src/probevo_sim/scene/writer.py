@@ -7,14 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import joblib
 import numpy as np
 import yaml
 
-from probevo.cores import available_cores
 from probevo.errors import InputError
 from probevo.files import check_folder, remove_stale, write_atomically
-from probevo.output.files import write_kitti_poses
 from probevo.sequences.folder import IMU_HEADER
+from probevo.sequences.pose_files import write_kitti_poses
 from probevo.sequences.read_ahead import read_ahead
 from probevo_sim.scene.config import SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
@@ -74,7 +74,7 @@ def write_scene(
         return not _has_images(out, index) or (pixel_truth and not _truth_file(out, index).exists())
 
     missing = [index for index in range(len(recording)) if is_missing(index)]
-    threads = min(jobs or available_cores(), len(recording))
+    threads = min(jobs or joblib.cpu_count(), len(recording))
     written = read_ahead(write, missing, ahead=2 * threads, threads=threads)
     for done, _ in enumerate(written, start=len(recording) - len(missing) + 1):
         if on_frame is not None:
