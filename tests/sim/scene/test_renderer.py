@@ -7,16 +7,6 @@ from typing import get_args
 import cv2
 import numpy as np
 import pytest
-from sim.scene.small_world import (
-    CAMERA,
-    HEIGHT_M,
-    SPEED_M_S,
-    WALL_M,
-    renderer,
-    things,
-    trajectory,
-    world,
-)
 
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.geometry import se3
@@ -27,6 +17,16 @@ from probevo_sim.scene.sensor import expose
 from probevo_sim.scene.solids import BOX, join, solid
 from probevo_sim.scene.textures import Texture
 from probevo_sim.scene.world import Movers
+from sim.scene.small_world import (
+    CAMERA,
+    HEIGHT_M,
+    SPEED_M_S,
+    WALL_M,
+    renderer,
+    things,
+    trajectory,
+    world,
+)
 
 STEP_S = 0.1
 

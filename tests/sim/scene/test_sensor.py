@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from probevo_sim.scene.sensor import FULL_EXPOSURE, FULL_NOISE_GREY, WHITE, expose, exposures
+from probevo_sim.scene.sensor import FULL_EXPOSURE, FULL_NOISE_GREY, WHITE_GREY, expose, exposures
 
 
 def flat(grey: float) -> np.ndarray:
-    return np.full((200, 300), grey / WHITE, dtype=np.float32)
+    return np.full((200, 300), grey / WHITE_GREY, dtype=np.float32)
 
 
 def test_without_noise_the_grey_value_is_the_gain_times_the_light() -> None:

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from sim.scene.small_world import CAMERA, HEIGHT_M, renderer, world
 
 from probevo.arrays import FloatArray
 from probevo_sim.scene.solids import BOX, Solids, join, solid
-from probevo_sim.scene.sunlight import LEAVES_DARKNESS
+from probevo_sim.scene.sunlight_numba import LEAVES_DARKNESS
 from probevo_sim.scene.textures import Texture
+from sim.scene.small_world import CAMERA, HEIGHT_M, renderer, world
 
 SUN = np.array([0.0, 0.6, 0.8])
 """In the north, that is on the left of the camera."""
@@ -42,7 +42,7 @@ def lit_and_shaded(east_m: float, right_m: float) -> tuple[float, float]:
 def test_under_the_roofs_shadow_only_the_sky_gives_light(east_m: float, right_m: float) -> None:
     lit, shaded = lit_and_shaded(east_m, right_m)
     place = world()
-    sky_share = place.sky / (place.sky + place.sun * SUN[2])
+    sky_share = place.sky_irradiance / (place.sky_irradiance + place.sun_irradiance * SUN[2])
     assert shaded / lit == pytest.approx(sky_share, abs=0.02)
 
 
@@ -52,7 +52,9 @@ def test_under_the_roofs_shadow_only_the_sky_gives_light(east_m: float, right_m:
 def test_beside_it_there_is_sun_but_for_the_leaves(east_m: float, right_m: float) -> None:
     lit, shaded = lit_and_shaded(east_m, right_m)
     place = world()
-    sun_share = place.sun * SUN[2] / (place.sky + place.sun * SUN[2])
+    sun_share = (
+        place.sun_irradiance * SUN[2] / (place.sky_irradiance + place.sun_irradiance * SUN[2])
+    )
     assert 1.0 - LEAVES_DARKNESS * sun_share - 0.02 <= shaded / lit <= 1.0
 
 
