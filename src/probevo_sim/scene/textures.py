@@ -110,7 +110,7 @@ def make_textures() -> Mipmaps:
         # Each level is the 2×2 box mean of the one before, down to a single texel.
         levels = [level]
         while len(level) > 1:
-            level = canvas.reduced(level)
+            level = canvas.downsampled(level)
             levels.append(level)
         layers.append(np.concatenate([level.ravel() for level in levels]))
     texels = np.rint(255 * np.array(layers)).astype(np.uint8)
