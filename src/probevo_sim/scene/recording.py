@@ -91,6 +91,7 @@ class SceneRecording:
         )
 
     def _frame(self, index: int) -> Frame:
+        """Render a frame, with the IMU samples since the previous one."""
         start = perf_counter()
         left, right = self.images(index)
         imu = None

@@ -128,6 +128,7 @@ def _has_images(out: Path, index: int) -> bool:
 
 
 def _write_pixel_truth(path: Path, truth: PixelTruth) -> None:
+    """Write the truth about each pixel in single precision."""
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,

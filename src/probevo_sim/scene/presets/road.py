@@ -172,7 +172,7 @@ def _country(route: Route, end_m: float, rng: np.random.Generator) -> list[Solid
 
 
 def _tuft(rng: np.random.Generator) -> Solids:
-    """High grass or weeds, or a stone, 0.2 to 0.7 m high."""
+    """Build high grass or weeds, or a stone, 0.2 to 0.7 m high."""
     size_m = rng.uniform([0.4, 0.4, 0.4], [1.1, 0.9, 1.3])
     texture = Texture(rng.choice([Texture.FOLIAGE, Texture.GRASS, Texture.GRASS, Texture.ROCK]))
     yaw = rng.uniform(-np.pi, np.pi)
