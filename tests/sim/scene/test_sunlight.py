@@ -14,8 +14,7 @@ SUN = np.array([0.0, 0.6, 0.8])
 
 
 def roof() -> Solids:
-    """A slab of 4 m × 4 m, 4 m up, out of the camera's sight: its shadow lies 3 m to the right of
-    it."""
+    """Return an unseen slab of 4 m × 4 m, 4 m up, whose shadow lies 3 m to the right of it."""
     slab = solid(
         BOX, (4.0, 4.0, 0.01), (12.0, 3.0, 4.0), texture=Texture.PLAIN, tile_m=1.0, seen=False
     )
@@ -25,17 +24,19 @@ def roof() -> Solids:
 
 
 def ground_place(image: FloatArray, east_m: float, right_m: float) -> float:
-    """Radiance of the ground at a place before the camera, which stands at the origin and looks
-    east."""
+    """Return the radiance of the ground at a place before the camera.
+
+    The camera stands at the origin and looks east.
+    """
     u, v = CAMERA.project(np.array([right_m, HEIGHT_M, east_m]))[:2]
     return float(image[round(v), round(u)])
 
 
 def lit_and_shaded(east_m: float, right_m: float) -> tuple[float, float]:
     place = world(roof(), sun=SUN)
-    return tuple(
-        ground_place(renderer(place, shadows=s).pair(0.0)[0], east_m, right_m) for s in (0.0, 1.0)
-    )  # type: ignore[return-value]
+    lit, _ = renderer(place, shadows=0.0).pair(0.0)
+    shaded, _ = renderer(place, shadows=1.0).pair(0.0)
+    return ground_place(lit, east_m, right_m), ground_place(shaded, east_m, right_m)
 
 
 @pytest.mark.parametrize(("east_m", "right_m"), [(12.0, 0.0), (11.0, 1.5), (13.5, -1.5)])
@@ -61,9 +62,9 @@ def test_beside_it_there_is_sun_but_for_the_leaves(east_m: float, right_m: float
 def test_leaves_shade_some_of_the_ground_and_wander_with_the_wind() -> None:
     place = world(sun=SUN)
     rows = slice(90, 128)  # ground
-    lit, first, later = (
-        renderer(place, shadows=s).pair(t)[0][rows] for s, t in ((0.0, 0.0), (1.0, 0.0), (1.0, 0.5))
-    )
+    lit = renderer(place, shadows=0.0).pair(0.0)[0][rows]
+    first = renderer(place, shadows=1.0).pair(0.0)[0][rows]
+    later = renderer(place, shadows=1.0).pair(0.5)[0][rows]
     assert 0.05 < np.mean(first < 0.9 * lit) < 0.95
     assert not np.allclose(first, later, atol=0.02)
 
