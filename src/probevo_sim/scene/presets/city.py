@@ -64,17 +64,19 @@ def city(config: SceneConfig) -> Place:
     distance_m = config.distance_m or DISTANCE_M
     route = Route.from_turns(repeated(PIECES, distance_m), lead_m=LEAD_M)
     stops_m = tuple(float(s) for s in np.arange(HALT_M, distance_m - 20.0, REPEAT_M))
-    plan = DrivePlan(0.0, distance_m, SPEED_M_S, lateral_m=-LANE_M, stops_m=stops_m)
+    plan = DrivePlan(
+        start_m=0.0, distance_m=distance_m, speed_m_s=SPEED_M_S, lateral_m=-LANE_M, stops_m=stops_m
+    )
 
     # What stands beside it, and what lies on it.
     houses = clear_of_road(_houses(route, rng), route, FRONT_M - 0.5)
-    things = [
+    objects = [
         *_kerbs(route),
         *_parked(route, stops_m, rng),
         *_pavement(route, rng),
         *_lights(route, stops_m),
     ]
-    standing = [*houses, *clear_of_road(things, route, LANE_M + HALF_LANE_M)]
+    standing = [*houses, *clear_of_road(objects, route, LANE_M + HALF_LANE_M)]
     return compose(
         config,
         route,
@@ -97,6 +99,7 @@ def _houses(route: Route, rng: np.random.Generator) -> list[Solids]:
         lateral_m = side * (FRONT_M + 0.5 * DEPTH_M)
         was_gap = True
         for s in stations(route, lateral_m, -BEHIND_M, end_m=end_m, spacing_m=15.0):
+            # No two gaps follow each other.
             is_gap = not was_gap and rng.random() < 0.15
             if is_gap:
                 trees = [(furniture.tree(rng, rng.uniform(6, 9)), along) for along in (-4.0, 3.5)]
@@ -109,6 +112,8 @@ def _houses(route: Route, rng: np.random.Generator) -> list[Solids]:
             was_gap = is_gap
         behind = stations(route, side * BACK_M, -BEHIND_M, end_m=end_m, spacing_m=20.0)
         houses.extend(_tower(rng).at(route.place(s, side * BACK_M)) for s in behind)
+
+    # A row of houses across each end.
     for s in (-BEHIND_M - 14.0, end_m + 14.0):
         houses.extend(
             furniture.block(rng, 15.4, DEPTH_M).at(crosswise(route, s, y))
@@ -164,18 +169,18 @@ def _parked(route: Route, stops_m: tuple[float, ...], rng: np.random.Generator) 
 
 def _pavement(route: Route, rng: np.random.Generator) -> list[Solids]:
     """Build lamp posts, trees and signs near the kerb; boxes, bins and benches near the fronts."""
-    things = []
+    objects = []
     end_m = route.length_m + AHEAD_M
     for side in (-1.0, 1.0):
         to_road = np.eye(4) if side < 0.0 else HALF_TURN
         for s in stations(
             route, side * POSTS_M, -BEHIND_M + 6.0 * side, end_m=end_m, spacing_m=24.0
         ):
-            things.append(furniture.lamp_post().at(route.place(s, side * POSTS_M) @ to_road))
+            objects.append(furniture.lamp_post().at(route.place(s, side * POSTS_M) @ to_road))
             for along in (7.0, 16.0):
                 tree = furniture.tree(rng, rng.uniform(5.0, 7.5))
                 if rng.random() < 0.55:
-                    things.append(tree.at(route.place(s + along, side * POSTS_M)))
+                    objects.append(tree.at(route.place(s + along, side * POSTS_M)))
 
         # One object every 9 m, of a kind drawn at random, or none.
         for s in stations(route, side * FRONT_M, -BEHIND_M, end_m=end_m, spacing_m=9.0):
@@ -184,23 +189,23 @@ def _pavement(route: Route, rng: np.random.Generator) -> list[Solids]:
             near_front = side * (FRONT_M - 0.8)
             near_kerb = side * (KERB_M + 0.6)
             if kind < 0.25:
-                things.append(
+                objects.append(
                     furniture.road_sign(rng).at(route.place(s + along, near_kerb) @ to_road)
                 )
             elif kind < 0.4:
-                things.append(furniture.box(rng).at(route.place(s + along, near_front)))
+                objects.append(furniture.box(rng).at(route.place(s + along, near_front)))
             elif kind < 0.6:
-                things.extend(
+                objects.extend(
                     furniture.litter_bin(rng).at(route.place(s + along + x, near_front))
                     for x in (0.0, 0.8)
                 )
             elif kind < 0.7:
-                things.append(
+                objects.append(
                     furniture.bench().at(route.place(s + along, near_front) @ to_road @ HALF_TURN)
                 )
             elif kind < 0.8:
-                things.append(furniture.bush(rng).at(route.place(s + along, near_front)))
-    return things
+                objects.append(furniture.bush(rng).at(route.place(s + along, near_front)))
+    return objects
 
 
 def _lights(route: Route, stops_m: tuple[float, ...]) -> list[Solids]:

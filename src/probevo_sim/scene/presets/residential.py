@@ -78,7 +78,9 @@ def residential(config: SceneConfig) -> Place:
     distance_m = config.distance_m or DISTANCE_M
     route = Route.from_turns(repeated(PIECES, distance_m), lead_m=LEAD_M)
     stops_m = tuple(float(s) for s in np.arange(HALT_M, distance_m - 20.0, REPEAT_M))
-    plan = DrivePlan(0.0, distance_m, SPEED_M_S, lateral_m=-LANE_M, stops_m=stops_m)
+    plan = DrivePlan(
+        start_m=0.0, distance_m=distance_m, speed_m_s=SPEED_M_S, lateral_m=-LANE_M, stops_m=stops_m
+    )
 
     # What stands beside it, and what lies on it.
     gardens = clear_of_road([*_lots(route, rng), *_behind(route, rng)], route, GARDEN_M - 0.6)
@@ -99,7 +101,7 @@ def residential(config: SceneConfig) -> Place:
 
 def _lots(route: Route, rng: np.random.Generator) -> list[Solids]:
     """Build a house on each lot, with its garden in front."""
-    things = []
+    objects = []
     for side in (-1.0, 1.0):
         to_road = np.eye(4) if side < 0.0 else HALF_TURN
         for s in stations(
@@ -107,9 +109,9 @@ def _lots(route: Route, rng: np.random.Generator) -> list[Solids]:
         ):
             # On the outer side of a bend a garden is narrower than at its house.
             shrink = 1.0 / max(1.0 - float(route.curvature(s)) * side * GARDEN_M, 0.5)
-            for thing, along, away in [*_buildings(rng), *_garden(rng)]:
-                things.append(thing.at(route.place(s + along * shrink, side * away) @ to_road))
-    return things
+            for item, along, away in [*_buildings(rng), *_garden(rng)]:
+                objects.append(item.at(route.place(s + along * shrink, side * away) @ to_road))
+    return objects
 
 
 def _buildings(rng: np.random.Generator) -> list[tuple[Solids, float, float]]:
@@ -121,7 +123,10 @@ def _buildings(rng: np.random.Generator) -> list[tuple[Solids, float, float]]:
     house = furniture.house(rng)
     if rng.random() < 0.35:  # gable towards the street
         house = house.at(_QUARTER_TURN)
-    parts = [(house, float(rng.uniform(-2.5, -1.5)), HOUSE_M + float(rng.uniform(-0.8, 1.5)))]
+    along = float(rng.uniform(-2.5, -1.5))
+    parts = [(house, along, HOUSE_M + float(rng.uniform(-0.8, 1.5)))]
+
+    # At the driveway, a garage behind and a car in front.
     if rng.random() < 0.6:
         parts.append((_garage(rng), DRIVEWAY_M, HOUSE_M + 0.5))
     if rng.random() < 0.5:
@@ -225,18 +230,20 @@ def _wall(length: float, height: float) -> Solids:
 
 def _behind(route: Route, rng: np.random.Generator) -> list[Solids]:
     """Build tall trees behind the gardens, and houses and trees across both ends of the street."""
-    things = []
+    objects = []
     end_m = route.length_m + AHEAD_M
     for side in (-1.0, 1.0):
         for s in stations(route, side * BACK_M, -BEHIND_M, end_m=end_m, spacing_m=6.0):
             crown = furniture.distant_tree(rng)
-            things.append(crown.at(route.place(s, side * (BACK_M + rng.uniform(-4.0, 10.0)))))
+            objects.append(crown.at(route.place(s, side * (BACK_M + rng.uniform(-4.0, 10.0)))))
+
+    # Across the ends: a row of houses, and trees behind it.
     for s, back in ((-BEHIND_M - 26.0, -12.0), (end_m + 26.0, 12.0)):
         for y in np.arange(-33.0, 34.0, 11.0):
-            things.append(furniture.house(rng).at(crosswise(route, s, y)))
+            objects.append(furniture.house(rng).at(crosswise(route, s, y)))
         for y in np.arange(-60.0, 61.0, 8.0):
-            things.append(furniture.distant_tree(rng).at(route.place(s + back, y)))
-    return things
+            objects.append(furniture.distant_tree(rng).at(route.place(s + back, y)))
+    return objects
 
 
 def _kerbs(route: Route) -> list[Solids]:
@@ -252,30 +259,33 @@ def _kerbs(route: Route) -> list[Solids]:
 
 def _street(route: Route, stops_m: tuple[float, ...], rng: np.random.Generator) -> list[Solids]:
     """Build cars at the kerb, and lamp posts, signs and boxes on the pavement."""
-    things = []
+    objects = []
     end_m = route.length_m + AHEAD_M
     for side in (-1.0, 1.0):
         to_road = np.eye(4) if side < 0.0 else HALF_TURN
         for s in stations(route, side * PARKED_M, -BEHIND_M, end_m=end_m, spacing_m=8.0):
+            # Parked cars, none where the drive halts.
             vehicle = furniture.van(rng) if rng.random() < 0.08 else furniture.car(rng)
             is_at_stop = any(-6.0 < s - stop < 10.0 for stop in stops_m)
             if rng.random() < 0.3 and not is_at_stop:
-                things.append(vehicle.at(route.place(s, side * PARKED_M) @ to_road))
+                objects.append(vehicle.at(route.place(s, side * PARKED_M) @ to_road))
         for s in stations(
             route, side * GARDEN_M, -BEHIND_M + 10.0 * side, end_m=end_m, spacing_m=28.0
         ):
-            things.append(
+            objects.append(
                 furniture.lamp_post(5.0).at(route.place(s, side * (GARDEN_M - 0.4)) @ to_road)
             )
             if rng.random() < 0.5:
-                things.append(
+                objects.append(
                     furniture.road_sign(rng).at(
                         route.place(s + 11.0, side * (KERB_M + 0.4)) @ to_road
                     )
                 )
             if rng.random() < 0.4:
-                things.append(furniture.box(rng).at(route.place(s + 18.0, side * (GARDEN_M - 0.6))))
-    return things
+                objects.append(
+                    furniture.box(rng).at(route.place(s + 18.0, side * (GARDEN_M - 0.6)))
+                )
+    return objects
 
 
 def _marks(route: Route, stops_m: tuple[float, ...], rng: np.random.Generator) -> list[Solids]:

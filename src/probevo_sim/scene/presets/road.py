@@ -46,7 +46,9 @@ def road(config: SceneConfig) -> Place:
     rng = place_rng(config)
     distance_m = config.distance_m or DISTANCE_M
     route = _route(distance_m, rng)
-    plan = DrivePlan(0.0, distance_m, SPEED_M_S, lateral_m=-(_LINE_M + 1.5 * LANE_M))
+    plan = DrivePlan(
+        start_m=0.0, distance_m=distance_m, speed_m_s=SPEED_M_S, lateral_m=-(_LINE_M + 1.5 * LANE_M)
+    )
 
     # What stands beside the road is lined up far beyond its end, as one sees far.
     end_m = distance_m + 200.0
@@ -72,69 +74,69 @@ def _route(distance_m: float, rng: np.random.Generator) -> Route:
     return Route.from_turns(pieces, lead_m=_LEAD_M)
 
 
-def _along(route: Route, thing: Solids, s_m: float, lateral_m: float) -> Solids:
+def _along(route: Route, item: Solids, s_m: float, lateral_m: float) -> Solids:
     """Return an object placed along the road, so far to the left of the centre line."""
-    return thing.at(route.place(s_m, lateral_m))
+    return item.at(route.place(s_m, lateral_m))
 
 
 def _furniture(route: Route, end_m: float, rng: np.random.Generator) -> list[Solids]:
     """Build rails, reflector posts, signs and a noise barrier."""
     # A rail in the median; rails at the edges that begin and end at random.
-    things = []
+    objects = []
     for s in np.arange(-24.0, end_m, 12.0):
-        things.append(_along(route, furniture.guard_rail(12.0), s, lateral_m=0.0))
+        objects.append(_along(route, furniture.guard_rail(12.0), s, lateral_m=0.0))
     for side in (-1.0, 1.0):
         has_rail = False
         for s in np.arange(-24.0, end_m, 12.0):
             has_rail = has_rail != (rng.random() < 0.12)
             if has_rail:
-                things.append(
+                objects.append(
                     _along(route, furniture.guard_rail(12.0), s, lateral_m=side * _RAIL_M)
                 )
 
         # Posts at equal distances, signs at about equal ones.
-        things += [
+        objects += [
             _along(route, _reflector_post(), s, lateral_m=side * _REFLECTOR_M)
             for s in np.arange(-20.0, end_m, 25.0)
         ]
         for s in np.arange(rng.uniform(20.0, 80.0), end_m, 90.0):
             sign = _board(rng) if rng.random() < 0.4 else furniture.road_sign(rng)
-            things.append(
+            objects.append(
                 _along(route, sign, s + rng.uniform(-20.0, 20.0), lateral_m=side * _SIGN_M)
             )
 
     # One stretch of noise barrier on one side.
     side = rng.choice([-1.0, 1.0])
     start_m = rng.uniform(0.2, 0.5) * end_m
-    things += [
+    objects += [
         _along(route, _barrier(rng), s, lateral_m=side * (_SIGN_M + 1.4))
         for s in np.arange(start_m, start_m + 90.0, 6.0)
     ]
-    return things
+    return objects
 
 
 def _structures(route: Route, distance_m: float, rng: np.random.Generator) -> list[Solids]:
     """Build gantries with signs and bridges over the road, alternately."""
-    things = []
+    objects = []
     first_m = rng.uniform(80.0, 140.0)
     spacing_m = rng.uniform(140.0, 200.0)
     for k, s in enumerate(np.arange(first_m, distance_m + 120.0, spacing_m)):
         structure = _bridge(rng) if k % 2 else _gantry(rng)
-        things.append(_along(route, structure, s, lateral_m=0.0))
-    return things
+        objects.append(_along(route, structure, s, lateral_m=0.0))
+    return objects
 
 
 def _country(route: Route, end_m: float, rng: np.random.Generator) -> list[Solids]:
     """Build the country: bushes, trees, farms and pylons in the fields, wooded hills behind."""
     # On the verge.
-    things = []
+    objects = []
     for s, side in _scatter(end_m, 7.0, rng):
         bush = furniture.bush(rng) if rng.random() < 0.7 else furniture.rock(rng)
-        things.append(_along(route, bush, s, lateral_m=side * rng.uniform(_PAVED_M + 3.5, 24.0)))
+        objects.append(_along(route, bush, s, lateral_m=side * rng.uniform(_PAVED_M + 3.5, 24.0)))
     for s, side in _scatter(end_m, 2.5, rng):
         tuft = _tuft(rng)
         lateral_m = side * rng.uniform(_PAVED_M + 2.2, _PAVED_M + 6.0)
-        things.append(_along(route, tuft, s, lateral_m=lateral_m))
+        objects.append(_along(route, tuft, s, lateral_m=lateral_m))
 
     # In the fields.
     for s, side in _scatter(end_m + 100.0, 22.0, rng):
@@ -143,15 +145,15 @@ def _country(route: Route, end_m: float, rng: np.random.Generator) -> list[Solid
             tree = furniture.tree(rng, rng.uniform(6.0, 13.0))
             along_m = s + rng.uniform(-8.0, 8.0)
             away_m = lateral_m + rng.uniform(-5.0, 5.0)
-            things.append(_along(route, tree, along_m, lateral_m=away_m))
+            objects.append(_along(route, tree, along_m, lateral_m=away_m))
     for s, side in _scatter(end_m + 100.0, 190.0, rng):
-        things += _wood(route, s, side, rng=rng)
+        objects += _wood(route, s, side, rng=rng)
     for s, side in _scatter(end_m + 200.0, 110.0, rng):
-        things.append(
+        objects.append(
             _along(route, furniture.house(rng), s, lateral_m=side * rng.uniform(45.0, 110.0))
         )
     for s, side in _scatter(end_m + 200.0, 70.0, rng):
-        things.append(
+        objects.append(
             _along(
                 route,
                 furniture.lamp_post(rng.uniform(9.0, 14.0)),
@@ -161,14 +163,14 @@ def _country(route: Route, end_m: float, rng: np.random.Generator) -> list[Solid
         )
     for s, side in _scatter(end_m + 800.0, 45.0, rng):
         lateral_m = side * rng.uniform(220.0, 520.0)
-        things.append(_along(route, _hill(rng), s, lateral_m=lateral_m))
+        objects.append(_along(route, _hill(rng), s, lateral_m=lateral_m))
     middle = route.position(0.5 * end_m)
     for bearing in np.arange(0.0, 2.0 * np.pi, 0.16):
         away_m = 0.5 * end_m + rng.uniform(450.0, 900.0)
         T = np.eye(4)
         T[:2, 3] = middle + away_m * np.array([np.cos(bearing), np.sin(bearing)])
-        things.append(_hill(rng, 1.8).at(T))
-    return things
+        objects.append(_hill(rng, 1.8).at(T))
+    return objects
 
 
 def _tuft(rng: np.random.Generator) -> Solids:

@@ -112,6 +112,7 @@ def traffic(
     """
     if strength <= 0.0:
         return Solids.none(), Movers.none()
+
     # Draw a full street, and thin it out.
     street = _STREETS[kind](plan)
     path = _path(route, plan)
@@ -132,6 +133,7 @@ def traffic(
 
 
 def _as_movers(crowd: list[_Mover]) -> Movers:
+    """Return the movers as one struct of arrays."""
     return Movers(
         s_m=np.array([mover.s_m for mover in crowd], dtype=np.float64),
         lateral_m=np.array([mover.lateral_m for mover in crowd], dtype=np.float64),
@@ -145,13 +147,20 @@ def _town(plan: DrivePlan) -> Street:
     """Return a street in town: an opposite lane, and people on both pavements and across."""
     lane_m = abs(plan.lateral_m)
     people = (furniture.person,)
-    cars = (*3 * (furniture.car,), furniture.van, vehicles.bus)
+    cars = (furniture.car, furniture.car, furniture.car, furniture.van, vehicles.bus)
+
+    # On each pavement people walk both ways, a little apart.
     walks = [
-        Stream(side * (lane_m + across), (pace, pace + 0.15), (0.8, 6.0), makers=people)
+        Stream(
+            lateral_m=side * (lane_m + across_m),
+            speed_m_s=(pace_m_s, pace_m_s + 0.15),
+            gap_m=(0.8, 6.0),
+            makers=people,
+        )
         for side in (-1.0, 1.0)
-        for across, pace in ((4.2, 1.3), (5.0, -1.35))
+        for across_m, pace_m_s in ((4.2, 1.3), (5.0, -1.35))
     ]
-    oncoming = Stream(lane_m, (-9.0, -6.0), (4.0, 14.0), makers=cars)
+    oncoming = Stream(lateral_m=lane_m, speed_m_s=(-9.0, -6.0), gap_m=(4.0, 14.0), makers=cars)
     return Street(
         streams=(oncoming, *walks),
         ahead=(furniture.van, furniture.car, vehicles.bus),
@@ -169,9 +178,14 @@ def _motorway(plan: DrivePlan) -> Street:
     heavy = (vehicles.lorry, furniture.car, furniture.van)
     mixed = (furniture.car, *heavy)
     streams = (
-        Stream(inner_m, (-28.0, -24.0), (12.0, 40.0), makers=mixed),
-        Stream(outer_m, (-23.0, -20.0), (12.0, 30.0), makers=heavy),
-        Stream(-inner_m, (plan.speed_m_s + 2.0, plan.speed_m_s + 3.0), (6.0, 16.0), makers=mixed),
+        Stream(lateral_m=inner_m, speed_m_s=(-28.0, -24.0), gap_m=(12.0, 40.0), makers=mixed),
+        Stream(lateral_m=outer_m, speed_m_s=(-23.0, -20.0), gap_m=(12.0, 30.0), makers=heavy),
+        Stream(
+            lateral_m=-inner_m,
+            speed_m_s=(plan.speed_m_s + 2.0, plan.speed_m_s + 3.0),
+            gap_m=(6.0, 16.0),
+            makers=mixed,
+        ),
     )
     return Street(
         streams=streams,
@@ -188,8 +202,13 @@ def _field(plan: DrivePlan) -> Street:
     people = (furniture.person,)
     machines = (vehicles.field_rover, furniture.car)
     streams = tuple(
-        Stream(lateral, (pace, pace + 0.2), gap, makers=makers)
-        for lateral, pace, gap, makers in (
+        Stream(
+            lateral_m=lateral_m,
+            speed_m_s=(pace_m_s, pace_m_s + 0.2),
+            gap_m=gap_m,
+            makers=makers,
+        )
+        for lateral_m, pace_m_s, gap_m, makers in (
             (2.2, 1.3, (2.0, 14.0), people),
             (-2.2, -1.3, (2.0, 14.0), people),
             (4.4, -1.2, (5.0, 20.0), machines),
@@ -227,18 +246,21 @@ def _path(route: Route, plan: DrivePlan) -> _Path:
 def _in_stream(stream: Stream, route: Route, path: _Path, rng: np.random.Generator) -> list[_Mover]:
     """Draw the movers of a stream, as many as ever come into sight."""
     # At each time the mover beside the camera started here; in sight are those around and ahead.
-    speed = rng.uniform(*stream.speed_m_s)
+    slowest_m_s, fastest_m_s = stream.speed_m_s
+    least_gap_m, most_gap_m = stream.gap_m
+    speed = rng.uniform(slowest_m_s, fastest_m_s)
     at_start_m = path.s_m - speed * path.t_s
     s = at_start_m.min() - 10.0
     end = at_start_m.max() + _SIGHT_M
     if route.closed:  # the last must not run into the first
-        end = min(end, s + route.length_m - stream.gap_m[1] - 10.0)
+        end = min(end, s + route.length_m - most_gap_m - 10.0)
     movers = []
     ranks = _ranks(rng)
+    # One after another, each half its length and a gap beyond the end of the one before.
     while s < end:
         solids = stream.makers[rng.integers(len(stream.makers))](rng)
         half_length = _half_size(solids)[0]
-        s += rng.uniform(*stream.gap_m) + half_length
+        s += rng.uniform(least_gap_m, most_gap_m) + half_length
         lateral_m = stream.lateral_m + rng.uniform(-0.15, 0.15)
         movers.append(_Mover(solids, s, lateral_m, rank=next(ranks), speed_m_s=speed))
         s += half_length
@@ -260,14 +282,16 @@ def _ahead(street: Street, plan: DrivePlan, rng: np.random.Generator) -> list[_M
 
 def _crossing(street: Street, path: _Path, rng: np.random.Generator) -> list[_Mover]:
     """Draw those who cross the road ahead of the camera."""
+    slowest_m_s, fastest_m_s = street.crossing_m_s
     movers = []
     ranks = _ranks(rng)
     for _ in range(round(street.crossers_per_s * path.t_s[-1])):
         when = int(rng.integers(len(path.t_s)))
-        speed = rng.choice([-1.0, 1.0]) * rng.uniform(*street.crossing_m_s)
+        speed = rng.choice([-1.0, 1.0]) * rng.uniform(slowest_m_s, fastest_m_s)
         s = path.s_m[when] + rng.uniform(8.0, 18.0)
         lateral = rng.uniform(-4.0, 4.0)
         solids = street.crossers[rng.integers(len(street.crossers))](rng)
+        # At that time it crosses the road, so at time 0 it was this far to the left.
         at_start_m = lateral - speed * path.t_s[when]
         movers.append(_Mover(solids, s, at_start_m, rank=next(ranks), lateral_speed_m_s=speed))
     return movers

@@ -49,6 +49,8 @@ def noise(
     f_x = scipy.fft.rfftfreq(SIDE, 1 / SIDE).astype(np.float32) * stretch[0]
     f_y = scipy.fft.fftfreq(SIDE, 1 / SIDE).astype(np.float32)[:, None] * stretch[1]
     frequency = np.hypot(f_x, f_y)
+
+    # Shape a white spectrum by the power law within the band; the mean is left out.
     frequency[0, 0] = np.inf
     kept = (frequency >= low) & (frequency <= high)
     gain = np.where(kept, np.maximum(frequency, 0.5) ** np.float32(-slope), np.float32(0))

@@ -35,6 +35,7 @@ def facade_office(rng: np.random.Generator) -> Tile:
     for floor in range(4):
         foot = 128 * floor
         for column in range(4):
+            # Two panels of cladding with a joint, and a window above.
             left = 128 * column
             rectangle(
                 canvas,
@@ -63,8 +64,11 @@ def facade_office(rng: np.random.Generator) -> Tile:
                 top=foot + 122,
                 style=WindowStyle(pane=pane, frame=0.22, transom=0.75),
             )
+        # The ledge above the cladding, and its shadow.
         rectangle(canvas, 0, foot + 30, right=SIDE, top=foot + 34, value=0.95)
         rectangle(canvas, 0, foot + 26, right=SIDE, top=foot + 30, value=0.3)
+
+    # Pilasters between the windows, with shadows at their right.
     for column in range(4):
         left = 128 * column
         rectangle(canvas, left - 5, 0, right=left + 4, top=SIDE, value=0.82)
@@ -90,10 +94,13 @@ def facade_flats(rng: np.random.Generator) -> Tile:
                     top=foot + 108,
                     style=WindowStyle(pane=curtained, transom=None),
                 )
+                # The sill, and its shadow.
                 rectangle(canvas, left + 22, foot + 37, right=left + 106, top=foot + 42, value=0.9)
                 rectangle(canvas, left + 24, foot + 33, right=left + 106, top=foot + 37, value=0.4)
             else:
                 _balcony(canvas, rng, left, foot=foot)
+
+    # Traces of rain run down the wall.
     runs = np.minimum(noise(rng, 1.2, 4, high=90, stretch=(1.0, 6.0)), 0.5)
     return downsampled(canvas) + 0.035 * runs + 0.025 * noise(rng, 0.6)
 
@@ -139,6 +146,7 @@ def _balcony(canvas: Tile, rng: np.random.Generator, left: float, foot: float) -
     else:
         for x in np.arange(left + 8, left + 121, 6):
             rectangle(canvas, x, foot + 8, right=x + 1.5, top=foot + 46, value=0.12)
+    # The handrail, the slab, and its shadow.
     rectangle(canvas, left + 2, foot + 46, right=left + 126, top=foot + 50, value=0.15)
     rectangle(canvas, left + 2, foot, right=left + 126, top=foot + 9, value=0.9)
     rectangle(canvas, left + 2, foot - 5, right=left + 126, top=foot, value=0.3)
@@ -147,6 +155,7 @@ def _balcony(canvas: Tile, rng: np.random.Generator, left: float, foot: float) -
 def facade_old(rng: np.random.Generator) -> Tile:
     """Draw three floors of coursed stone with arched windows, and ledges between the floors."""
     canvas = blank(0.0)
+    # Courses of stones with joints.
     for course in range(32):
         for block in range(8):
             left = 64 * block + 32 * (course % 2)
@@ -160,6 +169,8 @@ def facade_old(rng: np.random.Generator) -> Tile:
                 top=bottom + 15.5,
                 value=0.6 + rng.normal(scale=0.05),
             )
+
+    # Windows, and a ledge with dentils below each floor.
     for floor in range(3):
         foot = SIDE * floor / 3
         for column in range(4):
@@ -179,10 +190,13 @@ def _arched_window(
     """Draw a tall window under an arch or, on the middle floor, under a pediment."""
     half = 28.0
     spring = sill + 76
+    # The sill, and its shadow.
     rectangle(canvas, middle - half - 9, sill - 8, right=middle + half + 9, top=sill, value=0.92)
     rectangle(
         canvas, middle - half - 9, sill - 13, right=middle + half + 9, top=sill - 8, value=0.3
     )
+
+    # Under a pediment.
     if floor == 1:
         top = spring + 22
         rectangle(canvas, middle - half - 6, sill, right=middle + half + 6, top=top + 6, value=0.85)
@@ -199,6 +213,8 @@ def _arched_window(
         polygon(canvas, gable, 0.88)
         stroke(canvas, gable, 1.5, value=0.35, closed=True)
         return
+
+    # Under an arch.
     polygon(canvas, ellipse(middle, spring, half + 6, radius_y=half + 6, corners=48), 0.85)
     rectangle(canvas, middle - half - 6, sill, right=middle + half + 6, top=spring, value=0.85)
     top = spring + half

@@ -26,14 +26,20 @@ def asphalt(rng: np.random.Generator) -> Tile:
     canvas = blank(0.0)
     rectangle(canvas, 300, 60, right=430, top=215, value=-0.55)
     stroke(canvas, [(300, 60), (430, 60), (430, 215), (300, 215)], 3, value=-2.0, closed=True)
+
+    # The seam winds across the tile and meets itself at the edge.
     x = np.linspace(0, SIDE, 40)
     sway = 4 * np.sin(2 * np.pi * x / SIDE) + 3 * np.sin(6 * np.pi * x / SIDE + 1)
     stroke(canvas, np.stack([x, 330 + sway], axis=1), 5, value=-1.6)
+
+    # Cracks with a branch each.
     for _ in range(7):
         course = random_walk(rng, 45, step=4.0, bend_rad=0.35)
         stroke(canvas, course, 1.0, value=-2.6)
         branch = random_walk(rng, 18, step=4.0, bend_rad=0.35)
         stroke(canvas, branch - branch[0] + course[rng.integers(10, 35)], 0.5, value=-2.0)
+
+    # Grain, bright stones, and slow variations.
     grain = noise(rng, 0.0, 30)
     stones = np.maximum(noise(rng, 0.0, 60, high=200) - 1.3, 0)
     return downsampled(canvas) + 0.75 * grain + 1.2 * stones + 0.5 * noise(rng, 1.0, 2, high=60)
@@ -52,6 +58,8 @@ def concrete(rng: np.random.Generator) -> Tile:
                 top=256 * (j + 1),
                 value=rng.normal(scale=0.5),
             )
+
+    # Joints, pores and cracks.
     for at in (0, 256):
         rectangle(canvas, 0, at - 2, right=SIDE, top=at + 2, value=-3.0)
         rectangle(canvas, at - 2, 0, right=at + 2, top=SIDE, value=-3.0)
@@ -61,6 +69,8 @@ def concrete(rng: np.random.Generator) -> Tile:
         polygon(canvas, ellipse(x, y, radius_x, radius_y=radius_y), -rng.uniform(0.8, 2.5))
     for _ in range(3):
         stroke(canvas, random_walk(rng, 50, step=4.0, bend_rad=0.3), 1.0, value=-1.8)
+
+    # Only the dark half of the noise stains.
     stains = np.minimum(noise(rng, 1.8, 2, high=40), 0.6)
     return downsampled(canvas) + 0.6 * stains + 0.35 * noise(rng, 0.3, 10) + 0.4 * noise(rng, 1.0)
 

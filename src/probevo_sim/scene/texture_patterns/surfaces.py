@@ -124,6 +124,7 @@ def metal(rng: np.random.Generator) -> Tile:
     height = np.linspace(0, 4 * np.pi, SIDE, endpoint=False)[:, None]
     waves = 1.1 * np.sin(height) + 0.5 * np.sin(2 * height + 1)
     canvas = blank(0.0)
+    # Joints, each with two rows of bolts.
     for joint in (0, 256):
         rectangle(canvas, joint + 12, 0, right=joint + 14, top=SIDE, value=-1.8)
         rectangle(canvas, joint + 14, 0, right=joint + 16, top=SIDE, value=1.0)
@@ -131,6 +132,8 @@ def metal(rng: np.random.Generator) -> Tile:
             for x in (joint + 2, joint + 26):
                 polygon(canvas, ellipse(x, y, 6, radius_y=9), -1.8)
                 polygon(canvas, ellipse(x - 1, y + 1.5, 4.5, radius_y=7), 1.2)
+
+    # Traces of rust that run down, and stains.
     for _ in range(14):
         x, y = rng.uniform(0, SIDE, 2)
         length = rng.uniform(10, 60)

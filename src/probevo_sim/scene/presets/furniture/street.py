@@ -16,6 +16,7 @@ def person(rng: np.random.Generator) -> Solids:
     coat = rng.choice([0.1, 0.25, 0.45, 0.6])
     stride = rng.uniform(0.15, 0.35)
     cloth = Texture.CLOTH
+    # Legs and arms swing against each other.
     legs = [
         sloping(
             (0.17, 0.15, 0.5 * tall),
