@@ -3,21 +3,30 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check density bench docs-figures clean
 
+# Two simulated drives, learn from one, compare the noise models on both.
 demo: $(VENV)/.installed
 	$(BIN)/probevo demo --out out/demo
 
 test: check
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --durations 15
 
 check: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# How densely the code is packed; fails beyond the bounds.
+density: $(VENV)/.installed
+	$(BIN)/python tools/density.py src
+
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/speed.py
+
+# Every figure of README.md and docs/ once more; takes hours, and some need the real recordings.
+docs-figures: $(VENV)/.installed
+	$(BIN)/python benchmarks/recompute.py
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -26,5 +35,5 @@ $(VENV)/.installed: pyproject.toml
 	touch $@
 
 clean:
-	rm -rf $(VENV) out
+	rm -rf $(VENV) out htmlcov .coverage coverage.xml
 	find src -name __pycache__ -prune -exec rm -rf {} +

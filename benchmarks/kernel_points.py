@@ -74,7 +74,7 @@ def feature_honesty(world: PointWorld, model: pv.noise.NoiseModel) -> dict[str, 
     odometry.step(next(frames))
     for step, frame in zip(steps, frames, strict=True):
         odometry.step(frame)
-        noise = model.predict(odometry.phi).of(np.flatnonzero(odometry.used))
+        noise = model.predict(odometry.phi).subset(np.flatnonzero(odometry.used))
         tracks = odometry.tracks.kept(odometry.used)
         at_truth = solve_reprojection(
             tracks.prev_px,

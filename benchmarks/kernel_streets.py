@@ -60,7 +60,7 @@ def main() -> None:
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for trial in trials(sys.argv[1:] or list(NAMES), PLACES):
         for name, model in models(trial).items():
-            start = f"| {name} | {model.time_correlation:.1f} |"
+            start = f"| {name} | {model.time_correlation_ratio:.1f} |"
             found = list[tuple[float, ...]]()
             for test in trial.tests:
                 result = estimate(test, model, pv.OdometryConfig())

@@ -180,7 +180,7 @@ def at_places(left: Image, uv: FloatArray, camera: StereoCamera) -> FloatArray:
     px = np.tile(uv, (1, 2))
     frame = Frame(0, 0, left, right=left)
     tracks = Tracks(px, px, np.arange(len(uv)), age=np.full(len(uv), 2))
-    return IMAGE_SPACE(Step(tracks, camera, np.eye(4), before=frame, now=frame))
+    return IMAGE_SPACE(Step(tracks, camera, np.eye(4), prev_frame=frame, curr_frame=frame))
 
 
 def _contrast(image: Image) -> FloatArray:

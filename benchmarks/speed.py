@@ -89,17 +89,17 @@ def kernel(sequence, frames: int):
         bias_counts=np.inf,
         weights=np.ones(len(space.columns)),
         refers_to="observation",
-        time_correlation=1.0,
+        time_correlation_ratio=1.0,
     )
-    return model.fit(found.phi, found.errors, spread=found.spread, metric=metric)
+    return model.fit(found.phi, found.errors, error_cov=found.spread, metric=metric)
 
 
 def ours_over(sequence, model, keep: Callable[[dict[str, float]], None]) -> Iterator[None]:
     import probevo as pv
-    from probevo.tracking.preparation import prepared_ahead
+    from probevo.tracking.preparation import prepare_ahead
 
     odometry = pv.StereoOdometry(sequence.camera, model, sequence.imu)
-    for frame in prepared_ahead(sequence, odometry.config.tracking):
+    for frame in prepare_ahead(sequence, odometry.config.tracking):
         motion = odometry.step(frame)
         if frame.index >= FIRST:
             keep(dict(motion.stage_ms))

@@ -195,7 +195,7 @@ def print_fitted() -> None:
         spread = np.tile(1e-4 * np.eye(4), (count, 1, 1))
         start = process_time()
         model = pv.noise.GeneralizedKernel(neighbors=neighbors, weights=weights, **shape)
-        model.fit(places, errors, spread=spread)
+        model.fit(places, errors, error_cov=spread)
         cpu = process_time() - start
         nats = model.predict(asked).log_likelihood(residuals).mean()
         peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -8,7 +8,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def data_root() -> Path:
-    """The real recordings; the test is skipped where they are absent."""
+    """Folder of the real recordings; the test is skipped if they are absent."""
     root = Path(os.environ.get("PROBEVO_DATA", Path(__file__).parents[2] / "shared" / "data"))
     if not root.is_dir():
         pytest.skip(f"no real recordings at {root}: set PROBEVO_DATA to their folder")

@@ -1,4 +1,4 @@
-"""Freed memory is kept: an image's worth of it, written again and again, costs no new pages."""
+"""Freed memory is kept: images that are allocated again and again cost no new pages."""
 
 import subprocess
 import sys
@@ -9,14 +9,14 @@ SCRIPT = """
 import resource
 import numpy as np
 from probevo.allocator import keep_freed_memory
-taken = keep_freed_memory()
+is_kept = keep_freed_memory()
 def images():
     for _ in range(20):
         list(map(np.ones, [500_000] * 5))  # 4 MB each, and all freed together
 images()
-before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+faults_before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 images()
-print(taken, resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+print(is_kept, resource.getrusage(resource.RUSAGE_SELF).ru_minflt - faults_before)
 """
 
 
@@ -25,7 +25,8 @@ def test_freed_memory_is_kept() -> None:
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True
     )
-    taken, faults = done.stdout.split()
-    if taken == "False":
+    is_kept, num_faults = done.stdout.split()
+    if is_kept == "False":
         pytest.skip("not glibc")
-    assert int(faults) < 100  # fresh pages would be 1,000 faults for every image, 100,000 in all
+    # Fresh pages would cost 1,000 faults for each image, 100,000 in all.
+    assert int(num_faults) < 100

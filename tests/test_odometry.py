@@ -21,7 +21,8 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.noise import Fixed, NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.predictors import prediction_space
-from probevo.sequences.frame import Frame, ImuCalibration, ImuSamples, StereoFeatures
+from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
+from probevo.sequences.imu_calibration import ImuCalibration
 from worlds import (
     CAMERA,
     FORWARD,
@@ -195,7 +196,7 @@ def test_a_frame_s_randomness_does_not_depend_on_those_before() -> None:
     """Seeded by its index: a run that starts at frame 5 draws the same samples there. Of its noise
     nothing lasts, or tracks would remember the frames before."""
     frames = drive(np.random.default_rng(11), 12)
-    noise = pv.noise.StudentT(time_correlation=0.0)
+    noise = pv.noise.StudentT(time_correlation_ratio=0.0)
     whole = run(frames, PLAIN, noise)
     late = run(frames[5:], PLAIN, noise)
     np.testing.assert_allclose(whole[-1].T_curr_prev, late[-1].T_curr_prev, atol=1e-6)
@@ -225,7 +226,7 @@ def test_the_gyro_s_bias_is_learned(prior: bool) -> None:
     C_cam_imu = so3.exp(np.array([1.2, -1.2, 1.2]))
     rng = np.random.default_rng(12)
     frames = turning(drive(rng, 50), bias, C_cam_imu, rng)
-    imu = ImuCalibration(C_cam_imu, GYRO_NOISE, 0.05)
+    imu = ImuCalibration(se3.from_parts(C_cam_imu, np.zeros(3)), GYRO_NOISE, 0.05)
     odometry = pv.StereoOdometry(
         CAMERA, imu=imu, config=pv.OdometryConfig(gyro=GyroConfig(prior=prior))
     )
@@ -244,7 +245,7 @@ def test_a_gyro_that_was_not_there_all_the_time_is_not_asked() -> None:
     half = turning(
         plain, np.array([0.5, 0.5, 0.5]), np.eye(3), rng
     )  # wrong, and of the last tenth of a second alone
-    imu = ImuCalibration(np.eye(3), GYRO_NOISE, 1e-3)
+    imu = ImuCalibration(np.eye(4), GYRO_NOISE, 1e-3)
     config = pv.OdometryConfig(gyro=GyroConfig(prior=True))
     odometry = pv.StereoOdometry(CAMERA, imu=imu, config=config)
     for frame, motion in zip(half, run(plain), strict=True):
@@ -255,7 +256,7 @@ def test_a_gyro_said_to_be_perfect_is_taken_at_its_word() -> None:
     rng = np.random.default_rng(17)
     frames = turning(drive(rng, 6), np.zeros(3), np.eye(3), rng)
     config = pv.OdometryConfig(gyro=GyroConfig(prior=True), self_calibration=False)
-    odometry = pv.StereoOdometry(CAMERA, imu=ImuCalibration(np.eye(3), 0.0, 0.0), config=config)
+    odometry = pv.StereoOdometry(CAMERA, imu=ImuCalibration(np.eye(4), 0.0, 0.0), config=config)
     for k, motion in enumerate([odometry.step(frame) for frame in frames]):
         assert motion.status is (OK if k else pv.Status.FIRST)
         assert np.sqrt(motion.cov[3:, 3:].trace()) < 1e-5
@@ -264,7 +265,7 @@ def test_a_gyro_said_to_be_perfect_is_taken_at_its_word() -> None:
 def test_while_the_gyro_is_not_asked_its_bias_walks_on() -> None:
     rng = np.random.default_rng(16)
     frames = turning(drive(rng, 12), np.zeros(3), np.eye(3), rng)
-    imu = ImuCalibration(np.eye(3), GYRO_NOISE, 1e-3, gyro_bias_walk_rad_s2_sqrt_hz=1e-3)
+    imu = ImuCalibration(np.eye(4), GYRO_NOISE, 1e-3, gyro_bias_walk_rad_s2_sqrt_hz=1e-3)
     odometry = pv.StereoOdometry(CAMERA, imu=imu)
     variances = []
     for frame in [*frames[:10], *(replace(frame, imu=None) for frame in frames[10:])]:
@@ -439,8 +440,8 @@ def test_a_camera_that_there_cannot_be_is_refused(changes: dict[str, float], fra
 @pytest.mark.parametrize(
     ("C_cam_imu", "noise", "fragment"),
     [
-        (2.0 * np.eye(3), 1e-4, "C_cam_imu: this is not a rotation matrix"),
-        (np.diag([1.0, 1.0, -1.0]), 1e-4, "C_cam_imu: this is not a rotation matrix"),
+        (2.0 * np.eye(3), 1e-4, "T_cam_imu: this is not a rotation matrix"),
+        (np.diag([1.0, 1.0, -1.0]), 1e-4, "T_cam_imu: this is not a rotation matrix"),
         (np.eye(3), np.nan, "gyro_noise_rad_s_sqrt_hz: is nan"),
         (np.eye(3), -1.0, "gyro_noise_rad_s_sqrt_hz: is -1"),
     ],
@@ -449,7 +450,7 @@ def test_an_imu_that_there_cannot_be_is_refused(
     C_cam_imu: FloatArray, noise: float, fragment: str
 ) -> None:
     with pytest.raises(InputError, match=fragment):
-        ImuCalibration(C_cam_imu, noise, 1e-3)
+        ImuCalibration(se3.from_parts(C_cam_imu, np.zeros(3)), noise, 1e-3)
 
 
 def test_a_model_of_another_camera_is_refused() -> None:

@@ -1,3 +1,5 @@
+"""Writing of files: whole or not at all, and bad places are refused."""
+
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ def test_writing_replaces_whole_files_and_leaves_nothing_else(tmp_path: Path) ->
     assert [p.name for p in path.parent.iterdir()] == ["config.yaml"]
 
 
-def test_place_that_cannot_be_written_to(tmp_path: Path) -> None:
+def test_a_place_that_is_not_writable_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         files.write_atomically(tmp_path / "file" / "config.yaml", "")
@@ -24,7 +26,7 @@ def test_place_that_cannot_be_written_to(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
 
 
-def test_check_folder_makes_nothing(tmp_path: Path) -> None:
+def test_check_folder_creates_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     files.check_folder(tmp_path / "new" / "folder", "--out")
     for path in (tmp_path / "file", tmp_path / "file" / "folder"):

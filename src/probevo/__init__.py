@@ -1,5 +1,4 @@
-"""Stereo odometry that learns how far to trust each feature, and says how sure it is of its own
-motion."""
+"""Stereo visual odometry that learns the noise of each feature, with a covariance for each step."""
 
 from __future__ import annotations
 
@@ -20,16 +19,16 @@ if TYPE_CHECKING:
     from probevo.odometry import StereoOdometry as StereoOdometry
     from probevo.sequences import open_sequence as open_sequence
     from probevo.sequences.frame import Frame as Frame
-    from probevo.sequences.frame import ImuCalibration as ImuCalibration
     from probevo.sequences.frame import ImuSamples as ImuSamples
+    from probevo.sequences.imu_calibration import ImuCalibration as ImuCalibration
     from probevo.training.api import train_model as train_model
     from probevo.training.settings import TrainSettings as TrainSettings
 
 __version__ = "0.1.0"
 
-_HOMES = {
+_MODULE_OF = {
     "Frame": "probevo.sequences.frame",
-    "ImuCalibration": "probevo.sequences.frame",
+    "ImuCalibration": "probevo.sequences.imu_calibration",
     "ImuSamples": "probevo.sequences.frame",
     "LiveEstimate": "probevo.live",
     "LiveOdometry": "probevo.live",
@@ -44,14 +43,16 @@ _HOMES = {
     "save_model": "probevo.noise.model_io",
     "train_model": "probevo.training.api",
 }
+"""The module that defines each public name."""
 _MODULES = ("noise", "predictors")
-__all__ = [*_HOMES, *_MODULES]
+"""Subpackages that are used as ``probevo.noise.StudentT``."""
+__all__ = [*_MODULE_OF, *_MODULES]
 
 
 def __getattr__(name: str) -> Any:
-    """Import the public names on first use: ``probevo --help`` should not wait for SciPy."""
+    """Import a public name on first use, so that ``probevo --help`` does not wait for SciPy."""
     if name in _MODULES:
         return importlib.import_module(f"probevo.{name}")
-    if name in _HOMES:
-        return getattr(importlib.import_module(_HOMES[name]), name)
+    if name in _MODULE_OF:
+        return getattr(importlib.import_module(_MODULE_OF[name]), name)
     raise AttributeError(f"module 'probevo' has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""``python -m probevo``: the same as ``probevo``."""
+"""Run ``probevo`` as ``python -m probevo``."""
 
 import sys
 

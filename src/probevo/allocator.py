@@ -1,4 +1,4 @@
-"""Keeps the memory of images that are freed, for those of the next frame."""
+"""A setting of the C library that keeps the memory of freed images for the next frame."""
 
 from __future__ import annotations
 
@@ -6,25 +6,23 @@ import ctypes
 import sys
 
 _M_TRIM_THRESHOLD = -1
+"""Parameter of ``mallopt`` in glibc's malloc.h: keep up to so many free bytes at the top."""
 _M_MMAP_THRESHOLD = -3
-"""Names of two settings in glibc's malloc.h."""
+"""Parameter of ``mallopt``: larger blocks come from the system, and go back to it when freed."""
 KEPT_BYTES = 256 << 20
 LARGEST_BYTES = 32 << 20
-"""Larger blocks still go back to the system; glibc allows no more."""
+"""The largest threshold that glibc allows."""
 
 
 def keep_freed_memory() -> bool:
-    """Tell glibc not to hand freed images back to the system, for the whole process; whether it
-    took it.
+    """Make glibc keep freed memory for the whole process; return whether it does.
 
-    Otherwise it does, and each frame pays for fresh pages: up to 500 faults and 1.5 ms a frame at
-    KITTI's size. Both
-    settings are needed: the first alone stops glibc from raising the second, and costs more than it
-    saves.
+    Without this, glibc returns freed images to the system, and each frame pays for fresh pages: up
+    to 500 page faults and 1.5 ms a frame at KITTI's image size. Both settings are needed: setting
+    the first one stops glibc from adapting the second, and costs more than it saves.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if mallopt is None:  # another system, or musl
+    if mallopt is None:  # another system, or musl instead of glibc
         return False
-    return bool(mallopt(_M_MMAP_THRESHOLD, LARGEST_BYTES)) and bool(
-        mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
-    )
+    has_set_largest = bool(mallopt(_M_MMAP_THRESHOLD, LARGEST_BYTES))
+    return has_set_largest and bool(mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES))

@@ -1,5 +1,7 @@
-"""Names for the array types that appear in signatures, and indices. Shapes and units stand in each
-docstring."""
+"""Names for the array types that appear in signatures.
+
+Each docstring gives the shapes and units of its arrays.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,6 @@ AnyArray = NDArray[Any]
 
 
 def evenly(count: int, most: int) -> IntArray:
-    """Indices of at most so many of ``count`` things, spread evenly, the first and the last among
-    them."""
+    """Return at most ``most`` of the indices 0 … count − 1, evenly spread from first to last."""
     indices: IntArray = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
     return indices

@@ -1,4 +1,4 @@
-"""How the inner loops are compiled, and the small dense algebra that they share."""
+"""The compiler of the inner loops, and the small dense linear algebra that they use."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
-    """Compile an inner loop on its first call and keep the result on disk.
+    """Compile an inner loop with Numba on its first call, and cache the machine code on disk.
 
-    Divisions are unchecked and sums may be reordered, but NaN and infinity are honoured. Other
-    threads run meanwhile.
+    Division by zero gives infinity or NaN instead of an exception. Sums may be reordered, but NaN
+    and infinity keep their meaning. The loop releases the GIL.
     """
     compile_ = njit(
         cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"}
@@ -28,10 +28,10 @@ def compiled(function: Function) -> Function:
 
 @compiled
 def copy_into(target: FloatArray, source: FloatArray) -> None:
-    """target[:] = source, both contiguous and of one shape.
+    """Copy ``source`` to ``target``; both are contiguous and of the same shape.
 
-    With the slice comes a message about unlike shapes, which takes Numba 2 s to compile in the
-    first run of all.
+    The slice assignment ``target[:] = source`` would include an error message about shapes, which
+    costs Numba 2 s of compilation on the very first run.
     """
     to = target.ravel()
     values = source.ravel()
@@ -41,7 +41,17 @@ def copy_into(target: FloatArray, source: FloatArray) -> None:
 
 @compiled
 def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArray) -> bool:
-    """Inverse of a 4×4 symmetric positive definite matrix by Cholesky; False if it is not one."""
+    """Invert a symmetric positive definite 4×4 matrix by Cholesky factorisation.
+
+    Args:
+        matrix: [4, 4]; only its lower triangle is read.
+        inverse: receives the inverse, [4, 4].
+        lower: work space, [4, 4].
+
+    Returns:
+        False if the matrix is not positive definite; ``inverse`` is then undefined.
+    """
+    # Cholesky factor L with L Lᵀ = matrix.
     for i in range(4):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -53,13 +63,15 @@ def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArra
                 lower[i, i] = math.sqrt(total)
             else:
                 lower[i, j] = total / lower[j, j]
-    for column in range(4):  # lower ← its own inverse, column by column
+    # Replace L by its inverse, column by column.
+    for column in range(4):
         lower[column, column] = 1.0 / lower[column, column]
         for i in range(column + 1, 4):
             total = 0.0
             for k in range(column, i):
                 total -= lower[i, k] * lower[k, column]
             lower[i, column] = total / lower[i, i]
+    # The inverse of the matrix is L⁻ᵀ L⁻¹.
     for i in range(4):
         for j in range(i + 1):
             total = 0.0
@@ -73,8 +85,17 @@ def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArra
 def solve_positive_definite(
     matrix: FloatArray, vector: FloatArray, lower: FloatArray, solution: FloatArray
 ) -> bool:
-    """Solve matrix · solution = vector by Cholesky in the given work space; False if it is not
-    positive definite."""
+    """Solve matrix · solution = vector by Cholesky factorisation.
+
+    Args:
+        matrix: symmetric, [n, n].
+        vector: right-hand side, [n].
+        lower: work space, [n, n].
+        solution: receives the solution, [n].
+
+    Returns:
+        False if the matrix is not positive definite to working precision.
+    """
     if not factor(matrix, len(vector), lower):
         return False
     substitute(lower, vector, solution)
@@ -83,8 +104,11 @@ def solve_positive_definite(
 
 @compiled
 def factor(matrix: FloatArray, n: int, lower: FloatArray) -> bool:
-    """Cholesky factor of the first n rows and columns of a symmetric matrix; False if not positive
-    definite."""
+    """Compute the Cholesky factor of the first n rows and columns of a symmetric matrix.
+
+    Returns:
+        False if that block is not positive definite to working precision.
+    """
     for i in range(n):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -101,13 +125,15 @@ def factor(matrix: FloatArray, n: int, lower: FloatArray) -> bool:
 
 @compiled
 def substitute(lower: FloatArray, vector: FloatArray, solution: FloatArray) -> None:
-    """Solve lower · lowerᵀ · solution = vector."""
+    """Solve lower · lowerᵀ · solution = vector by forward and backward substitution."""
     n = len(vector)
+    # Forward: lower · z = vector.
     for i in range(n):
         total = vector[i]
         for k in range(i):
             total -= lower[i, k] * solution[k]
         solution[i] = total / lower[i, i]
+    # Backward: lowerᵀ · solution = z.
     for i in range(n - 1, -1, -1):
         total = solution[i]
         for k in range(i + 1, n):
@@ -117,7 +143,11 @@ def substitute(lower: FloatArray, vector: FloatArray, solution: FloatArray) -> N
 
 @compiled
 def invert_positive_definite(matrix: FloatArray, lower: FloatArray, inverse: FloatArray) -> bool:
-    """Inverse by Cholesky; False if the matrix is not positive definite to working precision."""
+    """Invert a symmetric positive definite matrix, [n, n], by Cholesky factorisation.
+
+    Returns:
+        False if the matrix is not positive definite to working precision.
+    """
     n = len(matrix)
     if not factor(matrix, n, lower):
         return False
@@ -136,12 +166,22 @@ def invert_positive_definite(matrix: FloatArray, lower: FloatArray, inverse: Flo
 def perturb(
     xi: FloatArray, C: FloatArray, t: FloatArray, C_out: FloatArray, t_out: FloatArray
 ) -> None:
-    """(C_out, t_out) = Exp(ξ) (C, t), for ξ = [ρ; φ] (thesis eqs. 2.3, 2.14, 2.15)."""
+    """Compute (C_out, t_out) = Exp(ξ) (C, t) for ξ = [ρ; φ] (thesis eqs. 2.3, 2.14, 2.15).
+
+    Args:
+        xi: left perturbation, [6], m and rad.
+        C: rotation, [3, 3].
+        t: translation, [3], m.
+        C_out: receives the perturbed rotation, [3, 3].
+        t_out: receives the perturbed translation, [3], m.
+    """
     x = xi[3]
     y = xi[4]
     z = xi[5]
     squared = x * x + y * y + z * z
-    if squared < 1e-6:  # series: the next terms are below the last bit
+    # a = sin θ / θ, b = (1 − cos θ) / θ², c = (θ − sin θ) / θ³, by their series near 0, where the
+    # omitted terms are below the last bit.
+    if squared < 1e-6:
         a = 1.0 - squared / 6.0
         b = 0.5 - squared / 24.0
         c = 1.0 / 6.0 - squared / 120.0
@@ -150,6 +190,7 @@ def perturb(
         a = math.sin(angle) / angle
         b = (1.0 - math.cos(angle)) / squared
         c = (1.0 - a) / squared
+    # Exp(φ) = 1 + a φ^ + b φ^φ^, and its left Jacobian J = 1 + b φ^ + c φ^φ^.
     wedge = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     wedge_2 = np.array(
         [
@@ -161,12 +202,12 @@ def perturb(
     for i in range(3):
         moved = 0.0
         for k in range(3):
-            turn = a * wedge[i, k] + b * wedge_2[i, k]
+            rotation = a * wedge[i, k] + b * wedge_2[i, k]
             left_jacobian = b * wedge[i, k] + c * wedge_2[i, k]
             if i == k:
-                turn += 1.0
+                rotation += 1.0
                 left_jacobian += 1.0
-            moved += turn * t[k] + left_jacobian * xi[k]
+            moved += rotation * t[k] + left_jacobian * xi[k]
         t_out[i] = moved
         for j in range(3):
             total = C[i, j]
@@ -177,13 +218,18 @@ def perturb(
 
 @compiled
 def rotation_error(C: FloatArray, C_prior: FloatArray, error: FloatArray) -> None:
-    """Error φ = Log(C C_priorᵀ), the angle from both sine and cosine; C must not be half a turn
-    from C_prior."""
-    D = np.zeros((3, 3))  # C C_priorᵀ
+    """Compute the rotation error φ = Log(C C_priorᵀ), [3], rad.
+
+    The angle comes from both its sine and its cosine. C must not be half a turn from C_prior, where
+    the axis is undefined.
+    """
+    # D = C C_priorᵀ
+    D = np.zeros((3, 3))
     for i in range(3):
         for j in range(3):
             for k in range(3):
                 D[i, j] += C[i, k] * C_prior[j, k]
+    # The skew-symmetric part of D is sin θ times its axis; its trace is 1 + 2 cos θ.
     x = 0.5 * (D[2, 1] - D[1, 2])
     y = 0.5 * (D[0, 2] - D[2, 0])
     z = 0.5 * (D[1, 0] - D[0, 1])

@@ -1,4 +1,4 @@
-"""Every setting of the odometry, with its bounds and its why. Defaults < file < flags."""
+"""The settings of the odometry, each with its bounds and its reason."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from probevo.settings import Settings
 
 
 class TrackingConfig(Settings):
-    """Detection and Lucas–Kanade tracking."""
+    """Settings of feature detection and Lucas–Kanade tracking."""
 
     num_features: int = Field(
         600,
         ge=8,
         le=20_000,
-        description="Features wanted a frame; more cost time, few gain beyond 600.",
+        description="Features wanted per frame; more cost time, and beyond 600 they gain little.",
     )
     fast_threshold: int = Field(
         10,
         ge=1,
         le=100,
-        description="Contrast of a FAST corner; low, as the grid ranks them anyway.",
+        description="Least contrast of a FAST corner; low, because the grid keeps the strongest.",
     )
     window_px: int = Field(
         11,
         ge=5,
         le=51,
         description=(
-            "Side of the Lucas–Kanade window; 11 tracks as well as 21 at a third of the time."
+            "Side of the Lucas–Kanade window; 11 tracks as well as 21 in a third of the time."
         ),
     )
     pyramid_levels: int = Field(
@@ -37,7 +37,8 @@ class TrackingConfig(Settings):
         ge=0,
         le=8,
         description=(
-            "Pyramid levels above the image; 3 find what lies 40 px from where it is expected."
+            "Pyramid levels above the image; with 3, a feature may be 40 px from its predicted"
+            " place."
         ),
     )
     high_pass_px: int = Field(
@@ -45,8 +46,8 @@ class TrackingConfig(Settings):
         ge=0,
         le=201,
         description=(
-            "Side of the box whose mean is taken off the image, against vignetting and exposure; 0"
-            " is off."
+            "Side of the box whose mean is subtracted from the image, against vignetting and"
+            " changes of exposure; 0 switches it off."
         ),
     )
     max_difference: float = Field(
@@ -54,7 +55,7 @@ class TrackingConfig(Settings):
         gt=0,
         le=255,
         description=(
-            "Mean difference of two windows, in grey levels, up to which they look the same."
+            "Largest mean difference of two windows that show the same feature, in grey levels."
         ),
     )
     max_row_offset_px: float = Field(
@@ -62,7 +63,7 @@ class TrackingConfig(Settings):
         gt=0,
         le=50,
         description=(
-            "Stereo matches further apart in rows are wrong; real rectification errors reach 2 px."
+            "Largest row offset of a stereo match; rectification errors reach 2 px in practice."
         ),
     )
     min_disparity_px: float = Field(
@@ -70,19 +71,19 @@ class TrackingConfig(Settings):
         ge=-5,
         le=50,
         description=(
-            "Stereo matches with less disparity are wrong; far points carry rotation, so 0."
+            "Least disparity of a stereo match; 0, because distant points constrain the rotation."
         ),
     )
 
 
 class RansacConfig(Settings):
-    """Random sample consensus for the first guess, and to reject outliers."""
+    """Settings of RANSAC, which finds the initial motion and rejects outliers."""
 
     threshold_px: float = Field(
         3.0,
         gt=0,
         le=100,
-        description="Reprojection error within which a feature agrees with a motion.",
+        description="Reprojection error within which a feature is an inlier of a motion.",
     )
     confidence: float = Field(
         0.99,
@@ -94,52 +95,65 @@ class RansacConfig(Settings):
         ),
     )
     rotation_from: Literal["points", "gyro"] = Field(
-        "points", description="Three points fix a motion; with the gyro's rotation one does."
+        "points",
+        description="A sample has three points, or a single one with the rotation of the gyro.",
     )
     mode: Literal["reject", "guess", "off"] = Field(
         "reject",
         description=(
-            "What comes of it: keep outliers from the solve, or only the first guess, or do without"
-            " it (PROBE): the solve starts from the expected rotation and the median shift of near"
-            " points."
+            "reject: keep outliers out of the solve; guess: only give the initial motion; off: no"
+            " RANSAC (PROBE), so that the solve starts from the predicted rotation and the median"
+            " shift of near points."
         ),
     )
 
 
 class SolverConfig(Settings):
-    """Reprojection solve and what counts as a result."""
+    """Settings of the nonlinear least-squares solve, and of the checks on its result."""
 
     method: Literal["reprojection", "alignment"] = Field(
         "reprojection",
         description=(
-            "Minimise reprojection errors (PROBE-GK), or align triangulated points, each with its"
-            " covariance (PROBE), which far points bias."
+            "reprojection: minimise reprojection errors (PROBE-GK); alignment: align triangulated"
+            " points, each with its covariance (PROBE), which distant points bias."
         ),
     )
     loss: Literal["noise", "l2", "huber", "cauchy", "tukey"] = Field(
         "noise",
         description=(
-            "Robust loss of the reprojection solve; `noise` takes the likelihood of the noise model"
-            " itself."
+            "Robust loss of the reprojection solve; noise is the negative log-likelihood of the"
+            " noise model."
         ),
     )
     max_iterations: int = Field(
-        20, ge=1, le=1000, description="Of Levenberg–Marquardt; it takes 5 to 10."
+        20,
+        ge=1,
+        le=1000,
+        description="Most iterations of Levenberg–Marquardt; it usually takes 5 to 10.",
     )
     min_tracks: int = Field(
-        6, ge=3, le=1000, description="With fewer features a motion is not worth its covariance."
+        6,
+        ge=3,
+        le=1000,
+        description="Least number of tracks for a solve; fewer give a poor covariance.",
     )
     max_translation_sigma_m: float = Field(
-        0.25, gt=0, description="A solve less sure of any direction than this is degenerate."
+        0.25,
+        gt=0,
+        description="A solve with a larger standard deviation in any direction is degenerate.",
     )
     max_rotation_sigma_rad: float = Field(
-        0.02, gt=0, description="A solve less sure of any axis than this is degenerate."
+        0.02,
+        gt=0,
+        description="A solve with a larger standard deviation about any axis is degenerate.",
     )
 
 
 class MotionModelConfig(Settings):
-    """What is known of the vehicle: carries motion on where the camera is blind, and exposes
-    impossible results."""
+    """The motion prior of the vehicle, a constant velocity with random accelerations.
+
+    It dead-reckons where the features cannot fix the motion, and gates implausible solutions.
+    """
 
     acceleration_m_s2: float = Field(
         5.0, gt=0, description="Standard deviation of the acceleration; a car brakes with 3 to 10."
@@ -148,31 +162,34 @@ class MotionModelConfig(Settings):
         2.0, gt=0, description="Standard deviation of the angular acceleration."
     )
     start_speed_m_s: float = Field(
-        20.0, gt=0, description="Standard deviation of the unknown speed at start."
+        20.0, gt=0, description="Standard deviation of the speed at the start."
     )
     start_turn_rate_rad_s: float = Field(
-        1.0, gt=0, description="Standard deviation of the unknown turn rate at start."
+        1.0, gt=0, description="Standard deviation of the turn rate at the start."
     )
     stamp_sigma_s: float = Field(
         0.005,
         ge=0,
         description=(
-            "Standard deviation of a frame's stamp; those that a computer gives are off by 5 to"
-            " 20 ms."
+            "Standard deviation of a frame's time stamp; stamps set by the host computer are off by"
+            " 5 to 20 ms."
         ),
     )
     gap_factor: float = Field(
-        2.5, gt=1, description="A step longer than this many usual ones misses frames."
+        2.5,
+        gt=1,
+        description="A step longer than this many usual steps has missing frames.",
     )
 
 
 class GyroConfig(Settings):
-    """Use of the gyro, where there is one."""
+    """Settings of the gyro, if the recording has one."""
 
     prior: bool = Field(
         False,
         description=(
-            "Let the gyro's rotation, with its noise and the estimated bias, enter the solve."
+            "Use the rotation of the gyro, with its noise and estimated bias, as a prior in the"
+            " solve."
         ),
     )
     prefilter_deg: float = Field(
@@ -180,20 +197,22 @@ class GyroConfig(Settings):
         ge=0,
         le=180,
         description=(
-            "Drop features whose direction turns by more than this against the expected rotation,"
-            " the gyro's if there is one; PROBE takes 5 where it does without RANSAC. 0 is off."
+            "Remove features whose direction differs by more than this from the prediction by the"
+            " rotation (of the gyro, if there is one); PROBE takes 5 in place of RANSAC. 0 switches"
+            " it off."
         ),
     )
 
 
 class OdometryConfig(Settings):
-    """All settings of ``StereoOdometry``."""
+    """The settings of ``StereoOdometry``."""
 
     seed: int = Field(
-        0, ge=0, description="Of all random choices; equal seeds give the same bytes."
+        0, ge=0, description="Seed of all random choices; equal seeds give the same bytes."
     )
     self_calibration: bool = Field(
-        True, description="Learn the row and disparity errors of the rectification on the way."
+        True,
+        description="Estimate the row and disparity errors of the rectification during the run.",
     )
     tracking: TrackingConfig = TrackingConfig()
     ransac: RansacConfig = RansacConfig()

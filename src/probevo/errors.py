@@ -1,7 +1,7 @@
 """The one exception family: what is wrong, where, and how to mend it.
 
-Library code raises these; the command line catches them once, prints one message and exits with
-code 2.
+The library raises these errors. The command line catches them once, prints one message and exits
+with code 2.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ class ProbevoError(Exception):
 
 
 class InputError(ProbevoError):
-    """Something that a user gave us is wrong: a file, a field of it, an option.
+    """A file, a field of a file, or an option given by the user is wrong.
 
     Args:
         where: the file or option at fault, as the user would name it.
         what: what is wrong, naming the field and the value found.
-        cure: how to mend it; one sentence.
+        cure: how to mend it, in one sentence.
     """
 
     def __init__(self, where: str | Path, what: str, cure: str = "") -> None:
@@ -29,5 +29,5 @@ class InputError(ProbevoError):
         super().__init__(f"{self.where}: {what}" + (f"\n         {cure}" if cure else ""))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
-        """Raised in a worker, it comes back as what it is."""
+        """Pickle the parts: an error raised in a worker process arrives as the same error."""
         return type(self), (self.where, self.what, self.cure)

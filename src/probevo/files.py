@@ -1,8 +1,4 @@
-"""Files that are written: each appears whole or not at all, and a place that cannot be written to
-is refused early.
-
-Of files that are read: what a damaged archive raises.
-"""
+"""Writing of files: each appears whole or not at all, and bad output folders are refused early."""
 
 from __future__ import annotations
 
@@ -15,6 +11,7 @@ from zipfile import BadZipFile
 
 from probevo.errors import InputError
 
+CHOOSE_ANOTHER = "Choose another output folder."
 NO_ARCHIVE = (
     OSError,
     ValueError,
@@ -25,55 +22,60 @@ NO_ARCHIVE = (
     zlib.error,
     TokenError,
 )
-"""What NumPy raises at an .npz file that is damaged, or none at all."""
+"""The exceptions that NumPy raises for an .npz file that is damaged or of another kind."""
 
 
 def check_folder(folder: Path, option: str) -> None:
-    """Refuse, without making anything, a folder into which files cannot be written.
+    """Refuse a folder into which files cannot be written; nothing is created.
 
     Args:
-        folder: it may be missing as yet, and its parents too.
-        option: how the user names it, for the message.
+        folder: the folder; it and its parents may still be missing.
+        option: the flag that names the folder, for the message.
 
     Raises:
-        InputError: a file is in the way, or the nearest folder that exists cannot be written to.
+        InputError: the path leads through a file, or the nearest existing folder is not writable.
     """
     place = folder.absolute()
     while not os.path.lexists(place):
         place = place.parent
     if not place.is_dir():
-        raise InputError(option, f"{place} is a file.", "Choose another output folder.")
+        raise InputError(option, f"{place} is a file.", CHOOSE_ANOTHER)
     if not os.access(place, os.W_OK | os.X_OK):
-        raise InputError(option, f"{place} cannot be written to.", "Choose another output folder.")
+        raise InputError(option, f"{place} cannot be written to.", CHOOSE_ANOTHER)
 
 
 def write_atomically(path: Path, content: bytes | str, writer: str = "") -> None:
-    """Write beside ``path`` and rename, so that an interrupted run leaves the old file or the new
-    one, never half.
+    """Write a file so that an interruption leaves the old content or the new one, never a part.
 
-    Missing folders are made. Where two may write the same file at a time, each names itself as
-    ``writer``. Raises InputError if the place cannot be written to.
+    The content goes to a temporary file beside ``path``, which then replaces it.
+
+    Args:
+        path: the file; missing folders are created.
+        content: text is encoded as UTF-8.
+        writer: name of this process, if several may write the same file at once.
+
+    Raises:
+        InputError: the place is not writable.
     """
     data = content.encode() if isinstance(content, str) else content
     partial = path.with_name(f"{path.name}{writer}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_bytes(data)
-        os.replace(partial, path)
+        partial.replace(path)
     except OSError as error:
         with suppress(OSError):
             partial.unlink()
-        raise InputError(
-            path, f"cannot be written: {error.strerror}", "Choose another output folder."
-        ) from error
+        raise InputError(path, f"cannot be written: {error.strerror}", CHOOSE_ANOTHER) from error
 
 
 def remove_stale(path: Path) -> None:
-    """Remove what an earlier run left and this one does not write, lest it pass for a result of
-    this one."""
+    """Remove a file of an earlier run that could be mistaken for a result of this one.
+
+    Raises:
+        InputError: the file cannot be removed.
+    """
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(
-            path, f"cannot be removed: {error.strerror}", "Choose another output folder."
-        ) from error
+        raise InputError(path, f"cannot be removed: {error.strerror}", CHOOSE_ANOTHER) from error

@@ -1,5 +1,5 @@
-"""Odometry that keeps up with a camera: steps in a thread of its own, and skips frames rather than
-fall behind."""
+"""Odometry that keeps up with a camera: it steps in a thread of its own, and skips frames rather
+than fall behind."""
 
 from __future__ import annotations
 
@@ -10,22 +10,27 @@ from threading import Condition, Thread, current_thread
 from time import perf_counter
 from types import TracebackType
 
+from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.odometry import StereoOdometry
-from probevo.sequences.frame import Frame, check_frame, check_order
+from probevo.sequences.frame import Frame, ImuSamples
+from probevo.sequences.validation import usable_imu, validated
 
 MOST_UNREAD = 16
-"""Estimates that may wait for ``estimates()``; the next step is not begun before there is room
-again."""
+"""Estimates that may wait for ``estimates()``; the next step begins only when there is room."""
 
 MOST_IMU_NS = 10_000_000_000
-"""Of a longer time, a frame takes over no IMU samples of dropped ones: where nobody reads, they
+"""A frame takes over no IMU samples of dropped ones beyond this time: where nobody reads, they
 would pile up."""
+
+MAX_FAILURES = 30
+"""Steps that may fail one after another. A single one is an accident, as a broken sample or image
+is; after so many the fault is permanent, and nobody should wait for an estimate."""
 
 
 @dataclass(frozen=True)
 class LiveEstimate:
-    """The motion between two frames that were both processed; those between them were dropped."""
+    """The motion between two frames that were both processed; those between them were not."""
 
     index: int
     """``Frame.index`` of the current frame."""
@@ -35,7 +40,9 @@ class LiveEstimate:
     """Time of the frame that ``motion`` leads from; None at the first frame."""
     motion: MotionEstimate
     num_dropped: int
-    """Frames dropped between these two."""
+    """Frames between these two that were dropped, for lack of time."""
+    num_failed: int
+    """Frames between these two whose step raised an exception."""
     latency_ms: float
     """Wall time from ``push`` of the frame to its estimate."""
 
@@ -46,37 +53,56 @@ class _Arrival:
 
     frame: Frame
     time_s: float
-    dropped: int = 0
+    num_dropped: int = 0
     """Frames dropped right before it."""
+    num_failed: int = 0
+    """Frames whose step failed right before it."""
 
-    def after(self, dropped: _Arrival) -> _Arrival:
-        """The same without the one before it, whose IMU samples it takes over, unless they become
-        too many."""
-        between = dropped.frame.imu
-        own = self.frame.imu
-        imu = between.followed_by(own) if between is not None and own is not None else None
+    def after_dropped(self, earlier: _Arrival) -> _Arrival:
+        """Return the same without the one before it, which is dropped."""
+        joined = self._joined(earlier)
+        return replace(joined, num_dropped=joined.num_dropped + 1)
+
+    def after_failed(self, earlier: _Arrival) -> _Arrival:
+        """Return the same without the one before it, whose step failed."""
+        joined = self._joined(earlier)
+        return replace(joined, num_failed=joined.num_failed + 1)
+
+    def _joined(self, earlier: _Arrival) -> _Arrival:
+        """Take over the IMU samples of the earlier frame, unless they become too many."""
+        imu = None
+        if earlier.frame.imu is not None and self.frame.imu is not None:
+            imu = earlier.frame.imu.followed_by(self.frame.imu)
         if imu is not None and imu.stamps_ns[-1] - imu.stamps_ns[0] > MOST_IMU_NS:
             imu = None
-        return replace(self, frame=replace(self.frame, imu=imu), dropped=1 + dropped.dropped)
+        return replace(
+            self,
+            frame=replace(self.frame, imu=imu),
+            num_dropped=self.num_dropped + earlier.num_dropped,
+            num_failed=self.num_failed + earlier.num_failed,
+        )
 
 
 class LiveOdometry:
-    """Steps a ``StereoOdometry`` in a thread, with the newest frames of a camera that does not wait
-    for it.
+    """Steps a ``StereoOdometry`` in a thread, with the newest frames of a camera.
 
     A frame that finds ``waiting`` others waiting takes the place of the oldest of them. So with
     steps of at most S, no estimate comes later than (waiting + 1) S after its frame: the rest of
-    the step under way, then one for each frame that waits. What is dropped costs no motion and no
+    the current step, then one for each frame that waits. What is dropped costs no motion and no
     gyro: each motion leads from the last frame that was *processed*, and the IMU samples of a
-    dropped frame go to the next. Nothing grows, however long it runs.
+    dropped frame go to the next. Memory stays constant, however long it runs.
 
     Estimates go to ``on_estimate``, called in the thread, its time being part of S; or else to
     ``estimates()``. Who reads those too slowly makes frames be dropped, but misses no motion: they
     can always be chained.
 
-    ``with LiveOdometry(…) as live:`` closes it at the end, at once if that is an exception. An
-    exception of a step or of ``on_estimate`` ends the thread, and comes out of ``push``,
-    ``estimates()`` and ``close``.
+    A step that raises an exception leaves the odometry as it was. Its frame is counted as failed
+    (``num_failed``, ``last_failure``), its IMU samples go to the next frame, and the thread goes
+    on; only after ``MAX_FAILURES`` of them in a row does it give up.
+
+    ``with LiveOdometry(…) as live:`` closes it at the end, at once if that is an exception. The
+    exception of a permanent fault, or of ``on_estimate``, ends the thread, and is raised by
+    ``push``, ``estimates()`` and ``close``.
 
     Args:
         odometry: nobody else may step it meanwhile.
@@ -101,56 +127,85 @@ class LiveOdometry:
         self._unread: deque[LiveEstimate] = deque()
         self._newest: Frame | None = None
         self._num_dropped = 0
-        self._closed = self._ended = False
-        self._failure: BaseException | None = None
-        self._failed_at: TracebackType | None = None
+        self._num_failed = 0
+        self._num_refused = 0
+        self._refused_imu: ImuSamples | None = None
+        self._last_failure: Exception | None = None
+        self._closed = False
+        self._ended = False
+        self._fault: BaseException | None = None
+        self._fault_traceback: TracebackType | None = None
         self._changed = Condition()  # guards all of the above
         self._thread = Thread(target=self._work, name="probevo-live", daemon=True)
         self._thread.start()
 
     @property
     def num_dropped(self) -> int:
-        """Frames dropped so far."""
+        """Frames dropped so far, for lack of time."""
         with self._changed:
             return self._num_dropped
+
+    @property
+    def num_failed(self) -> int:
+        """Frames so far whose step raised an exception."""
+        with self._changed:
+            return self._num_failed
+
+    @property
+    def num_refused(self) -> int:
+        """Frames so far that ``push`` refused."""
+        with self._changed:
+            return self._num_refused
+
+    @property
+    def last_failure(self) -> Exception | None:
+        """The exception of the last step that failed; None if none has."""
+        with self._changed:
+            return self._last_failure
 
     def push(self, frame: Frame) -> None:
         """Hand in the next frame; never waits for a step.
 
         Its images are not copied: nobody may write to them again. Its IMU samples cover the time
-        since the frame pushed
-        before, whether that was dropped or not.
+        since the frame pushed before, whether that was dropped or not.
 
         Raises:
-            InputError: the frame is not later than the one before, or not what its camera sees. It
-                is left out; the next may be right.
+            InputError: the frame is not later than the previous one, or not what its camera sees.
+                It is counted (``num_refused``) and left out, but its IMU samples go to the next
+                frame.
             RuntimeError: pushed after ``close``.
         """
-        arrival = _Arrival(frame, perf_counter())
-        check_frame(frame, self._odometry.camera)
+        time_s = perf_counter()
         with self._changed:
-            self._raise_failure()
+            self._raise_fault()
             if self._closed:
                 raise RuntimeError("pushed a frame after close()")
-            if self._newest is not None:
-                check_order(self._newest, frame)
+            try:
+                validated(frame, self._odometry.camera, prev_frame=self._newest)
+            except InputError:
+                self._num_refused += 1
+                self._keep_imu(usable_imu(frame))
+                raise
             self._newest = frame
-            self._frames.append(arrival)
+            if self._refused_imu is not None and frame.imu is not None:
+                frame = replace(frame, imu=self._refused_imu.followed_by(frame.imu))
+            self._refused_imu = None
+            self._frames.append(_Arrival(frame, time_s))
             if len(self._frames) > self._waiting:
                 oldest = self._frames.popleft()
-                self._frames[0] = self._frames[0].after(oldest)
+                self._frames[0] = self._frames[0].after_dropped(oldest)
                 self._num_dropped += 1
             self._changed.notify_all()
 
     def estimates(self) -> Iterator[LiveEstimate]:
-        """Each estimate as it comes, until it is closed and all are read."""
+        """Yield each estimate as it comes, until it is closed and all are read."""
         if self._on_estimate is not None:
             raise RuntimeError("the estimates go to on_estimate")
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._unread or self._ended)
                 if not self._unread:
-                    self._raise_failure()
+                    self._raise_fault()
                     return
                 estimate = self._unread.popleft()
                 self._changed.notify_all()
@@ -161,15 +216,15 @@ class LiveOdometry:
         read.
 
         Args:
-            drain: process first the frames that wait; otherwise they are dropped, and only the step
-                under way ends.
+            drain: process first the frames that wait; otherwise they are dropped, and only the
+                current step ends.
         """
         self._end(drain)
         with self._changed:
-            self._raise_failure()
+            self._raise_fault()
 
     def __enter__(self) -> LiveOdometry:
-        """Itself: it runs since it was made."""
+        """Return itself: it runs since it was made."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: object, traceback: object) -> None:
@@ -186,47 +241,72 @@ class LiveOdometry:
                 self._num_dropped += len(self._frames)
                 self._frames.clear()
             self._changed.notify_all()
-        if current_thread() is not self._thread:  # on_estimate may close it too
+        if current_thread() is not self._thread:  # on_estimate may close it, too
             self._thread.join()
 
-    def _raise_failure(self) -> None:
-        if self._failure is not None:
-            raise self._failure.with_traceback(
-                self._failed_at
-            )  # not longer with each time that it is raised
+    def _raise_fault(self) -> None:
+        if self._fault is not None:
+            # The traceback of the thread, so that it does not grow each time that it is raised.
+            raise self._fault.with_traceback(self._fault_traceback)
 
     def _work(self) -> None:
-        """The thread."""
+        """Step the odometry until it is closed: the thread."""
         prev_stamp_ns = None
+        failed: _Arrival | None = None  # the last frames, if their steps failed
+        num_in_a_row = 0
         try:
             while (arrival := self._next_arrival()) is not None:
-                motion = self._odometry.step(arrival.frame)
+                if failed is not None:
+                    arrival = arrival.after_failed(failed)
+                try:
+                    motion = self._odometry.step(arrival.frame)
+                except Exception as error:  # noqa: BLE001 - from the user's models and sensors, too
+                    num_in_a_row += 1
+                    self._count_failure(error)
+                    if num_in_a_row >= MAX_FAILURES:
+                        raise
+                    failed = arrival
+                    continue
+                failed = None
+                num_in_a_row = 0
                 frame = arrival.frame
-                latency_ms = 1e3 * (perf_counter() - arrival.time_s)
                 self._deliver(
                     LiveEstimate(
-                        frame.index,
-                        frame.stamp_ns,
-                        prev_stamp_ns,
+                        index=frame.index,
+                        stamp_ns=frame.stamp_ns,
+                        prev_stamp_ns=prev_stamp_ns,
                         motion=motion,
-                        num_dropped=arrival.dropped,
-                        latency_ms=latency_ms,
+                        num_dropped=arrival.num_dropped,
+                        num_failed=arrival.num_failed,
+                        latency_ms=1e3 * (perf_counter() - arrival.time_s),
                     )
                 )
                 prev_stamp_ns = frame.stamp_ns
-        except BaseException as error:  # noqa: BLE001 - whatever it is, it goes on in the threads that hear of it
+        except BaseException as error:  # noqa: BLE001 - raised again in the threads that ask
             with self._changed:
-                self._failure = error
-                self._failed_at = error.__traceback__
+                self._fault = error
+                self._fault_traceback = error.__traceback__
         finally:
             with self._changed:
-                self._closed = self._ended = True
+                self._closed = True
+                self._ended = True
                 self._frames.clear()
                 self._changed.notify_all()
 
+    def _keep_imu(self, imu: ImuSamples | None) -> None:
+        """Keep the samples of a refused frame for the next one."""
+        if imu is not None and self._refused_imu is not None:
+            imu = self._refused_imu.followed_by(imu)
+        self._refused_imu = imu
+
+    def _count_failure(self, error: Exception) -> None:
+        with self._changed:
+            self._num_failed += 1
+            self._last_failure = error
+
     def _next_arrival(self) -> _Arrival | None:
-        """The oldest frame that waits, as soon as there is one and room for its estimate; None at
-        the end."""
+        """Return the oldest frame that waits, as soon as there is one and room for its estimate;
+        None at the end."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._closed or (self._frames and len(self._unread) < MOST_UNREAD)

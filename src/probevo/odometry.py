@@ -2,32 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 
+from probevo.arrays import BoolArray, FloatArray
+from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.config import OdometryConfig
-from probevo.estimation.disparity_filter import DisparityMemory
+from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel
-from probevo.estimation.reprojection import RotationPrior
-from probevo.estimation.rig_calibration import SelfCalibration
-from probevo.estimation.search_starts import track_from_best, turned_starts
-from probevo.estimation.two_frame import estimate_motion
-from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
+from probevo.estimation.rig_update import update_rig
+from probevo.estimation.search_starts import rotated_starts, track_from_best_start
+from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion
+from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.gyro import GyroBias
 from probevo.noise import NoiseModel, StudentT
 from probevo.predictors import PredictionSpace, Step, space_for
-from probevo.sequences.frame import Frame, ImuCalibration, check_frame, check_order, is_repeated
+from probevo.sequences.frame import Frame, is_repeated
+from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.sequences.validation import validated
 from probevo.stage_clock import StageClock
-from probevo.tracking import Tracker, Tracks, tracker_for
+from probevo.state import OdometryState, Prediction, StepFeatures
+from probevo.tracking import Tracked, TrackingState, Tracks, tracker_for
 from probevo.tracking.last_residuals import LastResiduals
+from probevo.tracking.observations import FrameObservations
+from probevo.tracking.preparation import with_prepared_images
+
+Sensor = Callable[[Frame, Frame], Sequence[Measurement]]
+"""Maps the previous and the current frame to measurements of their poses, ``pose_of(frame.index)``.
+
+Those that constrain both poses enter the solve of the motion, those of the current pose alone
+correct the pose in the world."""
 
 
 class StereoOdometry:
     """Relative motion of a stereo camera, one frame at a time (PROBE Fig. 1; thesis Fig. 4.1).
-
-    After a step, ``tracks`` holds its N tracks, corrected, ``phi`` their places in the prediction
-    space, [N, M], ``used`` which of them were solved with, and ``weights`` how far each was
-    trusted, from 0 to 1.
 
     Args:
         camera: the rectified camera, as a sequence gives it.
@@ -37,6 +49,7 @@ class StereoOdometry:
         config: all settings.
         predictors: the prediction space; by default that of the noise model, and any other is an
             InputError.
+        sensors: further sensors, each a ``Sensor``.
     """
 
     def __init__(
@@ -46,141 +59,314 @@ class StereoOdometry:
         imu: ImuCalibration | None = None,
         config: OdometryConfig | None = None,
         predictors: PredictionSpace | None = None,
+        *,
+        sensors: Sequence[Sensor] = (),
     ) -> None:
+        check_camera(camera, "camera")
         self.camera = camera
         self.noise = noise or StudentT()
+        self.noise.check_camera(camera)
         self.imu = imu
         self.config = config or OdometryConfig()
-        check_camera(camera, "camera")
-        self.noise.check_camera(camera)
-        self.calibration = SelfCalibration.initial() if self.config.self_calibration else None
-        self.gyro_bias = GyroBias.initial(imu) if imu else None
         self.predictors = space_for(self.noise.columns, predictors)
-        self.tracks = Tracks.none()
-        self.phi = np.zeros((0, len(self.predictors.columns)))
-        self.used = np.zeros(0, np.bool_)
-        self.weights = np.zeros(0)
-        self._memory = DisparityMemory.none()
-        self._model = MotionModel.at_start(self.config.motion_model)
-        self._residuals = LastResiduals.none()
-        self._tracker: Tracker | None = None
-        self._before: Frame | None = None
+        self.sensors = tuple(sensors)
+        self._visual = VisualEstimator(
+            camera,
+            self.noise,
+            self.config,
+            predicts_from_motion=(
+                bool(self.noise.columns) and self.predictors.depends_on_previous_motion
+            ),
+        )
+        self._state: OdometryState | None = None
 
     def step(self, frame: Frame) -> MotionEstimate:
-        """Motion from the previous frame to this one: T_curr_prev with its 6×6 covariance and a
-        status.
+        """Estimate the motion from the previous frame to this one: T_curr_prev with its 6×6
+        covariance and a status.
 
-        Where it cannot be solved, it is carried on from gyro and last velocity, as unsure as such a
-        guess is.
+        The first frame yields the identity with zero covariance and status FIRST. Where the images
+        fix no motion, it is dead-reckoned. If anything raises, the odometry is as it was before the
+        call, as if the frame had never been there.
 
         Raises:
-            InputError: the frame is not later than the one before, or not what its camera sees.
+            InputError: the frame is not later than the previous one, or not what its camera sees.
         """
-        check_frame(frame, self.camera)
+        state = self._state
+        frame, missing = validated(frame, self.camera, prev_frame=state.frame if state else None)
+        if state is None:
+            self._state = self._first_state(frame)
+            return MotionEstimate.first()
         clock = StageClock(decode=frame.decode_ms)
-        before = self._before
-        if before is None or self._tracker is None:
-            self._before = frame
-            self._tracker = tracker_for(frame, self.camera, self.config.tracking)
-            self._tracker.track(frame, np.eye(4))
-            return MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, num_tracks=0)
-        duration_s = check_order(before, frame)
-        gyro = self._integrate_gyro(before.stamp_ns, frame)  # PROBE eqs. (3)-(4)
-        rotation = (
-            RotationPrior(gyro.C_curr_prev, self.gyro_bias.prior(gyro))
-            if gyro and self.gyro_bias
-            else None
+        prediction = state.predict(frame, self.imu)  # from gyro and last velocity
+        observed = self._observe(state, frame, prediction, clock=clock)  # pixels → tracks → φ
+        measured = self._measure(state, frame)  # whatever sensors were plugged in
+        visual = self._visual.estimate(  # consensus, noise of each track, solve
+            observed.tracks,
+            observed.phi,
+            MotionPriors(
+                prediction=prediction.motion,
+                gyro=prediction.rotation,
+                disparities=state.disparities,
+                measurements=self._of_motion(prediction, measured),
+                curr=pose_of(frame.index),
+            ),
+            rng=np.random.default_rng([self.config.seed, frame.index]),
+            clock=clock,
         )
-        expected = self._model.expected(duration_s, rotation)
-        starts = self._model.starts(duration_s, expected) + turned_starts(
-            expected, before, frame, camera=self.camera
-        )
-        if self._model.is_moving and is_repeated(
-            before, frame
-        ):  # frozen: what was followed has gone on unseen
-            tracks = Tracks.none()
-            self._tracker = tracker_for(frame, self.camera, self.config.tracking)
+        if visual.status is Status.OK:
+            outcome = self._accept(state, prediction, observed, visual)
         else:
-            tracks = track_from_best(
-                self._tracker, frame, starts, camera=self.camera, config=self.config
-            )  # pixels → Tracks
+            outcome = self._dead_reckon(state, prediction, observed, visual)
+        pose = state.pose.advanced(outcome.motion).updated(measured.of_pose, pose_of(frame.index))
+        clock.lap("learn")
+        estimate = replace(
+            outcome.motion,
+            T_world_cam=pose.T_world_cam,
+            pose_cov=pose.cov,
+            stage_ms=clock.times_ms,
+            missing=missing,
+        )
+        self._state = OdometryState(
+            frame=frame,
+            tracking=outcome.tracking,
+            observations=state.observations.with_frame(observed.for_store(frame, visual)),
+            rig=outcome.rig,
+            gyro_bias=outcome.gyro_bias,
+            motion_model=outcome.motion_model,
+            disparities=outcome.disparities,
+            residuals=outcome.residuals,
+            pose=pose,
+            step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
+        )
+        return estimate
+
+    @property
+    def tracks(self) -> Tracks:
+        """The N tracks of the last step, corrected by the rig's calibration."""
+        return self._features.tracks
+
+    @property
+    def phi(self) -> FloatArray:
+        """Their places in the prediction space, [N, M]."""
+        return self._features.phi
+
+    @property
+    def used(self) -> BoolArray:
+        """Which of them the solve used, [N]."""
+        return self._features.used
+
+    @property
+    def weights(self) -> FloatArray:
+        """How far each was trusted, [N], 0 to 1."""
+        return self._features.weights
+
+    @property
+    def state(self) -> OdometryState | None:
+        """Everything that it remembers; None before the first frame."""
+        return self._state
+
+    @property
+    def rig(self) -> RigCalibration | None:
+        """What it has learned of the rectification's errors; None without self-calibration."""
+        if self._state is None:
+            return RigCalibration.initial() if self.config.self_calibration else None
+        return self._state.rig
+
+    @property
+    def gyro_bias(self) -> GyroBias | None:
+        """What it has learned of the gyro's bias; None without an IMU."""
+        if self._state is None:
+            return GyroBias.initial(self.imu) if self.imu else None
+        return self._state.gyro_bias
+
+    @property
+    def _features(self) -> StepFeatures:
+        if self._state is None:
+            return StepFeatures.none(len(self.predictors.columns))
+        return self._state.step
+
+    def _first_state(self, frame: Frame) -> OdometryState:
+        tracker = tracker_for(frame, self.camera, self.config.tracking)
+        tracked = tracker.track(TrackingState.none(), frame, np.eye(4))
+        return OdometryState.at_first_frame(
+            frame,
+            tracked.state,
+            self.imu,
+            config=self.config,
+            num_columns=len(self.predictors.columns),
+        )
+
+    def _observe(
+        self, state: OdometryState, frame: Frame, prediction: Prediction, *, clock: StageClock
+    ) -> _Observed:
+        """Find the features again, correct them, and compute their predictors."""
+        starts = state.motion_model.starts(prediction.duration_s, prediction.motion)
+        starts += rotated_starts(prediction.motion, state.frame, frame, self.camera)
+        if state.motion_model.is_moving and is_repeated(state.frame, frame):
+            # A frozen image: the features have moved on unseen.
+            tracked = Tracked.nothing(state.tracking)
+        else:
+            tracked = track_from_best_start(
+                tracker_for(frame, self.camera, self.config.tracking),
+                state.tracking,
+                with_prepared_images(frame, self.config.tracking),
+                starts=starts,
+                camera=self.camera,
+                config=self.config,
+            )
         clock.lap("track")
-        if self.calibration:
-            self.calibration = self.calibration.with_rows(tracks.curr_px, self.camera)
-            tracks = self.calibration.corrected_tracks(tracks, self.camera)
+        rig = state.rig
+        tracks = tracked.tracks
+        if rig is not None:
+            rig = rig.with_rows(tracks.curr_px, self.camera)
+            tracks = tracks.corrected(rig, self.camera)
             clock.lap("calibrate")
         phi = self.predictors(
             Step(
                 tracks,
                 self.camera,
-                expected.T_curr_prev,
-                before=before,
-                now=frame,
-                last_residuals=self._residuals,
+                prediction.motion.T_curr_prev,
+                prev_frame=state.frame,
+                curr_frame=frame,
+                previous_residuals=state.residuals,
             )
-        )  # [N, M]
+        )
         clock.lap("predict")
-        known = (expected, rotation, self._memory)
-        rng = np.random.default_rng([self.config.seed, frame.index])
-        visual = estimate_motion(
-            tracks, phi, self.noise, self.camera, *known, self.config, rng, clock
+        return _Observed(tracked=tracked, rig=rig, tracks=tracks, phi=phi)
+
+    def _measure(self, state: OdometryState, frame: Frame) -> _Measured:
+        """Ask all sensors, and tell measurements of the motion from those of the pose."""
+        of_motion: list[Measurement] = []
+        of_pose: list[Measurement] = []
+        for sensor in self.sensors:
+            for measurement in sensor(state.frame, frame):
+                is_of_pose = set(measurement.variables) == {pose_of(frame.index)}
+                (of_pose if is_of_pose else of_motion).append(measurement)
+        return _Measured(of_motion=of_motion, of_pose=of_pose)
+
+    def _of_motion(self, prediction: Prediction, measured: _Measured) -> list[Measurement]:
+        """Return the measurements that enter the solve: the gyro's only where the settings say."""
+        if prediction.rotation is not None and self.config.gyro.prior:
+            return [prediction.rotation, *measured.of_motion]
+        return measured.of_motion
+
+    def _accept(
+        self,
+        state: OdometryState,
+        prediction: Prediction,
+        observed: _Observed,
+        visual: VisualMotion,
+    ) -> _Outcome:
+        """Take the solve as the motion, and let it teach gyro bias, rig and motion model."""
+        solution = visual.accepted_solution
+        T_curr_prev = solution.T_curr_prev
+        gyro_bias = prediction.gyro_bias
+        if prediction.gyro is not None and gyro_bias is not None:
+            learn = gyro_bias.updated if self.config.gyro.prior else gyro_bias.compared
+            gyro_bias = learn(prediction.gyro, T_curr_prev[:3, :3], solution.cov[3:, 3:])
+        rig = observed.rig
+        common_mode = np.zeros((6, 3))
+        if rig is not None and visual.two_frames_only is not None:
+            used = observed.tracks.kept(visual.used)
+            rig, common_mode = update_rig(rig, used, visual.two_frames_only, self.camera)
+        cov = solution.cov + common_mode @ common_mode.T
+        motion = MotionEstimate(
+            T_curr_prev=T_curr_prev,
+            cov=cov,
+            status=visual.status,
+            num_tracks=len(observed.tracks),
+            num_inliers=visual.num_inliers,
+            iterations=visual.num_iterations,
+            common_mode=common_mode,
+            path_cross_cov=visual.disparities.path_cross_cov,
+            num_used=visual.num_used,
+            num_out_of_domain=visual.num_out_of_domain,
         )
-        self.tracks = tracks
-        self.phi = phi
-        self.used = visual.used
-        self.weights = visual.weights
-        self._before = frame
-        status, shared, refused = (
-            visual.status,
-            np.zeros((6, 3)),
-            visual.status is Status.NOT_CONVERGED,
-        )
-        if status is Status.OK and visual.solution and visual.alone:
-            if gyro and self.gyro_bias:
-                learn = (
-                    self.gyro_bias.updated if self.config.gyro.prior else self.gyro_bias.compared
-                )
-                self.gyro_bias = learn(
-                    gyro, visual.solution.T_curr_prev[:3, :3], visual.solution.cov[3:, 3:]
-                )
-            if self.calibration:
-                used = tracks.kept(visual.used)
-                self.calibration, shared = self.calibration.with_motion(
-                    used, visual.alone, self.camera
-                )
-            T_curr_prev = visual.solution.T_curr_prev
-            cov = visual.solution.cov + shared @ shared.T
-            self._tracker.drop(tracks.ids[visual.astray])
-            tied = visual.memory.path_cross_cov
-            self._model = self._model.after_solve(duration_s, T_curr_prev, cov)
-        else:
-            status = Status.GAP if self._model.is_gap(duration_s) else status
-            T_curr_prev, cov, tied = self._model.carried_on(
-                expected, visual.solution, refused=refused
-            )
-            self._model = self._model.after_blind(duration_s, expected, refused=refused)
-        self._residuals = LastResiduals.left_by(
-            tracks, visual.T_judging if status is Status.OK else None, self.camera
-        )
-        self._memory = visual.memory
-        clock.lap("learn")
-        facts = len(tracks), visual.num_trusted, visual.num_iterations, shared, tied, clock.times_ms
-        return MotionEstimate(
-            T_curr_prev, cov, status, *facts, visual.num_used, visual.num_out_of_domain
+        return _Outcome(
+            motion=motion,
+            tracking=observed.tracked.state.without(observed.tracks.ids[visual.outliers]),
+            rig=rig,
+            gyro_bias=gyro_bias,
+            motion_model=state.motion_model.after_solve(prediction.duration_s, T_curr_prev, cov),
+            disparities=visual.disparities,
+            residuals=LastResiduals.left_by(observed.tracks, visual.T_reference, self.camera),
         )
 
-    def _integrate_gyro(self, since_ns: int, frame: Frame) -> GyroRotation | None:
-        """The gyro's rotation since the last frame, less the bias believed in; None if it does not
-        cover that time."""
-        if self.imu is None or self.gyro_bias is None:
-            return None
-        self.gyro_bias = self.gyro_bias.predicted(1e-9 * (frame.stamp_ns - since_ns), self.imu)
-        if frame.imu is None or not covers(frame.imu, since_ns, frame.stamp_ns):
-            return None
-        return integrate_gyro(
-            frame.imu,
-            since_ns,
-            frame.stamp_ns,
-            calibration=self.imu,
-            bias_rad_s=self.gyro_bias.mean,
+    def _dead_reckon(
+        self,
+        state: OdometryState,
+        prediction: Prediction,
+        observed: _Observed,
+        visual: VisualMotion,
+    ) -> _Outcome:
+        """Take the predicted motion, with its covariance, where the images fix none."""
+        refused = visual.status is Status.NOT_CONVERGED
+        is_gap = state.motion_model.is_gap(prediction.duration_s)
+        reckoned = state.motion_model.dead_reckoned(
+            prediction.motion, visual.solution, refused=refused
         )
+        motion = MotionEstimate(
+            T_curr_prev=reckoned.T_curr_prev,
+            cov=reckoned.cov,
+            status=Status.GAP if is_gap else visual.status,
+            num_tracks=len(observed.tracks),
+            num_inliers=visual.num_inliers,
+            iterations=visual.num_iterations,
+            path_cross_cov=reckoned.path_cross_cov,
+            num_used=visual.num_used,
+            num_out_of_domain=visual.num_out_of_domain,
+        )
+        return _Outcome(
+            motion=motion,
+            tracking=observed.tracked.state,
+            rig=observed.rig,
+            gyro_bias=prediction.gyro_bias,
+            motion_model=state.motion_model.after_dead_reckoning(
+                prediction.duration_s, prediction.motion, refused=refused
+            ),
+            disparities=DisparityFilter.none(),
+            residuals=LastResiduals.none(),
+        )
+
+
+@dataclass(frozen=True)
+class _Observed:
+    """What the images of a frame show, before a motion is estimated."""
+
+    tracked: Tracked
+    """Raw."""
+    rig: RigCalibration | None
+    """With the rows of this frame's stereo matches."""
+    tracks: Tracks
+    """Corrected by the rig's calibration."""
+    phi: FloatArray
+    """Their places in the prediction space, [N, M]."""
+
+    def for_store(self, frame: Frame, visual: VisualMotion) -> FrameObservations:
+        """Return the raw observations, with the noise that was predicted for those used."""
+        return replace(
+            self.tracked.state.observations(frame),
+            noise=visual.noise,
+            noise_landmarks=self.tracks.ids[visual.used],
+        )
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """What the sensors beside the camera measured."""
+
+    of_motion: list[Measurement]
+    of_pose: list[Measurement]
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """The motion of a step, and what it teaches."""
+
+    motion: MotionEstimate
+    tracking: TrackingState
+    rig: RigCalibration | None
+    gyro_bias: GyroBias | None
+    motion_model: MotionModel
+    disparities: DisparityFilter
+    residuals: LastResiduals

@@ -1,43 +1,56 @@
-"""Everything that decides what a run does, as one value and one file. Defaults < file < flags."""
+"""All settings of a run, as one value and as one YAML file.
+
+Flags of the command line override the file, and the file overrides the defaults.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Literal, Self
+from typing import Self
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
+from probevo.sequences.registry import format_names
 
-FormatName = Literal["kitti-raw", "kitti-odometry", "euroc", "folder", "tracks"]
+FORMAT_HELP = (
+    f"Layout of the recording: {', '.join(format_names())}; recognised if it is not named."
+)
 
 
-class SharedConfig(OdometryConfig):
-    """What runs can have in common, whatever recording and noise model each has: all settings of a
-    comparison."""
+class CommonRunSettings(OdometryConfig):
+    """The settings that all runs of a comparison have in common.
 
-    format: FormatName | None = Field(
-        None, description="Layout of the recording; found out where it is not named."
-    )
+    Each run adds its recording and its noise model, see ``RunConfig``.
+    """
+
+    format: str | None = Field(None, description=FORMAT_HELP)
     max_frames: int | None = Field(None, ge=2, description="Stop after this many frames.")
     imu: bool = Field(True, description="Use the recording's IMU, if it has one.")
+
+    @field_validator("format")
+    @classmethod
+    def _check_format(cls, name: str | None) -> str | None:
+        if name is not None and name not in format_names():
+            raise ValueError("it should be the name of a format")
+        return name
 
     @model_validator(mode="after")
     def _check_imu(self) -> Self:
         if not self.imu and (self.gyro.prior or self.ransac.rotation_from == "gyro"):
             raise ValueError(
-                "gyro.prior and ransac.rotation_from gyro need the IMU that no-imu leaves out"
+                "gyro.prior and ransac.rotation_from gyro need the IMU, which no-imu switches off"
             )
         return self
 
 
-class RunConfig(SharedConfig):
-    """All settings of ``probevo run``: those of the odometry, and what it runs on."""
+class RunConfig(CommonRunSettings):
+    """All settings of ``probevo run``: those of the odometry, the recording and the noise model."""
 
     sequence: Path | None = Field(
         None, description="The recording: a folder, or a tracks file (.npz)."
@@ -45,40 +58,39 @@ class RunConfig(SharedConfig):
     noise: str = Field(
         "student-t",
         description=(
-            "Noise of the features: fixed is one Gaussian, student-t forgives outliers, and the"
-            " path of a model file (.safetensors) is what was learned."
+            "Noise of the features: fixed (one Gaussian for all), student-t (robust to outliers),"
+            " or the path of a learned model (.safetensors)."
         ),
     )
 
 
 OWN_KEYS = ("sequence", "format", "noise", "max_frames", "imu")
-"""Settings of the run that are none of the odometry's."""
+"""The settings of a run that ``OdometryConfig`` does not have."""
 
 
 def run_config(settings: OdometryConfig, sequence: Path, noise: str) -> RunConfig:
-    """The settings of one run, from those that several share."""
-    shared = {name: getattr(settings, name) for name in type(settings).model_fields}
-    return RunConfig.model_validate(shared | {"sequence": sequence, "noise": noise})
+    """Return the settings of one run: common ones, a recording and a noise model."""
+    common = {name: getattr(settings, name) for name in type(settings).model_fields}
+    return RunConfig.model_validate(common | {"sequence": sequence, "noise": noise})
 
 
 def read_config(path: Path) -> RunConfig:
-    """The settings of a YAML file, such as the ``config.yaml`` of an earlier run; what it leaves
-    out has its default.
+    """Read settings from a YAML file, such as the ``config.yaml`` of an earlier run.
+
+    Settings that the file does not name have their defaults.
 
     Raises:
-        InputError: the file is missing, is not YAML, or has an unknown key or a value out of
+        InputError: the file is missing, is not YAML, has an unknown key, or a value is out of
             bounds.
     """
-    from probevo.sequences.yaml_file import (
-        load_yaml,
-    )  # here: `probevo run --help` should not wait for OpenCV
+    # Only now: `probevo run --help` should not wait for OpenCV.
+    from probevo.sequences.yaml_file import load_yaml
 
     cure = "Take the config.yaml of a run as a pattern."
     content = load_yaml(path, cure)
     if content is not None and not isinstance(content, dict):
-        raise InputError(
-            path, f"holds a {type(content).__name__}; expected `key: value` lines.", cure
-        )
+        what = f"holds a {type(content).__name__}; expected `key: value` lines."
+        raise InputError(path, what, cure)
     try:
         return RunConfig.model_validate(content or {})
     except ValidationError as error:
@@ -86,7 +98,7 @@ def read_config(path: Path) -> RunConfig:
 
 
 def config_text(config: RunConfig) -> str:
-    """The settings as YAML that ``read_config`` reads back as they are."""
+    """Return the settings as YAML; ``read_config`` reads back the same settings."""
     values = config.model_dump(mode="json")
     own_first = {name: values.pop(name) for name in OWN_KEYS} | values
     return yaml.safe_dump(own_first, sort_keys=False, allow_unicode=True)
@@ -98,28 +110,31 @@ def setting_error(
     model: type[BaseModel] = RunConfig,
     spelled: Callable[[str], str] = lambda key: key,
 ) -> InputError:
-    """What pydantic found wrong, in our words: each key at fault with its value, and how to mend
-    the first one.
+    """Return pydantic's findings as one error: each wrong key with its value, and a cure.
+
+    The cure concerns the first key; unknown keys come first.
 
     Args:
-        error: of validating a ``model``.
+        error: raised by validating a ``model``.
         where: the file, or the kind of input.
-        model: the settings.
-        spelled: how the user writes a key, if not as ``section.key``.
+        model: the settings that were validated.
+        spelled: returns a key, ``section.key``, as the user writes it.
     """
     unknown_first = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
     faults = [(".".join(map(str, fault["loc"])), fault) for fault in unknown_first]
     texts = [_fault_text(spelled(key) if key else "", fault) for key, fault in faults]
-    first, fault = faults[0]
+
     known = dict(_known_keys(model))
-    cure = (
-        _nearest_keys(first, known) if fault["type"] == "extra_forbidden" else known.get(first, "")
-    )
+    first_key, first_fault = faults[0]
+    if first_fault["type"] == "extra_forbidden":
+        cure = _nearest_keys(first_key, known)
+    else:
+        cure = known.get(first_key, "")
     return InputError(where, "; ".join(texts) + ".", cure)
 
 
 def _fault_text(key: str, fault: ErrorDetails) -> str:
-    """One fault; without a key it is of several settings that do not go together."""
+    """Return one fault in words; it has no key if several settings contradict each other."""
     if fault["type"] == "extra_forbidden":
         return f"the key {key} is not known"
     message = fault["msg"].removeprefix("Value error, ").replace("Input should", "it should")
@@ -129,15 +144,15 @@ def _fault_text(key: str, fault: ErrorDetails) -> str:
 def _nearest_keys(key: str, known: Collection[str]) -> str:
     key = key.replace("-", "_")
     last = key.rpartition(".")[2]
-    # The right key without its section, or in a wrong one, is nearer than any other spelling.
-    near = [name for name in known if name.rpartition(".")[2] == last] or get_close_matches(
-        key, known, n=1
-    )
+    # The right key in a wrong section, or in none, is nearer than any other spelling.
+    near = [name for name in known if name.rpartition(".")[2] == last]
+    if not near:
+        near = get_close_matches(key, known, n=1)
     return f"Did you mean {' or '.join(near)}?" if near else f"Known are {', '.join(known)}."
 
 
 def _known_keys(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Dotted name and description of each setting."""
+    """Yield the dotted name and the description of each setting."""
     for name, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             yield from _known_keys(field.annotation, f"{prefix}{name}.")

@@ -1,4 +1,7 @@
-"""A whole run: sequence → odometry → recorder → files. ``probevo run`` is this and a progress bar."""
+"""Run the odometry over a recording: sequence → odometry → recorder → files.
+
+``probevo run`` is this function with a progress bar.
+"""
 
 from __future__ import annotations
 
@@ -12,23 +15,20 @@ import numpy as np
 
 from probevo import __version__
 from probevo.arrays import FloatArray
-from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.files import check_folder, remove_stale, write_atomically
-from probevo.noise import NoiseModel
-from probevo.noise.named import check_model_camera, noise_model, portable
+from probevo.noise.named import noise_model, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
 from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.motions_file import write_motions
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult
-from probevo.predictors import space_for
+from probevo.run_checks import check_run
 from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
-from probevo.sequences.pose_files import FARTHEST_M
 from probevo.sequences.without_imu import WithoutImu
 from probevo.tracking.left_right import (
     FRAMES_TO_SEE,
@@ -36,20 +36,21 @@ from probevo.tracking.left_right import (
     check_left_right,
     count_matches,
 )
-from probevo.tracking.preparation import prepared_ahead
+from probevo.tracking.preparation import prepare_ahead
 
 NUM_PICTURES = 4
+"""Frames that the report shows with their tracks."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a run came to."""
+    """The results of a run over N frames."""
 
     result: RunResult
     metrics: Metrics | None
-    """None where the recording has no truth."""
+    """Comparison with the truth; None if the recording has no truth."""
     truth: FloatArray | None = None
-    """True poses T_world_cam of its frames, [N, 4, 4], m; NaN where unknown."""
+    """True poses T_world_cam of the frames, [N, 4, 4], m; NaN where unknown."""
     pictures: tuple[tuple[str, bytes], ...] = ()
     """Caption and JPEG file of a few frames with their tracks."""
 
@@ -60,35 +61,44 @@ def run_sequence(
     out: Path,
     on_step: Callable[[MotionEstimate], None] | None = None,
 ) -> Run:
-    """Run the odometry over a recording and write everything that follows from it.
+    """Run the odometry over a recording and write all results into a folder.
 
-    Into ``out`` go, at the end, ``config.yaml``, ``trajectory.tum``, ``trajectory.kitti.txt``,
-    ``motions.npz``, ``metrics.json`` (if truth is known) and ``report.html``; files of an earlier
-    run are replaced. Whatever stops the run midway, a damaged image or Ctrl-C, the same files are
-    written for the frames before and say what it was, and the exception goes on with a note that
-    says so. Where there are none before, or left and right are swapped, nothing is written.
+    The files are ``config.yaml``, ``trajectory.tum``, ``trajectory.kitti.txt``, ``motions.npz``,
+    ``metrics.json`` (if truth is known) and ``report.html``. They are written at the end and
+    replace those of an earlier run.
+
+    If anything stops the run early, such as a damaged image or Ctrl-C, the same files are written
+    for the frames so far, and name the reason; the exception is raised again with a note that tells
+    where they are. Nothing is written if fewer than two frames were processed, or if the left and
+    right images are swapped.
 
     Args:
         sequence: the recording.
         config: all settings.
-        out: folder for the files; made if it is missing.
-        on_step: called with the estimate of each frame, the first included.
+        out: folder for the files; created if it is missing.
+        on_step: called with the estimate of each frame, the first one included.
+
+    Returns:
+        What was estimated, and its comparison with the truth.
 
     Raises:
-        InputError: a file of the recording is at fault, its left and right images are swapped,
-            ``out`` cannot be written to, or what ``noise_model`` and ``check_run`` raise.
+        InputError: a file of the recording is damaged, the left and right images are swapped,
+            ``out`` is not writable, the noise model is unknown, or ``check_run`` refuses the run.
     """
-    sequence = sequence if config.imu else WithoutImu.of(sequence)
+    # Check everything that can be checked before the first frame.
+    if not config.imu:
+        sequence = WithoutImu.of(sequence)
     noise = noise_model(config.noise)
     check_run(sequence, config, noise)
     check_folder(out, "--out")
+
     num_frames = min(len(sequence), config.max_frames or len(sequence))
     odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config=config)
     recorder = RunRecorder()
     pictures = _Pictures.spread_over(num_frames)
-    matches = np.zeros(2, np.int64)
+    num_matches = np.zeros(2, np.int64)  # with positive and with negative disparity
     try:
-        for frame in prepared_ahead(islice(sequence, num_frames), config.tracking):
+        for frame in prepare_ahead(islice(sequence, num_frames), config.tracking):
             start = perf_counter()
             motion = odometry.step(frame)
             total_ms = 1e3 * (perf_counter() - start)
@@ -96,107 +106,70 @@ def run_sequence(
                 frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected
             )
             pictures.add(frame, odometry)
-            matches += count_matches(odometry.tracks)
+
+            # Swapped images have mostly negative disparities; a few frames are enough to see it.
+            num_matches += count_matches(odometry.tracks)
             if frame.index == min(FRAMES_TO_SEE, num_frames - 1):
-                check_left_right(int(matches[0]), int(matches[1]), sequence.path)
+                check_left_right(int(num_matches[0]), int(num_matches[1]), sequence.path)
             if on_step is not None:
                 on_step(motion)
     except SwappedImagesError:
         raise
-    except BaseException as stop:  # whatever it is, it goes on; but not without what was computed
-        if (
-            len(recorder.result()) > 1
-        ):  # the first frame alone is no motion, and nothing to replace a run with
-            _write(
-                out,
-                sequence,
-                config,
-                result=replace(recorder.result(), stopped=_reason(stop)),
-                pictures=pictures,
-            )
-            stop.add_note(
-                f"What was computed before, {len(recorder.result())} frames, lies in {out}."
-            )
+    except BaseException as stop:
+        # Keep what was computed, whatever the reason. The first frame is no motion, and must not
+        # replace the results of an earlier run.
+        result = recorder.result()
+        if len(result) > 1:
+            result = replace(result, stopped=_reason(stop))
+            _write_results(out, sequence, config, result=result, pictures=pictures)
+            stop.add_note(f"The results of the first {len(result)} frames are in {out}.")
         raise
-    return _write(out, sequence, config, result=recorder.result(), pictures=pictures)
+    return _write_results(out, sequence, config, result=recorder.result(), pictures=pictures)
 
 
 def _reason(stop: BaseException) -> str:
-    """What stopped a run, in words."""
+    """Return what stopped a run, in words."""
     if isinstance(stop, KeyboardInterrupt):
         return "stopped by Ctrl-C."
-    return (
-        f"{stop.where}: {stop.what}"
-        if isinstance(stop, InputError)
-        else f"{type(stop).__name__}: {stop}"
-    )
+    if isinstance(stop, InputError):
+        return f"{stop.where}: {stop.what}"
+    return f"{type(stop).__name__}: {stop}"
 
 
-def check_run(sequence: Sequence, config: RunConfig, noise: NoiseModel) -> None:
-    """Refuse what would only show after the whole run, or not at all.
-
-    Raises:
-        InputError: the noise model needs predictors that are not known, or belongs to another
-            camera; the settings ask for an IMU that the recording does not have; or its truth is
-            absurd.
-    """
-    space_for(noise.columns).check_recording(sequence)
-    check_model_camera(config.noise, noise, sequence.camera)
-    check_imu(sequence, config)
-    truth = sequence.truth
-    if truth is not None and (np.abs(truth.T_world_cam[:, :3, 3]) > FARTHEST_M).any():
-        what = f"a true position is over {FARTHEST_M:g} m from the first."
-        raise InputError(sequence.path, what, "Mend the ground truth: positions are in metres.")
-
-
-def check_imu(sequence: Sequence, config: OdometryConfig) -> None:
-    """Refuse settings that ask for an IMU where the recording has none.
-
-    Raises:
-        InputError: names the settings.
-    """
-    wanted = ["--gyro.prior"] if config.gyro.prior else []
-    wanted += ["--ransac.rotation-from gyro"] if config.ransac.rotation_from == "gyro" else []
-    if sequence.imu is None and wanted:
-        what = f"the recording {sequence.path} has no IMU."
-        raise InputError(
-            " and ".join(wanted), what, "Leave it out, or set it back in the file of --config."
-        )
-
-
-def _write(
+def _write_results(
     out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures
 ) -> Run:
-    from probevo.output.report import (
-        write_report,
-    )  # only now: importing Matplotlib would hold up the first frame
+    """Write all files of a run, and remove those of an earlier run that this one does not write."""
+    # Only now: importing Matplotlib would delay the first frame.
+    from probevo.output.report import write_report
 
-    # Absolute, so that --config finds the recording and the noise model from any directory.
-    found = {
+    # Absolute paths, so that --config finds the recording and the noise model from any directory.
+    absolute = {
         "sequence": (config.sequence or sequence.path).resolve(),
         "noise": portable(config.noise),
     }
-    settings = config_text(config.model_copy(update=found))
+    settings = config_text(config.model_copy(update=absolute))
     write_atomically(out / "config.yaml", f"# by probevo {__version__}\n{settings}")
     write_tum(out / "trajectory.tum", result.stamps_ns, result.T_world_cam)
     write_kitti_poses(out / "trajectory.kitti.txt", result.T_world_cam)
     write_motions(out / "motions.npz", result)
-    truth = None if sequence.truth is None else sequence.truth.T_world_cam[: len(result)]
+
+    truth = None
     metrics = None
-    if truth is not None:
+    if sequence.truth is not None:
+        truth = sequence.truth.T_world_cam[: len(result)]
         metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, cov=result.cov)
         metrics = replace(metrics, out_of_domain=result.out_of_domain, stopped=result.stopped)
         write_json(out / "metrics.json", metrics.as_dict())
     else:
         remove_stale(out / "metrics.json")
+
     if len(result) >= 2:
-        facts = run_facts(sequence, config, result)
-        title = sequence.path.resolve().name
         write_report(
             out / "report.html",
             result,
-            title,
-            facts=facts,
+            sequence.path.resolve().name,
+            facts=run_facts(sequence, config, result),
             truth=truth,
             metrics=metrics,
             thumbnails=pictures.drawn,
@@ -209,15 +182,16 @@ def _write(
 
 @dataclass(frozen=True)
 class _Pictures:
-    """A few frames with their tracks, for the report."""
+    """A few frames, evenly spread over the run, with their tracks drawn for the report."""
 
     chosen: frozenset[int]
     """Indices of the frames to draw."""
     drawn: list[tuple[str, bytes]] = field(default_factory=list)
-    """Caption and JPEG file of those that have come."""
+    """Caption and JPEG file of those that were processed."""
 
     @staticmethod
     def spread_over(num_frames: int) -> _Pictures:
+        # The middles of equal parts of the run; the first frame has no tracks.
         indices = np.linspace(1, num_frames - 1, 2 * NUM_PICTURES + 1)[1::2]
         return _Pictures(frozenset(np.round(indices).astype(int).tolist()))
 
@@ -226,9 +200,5 @@ class _Pictures:
             return
         tracks = odometry.tracks
         caption = f"Frame {frame.index}: {len(tracks)} tracks"
-        self.drawn.append(
-            (
-                caption,
-                draw_tracks(frame.left, tracks.prev_px, tracks.curr_px, weights=odometry.weights),
-            )
-        )
+        picture = draw_tracks(frame.left, tracks.prev_px, tracks.curr_px, weights=odometry.weights)
+        self.drawn.append((caption, picture))

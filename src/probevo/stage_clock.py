@@ -1,4 +1,4 @@
-"""Wall time of the stages of one step."""
+"""The wall time that each stage of a step takes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from time import perf_counter
 
 
 class StageClock:
-    """Collects the time since the last lap under the name of the stage that it was spent on.
+    """A stopwatch that adds the time since its last lap to the stage that ends.
 
     Args:
-        times_ms: stages already timed elsewhere.
+        times_ms: stages that were timed elsewhere, by name.
     """
 
     def __init__(self, **times_ms: float) -> None:
@@ -17,7 +17,7 @@ class StageClock:
         self._last = perf_counter()
 
     def lap(self, stage: str) -> None:
-        """End a stage; laps of the same name add up."""
+        """End a stage; several laps of one stage add up."""
         now = perf_counter()
         self.times_ms[stage] = self.times_ms.get(stage, 0.0) + 1e3 * (now - self._last)
         self._last = now

@@ -178,9 +178,9 @@ def _rendered_loops(settings: Table13Config, out: Path) -> dict[str, Sequence]:
 
 def _render(name: str, config: SceneConfig, folder: Path) -> Sequence:
     """The scene, rendered as far as an earlier call did not."""
-    from probevo_sim import command as simulate
     from probevo.cli.demo import scene_folder
     from probevo.sequences import open_sequence
+    from probevo_sim import command as simulate
 
     print(f"{name}: rendering, or taking what is there", flush=True)
     return open_sequence(
@@ -205,12 +205,12 @@ def _train(
 def _jobs_1_2(rows: list[Row], models: Mapping[str, Mapping[str, Path]], out: Path) -> list[Job]:
     """The runs, those of learned estimators only where the model is there."""
     from probevo.cli.compare import Estimator, Recording, plan
-    from probevo.noise.classical import CLASSICAL
+    from probevo.noise.registry import untrained_names
     from probevo_paper.table_1_2 import ESTIMATORS
 
     jobs = []
     for row in rows:
-        noises = {name: name for name in CLASSICAL} | {
+        noises = {name: name for name in untrained_names()} | {
             n: str(path) for n, path in models.get(row.name, {}).items()
         }
         estimators = [

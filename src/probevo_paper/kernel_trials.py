@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from probevo.config import OdometryConfig
-from probevo.run_config import SharedConfig
+from probevo.run_config import CommonRunSettings
 from probevo.training.settings import KernelSettings, SupervisionName, TrainSettings
 from probevo.training.settings_check import KERNEL_ONLY
 
@@ -34,14 +34,17 @@ class KernelTableConfig(OdometryConfig):
 
     def shared(
         self, *, self_calibration: bool | None = None, max_frames: int | None = None
-    ) -> SharedConfig:
+    ) -> CommonRunSettings:
         """The settings of the runs."""
         given = {name: getattr(self, name) for name in OdometryConfig.model_fields}
         given |= {} if self_calibration is None else {"self_calibration": self_calibration}
-        return SharedConfig.model_validate(given | {"max_frames": max_frames})
+        return CommonRunSettings.model_validate(given | {"max_frames": max_frames})
 
     def training(
-        self, kind: Literal["gk", "student-t"], supervision: SupervisionName, runs: SharedConfig
+        self,
+        kind: Literal["gk", "student-t"],
+        supervision: SupervisionName,
+        runs: CommonRunSettings,
     ) -> TrainSettings:
         """The settings of a training for such runs."""
         odometry = OdometryConfig.model_validate(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.output.trial_table import Errors
-from probevo.run_config import SharedConfig
+from probevo.run_config import CommonRunSettings
 from probevo.sequences.base import Sequence
 from probevo.training.settings import TrainSettings
 from probevo_paper.kernel_trials import FITTED, FIXED, GK_EM, GK_GT, STATIC
@@ -72,7 +72,7 @@ class Row:
     name: str
     train: Sequence
     test: Sequence
-    runs: SharedConfig
+    runs: CommonRunSettings
     """Settings of its runs, and of its trainings."""
 
     @property
@@ -93,7 +93,7 @@ class Row:
         return found | {GK_EM: settings.training("gk", "none", self.runs)}
 
 
-def run_settings(name: str, settings: Table12Config) -> SharedConfig:
+def run_settings(name: str, settings: Table12Config) -> CommonRunSettings:
     """Of the runs in a row; the rig of the point world is flawless, so that nothing is to be
     calibrated."""
     return settings.shared(

@@ -21,6 +21,7 @@ from probevo.geometry import se3
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.sequences.stamps import NS_PER_S
 from probevo.tracking.feature_matcher import FeatureMatcher
+from probevo.tracking.tracker import TrackingState
 from probevo.tracking.tracks import Tracks
 from probevo_sim.noise_laws import NoiseLaw
 from probevo_sim.point_config import PointConfig
@@ -92,9 +93,12 @@ class PointWorld:
     def steps(self) -> Iterator[PointStep]:
         """Yield the K − 1 pairs of consecutive frames."""
         matcher = FeatureMatcher()
+        state = TrackingState.none()
         inlier = ~self.outlier
         for frame in self.frames():
-            tracks = matcher.track(frame, np.eye(4))
+            tracked = matcher.track(state, frame, np.eye(4))
+            state = tracked.state
+            tracks = tracked.tracks
             if frame.index == 0:
                 continue
             T_world_prev = self.T_world_cam[frame.index - 1]

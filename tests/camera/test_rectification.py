@@ -65,7 +65,7 @@ pairs = pytest.mark.parametrize("pair", [RADTAN, EQUIDISTANT], ids=["radtan", "e
 
 
 def raw_projection(camera: PinholeCamera, points: FloatArray) -> FloatArray:
-    """Pixels of points in the camera's own frame, [N, 3] to [N, 2], by OpenCV's distortion models."""
+    """Pixels, [N, 2], of points in the camera's frame, [N, 3], by OpenCV's distortion models."""
     no_motion = np.zeros(3)
     project = (
         cv2.projectPoints if camera.distortion_model == "radtan" else cv2.fisheye.projectPoints

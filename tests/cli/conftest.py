@@ -1,4 +1,4 @@
-"""One small recording and one run over it, shared by the tests of the commands."""
+"""One small recording and one run on it, for all tests of the commands."""
 
 from pathlib import Path
 

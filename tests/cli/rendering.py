@@ -1,5 +1,4 @@
-"""A tiny recording that odometry works on: a rough, slanted wall that the camera approaches while
-it turns.
+"""A tiny recording on which odometry works: a textured, slanted wall, approached while turning.
 
 Others use it too: ``from cli.rendering import write_wall``.
 """
@@ -13,7 +12,9 @@ from probevo.arrays import FloatArray, Image
 from probevo.geometry import se3
 from sequences.recordings import numbers, write_image, write_lines
 
-SIZE_PX = WIDTH_PX, HEIGHT_PX = 320, 160
+WIDTH_PX = 320
+HEIGHT_PX = 160
+SIZE_PX = (WIDTH_PX, HEIGHT_PX)
 FOCAL_PX = 200.0
 BASELINE_M = 0.3
 K = np.array([[FOCAL_PX, 0.0, 159.5], [0.0, FOCAL_PX, 79.5], [0.0, 0.0, 1.0]])
@@ -27,7 +28,7 @@ STEP = np.array([0.01, 0.0, -0.15, 0.002, -0.004, 0.003])
 
 
 def texture() -> Image:
-    """Noise of several grain sizes."""
+    """Return an image of noise of several grain sizes."""
     rng = np.random.default_rng(7)
     layers = [
         cv2.resize(rng.normal(size=(n, n)), (1536, 1536), interpolation=cv2.INTER_CUBIC)
@@ -37,12 +38,12 @@ def texture() -> Image:
 
 
 def true_poses(frames: int) -> FloatArray:
-    """T_world_cam, [frames, 4, 4]."""
+    """Return T_world_cam, [frames, 4, 4], m."""
     return np.array([se3.inverse(se3.exp(k * STEP)) for k in range(frames)])
 
 
 def render(wall: Image, T_cam_world: FloatArray) -> Image:
-    """What a camera at that pose sees: the wall's plane is mapped to the image by one homography."""
+    """Render what a camera at that pose sees; a homography maps the wall to the image."""
     across = np.cross([0.0, 1.0, 0.0], NORMAL) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], NORMAL))
     along = np.cross(NORMAL, across)
     T = T_cam_world
@@ -59,7 +60,7 @@ def render(wall: Image, T_cam_world: FloatArray) -> Image:
 
 
 def write_wall(root: Path, frames: int = 8, *, truth: bool = True, swapped: bool = False) -> Path:
-    """A recording in the folder layout."""
+    """Write a recording of the wall in the folder layout; return its folder."""
     wall = texture()
     T_right_left = np.eye(4)
     T_right_left[0, 3] = -BASELINE_M

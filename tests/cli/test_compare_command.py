@@ -60,7 +60,7 @@ def _loader() -> Any:
 def _without_reports() -> Any:
     """Those of the single runs take most of the time; here they are empty."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
+        patch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
         yield
 
 
@@ -208,7 +208,7 @@ def test_without_truth_there_are_dashes_and_that_is_said(
     assert run["metrics"] is None
 
 
-def test_models_that_are_called_alike_are_told_apart(world: Path, tmp_path: Path) -> None:
+def test_models_of_the_same_name_are_distinguished(world: Path, tmp_path: Path) -> None:
     files = [
         tmp_path / name
         for name in ("x/city.safetensors", "y/city.safetensors", "x/fixed.safetensors")
@@ -232,15 +232,15 @@ def test_what_is_done_when_it_is_stopped_is_compared(
     names: list[str] = []
     original = run.run_with_progress
 
-    def stopping(*arguments: Any) -> Any:
-        names.append(arguments[-1])
+    def stopping(*arguments: Any, **others: Any) -> Any:
+        names.append(others["name"])
         if len(names) == 3:
             raise KeyboardInterrupt
-        return original(*arguments)
+        return original(*arguments, **others)
 
     monkeypatch.setattr(run, "run_with_progress", stopping)
     assert compare_exit(world / "a/test.npz", world / "b/test.npz", "--out", tmp_path) == 130
-    assert f"The 2 finished of 4 runs are compared in {tmp_path}." in capsys.readouterr().err
+    assert f"2 of 4 runs were finished; they are compared in {tmp_path}." in capsys.readouterr().err
     assert names == ["1 of 4: a-test fixed", "2 of 4: a-test student-t", "3 of 4: b-test fixed"]
     runs = json.loads((tmp_path / "comparison.json").read_text())["runs"]
     assert [run["sequence"] for run in runs] == ["a-test", "a-test"]
@@ -324,4 +324,4 @@ def test_a_recording_of_one_frame_is_refused(
     kept |= {key: arrays[key][:1] for key in ("t", "T_world_cam")} | {"camera": arrays["camera"]}
     np.savez(tmp_path / "one.npz", **kept)
     assert compare_exit(tmp_path / "one.npz", "--out", tmp_path / "out") == 2
-    assert "has one frame only" in capsys.readouterr().err
+    assert "has only one frame" in capsys.readouterr().err

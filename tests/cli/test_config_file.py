@@ -1,18 +1,25 @@
 """The settings of a run as a file: round trip, and messages that name file, key, value and cure."""
 
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
 from probevo.config import OdometryConfig, TrackingConfig
 from probevo.errors import InputError
-from probevo.run_config import OWN_KEYS, FormatName, RunConfig, config_text, read_config, run_config
-from probevo.sequences import FORMAT_NAMES
+from probevo.run_config import (
+    FORMAT_HELP,
+    OWN_KEYS,
+    RunConfig,
+    config_text,
+    read_config,
+    run_config,
+)
+from probevo.sequences import format_names
 
 
 def test_names_are_those_that_exist() -> None:
-    assert set(get_args(FormatName)) == set(FORMAT_NAMES)
+    assert all(f" {name}" in FORMAT_HELP for name in format_names())
+    assert all(RunConfig(format=name).format == name for name in format_names())
     assert set(RunConfig.model_fields) - set(OdometryConfig.model_fields) == set(OWN_KEYS)
 
 
@@ -72,13 +79,18 @@ def test_an_empty_file_means_the_defaults(text: str, tmp_path: Path) -> None:
             "tracking.window_px is 3; it should be greater than or equal to 5.",
             "Side of the",
         ),
+        ("format: kitty", "format is 'kitty'; it should be the name of a format.", "euroc, folder"),
         ("noise: 3", "noise is 3; it should be a valid string.", "Noise of the features"),
         (
             "ransac: {threshold_px: .nan}",
             "ransac.threshold_px is nan; it should be a finite number.",
             "Reprojection",
         ),
-        ("seed: many", "seed is 'many'; it should be a valid integer", "Of all random choices"),
+        (
+            "seed: many",
+            "seed is 'many'; it should be a valid integer",
+            "Seed of all random choices",
+        ),
         ("solver: 3", "solver is 3; it should be a valid dictionary", ""),
         ("[seed, 3]", "holds a list; expected `key: value` lines.", "pattern"),
         ("seed: [", "this is not YAML", "pattern"),

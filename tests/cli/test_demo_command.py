@@ -1,5 +1,5 @@
 """``probevo demo``: what it writes and prints, that it renders only once, and that its two scenes
-differ."""
+are different."""
 
 import io
 import re
@@ -27,7 +27,7 @@ def put_a_wall(_: SceneConfig, folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a demo on two recordings of a wall; what it printed is in "printed.txt" beside it."""
+    """Folder of a demo on two recordings of a wall; its output is in "printed.txt" beside it."""
     out = tmp_path_factory.mktemp("demo") / "out"
     printed = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(printed):
@@ -70,9 +70,9 @@ def test_a_second_demo_renders_nothing(
     monkeypatch.setattr(
         "probevo.cli.train.train_with_progress", lambda _, __, out: save_model(StudentT(), out)
     )
-    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
     demo.demo(SCENES, tmp_path)
-    assert "The first time of all, this takes a minute" in capsys.readouterr().out
+    assert "The first time takes a minute" in capsys.readouterr().out
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")}
     assert written
     demo.demo(SCENES, tmp_path)
@@ -82,7 +82,7 @@ def test_a_second_demo_renders_nothing(
     } == written
 
 
-def test_training_and_test_share_their_troubles_but_not_their_streets() -> None:
+def test_training_and_test_have_the_same_effects_but_other_streets() -> None:
     assert demo.TRAINING.effects == demo.TEST.effects
     assert demo.TRAINING.seed != demo.TEST.seed
     assert min(demo.TRAINING.distance_m or 0, demo.TEST.distance_m or 0) >= 100

@@ -67,46 +67,63 @@ def test_tum_poses_are_matched_by_time(
     assert metrics["armse_m"] < 1e-3
 
 
-def test_mistakes_exit_with_2(
-    wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture(scope="module")
+def bad_poses(wall_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of pose files with mistakes, for a run of eight frames."""
+    folder = tmp_path_factory.mktemp("poses")
     stamps_ns, T_world_cam = read_tum(wall_run / "trajectory.tum")
-    write_kitti_poses(tmp_path / "short.txt", true_poses(5))
-    write_tum(tmp_path / "late.tum", stamps_ns + 10**12, T_world_cam)
-    write_tum(tmp_path / "long.tum", np.arange(20) * 10**8, true_poses(20))
-    write_kitti_poses(
-        tmp_path / "unknown.txt", np.where(np.arange(8)[:, None, None] > 0, np.nan, true_poses(8))
-    )
-    (tmp_path / "text.txt").write_text("three words here\n")
-    (tmp_path / "data.csv").write_text(
-        "#time(ns),px,py,pz,qw,qx,qy,qz\n1403715273262142976,0,0,0,1,0,0,0\n"
-    )
-    (tmp_path / "far.txt").write_text("1 0 0 1e300 0 1 0 0 0 0 1 0\n" * 8)
-    (tmp_path / "empty").mkdir()
-    kitti = wall_run / "trajectory.kitti.txt"
-    for run, gt, fragments in [
-        (wall_run, "short.txt", ["short.txt: 5 poses for the 8 frames", "motions.npz"]),
-        (wall_run, "late.tum", ["late.tum: 0 of 8 frames have a true pose", "same clock"]),
-        (wall_run, "unknown.txt", ["unknown.txt: 1 of 8 frames have a true pose; it takes two"]),
-        (tmp_path / "unknown.txt", "short.txt", ["unknown.txt: pose 1 (from 0) is not known"]),
-        (kitti, "long.tum", ["long.tum: 20 poses for the 8 frames", "trajectory.tum"]),
+    known_once = np.where(np.arange(8)[:, None, None] > 0, np.nan, true_poses(8))
+    csv_lines = "#time(ns),px,py,pz,qw,qx,qy,qz\n1403715273262142976,0,0,0,1,0,0,0\n"
+    write_kitti_poses(folder / "short.txt", true_poses(5))
+    write_tum(folder / "late.tum", stamps_ns + 10**12, T_world_cam)
+    write_tum(folder / "long.tum", np.arange(20) * 10**8, true_poses(20))
+    write_kitti_poses(folder / "unknown.txt", known_once)
+    (folder / "text.txt").write_text("three words here\n")
+    (folder / "data.csv").write_text(csv_lines)
+    (folder / "far.txt").write_text("1 0 0 1e300 0 1 0 0 0 0 1 0\n" * 8)
+    (folder / "empty").mkdir()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("run", "gt", "fragments"),
+    [
+        ("RUN", "short.txt", ["short.txt: 5 poses for the 8 frames", "motions.npz"]),
+        ("RUN", "late.tum", ["late.tum: 0 of 8 frames have a true pose", "same clock"]),
+        ("RUN", "unknown.txt", ["unknown.txt: 1 of 8 frames have a true pose; two are needed"]),
+        ("BAD/unknown.txt", "short.txt", ["unknown.txt: pose 1 (from 0) is not known"]),
         (
-            wall_run,
-            "text.txt",
-            ["text.txt:1: this line has 3 columns", "12 columns in KITTI's form"],
+            "RUN/trajectory.kitti.txt",
+            "long.tum",
+            ["long.tum: 20 poses for the 8 frames", "trajectory.tum"],
         ),
-        (wall_run, "data.csv", ["data.csv:2: ", "commas", "EuRoC's own truth is of the body"]),
-        (wall_run, "far.txt", ["far.txt: the position of pose 0 (from 0) is over 1e+09 m away"]),
-        (wall_run, "none.txt", ["none.txt: this file is missing"]),
-        (tmp_path / "empty", "short.txt", ["empty/motions.npz: this file is missing"]),
-    ]:
-        assert eval_exit(run, "--gt", tmp_path / gt) == 2
-        shown = capsys.readouterr().err
-        for fragment in fragments:
-            assert fragment in shown
+        (
+            "RUN",
+            "text.txt",
+            ["text.txt:1: this line has 3 columns", "12 columns in the KITTI format"],
+        ),
+        ("RUN", "data.csv", ["data.csv:2: ", "commas", "EuRoC's own truth is of the body"]),
+        ("RUN", "far.txt", ["far.txt: the position of pose 0 (from 0) is over 1e+09 m away"]),
+        ("RUN", "none.txt", ["none.txt: this file is missing"]),
+        ("BAD/empty", "short.txt", ["empty/motions.npz: this file is missing"]),
+    ],
+)
+def test_mistakes_exit_with_2(
+    run: str,
+    gt: str,
+    fragments: list[str],
+    wall_run: Path,
+    bad_poses: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = run.replace("RUN", str(wall_run)).replace("BAD", str(bad_poses))
+    assert eval_exit(run, "--gt", bad_poses / gt) == 2
+    shown = capsys.readouterr().err
+    for fragment in fragments:
+        assert fragment in shown
 
 
-def test_an_unknown_form_is_answered_with_those_there_are(
+def test_an_unknown_format_is_refused_with_the_known_ones(
     wall_run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as caught:

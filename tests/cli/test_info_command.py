@@ -1,4 +1,4 @@
-"""``probevo info``: what it says of recordings, and which lines it marks."""
+"""``probevo info``: what it says about recordings, and which lines it marks as warnings."""
 
 import shutil
 from pathlib import Path
@@ -25,7 +25,7 @@ def info(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
     return rows
 
 
-def test_a_sane_recording(wall: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_good_recording(wall: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = info(wall, capsys)
     assert rows["format"] == "folder"
     assert rows["frames"] == "8 in 0.7 s (10.00 Hz)"
@@ -48,10 +48,10 @@ def test_imu_rate_and_coverage(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_a_tracks_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = info(write_tracks(tmp_path), capsys)
     assert rows["format"] == "tracks"
-    assert "6 tracks a frame" in rows["matches"]
+    assert "6 tracks per frame" in rows["matches"]
 
 
-def test_what_is_odd_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_unusual_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     swapped = write_wall(tmp_path / "swapped", 4, swapped=True)
     assert "swapped?" in info(swapped, capsys)["! matches"]
     replace("times.txt", "1000000000300000000", "1000000000900000000")(swapped)
@@ -73,7 +73,8 @@ def test_a_calibration_of_another_resolution_is_marked(
         replace("calib.yaml", old, new)(recording)
     rows = info(recording, capsys)
     assert (
-        rows["! center"] == "(80, 40) is the middle of 160×80 px. Calibrated at another resolution?"
+        rows["! center"] == "(80, 40) is the centre of an image of 160×80 px."
+        " Was the camera calibrated at another resolution?"
     )
     assert rows["! focal length"].startswith("fu is 200.0 px, fv 100.0 px")
 
@@ -103,21 +104,19 @@ def test_features_get_questions_of_their_own(
     assert info(same, capsys)["! disparity"].endswith("Are columns 0 and 2 of uv the same?")
 
 
-def test_the_same_picture_twice_is_marked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_same_image_twice_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = write_wall(tmp_path / "wall", 4)
     shutil.rmtree(recording / "right")
     shutil.copytree(recording / "left", recording / "right")
     assert "left and right are identical" in info(recording, capsys)["! images"]
     rng = np.random.default_rng(0)
     for path in (recording / "right").iterdir():  # and where noise makes them differ
-        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(float)
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(float)
         cv2.imwrite(
             str(path),
-            np.clip(picture + rng.normal(0.0, 1.0, picture.shape), 0, 255).astype(np.uint8),
+            np.clip(image + rng.normal(0.0, 1.0, image.shape), 0, 255).astype(np.uint8),
         )
-    assert "the same picture?" in info(recording, capsys)["! disparity"]
+    assert "the same image?" in info(recording, capsys)["! disparity"]
 
 
 def test_a_damaged_image_does_not_hide_the_calibration(

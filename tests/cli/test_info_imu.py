@@ -1,23 +1,23 @@
-"""``probevo info`` on an IMU: the usual mistakes are named, and a good one is left in peace."""
+"""``probevo info`` on an IMU: the usual mistakes are named, and a good IMU raises no warning."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from probevo.cli.info_imu import Turns, imu_doubt
-from probevo.geometry import so3
-from probevo.sequences.frame import ImuCalibration
+from probevo.cli.info_imu import ImageRotations, imu_warning
+from probevo.geometry import se3, so3
 from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu_calibration import ImuCalibration
 
-CALIBRATION = ImuCalibration(so3.exp(np.array([0.3, -1.2, 0.5])), 1e-3, 0.02)
+CALIBRATION = ImuCalibration(se3.exp(np.array([0.1, 0.2, -0.3, 0.3, -1.2, 0.5])), 1e-3, 0.02)
 BIAS_RAD_S = np.array([0.02, -0.03, 0.01])
-LATER = 30_000_000
+LATER_NS = 30_000_000
 SLOW = 0.02
-"""As little as a car turns on a straight road."""
+"""The share of rotation of a car on a straight road."""
 
 
-def drive(size: float = 1.0) -> tuple[Turns, ImuStream]:
+def drive(size: float = 1.0) -> tuple[ImageRotations, ImuStream]:
     """Six seconds of a camera that is swung about two axes, and its gyro at 200 Hz, with a bias."""
     stamps_ns = np.arange(0, 6_200_000_000, 5_000_000)
     time_s = 1e-9 * stamps_ns
@@ -31,23 +31,23 @@ def drive(size: float = 1.0) -> tuple[Turns, ImuStream]:
     )
     between_ns = np.column_stack([frames_ns[:-1], frames_ns[1:]])
     unbiased = replace(stream, gyro_rad_s=stream.gyro_rad_s - BIAS_RAD_S)
-    nothing = Turns(between_ns, np.zeros((len(between_ns), 3)))
-    return Turns(
-        between_ns, nothing.felt(unbiased, replace(CALIBRATION, gyro_bias_sigma_rad_s=0.0), 0.0)
+    nothing = ImageRotations(between_ns, np.zeros((len(between_ns), 3)))
+    return ImageRotations(
+        between_ns, nothing.by_gyro(unbiased, replace(CALIBRATION, gyro_bias_sigma_rad_s=0.0))
     ), stream
 
 
-def test_a_gyro_that_turns_as_the_pictures_do_is_left_in_peace() -> None:
-    assert imu_doubt(*drive(), CALIBRATION) == ""
+def test_a_gyro_that_agrees_with_the_images_raises_no_warning() -> None:
+    assert imu_warning(*drive(), CALIBRATION) == ""
 
 
 @pytest.mark.parametrize(
     ("scale", "later_ns", "C_cam_imu", "fragment"),
     [
-        (np.rad2deg(1.0), 0, CALIBRATION.C_cam_imu, "Is it in degrees a second?"),
-        (1.0, 10 * LATER, CALIBRATION.C_cam_imu, ""),
-        (1.0, 5 * LATER, CALIBRATION.C_cam_imu, "if its stamps were -150 ms later"),
-        (-1.0, 0, CALIBRATION.C_cam_imu, "it turns the other way"),
+        (np.rad2deg(1.0), 0, CALIBRATION.C_cam_imu, "Is the gyro in degrees per second?"),
+        (1.0, 10 * LATER_NS, CALIBRATION.C_cam_imu, ""),
+        (1.0, 5 * LATER_NS, CALIBRATION.C_cam_imu, "if its stamps were -150 ms later"),
+        (-1.0, 0, CALIBRATION.C_cam_imu, "they are opposite"),
         (1.0, 0, CALIBRATION.C_cam_imu.T, "is its rotation to the camera right"),
         (1.0, 0, so3.exp(np.array([0.01, 0.01, 0.01])) @ CALIBRATION.C_cam_imu, None),
     ],
@@ -56,23 +56,25 @@ def test_a_gyro_that_turns_as_the_pictures_do_is_left_in_peace() -> None:
 def test_mistakes_are_named(
     scale: float, later_ns: int, C_cam_imu: np.ndarray, fragment: str | None
 ) -> None:
-    """All that is wrong is said, if not always why; a degree is not, which the odometry does not
-    mind either."""
-    turns, stream = drive()
+    """Every mistake raises a warning, if not always with its cause; a misalignment of a degree does
+    not, and does not disturb the odometry either."""
+    images, stream = drive()
     wrong = replace(
         stream, gyro_rad_s=scale * stream.gyro_rad_s, stamps_ns=stream.stamps_ns + later_ns
     )
-    doubt = imu_doubt(turns, wrong, replace(CALIBRATION, C_cam_imu=C_cam_imu))
-    assert (
-        (doubt == "")
-        if fragment is None
-        else ("its turns and those of the pictures differ by" in doubt)
+    warning = imu_warning(
+        images, wrong, replace(CALIBRATION, T_cam_imu=se3.from_parts(C_cam_imu, np.zeros(3)))
     )
-    assert (fragment or "") in doubt
+    assert (
+        (warning == "")
+        if fragment is None
+        else ("its rotations differ from those of the images by" in warning)
+    )
+    assert (fragment or "") in warning
 
 
-def test_without_turns_nothing_can_be_told() -> None:
-    turns, stream = drive(SLOW)
-    assert imu_doubt(turns, replace(stream, gyro_rad_s=-stream.gyro_rad_s), CALIBRATION) == ""
-    few = Turns(turns.between_ns[:5], turns.seen_rad[:5])
-    assert imu_doubt(few, stream, CALIBRATION) == ""
+def test_with_little_rotation_or_few_steps_there_is_no_warning() -> None:
+    images, stream = drive(SLOW)
+    assert imu_warning(images, replace(stream, gyro_rad_s=-stream.gyro_rad_s), CALIBRATION) == ""
+    few = ImageRotations(images.between_ns[:5], images.rotation_rad[:5])
+    assert imu_warning(few, stream, CALIBRATION) == ""

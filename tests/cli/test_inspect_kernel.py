@@ -17,7 +17,7 @@ from probevo.noise.student_t import StudentT
 
 @pytest.fixture(scope="module")
 def kernel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of three columns, two of which are used; it knows the left part of the wall's images alone."""
+    """A kernel of three columns, two of them used, trained on the left part of the wall."""
     rng = np.random.default_rng(0)
     phi = np.column_stack(
         [rng.uniform(-0.9, 0.5, 2000), rng.uniform(-0.5, 0.5, 2000), rng.normal(3.0, 0.5, 2000)]

@@ -37,7 +37,7 @@ def test_help_of_a_command_needs_neither_scipy_nor_opencv(command: str) -> None:
 
 
 @pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("4", "4")])
-def test_blas_gets_one_thread_unless_told_otherwise(
+def test_blas_gets_one_thread_unless_set_otherwise(
     given: str | None, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []
@@ -97,17 +97,17 @@ def test_without_a_command_the_help_is_shown(capsys: pytest.CaptureFixture[str])
     assert "probevo run SEQUENCE" in capsys.readouterr().err
 
 
-def test_ctrl_c_gives_130_and_tells_what_is_left(
+def test_ctrl_c_gives_130_and_says_where_the_results_are(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(words: list[str]) -> int:
         stop = KeyboardInterrupt()
-        stop.add_note("What was computed before, 7 frames, lies in out.")
+        stop.add_note("The results of the first 7 frames are in out.")
         raise stop
 
     monkeypatch.setattr(cli, "_dispatch", interrupted)
     assert cli.main(["run"]) == 130
     assert (
         capsys.readouterr().err
-        == "probevo: stopped.\n         What was computed before, 7 frames, lies in out.\n"
+        == "probevo: stopped.\n         The results of the first 7 frames are in out.\n"
     )

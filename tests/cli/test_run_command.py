@@ -1,4 +1,4 @@
-"""``probevo run``: its files, that they agree with each other, and what is left when it is stopped."""
+"""``probevo run``: its files, that they agree with each other, and those of an interrupted run."""
 
 import json
 import shutil
@@ -14,7 +14,6 @@ from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.evaluation.metrics import evaluate
 from probevo.noise import NearestNeighbors, StudentT
-from probevo.noise.classical import CLASSICAL
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.output.motions_file import read_motions
@@ -56,7 +55,7 @@ def test_all_files_are_there_and_agree(wall: Path, wall_run: Path) -> None:
 
 
 def test_the_motion_is_right(wall_run: Path) -> None:
-    """A wall seen from 8 m with disparities of 6 px: a few percent of the path."""
+    """The error is a few percent of the path: the wall is 8 m away, and disparities are 6 px."""
     metrics = json.loads((wall_run / "metrics.json").read_text())
     assert metrics["final_error_m"] < 0.05 * metrics["path_length_m"]
 
@@ -105,7 +104,7 @@ def test_a_damaged_image_leaves_what_came_before(
     assert main(["run", str(recording), "--out", str(out)]) == 2
     shown = capsys.readouterr().err
     assert "right/000005.png: this image is damaged" in shown
-    assert f"What was computed before, 5 frames, lies in {out}." in shown
+    assert f"The results of the first 5 frames are in {out}." in shown
     assert {path.name for path in out.iterdir()} == FILES
     before = read_motions(out / "motions.npz")
     whole = read_motions(wall_run / "motions.npz")
@@ -144,7 +143,7 @@ def test_ctrl_c_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
     steps: list[None] = []
     with pytest.raises(KeyboardInterrupt) as caught:
         run_sequence(open_sequence(wall), RunConfig(), tmp_path, on_step=press_ctrl_c)
-    assert caught.value.__notes__ == [f"What was computed before, 4 frames, lies in {tmp_path}."]
+    assert caught.value.__notes__ == [f"The results of the first 4 frames are in {tmp_path}."]
     assert "After 4 frames: stopped by Ctrl-C." in (tmp_path / "report.html").read_text()
     assert {path.name for path in tmp_path.iterdir()} == FILES
 
@@ -177,7 +176,7 @@ def test_features_unlike_the_training_are_counted_and_warned_of(
     capsys: pytest.CaptureFixture[str],
     truth: bool,
 ) -> None:
-    monkeypatch.setitem(CLASSICAL, "student-t", Homesick)
+    monkeypatch.setattr("probevo.noise.named.untrained_model", lambda name: Homesick())
     recording = shutil.copytree(wall, tmp_path / "wall")
     out = tmp_path / "out"
     if not truth:
@@ -231,7 +230,7 @@ def unchanged(out: Path, wall_run: Path) -> bool:
 def test_where_the_model_is_refused_older_results_stay(
     wall: Path, wall_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It needs an accelerometer, which there is none of."""
+    """The model needs an accelerometer, and the recording has none."""
     out = shutil.copytree(wall_run, tmp_path / "out")
     phi = np.random.default_rng(0).normal(size=(50, 2))
     model = NearestNeighbors(5).fit(
@@ -248,7 +247,7 @@ def test_where_the_model_is_refused_older_results_stay(
     assert unchanged(out, wall_run)
 
 
-def test_settings_that_do_not_go_together_are_named_alone(
+def test_settings_that_contradict_each_other_are_named(
     wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flags = ["--gyro.prior", "--solver.method", "alignment"]
@@ -307,7 +306,7 @@ def test_a_single_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out.startswith("1 frame, and so no motion\nresults: ")
 
 
-def test_absurd_truth_is_refused(
+def test_truth_out_of_bounds_is_refused(
     wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recording = shutil.copytree(wall, tmp_path / "wall")
@@ -320,7 +319,7 @@ def test_absurd_truth_is_refused(
 def test_frames_without_texture_or_features_end_well_but_are_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Random pictures have no tracks, and a tracks file no pictures."""
+    """Random images have no tracks, and a tracks file has no images."""
     noise = write_folder_sequence(tmp_path / "noise")
     tracks = write_tracks(tmp_path)
     for path in (noise, tracks):

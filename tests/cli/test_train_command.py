@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from training.supervised_drives import point_world
 
 from probevo.cli import train as command
 from probevo.cli.main import main
+from probevo.cli.train_summary import summary
 from probevo.noise import NearestNeighbors
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import load_model, save_model
 from probevo.output.motions_file import read_motions
 from probevo_sim.point_world import write_points
 from sequences.recordings import write_tracks
+from training.supervised_drives import point_world
 
 FLAGS = ["--predictors", "place", "row_offset", "--iterations", "4", "--subset", "6"]
 
@@ -38,7 +39,7 @@ def model(tracks: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_simulate_train_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The whole way with the command line alone."""
+    """The whole way, on the command line only."""
     world = tmp_path / "world"
     out = tmp_path / "m.safetensors"
     words = [
@@ -96,10 +97,13 @@ def test_more_processes_give_the_same_model(tracks: Path, model: Path, tmp_path:
     ("words", "message"),
     [
         (["--jobs", "-1"], "--jobs: is -1."),
-        (["--jobs", "2", "--cluster", "tcp://127.0.0.1:9"], "--jobs: means nothing with --cluster"),
+        (
+            ["--jobs", "2", "--cluster", "tcp://127.0.0.1:9"],
+            "--jobs: has no meaning with --cluster",
+        ),
     ],
 )
-def test_workers_that_there_cannot_be_are_refused(
+def test_impossible_workers_are_refused(
     tracks: Path, tmp_path: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["train", str(tracks), "--out", str(tmp_path / "m.safetensors"), *words]) == 2
@@ -139,7 +143,7 @@ def test_the_same_words_give_the_same_bytes(tracks: Path, model: Path, tmp_path:
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_a_terminal_shows_how_far_it_is(
+def test_a_terminal_shows_the_progress(
     tracks: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -160,7 +164,7 @@ def test_ctrl_c_exits_with_130(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command, "train_with_progress", interrupted)
@@ -330,7 +334,7 @@ def test_where_gamma_is_0_it_is_said_what_that_means(supervision: str, hint: boo
     model = NearestNeighbors(5, 0.0, training=training).fit(
         phi, np.ones(50), metric=Metric.fitted(phi, ("age",))
     )
-    lines = command.summary(model, Path("m.safetensors"))
+    lines = summary(model, Path("m.safetensors"))
     meaning = (
         "γ is 0: nothing shows that any feature is better than another; the model is the static"
         " one."

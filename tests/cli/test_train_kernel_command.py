@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from training.supervised_drives import point_world
 
 from probevo.cli.main import main
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
@@ -18,6 +17,7 @@ from probevo.training.api import train_model
 from probevo.training.settings import KernelSettings, TrainSettings
 from probevo_sim.point_world import write_points
 from sequences.recordings import write_tracks
+from training.supervised_drives import point_world
 
 GK = ["--kind", "gk", "--predictors", "place", "--gk.turns", "2"]
 FRAMES = 16
@@ -272,9 +272,9 @@ def test_the_model_of_another_camera_is_named(
 def test_trained_models_side_by_side(
     tracks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file that is called like a classical model is told apart from it. Reports of the runs are
+    """A file with the name of a classical model is distinguished from it. Reports of the runs are
     left out."""
-    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
     static = tmp_path / "city" / "student-t.safetensors"
     kernel = tmp_path / "city" / "gk.safetensors"
     assert main(["train", str(tracks), "--out", str(static), "--kind", "student-t"]) == 0

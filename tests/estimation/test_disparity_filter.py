@@ -22,7 +22,7 @@ from worlds import CAMERA
 
 STEP = se3.exp(np.array([0.02, 0.01, -0.8, 0.002, 0.008, -0.001]))
 SCALE = np.diag([0.04, 0.04, 0.05, 0.05])
-NOISE = StudentT(np.inf, SCALE, time_correlation=3.0)
+NOISE = StudentT(np.inf, SCALE, time_correlation_ratio=3.0)
 SLIP_PX = 0.07
 
 
@@ -86,13 +86,13 @@ def test_true_disparities_are_carried_along_with_the_motion() -> None:
 def test_knowing_what_the_observation_says_anyway_changes_nothing() -> None:
     """Where u and v are independent of the disparity, as they are for what is known beside it."""
     scale = np.diag([1e-9, 0.04, 0.05, 0.05])
-    model = StudentT(5.0, scale, time_correlation=2.0)
+    model = StudentT(5.0, scale, time_correlation_ratio=2.0)
     rng = np.random.default_rng(1)
     before, now = (px + rng.normal(scale=0.2, size=px.shape) for px in views(points_m(rng, 40), 1))
     noise = model.predict(np.zeros((40, 0)))
     alone = solve_reprojection(before, now, noise, guess=STEP, camera=CAMERA)
     variance = scale[0, 0] + scale[2, 2]
-    tau = noise.time_correlation
+    tau = noise.time_correlated
     assert tau is not None
     cov = np.array([[variance, 0.0], [0.0, 0.0]]) + tau[:, None, None] * np.array(
         [[1.0, -1.0], [-1.0, 1.0]]
@@ -111,7 +111,7 @@ def test_it_is_the_posterior_of_the_joint_gaussian() -> None:
     only u_r contributes.
     """
     scale = np.diag([1e-8, 1e-8, 0.05, 1e-8])
-    model = StudentT(np.inf, scale, time_correlation=3.0)
+    model = StudentT(np.inf, scale, time_correlation_ratio=3.0)
     tau = 9.0 * (scale[0, 0] + scale[2, 2])
     rng = np.random.default_rng(2)
     point = np.array([[1.5, -0.5, 9.0]])
@@ -151,7 +151,7 @@ TAU_PX = 1.0
 SLIPPING = StudentT(
     np.inf,
     0.5 * SLIP_PX**2 * np.tile(np.eye(2), (2, 2)) + np.diag([1e-6, 1e-6, 0.02, 0.01]),
-    time_correlation=TAU_PX / np.sqrt(0.02),
+    time_correlation_ratio=TAU_PX / np.sqrt(0.02),
 )
 
 

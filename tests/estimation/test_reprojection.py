@@ -290,7 +290,9 @@ def test_an_error_that_lasts_makes_a_motion_overconfident_unless_it_is_told(
     nees = {}
     for told_px in (lasting_px, 0.0):
         solutions = [
-            solve(one, StudentT(1e6, scale, time_correlation=told_px / (0.1 * math.sqrt(2.0))))
+            solve(
+                one, StudentT(1e6, scale, time_correlation_ratio=told_px / (0.1 * math.sqrt(2.0)))
+            )
             for one in seen
         ]
         nees[told_px] = np.mean(

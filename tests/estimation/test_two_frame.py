@@ -292,7 +292,7 @@ def test_the_covariance_of_an_alignment_is_honest_under_heavy_tails() -> None:
         tracks = disturbed(
             rng, seen_twice(rng, 100, depth_m=NEAR_M), 0.17 / np.sqrt(rng.chisquare(2.5, 100) / 2.5)
         )
-        visual = look(tracks, config=config, noise=StudentT(time_correlation=0.0))
+        visual = look(tracks, config=config, noise=StudentT(time_correlation_ratio=0.0))
         assert visual.solution is not None
         errors.append(
             float(

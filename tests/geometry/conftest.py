@@ -23,5 +23,5 @@ def rotation_vectors() -> FloatArray:
 
 @pytest.fixture(scope="session")
 def twists(rotation_vectors: FloatArray) -> FloatArray:
-    """1,000 tangent vectors of SE(3), [1000, 6]: those rotations with translations of some metres."""
+    """1,000 tangent vectors of SE(3), [1000, 6]: those rotations, and translations of metres."""
     return np.hstack([np.random.default_rng(1).normal(scale=5.0, size=(1000, 3)), rotation_vectors])

@@ -10,13 +10,15 @@ import pytest
 from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
-from probevo.geometry import so3
+from probevo.geometry import se3, so3
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
-from probevo.sequences.frame import ImuCalibration, ImuSamples
+from probevo.sequences.frame import ImuSamples
 from probevo.sequences.imu import hold_over_interval
+from probevo.sequences.imu_calibration import ImuCalibration
 
 C_CAM_IMU = so3.exp(np.array([0.3, -1.7, 0.9]))
-CALIBRATION = ImuCalibration(C_CAM_IMU, 2e-3, 0.02, gyro_bias_walk_rad_s2_sqrt_hz=1e-3)
+T_CAM_IMU = se3.from_parts(C_CAM_IMU, np.array([0.2, -0.1, 0.3]))
+CALIBRATION = ImuCalibration(T_CAM_IMU, 2e-3, 0.02, gyro_bias_walk_rad_s2_sqrt_hz=1e-3)
 START_NS = 1_700_000_000_013_000_000
 END_NS = 1_700_000_000_113_000_000
 
@@ -47,7 +49,7 @@ def test_constant_rate_has_the_closed_form() -> None:
 
 def test_points_move_against_the_turn() -> None:
     """A camera yawing to its right (about +y, down) sees a point that was ahead move to its left."""
-    calibration = ImuCalibration(np.eye(3), 0.0, 0.0)
+    calibration = ImuCalibration(np.eye(4), 0.0, 0.0)
     gyro = integrate_gyro(
         samples(steady(np.array([0.0, 1.0, 0.0]))), START_NS, END_NS, calibration=calibration
     )
@@ -159,7 +161,7 @@ def test_covariance_is_that_of_white_noise() -> None:
     rng = np.random.default_rng(0)
     density = 0.05
     period_ns = 1_000_000
-    calibration = ImuCalibration(C_CAM_IMU, density, 0.0)
+    calibration = ImuCalibration(T_CAM_IMU, density, 0.0)
     clean = samples(lambda t: coning(t)[1], period_ns)
     gyro = integrate_gyro(clean, START_NS, END_NS, calibration=calibration)
     draws = []

@@ -81,7 +81,7 @@ def test_a_constant_column_counts_for_nothing(data: FloatArray, value: float) ->
 
 
 @pytest.mark.parametrize("value", [1e9, -1e300])
-def test_what_is_absurdly_far_lies_at_the_edge(data: FloatArray, value: float) -> None:
+def test_values_far_out_are_clipped(data: FloatArray, value: float) -> None:
     """Its square would overflow in single precision."""
     metric = Metric.fitted(data, COLUMNS)
     place = metric.coordinates(np.array([[value, -20.0, 1e6]]))

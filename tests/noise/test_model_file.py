@@ -1,4 +1,4 @@
-"""The file of a learned noise model: what goes in comes out, and damage is always noticed."""
+"""The file of a learned noise model: what is written is read, and damage is always detected."""
 
 import json
 import os

@@ -1,7 +1,5 @@
-"""Learned models to and from files. Compiled code reads the arrays, so none that does not fit may
-come through."""
+"""Learned models to and from files; what is particular to the files of nearest neighbours."""
 
-import copy
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -133,70 +131,6 @@ def with_value(value: float) -> Change:
     return change
 
 
-SHAPES: dict[str, Change] = {
-    "the last is missing": lambda array: array[..., :-1],
-    "the first row is missing": lambda array: array[1:],
-    "one more": lambda array: np.concatenate([array, array[..., -1:]], axis=-1),
-    "twice as many rows": lambda array: np.concatenate([array, array]),
-    "one more axis": lambda array: array[..., None],
-    "one more axis in front": lambda array: array[None],
-    "transposed and longer": lambda array: np.concatenate([array.T, array.T]),
-    "a single number": lambda array: array.reshape(-1)[0],
-    "nothing": lambda array: array[:0],
-    "nothing in two dimensions": lambda array: np.zeros((0, 0), array.dtype),
-}
-
-
-@pytest.mark.parametrize("name", ARRAYS)
-@pytest.mark.parametrize("change", SHAPES.values(), ids=SHAPES.keys())
-def test_an_array_of_another_shape_is_refused(path: Path, name: str, change: Change) -> None:
-    file = trained().to_file()
-    refuse(
-        path,
-        ModelFile(
-            file.kind,
-            {**file.arrays, name: np.asarray(change(np.asarray(file.arrays[name])))},
-            file.facts,
-        ),
-    )
-
-
-@pytest.mark.parametrize("name", ARRAYS)
-def test_a_missing_array_is_refused(path: Path, name: str) -> None:
-    file = trained().to_file()
-    refuse(
-        path, ModelFile(file.kind, {n: a for n, a in file.arrays.items() if n != name}, file.facts)
-    )
-
-
-@pytest.mark.parametrize("name", ARRAYS)
-@pytest.mark.parametrize("dtype", ["float32", "float64", "int64", "int32", "uint8", "bool"])
-def test_an_array_of_another_type_is_refused_or_does_no_harm(
-    path: Path, name: str, dtype: str
-) -> None:
-    """A mean in single precision will do; cells that begin at 3.7, or wrap around at 255, will not."""
-    file = trained().to_file()
-    queries = places(20, seed=3)
-    as_it_was = np.asarray(file.arrays[name])
-    write_model_file(
-        path, ModelFile(file.kind, {**file.arrays, name: as_it_was.astype(dtype)}, file.facts)
-    )
-    try:
-        model = load_model(path)
-    except InputError:
-        assert as_it_was.dtype != dtype
-    else:
-        assert np.isfinite(model.predict(queries).scale).all()
-
-
-@pytest.mark.parametrize("name", ["centers", "samples", "values", "mean", "spread", "weight"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_an_array_that_is_not_finite_is_refused(path: Path, name: str, value: float) -> None:
-    file = trained().to_file()
-    changed = with_value(value)(np.asarray(file.arrays[name]))
-    refuse(path, ModelFile(file.kind, {**file.arrays, name: changed}, file.facts))
-
-
 def test_an_alpha_that_is_not_positive_is_refused(path: Path) -> None:
     """Where α itself is stored, and not its logarithm."""
     file = trained(average="arithmetic").to_file()
@@ -247,69 +181,6 @@ def test_cells_out_of_order_are_refused(path: Path) -> None:
     refuse(path, ModelFile(file.kind, {**file.arrays, "first_of_cell": first}, file.facts))
 
 
-FACTS: dict[str, list[Any]] = {
-    "columns": [
-        None,
-        "abc",
-        ["place", "blur"],
-        [1, 2, 3],
-        ["a", "a", "b"],
-        {"a": 1, "b": 2, "c": 3},
-    ],
-    "may_be_undefined": [None, "abc", [True], ["a", "b", "c"], [[], [], []], 7],
-    "neighbors": ["20", 2.5, None, True, 0, -1, COUNT + 1, 10**30, [20], {}],
-    "exponent": ["4", None, [4.0], True, -1.0, {}],
-    "average": ["median", None, 3, ""],
-    "log_mean_alpha": ["0", None, [0.0], True],
-    "base": [None, "fixed", {}, {"name": "cauchy"}, {"name": None}, {"name": []}, []],
-    "camera": [
-        "KITTI",
-        [],
-        {},
-        7,
-        {"fu_px": "700"},
-        {"fu_px": None},
-        {"fu_px": -700.0},
-        {"fu_px": [700.0]},
-        {"baseline_m": 0.0},
-        {"size_px": [1226]},
-        {"size_px": ["a", "b"]},
-        {"size_px": [1226, 370, 3]},
-        {"size_px": 5},
-        {"name": "left"},
-    ],
-    "training": [None, "06", 3, []],
-}
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [(key, value) for key, values in FACTS.items() for value in values]
-)
-def test_a_fact_of_another_type_is_refused(path: Path, key: str, value: Any) -> None:
-    """A camera's changes are those of its properties."""
-    file = trained().to_file()
-    facts = copy.deepcopy(dict(file.facts))
-    facts[key] = (
-        facts[key] | value if key == "camera" and isinstance(value, dict) and value else value
-    )
-    refuse(path, ModelFile(file.kind, file.arrays, facts))
-
-
-@pytest.mark.parametrize("key", FACTS)
-def test_a_missing_fact_is_refused(path: Path, key: str) -> None:
-    file = trained().to_file()
-    refuse(
-        path, ModelFile(file.kind, file.arrays, {k: v for k, v in file.facts.items() if k != key})
-    )
-
-
-def test_a_property_of_the_camera_may_not_be_missing(path: Path) -> None:
-    file = trained().to_file()
-    for name in ("fu_px", "fv_px", "cu_px", "cv_px", "baseline_m"):
-        camera = {key: value for key, value in file.facts["camera"].items() if key != name}
-        refuse(path, ModelFile(file.kind, file.arrays, {**file.facts, "camera": camera}))
-
-
 @pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999"])
 def test_an_exponent_that_is_no_number_is_refused(path: Path, text: str) -> None:
     """JSON has no such number, so this can be no file of ours."""
@@ -323,8 +194,3 @@ def test_an_exponent_that_is_no_number_is_refused(path: Path, text: str) -> None
     )
     with pytest.raises(InputError, match="damaged"):
         load_model(path)
-
-
-def test_facts_that_are_not_there_at_all_are_refused(path: Path) -> None:
-    refuse(path, ModelFile("knn", trained().to_file().arrays, {}))
-    refuse(path, ModelFile("knn", {}, trained().to_file().facts))

@@ -24,7 +24,7 @@ def loaded(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     return paths
 
 
-def test_names_give_the_classical_models() -> None:
+def test_names_give_the_untrained_models() -> None:
     assert isinstance(noise_model("fixed"), Fixed)
     assert isinstance(noise_model("student-t"), StudentT)
 
@@ -37,7 +37,7 @@ def test_anything_else_is_a_path(loaded: list[Path], tmp_path: Path) -> None:
     assert (model.dof, loaded) == (4.0, [path])
 
 
-def test_a_name_goes_before_a_file_of_that_name(
+def test_a_name_takes_precedence_over_a_file_of_that_name(
     loaded: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -1,6 +1,6 @@
 """The classical noise models, and the likelihood of residuals under the noise that they predict."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -58,11 +58,11 @@ def test_each_feature_has_its_own_dof() -> None:
     dof = np.array([3.0, np.inf, 5.0])
     mixed = random_noise(rng, dof)
     residuals = residuals_around(rng, mixed)
-    alone = [
+    separate = [
         StereoNoise(mixed.scale[[n]], dof[[n]], mixed.bias[[n]]).log_likelihood(residuals[[n]])[0]
         for n in range(3)
     ]
-    np.testing.assert_allclose(mixed.log_likelihood(residuals), alone, rtol=1e-14)
+    np.testing.assert_allclose(mixed.log_likelihood(residuals), separate, rtol=1e-14)
 
 
 def test_student_t_tends_to_the_normal() -> None:
@@ -82,6 +82,48 @@ def test_scaled_noise_keeps_all_but_its_scale() -> None:
     np.testing.assert_array_equal(scaled.scale, np.array([4.0, 0.25])[:, None, None] * noise.scale)
     for name in ("dof", "bias", "refers_to", "out_of_domain"):
         np.testing.assert_array_equal(getattr(scaled, name), getattr(noise, name))
+
+
+def observation_noise() -> StereoNoise:
+    """Of four features, with every field given and different for each."""
+    rng = np.random.default_rng(10)
+    noise = random_noise(rng, np.array([3.0, np.inf, 5.0, 7.0]))
+    return replace(
+        noise,
+        refers_to="observation",
+        out_of_domain=np.array([True, False, False, True]),
+        time_correlated=np.array([0.1, 0.2, 0.3, 0.4]),
+        prev_scale=random_noise(rng, noise.dof).scale,
+    )
+
+
+def test_a_subset_takes_the_rows_of_every_field() -> None:
+    noise = observation_noise()
+    chosen = np.array([2, 0])
+    subset = noise.subset(chosen)
+    assert subset.refers_to == noise.refers_to
+    for field in fields(StereoNoise):
+        if field.name != "refers_to":
+            expected = getattr(noise, field.name)[chosen]
+            np.testing.assert_array_equal(getattr(subset, field.name), expected)
+
+
+def test_a_subset_has_no_field_that_the_noise_has_not() -> None:
+    subset = random_noise(np.random.default_rng(11), np.full(3, 5.0)).subset(np.array([1]))
+    assert subset.out_of_domain is None
+    assert subset.time_correlated is None
+    assert subset.prev_scale is None
+
+
+def test_scaling_applies_to_both_observations_and_to_the_common_error() -> None:
+    noise = observation_noise()
+    factors = np.array([4.0, 0.25, 1.0, 2.0])
+    scaled = noise.scaled(factors)
+    assert noise.prev_scale is not None
+    assert noise.time_correlated is not None
+    np.testing.assert_array_equal(scaled.scale, factors[:, None, None] * noise.scale)
+    np.testing.assert_array_equal(scaled.prev_scale, factors[:, None, None] * noise.prev_scale)
+    np.testing.assert_array_equal(scaled.time_correlated, factors * noise.time_correlated)
 
 
 def test_no_features_have_no_likelihood() -> None:

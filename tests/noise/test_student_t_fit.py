@@ -1,9 +1,7 @@
 """The static Student-t, fitted: the full scale matrix and the dof of all errors, whatever their
 place; its file."""
 
-import copy
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -128,49 +126,3 @@ def refuse(path: Path, model: ModelFile) -> None:
 )
 def test_a_scale_that_is_no_covariance_is_refused(path: Path, scale: FloatArray) -> None:
     refuse(path, ModelFile("student-t", {"scale": scale}, fitted(50).to_file().facts))
-
-
-FACTS: dict[str, list[Any]] = {
-    "dof": [None, "5", "-inf", 0.0, -1.0, True, [5.0]],
-    "refers_to": [None, "", "motion", 3],
-    "camera": ["KITTI", [], {}, 7],
-    "training": [None, "06", 3, []],
-}
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [(key, value) for key, values in FACTS.items() for value in values]
-)
-def test_a_fact_of_another_type_is_refused(path: Path, key: str, value: Any) -> None:
-    file = fitted(50).to_file()
-    refuse(path, ModelFile(file.kind, file.arrays, copy.deepcopy(dict(file.facts)) | {key: value}))
-
-
-@pytest.mark.parametrize("key", FACTS)
-def test_a_missing_fact_is_refused(path: Path, key: str) -> None:
-    file = fitted(50).to_file()
-    refuse(
-        path, ModelFile(file.kind, file.arrays, {k: v for k, v in file.facts.items() if k != key})
-    )
-
-
-def test_a_missing_scale_is_refused(path: Path) -> None:
-    refuse(path, ModelFile("student-t", {}, fitted(50).to_file().facts))
-
-
-def test_another_camera_is_refused_and_the_untrained_takes_any() -> None:
-    other = type(CAMERA).centered(400.0, 0.5, (640, 480))
-    fitted(50).check_camera(CAMERA)
-    StudentT().check_camera(other)
-    with pytest.raises(
-        InputError, match="trained with another camera: this one's focal length is 400 px"
-    ):
-        fitted(50).check_camera(other)
-
-
-@pytest.mark.parametrize(
-    "bad", [np.zeros((0, 4)), np.full((5, 4), np.nan), np.full((5, 4), np.inf), np.zeros((5, 2))]
-)
-def test_errors_that_are_none_are_refused(bad: FloatArray) -> None:
-    with pytest.raises(InputError, match="residuals"):
-        StudentT().fit(np.zeros((len(bad), 0)), bad)

@@ -1,8 +1,6 @@
 """Student-t distributions fitted to samples of known ones: what went in comes out, and it is the
 likeliest."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.special import digamma
@@ -11,15 +9,15 @@ from scipy.stats import multivariate_t
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.noise import StereoNoise
-from probevo.noise.student_t_fit import (
-    LEAST_SIGMA_PX,
-    Neighborhoods,
-    StudentPrior,
-    Students,
-    fit_static,
-    fit_students,
+from probevo.noise.student_t_arrays import Neighborhoods, StudentPrior, StudentTs
+from probevo.noise.student_t_fit import fit_static, fit_student_ts
+from probevo.noise.student_t_numba import (
+    MAX_DOF,
+    MIN_DOF,
+    MIN_SIGMA_PX,
+    _dof_slope,
+    weighted_log_sum,
 )
-from probevo.noise.student_t_numba import LEAST_DOF, MOST_DOF, _dof_slope, log_sum
 
 SCALE = np.array(
     [[1.0, 0.1, 0.8, 0.0], [0.1, 0.5, 0.0, 0.2], [0.8, 0.0, 1.2, -0.1], [0.0, 0.2, -0.1, 0.3]]
@@ -42,12 +40,12 @@ def drawn(
 def fitted(
     errors: FloatArray,
     prior: StudentPrior = FREE,
-    spread: FloatArray | None = None,
+    error_cov: FloatArray | None = None,
     *,
     robust: bool = True,
-) -> Students:
-    near = Neighborhoods.all_of(len(errors))
-    return fit_students(errors, near, prior, spread=spread, iterations=200, robust=robust)
+) -> StudentTs:
+    near = Neighborhoods.of_all(len(errors))
+    return fit_student_ts(errors, near, prior, error_cov=error_cov, iterations=200, robust=robust)
 
 
 def distance(found: FloatArray, expected: FloatArray = SCALE) -> float:
@@ -82,7 +80,7 @@ def test_scale_dof_and_bias_come_out_as_they_went_in(dof: float) -> None:
     np.testing.assert_allclose(found.bias[0], BIAS, atol=0.02)
 
 
-def test_more_errors_tell_more() -> None:
+def test_more_errors_give_a_better_estimate() -> None:
     """Ten times as many, averaged over seeds, are three times as near."""
     few, many = (
         np.mean([distance(fitted(drawn(count, seed=seed)).scale[0]) for seed in range(20)])
@@ -162,10 +160,10 @@ def test_the_likelihood_is_level_at_the_fit() -> None:
 
 def test_every_iteration_makes_the_errors_likelier() -> None:
     errors = drawn(500, seed=4)
-    near = Neighborhoods.all_of(len(errors))
+    near = Neighborhoods.of_all(len(errors))
     likelihoods = []
     for iterations in range(1, 30):
-        found = fit_students(errors, near, FREE, iterations=iterations)
+        found = fit_student_ts(errors, near, FREE, iterations=iterations)
         likelihoods.append(
             mean_log_likelihood(errors, found.scale[0], float(found.dof[0]), found.bias[0])
         )
@@ -174,7 +172,7 @@ def test_every_iteration_makes_the_errors_likelier() -> None:
 
 
 def test_what_is_not_known_of_each_error_is_added_to_what_is_seen() -> None:
-    """Errors of which a part of covariance U, other for each, is hidden: with U as their spread,
+    """Errors of which a part of covariance U, other for each, is hidden: with U as their error_cov,
     the scale is whole."""
     rng = np.random.default_rng(5)
     whole = rng.multivariate_normal(np.zeros(4), SCALE, 40_000)
@@ -183,28 +181,28 @@ def test_what_is_not_known_of_each_error_is_added_to_what_is_seen() -> None:
     # left.
     noise = rng.multivariate_normal(np.zeros(4), SCALE, len(whole))
     seen = (1.0 - share)[:, None] * whole + np.sqrt(share * (1.0 - share))[:, None] * noise
-    spread = share[:, None, None] * SCALE
-    gaussian = replace(FREE, dof=MOST_DOF, dof_counts=np.inf, bias_counts=np.inf)
-    assert distance(fitted(seen, gaussian, spread).scale[0]) < 0.03
+    error_cov = share[:, None, None] * SCALE
+    gaussian = FREE._replace(dof=MAX_DOF, dof_counts=np.inf, bias_counts=np.inf)
+    assert distance(fitted(seen, gaussian, error_cov).scale[0]) < 0.03
     assert distance(fitted(seen, gaussian).scale[0]) > 0.3
 
 
-def test_no_spread_is_a_spread_of_zero() -> None:
+def test_no_error_cov_is_one_of_zero() -> None:
     errors = drawn(300, seed=6)
     one = fitted(errors)
-    other = fitted(errors, spread=np.zeros((300, 4, 4)))
+    other = fitted(errors, error_cov=np.zeros((300, 4, 4)))
     np.testing.assert_allclose(one.scale, other.scale, rtol=1e-12)
     np.testing.assert_allclose(one.dof, other.dof, rtol=1e-9)
 
 
-def test_every_entry_of_a_spread_is_in_its_place() -> None:
+def test_every_entry_of_an_error_cov_is_in_its_place() -> None:
     """Not robust, the scale is the mean of e eᵀ + U."""
     rng = np.random.default_rng(7)
     factor = rng.normal(size=(30, 4, 4))
     errors = rng.normal(size=(30, 4))
-    spread = factor @ factor.mT
-    expected = np.mean(errors[:, :, None] * errors[:, None, :] + spread, axis=0)
-    found = fitted(errors, replace(HELD, counts=1e-9), spread, robust=False)
+    error_cov = factor @ factor.mT
+    expected = np.mean(errors[:, :, None] * errors[:, None, :] + error_cov, axis=0)
+    found = fitted(errors, HELD._replace(counts=1e-9), error_cov, robust=False)
     np.testing.assert_allclose(found.scale[0], expected, rtol=1e-5)
 
 
@@ -214,7 +212,7 @@ def test_without_robustness_it_is_the_closed_form() -> None:
     rng = np.random.default_rng(8)
     errors = drawn(50, bias=BIAS, seed=8)
     kernel = rng.uniform(0.0, 1.0, 50)
-    found = fit_students(
+    found = fit_student_ts(
         errors, Neighborhoods(np.array([0, 50]), np.arange(50), kernel), HELD, robust=False
     )
     total = 20.0 * HELD.scale + np.einsum("n,ni,nj->ij", kernel, errors, errors)
@@ -227,14 +225,14 @@ def test_without_robustness_it_is_the_closed_form() -> None:
 def test_without_any_error_the_prior_holds(robust: bool) -> None:
     prior = StudentPrior(SCALE, dof=7.0, counts=4.0, dof_counts=10.0, bias_counts=10.0)
     near = Neighborhoods(np.array([0, 0, 0]), np.zeros(0, np.int64), np.zeros(0))
-    found = fit_students(np.zeros((0, 4)), near, prior, robust=robust)
+    found = fit_student_ts(np.zeros((0, 4)), near, prior, robust=robust)
     np.testing.assert_allclose(found.scale, [SCALE, SCALE], atol=1e-5)
     np.testing.assert_array_equal(found.dof, [7.0, 7.0])
     np.testing.assert_array_equal(found.bias, np.zeros((2, 4)))
 
 
 def test_errors_without_weight_are_as_none() -> None:
-    found = fit_students(
+    found = fit_student_ts(
         drawn(10), Neighborhoods(np.array([0, 10]), np.arange(10), np.zeros(10)), HELD
     )
     np.testing.assert_allclose(found.scale[0], HELD.scale, atol=1e-5)
@@ -247,10 +245,10 @@ def test_the_prior_counts_as_errors_do() -> None:
     prior = StudentPrior(9.0 * SCALE, dof=50.0, counts=0.1, dof_counts=0.1, bias_counts=0.1)
     counts = (0.1, 10.0, 200.0, 1e5)
     scales = [
-        distance(fitted(errors, replace(prior, counts=c)).scale[0], prior.scale) for c in counts
+        distance(fitted(errors, prior._replace(counts=c)).scale[0], prior.scale) for c in counts
     ]
-    dofs = [fitted(errors, replace(prior, dof_counts=c)).dof[0] for c in counts]
-    biases = [np.linalg.norm(fitted(errors, replace(prior, bias_counts=c)).bias) for c in counts]
+    dofs = [fitted(errors, prior._replace(dof_counts=c)).dof[0] for c in counts]
+    biases = [np.linalg.norm(fitted(errors, prior._replace(bias_counts=c)).bias) for c in counts]
     assert (np.diff(scales) < 0.0).all()
     assert scales[-1] < 0.01
     assert (np.diff(dofs) > 0.0).all()
@@ -273,13 +271,13 @@ def test_each_neighbourhood_is_fitted_on_its_own() -> None:
     index = rng.integers(0, 100, 90)
     first = np.array([0, 30, 30, 90])
     prior = StudentPrior(SCALE, 5.0, 4.0, dof_counts=10.0, bias_counts=10.0)
-    together = fit_students(errors, Neighborhoods(first, index, kernel), prior)
+    together = fit_student_ts(errors, Neighborhoods(first, index, kernel), prior)
     for c in range(3):
         rows = slice(first[c], first[c + 1])
         near = Neighborhoods(np.array([0, first[c + 1] - first[c]]), index[rows], kernel[rows])
-        alone = fit_students(errors, near, prior)
+        separate = fit_student_ts(errors, near, prior)
         for name in ("scale", "dof", "bias"):
-            np.testing.assert_array_equal(getattr(together, name)[c], getattr(alone, name)[0])
+            np.testing.assert_array_equal(getattr(together, name)[c], getattr(separate, name)[0])
 
 
 def test_a_kernel_of_two_is_the_error_twice() -> None:
@@ -290,8 +288,8 @@ def test_a_kernel_of_two_is_the_error_twice() -> None:
     prior = StudentPrior(SCALE, 5.0, 4.0, dof_counts=10.0, bias_counts=10.0)
     half = StudentPrior(SCALE, 5.0, 2.0, dof_counts=5.0, bias_counts=5.0)
     kernel = np.where(np.arange(60) < 30, 1.0, 0.5)
-    one = fit_students(errors, Neighborhoods(np.array([0, 60]), np.arange(60), kernel), half)
-    other = fit_students(twice, Neighborhoods.all_of(90), prior)
+    one = fit_student_ts(errors, Neighborhoods(np.array([0, 60]), np.arange(60), kernel), half)
+    other = fit_student_ts(twice, Neighborhoods.of_all(90), prior)
     np.testing.assert_allclose(one.scale, other.scale, rtol=1e-5)
     np.testing.assert_allclose(one.dof, other.dof, rtol=1e-6)
 
@@ -317,7 +315,7 @@ def test_units_do_not_matter(factor: float) -> None:
     one = fit_static(drawn(500, seed=14))
     other = fit_static(factor * drawn(500, seed=14))
     np.testing.assert_allclose(
-        other.scale, factor**2 * one.scale, rtol=0.05, atol=5.0 * LEAST_SIGMA_PX**2
+        other.scale, factor**2 * one.scale, rtol=0.05, atol=5.0 * MIN_SIGMA_PX**2
     )
     np.testing.assert_allclose(other.dof, one.dof, rtol=0.05)
 
@@ -327,8 +325,8 @@ def test_units_do_not_matter(factor: float) -> None:
 )
 def test_errors_that_span_nothing_leave_a_distribution(errors: FloatArray) -> None:
     found = fit_static(errors)
-    assert np.linalg.eigvalsh(found.scale[0])[0] > 0.5 * LEAST_SIGMA_PX**2
-    assert LEAST_DOF <= found.dof[0] <= MOST_DOF * 1.001
+    assert np.linalg.eigvalsh(found.scale[0])[0] > 0.5 * MIN_SIGMA_PX**2
+    assert MIN_DOF <= found.dof[0] <= MAX_DOF * 1.001
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 8, 20])
@@ -348,7 +346,7 @@ def test_of_many_errors_what_is_added_for_the_few_is_not_noticed() -> None:
     errors = drawn(5000, seed=15)
     found = fit_static(errors)
     light = StudentPrior(SCALE, dof=5.0, counts=0.01, dof_counts=0.01, bias_counts=np.inf)
-    bare = fit_students(errors, Neighborhoods.all_of(5000), light, iterations=50)
+    bare = fit_student_ts(errors, Neighborhoods.of_all(5000), light, iterations=50)
     assert np.linalg.norm(found.scale - bare.scale) < 2e-3 * np.linalg.norm(bare.scale)
     np.testing.assert_allclose(found.dof, bare.dof, rtol=2e-3)
 
@@ -380,12 +378,12 @@ def test_errors_that_are_none_are_refused(errors: FloatArray, message: str) -> N
 
 
 @pytest.mark.parametrize(
-    "spread", [np.zeros((2, 4, 4)), np.zeros((3, 4)), np.full((3, 4, 4), np.nan)]
+    "error_cov", [np.zeros((2, 4, 4)), np.zeros((3, 4)), np.full((3, 4, 4), np.nan)]
 )
-def test_a_spread_that_is_none_is_refused(spread: FloatArray) -> None:
+def test_an_error_cov_that_is_none_is_refused(error_cov: FloatArray) -> None:
     """Compiled code would read beyond its end."""
-    with pytest.raises(InputError, match="spread"):
-        fit_static(np.ones((3, 4)), spread)
+    with pytest.raises(InputError, match="error_cov"):
+        fit_static(np.ones((3, 4)), error_cov)
 
 
 def test_logarithms_are_summed_to_twelve_digits():
@@ -393,8 +391,8 @@ def test_logarithms_are_summed_to_twelve_digits():
     values = 10.0 ** rng.uniform(-300, 300, 999)
     factors = rng.uniform(size=999)
     scratch = np.empty((2, 999))
-    each = [log_sum(values[i : i + 1], factors[i : i + 1], scratch) for i in range(999)]
+    each = [weighted_log_sum(values[i : i + 1], factors[i : i + 1], scratch) for i in range(999)]
     np.testing.assert_allclose(each, factors * np.log(values), rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(
-        log_sum(values, factors, scratch), np.sum(factors * np.log(values)), rtol=1e-12
+        weighted_log_sum(values, factors, scratch), np.sum(factors * np.log(values)), rtol=1e-12
     )

@@ -26,8 +26,7 @@ def slow_flow_variance(
 
 
 def scattered(seed: int, count: int) -> tuple[FloatArray, FloatArray]:
-    """Features before and after, in KITTI's image, under large flows that differ little from place
-    to place."""
+    """Previous and current features in KITTI's image, under large flows that vary smoothly."""
     rng = np.random.default_rng(seed)
     uv = rng.uniform(0.0, [1242.0, 375.0], (count, 2))
     return uv - 80.0 - 0.05 * uv - rng.normal(scale=0.3, size=(count, 2)), uv
@@ -63,8 +62,7 @@ def test_the_order_of_the_features_changes_nothing() -> None:
 
 
 def test_a_border_between_motions_is_high_and_what_moves_as_one_low() -> None:
-    """A block of 300 px that moves by 10 px, on a background that stands, both but for noise of 0.1
-    px."""
+    """A block of 300 px that moves by 10 px, on a standing background, with noise of 0.1 px."""
     rng = np.random.default_rng(4)
     uv = rng.uniform(0.0, [1242.0, 375.0], (2000, 2))
     distance_px = np.abs(uv[:, 0] - 600.0)
@@ -83,7 +81,7 @@ def test_without_variance_it_is_the_floor_that_counts() -> None:
     np.testing.assert_allclose(values, np.log(FLOOR_PX2 / np.var(flow)), rtol=1e-9)
 
 
-def test_lonely_features_are_unknown() -> None:
+def test_features_with_fewer_than_two_neighbours_are_undefined() -> None:
     uv = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [500.0, 0.0], [510.0, 0.0]])
     np.testing.assert_array_equal(
         np.isnan(flow_variance(uv - 1.0, uv)), [False, False, False, True, True]

@@ -1,4 +1,4 @@
-"""Residual flow: nothing in a world that stands, whatever was expected; all of it on what moves."""
+"""Residual flow: none in a static world, whatever was predicted; all of it on moving objects."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from probevo.geometry import se3
 from probevo.predictors.residual_flow import MIN_FEATURES, residual_flow
 from worlds import CAMERA, FORWARD, random_pixels, seen_twice
 
-# What the expected motion is off by: a tenth of the speed; what a missing gyro leaves; all, where
-# no speed is known.
+# Errors of the predicted motion: a tenth of the speed; the rotation, without a gyro; all of it,
+# where no speed is known.
 BRAKING = np.array([0.02, -0.01, 0.1, 0.0, 0.0, 0.0])
 TURNING = np.array([0.0, 0.0, 0.0, 0.005, -0.02, 0.01])
 STANDING = -se3.log(FORWARD)
@@ -23,17 +23,17 @@ def test_the_true_motion_leaves_nothing() -> None:
 
 
 @pytest.mark.parametrize("error", [BRAKING, TURNING, BRAKING + TURNING, STANDING])
-def test_the_error_of_the_expected_motion_drops_out(error: FloatArray) -> None:
+def test_the_error_of_the_predicted_motion_drops_out(error: FloatArray) -> None:
     tracks = seen_twice(np.random.default_rng(1), 300)
-    expected = se3.exp(error) @ FORWARD
-    values = residual_flow(tracks.prev_px, tracks.curr_px, expected, camera=CAMERA)
+    predicted = se3.exp(error) @ FORWARD
+    values = residual_flow(tracks.prev_px, tracks.curr_px, predicted, camera=CAMERA)
     assert np.expm1(values).max() < 0.02
 
 
 @pytest.mark.parametrize("error", [np.zeros(6), BRAKING + TURNING])
 @pytest.mark.parametrize("width_px", [100.0, 400.0])
 def test_what_moves_keeps_its_motion(width_px: float, error: FloatArray) -> None:
-    """Up to a third of the image is a block that moves by (6, 2) px; the rest is known to 0.2 px."""
+    """Up to a third of the image is a block that moves by (6, 2) px; the noise is 0.2 px."""
     tracks = seen_twice(np.random.default_rng(2), 400, sigma_px=0.2)
     moving = np.abs(tracks.prev_px[:, 0] - 500.0) < 0.5 * width_px
     curr_px = tracks.curr_px + np.where(moving[:, None], [6.0, 2.0, 6.0, 2.0], 0.0)
@@ -46,17 +46,17 @@ def test_what_moves_keeps_its_motion(width_px: float, error: FloatArray) -> None
 
 
 def test_a_few_features_correct_nothing() -> None:
-    """They are as far off as the expected motion says."""
+    """Their deviation is that from the predicted motion."""
     tracks = seen_twice(np.random.default_rng(3), MIN_FEATURES - 1)
-    expected = se3.exp(TURNING) @ FORWARD
-    predicted = CAMERA.project(se3.transform(expected, CAMERA.triangulate(tracks.prev_px)))
-    length_px = np.linalg.norm((tracks.curr_px - predicted)[:, :2], axis=1)
-    values = residual_flow(tracks.prev_px, tracks.curr_px, expected, camera=CAMERA)
+    predicted = se3.exp(TURNING) @ FORWARD
+    predicted_px = CAMERA.project(se3.transform(predicted, CAMERA.triangulate(tracks.prev_px)))
+    length_px = np.linalg.norm((tracks.curr_px - predicted_px)[:, :2], axis=1)
+    values = residual_flow(tracks.prev_px, tracks.curr_px, predicted, camera=CAMERA)
     np.testing.assert_allclose(values, np.log1p(length_px), rtol=1e-9)
 
 
-def test_features_without_disparity_leave_the_translation_as_it_was() -> None:
-    """Far features tell nothing of it; the rotation is corrected all the same."""
+def test_features_without_disparity_do_not_change_the_translation() -> None:
+    """Far features do not observe it; the rotation is corrected all the same."""
     prev_px = random_pixels(np.random.default_rng(4), 100)
     prev_px[:, 2] = prev_px[:, 0]
     rays = np.column_stack(

@@ -72,7 +72,7 @@ def test_places_without_texture(clean: Any) -> None:
 
 
 @pytest.mark.slow
-def test_clean_features_are_not_told_from_clean_ones(clean: Any) -> None:
+def test_clean_features_are_not_separated_from_clean_ones(clean: Any) -> None:
     """Of another drive through the same place, a little aside and with other jolts."""
     other = drive(number=1)
     for column in (

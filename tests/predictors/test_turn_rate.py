@@ -13,15 +13,15 @@ DURATION_S = 0.1
     "rate_rad_s", [[0.3, 0.0, 0.0], [0.0, -0.5, 0.0], [0.1, 0.4, -0.2], [0.0, 0.0, 0.0]]
 )
 def test_it_is_the_rate_that_turned_the_camera(rate_rad_s: list[float]) -> None:
-    """The attitude C_prev_curr is carried on by Exp(ω Δt)."""
+    """The attitude C_prev_curr is propagated by Exp(ω Δt)."""
     C_prev_curr = so3.exp(DURATION_S * np.array(rate_rad_s))
-    expected = se3.from_parts(C_prev_curr.T, np.array([0.1, 0.2, -1.0]))
-    values = turn_rate(expected, DURATION_S)
+    predicted = se3.from_parts(C_prev_curr.T, np.array([0.1, 0.2, -1.0]))
+    values = turn_rate(predicted, DURATION_S)
     np.testing.assert_allclose(values, [*rate_rad_s, np.linalg.norm(rate_rad_s)], atol=1e-12)
 
 
 def test_turning_right_is_positive_about_y() -> None:
     """What was ahead is then seen to the left."""
-    expected = se3.from_parts(so3.exp(np.array([0.0, -0.05, 0.0])), np.zeros(3))
-    assert se3.transform(expected, np.array([0.0, 0.0, 10.0]))[0] < 0.0
-    np.testing.assert_allclose(turn_rate(expected, DURATION_S), [0.0, 0.5, 0.0, 0.5], atol=1e-12)
+    predicted = se3.from_parts(so3.exp(np.array([0.0, -0.05, 0.0])), np.zeros(3))
+    assert se3.transform(predicted, np.array([0.0, 0.0, 10.0]))[0] < 0.0
+    np.testing.assert_allclose(turn_rate(predicted, DURATION_S), [0.0, 0.5, 0.0, 0.5], atol=1e-12)

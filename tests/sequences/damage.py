@@ -1,4 +1,4 @@
-"""Ways to damage a recording, and the check that it is refused."""
+"""Ways to damage a recording, and a check that it is refused."""
 
 import shutil
 from collections.abc import Callable
@@ -42,7 +42,7 @@ def append(name: str, line: str) -> Edit:
 
 
 def write(name: str, content: bytes | AnyArray) -> Edit:
-    """Put other bytes, or another picture, into a file."""
+    """Put other bytes, or another image, into a file."""
 
     def edit(path: Path) -> None:
         if isinstance(content, bytes):

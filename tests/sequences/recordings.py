@@ -1,5 +1,6 @@
-"""Writes tiny recordings, one function a format. Each returns the path to open; the vehicle drives
-1 m along z a frame.
+"""Writers of tiny recordings, one function a format.
+
+Each returns the path to open. The vehicle drives 1 m along z in each frame.
 
 Other tests use them too: ``from sequences.recordings import write_folder_sequence``.
 """
@@ -19,6 +20,7 @@ CV_PX = 23.5
 BASELINE_M = 0.5
 C_CAM_IMU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """IMU axes forward, left, up to camera axes right, down, forward."""
+T_CAM_IMU = np.block([[C_CAM_IMU, np.array([[0.1], [-0.2], [0.3]])], [np.eye(4)[3]]])
 START_NS = 1_400_000_000_123_456_789
 FRAME_NS = 100_000_000
 LATITUDE_DEG = 49.0
@@ -31,7 +33,7 @@ def stamps_ns(frames: int) -> IntArray:
 
 
 def image(index: int, right: bool = False) -> Image:
-    """A random picture that tells frames and sides apart."""
+    """A random image that differs between frames and sides."""
     return np.random.default_rng([index, right]).integers(
         0, 256, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8
     )
@@ -60,8 +62,10 @@ def poses(frames: int) -> AnyArray:
 def write_folder_sequence(
     root: Path, frames: int = 4, *, imu: bool = True, truth: bool = True
 ) -> Path:
-    """The layout of ``open_folder``; the IMU turns at 0.1 rad/s around the up axis and is sampled
-    every 10 ms."""
+    """The layout of ``open_folder``.
+
+    The IMU rotates at 0.1 rad/s about its up axis and is sampled every 10 ms.
+    """
     for index in range(frames):
         write_image(root / "left" / f"{index:06d}.png", image(index))
         write_image(root / "right" / f"{index:06d}.png", image(index, right=True))
@@ -70,7 +74,7 @@ def write_folder_sequence(
     if imu:
         calibration += [
             "imu:",
-            f"  C_cam_imu: {C_CAM_IMU.tolist()}",
+            f"  T_cam_imu: {T_CAM_IMU.tolist()}",
             "  gyro_noise_rad_s_sqrt_hz: 1.0e-4",
         ]
         calibration += ["  gyro_bias_sigma_rad_s: 0.01"]
@@ -129,8 +133,10 @@ def write_kitti_raw(
     ]
     rectified += [f"P_rect_01: {projection(-FU_PX * BASELINE_M)}"]
     write_lines(date / "calib_cam_to_cam.txt", ["calib_time: 09-Jan-2012 13:57:47", *rectified])
-    write_lines(date / "calib_velo_to_cam.txt", [f"R: {numbers(C_CAM_IMU)}", "T: 0 0 0"])
-    write_lines(date / "calib_imu_to_velo.txt", [f"R: {numbers(np.eye(3))}", "T: 0 0 0"])
+    write_lines(date / "calib_velo_to_cam.txt", [f"R: {numbers(C_CAM_IMU)}", "T: 0.4 0 -0.1"])
+    t_velo_imu = C_CAM_IMU.T @ (T_CAM_IMU[:3, 3] - [0.4, 0.0, -0.1])
+    imu_to_velo = [f"R: {numbers(np.eye(3))}", f"T: {numbers(t_velo_imu)}"]
+    write_lines(date / "calib_imu_to_velo.txt", imu_to_velo)
     if oxts:
         metre_deg = np.degrees(1 / (EARTH_RADIUS_M * np.cos(np.radians(LATITUDE_DEG))))
         for index in range(frames):
@@ -150,7 +156,7 @@ def sensor_yaml(T_body_sensor: AnyArray, *more: str) -> list[str]:
 
 
 def write_euroc(root: Path, frames: int = 4) -> Path:
-    """``mav0`` with ideal cameras side by side, a body that looks along +z and truth every 50 ms."""
+    """``mav0`` with ideal cameras side by side, a body looking along +z, and truth every 50 ms."""
     mav = root / "mav0"
     stamps = stamps_ns(frames)
     for side, camera in enumerate(("cam0", "cam1")):
@@ -174,9 +180,9 @@ def write_euroc(root: Path, frames: int = 4) -> Path:
             mav / camera / "data.csv",
             ["#timestamp [ns],filename", *(f"{s},{s}.png" for s in stamps)],
         )
-    T_body_imu = np.eye(4)
-    T_body_imu[:3, :3] = C_CAM_IMU
+    T_body_imu = T_CAM_IMU
     noise = ["gyroscope_noise_density: 1.7e-04", "gyroscope_random_walk: 1.9e-05"]
+    noise += ["accelerometer_noise_density: 2.0e-03", "accelerometer_random_walk: 4.0e-03"]
     write_lines(mav / "imu0" / "sensor.yaml", sensor_yaml(T_body_imu, *noise))
     samples = np.arange(START_NS - 5_000_000, stamps[-1] + 5_000_001, 5_000_000)
     write_lines(
@@ -204,7 +210,7 @@ def tracks_arrays(frames: int = 4, points: int = 6) -> dict[str, AnyArray]:
         "omega": np.arange(frames)[:, None] * [0.0, 0.0, 0.1],
         "velocity": np.tile([10.0, 0.0, 0.0], (frames, 1)),
         "C_cam_imu": C_CAM_IMU,
-        "p_imu_cam": np.zeros(3),
+        "p_imu_cam": -C_CAM_IMU.T @ T_CAM_IMU[:3, 3],
         "T_world_cam": poses(frames),
         "camera": np.array([FU_PX, FU_PX, CU_PX, CV_PX, BASELINE_M]),
     }

@@ -15,6 +15,7 @@ from sequences.recordings import (
     CV_PX,
     FU_PX,
     HEIGHT_PX,
+    T_CAM_IMU,
     WIDTH_PX,
     image,
     poses,
@@ -61,7 +62,7 @@ def test_truth_advances_one_metre_a_frame(format: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("format", WRITERS)
-def test_a_sequence_can_be_walked_twice(format: str, tmp_path: Path) -> None:
+def test_a_sequence_can_be_read_twice(format: str, tmp_path: Path) -> None:
     sequence = open_sequence(WRITERS[format](tmp_path))
     for first, second in zip(sequence, sequence, strict=True):
         np.testing.assert_equal(first.left, second.left)
@@ -93,6 +94,7 @@ def test_imu_covers_every_interval(format: str, tmp_path: Path) -> None:
         assert frame.imu.stamps_ns[-1] >= frame.stamp_ns
     assert sequence.imu is not None
     np.testing.assert_allclose(sequence.imu.C_cam_imu, C_CAM_IMU, atol=1e-12)
+    np.testing.assert_allclose(sequence.imu.T_cam_imu, T_CAM_IMU, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", [np.int8, np.int32, np.int64, np.float32])
@@ -130,13 +132,58 @@ def test_folder_accepts_nanoseconds_and_sparse_truth(tmp_path: Path) -> None:
     np.testing.assert_allclose(sequence.truth.T_world_cam[[1, 3]], poses(3)[[0, 2]], atol=1e-12)
 
 
-def test_folder_time_offset_moves_the_imu_to_the_clock_of_the_images(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("offset_s", "first_ns"), [(-0.003, -2_000_000), (0.003, -8_000_000)])
+def test_folder_time_offset_moves_the_imu_to_the_clock_of_the_images(
+    offset_s: float, first_ns: int, tmp_path: Path
+) -> None:
+    """As Kalibr's: t_imu = t_cam + offset. Samples come 5 ms before the frames, every 10 ms."""
     write_folder_sequence(tmp_path)
     with (tmp_path / "calib.yaml").open("a") as file:
-        file.write("  time_offset_s: 0.003\n")
-    _, second, *_ = open_sequence(tmp_path)
+        file.write(f"  time_offset_s: {offset_s}\n")
+    sequence = open_sequence(tmp_path)
+    _, second, *_ = sequence
+    assert sequence.imu is not None
+    assert sequence.imu.time_offset_s == offset_s
     assert second.imu is not None
-    assert second.imu.stamps_ns[0] == stamps_ns(4)[0] - 2_000_000
+    assert second.imu.stamps_ns[0] == stamps_ns(4)[0] + first_ns
+
+
+ACCEL_KEYS = ("accel_noise_m_s2_sqrt_hz", "accel_bias_sigma_m_s2", "accel_bias_walk_m_s3_sqrt_hz")
+
+
+def test_folder_accelerometer_noise_is_read(tmp_path: Path) -> None:
+    write_folder_sequence(tmp_path)
+    with (tmp_path / "calib.yaml").open("a") as file:
+        file.writelines(f"  {key}: {value}\n" for value, key in enumerate(ACCEL_KEYS, start=1))
+    imu = open_sequence(tmp_path).imu
+    assert imu is not None
+    assert [getattr(imu, key) for key in ACCEL_KEYS] == [1.0, 2.0, 3.0]
+
+
+def test_folder_transform_may_be_sixteen_numbers(tmp_path: Path) -> None:
+    write_folder_sequence(tmp_path)
+    text = (tmp_path / "calib.yaml").read_text()
+    flat = text.replace(str(T_CAM_IMU.tolist()), str(T_CAM_IMU.ravel().tolist()))
+    assert flat != text
+    (tmp_path / "calib.yaml").write_text(flat)
+    imu = open_sequence(tmp_path).imu
+    assert imu is not None
+    np.testing.assert_array_equal(imu.T_cam_imu, T_CAM_IMU)
+
+
+def test_euroc_noise_is_that_of_sensor_yaml(tmp_path: Path) -> None:
+    imu = open_sequence(write_euroc(tmp_path)).imu
+    assert imu is not None
+    assert imu.gyro_noise_rad_s_sqrt_hz == 1.7e-4
+    assert imu.gyro_bias_walk_rad_s2_sqrt_hz == 1.9e-5
+    assert imu.accel_noise_m_s2_sqrt_hz == 2e-3
+    assert imu.accel_bias_walk_m_s3_sqrt_hz == 4e-3
+
+
+def test_tracks_without_the_place_of_the_imu_have_it_at_the_camera(tmp_path: Path) -> None:
+    imu = open_sequence(write_tracks(tmp_path, p_imu_cam=None)).imu
+    assert imu is not None
+    np.testing.assert_array_equal(imu.T_cam_imu[:3, 3], np.zeros(3))
 
 
 def test_euroc_drops_images_without_a_partner(tmp_path: Path) -> None:

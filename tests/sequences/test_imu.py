@@ -70,7 +70,7 @@ def test_samples_that_miss_the_frames_are_refused() -> None:
 
 
 def test_held_samples_integrate_to_rate_times_interval() -> None:
-    """∫ of the interpolated samples over each interval is exactly its mean rate times its length."""
+    """∫ of the interpolated samples over an interval is exactly its mean rate times its length."""
     stamps_ns = np.array([0, 90, 200, 310]) * 1_000_000
     rates = np.array([[9.0, 9, 9], [1, 2, 3], [4, 5, 6], [7, 8, 9]])
     held_ns, held = hold_over_interval(stamps_ns, rates)

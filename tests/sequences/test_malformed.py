@@ -29,7 +29,7 @@ from sequences.recordings import (
 )
 
 T0 = "1400000000.123456789"
-C_ROW = "[0.0, -1.0, 0.0]"
+T_ROW = "[0.0, -1.0, 0.0, 0.1]"
 
 FOLDER: dict[str, tuple[Edit, list[str]]] = {
     "right image missing": (
@@ -79,13 +79,45 @@ FOLDER: dict[str, tuple[Edit, list[str]]] = {
         replace("calib.yaml", "width_px: 64", "width_px: 0"),
         ["calib.yaml", "width_px"],
     ),
-    "C_cam_imu too short": (
-        replace("calib.yaml", f"{C_ROW}, ", ""),
-        ["calib.yaml", "imu.C_cam_imu", "9"],
+    "T_cam_imu too short": (
+        replace("calib.yaml", f"{T_ROW}, ", ""),
+        ["calib.yaml", "imu.T_cam_imu", "16"],
     ),
-    "C_cam_imu no rotation": (
-        replace("calib.yaml", C_ROW, "[0, 1, 0]"),
-        ["calib.yaml", "imu.C_cam_imu", "rotation"],
+    "T_cam_imu no rotation": (
+        replace("calib.yaml", T_ROW, "[0, 1, 0, 0]"),
+        ["calib.yaml", "imu.T_cam_imu", "rotation"],
+    ),
+    "T_cam_imu not finite": (
+        replace("calib.yaml", T_ROW, "[0, -1, 0, .nan]"),
+        ["calib.yaml", "imu.T_cam_imu", "finite"],
+    ),
+    "T_cam_imu with another last row": (
+        replace("calib.yaml", "[0.0, 0.0, 0.0, 1.0]", "[0.0, 0.0, 0.0, 2.0]"),
+        ["calib.yaml", "imu.T_cam_imu", "last row", "0 0 0 1"],
+    ),
+    "T_cam_imu missing": (
+        replace("calib.yaml", "T_cam_imu", "T_cam"),
+        ["calib.yaml", "imu.T_cam_imu", "required"],
+    ),
+    "C_cam_imu of earlier versions": (
+        replace("calib.yaml", "T_cam_imu:", "C_cam_imu:"),
+        ["calib.yaml: imu.C_cam_imu", "T_cam_imu", "zero position", "fourth column"],
+    ),
+    "C_cam_imu with a time offset": (
+        replace("calib.yaml", "T_cam_imu:", "time_offset_s: 0.01\n  C_cam_imu:"),
+        ["calib.yaml: imu.C_cam_imu", "T_cam_imu", "reverse the sign of time_offset_s"],
+    ),
+    "accelerometer noise negative": (
+        append("calib.yaml", "  accel_noise_m_s2_sqrt_hz: -1.0"),
+        ["calib.yaml", "imu.accel_noise_m_s2_sqrt_hz", "greater than 0"],
+    ),
+    "accelerometer bias walk NaN": (
+        append("calib.yaml", "  accel_bias_walk_m_s3_sqrt_hz: .nan"),
+        ["calib.yaml", "imu.accel_bias_walk_m_s3_sqrt_hz"],
+    ),
+    "time offset infinite": (
+        append("calib.yaml", "  time_offset_s: .inf"),
+        ["calib.yaml", "imu.time_offset_s", "finite"],
     ),
     "gyro noise negative": (
         replace("calib.yaml", "1.0e-4", "-1.0"),
@@ -280,6 +312,14 @@ EUROC: dict[str, tuple[Edit, list[str]]] = {
     "gyro noise missing": (
         replace("mav0/imu0/sensor.yaml", "gyroscope_noise_density", "n"),
         ["imu0/", "gyro"],
+    ),
+    "accelerometer noise zero": (
+        replace(
+            "mav0/imu0/sensor.yaml",
+            "accelerometer_noise_density: 2.0e-03",
+            "accelerometer_noise_density: 0",
+        ),
+        ["imu0/", "accelerometer_noise_density", "greater than 0"],
     ),
     "imu data missing": (remove("mav0/imu0/data.csv"), ["imu0/data.csv", "missing"]),
     "imu NaN": (replace("mav0/imu0/data.csv", "0.1", "nan"), ["imu0/data.csv:2", "'nan'"]),

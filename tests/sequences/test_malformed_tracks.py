@@ -37,6 +37,8 @@ TRACKS: dict[str, tuple[dict[str, AnyArray | None], list[str]]] = {
     "frame beyond the times": (changed("frame", -1, 4), [": frame", "4 times"]),
     "track twice in a frame": (changed("track", 1, 0), [": track", "track 0", "twice", "frame 0"]),
     "baseline negative": (changed("camera", 4, -0.5), [": camera", "baseline_m"]),
+    "p_imu_cam too long": ({"p_imu_cam": np.zeros(4)}, [": p_imu_cam", "(4,)", "[3]"]),
+    "p_imu_cam not finite": (changed("p_imu_cam", 1, np.nan), [": p_imu_cam", "not finite"]),
     "C_cam_imu no rotation": ({"C_cam_imu": np.ones((3, 3))}, [": C_cam_imu", "rotation"]),
     "array of objects": ({"track": np.arange(24).astype(object)}, ["pickled", "whole numbers"]),
     "truth infinite": (changed("T_world_cam", (1, 0, 3), np.inf), [": T_world_cam", "pose 1"]),

@@ -1,4 +1,4 @@
-"""Ground truth carried to other times, and refused where it cannot be right."""
+"""Ground truth interpolated to other times, and refused if it is impossible."""
 
 import numpy as np
 import pytest
@@ -41,8 +41,8 @@ def test_a_pose_at_the_very_time_is_taken_whatever_gaps_are_beside_it() -> None:
     poses = interpolate_poses(stamps_ns, steady_motion(stamps_ns), np.r_[stamps_ns, 1500 * MS])
     np.testing.assert_allclose(poses[:4], steady_motion(stamps_ns), atol=1e-12)
     assert np.isnan(poses[4]).all()
-    alone = interpolate_poses(stamps_ns[1:2], steady_motion(stamps_ns[1:2]), stamps_ns)
-    np.testing.assert_array_equal(np.isnan(alone).any(axis=(1, 2)), [True, False, True, True])
+    single = interpolate_poses(stamps_ns[1:2], steady_motion(stamps_ns[1:2]), stamps_ns)
+    np.testing.assert_array_equal(np.isnan(single).any(axis=(1, 2)), [True, False, True, True])
 
 
 def test_a_motion_goes_on_no_longer_than_it_was_seen() -> None:

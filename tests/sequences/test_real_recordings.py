@@ -9,6 +9,7 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
 from probevo.sequences import Sequence, open_sequence
+from probevo.sequences.yaml_file import load_yaml
 
 pytestmark = pytest.mark.data
 
@@ -77,6 +78,38 @@ def test_euroc_gyro_shows_its_known_bias(data_root: Path) -> None:
     sequence = open_sequence(data_root / "euroc/V1_01_micro")
     rates = np.concatenate([frame.imu.gyro_rad_s for frame in sequence if frame.imu is not None])
     np.testing.assert_allclose(rates.mean(axis=0), [-0.002, 0.022, 0.077], atol=0.002)
+
+
+@pytest.mark.parametrize("name", ["V1_01_micro", "MH_01_micro"])
+def test_euroc_imu_is_where_sensor_yaml_puts_it(name: str, data_root: Path) -> None:
+    """Rectification turns the left camera and leaves it where it is: the distance of the IMU from
+    it, and the IMU's coordinates in the raw camera, are those of the two T_BS."""
+    folder = data_root / "euroc" / name
+    imu = open_sequence(folder).imu
+    assert imu is not None
+    T_body_cam0, T_body_imu = (
+        np.reshape(load_yaml(folder / "mav0" / sensor / "sensor.yaml")["T_BS"]["data"], (4, 4))
+        for sensor in ("cam0", "imu0")
+    )
+    T_cam0_imu = np.linalg.inv(T_body_cam0) @ T_body_imu
+    C_cam_cam0 = imu.C_cam_imu @ T_cam0_imu[:3, :3].T
+    np.testing.assert_allclose(C_cam_cam0 @ T_cam0_imu[:3, 3], imu.T_cam_imu[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(imu.T_cam_imu[:3, 3], [0.0653, -0.0206, -0.0082], atol=1e-3)
+    assert np.linalg.norm(imu.T_cam_imu[:3, 3]) == pytest.approx(0.0689, abs=1e-4)
+    assert imu.accel_noise_m_s2_sqrt_hz == 2e-3
+    assert imu.accel_bias_walk_m_s3_sqrt_hz == 3e-3
+
+
+def test_kitti_raw_and_its_tracks_have_the_imu_at_the_same_place(data_root: Path) -> None:
+    """The tracks file was made by others, from the same calibration files."""
+    drive = open_sequence(data_root / "kitti_raw/2011_09_26/2011_09_26_drive_0005_sync").imu
+    tracks = open_sequence(data_root / "kitti_tracks/2011_09_26_drive_0005.npz").imu
+    assert drive is not None
+    assert tracks is not None
+    np.testing.assert_allclose(drive.T_cam_imu, tracks.T_cam_imu, atol=1e-6)
+    # KITTI's sensor setup: the IMU is 0.81 m behind and 0.32 m beside the laser scanner,
+    # which is 0.27 m behind and 0.08 m above the camera.
+    np.testing.assert_allclose(drive.T_cam_imu[:3, 3], [-0.32, 0.72, -1.08], atol=0.03)
 
 
 def test_images_have_the_size_of_the_calibration(data_root: Path) -> None:

@@ -1,10 +1,12 @@
-"""Windows fitted by affine maps, on a texture that is known everywhere."""
+"""Anchor patches aligned by affine maps, on a texture that is known everywhere."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray, Image
-from probevo.tracking.anchor_patches import MAX_GROWTH, Windows
+from probevo.tracking.anchor_patches import MAX_GROWTH, AnchorPatches
 
 HEIGHT_PX = 160
 WIDTH_PX = 240
@@ -43,8 +45,8 @@ FIRST = shown(np.eye(2), np.zeros(2))
 
 
 @pytest.fixture
-def windows() -> Windows:
-    return Windows.cut(FIRST, GRID, SIDE)
+def patches() -> AnchorPatches:
+    return AnchorPatches.cut(FIRST, GRID, SIDE)
 
 
 @pytest.mark.parametrize(
@@ -57,114 +59,109 @@ def windows() -> Windows:
     ],
     ids=["shift", "approach", "shear", "turn"],
 )
-def test_a_window_is_found_under_an_affine_map(
-    windows: Windows, A: FloatArray, growth: float
+def test_a_patch_is_found_under_an_affine_map(
+    patches: AnchorPatches, A: FloatArray, growth: float
 ) -> None:
-    """From half a pixel off, and with the scale alone expected: to a few hundredths of a pixel, as
-    is the map."""
+    """From half a pixel off, with only the scale predicted: to a few hundredths of a pixel."""
     shift = np.array([0.4, -0.3])
     true = moved(GRID, A, shift)
-    found, difference, now = windows.found_in_left(
+    found, difference, after = patches.align_left(
         shown(A, shift), true + 0.5, np.full(len(GRID), growth)
     )
     assert np.median(np.abs(found - true)) < 0.03
-    assert np.median(np.abs(now.affine - A)) < 0.02
+    assert np.median(np.abs(after.affine - A)) < 0.02
     assert np.median(difference) < 2.0
 
 
-def test_a_part_of_a_pixel_stays_with_its_window() -> None:
-    """A feature between pixels is that point of its window, whatever the window becomes."""
+def test_the_subpixel_offset_of_the_anchor_is_kept() -> None:
+    """A feature between pixels is that point of its patch, whatever the map."""
     features = GRID + np.array([0.37, -0.21])
     A = 1.15 * np.eye(2)
-    windows = Windows.cut(FIRST, features, SIDE)
+    patches = AnchorPatches.cut(FIRST, features, SIDE)
     true = moved(features, A, np.zeros(2))
-    found, _, _ = windows.found_in_left(shown(A, np.zeros(2)), true + 0.3, np.full(len(GRID), 1.1))
+    found, _, _ = patches.align_left(shown(A, np.zeros(2)), true + 0.3, np.full(len(GRID), 1.1))
     assert np.median(np.abs(found - true)) < 0.03
 
 
-def test_errors_do_not_add_up_over_many_frames(windows: Windows) -> None:
-    """Fifteen steps of 2 %, each started where the last one ended: no further off than after one."""
+def test_errors_do_not_accumulate_over_many_frames(patches: AnchorPatches) -> None:
+    """Fifteen steps of 2 %, each started where the last one ended: the error of a single one."""
     pixels = GRID
-    before = np.eye(2)
+    previous = np.eye(2)
     for k in range(1, 16):
         A = 1.02**k * np.eye(2)
-        pixels, _, windows = windows.found_in_left(
+        pixels, _, patches = patches.align_left(
             shown(A, np.zeros(2)),
-            moved(pixels, A @ np.linalg.inv(before), np.zeros(2)),
+            moved(pixels, A @ np.linalg.inv(previous), np.zeros(2)),
             np.full(len(GRID), 1.02),
         )
-        before = A
+        previous = A
     inside = ((pixels > 12) & (pixels < np.array([WIDTH_PX, HEIGHT_PX]) - 12)).all(axis=1)
     assert inside.sum() > 20
-    assert np.median(np.abs(pixels - moved(GRID, before, np.zeros(2)))[inside]) < 0.03
+    assert np.median(np.abs(pixels - moved(GRID, previous, np.zeros(2)))[inside]) < 0.03
 
 
-def test_the_right_image_shows_the_left_one_slanted(windows: Windows) -> None:
-    """A disparity that grows by 0.1 px a row is found with its slope, and is expected in the next
-    frame."""
+def test_the_right_image_shows_the_left_one_slanted(patches: AnchorPatches) -> None:
+    """A disparity that grows by 0.1 px a row is found with its slope, as the next prediction."""
     A = np.array([[1.0, -0.1], [0.0, 1.0]])
     shift = np.array([-9.0, 0.0])
     true = moved(GRID, A, shift)
-    found, _, now = windows.found_in_right(shown(A, shift), true + np.array([0.6, 0.0]))
+    found, _, after = patches.align_right(shown(A, shift), true + np.array([0.6, 0.0]))
     assert np.median(np.abs(found - true)) < 0.03
-    assert np.median(np.abs(now.slant - A)) < 0.02
-    again, _, _ = now.found_in_right(shown(A, shift), true + np.array([0.6, 0.0]))
+    assert np.median(np.abs(after.right_from_left - A)) < 0.02
+    again, _, _ = after.align_right(shown(A, shift), true + np.array([0.6, 0.0]))
     assert np.median(np.abs(again - true)) <= np.median(np.abs(found - true)) + 1e-3
 
 
-def test_what_does_not_fit_stays_and_is_cut_anew(windows: Windows) -> None:
-    """Another texture: nothing converges nearby, and the window of the new image is the one to
-    follow."""
+def test_features_whose_alignment_fails_stay_and_are_cut_anew(patches: AnchorPatches) -> None:
+    """Another texture: nothing converges nearby, and the patch of the new image is the anchor."""
     other = np.random.default_rng(0).integers(0, 256, (HEIGHT_PX, WIDTH_PX)).astype(np.uint8)
-    found, difference, now = windows.found_in_left(other, GRID, np.ones(len(GRID)))
+    found, difference, after = patches.align_left(other, GRID, np.ones(len(GRID)))
     stayed = (found == GRID).all(axis=1)
     assert stayed.mean() > 0.8
     np.testing.assert_array_equal(np.isinf(difference), stayed)
     np.testing.assert_array_equal(
-        now.affine[stayed], np.broadcast_to(np.eye(2), (int(stayed.sum()), 2, 2))
+        after.affine[stayed], np.broadcast_to(np.eye(2), (int(stayed.sum()), 2, 2))
     )
     np.testing.assert_array_equal(
-        now.first_sight[stayed], Windows.cut(other, GRID[stayed], SIDE).first_sight
+        after.patch[stayed], AnchorPatches.cut(other, GRID[stayed], SIDE).patch
     )
-    right, _, same = windows.found_in_right(other, GRID)
+    right, _, unchanged = patches.align_right(other, GRID)
     there = (right == GRID).all(axis=1)
-    np.testing.assert_array_equal(same.slant[there], windows.slant[there])
+    np.testing.assert_array_equal(unchanged.right_from_left[there], patches.right_from_left[there])
 
 
-def test_a_window_that_has_grown_much_is_cut_anew(windows: Windows) -> None:
+def test_a_patch_that_has_grown_much_is_cut_anew(patches: AnchorPatches) -> None:
     A = 1.2 * MAX_GROWTH * np.eye(2)
     true = moved(GRID, A, np.zeros(2))
     inside = ((true > 12) & (true < np.array([WIDTH_PX, HEIGHT_PX]) - 12)).all(axis=1)
-    windows = Windows.cut(FIRST, GRID[inside], SIDE)
-    windows = Windows(
-        windows.first_sight, windows.offset, 1.2 * windows.affine, slant=windows.slant
-    )
-    _, _, now = windows.found_in_left(
+    patches = AnchorPatches.cut(FIRST, GRID[inside], SIDE)
+    patches = replace(patches, affine=1.2 * patches.affine)
+    _, _, after = patches.align_left(
         shown(A, np.zeros(2)), true[inside], np.full(int(inside.sum()), MAX_GROWTH)
     )
-    np.testing.assert_array_equal(now.affine, np.broadcast_to(np.eye(2), now.affine.shape))
+    np.testing.assert_array_equal(after.affine, np.broadcast_to(np.eye(2), after.affine.shape))
 
 
 def test_features_at_the_border_and_without_texture_stay() -> None:
     at_border = np.array([[1.0, 80.0], [238.5, 3.0], [120.0, 159.0]])
-    found, _, _ = Windows.cut(FIRST, at_border, SIDE).found_in_left(FIRST, at_border, np.ones(3))
+    found, _, _ = AnchorPatches.cut(FIRST, at_border, SIDE).align_left(FIRST, at_border, np.ones(3))
     np.testing.assert_array_equal(found, at_border)
     grey = np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8)
-    found, _, now = Windows.cut(grey, GRID, SIDE).found_in_left(grey, GRID, np.ones(len(GRID)))
+    found, _, after = AnchorPatches.cut(grey, GRID, SIDE).align_left(grey, GRID, np.ones(len(GRID)))
     np.testing.assert_array_equal(found, GRID)
-    assert np.isfinite(now.affine).all()
+    assert np.isfinite(after.affine).all()
 
 
-def test_windows_are_kept_and_joined(windows: Windows) -> None:
-    few = windows.kept(np.arange(len(GRID)) < 7)
-    both = few.joined(windows.kept(np.array([8, 9])))
+def test_patches_are_selected_and_joined(patches: AnchorPatches) -> None:
+    few = patches.subset(np.arange(len(GRID)) < 7)
+    both = few.joined(patches.subset(np.array([8, 9])))
     assert len(few) == 7
     assert len(both) == 9
-    np.testing.assert_array_equal(both.first_sight[7:], windows.first_sight[8:10])
+    np.testing.assert_array_equal(both.patch[7:], patches.patch[8:10])
 
 
-def test_no_features_are_no_problem() -> None:
-    nobody = Windows.cut(FIRST, np.zeros((0, 2)), SIDE)
-    found, _, now = nobody.found_in_left(FIRST, np.zeros((0, 2)), np.zeros(0))
+def test_no_features() -> None:
+    nothing = AnchorPatches.cut(FIRST, np.zeros((0, 2)), SIDE)
+    found, _, after = nothing.align_left(FIRST, np.zeros((0, 2)), np.zeros(0))
     assert found.shape == (0, 2)
-    assert len(now.found_in_right(FIRST, found)[2]) == 0
+    assert len(after.align_right(FIRST, found)[2]) == 0

@@ -5,21 +5,26 @@ import pytest
 
 from probevo.arrays import FloatArray, Image, IntArray
 from probevo.config import TrackingConfig
-from probevo.tracking.detection import AROUND_WINDOW_PX, apart, corners_in_room, strongest_corners
+from probevo.tracking.detection import (
+    AROUND_WINDOW_PX,
+    corners_in_free_cells,
+    non_overlapping,
+    strongest_corners,
+)
 
 HEIGHT_PX = 120
 WIDTH_PX = 160
 CELL_PX = 40
 COLUMNS = 4
 ROWS = 3
-NOBODY = np.zeros((0, 2))
+NO_FEATURES = np.zeros((0, 2))
 TWO_A_CELL = TrackingConfig(num_features=2 * COLUMNS * ROWS)
 """As many features as make the cells CELL_PX wide: 2 · 160 · 120 / 24 = 40²."""
 BORDER_PX = TWO_A_CELL.window_px // 2 + AROUND_WINDOW_PX
 
 
 def detect_corners(image: Image, occupied_px: FloatArray, config: TrackingConfig) -> FloatArray:
-    return corners_in_room(
+    return corners_in_free_cells(
         strongest_corners(image, config), occupied_px, image.shape, config=config
     )
 
@@ -53,13 +58,13 @@ def as_set(corners: FloatArray) -> set[tuple[float, float]]:
 
 def test_every_cell_gets_its_share_and_no_more() -> None:
     np.testing.assert_array_equal(
-        count_per_cell(detect_corners(many_dots(), NOBODY, TWO_A_CELL)), 2
+        count_per_cell(detect_corners(many_dots(), NO_FEATURES, TWO_A_CELL)), 2
     )
 
 
 @pytest.mark.parametrize("wanted", [100, 300, 777, 1500])
 def test_about_as_many_are_found_as_are_wanted(wanted: int) -> None:
-    found = detect_corners(many_dots(375, 1242), NOBODY, TrackingConfig(num_features=wanted))
+    found = detect_corners(many_dots(375, 1242), NO_FEATURES, TrackingConfig(num_features=wanted))
     assert 0.99 * wanted <= len(found) <= 1.25 * wanted
 
 
@@ -83,39 +88,43 @@ def test_features_outside_the_image_count_for_the_nearest_cell() -> None:
 
 def test_the_strongest_are_chosen() -> None:
     image = dots((52, 50, 30), (60, 50, 120), (68, 50, 60), (52, 65, 90), (60, 65, 40))
-    assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(60, 50), (52, 65)}
+    assert as_set(detect_corners(image, NO_FEATURES, TWO_A_CELL)) == {(60, 50), (52, 65)}
 
 
 def test_strength_is_compared_within_a_cell_only() -> None:
     image = dots((52, 60, 150), (60, 60, 140), (68, 60, 130), (100, 60, 20))
-    assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(52, 60), (60, 60), (100, 60)}
+    assert as_set(detect_corners(image, NO_FEATURES, TWO_A_CELL)) == {(52, 60), (60, 60), (100, 60)}
 
 
-def test_what_is_half_a_window_from_another_is_no_new_corner() -> None:
-    """Neither of the weaker one of two dots, nor of one beside a feature that is there."""
+def test_corners_less_than_half_a_window_from_another_are_dropped() -> None:
+    """Neither the weaker one of two dots, nor one beside a feature already tracked."""
     image = dots((60, 60, 90), (66, 54, 80), (100, 60, 90), (107, 60, 80))
-    assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == {(60, 60), (100, 60), (107, 60)}
+    assert as_set(detect_corners(image, NO_FEATURES, TWO_A_CELL)) == {
+        (60, 60),
+        (100, 60),
+        (107, 60),
+    }
     assert as_set(detect_corners(image, np.array([[62.4, 58.2]]), TWO_A_CELL)) == {
         (100, 60),
         (107, 60),
     }
     wide = TWO_A_CELL.model_copy(update={"window_px": 13})
-    assert as_set(detect_corners(image, NOBODY, wide)) == {(60, 60), (100, 60)}
+    assert as_set(detect_corners(image, NO_FEATURES, wide)) == {(60, 60), (100, 60)}
 
 
-def test_of_features_that_have_met_the_first_is_kept() -> None:
-    """A chain: the third is near the second alone, which is gone."""
+def test_of_overlapping_features_the_first_is_kept() -> None:
+    """A chain: the third overlaps only the second, which is dropped."""
     pixels = np.array([[50.0, 50.0], [55.0, 50.0], [60.0, 50.0], [50.2, 50.0], [50.0, 80.0]])
     shape = (HEIGHT_PX, WIDTH_PX)
     np.testing.assert_array_equal(
-        apart(pixels, shape, TWO_A_CELL), [True, False, True, False, True]
+        non_overlapping(pixels, shape, TWO_A_CELL), [True, False, True, False, True]
     )
-    assert len(apart(NOBODY, shape, TWO_A_CELL)) == 0
+    assert len(non_overlapping(NO_FEATURES, shape, TWO_A_CELL)) == 0
 
 
 def test_contrast_below_the_threshold_is_no_corner() -> None:
     image = dots((60, 60, 15), (100, 60, 25))
-    found = detect_corners(image, NOBODY, TrackingConfig(fast_threshold=20))
+    found = detect_corners(image, NO_FEATURES, TrackingConfig(fast_threshold=20))
     assert as_set(found) == {(100, 60)}
 
 
@@ -125,11 +134,11 @@ def test_nothing_is_found_where_a_window_would_leave_the_image() -> None:
     inside = [(BORDER_PX, 60), (last_u, 60), (80, BORDER_PX), (80, last_v)]
     outside = [(BORDER_PX - 1, 20), (last_u + 1, 20), (20, BORDER_PX - 1), (20, last_v + 1)]
     image = dots(*[(u, v, 100) for u, v in inside + outside])
-    assert as_set(detect_corners(image, NOBODY, TWO_A_CELL)) == set(inside)
+    assert as_set(detect_corners(image, NO_FEATURES, TWO_A_CELL)) == set(inside)
 
 
 def test_an_even_image_has_no_corners() -> None:
-    found = detect_corners(np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8), NOBODY, TWO_A_CELL)
+    found = detect_corners(np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8), NO_FEATURES, TWO_A_CELL)
     assert found.shape == (0, 2)
 
 
@@ -137,12 +146,12 @@ def test_a_size_that_is_no_multiple_of_the_cell_is_covered_to_its_edges() -> Non
     """170×130 px in cells of 40 px: five columns, four rows, the last ones 10 px wide, 8 of them
     border."""
     image = np.random.default_rng(1).integers(0, 256, (130, 170), dtype=np.uint8)
-    found = detect_corners(image, NOBODY, TrackingConfig(num_features=2 * 170 * 130 // 40**2))
+    found = detect_corners(image, NO_FEATURES, TrackingConfig(num_features=2 * 170 * 130 // 40**2))
     assert found[:, 0].max() >= 160
     assert found[:, 1].max() >= 120
     assert (found < [170 - BORDER_PX, 130 - BORDER_PX]).all()
 
 
 def test_the_same_image_gives_the_same_corners() -> None:
-    first, second = (detect_corners(many_dots(), NOBODY, TWO_A_CELL) for _ in range(2))
+    first, second = (detect_corners(many_dots(), NO_FEATURES, TWO_A_CELL) for _ in range(2))
     np.testing.assert_array_equal(first, second)

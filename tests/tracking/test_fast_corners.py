@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from probevo.arrays import Image
-from probevo.tracking.fast_corners import strongest_of_cells
+from probevo.tracking.fast_corners import CornerGrid, strongest_of_cells
 
 BORDER_PX = 8
 PER_CELL = 3
 
 
 def textures() -> dict[str, Image]:
-    """Noise, blobs, few grey levels (many corners as strong as their neighbor), straight edges."""
+    """Noise, blobs, few grey levels (many corners as strong as their neighbour), straight edges."""
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 256, (97, 130), dtype=np.uint8)
     blobs = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
@@ -50,14 +50,9 @@ def test_each_cell_holds_the_strongest_of_opencv_in_order(
     image = textures()[name]
     strengths = opencv_strengths(image, threshold)
     rows, columns = (int(np.ceil(side / cell_px)) for side in image.shape)
+    grid = CornerGrid(cell_px=cell_px, rows=rows, columns=columns)
     found = strongest_of_cells(
-        image,
-        threshold,
-        cell_px,
-        rows=rows,
-        columns=columns,
-        per_cell=PER_CELL,
-        border_px=BORDER_PX,
+        image, grid, threshold=threshold, per_cell=PER_CELL, border_px=BORDER_PX
     )
     assert strengths
     cells: dict[tuple[float, float], list[tuple[int, int]]] = {}
@@ -77,21 +72,20 @@ def test_each_cell_holds_the_strongest_of_opencv_in_order(
 def test_an_image_that_is_hardly_more_than_border_is_no_error(shape: tuple[int, int]) -> None:
     found = strongest_of_cells(
         np.zeros(shape, np.uint8),
-        10,
-        31.75,
-        rows=1,
-        columns=7,
+        CornerGrid(cell_px=31.75, rows=1, columns=7),
+        threshold=10,
         per_cell=PER_CELL,
         border_px=BORDER_PX,
     )
     assert np.isnan(found).all()
 
 
-def test_a_view_of_an_image_is_as_good_as_a_copy() -> None:
+def test_a_view_of_an_image_gives_the_corners_of_a_copy() -> None:
     image = textures()["blobs"]
     view = np.repeat(np.repeat(image, 2, axis=0), 2, axis=1)[::2, ::2]
+    grid = CornerGrid(cell_px=31.75, rows=4, columns=5)
     first, second = (
-        strongest_of_cells(i, 10, 31.75, rows=4, columns=5, per_cell=PER_CELL, border_px=BORDER_PX)
-        for i in (image, view)
+        strongest_of_cells(each, grid, threshold=10, per_cell=PER_CELL, border_px=BORDER_PX)
+        for each in (image, view)
     )
     np.testing.assert_array_equal(first, second)

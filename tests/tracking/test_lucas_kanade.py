@@ -1,4 +1,4 @@
-"""Lucas–Kanade level by level ends where OpenCV does, which goes through its own pyramids."""
+"""Lucas–Kanade level by level ends where OpenCV's pyramidal one does."""
 
 import cv2
 import numpy as np
@@ -10,8 +10,8 @@ from probevo.tracking.lucas_kanade import (
     MAX_ITERATIONS,
     MAX_STEP_PX,
     MIN_EIGENVALUE,
-    find_again,
-    pyramid_of,
+    build_pyramid,
+    track_points,
 )
 
 
@@ -30,16 +30,17 @@ def pair(height: int, width: int) -> tuple[Image, Image]:
     ("height", "width", "levels"), [(240, 320, 4), (61, 90, 3), (23, 25, 2), (22, 40, 1)]
 )
 def test_every_point_ends_at_the_same_bits(height: int, width: int, levels: int) -> None:
-    """Points beyond the border and wild starts too; small images have fewer levels, as OpenCV has."""
+    """Also beyond the border and from far starts; small images have fewer levels, as in OpenCV."""
     one, other = pair(height, width)
     config = TrackingConfig()
     rng = np.random.default_rng(1)
     points = rng.uniform(-5.0, np.array([width, height]) + 5.0, (500, 2))
     starts = points + rng.normal(0.0, 5.0, points.shape)
-    pyramids = pyramid_of(one, config), pyramid_of(other, config)
-    assert len(pyramids[0]) == levels
-    found, difference = find_again(*pyramids, points, starts, config)
-    expected, status, left = cv2.calcOpticalFlowPyrLK(
+    template = build_pyramid(one, config)
+    image = build_pyramid(other, config)
+    assert len(template) == levels
+    found, difference = track_points(template, image, points, start_px=starts, config=config)
+    expected, status, expected_difference = cv2.calcOpticalFlowPyrLK(
         one,
         other,
         points.astype(np.float32),
@@ -54,12 +55,12 @@ def test_every_point_ends_at_the_same_bits(height: int, width: int, levels: int)
     assert alive.sum() > 100
     np.testing.assert_array_equal(np.isfinite(difference), alive)
     np.testing.assert_array_equal(found[alive], expected[alive])
-    np.testing.assert_array_equal(difference[alive], left[alive, 0])
+    np.testing.assert_array_equal(difference[alive], expected_difference[alive, 0])
 
 
 def test_without_points_there_is_nothing_to_find() -> None:
-    pyramid = pyramid_of(pair(61, 90)[0], TrackingConfig())
-    found, difference = find_again(
+    pyramid = build_pyramid(pair(61, 90)[0], TrackingConfig())
+    found, difference = track_points(
         pyramid, pyramid, np.zeros((0, 2)), start_px=np.zeros((0, 2)), config=TrackingConfig()
     )
     assert found.shape == (0, 2)

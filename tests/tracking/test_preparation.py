@@ -1,5 +1,4 @@
-"""Frames prepared ahead are the same frames, in the same order, with the same errors in the same
-places."""
+"""Frames prepared ahead are the same frames, in the same order, with the same errors."""
 
 from collections.abc import Iterator
 
@@ -9,7 +8,7 @@ import pytest
 from probevo.config import TrackingConfig
 from probevo.errors import InputError
 from probevo.sequences.frame import Frame, StereoFeatures
-from probevo.tracking.preparation import prepared, prepared_ahead, with_prepared
+from probevo.tracking.preparation import prepare_ahead, prepare_images, with_prepared_images
 
 CONFIG = TrackingConfig()
 
@@ -23,10 +22,10 @@ def frames(count: int, fails_at: int | None = None) -> Iterator[Frame]:
 
 
 def test_all_frames_come_in_order_with_their_images_prepared() -> None:
-    found = list(prepared_ahead(frames(7), CONFIG))
+    found = list(prepare_ahead(frames(7), CONFIG))
     assert [frame.index for frame in found] == list(range(7))
-    for ahead, now in zip(found, frames(7), strict=True):
-        expected = prepared(now, CONFIG)
+    for ahead, frame in zip(found, frames(7), strict=True):
+        expected = prepare_images(frame, CONFIG)
         assert ahead.prepared is not None
         np.testing.assert_array_equal(ahead.prepared.left[-1], expected.left[-1])
         np.testing.assert_array_equal(ahead.prepared.corners, expected.corners)
@@ -36,25 +35,25 @@ def test_all_frames_come_in_order_with_their_images_prepared() -> None:
 def test_what_reading_a_frame_raises_comes_after_the_frames_before(fails_at: int) -> None:
     found = []
     with pytest.raises(InputError, match=f"frame {fails_at}"):
-        found.extend(frame.index for frame in prepared_ahead(frames(7, fails_at), CONFIG))
+        found.extend(frame.index for frame in prepare_ahead(frames(7, fails_at), CONFIG))
     assert found == list(range(fails_at))
 
 
-def test_who_stops_early_leaves_no_thread_behind() -> None:
+def test_stopping_early_leaves_no_thread_behind() -> None:
     source = frames(1000)
-    for frame in prepared_ahead(source, CONFIG):
+    for frame in prepare_ahead(source, CONFIG):
         if frame.index == 3:
             break
     assert next(source).index < 10
 
 
-def test_images_prepared_with_other_settings_are_prepared_anew() -> None:
-    frame = with_prepared(next(frames(1)), CONFIG)
+def test_images_prepared_with_other_settings_are_prepared_again() -> None:
+    frame = with_prepared_images(next(frames(1)), CONFIG)
     other = TrackingConfig(high_pass_px=0)
-    assert prepared(frame, CONFIG) is frame.prepared
-    assert prepared(frame, other).left[0] is frame.left
+    assert prepare_images(frame, CONFIG) is frame.prepared
+    assert prepare_images(frame, other).left[0] is frame.left
 
 
 def test_features_need_no_preparation() -> None:
     frame = Frame(0, 0, features=StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4))))
-    assert list(prepared_ahead([frame], CONFIG)) == [frame]
+    assert list(prepare_ahead([frame], CONFIG)) == [frame]

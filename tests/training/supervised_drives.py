@@ -15,7 +15,8 @@ from probevo.config import SolverConfig
 from probevo.estimation.two_frame import solve
 from probevo.geometry import se3
 from probevo.noise import NoiseModel, StudentT
-from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration
+from probevo.sequences.frame import Frame, GroundTruth
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.training.drive import Drive
 from probevo.training.probe.subsets import Learner
 from probevo.training.supervision import Supervision

@@ -5,16 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from training.supervised_drives import Recording, drive_of, known, point_world, recording
 
 from probevo import __version__
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.sequences.frame import ImuCalibration
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.training.checkpoint import Checkpoint, Iteration
 from probevo.training.drive import Drive, joined
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import calibration
+from training.supervised_drives import Recording, drive_of, known, point_world, recording
 from worlds import CAMERA
 
 
@@ -190,7 +190,7 @@ OTHERS = {
     ),
     "an IMU": (
         SETTINGS,
-        [replace(RECORDINGS[0], imu=ImuCalibration(np.eye(3), 1e-3, 1e-3)), RECORDINGS[1]],
+        [replace(RECORDINGS[0], imu=ImuCalibration(np.eye(4), 1e-3, 1e-3)), RECORDINGS[1]],
         ("x", "y"),
     ),
     "another time": (SETTINGS, [recording(None, start_ns=7), RECORDINGS[1]], ("x", "y")),

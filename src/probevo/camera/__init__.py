@@ -1,0 +1,1 @@
+"""The stereo camera: projection and its inverse, transfer by a motion, rectification."""

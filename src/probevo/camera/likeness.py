@@ -1,18 +1,18 @@
-"""Whether two cameras are enough alike that what was learned with one holds for the other."""
+"""Comparison of two cameras: does a noise model learned with one hold for the other?"""
 
 from __future__ import annotations
 
 from probevo.camera.stereo import StereoCamera
 
 TOLERANCE = 0.1
-"""Relative difference up to which two cameras are alike: KITTI's calibrations differ by 2 % from
-day to day."""
+"""Largest relative difference of two similar cameras. Those of KITTI differ by 2 % from day to day.
+"""
 
 
 def difference(camera: StereoCamera, other: StereoCamera) -> str:
-    """The first property in which the cameras are not alike, in words; empty if they are.
+    """Describe the first property in which two cameras differ; return "" if they are similar.
 
-    Sizes of patches and errors are in pixels, so that the resolution matters as much as the lens.
+    The resolution matters as much as the lens, since patch sizes and errors are in pixels.
     """
     pairs = {
         "focal length": (camera.fu_px, other.fu_px, "px"),

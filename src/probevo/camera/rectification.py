@@ -1,5 +1,4 @@
-"""Rectification: two distorted pinhole cameras to the one ``StereoCamera`` that the rest of probevo
-sees."""
+"""Rectification of two distorted pinhole cameras to one ``StereoCamera``."""
 
 from __future__ import annotations
 
@@ -16,28 +15,28 @@ from probevo.errors import InputError
 from probevo.geometry import so3
 
 DistortionModel = Literal["radtan", "equidistant"]
-_Maps = tuple[AnyArray, AnyArray]
+_PixelMaps = tuple[AnyArray, AnyArray]
+"""For each rectified pixel its place in the raw image, in OpenCV's fixed-point form."""
 
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """One camera as it was calibrated, before rectification."""
+    """The calibration of one camera before rectification."""
 
     fu_px: float
     fv_px: float
     cu_px: float
     cv_px: float
     distortion_model: DistortionModel
-    """"radtan" (Brown-Conrady: k1, k2, p1, p2 and perhaps k3) or "equidistant" (Kannala-Brandt
-    fisheye: k1 … k4)."""
+    """Either "radtan" (Brown-Conrady) or "equidistant" (Kannala-Brandt, for fisheye lenses)."""
     distortion: tuple[float, ...]
-    """Coefficients of that model, in the order above."""
+    """Coefficients of that model: k1, k2, p1, p2 and perhaps k3, or k1 … k4."""
     size_px: tuple[int, int]
     """(width, height)."""
 
     @property
     def matrix(self) -> FloatArray:
-        """K, [3, 3], px."""
+        """Camera matrix K, [3, 3], px."""
         return np.array(
             [[self.fu_px, 0.0, self.cu_px], [0.0, self.fv_px, self.cv_px], [0.0, 0.0, 1.0]]
         )
@@ -45,17 +44,17 @@ class PinholeCamera:
 
 @dataclass(frozen=True)
 class Rectification:
-    """Turns pairs of raw images into pairs whose rows align. Built once a recording by
-    ``from_calibration``."""
+    """A map from pairs of raw images to pairs whose rows align.
+
+    ``from_calibration`` builds it once for a recording.
+    """
 
     camera: StereoCamera
-    """The rectified pair."""
+    """The rectified stereo camera."""
     C_rect_left: FloatArray
-    """Rotation from the raw left camera to the rectified one, [3, 3]; their origins are the same.
-    """
-    left_maps: _Maps
-    """Where in the raw left image each rectified pixel lies, in OpenCV's fixed-point form."""
-    right_maps: _Maps
+    """Rotation from the raw to the rectified left camera, [3, 3]; both have the same origin."""
+    left_maps: _PixelMaps
+    right_maps: _PixelMaps
 
     @classmethod
     def from_calibration(
@@ -65,24 +64,26 @@ class Rectification:
         T_right_left: FloatArray,
         where: str | Path = "calibration",
     ) -> Rectification:
-        """Both cameras turned so that their rows align.
+        """Rotate both cameras so that their rows align.
 
-        A "radtan" pair is zoomed so that every pixel lies inside the raw image. An "equidistant"
-        pair keeps its focal length, and with it the resolution at the center: to show all of a
-        fisheye's field would cost most of that.
+        A "radtan" pair is zoomed until every rectified pixel lies inside the raw image. An
+        "equidistant" pair keeps its focal length, and with it the resolution at the centre: the
+        whole field of view of a fisheye lens would cost most of that resolution.
 
         Args:
             left: calibration of the left camera.
-            right: that of the right one; of the same size and distortion model.
+            right: calibration of the right camera, of the same size and distortion model.
             T_right_left: p_right = T_right_left p_left, [4, 4], m.
-            where: the file at fault, for messages.
+            where: file that the calibration comes from, for messages.
 
         Raises:
-            InputError: the two cameras do not match, T_right_left holds no rotation, or no
-                horizontal stereo pair results that sees what the raw one saw.
+            InputError: the two cameras do not match, T_right_left holds no rotation, or the
+                rectified pair is not horizontal or looks elsewhere than the raw pair.
         """
         _check_pair(left, right, T_right_left, where=where)
         C_rect_left, C_rect_right, P_left, P_right = _stereo_rectify(left, right, T_right_left)
+
+        # P_right = K [1 | −b e_x] of a horizontal pair; of a vertical one, the offset is along y.
         if abs(P_right[1, 3]) > abs(P_right[0, 3]):
             what = "the right camera lies above or below the left one."
             raise InputError(
@@ -98,15 +99,18 @@ class Rectification:
         )
         check_camera(camera, where)
         _check_view(camera, where)
-        left_maps = _raw_pixels(left, C_rect_left, P_left)
-        right_maps = _raw_pixels(right, C_rect_right, P_right)
-        return cls(camera, C_rect_left, left_maps, right_maps)
+        return cls(
+            camera=camera,
+            C_rect_left=C_rect_left,
+            left_maps=_pixel_maps(left, C_rect_left, P_left),
+            right_maps=_pixel_maps(right, C_rect_right, P_right),
+        )
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
-        """The rectified pair, [height, width] each, of a raw pair of the same size.
+        """Rectify a pair of raw images, [height, width] each.
 
         Raises:
-            InputError: an image has not the size that the cameras were calibrated with.
+            InputError: an image has another size than the calibration.
         """
         for name, image in (("left", left), ("right", right)):
             if image.shape[1::-1] != self.camera.size_px:
@@ -117,12 +121,17 @@ class Rectification:
                 raise InputError(
                     "rectification", what, "Give raw images of the size of the calibration."
                 )
-        return _remap(left, self.left_maps), _remap(right, self.right_maps)
+        return _remapped(left, self.left_maps), _remapped(right, self.right_maps)
 
 
 def _check_pair(
     left: PinholeCamera, right: PinholeCamera, T_right_left: FloatArray, where: str | Path
 ) -> None:
+    """Refuse two cameras that form no stereo pair.
+
+    Raises:
+        InputError: names the property at fault.
+    """
     _check_pinhole(left, f"{where}: left camera")
     _check_pinhole(right, f"{where}: right camera")
     for name in ("distortion_model", "size_px"):
@@ -148,7 +157,11 @@ def _check_pair(
 
 
 def _check_view(camera: StereoCamera, where: str | Path) -> None:
-    """Refuse a rectified pair that looks past what it was made from."""
+    """Refuse a rectified camera whose optical axis misses the image.
+
+    Raises:
+        InputError: the principal point is outside the image.
+    """
     width_px, height_px = camera.size_px or (0, 0)
     if not (0.0 <= camera.cu_px <= width_px and 0.0 <= camera.cv_px <= height_px):
         what = (
@@ -163,10 +176,15 @@ def _check_view(camera: StereoCamera, where: str | Path) -> None:
 
 
 def _check_pinhole(camera: PinholeCamera, where: str) -> None:
+    """Refuse intrinsics or distortion coefficients that no camera can have.
+
+    Raises:
+        InputError: names the value at fault.
+    """
     check_intrinsics(
-        camera.fu_px,
-        camera.fv_px,
-        camera.cu_px,
+        fu_px=camera.fu_px,
+        fv_px=camera.fv_px,
+        cu_px=camera.cu_px,
         cv_px=camera.cv_px,
         size_px=camera.size_px,
         where=where,
@@ -182,39 +200,62 @@ def _check_pinhole(camera: PinholeCamera, where: str) -> None:
 def _stereo_rectify(
     left: PinholeCamera, right: PinholeCamera, T_right_left: FloatArray
 ) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """C_rect_left, C_rect_right [3, 3] and the rectified projections P_left, P_right [3, 4]."""
+    """Compute the rectifying rotations and the rectified projections.
+
+    Returns:
+        C_rect_left, C_rect_right, [3, 3], and P_left, P_right, [3, 4].
+    """
     if left.distortion_model == "radtan":
-        distortions = (np.array(left.distortion), np.array(right.distortion))
-        alpha = 0.0
-    else:  # without distortion and zoom: the raw focal length
-        distortions = (np.zeros(4), np.zeros(4))
-        alpha = -1.0
+        left_distortion = np.array(left.distortion)
+        right_distortion = np.array(right.distortion)
+        zoom = 0.0  # until only valid pixels are left
+    else:
+        # OpenCV's function knows no fisheye model. Without distortion and zoom it keeps the focal
+        # length; the pixel maps undo the distortion.
+        left_distortion = np.zeros(4)
+        right_distortion = np.zeros(4)
+        zoom = -1.0
     C_rect_left, C_rect_right, P_left, P_right, *_ = cv2.stereoRectify(
-        left.matrix,
-        distortions[0],
-        right.matrix,
-        distortions[1],
-        left.size_px,
-        T_right_left[:3, :3].copy(),  # OpenCV wants contiguous blocks
-        T_right_left[:3, 3:].copy(),
+        cameraMatrix1=left.matrix,
+        distCoeffs1=left_distortion,
+        cameraMatrix2=right.matrix,
+        distCoeffs2=right_distortion,
+        imageSize=left.size_px,
+        R=T_right_left[:3, :3].copy(),  # OpenCV needs contiguous arrays
+        T=T_right_left[:3, 3:].copy(),
         flags=cv2.CALIB_ZERO_DISPARITY,
-        alpha=alpha,
+        alpha=zoom,
     )
     return C_rect_left, C_rect_right, P_left, P_right
 
 
-def _raw_pixels(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArray) -> _Maps:
-    is_radtan = camera.distortion_model == "radtan"
-    undistort_maps = (
-        cv2.initUndistortRectifyMap if is_radtan else cv2.fisheye.initUndistortRectifyMap
-    )
+def _pixel_maps(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArray) -> _PixelMaps:
+    """Compute where in the raw image each rectified pixel lies."""
     distortion = np.array(camera.distortion)
-    u, v = undistort_maps(
-        camera.matrix, distortion, C_rect_cam, P_rect[:, :3], camera.size_px, cv2.CV_32FC1
-    )
+    if camera.distortion_model == "radtan":
+        u, v = cv2.initUndistortRectifyMap(
+            cameraMatrix=camera.matrix,
+            distCoeffs=distortion,
+            R=C_rect_cam,
+            newCameraMatrix=P_rect[:, :3],
+            size=camera.size_px,
+            m1type=cv2.CV_32FC1,
+        )
+    else:
+        u, v = cv2.fisheye.initUndistortRectifyMap(
+            K=camera.matrix,
+            D=distortion,
+            R=C_rect_cam,
+            P=P_rect[:, :3],
+            size=camera.size_px,
+            m1type=cv2.CV_32FC1,
+        )
     fixed_point, fraction = cv2.convertMaps(u, v, cv2.CV_16SC2)
     return fixed_point, fraction
 
 
-def _remap(image: Image, maps: _Maps) -> Image:
-    return cv2.remap(image, *maps, interpolation=cv2.INTER_LINEAR).astype(np.uint8, copy=False)
+def _remapped(image: Image, maps: _PixelMaps) -> Image:
+    """Sample an image bilinearly at the places that the maps give."""
+    map_1, map_2 = maps
+    remapped = cv2.remap(image, map_1, map_2, interpolation=cv2.INTER_LINEAR)
+    return remapped.astype(np.uint8, copy=False)

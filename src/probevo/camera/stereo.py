@@ -1,5 +1,7 @@
-"""The rectified stereo camera: y = f(p), its inverse p = g(y), and the Jacobian of g (PROBE eqs. 2,
-9)."""
+"""The rectified stereo camera: y = f(p), its inverse p = g(y), and the Jacobian of g.
+
+The equations are PROBE's (2) and (9).
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,9 @@ from probevo.errors import InputError
 
 @dataclass(frozen=True)
 class StereoCamera:
-    """Two identical pinhole cameras with parallel axes, the right one ``baseline_m`` along +x of
-    the left.
+    """Two identical pinhole cameras with parallel axes.
 
+    The right camera is ``baseline_m`` along +x of the left one.
     Points are in the left camera's frame (x right, y down, z forward), m. Observations are
     y = (u_l, v_l, u_r, v_r) in px of the rectified images.
     """
@@ -32,31 +34,48 @@ class StereoCamera:
 
     @staticmethod
     def centered(focal_px: float, baseline_m: float, size_px: tuple[int, int]) -> StereoCamera:
-        """With square pixels, and axes that meet the middle of images of (width, height)."""
+        """Return a camera with square pixels and its principal point in the image centre.
+
+        Args:
+            focal_px: focal length, px.
+            baseline_m: distance of the right camera from the left one, m.
+            size_px: (width, height) of the images.
+        """
         width, height = size_px
         return StereoCamera(
-            focal_px,
-            focal_px,
-            0.5 * (width - 1),
+            fu_px=focal_px,
+            fv_px=focal_px,
+            cu_px=0.5 * (width - 1),
             cv_px=0.5 * (height - 1),
             baseline_m=baseline_m,
             size_px=size_px,
         )
 
     def project(self, points: FloatArray) -> FloatArray:
-        """y = f(p): points [..., 3], m, to observations [..., 4], px (PROBE eq. 2). Points need z >
-        0."""
+        """Project points: y = f(p) (PROBE eq. 2).
+
+        Args:
+            points: [..., 3], m, with z > 0.
+
+        Returns:
+            Observations, [..., 4], px.
+        """
         x, y, z = np.moveaxis(points, -1, 0)
         u_l = self.fu_px * x / z + self.cu_px
         v = self.fv_px * y / z + self.cv_px
         return np.stack([u_l, v, u_l - self.fu_px * self.baseline_m / z, v], axis=-1)
 
     def triangulate(self, pixels: FloatArray) -> FloatArray:
-        """p = g(y): observations [..., 4], px, to points [..., 3], m. They need a positive
-        disparity.
+        """Triangulate observations: p = g(y).
 
         The two rows are averaged, which makes g the least-squares inverse of f for rows of equal
-        noise, and f(g(y)) = y wherever v_l = v_r.
+        noise; f(g(y)) = y wherever v_l = v_r.
+
+        Args:
+            pixels: observations, [..., 4], px, with positive disparity.
+
+        Returns:
+            Points, [..., 3], m.
         """
         u_l, v_l, u_r, v_r = np.moveaxis(pixels, -1, 0)
         z = self.fu_px * self.baseline_m / (u_l - u_r)
@@ -65,17 +84,18 @@ class StereoCamera:
         return np.stack([x, y, z], axis=-1)
 
     def normalized(self, u_px: FloatArray, v_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x = (u − c_u)/f_u to the right and y = (v − c_v)/f_v down, tangents of angles, in the
-        left image."""
+        """Return the normalised coordinates x = (u − c_u)/f_u and y = (v − c_v)/f_v, left image."""
         return (u_px - self.cu_px) / self.fu_px, (v_px - self.cv_px) / self.fv_px
 
     def moved_rays(self, pixels: FloatArray, T_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where a motion takes the points at N observations [N, 4], px, each over its depth in a.
+        """Move the points at N observations [N, 4], px, each divided by its depth in a.
+
+        ``camera.transfer`` does the same, and predicts the observations, too.
 
         Returns:
-            q = C m + ρ t, [3, N], with the ray m = (x, y, 1): q₃ is the new depth over the old one.
-            And the inverse depth ρ in a, 1/m, [N]: 0, at infinity, where the disparity is not
-            positive.
+            q = C m + ρ t, [3, N], with the ray m = (x, y, 1); q_z is the depth in b over that in a.
+            And the inverse depth ρ in a, [N], 1/m, which is 0 (at infinity) where the disparity is
+            not positive.
         """
         rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (self.fu_px * self.baseline_m)
         rays = np.empty((3, len(pixels)))
@@ -84,14 +104,16 @@ class StereoCamera:
         return T_b_a[:3, :3] @ rays + T_b_a[:3, 3, None] * rho, rho
 
     def triangulate_jacobian(self, pixels: FloatArray) -> FloatArray:
-        """G = ∂g/∂y at observations [..., 4]: [..., 3, 4], m/px (PROBE eq. 9)."""
+        """Return G = ∂g/∂y, [..., 3, 4], m/px, at observations [..., 4], px (PROBE eq. 9)."""
         u_l, _, u_r, _ = np.moveaxis(pixels, -1, 0)
         disparity = u_l - u_r
         point = self.triangulate(pixels)
         z = point[..., 2]
+        # All of p scales with the depth, which goes with 1 / disparity.
         jacobian: FloatArray = (
             -point[..., :, None] / disparity[..., None, None] * np.array([1.0, 0.0, -1.0, 0.0])
         )
+        # Besides, x depends on u_l, and y on the mean of both rows.
         jacobian[..., 0, 0] += z / self.fu_px
         jacobian[..., 1, 1] += 0.5 * z / self.fv_px
         jacobian[..., 1, 3] += 0.5 * z / self.fv_px
@@ -106,12 +128,12 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
         where: that file or option, for the message.
 
     Raises:
-        InputError: as ``check_intrinsics`` does, or the baseline is not finite and positive.
+        InputError: the baseline is not finite and positive, or as ``check_intrinsics`` raises.
     """
     check_intrinsics(
-        camera.fu_px,
-        camera.fv_px,
-        camera.cu_px,
+        fu_px=camera.fu_px,
+        fv_px=camera.fv_px,
+        cu_px=camera.cu_px,
         cv_px=camera.cv_px,
         size_px=camera.size_px,
         where=where,
@@ -133,6 +155,7 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
 
 
 def check_intrinsics(
+    *,
     fu_px: float,
     fv_px: float,
     cu_px: float,

@@ -1,4 +1,4 @@
-"""Words of the command line → a dataclass, or the settings of a run."""
+"""Parsing of the command line into a dataclass of arguments with its settings."""
 
 from __future__ import annotations
 
@@ -22,23 +22,27 @@ from probevo.run_config import OWN_KEYS, RunConfig, setting_error
 Arguments = TypeVar("Arguments")
 Model = TypeVar("Model", bound=BaseModel)
 NOT_FLAGS = ("sequence",)
-"""Settings that are given by position."""
+"""Settings that are positional arguments instead."""
 _registry = ConstructorRegistry()
 
 
 def parse(
     kind: type[Arguments], words: list[str], command: str, default: Arguments | None = None
 ) -> Arguments:
-    """The words as a ``kind``; its docstrings are the help. Exits with code 2 and a hint if they do
-    not fit.
+    """Parse the words of the command line; bad ones exit with code 2 and a hint.
+
+    Args:
+        kind: the dataclass of the arguments; its docstrings are the help.
+        words: what follows the command.
+        command: name of the command, for the help.
+        default: what holds where no flag is given.
 
     Raises:
-        InputError: --out is empty, which would be the current directory.
+        InputError: --out is empty, which would mean the current directory.
     """
     if "--out=" in words or ("--out", "") in pairwise(words):
-        raise InputError(
-            "--out", "is empty.", "Name a folder, or the file to write; . is the current directory."
-        )
+        cure = "Name a folder, or the file to write; . is the current directory."
+        raise InputError("--out", "is empty.", cure)
     given: dict[str, Any] = {} if default is None else {"default": default}
     with _registry:
         parsed: Arguments = tyro.cli(
@@ -48,31 +52,38 @@ def parse(
 
 
 def checked(settings: Model) -> Model:
-    """Settings that came as flags, once more with the checks that ``parse`` leaves out.
+    """Validate settings that were given as flags; ``parse`` leaves this out.
 
     Raises:
-        InputError: names the flag out of bounds.
+        InputError: names each flag that is out of bounds.
     """
+
+    def as_flag(key: str) -> str:
+        return f"--{key.replace('_', '-')}"
+
     try:
         return type(settings).model_validate(settings.model_dump())
     except ValidationError as error:
-        raise setting_error(
-            error, "flags", type(settings), spelled=lambda key: f"--{key.replace('_', '-')}"
-        ) from error
+        raise setting_error(error, "flags", type(settings), spelled=as_flag) from error
 
 
 @_registry.struct_rule
 def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
-    # tyro would report a value out of bounds in pydantic's words, and name the section instead of
-    # the flag.
+    # Build the settings without validation: tyro would report a value that is out of bounds in
+    # pydantic's words, and name the section instead of the flag.
     if not (isinstance(info.type, type) and issubclass(info.type, BaseModel)):
         return None
     model: type[BaseModel] = info.type
-    first = OWN_KEYS if issubclass(model, RunConfig) else ()
-    ordered = sorted(model.model_fields.items(), key=lambda item: item[0] not in first)
+    own_keys = OWN_KEYS if issubclass(model, RunConfig) else ()
+    own_first = sorted(model.model_fields.items(), key=lambda item: item[0] not in own_keys)
     fields = [
-        StructFieldSpec(name, field.annotation, getattr(info.default, name), field.description)  # type: ignore[arg-type]
-        for name, field in ordered
+        StructFieldSpec(
+            name,
+            field.annotation,  # type: ignore[arg-type]
+            getattr(info.default, name),
+            field.description,
+        )
+        for name, field in own_first
         if name not in NOT_FLAGS
     ]
 
@@ -85,8 +96,8 @@ def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
 
 @_registry.primitive_rule
 def _name_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    # tyro would offer 'None' among the names, in an order of chance, although DisallowNone refuses
-    # it.
+    # Offer the names of a Literal only: tyro would list None among them, in random order, although
+    # DisallowNone refuses it.
     kinds = get_args(info.type)
     if len(kinds) != 2 or kinds[1] is not type(None) or get_origin(kinds[0]) is not Literal:
         return None

@@ -1,4 +1,4 @@
-"""``probevo compare``: several estimators on several recordings, side by side."""
+"""``probevo compare``: run several estimators on several recordings and compare them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from probevo.cli.arguments import checked, parse
-from probevo.cli.run import settings_of
+from probevo.cli.run import default_settings
 from probevo.cli.text import table
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.run_config import RunConfig, SharedConfig, run_config
+from probevo.run_config import CommonRunSettings, RunConfig, run_config
 
 if TYPE_CHECKING:
     from probevo import sequences
@@ -22,16 +22,17 @@ if TYPE_CHECKING:
 
 AGGRESSIVE = "aggressive"
 AGGRESSIVE_CONFIDENCE = 0.9999
+"""Confidence of RANSAC in the aggressive estimator of PROBE; that of the nominal one is 0.99."""
 
 
 @dataclass(frozen=True)
 class CompareArguments:
-    """Runs every estimator over every recording, and compares them.
+    """Runs every estimator on every recording, and compares them.
 
     Writes comparison.html with tables and figures, comparison.csv and .json with all metrics,
-    table.tex in the form of PROBE Table I, and runs/ with the files of each run. Settings hold for
-    all runs: defaults < the file of --config, whose recording and noise model are left aside <
-    flags.
+    table.tex in the form of PROBE Table I, and runs/ with the files of each run. The settings are
+    the same for all runs. Flags override the file given by --config, whose recording and noise
+    model are ignored, and that overrides the defaults.
     """
 
     sequences: Annotated[
@@ -40,35 +41,38 @@ class CompareArguments:
     ]
     """Folders of the recordings, or tracks files (.npz)."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the results. Files of the same names are replaced; runs of earlier comparisons
-    stay."""
+    """Folder for the results. Files of the same name are replaced; runs of earlier comparisons are
+    kept."""
     noise: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ESTIMATOR…")] = ("fixed", "student-t")
-    """The estimators: fixed, student-t, and model files (.safetensors), as in `probevo run`;
-    aggressive is fixed with RANSAC at a confidence of 0.9999. With the defaults, fixed and
-    aggressive are what PROBE was compared with."""
+    """The estimators: fixed, student-t and model files (.safetensors), as in `probevo run`, and
+    aggressive, which is fixed with RANSAC at a confidence of 0.9999. With the default settings,
+    fixed and aggressive are the nominal and the aggressive estimator of PROBE."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Settings as YAML, such as the config.yaml of an earlier run."""
     threads: int = 1
-    """Threads of OpenCV. Two save a tenth of the time, no more; the results are the same."""
-    settings: Annotated[SharedConfig, tyro.conf.arg(name="")] = field(default_factory=SharedConfig)
+    """Threads of OpenCV. Two save a tenth of the time, more save nothing. Results do not change."""
+    settings: Annotated[CommonRunSettings, tyro.conf.arg(name="")] = field(
+        default_factory=CommonRunSettings
+    )
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording to run over."""
+    """A recording to run on."""
 
     name: str
-    """Unlike that of any other."""
+    """Unique within the comparison."""
     sequence: sequences.Sequence
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """A way to run over a recording."""
+    """A noise model with the settings of its runs."""
 
     name: str
-    """Unlike that of any other."""
+    """Unique within the comparison."""
     noise: str
+    """A name or a model file, as for --noise of ``probevo run``."""
     settings: OdometryConfig
 
 
@@ -86,12 +90,12 @@ class Job:
 
 
 def main(words: list[str]) -> None:
-    """Parse, check everything, run, compare."""
-    given = settings_of(words)
-    shared = SharedConfig.model_validate(
-        {name: getattr(given, name) for name in SharedConfig.model_fields}
+    """Parse the arguments, check everything, run, and write the comparison."""
+    given = default_settings(words)
+    common = CommonRunSettings.model_validate(
+        {name: getattr(given, name) for name in CommonRunSettings.model_fields}
     )
-    default = CompareArguments(sequences=tyro.MISSING, out=tyro.MISSING, settings=shared)
+    default = CompareArguments(sequences=tyro.MISSING, out=tyro.MISSING, settings=common)
     arguments = parse(CompareArguments, words, "compare", default=default)
     settings = checked(arguments.settings)
     if arguments.threads < 1:
@@ -108,10 +112,10 @@ def main(words: list[str]) -> None:
 
 
 def open_recordings(paths: Sequence[Path], layout: str | None) -> list[Recording]:
-    """Open the recordings and name them.
+    """Open the recordings and give each a unique name.
 
     Raises:
-        InputError: there is none, one is there twice, is too short, or cannot be opened.
+        InputError: none is given, or one is given twice, is too short, or cannot be opened.
     """
     from probevo.output.comparison import distinct_labels
     from probevo.sequences import open_sequence
@@ -126,26 +130,23 @@ def open_recordings(paths: Sequence[Path], layout: str | None) -> list[Recording
     opened = [open_sequence(path, layout) for path in paths]
     for sequence in opened:
         if len(sequence) < 2:
-            raise InputError(
-                sequence.path, "has one frame only, and so no motion to compare.", "Leave it out."
-            )
-    return [
-        Recording(name, sequence)
-        for name, sequence in zip(distinct_labels(paths), opened, strict=True)
-    ]
+            what = "has only one frame, and so no motion to compare."
+            raise InputError(sequence.path, what, "Leave it out.")
+    names = distinct_labels(paths)
+    return [Recording(name, sequence) for name, sequence in zip(names, opened, strict=True)]
 
 
-def estimators_of(specs: Sequence[str], settings: SharedConfig) -> list[Estimator]:
-    """The estimators that --noise names.
+def estimators_of(specs: Sequence[str], settings: CommonRunSettings) -> list[Estimator]:
+    """Return the estimators that --noise names.
 
     Raises:
-        InputError: there is none, or one is there twice.
+        InputError: none is given, or one is given twice.
     """
-    from probevo.noise.classical import CLASSICAL
     from probevo.noise.named import portable
+    from probevo.noise.registry import untrained_names
     from probevo.output.comparison import distinct_labels
 
-    names = (*CLASSICAL, AGGRESSIVE)
+    names = (*untrained_names(), AGGRESSIVE)
     _refuse_twice("--noise", [(spec, spec if spec in names else portable(spec)) for spec in specs])
     if not specs:
         raise InputError(
@@ -153,33 +154,42 @@ def estimators_of(specs: Sequence[str], settings: SharedConfig) -> list[Estimato
             "no estimator is named.",
             f"Give one or more of {', '.join(names)}, or model files.",
         )
+    # Model files are called by their names, and by as much of their paths as tells them apart.
     files = [Path(spec) for spec in specs if spec not in names]
-    labels = dict(zip(map(str, files), distinct_labels(files, taken=names), strict=True))
-    return [
-        Estimator(AGGRESSIVE, "fixed", aggressive(settings))
-        if spec == AGGRESSIVE
-        else Estimator(spec if spec in names else labels[str(Path(spec))], spec, settings)
-        for spec in specs
-    ]
+    labels = dict(zip(files, distinct_labels(files, taken=names), strict=True))
+    estimators = []
+    for spec in specs:
+        if spec == AGGRESSIVE:
+            estimators.append(Estimator(AGGRESSIVE, "fixed", aggressive(settings)))
+        elif spec in names:
+            estimators.append(Estimator(spec, spec, settings))
+        else:
+            estimators.append(Estimator(labels[Path(spec)], spec, settings))
+    return estimators
 
 
 def aggressive(settings: OdometryConfig) -> OdometryConfig:
-    """The same with as many samples of RANSAC as PROBE's aggressive estimator takes."""
+    """Return the settings with the RANSAC confidence of PROBE's aggressive estimator."""
     ransac = settings.ransac.model_copy(update={"confidence": AGGRESSIVE_CONFIDENCE})
     return settings.model_copy(update={"ransac": ransac})
 
 
 def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: Path) -> list[Job]:
-    """Every estimator on every recording, all of it checked before the first one runs.
+    """Return one job for every estimator on every recording; all of them are checked.
+
+    Args:
+        recordings: the recordings.
+        estimators: the estimators.
+        out: folder of the comparison; each job writes into a folder of its own in ``out/runs``.
 
     Raises:
-        InputError: a noise model is not known, cannot be loaded, or does not fit a recording, or a
-            setting does not.
+        InputError: a noise model is unknown or cannot be loaded, or a model or a setting does not
+            fit a recording.
     """
     from probevo.noise.named import noise_model, portable
     from probevo.noise.origin import learned_from
     from probevo.output.comparison import numbered
-    from probevo.runner import check_run
+    from probevo.run_checks import check_run
 
     models = {
         estimator.name: noise_model(estimator.noise, others=(AGGRESSIVE,))
@@ -189,13 +199,18 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
     folders = numbered([f"{recording.name}-{estimator.name}" for recording, estimator in pairs])
     jobs = []
     for (recording, estimator), folder in zip(pairs, folders, strict=True):
-        config = run_config(
-            estimator.settings, recording.sequence.path.resolve(), portable(estimator.noise)
-        )
-        check_run(recording.sequence, config, models[estimator.name])
-        seen = recording.sequence.path.resolve().name in learned_from(models[estimator.name])
+        path = recording.sequence.path.resolve()
+        model = models[estimator.name]
+        config = run_config(estimator.settings, path, portable(estimator.noise))
+        check_run(recording.sequence, config, model)
         jobs.append(
-            Job(recording, estimator, config, out=out / "runs" / folder, learned_from_it=seen)
+            Job(
+                recording,
+                estimator,
+                config,
+                out=out / "runs" / folder,
+                learned_from_it=path.name in learned_from(model),
+            )
         )
     return jobs
 
@@ -203,41 +218,57 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
 def run_all(
     jobs: Sequence[Job], threads: int, write: Callable[[Comparison], None], out: Path
 ) -> Comparison:
-    """Run one after another, and write the comparison of all; or, whatever stops it, that of those
-    that are done."""
+    """Run all jobs, one after another, and write their comparison.
+
+    If anything stops a job, the comparison of the finished ones is written, and the exception is
+    raised again with a note that tells where it is.
+
+    Args:
+        jobs: the runs.
+        threads: threads of OpenCV.
+        write: writes the comparison into ``out``.
+        out: folder of the comparison, for the note.
+    """
     from probevo.output.comparison import Comparison
 
     entries: list[Entry] = []
     try:
         for number, job in enumerate(jobs, start=1):
             entries.append(_run(job, threads, f"{number} of {len(jobs)}: "))
-    except (
-        BaseException
-    ) as stop:  # Ctrl-C, a damaged image: it goes on, but not without what was computed
+    except BaseException as stop:  # whatever it is, such as Ctrl-C or a damaged image
         if entries:
             write(Comparison(tuple(entries)))
-            stop.add_note(f"The {len(entries)} finished of {len(jobs)} runs are compared in {out}.")
+            stop.add_note(
+                f"{len(entries)} of {len(jobs)} runs were finished; they are compared in {out}."
+            )
         raise
     comparison = Comparison(tuple(entries))
     write(comparison)
     return comparison
 
 
-def _run(job: Job, threads: int, before: str) -> Entry:
+def _run(job: Job, threads: int, prefix: str) -> Entry:
+    """Run one job; the prefix says which of all jobs it is."""
     from probevo.cli.run import run_with_progress
     from probevo.output.comparison import Entry
 
-    name, estimator, report = job.recording.name, job.estimator.name, job.out / "report.html"
     done = run_with_progress(
         job.recording.sequence,
         job.config,
         job.out,
         threads=threads,
-        name=f"{before}{name} {estimator}",
+        name=f"{prefix}{job.recording.name} {job.estimator.name}",
     )
-    files = done.pictures, report, job.config
     return Entry(
-        name, estimator, done.result, done.truth, done.metrics, *files, job.learned_from_it
+        job.recording.name,
+        job.estimator.name,
+        done.result,
+        truth=done.truth,
+        metrics=done.metrics,
+        pictures=done.pictures,
+        report=job.out / "report.html",
+        config=job.config,
+        learned_from_it=job.learned_from_it,
     )
 
 
@@ -250,10 +281,9 @@ def _write(out: Path, comparison: Comparison) -> None:
     from probevo.output.trial_table import trial_table, trials_latex
 
     trials = trial_table(comparison)
-    models = {entry.estimator: entry.config.noise for entry in comparison.entries if entry.config}
-    facts = {name: noise for name, noise in models.items() if Path(noise).is_absolute()} | {
-        "probevo": __version__
-    }
+    noise_of = {entry.estimator: entry.config.noise for entry in comparison.entries if entry.config}
+    model_files = {name: noise for name, noise in noise_of.items() if Path(noise).is_absolute()}
+    facts = model_files | {"probevo": __version__}
     write_csv(out / "comparison.csv", map(flat_record, comparison.entries))
     write_json(out / "comparison.json", document(comparison.entries, out))
     write_atomically(out / "table.tex", trials_latex(trials))
@@ -275,9 +305,9 @@ def _summary(comparison: Comparison, out: Path) -> list[str]:
 
 
 def _refuse_twice(option: str, given: Sequence[tuple[str, str]]) -> None:
-    """Given: as the user names each, and what it means."""
-    meant: set[str] = set()
-    for name, meaning in given:
-        if meaning in meant:
-            raise InputError(option, f"{name} is given twice.", "Name it once.")
-        meant.add(meaning)
+    """Refuse what is given twice: pairs of the user's spelling and of what it stands for."""
+    seen: set[str] = set()
+    for spelling, meaning in given:
+        if meaning in seen:
+            raise InputError(option, f"{spelling} is given twice.", "Name it once.")
+        seen.add(meaning)

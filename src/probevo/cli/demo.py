@@ -1,5 +1,4 @@
-"""``probevo demo``: two simulated drives, each noise model on both, and one page that shows them
-side by side."""
+"""``probevo demo``: render two simulated drives and compare the noise models on both."""
 
 from __future__ import annotations
 
@@ -21,25 +20,22 @@ if TYPE_CHECKING:
     from probevo.output.comparison import Entry
 
 EFFECTS = Effects(traffic=0.5, shadows=0.5, noise=0.3)
-"""A bad day, but no disaster: enough that it matters how far each feature is trusted. Blur takes
-too long to render."""
+"""Moderate difficulties, so that the noise of a feature varies. Blur takes too long to render."""
 TRAINING = SceneConfig(preset="city", seed=1, distance_m=120, effects=EFFECTS)
-"""What a noise model learns from. It sees the same troubles as the test: one cannot learn from what
-does not happen."""
+"""The training drive. It has the same effects as the test drive: a model can only learn the noise
+of what it has seen."""
 TEST = SceneConfig(preset="city", seed=2, distance_m=120, effects=EFFECTS)
-"""What all are judged by: the same kind of place, as in PROBE and PROBE-GK, but none of the same
-streets."""
+"""The test drive: a place of the same kind, as in PROBE and PROBE-GK, but with other streets."""
 SCENES = {"training": TRAINING, "test": TEST}
 
 
 @dataclass(frozen=True)
 class DemoArguments:
-    """Renders two drives through a simulated city, learns a noise model from the first, and
-    compares it with the classical ones on the second, whose streets it has not seen.
+    """Renders two drives through a simulated city, learns a noise model from the first drive, and
+    compares it with the classical noise models on the second, whose streets it has not seen.
 
-    Writes report.html, which shows them side by side, probe.safetensors, the model, runs/ with the
-    files of each run, and scenes/ with the images; a second demo into the same folder finds these
-    and need not render again.
+    Writes report.html with the comparison, probe.safetensors with the model, runs/ with the files
+    of each run, and scenes/ with the images. A second demo into the same folder reuses the images.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
@@ -47,22 +43,25 @@ class DemoArguments:
 
 
 def main(words: list[str]) -> None:
-    """Parse and show."""
+    """Parse the arguments and run the demo."""
     arguments = parse(DemoArguments, words, "demo")
     demo(SCENES, arguments.out)
 
 
 def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
-    """Render the scenes, by name, into ``out``, learn from the first, run over all, print the
-    table, write the page.
+    """Render the scenes, learn from the first, run all noise models, and write the comparison.
+
+    Args:
+        scenes: the settings of each scene, by name; the learned model runs on all but the first.
+        out: folder for the images, the model, the runs and the page.
 
     Raises:
-        InputError: ``out`` cannot be written to, or holds other scenes.
+        InputError: ``out`` is not writable, or holds other scenes.
     """
     from probevo import __version__
     from probevo.cli.train import train_with_progress
     from probevo.files import check_folder
-    from probevo.noise.classical import CLASSICAL
+    from probevo.noise.registry import untrained_names
     from probevo.output.comparison import Comparison, comparison_rows
     from probevo.output.comparison_page import write_comparison
     from probevo_sim.command import render_with_progress
@@ -70,7 +69,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     check_folder(out, "--out")
     if not (out / "scenes").exists():
         print(
-            "The first time of all, this takes a minute: it compiles, and renders the scenes.",
+            "The first time takes a minute: the code is compiled and the scenes are rendered.",
             flush=True,
         )
     folders = {
@@ -79,15 +78,13 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     }
     model = out / "probe.safetensors"
     train_with_progress(tuple(folders.values())[:1], TrainSettings(), model)
-    classical = {name: name for name in CLASSICAL}
+    classical = {name: name for name in untrained_names()}
     entries = []
     for number, (name, folder) in enumerate(folders.items()):
-        estimators = classical | (
-            {"probe": str(model)} if number else {}
-        )  # on what it has not seen
-        entries += [
-            run(name, folder, label, noise=noise, out=out) for label, noise in estimators.items()
-        ]
+        # The learned model runs only on what it has not seen.
+        learned = {"probe": str(model)} if number > 0 else {}
+        for label, noise in (classical | learned).items():
+            entries.append(run(name, folder, label, noise=noise, out=out))
     comparison = Comparison(tuple(entries))
     facts = {name.capitalize(): scene_text(config) for name, config in scenes.items()}
     write_comparison(
@@ -102,22 +99,21 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
 
 
 def scene_folder(name: str, config: SceneConfig) -> str:
-    """Name of a scene's folder: other settings, or another renderer, go to another folder."""
+    """Return the folder name of a scene; it changes with the settings and with the renderer."""
     from probevo_sim.scene.writer import settings_text
 
     return f"{name}-{hashlib.sha256(settings_text(config).encode()).hexdigest()[:8]}"
 
 
 def run(name: str, folder: Path, label: str, noise: str, out: Path) -> Entry:
-    """One noise model's run over one scene."""
+    """Run one noise model over one scene."""
     from probevo.cli.run import run_with_progress
     from probevo.output.comparison import Entry
     from probevo.sequences import open_sequence
 
-    into = out / "runs" / f"{name}-{label}"
-    done = run_with_progress(
-        open_sequence(folder), RunConfig(sequence=folder, noise=noise), into, threads=1
-    )
+    folder_of_run = out / "runs" / f"{name}-{label}"
+    config = RunConfig(sequence=folder, noise=noise)
+    done = run_with_progress(open_sequence(folder), config, folder_of_run, threads=1)
     return Entry(
         name,
         label,
@@ -125,12 +121,12 @@ def run(name: str, folder: Path, label: str, noise: str, out: Path) -> Entry:
         truth=done.truth,
         metrics=done.metrics,
         pictures=done.pictures,
-        report=into / "report.html",
+        report=folder_of_run / "report.html",
     )
 
 
 def scene_text(config: SceneConfig) -> str:
-    """A scene in a few words: "city 2, 200 m, blur 0.3"."""
+    """Describe a scene in a few words, such as "city 2, 200 m, blur 0.3"."""
     length = [] if config.distance_m is None else [f"{config.distance_m:g} m"]
     effects = [
         f"{name} {strength:g}"

@@ -1,4 +1,4 @@
-"""``probevo eval``: compares a run, or a trajectory file, with true poses."""
+"""``probevo eval``: compare a run, or a trajectory file, with true poses."""
 
 from __future__ import annotations
 
@@ -17,40 +17,40 @@ if TYPE_CHECKING:
 
 PoseFormat = Literal["kitti", "tum"]
 COLUMNS: dict[int, PoseFormat] = {12: "kitti", 8: "tum"}
+"""Number of columns of each format."""
 
 
 @dataclass(frozen=True)
 class EvalArguments:
-    """Figures of merit of a run against true poses of the left camera.
+    """Compares a run with true poses of the left camera.
 
-    TUM poses are matched by time: interpolated at that of each frame, but not over gaps of more
-    than half a second.
-    KITTI poses have no time and are matched by number: the first belongs to the first frame, and
-    those beyond the last
-    frame are left out.
+    TUM poses are matched by time: they are interpolated at the time of each frame, but not over
+    gaps of more than half a second. KITTI poses have no time and are matched by number: the first
+    pose belongs to the first frame, and poses beyond the last frame are ignored.
     """
 
     run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """Folder of a run (metrics.json is written into it), or a trajectory in TUM or KITTI form."""
+    """Folder of a run (metrics.json is written into it), or a trajectory in TUM or KITTI format."""
     gt: Annotated[Path, tyro.conf.arg(metavar="POSES")]
-    """True poses T_world_cam, in TUM or KITTI form."""
+    """True poses T_world_cam, in TUM or KITTI format."""
     gt_format: Annotated[PoseFormat | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Form of the true poses; found out by the number of columns where it is not named."""
+    """Format of the true poses; detected by the number of columns if not given."""
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses as a file or a run has them."""
+    """The poses of a file or of a run, N of them."""
 
     where: Path
+    """The file."""
     T_world_cam: FloatArray
-    """[N, 4, 4], m."""
+    """Poses, [N, 4, 4], m; NaN where unknown."""
     stamps_ns: IntArray | None = None
-    """[N]; None where the file has no times."""
+    """Times, [N], ns; None if the file has none."""
     T_curr_prev: FloatArray | None = None
-    """Relative motions of a run, [N-1, 4, 4], m."""
+    """Relative motions, [N-1, 4, 4], m; None if it is not a run."""
     cov: FloatArray | None = None
-    """Their covariances, [N-1, 6, 6]."""
+    """Covariances of the relative motions, [N-1, 6, 6]; None if it is not a run."""
     out_of_domain: float | None = None
     """See ``RunResult.out_of_domain``."""
     stopped: str | None = None
@@ -58,7 +58,7 @@ class Trajectory:
 
 
 def main(words: list[str]) -> None:
-    """Parse and compare."""
+    """Parse the arguments and compare."""
     arguments = parse(EvalArguments, words, "eval")
     from probevo.evaluation.metrics import evaluate
     from probevo.output.files import write_json
@@ -83,7 +83,11 @@ def main(words: list[str]) -> None:
 
 
 def read_run(folder: Path) -> Trajectory:
-    """The motions that ``probevo run`` left in a folder."""
+    """Read the motions that ``probevo run`` wrote into a folder.
+
+    Raises:
+        InputError: the folder has no motions, or their file is damaged.
+    """
     from probevo.output.motions_file import read_motions
 
     path = folder / "motions.npz"
@@ -94,103 +98,123 @@ def read_run(folder: Path) -> Trajectory:
             "Give the --out folder of `probevo run`, or a trajectory file.",
         )
     result = read_motions(path)
-    poses = (result.T_world_cam, result.stamps_ns)
-    motions = (result.T_curr_prev, result.cov)
-    return Trajectory(path, *poses, *motions, result.out_of_domain, result.stopped)
+    return Trajectory(
+        path,
+        result.T_world_cam,
+        result.stamps_ns,
+        T_curr_prev=result.T_curr_prev,
+        cov=result.cov,
+        out_of_domain=result.out_of_domain,
+        stopped=result.stopped,
+    )
 
 
-def read_trajectory(path: Path, form: PoseFormat | None = None) -> Trajectory:
-    """Poses in TUM or KITTI form, told apart by their number of columns.
+def read_trajectory(path: Path, pose_format: PoseFormat | None = None) -> Trajectory:
+    """Read poses in TUM or KITTI format, by default as their number of columns says.
 
     Raises:
-        InputError: the file cannot be read, or has neither form.
+        InputError: the file cannot be read, or has neither format.
     """
     from probevo.sequences.pose_files import read_kitti_poses, read_tum
     from probevo.sequences.text import read_lines
 
-    if form is None:
-        where, line = read_lines(path, "Give a file of poses, one a line.")[0]
+    if pose_format is None:
+        where, line = read_lines(path, "Give a file of poses, one per line.")[0]
         if "," in line:
+            what = "its numbers are separated by commas; the KITTI and TUM formats have blanks."
             cure = (
-                "Set blanks in place of commas. EuRoC's own truth is of the body: `probevo run`"
+                "Replace the commas by blanks. EuRoC's own truth is of the body; `probevo run`"
                 " compares with it."
             )
-            what = "its numbers are apart by commas; in KITTI's and TUM's form they are not."
             raise InputError(where, what, cure)
-        if len(line.split()) not in COLUMNS:
-            what = f"this line has {len(line.split())} columns."
-            raise InputError(
-                where, what, "Poses have 12 columns in KITTI's form and 8 in TUM's (stamp, t, q)."
+        num_columns = len(line.split())
+        if num_columns not in COLUMNS:
+            cure = (
+                "Poses have 12 columns in the KITTI format, and 8 in the TUM format (stamp, t, q)."
             )
-        form = COLUMNS[len(line.split())]
-    if form == "kitti":
+            raise InputError(where, f"this line has {num_columns} columns.", cure)
+        pose_format = COLUMNS[num_columns]
+    if pose_format == "kitti":
         return Trajectory(path, read_kitti_poses(path))
     stamps_ns, T_world_cam = read_tum(path)
     return Trajectory(path, T_world_cam, stamps_ns)
 
 
 def refuse_unknown(estimate: Trajectory) -> None:
-    """Refuse an estimate with poses that are not known, as only truth may have them.
+    """Refuse an estimate with unknown (NaN) poses; only the truth may have them.
 
     Raises:
-        InputError: names the first of them.
+        InputError: names the first unknown pose.
     """
     import numpy as np
 
-    for k in np.flatnonzero(np.isnan(estimate.T_world_cam).any(axis=(1, 2)))[:1]:
+    unknown = np.flatnonzero(np.isnan(estimate.T_world_cam).any(axis=(1, 2)))
+    if len(unknown):
         raise InputError(
             estimate.where,
-            f"pose {k} (from 0) is not known.",
-            "An estimate has one for each frame.",
+            f"pose {unknown[0]} (from 0) is not known.",
+            "An estimate needs a pose for each frame.",
         )
 
 
 def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, str]:
-    """True pose of each estimated frame, [N, 4, 4], NaN where unknown; and a remark for the user,
-    or nothing.
+    """Find the true pose of each estimated one: by time if both have times, else by number.
+
+    Returns:
+        The true poses, [N, 4, 4], m, NaN where unknown; and a remark for the user, or "".
 
     Raises:
-        InputError: the truth is too short, or fewer than two frames have a true pose.
+        InputError: there are too few true poses, or fewer than two frames have one.
     """
     import numpy as np
 
-    frames = len(estimate.T_world_cam)
-    poses = len(truth.T_world_cam)
+    num_frames = len(estimate.T_world_cam)
     remark = ""
     if estimate.stamps_ns is not None and truth.stamps_ns is not None:
         from probevo.sequences.poses import interpolate_poses
 
         matched = interpolate_poses(truth.stamps_ns, truth.T_world_cam, estimate.stamps_ns)
-        spans = [
-            f"{s[0] * 1e-9:.3f} to {s[-1] * 1e-9:.3f} s"
-            for s in (truth.stamps_ns, estimate.stamps_ns)
-        ]
-        cure = f"Its poses are of {spans[0]}, the frames of {spans[1]}: both need the same clock."
-    else:
-        if poses < frames:
-            what = f"{poses} poses for the {frames} frames of {estimate.where}."
-            raise InputError(
-                truth.where,
-                what,
-                "Without times they are matched by number: give one for each frame.",
-            )
-        if poses > frames and truth.stamps_ns is not None:
-            what = (
-                f"{poses} poses for the {frames} frames of {estimate.where}, which has no times to"
-                " match them by."
-            )
-            raise InputError(
-                truth.where, what, "Give the run's folder or its trajectory.tum instead."
-            )
-        if poses > frames:
-            remark = f"Compared with the first {frames} of {poses} true poses: the run has no more."
-        matched = truth.T_world_cam[:frames]
-        cure = "The others are nan."
-    known = int(np.isfinite(matched).all(axis=(1, 2)).sum())
-    if known < 2:
-        raise InputError(
-            truth.where, f"{known} of {frames} frames have a true pose; it takes two.", cure
+        cure = (
+            f"Its poses are of {_span(truth.stamps_ns)}, the frames of"
+            f" {_span(estimate.stamps_ns)}: both need the same clock."
         )
-    if known < frames:
-        remark = f"{frames - known} of {frames} frames have no true pose. {remark}".strip()
+    else:
+        remark = _check_numbers(estimate, truth)
+        matched = truth.T_world_cam[:num_frames]
+        cure = "The others are nan."
+
+    num_known = int(np.isfinite(matched).all(axis=(1, 2)).sum())
+    if num_known < 2:
+        what = f"{num_known} of {num_frames} frames have a true pose; two are needed."
+        raise InputError(truth.where, what, cure)
+    if num_known < num_frames:
+        unknown = f"{num_frames - num_known} of {num_frames} frames have no true pose."
+        remark = f"{unknown} {remark}".strip()
     return matched, remark
+
+
+def _span(stamps_ns: IntArray) -> str:
+    """Return the times of the first and the last stamp as text."""
+    return f"{stamps_ns[0] * 1e-9:.3f} to {stamps_ns[-1] * 1e-9:.3f} s"
+
+
+def _check_numbers(estimate: Trajectory, truth: Trajectory) -> str:
+    """Check that true poses can be matched by number; return a remark if there are more of them."""
+    num_frames = len(estimate.T_world_cam)
+    num_poses = len(truth.T_world_cam)
+    if num_poses < num_frames:
+        raise InputError(
+            truth.where,
+            f"{num_poses} poses for the {num_frames} frames of {estimate.where}.",
+            "Without times they are matched by number: give one for each frame.",
+        )
+    if num_poses == num_frames:
+        return ""
+    if truth.stamps_ns is not None:
+        raise InputError(
+            truth.where,
+            f"{num_poses} poses for the {num_frames} frames of {estimate.where}, which has no times"
+            " to match them by.",
+            "Give the folder of the run, or its trajectory.tum, instead.",
+        )
+    return f"Compared with the first {num_frames} of {num_poses} true poses: the run has no more."

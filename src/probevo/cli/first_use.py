@@ -1,7 +1,7 @@
-"""The first run of all has to compile, and a second process does its share.
+"""Compilation in the very first run, to which a second process contributes.
 
-Numba compiles each inner loop when it is first called, one after the other, and keeps the result on
-disk, where other processes find it.
+Numba compiles each compiled loop when it is first called, one after the other, and caches the
+result on disk, where other processes find it.
 """
 
 from __future__ import annotations
@@ -13,19 +13,30 @@ from pathlib import Path
 
 
 def getting_ready() -> str:
-    """What to say until the first frame is through; the first time of all, the compiling of the
-    solver is begun."""
-    if any(compiled_in().glob("minimize.minimize-*.nbi")):
+    """Return the text to show until the first frame is done.
+
+    If nothing is compiled yet, another process begins to compile the solver.
+    """
+    if is_solver_compiled():
         return "starting"
     import joblib
 
     if joblib.cpu_count() > 1:
         compile_solver()
-    return "compiling, this first time of all: 10 to 30 s"
+    return "compiling, only this first time: 10 to 30 s"
 
 
-def compiled_in() -> Path:
-    """The folder in which the solver is kept once it is compiled."""
+def is_solver_compiled() -> bool:
+    """Return whether Numba's cache holds the compiled solver."""
+    from probevo.estimation.gauss_newton import minimize
+
+    # Numba names the index of a function's cache after its module, name and line.
+    module = minimize.__module__.rpartition(".")[2]
+    return any(solver_cache().glob(f"{module}.{minimize.__qualname__}-*.nbi"))
+
+
+def solver_cache() -> Path:
+    """Return the folder where Numba caches the compiled solver."""
     from probevo.estimation.gauss_newton import minimize
 
     return Path(minimize.stats.cache_path)  # type: ignore[attr-defined]
@@ -33,17 +44,21 @@ def compiled_in() -> Path:
 
 @cache
 def compile_solver() -> subprocess.Popen[bytes]:
-    """Begin to compile the solver in a process of its own, once; nobody needs to wait for it."""
+    """Start a process that compiles the solver, once; nobody needs to wait for it."""
     command = "from probevo.cli.first_use import solve_once; solve_once()"
-    nowhere = subprocess.DEVNULL
     return subprocess.Popen(
-        [sys.executable, "-c", command], stdin=nowhere, stdout=nowhere, stderr=nowhere
+        [sys.executable, "-c", command],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )
 
 
 def solve_once() -> None:
-    """Call all that follows RANSAC, on points along a straight drive; tracking and RANSAC compile
-    as long."""
+    """Run the odometry without RANSAC on points along a straight drive to compile the solver.
+
+    Compiling the tracker and RANSAC takes as long, and is left to the process of the user.
+    """
     import numpy as np
 
     import probevo as pv

@@ -1,4 +1,4 @@
-"""``probevo info``: what a recording is, whether its calibration is sane, and what will be used."""
+"""``probevo info``: describe a recording, check its calibration, and tell what will be used."""
 
 from __future__ import annotations
 
@@ -11,45 +11,51 @@ import tyro
 
 from probevo.cli.arguments import parse
 from probevo.cli.text import columns
-from probevo.run_config import FormatName, RunConfig
+from probevo.run_config import FORMAT_HELP, RunConfig
 
 if TYPE_CHECKING:
+    from probevo.camera.stereo import StereoCamera
     from probevo.sequences import Sequence
     from probevo.sequences.imu import ImuStream
 
 Rows = list[tuple[str, str]]
+"""Name and text of each line; the names of warnings start with "!"."""
 GAP_FACTOR = 1.5
-"""A step longer than this many median ones is called a gap."""
+"""A step longer than this many median ones is a gap."""
 USUAL_VIEW_DEG = (20.0, 150.0)
 USUAL_BASELINE_M = (0.03, 3.0)
 USUAL_RATE_HZ = (0.5, 500.0)
-MOST_OFF_CENTER = 0.1
-"""Share of width or height by which the principal point may miss the middle of the image."""
-MOST_UNSQUARE = 0.1
-"""By how much the two focal lengths may differ."""
-LEAST_DISPARITY_PX = 0.25
-"""If nine matches of ten have less, left and right are taken for the same picture; noise of
-matching is 0.1 to 0.2."""
+MAX_OFF_CENTER = 0.1
+"""Largest usual distance of the principal point from the image centre, as a share of the size."""
+MAX_FOCAL_DIFFERENCE = 0.1
+"""Largest usual relative difference of the two focal lengths."""
+MIN_DISPARITY_PX = 0.25
+"""If nine of ten matches have less, left and right are probably the same image; the noise of
+matching is 0.1 to 0.2 px."""
 
-IMAGE_DOUBTS = ("Are left and right the same picture?", "Is the picture sharp and textured?")
-"""What to ask where disparities are next to nothing, and where there are no matches."""
-FEATURE_DOUBTS = ("Are columns 0 and 2 of uv the same?", "Do the ids repeat from frame to frame?")
-"""The same of a tracks file."""
+IMAGE_QUESTIONS = ("Are left and right the same image?", "Are the images sharp and textured?")
+"""What to ask if there are next to no disparities, and if there are no matches."""
+FEATURE_QUESTIONS = (
+    "Are columns 0 and 2 of uv the same?",
+    "Do the ids repeat from frame to frame?",
+)
+"""The same for a tracks file."""
 
 
 @dataclass(frozen=True)
 class InfoArguments:
-    """What a recording is, whether its calibration is sane, and what will be used. Lines with a !
-    need a look."""
+    """Describes a recording, checks its calibration, and tells what will be used.
+
+    Lines that start with ! are warnings.
+    """
 
     sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
     """Folder of the recording, or a tracks file (.npz)."""
-    format: Annotated[FormatName | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Layout of the recording; found out where it is not named."""
+    format: Annotated[str | None, tyro.conf.arg(help=FORMAT_HELP, help_behavior_hint="")] = None
 
 
 def main(words: list[str]) -> None:
-    """Parse, open, print."""
+    """Parse the arguments, open the recording, and print what it is."""
     arguments = parse(InfoArguments, words, "info")
     from probevo.sequences import open_sequence
 
@@ -57,49 +63,47 @@ def main(words: list[str]) -> None:
     rows = describe(sequence)
     try:
         rows += examine(sequence)
-        rows += _turns(sequence)
-    finally:  # a damaged image should not hide what is known without it
+        rows += _imu_warnings(sequence)
+    finally:  # a damaged image must not hide what is known without it
         print(columns(rows), flush=True)
 
 
 def describe(sequence: Sequence) -> Rows:
-    """What the files say."""
+    """Describe what the files say, without looking at the images."""
     from probevo.output.run_facts import camera_text, frames_text, imu_use_text, truth_text
     from probevo.sequences.recording import StereoRecording
     from probevo.sequences.tracks_file import TracksRecording
 
-    rectified = isinstance(sequence, StereoRecording) and sequence.rectification is not None
+    is_rectified = isinstance(sequence, StereoRecording) and sequence.rectification is not None
+    camera = camera_text(sequence.camera)
+    if is_rectified:
+        camera += ", rectified on the fly"
     rows = [
         ("recording", str(sequence.path)),
         ("format", sequence.format),
         ("frames", frames_text(sequence.stamps_ns)),
-        *_odd_rate(sequence),
+        *_rate_warnings(sequence),
         *_gaps(sequence),
-        ("camera", camera_text(sequence.camera) + (", rectified on the fly" if rectified else "")),
-        *_odd_camera(sequence),
+        ("camera", camera),
+        *_camera_warnings(sequence.camera),
     ]
     if isinstance(sequence, StereoRecording | TracksRecording) and sequence.imu_stream is not None:
         rows += _imu(sequence, sequence.imu_stream)
-    rows += [("truth", truth_text(sequence.truth))]
-    return [*rows, ("IMU is used", imu_use_text(sequence, RunConfig()))]
+    rows.append(("truth", truth_text(sequence.truth)))
+    rows.append(("IMU is used", imu_use_text(sequence, RunConfig())))
+    return rows
 
 
-def _odd_rate(sequence: Sequence) -> Rows:
+def _rate_warnings(sequence: Sequence) -> Rows:
     import numpy as np
 
-    rate_hz = (
-        1e9 / float(np.median(np.diff(sequence.stamps_ns)))
-        if len(sequence) > 1
-        else USUAL_RATE_HZ[0]
-    )
+    if len(sequence) < 2:
+        return []
+    rate_hz = 1e9 / float(np.median(np.diff(sequence.stamps_ns)))
     if USUAL_RATE_HZ[0] <= rate_hz <= USUAL_RATE_HZ[1]:
         return []
-    return [
-        (
-            "! rate",
-            f"{rate_hz:g} Hz is unusual. Are the stamps in the unit that the format asks for?",
-        )
-    ]
+    text = f"{rate_hz:g} Hz is unusual. Are the stamps in the unit that the format asks for?"
+    return [("! rate", text)]
 
 
 def _gaps(sequence: Sequence) -> Rows:
@@ -108,92 +112,75 @@ def _gaps(sequence: Sequence) -> Rows:
     steps_s = np.diff(sequence.stamps_ns) * 1e-9
     if len(steps_s) == 0:
         return [("! gaps", "a single frame has no motion")]
-    gaps = np.flatnonzero(steps_s > GAP_FACTOR * np.median(steps_s))
-    if len(gaps) == 0:
-        return [
-            ("gaps", f"none: steps of {1e3 * steps_s.min():.1f} to {1e3 * steps_s.max():.1f} ms")
-        ]
+    num_gaps = int((steps_s > GAP_FACTOR * np.median(steps_s)).sum())
+    if num_gaps == 0:
+        shortest_ms = 1e3 * steps_s.min()
+        longest_ms = 1e3 * steps_s.max()
+        return [("gaps", f"none: steps of {shortest_ms:.1f} to {longest_ms:.1f} ms")]
     longest = int(steps_s.argmax())
-    return [
-        ("! gaps", f"{len(gaps)}; the longest, {steps_s[longest]:.3f} s, after frame {longest}")
-    ]
+    text = f"{num_gaps}; the longest, {steps_s[longest]:.3f} s, is after frame {longest}"
+    return [("! gaps", text)]
 
 
-def _odd_camera(sequence: Sequence) -> Rows:
+def _camera_warnings(camera: StereoCamera) -> Rows:
     from probevo.output.run_facts import field_of_view_deg
 
-    camera = sequence.camera
-    view_deg = field_of_view_deg(camera)
-    baseline_m = camera.baseline_m
     rows = []
+    baseline_m = camera.baseline_m
     if not (USUAL_BASELINE_M[0] <= baseline_m <= USUAL_BASELINE_M[1]):
         rows.append(("! baseline", f"{baseline_m:g} m is unusual. Is it in metres?"))
+
+    view_deg = field_of_view_deg(camera)
     if camera.size_px and not (USUAL_VIEW_DEG[0] <= view_deg <= USUAL_VIEW_DEG[1]):
-        rows.append(
-            (
-                "! view",
-                f"{view_deg:.0f}° is unusual. Do focal length and image size belong together?",
-            )
-        )
+        text = f"{view_deg:.0f}° is unusual. Do focal length and image size belong together?"
+        rows.append(("! view", text))
+
     centers = zip((camera.cu_px, camera.cv_px), camera.size_px or (), strict=False)
-    if any(abs(center_px / length_px - 0.5) > MOST_OFF_CENTER for center_px, length_px in centers):
-        middle = (
-            f"({camera.cu_px:.0f}, {camera.cv_px:.0f}) is the middle of {2 * camera.cu_px:.0f}×"
+    if any(abs(center_px / length_px - 0.5) > MAX_OFF_CENTER for center_px, length_px in centers):
+        text = (
+            f"({camera.cu_px:.0f}, {camera.cv_px:.0f}) is the centre of an image of"
+            f" {2 * camera.cu_px:.0f}×{2 * camera.cv_px:.0f} px."
+            " Was the camera calibrated at another resolution?"
         )
-        rows.append(
-            ("! center", f"{middle}{2 * camera.cv_px:.0f} px. Calibrated at another resolution?")
-        )
-    if abs(camera.fu_px / camera.fv_px - 1.0) > MOST_UNSQUARE:
-        unlike = (
+        rows.append(("! center", text))
+
+    if abs(camera.fu_px / camera.fv_px - 1.0) > MAX_FOCAL_DIFFERENCE:
+        text = (
             f"fu is {camera.fu_px:.1f} px, fv {camera.fv_px:.1f} px; pixels are usually square."
+            " Was the image scaled in one direction?"
         )
-        rows.append(("! focal length", f"{unlike} Was the image scaled in one direction?"))
+        rows.append(("! focal length", text))
     return rows
 
 
 def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
-    """Rate, noise, and how its samples lie to the frames."""
+    """Describe the rate and the noise of the IMU, and how its samples lie between the frames."""
     import numpy as np
 
-    # A mean over an interval is held as two samples, 1 ns after its start and at its end; only the
-    # end was recorded.
+    # A mean over an interval is stored as two samples, 1 ns after its start and at its end; only
+    # the end was recorded.
     stamps_ns = stream.stamps_ns[1:-1]
     stamps_ns = stamps_ns[np.r_[np.diff(stamps_ns) > 1_000, True]]
-    after = np.clip(np.searchsorted(stamps_ns, sequence.stamps_ns), 1, len(stamps_ns) - 1)
-    pair_ms = (stamps_ns[np.stack([after - 1, after])] - sequence.stamps_ns) * 1e-6
-    offset_ms = pair_ms[np.abs(pair_ms).argmin(axis=0), np.arange(len(after))]
-    frames_ns = sequence.stamps_ns.tolist()
-    uncovered = sum(stream.between(a, b) is None for a, b in pairwise(frames_ns))
     rate_hz = 1e9 / float(np.median(np.diff(stamps_ns)))
-    rows = [("IMU", f"{len(stamps_ns):,} samples, {rate_hz:.1f} Hz; {_noise_text(sequence)}")]
-    rows += [
-        (
-            "IMU to frames",
-            (
-                f"the nearest sample is {offset_ms.min():+.1f} to {offset_ms.max():+.1f} ms from a"
-                " frame"
-            ),
-        )
+
+    # The nearest sample is the one before the frame or the one after it.
+    after = np.clip(np.searchsorted(stamps_ns, sequence.stamps_ns), 1, len(stamps_ns) - 1)
+    both_ms = (stamps_ns[np.stack([after - 1, after])] - sequence.stamps_ns) * 1e-6
+    offset_ms = both_ms[np.abs(both_ms).argmin(axis=0), np.arange(len(after))]
+    offset = (
+        f"the nearest sample is {offset_ms.min():+.1f} to {offset_ms.max():+.1f} ms from a frame"
+    )
+    rows = [
+        ("IMU", f"{len(stamps_ns):,} samples, {rate_hz:.1f} Hz; {_noise_text(sequence)}"),
+        ("IMU to frames", offset),
     ]
-    if uncovered:
-        rows.append(
-            ("! IMU", f"does not cover {uncovered} of {len(after) - 1} steps, which go without it")
-        )
+
+    steps = list(pairwise(sequence.stamps_ns.tolist()))
+    num_uncovered = sum(stream.between(start_ns, end_ns) is None for start_ns, end_ns in steps)
+    if num_uncovered:
+        text = f"does not cover {num_uncovered} of {len(steps)} steps, which do without it"
+        rows.append(("! IMU", text))
     return rows
-
-
-def _turns(sequence: Sequence) -> Rows:
-    """Whether the gyro goes with the pictures; nothing where it does."""
-    from probevo.cli.info_imu import Turns, imu_doubt
-    from probevo.sequences.recording import StereoRecording
-    from probevo.sequences.tracks_file import TracksRecording
-
-    if not isinstance(sequence, StereoRecording | TracksRecording):
-        return []
-    if sequence.imu is None or sequence.imu_stream is None:
-        return []
-    doubt = imu_doubt(Turns.of(sequence), sequence.imu_stream, sequence.imu)
-    return [("! IMU turns", doubt)] if doubt else []
 
 
 def _noise_text(sequence: Sequence) -> str:
@@ -204,69 +191,99 @@ def _noise_text(sequence: Sequence) -> str:
     return f"gyro noise {noise:.2g} rad/s/√Hz, bias within {bias:.2g} rad/s (1σ)"
 
 
+def _imu_warnings(sequence: Sequence) -> Rows:
+    """Compare the gyro with the images; there are no rows if they agree."""
+    from probevo.cli.info_imu import ImageRotations, imu_warning
+    from probevo.sequences.recording import StereoRecording
+    from probevo.sequences.tracks_file import TracksRecording
+
+    if not isinstance(sequence, StereoRecording | TracksRecording):
+        return []
+    if sequence.imu is None or sequence.imu_stream is None:
+        return []
+    warning = imu_warning(ImageRotations.of(sequence), sequence.imu_stream, sequence.imu)
+    return [("! gyro", warning)] if warning else []
+
+
 def examine(sequence: Sequence) -> Rows:
-    """What the first frames say: stereo matches, row offset, disparity, and whether left and right
-    are swapped."""
+    """Describe the stereo matches of the first frames.
+
+    They show the disparity, the row offset, and whether left and right are swapped or the same.
+    """
     import numpy as np
 
-    from probevo.tracking import Tracks, tracker_for
+    from probevo.tracking import TrackingState, Tracks, tracker_for
     from probevo.tracking.left_right import FRAMES_TO_SEE, count_matches, exchange, looks_swapped
 
-    config = RunConfig().tracking
     frames = list(islice(sequence, FRAMES_TO_SEE + 1))
-    pictures = [
+    pairs = [
         (frame.left, frame.right)
         for frame in frames
         if frame.left is not None and frame.right is not None
     ]
-    if pictures and all(np.array_equal(left, right) for left, right in pictures):
-        return [
-            (
-                "! images",
-                (
-                    f"left and right are identical in the first {len(frames)} frames: no depth, no"
-                    " motion"
-                ),
-            )
-        ]
+    if pairs and all(np.array_equal(left, right) for left, right in pairs):
+        text = (
+            f"left and right are identical in the first {len(frames)} frames: no depth, no motion"
+        )
+        return [("! images", text)]
     if len(frames) < 2:
         return []
-    same, sharp = FEATURE_DOUBTS if frames[0].features is not None else IMAGE_DOUBTS
+
+    # Track the first frames as the odometry would, but without any prediction.
+    config = RunConfig().tracking
     tracker = tracker_for(frames[0], sequence.camera, config)
-    seen: list[Tracks] = [tracker.track(frame, np.eye(4)) for frame in frames]
-    ahead, behind = np.sum([count_matches(tracks) for tracks in seen], axis=0).tolist()
-    pixels = np.concatenate([tracks.curr_px for tracks in seen])
-    # First, as noise drives most matches of a picture with itself below zero, and so out of the
-    # tracks.
+    state = TrackingState.none()
+    tracks: list[Tracks] = []
+    for frame in frames:
+        tracked = tracker.track(state, frame, np.eye(4))
+        state = tracked.state
+        tracks.append(tracked.tracks)
+    num_positive, num_negative = np.sum([count_matches(each) for each in tracks], axis=0).tolist()
+    num_matches = num_positive + num_negative
+    pixels = np.concatenate([each.curr_px for each in tracks])
     disparity_px = pixels[:, 0] - pixels[:, 2]
+    has_images = frames[0].features is None
+    ask_if_same, ask_if_poor = IMAGE_QUESTIONS if has_images else FEATURE_QUESTIONS
+
+    # This check comes first: noise makes most disparities of an image with itself negative, which
+    # would look as if left and right were swapped.
     if (
-        len(pixels) > 0.1 * (ahead + behind)
-        and np.percentile(np.abs(disparity_px), 90) < LEAST_DISPARITY_PX
+        len(pixels) > 0.1 * num_matches
+        and np.percentile(np.abs(disparity_px), 90) < MIN_DISPARITY_PX
     ):
-        return [("! disparity", f"nine in ten are under {LEAST_DISPARITY_PX} px. {same}")]
-    if looks_swapped(ahead, behind):
-        negative = (
-            f"{behind} of {ahead + behind} have negative disparity. Are left and right swapped?"
+        text = f"nine of ten are under {MIN_DISPARITY_PX} px. {ask_if_same}"
+        return [("! disparity", text)]
+    if looks_swapped(num_positive, num_negative):
+        text = (
+            f"{num_negative} of {num_matches} have negative disparity. Are left and right swapped?"
+            f" {exchange(sequence.path)}"
         )
-        return [("! matches", f"{negative} {exchange(sequence.path)}")]
+        return [("! matches", text)]
     if len(pixels) < 2:
-        return [("! matches", f"{len(pixels)} in the first {len(frames)} frames. {sharp}")]
-    rows_px = pixels[:, 3] - pixels[:, 1]
-    depth_m = (
-        sequence.camera.fu_px
-        * sequence.camera.baseline_m
-        / max(float(np.median(disparity_px)), 1e-9)
+        return [("! matches", f"{len(pixels)} in the first {len(frames)} frames. {ask_if_poor}")]
+
+    median_px = float(np.median(disparity_px))
+    depth_m = sequence.camera.fu_px * sequence.camera.baseline_m / max(median_px, 1e-9)
+    low_px, high_px = np.percentile(disparity_px, [10, 90])
+    row_low_px, row_median_px, row_high_px = np.percentile(
+        pixels[:, 3] - pixels[:, 1], [10, 50, 90]
     )
-    tenth, half, most = np.percentile(disparity_px, [10, 50, 90])
-    low, row, high = np.percentile(rows_px, [10, 50, 90])
-    per_frame = len(pixels) / (len(frames) - 1)
+    num_per_frame = len(pixels) / (len(frames) - 1)
     matches = (
-        f"{per_frame:.0f} tracks a frame in the first {len(frames)}; left and right are not swapped"
+        f"{num_per_frame:.0f} tracks per frame in the first {len(frames)};"
+        " left and right are not swapped"
     )
     disparity = (
-        f"{tenth:.1f} to {most:.1f} px (10 to 90 %), median {half:.1f} px, which is {depth_m:.1f} m"
-        " away"
+        f"{low_px:.1f} to {high_px:.1f} px (10 to 90 %), median {median_px:.1f} px, which is"
+        f" {depth_m:.1f} m away"
     )
-    offset = f"right minus left: median {row:+.2f} px, {low:+.2f} to {high:+.2f} px (10 to 90 %)"
-    level = max(abs(low), abs(high)) <= config.max_row_offset_px / 2
-    return [("matches", matches), ("disparity", disparity), ("rows" if level else "! rows", offset)]
+    rows = (
+        f"right minus left: median {row_median_px:+.2f} px,"
+        f" {row_low_px:+.2f} to {row_high_px:+.2f} px (10 to 90 %)"
+    )
+    is_level = max(abs(row_low_px), abs(row_high_px)) <= config.max_row_offset_px / 2
+    return [
+        ("matches", matches),
+        ("disparity", disparity),
+        ("rows" if is_level else "! rows", rows),
+    ]

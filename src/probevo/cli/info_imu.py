@@ -1,5 +1,8 @@
-"""Whether the gyro turns as the pictures do: the usual mistakes of an IMU's calibration, seen
-before they do harm."""
+"""Comparison of the gyro with the rotation that the images show.
+
+It finds the usual mistakes of an IMU's calibration before they do harm: the unit, the time offset,
+the sign and the mounting.
+"""
 
 from __future__ import annotations
 
@@ -17,99 +20,123 @@ from probevo.odometry import StereoOdometry
 
 if TYPE_CHECKING:
     from probevo.sequences import Sequence
-    from probevo.sequences.frame import ImuCalibration
     from probevo.sequences.imu import ImuStream
+    from probevo.sequences.imu_calibration import ImuCalibration
 
-MOST_STEPS = 60
-"""Steps that are looked at: the first."""
-FEWEST_STEPS = 10
-"""With fewer, nothing can be told."""
-DISAGREES = 0.5
-LEAST_TURN_RAD = 5e-3
-"""Share of the turn of a step, and of this at least, by which the two may differ in the median. On
-KITTI it is 0.03 to 0.4, where tracks are poor; a degree of misalignment makes 0.02."""
+MAX_STEPS = 60
+"""Steps that are compared, from the start of the recording."""
+MIN_STEPS = 10
+"""Least number of steps for a comparison."""
+MAX_DISAGREEMENT = 0.5
+"""Median difference of the rotations, as a share of the rotation of a step, beyond which something
+is wrong. On KITTI it is 0.03 to 0.4, where tracks are poor; a misalignment of 1° adds 0.02."""
+MIN_ROTATION_RAD = 5e-3
+"""Least rotation of a step that the difference is compared with."""
 LAGS_S = np.arange(-0.2, 0.2001, 0.01)
-DEGREES = np.rad2deg(1.0)
+"""Time offsets that are tried."""
+DEGREES_PER_RADIAN = np.rad2deg(1.0)
 
 
 @dataclass(frozen=True)
-class Turns:
-    """Of K steps, as the pictures show them."""
+class ImageRotations:
+    """The rotations of K steps as the images show them."""
 
     between_ns: IntArray
-    """Stamps of the two frames of each, [K, 2]."""
-    seen_rad: FloatArray
-    """Rotation vector Log(C_curr_prev), [K, 3], camera."""
+    """Stamps of the two frames of each step, [K, 2]."""
+    rotation_rad: FloatArray
+    """Rotation vectors Log(C_curr_prev), [K, 3], camera frame."""
 
     @staticmethod
-    def of(sequence: Sequence) -> Turns:
-        """Those of the first steps that can be solved without the IMU."""
+    def of(sequence: Sequence) -> ImageRotations:
+        """Estimate the rotations of the first steps without the IMU; leave out unsolved steps."""
         odometry = StereoOdometry(sequence.camera)
-        frames = list(islice(sequence, MOST_STEPS + 1))
+        frames = list(islice(sequence, MAX_STEPS + 1))
         motions = [odometry.step(frame) for frame in frames][1:]
         solved = [k for k, motion in enumerate(motions) if motion.status is Status.OK]
-        between_ns = np.array(list(pairwise(frame.stamp_ns for frame in frames)), np.int64).reshape(
-            -1, 2
-        )
-        seen = np.array([motion.T_curr_prev[:3, :3] for motion in motions]).reshape(-1, 3, 3)
-        return Turns(between_ns[solved], so3.log(seen[solved]))
+        stamps_ns = [frame.stamp_ns for frame in frames]
+        between_ns = np.array(list(pairwise(stamps_ns)), np.int64).reshape(-1, 2)
+        C_curr_prev = np.array([motion.T_curr_prev[:3, :3] for motion in motions])
+        return ImageRotations(between_ns[solved], so3.log(C_curr_prev.reshape(-1, 3, 3)[solved]))
 
-    def felt(self, stream: ImuStream, calibration: ImuCalibration, lag_s: float) -> FloatArray:
-        """The same by a gyro whose stamps are too early by so much, [K, 3], less such a bias as its
-        calibration holds possible; NaN where it does not cover the step."""
-        turns = np.full(self.seen_rad.shape, np.nan)
-        for k, (start_ns, end_ns) in enumerate((self.between_ns - round(1e9 * lag_s)).tolist()):
+    def by_gyro(
+        self, stream: ImuStream, calibration: ImuCalibration, lag_s: float = 0.0
+    ) -> FloatArray:
+        """Integrate the gyro over the same steps.
+
+        The median difference from the images is subtracted as a bias, limited to 3σ of the
+        calibration.
+
+        Args:
+            stream: the samples of the IMU.
+            calibration: the calibration of the IMU.
+            lag_s: time to be added to the stamps of the IMU.
+
+        Returns:
+            Rotation vectors, [K, 3], camera frame; NaN for steps that the samples do not cover.
+        """
+        rotation_rad = np.full(self.rotation_rad.shape, np.nan)
+        shifted_ns = self.between_ns - round(1e9 * lag_s)
+        for k, (start_ns, end_ns) in enumerate(shifted_ns.tolist()):
             samples = stream.between(start_ns, end_ns)
             if samples is not None:
-                turns[k] = so3.log(
-                    integrate_gyro(samples, start_ns, end_ns, calibration=calibration).C_curr_prev
-                )
-        known = np.isfinite(turns).all(axis=1)
-        pace_s = 1e-9 * np.diff(self.between_ns, axis=1)
-        bias = (
-            np.median((turns - self.seen_rad)[known] / pace_s[known], axis=0)
-            if known.any()
-            else np.zeros(3)
-        )
-        possible = 3.0 * calibration.gyro_bias_sigma_rad_s / max(float(np.linalg.norm(bias)), 1e-12)
-        return np.asarray(turns - min(1.0, possible) * bias * pace_s)
+                gyro = integrate_gyro(samples, start_ns, end_ns, calibration=calibration)
+                rotation_rad[k] = so3.log(gyro.C_curr_prev)
+
+        # Estimate the bias as a median, as some steps may be wrong, and limit its size.
+        covered = np.isfinite(rotation_rad).all(axis=1)
+        duration_s = 1e-9 * np.diff(self.between_ns, axis=1)
+        bias_rad_s = np.zeros(3)
+        if covered.any():
+            rate_error_rad_s = (rotation_rad - self.rotation_rad)[covered] / duration_s[covered]
+            bias_rad_s = np.median(rate_error_rad_s, axis=0)
+        size_rad_s = max(float(np.linalg.norm(bias_rad_s)), 1e-12)
+        share = min(1.0, 3.0 * calibration.gyro_bias_sigma_rad_s / size_rad_s)
+        return np.asarray(rotation_rad - share * bias_rad_s * duration_s)
 
 
-def imu_doubt(turns: Turns, stream: ImuStream, calibration: ImuCalibration) -> str:
-    """What is odd about the gyro beside the pictures, and the likely cause; empty if nothing is, or
-    can be seen."""
-    seen = turns.seen_rad
-    felt = turns.felt(stream, calibration, 0.0)
-    known = np.isfinite(felt).all(axis=1)
-    off = _apart(seen, felt)
-    if known.sum() < FEWEST_STEPS or off < DISAGREES:
+def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalibration) -> str:
+    """Describe how the gyro disagrees with the images, and the likely cause.
+
+    Returns:
+        The warning; empty if the two agree, or if there are too few steps to say.
+    """
+    gyro_rad = images.by_gyro(stream, calibration)
+    disagreement = _disagreement(images.rotation_rad, gyro_rad)
+    covered = np.isfinite(gyro_rad).all(axis=1)
+    if covered.sum() < MIN_STEPS or disagreement < MAX_DISAGREEMENT:
         return ""
-    what = f"its turns and those of the pictures differ by {off:.0%}: "
-    scale = _usual(felt[known]) / max(_usual(seen[known]), 1e-9)
-    if 0.7 < scale / DEGREES < 1.4:
-        return f"{what}it turns {scale:.0f} times as far. Is it in degrees a second?"
-    lags = [_apart(seen, turns.felt(stream, calibration, lag_s)) for lag_s in LAGS_S]
-    if min(lags) < 0.5 * off:
-        return (
-            f"{what}half of that or less if its stamps were"
-            f" {1e3 * LAGS_S[int(np.argmin(lags))]:+.0f} ms later."
-        )
-    if _apart(seen, -felt) < 0.5 * off:
-        return (
-            f"{what}it turns the other way. Is its rotation to the camera the inverse of what is"
-            " meant?"
-        )
-    return f"{what}is its rotation to the camera right, and is it in rad/s?"
+    what = f"its rotations differ from those of the images by {disagreement:.0%}: "
+
+    # Degrees instead of radians.
+    image_length = max(_median_length(images.rotation_rad[covered]), 1e-9)
+    scale = _median_length(gyro_rad[covered]) / image_length
+    if 0.7 < scale / DEGREES_PER_RADIAN < 1.4:
+        return f"{what}they are {scale:.0f} times as large. Is the gyro in degrees per second?"
+
+    # A time offset.
+    by_lag = [
+        _disagreement(images.rotation_rad, images.by_gyro(stream, calibration, lag_s))
+        for lag_s in LAGS_S
+    ]
+    if min(by_lag) < 0.5 * disagreement:
+        best_ms = 1e3 * LAGS_S[int(np.argmin(by_lag))]
+        return f"{what}half of that or less if its stamps were {best_ms:+.0f} ms later."
+
+    # An inverse mounting.
+    if _disagreement(images.rotation_rad, -gyro_rad) < 0.5 * disagreement:
+        return f"{what}they are opposite. Is C_cam_imu the inverse of the rotation that is meant?"
+    return f"{what}is its rotation to the camera right, and is the gyro in rad/s?"
 
 
-def _apart(seen: FloatArray, felt: FloatArray) -> float:
-    """Share of the turns by which the felt ones are off; infinite where they cover too few."""
-    known = np.isfinite(felt).all(axis=1)
-    if known.sum() < FEWEST_STEPS:
+def _disagreement(image_rad: FloatArray, gyro_rad: FloatArray) -> float:
+    """Return the median difference as a share of the rotation; infinite if too few are covered."""
+    covered = np.isfinite(gyro_rad).all(axis=1)
+    if covered.sum() < MIN_STEPS:
         return np.inf
-    return _usual(felt[known] - seen[known]) / max(_usual(seen[known]), LEAST_TURN_RAD)
+    difference_rad = _median_length(gyro_rad[covered] - image_rad[covered])
+    return difference_rad / max(_median_length(image_rad[covered]), MIN_ROTATION_RAD)
 
 
-def _usual(vectors: FloatArray) -> float:
-    """Length in the median: a few steps that went wrong should not matter."""
+def _median_length(vectors: FloatArray) -> float:
+    """Return the median length of vectors, [K, 3]; a few outliers do not change it."""
     return float(np.median(np.linalg.norm(vectors, axis=1)))

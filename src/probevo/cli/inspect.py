@@ -14,11 +14,11 @@ from probevo.cli.arguments import checked, parse
 from probevo.cli.text import table
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.run_config import FormatName
+from probevo.run_config import FORMAT_HELP
 
 if TYPE_CHECKING:
+    from probevo.noise.base import LearnedNoiseModel
     from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-    from probevo.noise.model_io import Learned
     from probevo.output.inspection_data import FrameView
     from probevo.predictors import PredictionSpace
     from probevo.sequences import Sequence
@@ -53,8 +53,7 @@ class InspectArguments:
     ] = ()
     """Without a model, or with one that takes none, the predictors to show; if left out, those that
     `probevo train` takes by default, as far as the recording has what they need."""
-    format: Annotated[FormatName | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Layout of the recording; found out where it is not named."""
+    format: Annotated[str | None, tyro.conf.arg(help=FORMAT_HELP, help_behavior_hint="")] = None
     settings: Annotated[OdometryConfig, tyro.conf.arg(name="")] = field(
         default_factory=OdometryConfig
     )
@@ -102,17 +101,20 @@ def _check(arguments: InspectArguments) -> None:
 
 def known_units() -> dict[str, str]:
     """Unit of every column of every predictor."""
-    from probevo.predictors import PREDICTORS
+    from probevo.predictors import all_predictors
 
     return {
         column: unit
-        for predictor in PREDICTORS.values()
+        for predictor in all_predictors().values()
         for column, unit in predictor.columns.items()
     }
 
 
 def frame_view(
-    path: Path, arguments: InspectArguments, settings: OdometryConfig, model: Learned | None
+    path: Path,
+    arguments: InspectArguments,
+    settings: OdometryConfig,
+    model: LearnedNoiseModel | None,
 ) -> FrameView:
     """Run over the recording up to the frame; shows on stderr how far it is.
 
@@ -160,7 +162,7 @@ def _view_of_frame(
     sequence: Sequence,
     index: int,
     space: PredictionSpace,
-    model: Learned | None,
+    model: LearnedNoiseModel | None,
     settings: OdometryConfig,
 ) -> FrameView:
     from itertools import islice
@@ -219,9 +221,10 @@ def _view_of_frame(
     )
 
 
-def write(out: Path, name: str, model: Learned | None, frame: FrameView | None) -> str:
+def write(out: Path, name: str, model: LearnedNoiseModel | None, frame: FrameView | None) -> str:
     """Write pictures and page of the model of that name; returns what to print."""
     from probevo.noise.gk.generalized_kernel import GeneralizedKernel
+    from probevo.noise.probe.nearest_neighbors import NearestNeighbors
     from probevo.noise.student_t import StudentT
     from probevo.output.inspection_data import ModelView, column_summaries
     from probevo.output.inspection_page import write_inspection
@@ -230,11 +233,7 @@ def write(out: Path, name: str, model: Learned | None, frame: FrameView | None) 
 
     if isinstance(model, GeneralizedKernel):
         return _write_kernel(out, name, model, frame=frame)
-    view = (
-        ModelView.of(name, model, known_units())
-        if model and not isinstance(model, StudentT)
-        else None
-    )
+    view = ModelView.of(name, model, known_units()) if isinstance(model, NearestNeighbors) else None
     pictures = frame_pictures(view, frame) if frame is not None else {}
     _write_pictures(out, frame, pictures)
     summaries = column_summaries(view, frame)

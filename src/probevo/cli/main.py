@@ -1,4 +1,4 @@
-"""``probevo``: picks the command by the first word, and turns errors into one message."""
+"""The entry point ``probevo``: it calls the command, and turns errors into one message."""
 
 from __future__ import annotations
 
@@ -22,41 +22,50 @@ COMMANDS = {
     "paper": "probevo_paper.command",
     "demo": "probevo.cli.demo",
 }
-"""Each is a module of its own, imported only if it is called: `probevo --help` should not wait for
+"""The module of each command, imported only if it is called: `probevo --help` should not wait for
 SciPy."""
 HELP = f"""\
-probevo {__version__}: stereo odometry that learns how far to trust each feature, and says how sure it is of its motion.
+probevo {__version__}: stereo visual odometry that learns the noise of each feature
+and estimates the covariance of each step.
 
-  probevo run SEQUENCE --out DIR    from a recording to a trajectory, a covariance for every step, and a report
+  probevo run SEQUENCE --out DIR
+      estimate the trajectory of a recording, with covariances and a report
   probevo train SEQUENCE… --out MODEL
-                                    learn from recordings how far to trust each feature
+      learn a noise model from recordings
   probevo compare SEQUENCE… --noise ESTIMATOR… --out DIR
-                                    several estimators on several recordings, side by side
+      run several estimators on several recordings and compare them
   probevo inspect SEQUENCE --model MODEL --out DIR
-                                    what a model learned, and how it sees the features of a frame
-  probevo eval RUN --gt POSES       compare a run, or a trajectory file, with true poses
-  probevo info SEQUENCE             what a recording is, whether its calibration is sane, what will be used
-  probevo simulate WORLD --out DIR  a recording of a simulated world, point or scene, whose truth is known
+      show what a model learned, and the noise it predicts for the features of a frame
+  probevo eval RUN --gt POSES
+      compare a run, or a trajectory file, with true poses
+  probevo info SEQUENCE
+      describe a recording, check its calibration, and tell what will be used
+  probevo simulate WORLD --out DIR
+      simulate a recording of a world, point or scene, with exact ground truth
   probevo paper EXPERIMENT --out DIR
-                                    an experiment of the papers repeated: blur, table-i, table-1.2, table-1.3
-  probevo demo --out DIR            two simulated drives, each noise model on both, side by side on one page
+      repeat an experiment of the papers: blur, table-i, table-1.2, table-1.3
+  probevo demo --out DIR
+      compare all noise models on two simulated drives, on one page
 
-`probevo COMMAND --help` shows the options of a command; `probevo --version` the version."""
+`probevo COMMAND --help` shows the options of a command, `probevo --version` the version."""
 INTERRUPTED = 130
+"""Exit code after Ctrl-C, as a shell has it: 128 + SIGINT."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0, 2 for a mistake in the input, 130 for Ctrl-C."""
+    """Run one command and return the exit code: 0, 2 for bad input, or 130 for Ctrl-C."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         return _dispatch(words)
     except ProbevoError as error:
-        _complain(str(error), error)
+        _print_error(str(error), error)
         return 2
     except KeyboardInterrupt as stop:
-        _complain("stopped.", stop)
+        _print_error("stopped.", stop)
         return INTERRUPTED
-    except BrokenPipeError:  # whoever read our output, such as `head`, has seen enough
+    except BrokenPipeError:
+        # The reader of our output, such as `head`, has closed the pipe. Python flushes stdout at
+        # exit, and must not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 
@@ -73,21 +82,21 @@ def _dispatch(words: list[str]) -> int:
         print(HELP, file=sys.stderr)
         return 2
     if first not in COMMANDS:
-        close = get_close_matches(first, COMMANDS, n=1)
-        cure = (
-            f"Did you mean {close[0]}?"
-            if close
-            else f"Commands are {', '.join(COMMANDS)}; see `probevo --help`."
-        )
+        similar = get_close_matches(first, COMMANDS, n=1)
+        if similar:
+            cure = f"Did you mean {similar[0]}?"
+        else:
+            cure = f"Commands are {', '.join(COMMANDS)}; see `probevo --help`."
         raise InputError(first, "this is not a command.", cure)
-    # No step has a product of matrices that OpenBLAS would share out, but it starts a thread for
-    # each core of the host.
+
+    # OpenBLAS would start a thread for each core of the host, but no matrix of a step is so large
+    # that more than one thread helps.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import_module(COMMANDS[first]).main(words[1:])
     return 0
 
 
-def _complain(message: str, error: BaseException) -> None:
+def _print_error(message: str, error: BaseException) -> None:
     notes = "".join(f"\n         {note}" for note in getattr(error, "__notes__", []))
     print(f"probevo: {message}{notes}", file=sys.stderr)
 

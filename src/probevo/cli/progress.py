@@ -1,4 +1,4 @@
-"""How far long work is, on stderr, where somebody watches it."""
+"""A progress bar on stderr, shown only on a terminal."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Show = Callable[[int, int], None]
-"""Takes how many frames are done, and how many there are."""
+"""A function of the number of frames done and of their total number."""
 
 
 @contextmanager
 def progress_bar(name: str, starting: str) -> Iterator[Show]:
-    """A bar that appears at once and is gone in the end, with the rate and the time that is left.
+    """Show a progress bar with the rate and the remaining time; it disappears at the end.
 
     Args:
-        name: what is being worked on.
-        starting: said instead until the first frame is done.
+        name: what is in progress.
+        starting: text shown instead until the first frame is done.
     """
     from rich.console import Console
     from rich.progress import (
@@ -27,23 +27,23 @@ def progress_bar(name: str, starting: str) -> Iterator[Show]:
     )
 
     console = Console(stderr=True)
-    rate = TextColumn("{task.fields[rate]}")
-    columns = (
+    progress = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        rate,
+        TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
     )
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as progress:
+    with progress:
         task = progress.add_task(starting, total=None, rate="")
 
         def show(done: int, total: int) -> None:
             progress.update(task, description=name, completed=done, total=total)
             speed = progress.tasks[0].speed
-            if speed is not None:  # not before the second frame
+            if speed is not None:  # it is known from the second frame on
                 progress.update(task, rate=f"{speed:.1f} frames/s")
 
         yield show

@@ -1,4 +1,4 @@
-"""``probevo run``: from a recording to a trajectory, a covariance for every step, and a report."""
+"""``probevo run``: estimate the trajectory of a recording, with covariances and a report."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunArguments:
-    """Stereo odometry over a recording.
+    """Runs the stereo odometry over a recording.
 
-    Writes trajectory.tum, trajectory.kitti.txt, motions.npz, config.yaml, report.html and, where
-    truth is known, metrics.json. Settings: defaults < the file of --config < flags.
+    Writes trajectory.tum, trajectory.kitti.txt, motions.npz, config.yaml, report.html and, if the
+    truth is known, metrics.json. Flags override the file given by --config, and that overrides the
+    defaults.
     """
 
     sequence: Annotated[
         tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="SEQUENCE", help_behavior_hint="")
     ]
-    """Folder of the recording, or a tracks file (.npz). It may be left out where --config names it.
-    """
+    """Folder of the recording, or a tracks file (.npz). Optional if --config names it."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the results. What an earlier run left there is replaced."""
+    """Folder for the results. Those of an earlier run are replaced."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Settings as YAML, such as the config.yaml of an earlier run."""
     threads: int = 1
-    """Threads of OpenCV. Two save a tenth of the time, no more; the results are the same."""
+    """Threads of OpenCV. Two save a tenth of the time, more save nothing. Results do not change."""
     settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
 
 def main(words: list[str]) -> None:
-    """Parse and run."""
+    """Parse the arguments and run."""
     arguments = parse(RunArguments, words, "run", default=_defaults(words))
     settings = checked(arguments.settings)
     if arguments.sequence is None:
@@ -56,6 +56,8 @@ def main(words: list[str]) -> None:
     if arguments.threads < 1:
         raise InputError("--threads", f"is {arguments.threads}.", "It must be at least 1.")
     settings = settings.model_copy(update={"sequence": arguments.sequence})
+
+    # Only now, after the arguments are known to be good: these imports take time.
     from probevo.output.run_warnings import status_warning
     from probevo.sequences import open_sequence
 
@@ -67,13 +69,16 @@ def main(words: list[str]) -> None:
 
 
 def _defaults(words: list[str]) -> RunArguments:
-    settings = settings_of(words)
+    settings = default_settings(words)
     return RunArguments(sequence=settings.sequence, out=tyro.MISSING, settings=settings)
 
 
-def settings_of(words: list[str]) -> RunConfig:
-    """What holds where no flag is given; it may come from the file, so that --config is looked for
-    first."""
+def default_settings(words: list[str]) -> RunConfig:
+    """Return the settings without any flags: those of the file given by --config, or the defaults.
+
+    Raises:
+        InputError: the file is missing or has a fault.
+    """
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--config", nargs="?")
     path = finder.parse_known_args(words)[0].config
@@ -83,8 +88,15 @@ def settings_of(words: list[str]) -> RunConfig:
 def run_with_progress(
     sequence: Sequence, config: RunConfig, out: Path, threads: int, name: str = ""
 ) -> Run:
-    """Run over a recording, and show on stderr how far it is; ``name``, if not the recording's,
-    says what is run."""
+    """Run the odometry over a recording with a progress bar on stderr.
+
+    Args:
+        sequence: the recording.
+        config: all settings.
+        out: folder for the files.
+        threads: threads of OpenCV.
+        name: label of the progress bar; by default the name of the recording.
+    """
     import cv2
 
     from probevo.allocator import keep_freed_memory
@@ -94,14 +106,16 @@ def run_with_progress(
 
     cv2.setNumThreads(threads)
     keep_freed_memory()
-    total = min(len(sequence), config.max_frames or len(sequence))
+    num_frames = min(len(sequence), config.max_frames or len(sequence))
+    num_done = count(1)
     with progress_bar(name or sequence.path.name, getting_ready()) as show:
-        done = count(1)
-        return run_sequence(sequence, config, out, on_step=lambda _: show(next(done), total))
+        return run_sequence(
+            sequence, config, out, on_step=lambda _: show(next(num_done), num_frames)
+        )
 
 
 def summary(run: Run, out: Path) -> list[str]:
-    """A few lines on how a run went."""
+    """Return a few lines on the results of a run."""
     import numpy as np
 
     from probevo.estimation.motion_estimate import Status
@@ -110,26 +124,33 @@ def summary(run: Run, out: Path) -> list[str]:
 
     result = run.result
     metrics = run.metrics
-    steps = Counter(Status(status).name.lower().replace("_", " ") for status in result.status)
-    how = ", ".join(f"{count} {name}" for name, count in steps.most_common())
-    lines = [f"{len(result)} frames; steps: {how}" if steps else "1 frame, and so no motion"]
+    if len(result) < 2:
+        lines = ["1 frame, and so no motion"]
+    else:
+        steps = Counter(Status(status).name.lower().replace("_", " ") for status in result.status)
+        counts = ", ".join(f"{number} {name}" for name, number in steps.most_common())
+        lines = [f"{len(result)} frames; steps: {counts}"]
     if len(result.total_ms):
-        lines.append(
-            f"{readable(float(np.median(result.total_ms)))} ms a frame (median, without decoding)"
-        )
+        median_ms = readable(float(np.median(result.total_ms)))
+        lines.append(f"{median_ms} ms per frame (median, without decoding)")
+
+    # What the truth says, if it is known.
     if metrics and metrics.short_t_percent is not None and metrics.short_r_deg_per_m is not None:
-        drift = f"{readable(metrics.short_t_percent)} %, {readable(metrics.short_r_deg_per_m)} °/m"
-        lines.append(f"drift {drift} over pieces of 10 to 50 m")
+        translation = readable(metrics.short_t_percent)
+        rotation = readable(metrics.short_r_deg_per_m)
+        lines.append(f"drift {translation} %, {rotation} °/m over pieces of 10 to 50 m")
     if metrics and metrics.final_error_m is not None and metrics.path_length_m is not None:
-        lines.append(
-            f"end error {readable(metrics.final_error_m)} m after"
-            f" {readable(metrics.path_length_m)} m"
-        )
+        error_m = readable(metrics.final_error_m)
+        lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")
+
     if result.out_of_domain is not None:
         warning = domain_warning(result.out_of_domain)
-        lines.append(
-            f"warning: {warning}"
-            if warning
-            else f"out of domain: {domain_text(result.out_of_domain)}"
-        )
-    return [*lines, f"report: {out / 'report.html'}" if len(result) > 1 else f"results: {out}"]
+        if warning:
+            lines.append(f"warning: {warning}")
+        else:
+            lines.append(f"out of domain: {domain_text(result.out_of_domain)}")
+    if len(result) > 1:
+        lines.append(f"report: {out / 'report.html'}")
+    else:
+        lines.append(f"results: {out}")
+    return lines

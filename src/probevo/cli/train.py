@@ -1,4 +1,4 @@
-"""``probevo train``: recordings → a noise model."""
+"""``probevo train``: learn a noise model from recordings."""
 
 from __future__ import annotations
 
@@ -14,20 +14,19 @@ from probevo.errors import InputError
 from probevo.training.settings import TrainSettings
 
 if TYPE_CHECKING:
-    from probevo.noise.model_io import Learned
+    from probevo.noise.base import LearnedNoiseModel
 
 
 @dataclass(frozen=True)
 class TrainArguments:
-    """Learn from recordings how far to trust each feature (PROBE, PROBE-GK).
+    """Learn a noise model for the features from recordings (PROBE, PROBE-GK).
 
-    Writes one file, the model; `probevo run … --noise MODEL` uses it, `probevo inspect` shows it.
-    Stopped at any moment and called again with the same words, it goes on after the last recording
-    that was through, and after the last iteration of knn or turn of the others; what is done so far
-    lies in MODEL.work.
+    Writes one file, the model. `probevo run … --noise MODEL` uses it, `probevo inspect` shows it.
+    Training can be interrupted at any moment. The same command then continues after the last
+    finished recording, and after the last finished iteration; the work so far is in MODEL.work.
 
-    What kind of model it is, --kind says. The options from --base to --exponent are for knn alone,
-    those of the section gk for the other two; a kind refuses what it has no use for.
+    --kind chooses the model. The options from --base to --exponent are only for knn, those of the
+    section gk for the other two kinds; an option that a kind does not use is refused.
     """
 
     sequences: Annotated[
@@ -36,20 +35,20 @@ class TrainArguments:
     ]
     """Recordings to learn from, all of one camera: folders, or tracks files (.npz)."""
     out: Annotated[Path, tyro.conf.arg(metavar="MODEL")]
-    """The model file, *.safetensors; an earlier one is replaced."""
+    """The model file, *.safetensors; an existing one is replaced."""
     jobs: int = 1
-    """Processes that go through the recordings, one each; 0 takes all cores. The model is the same.
-    """
+    """Processes, each of which takes one recording at a time; 0 uses all cores. The model does not
+    depend on it."""
     cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
-    """Leave that to the workers of a Dask cluster, by the address of its scheduler, such as
-    tcp://10.0.0.1:8786. They must see recordings and MODEL.work under the same paths."""
+    """Address of the scheduler of a Dask cluster, such as tcp://10.0.0.1:8786, whose workers take
+    the place of the processes. They must see the recordings and MODEL.work under the same paths."""
     settings: Annotated[TrainSettings, tyro.conf.arg(name="")] = field(
         default_factory=TrainSettings
     )
 
 
 def main(words: list[str]) -> None:
-    """Parse and train."""
+    """Parse the arguments and train."""
     arguments = parse(TrainArguments, words, "train")
     settings = checked(arguments.settings)
     if arguments.out.suffix != ".safetensors":
@@ -65,8 +64,8 @@ def main(words: list[str]) -> None:
     if arguments.cluster and arguments.jobs != 1:
         raise InputError(
             "--jobs",
-            "means nothing with --cluster, all of whose workers work.",
-            "Leave one of them out.",
+            "has no meaning with --cluster, which uses all workers of the cluster.",
+            "Remove one of the two flags.",
         )
     model = train_with_progress(
         arguments.sequences, settings, arguments.out, jobs=arguments.jobs, cluster=arguments.cluster
@@ -80,8 +79,8 @@ def train_with_progress(
     out: Path,
     jobs: int = 1,
     cluster: str = "",
-) -> Learned:
-    """Learn from recordings, and show how far it is on stderr."""
+) -> LearnedNoiseModel:
+    """Learn a noise model from recordings with a progress bar on stderr."""
     import cv2
 
     from probevo.cli.first_use import getting_ready
@@ -94,12 +93,11 @@ def train_with_progress(
     workers = Workers(jobs, cluster)
     try:
         with progress_bar(f"training {out.name}", getting_ready()) as show:
-            return load_model(
-                train_model(recordings, settings, out, on_progress=show, workers=workers)
-            )
+            path = train_model(recordings, settings, out, on_progress=show, workers=workers)
+            return load_model(path)
     except KeyboardInterrupt as stop:
         stop.add_note(
-            f"Recordings and iterations that are through are kept in {out}.work; the same command"
-            " goes on from there."
+            f"Finished recordings and iterations are kept in {out}.work; the same command continues"
+            " from there."
         )
         raise

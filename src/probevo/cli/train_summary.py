@@ -8,27 +8,29 @@ from typing import TYPE_CHECKING
 from probevo.cli.text import columns, table
 
 if TYPE_CHECKING:
+    from probevo.noise.base import LearnedNoiseModel
     from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-    from probevo.noise.model_io import Learned
     from probevo.noise.probe.nearest_neighbors import NearestNeighbors
     from probevo.noise.student_t import StudentT
 
 
-def summary(model: Learned, out: Path) -> list[str]:
+def summary(model: LearnedNoiseModel, out: Path) -> list[str]:
     """A few lines on what was learned, and how what was not given came about."""
     from probevo.noise.gk.generalized_kernel import GeneralizedKernel
+    from probevo.noise.probe.nearest_neighbors import NearestNeighbors
     from probevo.noise.student_t import StudentT
 
+    lines: list[str] = []
     if isinstance(model, GeneralizedKernel):
         lines = _of_kernel(model)
     elif isinstance(model, StudentT):
         lines = _of_student_t(model)
-    else:
+    elif isinstance(model, NearestNeighbors):
         lines = _of_neighbors(model)
     return [*lines, "", f"model: {out}"]
 
 
-def _source(model: Learned) -> str:
+def _source(model: LearnedNoiseModel) -> str:
     recordings = model.training["recordings"]
     frames = sum(recording["frames"] for recording in recordings)
     return f"{frames:,} frames of {len(recordings)} recordings"

@@ -1,24 +1,23 @@
-"""What a track's past says of its disparity: a filter of two states for each track, and of six that
-all share.
+"""A Kalman filter of each track's disparity, and of the errors that all tracks have in common.
 
-A disparity that was wrong in one frame is wrong by nearly as much in the next
-(``StereoNoise.time_correlation``): a residual hardly shows it, but the parallax of many frames does. So each
-track carries x = (d, δ), its true disparity and the error of the measured one. The first sight
-gives d = measured and δ = 0, with [[S_dd + τ², −τ²], [−τ², τ²]]; every further one is a Kalman
-update with the residual of the motion's solve.
+A disparity that was wrong in one frame is wrong by nearly as much in the next (the time-correlated
+error of ``StereoNoise``). A single residual hardly shows it, but the parallax of many frames does.
+So each track carries the state x = (d, δ): its true disparity, and the error of the measured one.
+The first observation gives d = measured and δ = 0, with covariance [[S_dd + τ², −τ²], [−τ², τ²]];
+every further one is a Kalman update with the residual of the motion's solve.
 
-The motion that the parallax is measured with is itself uncertain, and wrong for all tracks alike:
-    taken for known, it
-would make 300 tracks that are all 1 % too near sure of that to 0.1 %. So an error of x is ε + U c,
-with ε of the track's own, and six numbers c ~ N(0, I) in common. Motion and c are estimated
-together, ξ and c from e = J ξ + H U c + …, and of the twelve directions of their posterior, the six
-that the tracks feel most stay in common; the others go to ε.
+The motion that the parallax is measured with is itself uncertain, and wrong for all tracks alike.
+Taken as known, it would make 300 tracks that are all 1 % too near certain of that to 0.1 %. So an
+error of x is ε + U c: ε is the track's own, and the six common-mode errors c ~ N(0, I) belong to
+all. Motion and common mode are estimated together, ξ and c from e = J ξ + H U c + …; of the twelve
+directions of their posterior, the six that move the tracks most are kept as common mode, and the
+others are added to ε.
 
-Where the track is in the image is not remembered. A tracker follows a patch from frame to frame,
-and if it slips, it follows another one from there on, so that a track *is* where it was last seen.
-On KITTI the likelihood of the next residuals says so, too: against remembering nothing it gains 0.3
-to 0.9 nats a feature in this way, and loses as much if the track is taken for one point of the
-world, seen with noise that is new in each frame.
+The place of a track in the image is no state. A tracker follows a patch from frame to frame, and if
+it slips, it follows another patch from there on, so that a track *is* where it was last seen. On
+KITTI the likelihood of the next residuals agrees: against no filter it gains 0.3 to 0.9 nats a
+feature in this way, and loses as much if the track is taken for one point of the world, observed
+with noise that is new in each frame.
 """
 
 from __future__ import annotations
@@ -29,137 +28,297 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.compiled import perturb
-from probevo.estimation.disparity_filter_numba import normal_parts, renew
+from probevo.camera.transfer_numba import NEAREST
+from probevo.estimation.disparity_filter_numba import (
+    COMMON,
+    CommonModeEquations,
+    LinearizedFeatures,
+    PosteriorStates,
+    PriorStates,
+    common_mode_equations,
+    update_states,
+)
 from probevo.estimation.reprojection import ReprojectionSolution, sum_products
 from probevo.geometry import se3
-from probevo.measurements.point_priors import KnownDisparities
-from probevo.measurements.stereo_numba import NEAREST
+from probevo.geometry.se3_numba import perturb
+from probevo.measurements.point_priors import DisparityPrior
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
-WANDERING = 0.02
-"""How much of τ² a lasting error wanders from frame to frame. By likelihood on KITTI: half as much
-costs 0.03 nats a feature, three times as much 0.04, and to pull the errors towards zero as well
-0.01."""
+RANDOM_WALK = 0.02
+"""Variance of the random walk of δ from frame to frame, in units of τ². By likelihood on KITTI: half
+as much costs 0.03 nats a feature, three times as much 0.04, and to pull the errors towards zero as
+well 0.01."""
 LEAST_DISPARITY_PX = 0.1
 """Below it, a disparity is no measure of another."""
-SHARED = 6
-"""Errors in common. With three, the motions in a simulation are as good; with twelve no better."""
 
 
 @dataclass(frozen=True)
-class DisparityMemory:
-    """The disparities of M tracks, as all frames so far tell them."""
+class DisparityFilter:
+    """The states of M tracks, given all frames so far."""
 
     ids: IntArray
     """Identities of the tracks, ascending, [M]."""
-    known: KnownDisparities
-    """Of each of them, in terms of the last frame."""
-    measured: FloatArray
+    states: DisparityPrior
+    """Mean and covariance of (d, δ) of each, in terms of the last frame."""
+    measured_px: FloatArray
     """The disparity measured in the last frame, [M], px."""
     common: FloatArray
-    """U: what the errors in common do to (d, δ), [M, 2, 6], px."""
-    path: FloatArray
-    """Covariance of the path's error, along the axes of the last frame, with the errors in common,
-    [6, 6]."""
+    """U: how the common-mode errors move (d, δ), [M, 2, 6], px."""
+    path_sensitivity: FloatArray
+    """How the common-mode errors move the path, along the axes of the last frame, [6, 6]."""
     path_cross_cov: FloatArray
-    """Covariance of the path's error before the last step, along the same axes, with that of the
-    step, [6, 6]."""
+    """Cross-covariance of the path's error before the last step with that of the step, along the
+    axes of the last frame, [6, 6]."""
 
     @staticmethod
-    def none() -> DisparityMemory:
-        """Before the first step, and after one that failed."""
-        nothing = np.zeros((6, SHARED))
-        nobody = np.zeros(0, np.int64)
-        no_one = KnownDisparities.none()
-        return DisparityMemory(
-            nobody,
-            no_one,
-            np.zeros(0),
-            common=np.zeros((0, 2, SHARED)),
-            path=nothing,
+    def none() -> DisparityFilter:
+        """Return the filter of no track, as before the first step and after one that failed."""
+        return DisparityFilter(
+            ids=np.zeros(0, np.int64),
+            states=DisparityPrior.none(),
+            measured_px=np.zeros(0),
+            common=np.zeros((0, 2, COMMON)),
+            path_sensitivity=np.zeros((6, COMMON)),
             path_cross_cov=np.zeros((6, 6)),
         )
 
-    def of(self, tracks: Tracks) -> DisparityMemory:
-        """What is known of N tracks in their previous frame; ``known.rows`` says of which of them.
+    def of_tracks(self, tracks: Tracks) -> DisparityFilter:
+        """Return the states of those of N tracks that the filter has; ``states.rows`` says which.
 
-        The self-calibration may have learned since then, so that the same measurement is corrected
-        to another one.
+        The rig's calibration may have been updated since then, so that the same measurement is now
+        corrected to another one: δ takes up the difference.
         """
-        ids = tracks.ids
-        place = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
-        rows = np.flatnonzero(self.ids[place] == ids) if len(self.ids) else place[:0]
+        place = np.minimum(np.searchsorted(self.ids, tracks.ids), max(len(self.ids) - 1, 0))
+        rows = np.flatnonzero(self.ids[place] == tracks.ids) if len(self.ids) else place[:0]
         place = place[rows]
-        known = self.known
-        measured = tracks.prev_px[rows, 0] - tracks.prev_px[rows, 2]
-        error = known.error[place] + measured - self.measured[place]
-        found = KnownDisparities(rows, known.disparity[place], error, cov=known.cov[place])
-        return DisparityMemory(
-            ids[rows],
-            found,
-            measured,
+        measured_px = tracks.prev_px[rows, 0] - tracks.prev_px[rows, 2]
+        states = DisparityPrior(
+            rows=rows,
+            disparity=self.states.disparity[place],
+            error=self.states.error[place] + measured_px - self.measured_px[place],
+            cov=self.states.cov[place],
+        )
+        return DisparityFilter(
+            ids=tracks.ids[rows],
+            states=states,
+            measured_px=measured_px,
             common=self.common[place],
-            path=self.path,
+            path_sensitivity=self.path_sensitivity,
             path_cross_cov=self.path_cross_cov,
         )
 
 
 @dataclass(frozen=True)
-class JointPosterior:
-    """Motion and errors in common, (ξ, c), after a step."""
+class _JointPosterior:
+    """Motion and common-mode errors, z = (ξ, c), after a step."""
 
     mean: FloatArray
     """[12]."""
     root: FloatArray
-    """Of their covariance, [12, 12]."""
+    """Cholesky factor of their covariance, [12, 12]."""
     common: FloatArray
-    """U of the tracks that were known, at the disparities that the solve has refined, [M, 2, 6]."""
+    """U of the tracks in the filter, at the disparities that the solve has refined, [M, 2, 6]."""
 
     @staticmethod
-    def of(solution: ReprojectionSolution, before: DisparityMemory) -> JointPosterior:
-        """From the solve, which took the errors for the tracks' own, by one more Gauss–Newton step.
+    def of(solution: ReprojectionSolution, prior: DisparityFilter) -> _JointPosterior:
+        """Take one more Gauss–Newton step from a solve that took all errors for the tracks' own.
 
         The robust weights are those of the solve; its covariance, in which the loss has a part,
-        stays what it is for a motion without errors in common.
+        stays what it is for a motion without common-mode errors.
         """
-        rows = before.known.rows
-        common = before.common.copy()
-        # A scale that is wrong for all would seem observable if it were taken of other disparities
-        # at every step.
-        seen = solution.points.seen[rows, 2]
+        rows = prior.states.rows
+        # A scale error that is common to all would seem observable if its derivative were taken at
+        # other disparities in every step (inconsistent linearisation points).
+        point = solution.points.point[rows, 2]
         refined = solution.refined[rows, 2]
-        grown = np.where(
-            seen > LEAST_DISPARITY_PX, refined / np.maximum(seen, LEAST_DISPARITY_PX), 1.0
+        is_measurable = point > LEAST_DISPARITY_PX
+        growth = np.where(is_measurable, refined / np.maximum(point, LEAST_DISPARITY_PX), 1.0)
+        common = prior.common.copy()
+        common[:, 0] *= growth[:, None]
+        equations = CommonModeEquations(
+            cross=np.empty((6, COMMON)),
+            hessian=np.empty((COMMON, COMMON)),
+            gradient=np.empty(COMMON),
         )
-        common[:, 0] *= grown[:, None]
-        cross = np.empty((6, SHARED))
-        own = np.empty((SHARED, SHARED))
-        pull = np.empty(SHARED)
-        solved = (
-            solution.jacobian,
-            solution.disparity_jacobian,
-            solution.information,
+        common_mode_equations(
+            rows,
+            _linearized(solution),
             solution.irls_weight,
+            common=common,
+            equations=equations,
         )
-        normal_parts(rows, *solved, solution.residuals, common, cross, own, pull)
-        normal = _joint(solution.hessian, cross, own + np.eye(SHARED))
-        # The motion is at its optimum, so that only the errors in common are pulled at.
-        mean = np.linalg.solve(normal, np.concatenate([np.zeros(6), pull]))
-        told = np.linalg.cholesky(np.linalg.inv(solution.cov))
-        weighted = np.linalg.cholesky(solution.hessian)
-        change = told @ np.linalg.inv(weighted)  # takes the Hessian to the information
+        # The motion is at its optimum, so that only the common mode has a gradient.
+        hessian = _joint(solution.hessian, equations.cross, equations.hessian + np.eye(COMMON))
+        gradient = np.concatenate([np.zeros(6), equations.gradient])
+        mean = np.linalg.solve(hessian, gradient)
+        # From the Hessian to the information: both are A Aᵀ, and the change of A scales the rest.
+        information_root = np.linalg.cholesky(np.linalg.inv(solution.cov))
+        hessian_root = np.linalg.cholesky(solution.hessian)
+        change = information_root @ np.linalg.inv(hessian_root)
         factor = float(np.prod(np.diagonal(change))) ** (1.0 / 6.0)
         information = _joint(
-            told @ told.T, factor * change @ cross, factor**2 * own + np.eye(SHARED)
+            information_root @ information_root.T,
+            factor * change @ equations.cross,
+            factor**2 * equations.hessian + np.eye(COMMON),
         )
         root = np.linalg.cholesky(np.linalg.inv(information))
-        return JointPosterior(mean.astype(float), root.astype(float), common)
+        return _JointPosterior(mean=mean.astype(float), root=root.astype(float), common=common)
+
+
+def update_with_common_mode(
+    prior: DisparityFilter,
+    tracks: Tracks,
+    noise: StereoNoise,
+    *,
+    solution: ReprojectionSolution,
+    camera: StereoCamera,
+    inliers: BoolArray,
+) -> tuple[ReprojectionSolution, DisparityFilter]:
+    """Return the solution with the common-mode errors accounted for, and the filter after it.
+
+    Args:
+        prior: the filter's states of these tracks (``of_tracks``).
+        tracks: the N tracks that were solved with.
+        noise: the noise of each; without time-correlated errors there is nothing to filter.
+        solution: the solve, which had ``prior.states`` as its disparity prior.
+        camera: the rectified camera.
+        inliers: which of the tracks to keep in the filter, [N]; the others start anew.
+    """
+    is_determined = np.isfinite(solution.cov).all()
+    if noise.time_correlated is None or not is_determined:
+        return solution, DisparityFilter.none()
+    if not np.linalg.eigvalsh(solution.hessian)[0] > 0.0:
+        return solution, DisparityFilter.none()
+    try:
+        posterior = _JointPosterior.of(solution, prior)
+        T_curr_prev = np.empty((4, 4))
+        perturb(posterior.mean[:6].copy(), solution.T_curr_prev, T_curr_prev)
+        cov: FloatArray = posterior.root[:6] @ posterior.root[:6].T
+        updated = replace(solution, T_curr_prev=T_curr_prev, cov=cov)
+        after = _update(
+            prior,
+            tracks,
+            noise,
+            solution=updated,
+            camera=camera,
+            inliers=inliers,
+            posterior=posterior,
+        )
+    except np.linalg.LinAlgError:
+        # Points kilometres away hardly fix the motion: matrices are singular to working precision.
+        return solution, DisparityFilter.none()
+    return updated, after
+
+
+def update_at_known_motion(
+    prior: DisparityFilter,
+    tracks: Tracks,
+    noise: StereoNoise,
+    *,
+    solution: ReprojectionSolution,
+    camera: StereoCamera,
+    inliers: BoolArray,
+) -> DisparityFilter:
+    """Return the filter after a step whose motion is known; the arguments are as above."""
+    return _update(
+        prior,
+        tracks,
+        noise,
+        solution=solution,
+        camera=camera,
+        inliers=inliers,
+        posterior=None,
+    )
+
+
+def _update(
+    prior: DisparityFilter,
+    tracks: Tracks,
+    noise: StereoNoise,
+    *,
+    solution: ReprojectionSolution,
+    camera: StereoCamera,
+    inliers: BoolArray,
+    posterior: _JointPosterior | None,
+) -> DisparityFilter:
+    if noise.time_correlated is None:
+        return DisparityFilter.none()
+    # The tracks to keep, in the order of their identities.
+    order = np.argsort(tracks.ids)
+    chosen = order[(inliers & (solution.information[:, 0, 0] > 0.0))[order]]
+    count = len(chosen)
+    common = np.zeros((len(tracks), 2, COMMON))
+    mean = np.zeros(12)
+    if posterior is not None:
+        common[prior.states.rows] = posterior.common
+        mean = posterior.mean
+    states = PosteriorStates(
+        mean=np.empty((count, 2)),
+        cov=np.empty((count, 2, 2)),
+        sensitivity=np.empty((count, 2, 12)),
+    )
+    update_states(
+        chosen,
+        PriorStates(
+            point=solution.points.point,
+            error=solution.points.error,
+            cov=solution.points.cov,
+            cross_cov=solution.cross_cov,
+            common=common,
+        ),
+        _linearized(solution),
+        mean=mean,
+        posterior=states,
+    )
+    cov = states.cov
+    cov[:, 1, 1] += RANDOM_WALK * noise.time_correlated[chosen]
+    # Which part of z stays common mode, and what it does to the path.
+    T = solution.T_curr_prev
+    kept_common = np.zeros((count, 2, COMMON))
+    path_sensitivity = np.zeros((6, COMMON))
+    path_cross_cov = np.zeros((6, 6))
+    if posterior is not None:
+        sensitivity = states.sensitivity @ posterior.root
+        kept_common, cov, directions = _strongest_directions(sensitivity, cov)
+        step = posterior.root[:6]
+        common_before = posterior.root[6:]
+        path_before = se3.adjoint(T) @ prior.path_sensitivity
+        path_sensitivity = (path_before @ common_before + step) @ directions
+        path_cross_cov = path_before @ common_before @ step.T
+    # The disparity in the current frame is the one in the previous frame over the scaled depth.
+    px = tracks.prev_px[chosen]
+    x, y = camera.normalized(px[:, 0], px[:, 1])
+    inverse_depth = states.mean[:, 0] / (camera.fu_px * camera.baseline_m)
+    depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * inverse_depth
+    ahead = depth > NEAREST
+    kept = chosen[ahead]
+    return DisparityFilter(
+        ids=tracks.ids[kept],
+        states=DisparityPrior(
+            rows=np.arange(len(kept)),
+            disparity=states.mean[ahead, 0] / depth[ahead],
+            error=states.mean[ahead, 1],
+            cov=cov[ahead],
+        ),
+        measured_px=tracks.curr_px[kept, 0] - tracks.curr_px[kept, 2],
+        common=kept_common[ahead],
+        path_sensitivity=path_sensitivity,
+        path_cross_cov=path_cross_cov,
+    )
+
+
+def _linearized(solution: ReprojectionSolution) -> LinearizedFeatures:
+    return LinearizedFeatures(
+        jacobian=solution.jacobian,
+        disparity_jacobian=solution.disparity_jacobian,
+        information=solution.information,
+        residuals=solution.residuals,
+    )
 
 
 def _joint(motion: FloatArray, cross: FloatArray, common: FloatArray) -> FloatArray:
-    """The symmetric matrix of these blocks, [12, 12]."""
+    """Return the symmetric matrix of these blocks, [12, 12]."""
     joint = np.empty((12, 12))
     joint[:6, :6] = motion
     joint[:6, 6:] = cross
@@ -168,126 +327,31 @@ def _joint(motion: FloatArray, cross: FloatArray, common: FloatArray) -> FloatAr
     return joint
 
 
-def remember(
-    tracks: Tracks,
-    noise: StereoNoise,
-    solution: ReprojectionSolution,
-    camera: StereoCamera,
-    trusted: BoolArray,
-    before: DisparityMemory,
-) -> tuple[ReprojectionSolution, DisparityMemory]:
-    """The solution with the errors in common taken into account, and the memory in terms of the
-    current frame.
+def _strongest_directions(
+    sensitivity: FloatArray, cov: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Split twelve common errors into the six that move the tracks most, and the rest.
 
     Args:
-        tracks: the N tracks that were solved with.
-        noise: the noise of each; where no error lasts, nothing is worth remembering.
-        solution: the solve, with ``before.known``.
-        camera: the rectified camera.
-        trusted: which of the tracks to remember, [N]; the others start anew.
-        before: what was known of the tracks.
+        sensitivity: how they move (d, δ) of each track, [M, 2, 12].
+        cov: each track's own covariance, [M, 2, 2], against which the size of a move counts.
+
+    Returns:
+        The sensitivity to the six, [M, 2, 6]; the covariances with the others added; the six
+        directions, [12, 6].
     """
-    if noise.time_correlation is None or not (
-        np.isfinite(solution.cov).all() and np.linalg.eigvalsh(solution.hessian)[0] > 0.0
-    ):
-        return solution, DisparityMemory.none()
-    try:
-        posterior = JointPosterior.of(solution, before)
-        T = solution.T_curr_prev
-        T_curr_prev = np.eye(4)
-        C = np.empty((3, 3))
-        t = np.empty(3)
-        perturb(posterior.mean[:6].copy(), T[:3, :3].copy(), T[:3, 3].copy(), C_out=C, t_out=t)
-        T_curr_prev[:3, :3] = C
-        T_curr_prev[:3, 3] = t
-        cov: FloatArray = posterior.root[:6] @ posterior.root[:6].T
-        better = replace(solution, T_curr_prev=T_curr_prev, cov=cov)
-        return better, carried_on(
-            tracks,
-            noise,
-            better,
-            camera=camera,
-            trusted=trusted,
-            before=before,
-            posterior=posterior,
-        )
-    except np.linalg.LinAlgError:  # of points kilometres away, next to nothing fixes the motion
-        return solution, DisparityMemory.none()
-
-
-def carried_on(
-    tracks: Tracks,
-    noise: StereoNoise,
-    solution: ReprojectionSolution,
-    camera: StereoCamera,
-    trusted: BoolArray,
-    before: DisparityMemory,
-    posterior: JointPosterior | None = None,
-) -> DisparityMemory:
-    """The memory after a step whose motion is known, or uncertain with the errors in common
-    (``posterior``)."""
-    if noise.time_correlation is None:
-        return DisparityMemory.none()
-    order = np.argsort(tracks.ids)
-    chosen = order[(trusted & (solution.information[:, 0, 0] > 0.0))[order]]
-    U = np.zeros((len(tracks), 2, SHARED))
-    mean = np.zeros(12)
-    if posterior is not None:
-        U[before.known.rows] = posterior.common
-        mean = posterior.mean
-    x = np.empty((len(chosen), 2))
-    cov = np.empty((len(chosen), 2, 2))
-    felt = np.empty((len(chosen), 2, 12))
-    points = solution.points
-    solved = (solution.shared, solution.information, solution.residuals)
-    jacobians = solution.jacobian, solution.disparity_jacobian
-    renew(chosen, points.seen, points.error, points.cov, *solved, *jacobians, U, mean, x, cov, felt)
-    cov[:, 1, 1] += WANDERING * noise.time_correlation[chosen]
-    T = solution.T_curr_prev
-    px = tracks.prev_px[chosen]
-    right, down = camera.normalized(px[:, 0], px[:, 1])
-    depth = (
-        T[2, 0] * right
-        + T[2, 1] * down
-        + T[2, 2]
-        + T[2, 3] * x[:, 0] / (camera.fu_px * camera.baseline_m)
-    )
-    common = np.zeros((len(chosen), 2, SHARED))
-    path = np.zeros((6, SHARED))
-    tied = np.zeros((6, 6))
-    if posterior is not None:
-        common, cov, directions = _most_felt(felt @ posterior.root, cov)
-        step = posterior.root[:6]
-        passed_on = posterior.root[6:]
-        before_it = se3.adjoint(T) @ before.path
-        path = (before_it @ passed_on + step) @ directions
-        tied = before_it @ passed_on @ step.T
-    ahead = depth > NEAREST
-    known = KnownDisparities(
-        np.arange(int(ahead.sum())), x[ahead, 0] / depth[ahead], x[ahead, 1], cov=cov[ahead]
-    )
-    kept = chosen[ahead]
-    measured = tracks.curr_px[kept, 0] - tracks.curr_px[kept, 2]
-    return DisparityMemory(
-        tracks.ids[kept], known, measured, common=common[ahead], path=path, path_cross_cov=tied
-    )
-
-
-def _most_felt(common: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of twelve errors in common, [M, 2, 12], the six directions that matter most against the
-    tracks' own covariances [M, 2, 2], [M, 2, 6]; the latter with the others added; and these
-    directions, [12, 6]."""
-    with np.errstate(divide="ignore", invalid="ignore"):  # the Cholesky factor of each, written out
+    # Whiten by the Cholesky factor of each 2 × 2 covariance, written out.
+    with np.errstate(divide="ignore", invalid="ignore"):
         first = np.sqrt(cov[:, :1, 0])
         across = cov[:, 1, :1] / first
         rest = cov[:, 1, 1:] - across**2
     if not (rest > 0.0).all():
         raise np.linalg.LinAlgError("a track's covariance is not positive definite")
-    white = np.empty_like(common)
-    white[:, 0] = common[:, 0] / first
-    white[:, 1] = (common[:, 1] - across * white[:, 0]) / np.sqrt(rest)
+    white = np.empty_like(sensitivity)
+    white[:, 0] = sensitivity[:, 0] / first
+    white[:, 1] = (sensitivity[:, 1] - across * white[:, 0]) / np.sqrt(rest)
+    # Eigenvalues ascend: the strongest directions come last.
     _, directions = np.linalg.eigh(sum_products(white, white))
-    kept = directions[:, SHARED:]
-    dropped = directions[:, :SHARED]
-    left = common @ dropped
-    return common @ kept, cov + left @ np.swapaxes(left, 1, 2), kept
+    kept = directions[:, COMMON:]
+    dropped = sensitivity @ directions[:, :COMMON]
+    return sensitivity @ kept, cov + dropped @ np.swapaxes(dropped, 1, 2), kept

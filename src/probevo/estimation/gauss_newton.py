@@ -1,185 +1,178 @@
-"""Levenberg–Marquardt over SE(3), from the normal equations to the optimum."""
+"""Levenberg–Marquardt over a small set of variables, for whatever measurements constrain them."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.compiled import compiled, copy_into, perturb, rotation_error, solve_positive_definite
-from probevo.measurements.normal_equations_numba import normal_equations
-from probevo.measurements.stereo_numba import linearize_noise
+from probevo.compiled import compiled, solve_positive_definite
+from probevo.geometry.se3_numba import perturb
+from probevo.measurements.base import Linearization, Measurement, Values, Variable, blocks_of
 
-RENEW_AFTER = 1.0
-"""Squared length of the way since Σ was last renewed, in standard deviations of the motion, that
-makes it stale.
+CONVERGED_BELOW = 1e-3
+"""The solve has converged once a step is shorter than this many standard deviations."""
+PROPAGATE_AFTER = 1.0
+"""Squared length of the way since the measurements' covariances were last propagated, in standard
+deviations, beyond which they are propagated again. Within one, what their age does to the estimate
+is below a hundredth of a standard deviation."""
+MAX_PROPAGATIONS = 10
+"""From a guess as good as RANSAC's it takes two or three."""
+FIRST_DAMPING = 1e-6
+NEWTON_BELOW = 1e-3
+"""Damping below which, after two accepted steps, the solve is close enough for Newton's Hessian."""
 
-Within one, what is left of its age is below a hundredth of a standard deviation."""
-MAX_RENEWALS = 10
-"""How often Σ is computed at most; from a guess as good as RANSAC's it takes two or three."""
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where a solve ended."""
+
+    values: Values
+    measurements: tuple[Measurement, ...]
+    """The same measurements, with their covariances as they were propagated last."""
+    iterations: int
+    converged: bool
 
 
-@compiled
+@dataclass(frozen=True)
+class _Layout:
+    """Where the free variables lie in the joint vector, and in that of each measurement."""
+
+    blocks: dict[Variable, slice]
+    dof: int
+    placements: tuple[tuple[tuple[slice, slice], ...], ...]
+    """For each measurement, for each of its free variables: where it lies in the joint vector, and
+    where in the measurement's own."""
+
+    @staticmethod
+    def of(
+        measurements: Sequence[Measurement], values: Values, free: Sequence[Variable]
+    ) -> _Layout:
+        blocks, dof = blocks_of(free, values)
+        placements = []
+        for measurement in measurements:
+            own, _ = blocks_of(measurement.variables, values)
+            placements.append(tuple((blocks[key], at) for key, at in own.items() if key in blocks))
+        return _Layout(blocks, dof, tuple(placements))
+
+    def add_up(
+        self, measurements: Sequence[Measurement], values: Values, *, newton: bool
+    ) -> Linearization:
+        """Sum the normal equations of all measurements."""
+        total = Linearization(0.0, np.zeros((self.dof, self.dof)), np.zeros(self.dof))
+        cost = 0.0
+        for measurement, placement in zip(measurements, self.placements, strict=True):
+            own = measurement.linearize(values, newton=newton)
+            cost += own.cost
+            for rows, own_rows in placement:
+                total.gradient[rows] += own.gradient[own_rows]
+                for columns, own_columns in placement:
+                    total.hessian[rows, columns] += own.hessian[own_rows, own_columns]
+        return total._replace(cost=cost)
+
+    def moved(self, values: Values, step: FloatArray) -> Values:
+        """Move the free variables by their parts of a step."""
+        free = {key: _moved(values[key], step[at]) for key, at in self.blocks.items()}
+        return {**values, **free}
+
+
 def minimize(
-    C: FloatArray,
-    t: FloatArray,
-    camera: FloatArray,
-    seen: FloatArray,
-    point_cov: FloatArray,
-    curr: FloatArray,
-    scale: FloatArray,
-    kind: int,
-    parameter: FloatArray,
-    C_prior: FloatArray,
-    prior_information: FloatArray,
-    max_iterations: int,
-    tolerance: float,
-    refined: FloatArray,
-    offset: FloatArray,
-    information: FloatArray,
-    shared: FloatArray,
-    squared: FloatArray,
-) -> tuple[int, bool, float]:
-    """Levenberg–Marquardt on SE(3) over Σ ρ(eᵀ Σ⁻¹ e) + ½ φᵀ Λ φ, with φ = Log(C C_priorᵀ).
+    measurements: Sequence[Measurement],
+    values: Values,
+    free: Sequence[Variable],
+    *,
+    max_iterations: int = 20,
+) -> Optimum:
+    """Find the most likely values of the free variables: the minimum of the measurements' costs.
 
-    C and t are the guess on entry and the solution on return; refined, offset, information, shared
-    and squared are those of ``linearize_noise`` and ``normal_equations`` there. Σ is renewed when
-    the motion has moved by a good part of its own standard deviation, and else kept, so that the
-    cost is one function near the optimum. Returns the iterations, whether the last step was shorter
-    than the tolerance times its own standard deviation, and the cost. Without any iterations the
-    guess stays, and all else is filled in at it.
+    The covariances of measurements that depend on the values (as a triangulated point's does on the
+    motion) are propagated when the values have moved by a good part of their own standard
+    deviation, and are held otherwise, so that the cost is one function near the optimum.
+
+    Args:
+        measurements: whatever constrains the variables.
+        values: where to start, of all variables; those that are not free stay as they are.
+        free: the variables to solve for.
+        max_iterations: 0 keeps the values, and propagates the covariances there.
     """
-    hessian = np.empty((6, 6))
-    gradient = np.empty(6)
-    trial_hessian = np.empty((6, 6))
-    trial_gradient = np.empty(6)
-    trial_squared = np.empty(len(squared))
-    lower = np.zeros((6, 6))
-    step = np.zeros(6)
-    damped = np.empty((6, 6))
-    trial_C = np.empty((3, 3))
-    trial_t = np.empty(3)
-    phi = np.empty(3)
-    damping = 1e-6
+    layout = _Layout.of(measurements, values, free)
+    measurements = tuple(measurement.propagated(values) for measurement in measurements)
+    if max_iterations == 0:
+        return Optimum(values, measurements, iterations=0, converged=True)
+    system = layout.add_up(measurements, values, newton=False)
+    damping = FIRST_DAMPING
+    newton = False  # whether the current system has Newton's Hessian
     accepted = 0
-    cost = 0.0
-    stale = True
-    near = damping > 1.0  # False, but no literal: normal_equations would be compiled for that, too
-    renewals = 0
-    moved = math.inf
-    for iteration in range(max(max_iterations, 1)):
-        if stale:
-            if moved > RENEW_AFTER and renewals < MAX_RENEWALS:
-                renewals = renewals + 1
-                moved = 0.0
-                linearize_noise(
-                    C,
-                    t,
-                    camera,
-                    seen=seen,
-                    point_cov=point_cov,
-                    curr=curr,
-                    scale=scale,
-                    refined=refined,
-                    offset=offset,
-                    information=information,
-                    shared=shared,
-                )
-            cost = normal_equations(
-                C,
-                t,
-                camera,
-                refined=refined,
-                offset=offset,
-                curr=curr,
-                information=information,
-                kind=kind,
-                parameter=parameter,
-                near=near,
-                hessian=hessian,
-                gradient=gradient,
-                squared=squared,
-            ) + _add_rotation_prior(
-                C, C_prior, prior_information, hessian=hessian, gradient=gradient, phi=phi
-            )
-            stale = False
-        if max_iterations == 0:
-            return 0, True, cost
-        copy_into(damped, hessian)
-        for i in range(6):
-            damped[i, i] += damping * hessian[i, i]
-        if not solve_positive_definite(damped, gradient, lower, solution=step):
-            if not near:
-                return iteration + 1, False, cost
-            near = False
-            stale = True
+    propagations = 1
+    moved = 0.0  # squared way since the last propagation, in standard deviations
+    step = np.empty(layout.dof)
+    for iteration in range(1, max_iterations + 1):
+        if not _damped_step(system.hessian, system.gradient, damping, step):
+            if not newton:
+                return Optimum(values, measurements, iteration, converged=False)
+            # Newton's Hessian may be indefinite; that of IRLS is not.
+            newton = False
+            system = layout.add_up(measurements, values, newton=False)
             continue
-        perturb(step, C, t, C_out=trial_C, t_out=trial_t)
-        trial_cost = normal_equations(
-            trial_C,
-            trial_t,
-            camera,
-            refined=refined,
-            offset=offset,
-            curr=curr,
-            information=information,
-            kind=kind,
-            parameter=parameter,
-            near=accepted > 1 and damping < 1e-3,
-            hessian=trial_hessian,
-            gradient=trial_gradient,
-            squared=trial_squared,
-        ) + _add_rotation_prior(
-            trial_C,
-            C_prior,
-            prior_information,
-            hessian=trial_hessian,
-            gradient=trial_gradient,
-            phi=phi,
-        )
-        if not trial_cost <= cost * (1.0 + 1e-12):
-            if near:
-                near = False
-                stale = True
+        trial = layout.moved(values, step)
+        trial_newton = accepted > 1 and damping < NEWTON_BELOW
+        trial_system = layout.add_up(measurements, trial, newton=trial_newton)
+        if not trial_system.cost <= system.cost * (1.0 + 1e-12):
+            if newton:
+                newton = False
+                system = layout.add_up(measurements, values, newton=False)
             else:
                 damping = max(1e-3, 10.0 * damping)
             continue
-        decrement = float(np.sum(step * gradient))
-        copy_into(C, trial_C)
-        copy_into(t, trial_t)
-        copy_into(hessian, trial_hessian)
-        copy_into(gradient, trial_gradient)
-        copy_into(squared, trial_squared)
-        cost, damping, accepted, near = (
-            trial_cost,
-            0.1 * damping,
-            accepted + 1,
-            accepted > 1 and damping < 1e-3,
-        )
+        decrement = float(np.sum(step * system.gradient))
+        values = trial
+        system = trial_system
+        newton = trial_newton
+        damping *= 0.1
+        accepted += 1
         moved += decrement
-        stale = moved > RENEW_AFTER and renewals < MAX_RENEWALS
-        if decrement < tolerance * tolerance and not stale:
-            return iteration + 1, moved <= RENEW_AFTER, cost
-    return max_iterations, False, cost
+        if moved > PROPAGATE_AFTER and propagations < MAX_PROPAGATIONS:
+            propagations += 1
+            moved = 0.0
+            if iteration < max_iterations:
+                measurements = tuple(each.propagated(values) for each in measurements)
+                system = layout.add_up(measurements, values, newton=newton)
+        elif decrement < CONVERGED_BELOW**2:
+            return Optimum(values, measurements, iteration, converged=moved <= PROPAGATE_AFTER)
+    return Optimum(values, measurements, max_iterations, converged=False)
+
+
+def information(
+    measurements: Sequence[Measurement], values: Values, variables: Sequence[Variable]
+) -> FloatArray:
+    """Sum the information of measurements on some variables, [n, n]; the others are held."""
+    layout = _Layout.of(measurements, values, variables)
+    total = np.zeros((layout.dof, layout.dof))
+    for measurement, placement in zip(measurements, layout.placements, strict=True):
+        own = measurement.information(values)
+        for rows, own_rows in placement:
+            for columns, own_columns in placement:
+                total[rows, columns] += own[own_rows, own_columns]
+    return total
+
+
+def _moved(value: FloatArray, step: FloatArray) -> FloatArray:
+    if value.shape != (4, 4):
+        return value + step
+    moved = np.empty((4, 4))
+    perturb(step, value, moved)
+    return moved
 
 
 @compiled
-def _add_rotation_prior(
-    C: FloatArray,
-    C_prior: FloatArray,
-    prior_information: FloatArray,
-    hessian: FloatArray,
-    gradient: FloatArray,
-    phi: FloatArray,
-) -> float:
-    """Add ½ φᵀ Λ φ to the normal equations; returns its cost. The Jacobian of Log is taken as 1: φ
-    is small."""
-    rotation_error(C, C_prior, phi)
-    cost = 0.0
-    for i in range(3):
-        for j in range(3):
-            hessian[3 + i, 3 + j] += prior_information[i, j]
-            gradient[3 + i] -= prior_information[i, j] * phi[j]
-            cost += 0.5 * phi[i] * prior_information[i, j] * phi[j]
-    return cost
+def _damped_step(
+    hessian: FloatArray, gradient: FloatArray, damping: float, step: FloatArray
+) -> bool:
+    """Solve (H + λ diag H) step = gradient; False where that is not positive definite."""
+    dof = len(gradient)
+    damped = hessian.copy()
+    for i in range(dof):
+        damped[i, i] += damping * hessian[i, i]
+    return solve_positive_definite(damped, gradient, np.zeros((dof, dof)), step)

@@ -1,4 +1,4 @@
-"""The result of one step: a relative motion, how sure it is, and how it came about."""
+"""The result of one step: a relative motion, its covariance, and how it came about."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from probevo.arrays import FloatArray
 
 
 class Status(IntEnum):
-    """How a motion came about. In all but FIRST and OK it is carried on from gyro and last
-    velocity, much less sure."""
+    """How a motion came about.
+
+    In all but FIRST and OK it is dead-reckoned from gyro and last velocity, and much less certain.
+    """
 
     FIRST = 0
     """The first frame: identity, zero covariance."""
@@ -22,7 +24,7 @@ class Status(IntEnum):
     """The features do not fix all six degrees of freedom."""
     TOO_FEW_TRACKS = 3
     NOT_CONVERGED = 4
-    """The solve did not reach an optimum, or reached one that the motion so far makes absurd."""
+    """The solve did not reach an optimum, or one that fails the gate of the motion model."""
     GAP = 5
     """The motion could not be solved, and frames are missing before this one."""
 
@@ -39,16 +41,16 @@ class MotionEstimate:
     num_tracks: int
     """Tracks that the step had."""
     num_inliers: int = 0
-    """Tracks that are trusted by at least one half, of 0 to 1 (``motion.trust``)."""
+    """Tracks with a weight of at least one half, of 0 to 1 (``estimation.feature_weights``)."""
     iterations: int = 0
     common_mode: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
-    """The part of ``cov`` that all steps have in common, the doubt about the calibration: ξ moves
-    along these columns, [6, 3], by the same three numbers of unit variance in every step, and cov
-    contains common_mode common_modeᵀ."""
+    """The common-mode part of ``cov``, from the uncertainty of the rig's calibration (Schmidt's
+    consider term): ξ moves along these columns, [6, 3], by the same three numbers of unit variance
+    in every step, and ``cov`` contains common_mode common_modeᵀ."""
     path_cross_cov: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-    """Covariance of the error of the path before this step, along the axes of the current camera,
-    with that of the step, [6, 6]: both know the same tracks, or the same velocity. A path P = Ad P
-    Adᵀ + cov grows by path_cross_cov + path_cross_covᵀ besides."""
+    """Cross-covariance of the error of the path before this step, along the axes of the current
+    camera, with that of the step, [6, 6]: both depend on the same tracks, or the same velocity. A
+    path covariance P = Ad P Adᵀ + cov grows by path_cross_cov + path_cross_covᵀ besides."""
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     """Wall time of each stage of this step, ms."""
     num_used: int = 0
@@ -56,3 +58,17 @@ class MotionEstimate:
     num_out_of_domain: int | None = None
     """Those of them that lie where the noise model has seen no training data; None where there was
     no solve, or for models that have seen none at all."""
+    T_world_cam: FloatArray = field(default_factory=lambda: np.eye(4))
+    """Pose of the current camera in the world, the frame of the first camera, [4, 4], m: the motions
+    so far compounded, and corrected by measurements of the pose where there were any."""
+    pose_cov: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    """Covariance of the left perturbation of T_cam_world = T_world_cam⁻¹, [6, 6], m and rad."""
+    missing: tuple[str, ...] = ()
+    """What the frame lacked, in words: samples that could not be used."""
+
+    @staticmethod
+    def first() -> MotionEstimate:
+        """Return the estimate of the first frame."""
+        return MotionEstimate(
+            T_curr_prev=np.eye(4), cov=np.zeros((6, 6)), status=Status.FIRST, num_tracks=0
+        )

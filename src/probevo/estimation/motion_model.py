@@ -1,5 +1,5 @@
-"""What the last motion lets one expect of the next: where to look, what to carry on with, what not
-to believe."""
+"""What the last motion lets one predict of the next: where to search, what to dead-reckon with, and
+which solves to refuse."""
 
 from __future__ import annotations
 
@@ -9,59 +9,72 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.config import MotionModelConfig
-from probevo.estimation.reprojection import ReprojectionSolution, RotationPrior
+from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.geometry import se3, so3
+from probevo.measurements.relative_rotation import RelativeRotation
 
-ABSURD = 60.0
-"""Squared Mahalanobis length of a motion's surprise (six dimensions) beyond which it is not
-believed: about 7σ."""
+INNOVATION_GATE = 60.0
+"""Squared Mahalanobis distance of a motion's innovation (six dimensions) beyond which the solve is
+refused: about 7σ."""
 
 FASTEST_START = 1.5
-"""Fastest forward speed that a start is tried with, in standard deviations of the speed at start.
-"""
+"""Fastest forward speed that is tried at the start, in standard deviations of the speed there."""
 
 MAX_REFUSALS = 3
-"""Solves that the belief may refuse, with none believed in between, before it is given up itself.
-"""
+"""Solves that the gate may refuse, with none accepted in between, before the motion model itself is
+given up."""
 
-ASKEW_RAD = 0.02
-LATE_S = 0.006
-"""Standard deviations of how far a gyro's axes, or its scale, are off, and its clock; its noise is
-not all there is."""
+GYRO_MISALIGNMENT_RAD = 0.02
+"""Standard deviation of the gyro's axes, and of its scale; its noise is not all there is."""
+GYRO_DELAY_S = 0.006
+"""Standard deviation of the gyro's clock."""
 
-MOVING = np.repeat([0.1, 0.05], 3)
+MOVING_TWIST = np.repeat([0.1, 0.05], 3)
 """Twist, m/s and rad/s, beyond which no two images are alike."""
 
 
 @dataclass(frozen=True)
-class ExpectedMotion:
+class MotionPrediction:
     """Motion over the coming step, before its images are looked at."""
 
     T_curr_prev: FloatArray
     """[4, 4]."""
     cov: FloatArray
-    """Covariance of its left perturbation, [6, 6]. It is more than a gyro's own noise: no solve
-    must be refused for the gyro's scale, its clock or how it is mounted."""
-    of_velocity: FloatArray
-    """How the velocity's error, [6], in standard deviations, moves it, [6, 6]; a gyro's rotation it
-    does not turn."""
+    """Covariance of its left perturbation, [6, 6]. It is more than a gyro's own noise: no solve must
+    be refused for the gyro's scale, its clock or how it is mounted."""
+    velocity_sensitivity: FloatArray
+    """How the velocity's error, [6], in standard deviations, moves it, [6, 6]; a gyro's rotation
+    does not depend on it."""
 
-    def surprise(self, T_curr_prev: FloatArray) -> FloatArray:
-        """How far a motion [4, 4] is from it, as a left perturbation, [6]."""
+    def innovation(self, T_curr_prev: FloatArray) -> FloatArray:
+        """Return how far a motion [4, 4] is from the predicted one, as a left perturbation, [6]."""
         return se3.log(T_curr_prev @ se3.inverse(self.T_curr_prev))
 
-    def is_absurd(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
-        """Whether a solved motion and its covariance cannot come from what was expected."""
-        surprise = self.surprise(T_curr_prev)
-        return bool(surprise @ np.linalg.solve(self.cov + cov, surprise) > ABSURD)
+    def fails_gate(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
+        """Return whether a solved motion with its covariance cannot come from this prediction."""
+        innovation = self.innovation(T_curr_prev)
+        squared = innovation @ np.linalg.solve(self.cov + cov, innovation)
+        return bool(squared > INNOVATION_GATE)
+
+
+@dataclass(frozen=True)
+class DeadReckoning:
+    """A motion that the images did not give."""
+
+    T_curr_prev: FloatArray
+    """[4, 4]."""
+    cov: FloatArray
+    """Covariance of its left perturbation, [6, 6]."""
+    path_cross_cov: FloatArray
+    """As of ``MotionEstimate``, [6, 6]."""
 
 
 @dataclass(frozen=True)
 class MotionModel:
-    """Constant velocity in the camera's own frame, disturbed by an acceleration that may go on as
-    long as we are blind.
+    """Constant velocity in the camera's own frame, disturbed by an acceleration.
 
-    Its error is then one for all the steps that are carried on, so that they stray together.
+    The acceleration may go on as long as there is no solve. Its error is one for all the steps that
+    are dead-reckoned, so that their errors are correlated.
     """
 
     config: MotionModelConfig
@@ -72,123 +85,136 @@ class MotionModel:
     usual_step_s: float = 0.0
     """Running mean of the time between frames; 0 before the second."""
     refusals: int = 0
-    """Solves that were not believed, since the last one that was."""
-    strayed: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    """Solves that failed the gate, since the last one that passed."""
+    path_sensitivity: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     """How the error of the velocity has moved the path since the last solve, along the current
     axes, [6, 6]."""
 
     @staticmethod
     def at_start(config: MotionModelConfig) -> MotionModel:
-        """Nothing is known: any speed that the configuration holds possible."""
+        """Return the model that knows nothing: any speed that the configuration holds possible."""
         sigma = np.repeat([config.start_speed_m_s, config.start_turn_rate_rad_s], 3)
-        return MotionModel(config, np.zeros(6), sigma)
+        return MotionModel(config, twist_s=np.zeros(6), twist_sigma_s=sigma)
 
-    def expected(self, duration_s: float, gyro: RotationPrior | None) -> ExpectedMotion:
-        """Motion over the coming step; the rotation is the gyro's where there is one."""
+    def predict(self, duration_s: float, gyro: RelativeRotation | None) -> MotionPrediction:
+        """Predict the motion of the coming step; the rotation is the gyro's where there is one."""
         T_curr_prev = se3.exp(self.twist_s * duration_s)
-        of_velocity = np.diag(self._drifted_sigma(duration_s) * duration_s)
-        cov = of_velocity**2 + 2.0 * self.config.stamp_sigma_s**2 * np.outer(
-            self.twist_s, self.twist_s
-        )
+        velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
+        stamp_variance = 2.0 * self.config.stamp_sigma_s**2
+        cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist_s, self.twist_s)
         if gyro is not None:
             T_curr_prev[:3, :3] = gyro.C_curr_prev
-            felt = so3.log(gyro.C_curr_prev)
-            change_rad_s = felt / duration_s - self.twist_s[3:]
-            untold_rad = ASKEW_RAD * np.linalg.norm(felt) + LATE_S * np.linalg.norm(change_rad_s)
+            angle = so3.log(gyro.C_curr_prev)
+            change_rad_s = angle / duration_s - self.twist_s[3:]
+            unmodelled_rad = GYRO_MISALIGNMENT_RAD * np.linalg.norm(angle) + (
+                GYRO_DELAY_S * np.linalg.norm(change_rad_s)
+            )
             cov[3:] = 0.0
             cov[:, 3:] = 0.0
-            of_velocity[3:] = 0.0
-            cov[3:, 3:] = gyro.cov + untold_rad**2 * np.eye(3)
-        return ExpectedMotion(T_curr_prev, cov, of_velocity)
+            cov[3:, 3:] = gyro.cov + unmodelled_rad**2 * np.eye(3)
+            velocity_sensitivity[3:] = 0.0
+        return MotionPrediction(T_curr_prev, cov, velocity_sensitivity)
 
-    def starts(self, duration_s: float, expected: ExpectedMotion) -> list[FloatArray]:
-        """Motions, [4, 4] each, from which tracking may have to start: several forward speeds while
-        none is known."""
+    def starts(self, duration_s: float, prediction: MotionPrediction) -> list[FloatArray]:
+        """Return the motions, [4, 4] each, from which tracking may have to start.
+
+        While the speed is unknown these are several forward speeds.
+        """
         if not self.speed_is_unknown:
-            return [expected.T_curr_prev]
+            return [prediction.T_curr_prev]
+        C_curr_prev = prediction.T_curr_prev[:3, :3]
         speeds_m_s = self.config.start_speed_m_s * np.array([0.0, 0.5, 1.0, FASTEST_START])
         return [
-            se3.from_parts(expected.T_curr_prev[:3, :3], np.array([0.0, 0.0, -v * duration_s]))
-            for v in speeds_m_s
+            se3.from_parts(C_curr_prev, np.array([0.0, 0.0, -speed_m_s * duration_s]))
+            for speed_m_s in speeds_m_s
         ]
 
     @property
     def speed_is_unknown(self) -> bool:
-        """Whether there is no velocity to go by: at the start, or after a belief was given up."""
+        """Whether there is no velocity: at the start, or after the model was given up."""
         return bool(self.twist_sigma_s[2] > 0.5 * self.config.start_speed_m_s)
 
     @property
     def is_moving(self) -> bool:
         """Whether the last motion that was solved was none of a camera at rest."""
-        return bool((np.abs(self.twist_s) > MOVING).any())
+        return bool((np.abs(self.twist_s) > MOVING_TWIST).any())
 
-    def carried_on(
-        self, expected: ExpectedMotion, solution: ReprojectionSolution | None, *, refused: bool
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What to go on with if a step is not believed: T_curr_prev, its covariance, and
-        ``MotionEstimate.path_cross_cov``.
+    def dead_reckoned(
+        self,
+        prediction: MotionPrediction,
+        solution: ReprojectionSolution | None,
+        *,
+        refused: bool,
+    ) -> DeadReckoning:
+        """Return what to go on with where a step has no accepted solve: the prediction.
 
-        It is the motion expected. While no speed is known, that would be none at all; a solve that
-        is determined, but not believed, is then still the better guess. Where a solve was refused,
-        one of the two is wrong, and the covariance holds both.
+        While the speed is unknown, the prediction would be no motion at all; a solve that is
+        determined, but not accepted, is then still the better guess. Where a solve was refused, one
+        of the two is wrong, and the covariance covers both.
         """
-        T_curr_prev = expected.T_curr_prev
-        cov = expected.cov
+        T_curr_prev = prediction.T_curr_prev
+        cov = prediction.cov
         if solution is not None and refused:
-            surprise = expected.surprise(solution.T_curr_prev)
-            cov = cov + np.outer(surprise, surprise)
+            innovation = prediction.innovation(solution.T_curr_prev)
+            cov = cov + np.outer(innovation, innovation)
         if solution is not None and self.speed_is_unknown:
             T_curr_prev = solution.T_curr_prev
-        return T_curr_prev, cov, se3.adjoint(T_curr_prev) @ self.strayed @ expected.of_velocity.T
+        path_before = se3.adjoint(T_curr_prev) @ self.path_sensitivity
+        path_cross_cov = path_before @ prediction.velocity_sensitivity.T
+        return DeadReckoning(T_curr_prev, cov, path_cross_cov)
 
     def is_gap(self, duration_s: float) -> bool:
-        """Whether frames are missing in a step that long."""
+        """Return whether frames are missing in a step that long."""
         return self.usual_step_s > 0.0 and duration_s > self.config.gap_factor * self.usual_step_s
 
     def after_solve(
         self, duration_s: float, T_curr_prev: FloatArray, cov: FloatArray
     ) -> MotionModel:
-        """The belief after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6]."""
-        sigma = np.sqrt(np.diagonal(cov)) / duration_s
+        """Return the model after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6]."""
         return MotionModel(
             self.config,
-            se3.log(T_curr_prev) / duration_s,
-            sigma,
-            usual_step_s=self._usual_after(duration_s),
+            twist_s=se3.log(T_curr_prev) / duration_s,
+            twist_sigma_s=np.sqrt(np.diagonal(cov)) / duration_s,
+            usual_step_s=self._usual_step_after(duration_s),
         )
 
-    def after_blind(
-        self, duration_s: float, expected: ExpectedMotion, *, refused: bool = False
+    def after_dead_reckoning(
+        self, duration_s: float, prediction: MotionPrediction, *, refused: bool = False
     ) -> MotionModel:
-        """The belief after a step that was carried on: one step older.
+        """Return the model after a dead-reckoned step: its velocity is one step older.
 
-        ``refused`` says that there was a solve, but not a believable one. After several of these it
-        is the belief that is wrong: it becomes as unsure as at the start.
+        ``refused`` says that there was a solve, but that it failed the gate. After several of these
+        it is the model that is wrong: it becomes as uncertain as at the start.
         """
-        usual = self._usual_after(duration_s)
         refusals = self.refusals + int(refused)
-        strayed = se3.adjoint(expected.T_curr_prev) @ self.strayed + expected.of_velocity
+        path_before = se3.adjoint(prediction.T_curr_prev) @ self.path_sensitivity
+        path_sensitivity = path_before + prediction.velocity_sensitivity
+        usual_step_s = self._usual_step_after(duration_s)
         if refusals >= MAX_REFUSALS:
-            start = MotionModel.at_start(self.config)
-            return replace(start, twist_s=self.twist_s, usual_step_s=usual, strayed=strayed)
+            return replace(
+                MotionModel.at_start(self.config),
+                twist_s=self.twist_s,
+                usual_step_s=usual_step_s,
+                path_sensitivity=path_sensitivity,
+            )
         return MotionModel(
             self.config,
-            self.twist_s,
-            self._drifted_sigma(duration_s),
-            usual_step_s=usual,
+            twist_s=self.twist_s,
+            twist_sigma_s=self._drifted_sigma(duration_s),
+            usual_step_s=usual_step_s,
             refusals=refusals,
-            strayed=strayed,
+            path_sensitivity=path_sensitivity,
         )
 
-    def _usual_after(self, duration_s: float) -> float:
+    def _usual_step_after(self, duration_s: float) -> float:
         if self.is_gap(duration_s):
             return self.usual_step_s
-        return (
-            duration_s if self.usual_step_s == 0.0 else 0.9 * self.usual_step_s + 0.1 * duration_s
-        )
+        if self.usual_step_s == 0.0:
+            return duration_s
+        return 0.9 * self.usual_step_s + 0.1 * duration_s
 
     def _drifted_sigma(self, duration_s: float) -> FloatArray:
-        """Standard deviation of the twist after so much more time, [6]."""
+        """Return the standard deviation of the twist after so much more time, [6]."""
         acceleration = np.repeat(
             [self.config.acceleration_m_s2, self.config.angular_acceleration_rad_s2], 3
         )

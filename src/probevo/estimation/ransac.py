@@ -5,14 +5,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.compiled import compiled, copy_into, perturb, solve_positive_definite
-from probevo.measurements.normal_equations_numba import normal_equations
-from probevo.measurements.stereo_numba import NEAREST
+from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
+from probevo.compiled import compiled, copy_into, solve_positive_definite
+from probevo.geometry.se3_numba import perturb
+from probevo.measurements.robust_loss_numba import LossKind
+from probevo.measurements.stereo_numba import (
+    LossParameters,
+    NormalEquations,
+    PropagatedNoise,
+    normal_equations,
+)
 
 INLIER_RATIO = 0.5
 """Share of inliers that is assumed, as in PROBE."""
@@ -71,160 +79,105 @@ def find_consensus(
     samples = np.zeros((0, sample_size), dtype=np.int64)
     if count >= sample_size:
         samples = rng.integers(count, size=(num_hypotheses(confidence), sample_size))
-    intrinsics = np.array(
-        [camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.fu_px * camera.baseline_m]
-    )
     points = np.column_stack([prev_px[:, :2], prev_px[:, 0] - prev_px[:, 2]])
-    C = np.ascontiguousarray(start[:3, :3])
-    t = np.ascontiguousarray(start[:3, 3])
+    T_curr_prev = np.ascontiguousarray(start)
     inliers = np.zeros(count, np.bool_)
+    problem = _Problem(
+        points=points,
+        curr=np.ascontiguousarray(curr_px),
+        camera=Intrinsics.of(camera),
+        threshold_px=threshold_px,
+    )
     _best_sample(
-        points,
-        np.ascontiguousarray(curr_px),
-        intrinsics,
-        samples=samples,
+        problem,
+        samples,
+        LossParameters(int(LossKind.L2), np.ones(sample_size)),
         free=6 if sample_size == 3 else 3,
-        threshold=threshold_px,
-        best_C=C,
-        best_t=t,
+        T_best=T_curr_prev,
         inliers=inliers,
     )
-    motion = np.eye(4)
-    motion[:3, :3] = C
-    motion[:3, 3] = t
-    return Consensus(motion, inliers)
+    return Consensus(T_curr_prev, inliers)
+
+
+class _Problem(NamedTuple):
+    """What every sample is judged by."""
+
+    points: FloatArray
+    """(u, v, d) of N features in the previous frame, [N, 3], px."""
+    curr: FloatArray
+    """Their observations in the current frame, [N, 4], px."""
+    camera: Intrinsics
+    threshold_px: float
 
 
 @compiled
 def _best_sample(
-    points: FloatArray,
-    curr: FloatArray,
-    camera: FloatArray,
+    problem: _Problem,
     samples: IntArray,
+    loss: LossParameters,
     free: int,
-    threshold: float,
-    best_C: FloatArray,
-    best_t: FloatArray,
+    T_best: FloatArray,
     inliers: BoolArray,
 ) -> None:
-    """Replace the guess (best_C, best_t) by the best motion of all samples, and mark its inliers.
+    """Replace the guess T_best [4, 4] by the best motion of all samples, and mark its inliers.
 
-    Of ξ = [ρ; φ] the first ``free`` entries are solved for: 6, or 3 to keep the rotation.
+    Of ξ = [ρ; φ] the first ``free`` entries are solved for: 6, or 3 to keep the rotation. The
+    residuals of a sample have unit information on (u_l, v_l, u_r) and none on v_r.
     """
     size = samples.shape[1]
-    start_C = best_C.copy()
-    start_t = best_t.copy()
-    C = np.empty((3, 3))
-    t = np.empty(3)
-    C_new = np.empty((3, 3))
-    t_new = np.empty(3)
-    seen = np.empty((size, 3))
-    observed = np.empty((size, 4))
-    offset = np.zeros((size, 4))
-    squared = np.empty(size)
-    parameter = np.ones(size)
-    information = np.zeros((size, 4, 4))
+    T_start = T_best.copy()
+    T = np.empty((4, 4))
+    T_moved = np.empty((4, 4))
+    curr = np.empty((size, 4))
+    sample = PropagatedNoise(
+        np.empty((size, 3)), np.zeros((size, 4)), np.zeros((size, 4, 4)), np.zeros((size, 4, 2))
+    )
     for i in range(3):
-        information[:, i, i] = 1.0
-    near = (
-        threshold < 0.0
-    )  # False, but no literal: normal_equations would be compiled for that, too
-    kind = int(near)
-    hessian = np.empty((6, 6))
-    gradient = np.empty(6)
+        sample.information[:, i, i] = 1.0
+    system = NormalEquations(np.empty((6, 6)), np.empty(6), np.empty(size))
+    newton = problem.threshold_px < 0.0  # False; as a literal it would compile the loop once more
     lower = np.zeros((6, 6))
     step = np.zeros(6)
-    best = _truncated_cost(
-        start_C,
-        start_t,
-        points,
-        curr=curr,
-        camera=camera,
-        threshold=threshold,
-        give_up_at=np.inf,
-        inliers=inliers,
-    )
+    best = _truncated_cost(problem, T_start, np.inf, inliers)
     for k in range(len(samples)):
         for i in range(size):
-            copy_into(seen[i], points[samples[k, i]])
-            copy_into(observed[i], curr[samples[k, i]])
-        copy_into(C, start_C)
-        copy_into(t, start_t)
+            copy_into(sample.refined[i], problem.points[samples[k, i]])
+            copy_into(curr[i], problem.curr[samples[k, i]])
+        copy_into(T, T_start)
         solvable = True
         for _ in range(6):
-            normal_equations(
-                C,
-                t,
-                camera,
-                refined=seen,
-                offset=offset,
-                curr=observed,
-                information=information,
-                kind=kind,
-                parameter=parameter,
-                near=near,
-                hessian=hessian,
-                gradient=gradient,
-                squared=squared,
+            normal_equations(T, problem.camera, curr, sample, loss, newton, system)
+            solvable = solve_positive_definite(
+                system.hessian, system.gradient[:free], lower, solution=step
             )
-            solvable = solve_positive_definite(hessian, gradient[:free], lower, solution=step)
             if not solvable:
                 break
-            perturb(step, C, t, C_out=C_new, t_out=t_new)
-            copy_into(C, C_new)
-            copy_into(t, t_new)
+            perturb(step, T, T_moved)
+            copy_into(T, T_moved)
             if np.sum(step * step) < 1e-8:
                 break
         if solvable:
-            cost = _truncated_cost(
-                C,
-                t,
-                points,
-                curr=curr,
-                camera=camera,
-                threshold=threshold,
-                give_up_at=best,
-                inliers=inliers,
-            )
+            cost = _truncated_cost(problem, T, best, inliers)
             if cost < best:
                 best = cost
-                copy_into(best_C, C)
-                copy_into(best_t, t)
-    _truncated_cost(
-        best_C,
-        best_t,
-        points,
-        curr=curr,
-        camera=camera,
-        threshold=threshold,
-        give_up_at=np.inf,
-        inliers=inliers,
-    )
+                copy_into(T_best, T)
+    _truncated_cost(problem, T_best, np.inf, inliers)
 
 
 @compiled
 def _truncated_cost(
-    C: FloatArray,
-    t: FloatArray,
-    points: FloatArray,
-    curr: FloatArray,
-    camera: FloatArray,
-    threshold: float,
-    give_up_at: float,
-    inliers: BoolArray,
+    problem: _Problem, T: FloatArray, give_up_at: float, inliers: BoolArray
 ) -> float:
-    """Σ min(error², threshold²), the error being the largest of u_l, v_l, u_r; stops at
-    ``give_up_at``."""
-    fu, fv, cu, cv, fb = camera
-    limit = threshold * threshold
+    """Return Σ min(error², threshold²), the error being the largest of u_l, v_l, u_r.
+
+    It marks the inliers, and stops once the sum reaches ``give_up_at``.
+    """
+    fu, fv, cu, cv, fb = problem.camera
+    curr = problem.curr
+    limit = problem.threshold_px * problem.threshold_px
     total = 0.0
-    for n in range(len(points)):
-        mx = (points[n, 0] - cu) / fu
-        my = (points[n, 1] - cv) / fv
-        rho = points[n, 2] / fb
-        X = C[0, 0] * mx + C[0, 1] * my + C[0, 2] + rho * t[0]
-        Y = C[1, 0] * mx + C[1, 1] * my + C[1, 2] + rho * t[1]
-        Z = C[2, 0] * mx + C[2, 1] * my + C[2, 2] + rho * t[2]
+    for n in range(len(problem.points)):
+        X, Y, Z, rho = transfer(T, problem.camera, problem.points[n])
         squared = limit
         if Z > NEAREST:
             e0 = fu * X / Z + cu - curr[n, 0]

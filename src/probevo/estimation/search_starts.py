@@ -1,4 +1,4 @@
-"""Where to start tracking while the speed, or the turn, is not known."""
+"""Where to start tracking while the speed, or the rotation, is not known."""
 
 from __future__ import annotations
 
@@ -8,89 +8,86 @@ import numpy as np
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
-from probevo.estimation.motion_model import ExpectedMotion
+from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import find_consensus
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame
-from probevo.tracking import Tracker, Tracks
+from probevo.tracking import Tracked, Tracker, TrackingState
 
 REACH_PX = 30.0
-"""With its three pyramid levels, the tracker finds points this far from where they are expected for
-sure."""
-NOTICED_PX = 15.0
-"""A turn seen this near to the expected one needs no search of its own. With 30 px, a step of raw
-0005 was lost where only every fourth frame was taken."""
+"""With its three pyramid levels, the tracker finds points this far from where they are predicted
+for sure."""
+NEAR_PX = 15.0
+"""A rotation seen this near to the predicted one needs no search of its own. With 30 px, a step of
+raw 0005 was lost where only every fourth frame was taken."""
 COARSE_PX = 8
-"""Pixels that count as one where only the turn is looked for."""
+"""Pixels that count as one where only the rotation is searched for."""
 
 
-def turned_starts(
-    expected: ExpectedMotion, before: Frame, frame: Frame, camera: StereoCamera
+def rotated_starts(
+    prediction: MotionPrediction, prev_frame: Frame, frame: Frame, camera: StereoCamera
 ) -> list[FloatArray]:
-    """One start more, T_curr_prev [4, 4], where the turn may be larger than the tracker can follow:
-    the one seen.
+    """Return one more start, T_curr_prev [4, 4], where the camera may have turned by more than the
+    tracker can follow: with the rotation that the images show.
 
     Without a gyro a camera that begins to turn between distant frames is lost, and stays so while
     it turns.
     """
-    sigma_px = np.sqrt(np.diagonal(expected.cov)[3:5]) * [camera.fv_px, camera.fu_px]
-    if before.left is None or frame.left is None or sigma_px.max() < REACH_PX:
+    sigma_px = np.sqrt(np.diagonal(prediction.cov)[3:5]) * [camera.fv_px, camera.fu_px]
+    if prev_frame.left is None or frame.left is None or sigma_px.max() < REACH_PX:
         return []
-    C_curr_prev = seen_turn(before.left, frame.left, camera)
-    apart = so3.log(C_curr_prev @ expected.T_curr_prev[:3, :3].T)[:2]
-    if np.abs(apart * [camera.fv_px, camera.fu_px]).max() < NOTICED_PX:
+    C_curr_prev = coarse_rotation(prev_frame.left, frame.left, camera)
+    difference = so3.log(C_curr_prev @ prediction.T_curr_prev[:3, :3].T)[:2]
+    if np.abs(difference * [camera.fv_px, camera.fu_px]).max() < NEAR_PX:
         return []
-    return [se3.from_parts(C_curr_prev, expected.T_curr_prev[:3, 3])]
+    return [se3.from_parts(C_curr_prev, prediction.T_curr_prev[:3, 3])]
 
 
-def seen_turn(before: Image, now: Image, camera: StereoCamera) -> FloatArray:
-    """C_curr_prev, [3, 3], of a yaw and a pitch, roughly, from how far the image has moved (phase
+def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> FloatArray:
+    """Return C_curr_prev, [3, 3], a rough yaw and pitch from the shift of the whole image (phase
     correlation)."""
-    size = max(now.shape[1] // COARSE_PX, 2), max(now.shape[0] // COARSE_PX, 2)
-    one, other = (
-        cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        for image in (before, now)
+    size = max(image.shape[1] // COARSE_PX, 2), max(image.shape[0] // COARSE_PX, 2)
+    prev_small, small = (
+        cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        for each in (prev_image, image)
     )
-    (du, dv), _ = cv2.phaseCorrelate(
-        one, other, np.asarray(cv2.createHanningWindow(size, cv2.CV_32F))
-    )
-    turn: FloatArray = so3.exp(COARSE_PX * np.array([-dv / camera.fv_px, du / camera.fu_px, 0.0]))
-    return turn
+    window = np.asarray(cv2.createHanningWindow(size, cv2.CV_32F))
+    (du, dv), _ = cv2.phaseCorrelate(prev_small, small, window)
+    angle = COARSE_PX * np.array([-dv / camera.fv_px, du / camera.fu_px, 0.0])
+    rotation: FloatArray = so3.exp(angle)
+    return rotation
 
 
-def track_from_best(
+def track_from_best_start(
     tracker: Tracker,
+    state: TrackingState,
     frame: Frame,
+    *,
     starts: list[FloatArray],
     camera: StereoCamera,
     config: OdometryConfig,
-) -> Tracks:
-    """The tracks found from the one start T_curr_prev, [4, 4]; of several, from the one whose
-    tracks agree most.
+) -> Tracked:
+    """Track from each start T_curr_prev, [4, 4], and return the one whose tracks agree most.
 
     Lucas–Kanade finds near points of a fast camera only if it starts about right; started from
     rest, it may settle on whatever looks alike, and that may even agree on a motion. More points
     agree on the true one.
     """
-    if len(starts) == 1 or frame.features is not None:  # a file's tracks are the same from anywhere
-        return tracker.track(frame, starts[0])
-    tracks = Tracks.none()
-    agree = np.zeros(len(starts), np.int64)
-    ransac = config.ransac
-    for k in reversed(
-        range(len(starts))
-    ):  # the expected one last: it mostly wins, and is then not tracked from again
-        tracks = tracker.track(frame, starts[k])
-        rng = np.random.default_rng([config.seed, frame.index])
+    if len(starts) == 1 or frame.features is not None:  # a file's tracks do not depend on the start
+        return tracker.track(state, frame, starts[0])
+    found = []
+    agreement = []
+    for start in starts:
+        tracked = tracker.track(state, frame, start)
         consensus = find_consensus(
-            tracks.prev_px,
-            tracks.curr_px,
+            tracked.tracks.prev_px,
+            tracked.tracks.curr_px,
             camera,
-            rng=rng,
-            guess=starts[k],
-            threshold_px=ransac.threshold_px,
-            confidence=ransac.confidence,
+            rng=np.random.default_rng([config.seed, frame.index]),
+            guess=start,
+            threshold_px=config.ransac.threshold_px,
+            confidence=config.ransac.confidence,
         )
-        agree[k] = consensus.inliers.sum()
-    best = int(np.argmax(agree))
-    return tracks if best == 0 else tracker.track(frame, starts[best])
+        found.append(tracked)
+        agreement.append(int(consensus.inliers.sum()))
+    return found[int(np.argmax(agreement))]

@@ -1,2 +1,4 @@
-"""Rotations, poses, and uncertainty on them. The conventions stand in
-``probevo.geometry.conventions``."""
+"""Rotations, poses, and uncertainty on them.
+
+``probevo.geometry.conventions`` states the conventions.
+"""

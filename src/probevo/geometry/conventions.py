@@ -1,4 +1,4 @@
-"""The conventions of probevo, stated once. Every module follows them; this one holds no code.
+"""The conventions of probevo. Every module follows them; this one holds no code.
 
 Frames
     ``T_b_a`` maps coordinates in frame a to frame b: p_b = T_b_a p_a, so T_c_a = T_c_b T_b_a.
@@ -11,10 +11,9 @@ Tangent vectors
 
 Perturbations and covariances
     Perturbations act on the left: T = Exp(δξ) T̄ (thesis eqs. 2.22, 2.26), so that δξ lives in the
-    *target* frame b of
-    T_b_a. Every pose covariance is the 6×6 covariance of that δξ. It is neither that of translation
-    and fixed-axis angles, as ROS has it, nor that of a right perturbation with the rotation first,
-    as GTSAM has it; the writers of such formats convert.
+    *target* frame b of T_b_a. Every pose covariance is the 6×6 covariance of that δξ. ROS uses the
+    covariance of translation and fixed-axis angles instead, and GTSAM that of a right perturbation
+    with the rotation first; the writers of such formats convert.
 
 Quaternions
     [w, x, y, z], scalar first (thesis eq. 2.7).
@@ -25,7 +24,6 @@ Observations and residuals
 
 Arrays and units
     Leading dimensions are batches: rotations [..., 3, 3], poses [..., 4, 4], float64. Names carry
-    their units: ``_px``,
-    ``_m``, ``_rad``, ``_s``, ``_ns``. Points are in m, angles in rad; time is int64 ns wherever it
-    crosses a boundary.
+    their units: ``_px``, ``_m``, ``_rad``, ``_s``, ``_ns``. Points are in m, angles in rad; time is
+    int64 ns wherever it crosses a boundary.
 """

@@ -1,5 +1,7 @@
-"""Compiled logarithms of rotations and poses: SciPy takes 0.1 ms to be called for one, of which a
-frame needs five."""
+"""Compiled logarithms of rotations and poses.
+
+A call of SciPy's takes 0.1 ms, and a frame needs five.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,16 @@ from probevo.arrays import FloatArray
 from probevo.compiled import compiled
 
 SMALL_SQ = 0.25
-"""θ², rad², up to which the series is as good as a double; beyond, the closed form cancels no more
-than two digits."""
+"""θ², rad², up to which the series is accurate to a double. Beyond, cancellation costs the closed
+form at most two digits."""
 
 
 @compiled
 def log_rotations(C: FloatArray, phi: FloatArray) -> None:
-    """phi[n] = Log(C[n]), [n, 3, 3] to [n, 3], by way of the quaternion, its largest component
-    first."""
+    """Compute φ = Log(C) of N rotations, [N, 3, 3] to [N, 3], rad, by way of the quaternion."""
     for n in range(len(C)):
+        # The quaternion (w, x, y, z) up to its scale, from its largest component, which keeps it
+        # accurate at every angle.
         xx = C[n, 0, 0]
         yy = C[n, 1, 1]
         zz = C[n, 2, 2]
@@ -48,6 +51,7 @@ def log_rotations(C: FloatArray, phi: FloatArray) -> None:
             x = e
             y = f
             z = 1.0 - xx - yy + zz
+        # q and −q are the same rotation; the one with w ≥ 0 has the shorter rotation vector.
         if w < 0.0:
             w = -w
             x = -x
@@ -62,8 +66,10 @@ def log_rotations(C: FloatArray, phi: FloatArray) -> None:
 
 @compiled
 def log_translations(phi: FloatArray, t: FloatArray, rho: FloatArray) -> None:
-    """rho[n] = J(φ)⁻¹ t, [n, 3] each: t − φ × t / 2 + k φ × (φ × t), with k = (1 − θ/2 cot θ/2) /
-    θ²."""
+    """Compute ρ = J(φ)⁻¹ t of N poses, [N, 3] each.
+
+    J(φ)⁻¹ t = t − φ × t / 2 + k φ × (φ × t), with k = (1 − θ/2 cot θ/2) / θ².
+    """
     for n in range(len(phi)):
         x = phi[n, 0]
         y = phi[n, 1]
@@ -76,6 +82,7 @@ def log_translations(phi: FloatArray, t: FloatArray, rho: FloatArray) -> None:
         else:
             half = 0.5 * math.sqrt(s)
             k = (1.0 - half * math.cos(half) / math.sin(half)) / s
+        # (u, v, w) = φ × t
         u = y * t[n, 2] - z * t[n, 1]
         v = z * t[n, 0] - x * t[n, 2]
         w = x * t[n, 1] - y * t[n, 0]

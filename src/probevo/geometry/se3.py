@@ -6,17 +6,23 @@ Functions are batched over leading dimensions; poses compose with ``@``.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.errors import InputError
 from probevo.geometry import so3
 from probevo.geometry.logarithms import log_translations
 
 
 def from_parts(C_b_a: FloatArray, t_b: FloatArray) -> FloatArray:
-    """T_b_a with p_b = C_b_a p_a + t_b: rotations [..., 3, 3] and translations [..., 3], m, to
-    poses [..., 4, 4]."""
+    """Return T_b_a, [..., 4, 4], with p_b = C_b_a p_a + t_b.
+
+    Args:
+        C_b_a: rotations, [..., 3, 3].
+        t_b: translations, [..., 3], m.
+    """
     batch = np.broadcast_shapes(C_b_a.shape[:-2], t_b.shape[:-1])
     T_b_a = np.zeros((*batch, 4, 4))
     T_b_a[..., :3, :3] = C_b_a
@@ -26,20 +32,24 @@ def from_parts(C_b_a: FloatArray, t_b: FloatArray) -> FloatArray:
 
 
 def transform(T_b_a: FloatArray, points_a: FloatArray) -> FloatArray:
-    """p_b = T_b_a p_a: points [..., 3], m (thesis eq. 2.18). One pose moves all points, or each
-    pose its own point."""
+    """Return p_b = T_b_a p_a, [..., 3], m (thesis eq. 2.18).
+
+    One pose moves all points, or each pose its own point.
+    """
     return (T_b_a[..., :3, :3] @ points_a[..., None])[..., 0] + T_b_a[..., :3, 3]
 
 
 def inverse(T_b_a: FloatArray) -> FloatArray:
-    """T_a_b, [..., 4, 4]."""
+    """Return T_a_b = T_b_a⁻¹, [..., 4, 4]."""
     C_a_b = T_b_a[..., :3, :3].mT
     return from_parts(C_a_b, -(C_a_b @ T_b_a[..., :3, 3:])[..., 0])
 
 
 def chain_motions(T_curr_prev: Iterable[FloatArray]) -> FloatArray:
-    """Poses T_world_cam, [K, 4, 4], world = first camera, from K-1 motions: T_w,k = T_w,k-1
-    T_k,k-1⁻¹."""
+    """Compound K − 1 motions to the poses T_world_cam, [K, 4, 4]; world is the first camera.
+
+    T_world_curr = T_world_prev T_curr_prev⁻¹.
+    """
     poses = [np.eye(4)]
     for motion in T_curr_prev:
         poses.append(poses[-1] @ inverse(motion))
@@ -47,15 +57,14 @@ def chain_motions(T_curr_prev: Iterable[FloatArray]) -> FloatArray:
 
 
 def exp(xi: FloatArray) -> FloatArray:
-    """T = Exp(ξ): tangent vectors [..., 6], m and rad, to poses [..., 4, 4] (thesis eq. 2.14)."""
+    """Return T = Exp(ξ), [..., 4, 4], of tangent vectors [..., 6], m and rad (thesis eq. 2.14)."""
     rho = xi[..., :3]
     phi = xi[..., 3:]
     return from_parts(so3.exp(phi), (so3.left_jacobian(phi) @ rho[..., None])[..., 0])
 
 
 def log(T: FloatArray) -> FloatArray:
-    """ξ = Log(T): poses [..., 4, 4] to tangent vectors [..., 6], m and rad, with an angle of at
-    most π."""
+    """Return ξ = Log(T), [..., 6], m and rad, of poses [..., 4, 4]; its angle is at most π."""
     phi = so3.log(T[..., :3, :3])
     t = np.ascontiguousarray(T[..., :3, 3], np.float64)
     rho = np.empty_like(phi)
@@ -64,15 +73,29 @@ def log(T: FloatArray) -> FloatArray:
 
 
 def adjoint(T: FloatArray) -> FloatArray:
-    """Ad(T) = [[C, t^ C], [0, C]], with Exp(Ad(T) ξ) = T Exp(ξ) T⁻¹: [..., 4, 4] to [..., 6, 6]."""
+    """Return Ad(T) = [[C, t^ C], [0, C]], [..., 6, 6], with Exp(Ad(T) ξ) = T Exp(ξ) T⁻¹."""
     C = T[..., :3, :3]
     t = T[..., :3, 3]
-    return _block_triangular(C, so3.wedge(t) @ C)
+    Ad = np.zeros((*C.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = C
+    Ad[..., 3:, 3:] = C
+    Ad[..., :3, 3:] = so3.wedge(t) @ C
+    return Ad
 
 
-def _block_triangular(diagonal: FloatArray, upper_right: FloatArray) -> FloatArray:
-    """[[D, U], [0, D]] of [..., 3, 3] blocks."""
-    matrix = np.zeros((*diagonal.shape[:-2], 6, 6))
-    matrix[..., :3, :3] = matrix[..., 3:, 3:] = diagonal
-    matrix[..., :3, 3:] = upper_right
-    return matrix
+def check_transform(T: FloatArray, where: str | Path) -> FloatArray:
+    """Return the rigid transform nearest to a matrix, [4, 4].
+
+    Raises:
+        InputError: it is no [4, 4] matrix of finite numbers, its last row is not 0 0 0 1, or its
+            rotation is none beyond rounding.
+    """
+    matrix = np.asarray(T)
+    if matrix.shape != (4, 4) or matrix.dtype.kind not in "iuf":
+        what = f"this is {matrix.dtype} of shape {matrix.shape}."
+        raise InputError(where, what, "Give a rigid transform, [4, 4]: [C, t; 0 0 0 1].")
+    if not np.isfinite(matrix).all():
+        raise InputError(where, "an entry of this transform is not finite.")
+    if not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+        raise InputError(where, "the last row of this transform is not 0 0 0 1.")
+    return from_parts(so3.check_rotation(matrix[:3, :3], where), matrix[:3, 3])

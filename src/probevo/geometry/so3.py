@@ -17,11 +17,11 @@ from probevo.geometry.logarithms import log_rotations
 from probevo.geometry.stumpff import stumpff
 
 ROTATION_TOLERANCE = 1e-3
-"""Largest entry of C Cᵀ − 1 that rounding in a text file may explain."""
+"""Largest entry of C Cᵀ − 1 that rounding in a text file explains."""
 
 
 def wedge(phi: FloatArray) -> FloatArray:
-    """φ^, the skew-symmetric matrix with φ^ p = φ × p: [..., 3] to [..., 3, 3] (thesis eq. 2.4)."""
+    """Return φ^, [..., 3, 3], the skew-symmetric matrix with φ^ p = φ × p (thesis eq. 2.4)."""
     matrix = np.zeros((*phi.shape, 3))
     matrix[..., 2, 1] = phi[..., 0]
     matrix[..., 0, 2] = phi[..., 1]
@@ -30,17 +30,16 @@ def wedge(phi: FloatArray) -> FloatArray:
 
 
 def exp(phi: FloatArray) -> FloatArray:
-    """C = Exp(φ): rotation vectors [..., 3], rad, to rotations [..., 3, 3] (thesis eq. 2.3)."""
+    """Return C = Exp(φ), [..., 3, 3], of rotation vectors [..., 3], rad (thesis eq. 2.3)."""
     return Rotation.from_rotvec(phi).as_matrix()
 
 
 def log(C: FloatArray) -> FloatArray:
-    """φ = Log(C): rotations [..., 3, 3] to rotation vectors [..., 3], rad, of length at most π
-    (thesis eq. 2.5).
+    """Return φ = Log(C), [..., 3], rad, of rotations [..., 3, 3] (thesis eq. 2.5).
 
-    It goes through the quaternion and is accurate to rounding at every angle, 0 and π among them;
-    at π itself, where φ and −φ are the same rotation, it returns either. A NaN matrix, an unknown
-    rotation, gives a NaN vector.
+    Its length is at most π. The result is accurate to rounding at every angle, 0 and π included; at
+    π, where φ and −φ are the same rotation, it is either of the two. A matrix of NaN, an unknown
+    rotation, gives a vector of NaN.
     """
     rotations = np.ascontiguousarray(C, np.float64).reshape(-1, 3, 3)
     phi = np.empty((len(rotations), 3))
@@ -49,7 +48,7 @@ def log(C: FloatArray) -> FloatArray:
 
 
 def left_jacobian(phi: FloatArray) -> FloatArray:
-    """J(φ), with Exp(φ + δ) ≈ Exp(J δ) Exp(φ): [..., 3] to [..., 3, 3] (thesis eqs. 2.15, 2.20)."""
+    """Return J(φ), [..., 3, 3], with Exp(φ + δ) ≈ Exp(J δ) Exp(φ) (thesis eqs. 2.15, 2.20)."""
     angle_sq = np.sum(phi**2, axis=-1)[..., None, None]
     phi_wedge = wedge(phi)
     c_2, c_3 = stumpff((2, 3), angle_sq)
@@ -58,10 +57,10 @@ def left_jacobian(phi: FloatArray) -> FloatArray:
 
 
 def check_rotation(C: FloatArray, where: str | Path) -> FloatArray:
-    """The orthonormal matrices nearest to C, [..., 3, 3].
+    """Return the rotations nearest to the matrices C, [..., 3, 3].
 
     Raises:
-        InputError: one of them is no rotation, beyond rounding.
+        InputError: a matrix differs from a rotation by more than rounding.
     """
     deviation = np.abs(C @ C.mT - np.eye(3)).max(axis=(-2, -1))
     bad = np.flatnonzero(~(deviation < ROTATION_TOLERANCE) | ~(np.linalg.det(C) > 0))

@@ -1,8 +1,8 @@
-"""Gaussians on SE(3), injected by left perturbations: T = Exp(ξ) T̄, ξ ~ N(0, Σ) (thesis section
-2.5).
+"""Gaussians on SE(3), injected by left perturbations: T = Exp(ξ) T̄, ξ ~ N(0, Σ).
 
-How they are inverted, compounded and scored. Barfoot & Furgale: "Associating uncertainty with
-three-dimensional poses for use in estimation problems", IEEE T-RO 2014.
+They are inverted, compounded and scored as in thesis section 2.5 and in Barfoot & Furgale,
+"Associating uncertainty with three-dimensional poses for use in estimation problems", IEEE T-RO
+2014.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from probevo.geometry import se3
 
 
 def invert(T_b_a: FloatArray, cov_b_a: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """T_a_b and its covariance, [..., 4, 4] and [..., 6, 6]: (Exp(ξ) T)⁻¹ = Exp(−Ad(T⁻¹) ξ) T⁻¹,
-    which is exact."""
+    """Return T_a_b and its covariance, [..., 4, 4] and [..., 6, 6].
+
+    The covariance is exact, since (Exp(ξ) T)⁻¹ = Exp(−Ad(T⁻¹) ξ) T⁻¹.
+    """
     T_a_b = se3.inverse(T_b_a)
     return T_a_b, _rotate_covariance(se3.adjoint(T_a_b), cov_b_a)
 
@@ -23,16 +25,18 @@ def invert(T_b_a: FloatArray, cov_b_a: FloatArray) -> tuple[FloatArray, FloatArr
 def compound(
     T_b_a: FloatArray, cov_b_a: FloatArray, T_c_b: FloatArray, cov_c_b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """T_c_a = T_c_b T_b_a of two independent uncertain poses, and its covariance.
+    """Return T_c_a = T_c_b T_b_a of two independent uncertain poses, and its covariance.
 
     Exp(ξ_1) T_c_b Exp(ξ_2) T_b_a = Exp(ξ_1) Exp(ξ_2') T_c_a with ξ_2' = Ad(T_c_b) ξ_2. To second
-    order the covariances of ξ_1 and ξ_2' add; the next terms of the Baker-Campbell-Hausdorff
-    series, left out here, matter once the rotation is uncertain by some 10° (Barfoot & Furgale
-    2014; Barfoot 2017 section 7.3.3).
+    order, the covariances of ξ_1 and ξ_2' add. The next terms of the Baker-Campbell-Hausdorff
+    series, omitted here, matter when the rotation is uncertain by some 10° (Barfoot & Furgale 2014;
+    Barfoot 2017 section 7.3.3).
 
     Args:
-        T_b_a, T_c_b: means, [..., 4, 4].
-        cov_b_a, cov_c_b: covariances of their left perturbations, [..., 6, 6].
+        T_b_a: mean of the first pose, [..., 4, 4].
+        cov_b_a: covariance of its left perturbation, [..., 6, 6].
+        T_c_b: mean of the second pose, [..., 4, 4].
+        cov_c_b: covariance of its left perturbation, [..., 6, 6].
     """
     return T_c_b @ T_b_a, cov_c_b + _rotate_covariance(se3.adjoint(T_c_b), cov_b_a)
 
@@ -40,13 +44,12 @@ def compound(
 def compound_chain(
     T_curr_prev: FloatArray, cov_curr_prev: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The trajectory that follows from K independent relative motions, and the covariance of each
-    of its poses.
+    """Return the trajectory of K independent relative motions, and the covariance of each pose.
 
     Each step compounds T_world_curr = T_world_prev T_prev_curr. The world is the camera before the
-    first motion: the first camera if, as ``StereoOdometry`` yields them, the first motion is the
-    identity with zero covariance. Successive motions share the noise of a frame, so that to take
-    them as independent is an approximation.
+    first motion, which is the first camera if the first motion is the identity with zero
+    covariance, as ``StereoOdometry`` yields it. Independence is an approximation: successive
+    motions have the noise of their common frame in common.
 
     Args:
         T_curr_prev: motions, p_curr = T_curr_prev p_prev, [K, 4, 4].
@@ -59,6 +62,7 @@ def compound_chain(
     T_prev_curr, cov_prev_curr = invert(T_curr_prev, cov_curr_prev)
     T_world_cam = np.empty_like(T_prev_curr)
     cov_world_cam = np.empty_like(cov_prev_curr)
+    # The world is known exactly; each motion adds its own uncertainty.
     T = np.eye(4)
     cov = np.zeros((6, 6))
     for k in range(len(T_prev_curr)):
@@ -71,14 +75,14 @@ def compound_chain(
 def normalized_error_squared(
     T_true: FloatArray, T_estimated: FloatArray, cov: FloatArray
 ) -> FloatArray:
-    """ξᵀ Σ⁻¹ ξ with ξ = Log(T_true T_estimated⁻¹), the squared error of each pose in units of its
-    covariance, [...].
+    """Return the NEES of each pose, ξᵀ Σ⁻¹ ξ with ξ = Log(T_true T_estimated⁻¹), [...].
 
-    Known as NEES: its mean is 6 and its distribution χ²(6) where the covariance is honest. NaN
-    where the truth is NaN.
+    The normalised estimation error squared has the distribution χ²(6), with mean 6, if the
+    covariance is consistent. It is NaN where the truth is NaN.
 
     Args:
-        T_true, T_estimated: poses, [..., 4, 4].
+        T_true: true poses, [..., 4, 4].
+        T_estimated: estimated poses, [..., 4, 4].
         cov: covariances of the left perturbations of T_estimated, [..., 6, 6].
 
     Raises:
@@ -90,5 +94,5 @@ def normalized_error_squared(
 
 
 def _rotate_covariance(adjoint: FloatArray, cov: FloatArray) -> FloatArray:
-    """Covariance of Ad ξ, [..., 6, 6]."""
+    """Return the covariance of Ad ξ, [..., 6, 6]."""
     return adjoint @ cov @ adjoint.mT

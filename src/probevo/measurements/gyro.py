@@ -9,7 +9,8 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
-from probevo.sequences.frame import ImuCalibration, ImuSamples
+from probevo.sequences.frame import ImuSamples
+from probevo.sequences.imu_calibration import ImuCalibration
 
 MOST_UNSEEN = 0.25
 """Share of an interval that may lie before the first sample, after the last, or in holes between

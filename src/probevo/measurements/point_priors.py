@@ -1,4 +1,4 @@
-"""The points behind stereo observations, and how noisy they are, before the solve of a motion."""
+"""The points behind stereo observations, and how noisy they are, before a motion is estimated."""
 
 from __future__ import annotations
 
@@ -11,73 +11,87 @@ from probevo.compiled import compiled, invert_positive_definite, invert_symmetri
 
 
 @dataclass(frozen=True)
-class KnownDisparities:
-    """What is known of the disparities of M features in the previous frame beside their observation
-    there."""
+class DisparityPrior:
+    """What earlier frames say of the disparities of M features in the previous frame."""
 
     rows: IntArray
     """Which features these are, [M]."""
     disparity: FloatArray
-    """The true disparity d, [M], px."""
+    """Mean of the true disparity d, [M], px."""
     error: FloatArray
-    """By how much the measured ones are larger, in both frames, δ, [M], px."""
+    """Mean of δ, by which the measured ones are larger in both frames, [M], px."""
     cov: FloatArray
     """Covariance of (d, δ), [M, 2, 2], px²."""
 
     @staticmethod
-    def none() -> KnownDisparities:
-        """Of no feature."""
-        return KnownDisparities(
-            np.zeros(0, np.int64), np.zeros(0), np.zeros(0), cov=np.zeros((0, 2, 2))
+    def none() -> DisparityPrior:
+        """Return a prior on no feature."""
+        return DisparityPrior(
+            rows=np.zeros(0, np.int64),
+            disparity=np.zeros(0),
+            error=np.zeros(0),
+            cov=np.zeros((0, 2, 2)),
         )
 
 
 @dataclass(frozen=True)
-class SeenPoints:
-    """N points before a solve: s = (u, v, d) in the previous frame, and the error δ of the
-    disparities measured."""
+class PointPrior:
+    """N points before a solve: s = (u, v, d) in the previous frame, and the time-correlated error δ
+    of the measured disparities."""
 
-    seen: FloatArray
+    point: FloatArray
     """s, [N, 3], px."""
     error: FloatArray
-    """δ, [N], px."""
+    """Mean of δ, [N], px."""
     cov: FloatArray
     """Covariance (scale matrix) of (u, v, d, δ), [N, 4, 4], px²."""
 
     @staticmethod
     def of(
-        observed: FloatArray, scale: FloatArray, propagate: bool, time_correlated: FloatArray | None
-    ) -> SeenPoints:
-        """By their observations y alone, [N, 4], px, which have the scale R [N, 4, 4] and time_correlated
-        errors [N], px².
+        observed: FloatArray,
+        scale: FloatArray,
+        *,
+        propagate: bool,
+        time_correlated: FloatArray | None,
+    ) -> PointPrior:
+        """Build the prior from the observations alone.
 
-        A point of which nothing else is known has d as measured, and δ = 0: what is wrong of the
-        one is that of the other. Without ``propagate`` the points are taken to be free of noise.
+        A point of which nothing else is known has d as measured, and δ = 0: what is wrong with the
+        one is that of the other.
+
+        Args:
+            observed: y in the previous frame, [N, 4], px.
+            scale: R of these, [N, 4, 4], px².
+            propagate: whether their noise enters; otherwise the points are taken to be exact.
+            time_correlated: variance of δ, [N], px²; None if there is no such error.
         """
         count = len(observed)
-        seen = np.empty((count, 3))
+        point = np.empty((count, 3))
         cov = np.zeros((count, 4, 4))
         observation_to_point(
-            np.ascontiguousarray(observed), scale, propagate, seen=seen, point_cov=cov
+            np.ascontiguousarray(observed), scale, propagate, point=point, point_cov=cov
         )
         if time_correlated is not None:
             cov[:, 2, 2] += time_correlated
             cov[:, 3, 3] = time_correlated
             cov[:, 2, 3] = cov[:, 3, 2] = -time_correlated
-        return SeenPoints(seen, np.zeros(count), cov)
+        return PointPrior(point=point, error=np.zeros(count), cov=cov)
 
-    def knowing(self, known: KnownDisparities) -> SeenPoints:
-        """The same, with the disparities that are known better; these are independent of u and v."""
-        if not len(known.rows):
+    def given(self, prior: DisparityPrior) -> PointPrior:
+        """Return the same points with the disparities that are known better.
+
+        These are independent of u and v.
+        """
+        if not len(prior.rows):
             return self
-        seen = self.seen.copy()
+        point = self.point.copy()
         error = self.error.copy()
         cov = self.cov.copy()
-        seen[known.rows, 2] = known.disparity
-        error[known.rows] = known.error
-        cov[known.rows, :2, 2:] = cov[known.rows, 2:, :2] = 0.0
-        cov[known.rows, 2:, 2:] = known.cov
-        return SeenPoints(seen, error, cov)
+        point[prior.rows, 2] = prior.disparity
+        error[prior.rows] = prior.error
+        cov[prior.rows, :2, 2:] = cov[prior.rows, 2:, :2] = 0.0
+        cov[prior.rows, 2:, 2:] = prior.cov
+        return PointPrior(point=point, error=error, cov=cov)
 
 
 @compiled
@@ -85,14 +99,14 @@ def observation_to_point(
     observed: FloatArray,
     scale: FloatArray,
     propagate: bool,
-    seen: FloatArray,
+    point: FloatArray,
     point_cov: FloatArray,
 ) -> None:
     """The point s = (u, v, d) behind each stereo observation y, and its scale matrix S.
 
     With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale
     R: the two rows are averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the
-    rows plainly, as g does, and S is 0. A singular R counts as the one before. Fills seen [N, 3]
+    rows plainly, as g does, and S is 0. A singular R counts as the one before. Fills point [N, 3]
     from observed [N, 4], px, and that part of point_cov [N, 4, 4] from scale [N, 4, 4], px².
     """
     inverse = np.empty((4, 4))
@@ -131,7 +145,7 @@ def observation_to_point(
             for j in range(3):
                 point_cov[n, i, j] = S[i, j]
         for i in range(3):
-            seen[n, i] = (
+            point[n, i] = (
                 K[i, 0] * observed[n, 0]
                 + K[i, 1] * observed[n, 1]
                 + K[i, 2] * observed[n, 2]

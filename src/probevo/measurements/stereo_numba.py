@@ -1,80 +1,144 @@
-"""Compiled inner loops of the reprojection solve.
+"""The compiled loops over the stereo observations of a frame: residuals e = y' − f(T g(y)), their
+Jacobians, noise and normal equations.
 
-A point is carried as its ray m and inverse depth ρ = d/(f_u b) rather than as p = m/ρ, so that T
-acts as q = C m + ρ t and nothing is singular for a point at infinity: far features still contribute
-to the rotation.
+One pass over N features at a time; a feature is a row of each array. With h the map f(T ·) from
+s = (u, v, d) in the previous frame to the observation y' in the current one, these loops work at a
+point s that is refined by both observations (see ``propagate_noise``).
 """
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
 from probevo.compiled import compiled, invert_symmetric_4
+from probevo.measurements.robust_loss_numba import (
+    RESIDUAL_DIM,
+    STUDENT_T,
+    robust_bend,
+    robust_cost,
+    robust_curvature,
+    robust_weight,
+)
 
-NEAREST = 1e-3
-"""A point whose scaled depth q_z falls below this is behind the camera or in it, and does not
-contribute."""
+BEHIND = 1e4
+"""Squared Mahalanobis distance given to a point that does not contribute: far for any loss, near
+enough to add up."""
+
+
+class PointPairs(NamedTuple):
+    """N points, each as earlier frames and as the current frame see it."""
+
+    point: FloatArray
+    """s = (u, v, d) in the previous frame, [N, 3], px."""
+    point_cov: FloatArray
+    """P, the scale matrix of (u, v, d, δ), [N, 4, 4], px². δ is the error of the measured disparity
+    that is the same in both frames (time-correlated)."""
+    curr: FloatArray
+    """y', less the bias and the estimate of δ, [N, 4], px."""
+    curr_scale: FloatArray
+    """R', the scale matrix of y' alone, [N, 4, 4], px²."""
+
+
+class PropagatedNoise(NamedTuple):
+    """The noise of N residuals at one motion, and the points at which they are linearised."""
+
+    refined: FloatArray
+    """ŝ, the most likely (u, v, d) given both observations, [N, 3], px."""
+    offset: FloatArray
+    """A (s − ŝ), by which the residual at ŝ differs from the one at s, [N, 4], px."""
+    information: FloatArray
+    """Σ⁻¹, [N, 4, 4], px⁻²; zero where the point is behind the camera."""
+    cross_cov: FloatArray
+    """Cross-covariance of the residual with (d, δ), [N, 4, 2], px²."""
+
+
+class LossParameters(NamedTuple):
+    """The robust loss of N residuals."""
+
+    kind: int
+    """A ``LossKind``."""
+    parameter: FloatArray
+    """Of each residual, [N]: ν of a Student-t, k of Huber, c of Cauchy and Tukey."""
+
+
+class NormalEquations(NamedTuple):
+    """Hessian · ξ = gradient, for a left perturbation ξ = [ρ; φ] of the motion."""
+
+    hessian: FloatArray
+    """[6, 6]."""
+    gradient: FloatArray
+    """Σ w Jᵀ Σ⁻¹ e, [6]: the direction of descent."""
+    squared: FloatArray
+    """s = eᵀ Σ⁻¹ e of each residual, [N]."""
+
+
+class StereoJacobians(NamedTuple):
+    """Residuals and how they move, all zero behind the camera."""
+
+    residual: FloatArray
+    """e, [N, 4], px."""
+    motion: FloatArray
+    """J = ∂h/∂ξ, [N, 4, 6], px/m and px/rad."""
+    white: FloatArray
+    """Σ⁻¹ J, [N, 4, 6]."""
+    disparity: FloatArray
+    """∂h/∂d, how the disparity in the previous frame moves the prediction, [N, 4]."""
+
+
+class FeatureWeights(NamedTuple):
+    """What the robust loss makes of N residuals."""
+
+    weight: FloatArray
+    """IRLS weight w, [N]; 0 for a point that does not contribute."""
+    curvature: FloatArray
+    """a = w + (2/d) w' s, [N], the second derivative of the loss averaged over directions."""
+    relative: FloatArray
+    """w over that of a perfect residual, [N], 0 to 1."""
 
 
 @compiled
-def linearize_noise(
-    C: FloatArray,
-    t: FloatArray,
-    camera: FloatArray,
-    seen: FloatArray,
-    point_cov: FloatArray,
-    curr: FloatArray,
-    scale: FloatArray,
-    refined: FloatArray,
-    offset: FloatArray,
-    information: FloatArray,
-    shared: FloatArray,
+def propagate_noise(
+    T: FloatArray, camera: Intrinsics, pairs: PointPairs, propagated: PropagatedNoise
 ) -> None:
-    """Fold the noise of the triangulated points into that of the residuals, at the motion (C, t).
+    """Fold the noise of the triangulated points into that of the residuals, at T_curr_prev [4, 4].
 
-    With h the map from s = (u, v, d) in the previous frame to y' in the current one and A = ∂h/∂s,
-    the residual e = y' − h(s) has the scale Σ = R' + A S Aᵀ. The most likely true s given both
-    observations, ŝ = s + S Aᵀ Σ⁻¹ e, is where the solver then linearises: at the noisy s itself the
-    Jacobian would correlate with the residual, which shortens the motion estimated from small
-    disparities (errors-in-variables attenuation). For points whose noise is not propagated, S = 0
-    and nothing changes.
+    With A = ∂h/∂s, the residual e = y' − h(s) has the scale Σ = R' + A S Aᵀ. The most likely true s
+    given both observations, ŝ = s + S Aᵀ Σ⁻¹ e, is where the solver then linearises: at the noisy s
+    itself the Jacobian would correlate with the residual, which shortens the motion estimated from
+    small disparities (errors-in-variables attenuation). For points whose noise is not propagated,
+    S = 0 and nothing changes.
 
-    The error δ of the disparity that is the same in both frames moves y' along −(0, 0, 1, 0), so
-    that s and δ are taken together: with P their covariance and H = [A, −(0, 0, 1, 0)], Σ = R' + H
-    P Hᵀ. For a point of which nothing is known but its observation, d and δ are off by opposite
-    amounts, of variance τ², and that is R' + A S Aᵀ + τ² l lᵀ, with l = −(0, 0, 1, 0) − ∂h/∂d.
-    Stereo matching errs so: a window that straddles an edge is matched as wrongly in the next
-    frame.
+    A time-correlated error δ of the disparity, the same in both frames, moves y' along
+    −(0, 0, 1, 0), so that s and δ are taken together: with P their covariance and
+    H = [A, −(0, 0, 1, 0)], Σ = R' + H P Hᵀ. For a point of which nothing is known but its
+    observation, d and δ are off by opposite amounts, of variance τ², and that is
+    R' + A S Aᵀ + τ² l lᵀ, with l = −(0, 0, 1, 0) − ∂h/∂d. Stereo matching errs so: a window that
+    straddles an edge is matched as wrongly in the next frame.
 
-    Args:
-        C, t: current estimate of the motion, [3, 3], [3].
-        camera: (fu, fv, cu, cv, fu b).
-        seen: s of each point, [N, 3], px.
-        point_cov: P, that of (u, v, d, δ), [N, 4, 4], px².
-        curr: y', less the bias and what δ is taken for, [N, 4], px.
-        scale: R', [N, 4, 4], px².
-        refined: in and out, ŝ, [N, 3], px.
-        offset: out, A (s − ŝ), by which the residual at ŝ differs from the one at s, [N, 4], px.
-        information: out, Σ⁻¹, [N, 4, 4]; zero where the point is behind the camera.
-        shared: out, the last two columns of H P: the covariance of the residual with (d, δ), [N, 4,
-            2], px².
+    ``propagated.refined`` is where to linearise on entry; all of ``propagated`` is filled in.
     """
     fu, fv, cu, cv, fb = camera
+    point = pairs.point
+    curr = pairs.curr
+    scale = pairs.curr_scale
+    refined = propagated.refined
+    offset = propagated.offset
+    information = propagated.information
+    cross_cov = propagated.cross_cov
     A = np.empty((3, 3))
     HP = np.empty((3, 4))
-    point = np.empty((3, 3))  # rows u_l, v, u_r: v_l and v_r are alike
+    HPH = np.empty((3, 3))  # rows u_l, v, u_r: v_l and v_r are alike
     sigma = np.empty((4, 4))
     lower = np.zeros((4, 4))
     e = np.empty(4)
     g = np.empty(4)
-    for n in range(len(seen)):
-        mx = (refined[n, 0] - cu) / fu
-        my = (refined[n, 1] - cv) / fv
-        rho = refined[n, 2] / fb
-        X = C[0, 0] * mx + C[0, 1] * my + C[0, 2] + rho * t[0]
-        Y = C[1, 0] * mx + C[1, 1] * my + C[1, 2] + rho * t[1]
-        Z = C[2, 0] * mx + C[2, 1] * my + C[2, 2] + rho * t[2]
+    for n in range(len(point)):
+        X, Y, Z, rho = transfer(T, camera, refined[n])
         if Z < NEAREST:
             information[n] = 0.0
             continue
@@ -84,19 +148,19 @@ def linearize_noise(
         d = fb * rho * iz
         a = fu * iz
         b = fv * iz
-        c = iz / fb  # columns of A: a change of u, v, d moves q along C's columns and t
-        A[0, 0] = (a * C[0, 0] - u * iz * C[2, 0]) / fu
-        A[0, 1] = (a * C[0, 1] - u * iz * C[2, 1]) / fv
-        A[0, 2] = (fu * t[0] - u * t[2]) * c
-        A[1, 0] = (b * C[1, 0] - v * iz * C[2, 0]) / fu
-        A[1, 1] = (b * C[1, 1] - v * iz * C[2, 1]) / fv
-        A[1, 2] = (fv * t[1] - v * t[2]) * c
-        A[2, 0], A[2, 1], A[2, 2] = (
-            A[0, 0] + d * iz * C[2, 0] / fu,
-            A[0, 1] + d * iz * C[2, 1] / fv,
-            A[0, 2] - iz + d * t[2] * c,
-        )
-        P = point_cov[n]
+        c = iz / fb
+        # Columns of A: a change of u, v, d moves q along C's columns and t.
+        A[0, 0] = (a * T[0, 0] - u * iz * T[2, 0]) / fu
+        A[0, 1] = (a * T[0, 1] - u * iz * T[2, 1]) / fv
+        A[0, 2] = (fu * T[0, 3] - u * T[2, 3]) * c
+        A[1, 0] = (b * T[1, 0] - v * iz * T[2, 0]) / fu
+        A[1, 1] = (b * T[1, 1] - v * iz * T[2, 1]) / fv
+        A[1, 2] = (fv * T[1, 3] - v * T[2, 3]) * c
+        A[2, 0] = A[0, 0] + d * iz * T[2, 0] / fu
+        A[2, 1] = A[0, 1] + d * iz * T[2, 1] / fv
+        A[2, 2] = A[0, 2] - iz + d * T[2, 3] * c
+        P = pairs.point_cov[n]
+        # H P, and with it H P Hᵀ: the rows of H are those of A, less 1 for δ in the row of u_r.
         for i in range(3):
             for j in range(4):
                 HP[i, j] = A[i, 0] * P[0, j] + A[i, 1] * P[1, j] + A[i, 2] * P[2, j]
@@ -105,16 +169,17 @@ def linearize_noise(
         for i in range(3):
             for j in range(i + 1):
                 product = HP[i, 0] * A[j, 0] + HP[i, 1] * A[j, 1] + HP[i, 2] * A[j, 2]
-                point[i, j] = point[j, i] = product - HP[i, 3] if j == 2 else product
+                HPH[i, j] = HPH[j, i] = product - HP[i, 3] if j == 2 else product
         for i in range(4):
-            shared[n, i, 0] = HP[i if i < 3 else 1, 2]
-            shared[n, i, 1] = HP[i if i < 3 else 1, 3]
+            cross_cov[n, i, 0] = HP[i if i < 3 else 1, 2]
+            cross_cov[n, i, 1] = HP[i if i < 3 else 1, 3]
             for j in range(i + 1):
-                sigma[i, j] = scale[n, i, j] + point[i if i < 3 else 1, j if j < 3 else 1]
-        _set_offset(A, seen[n], refined[n], offset=offset[n])
+                sigma[i, j] = scale[n, i, j] + HPH[i if i < 3 else 1, j if j < 3 else 1]
+        _set_offset(A, point[n], refined[n], offset[n])
         if not invert_symmetric_4(sigma, information[n], lower):
             information[n] = 0.0
             continue
+        # The refined point: ŝ = s + P Hᵀ Σ⁻¹ e.
         e[0] = curr[n, 0] - (u + cu) - offset[n, 0]
         e[1] = curr[n, 1] - (v + cv) - offset[n, 1]
         e[2] = curr[n, 2] - (u - d + cu) - offset[n, 2]
@@ -124,50 +189,214 @@ def linearize_noise(
             g[i] = W[i, 0] * e[0] + W[i, 1] * e[1] + W[i, 2] * e[2] + W[i, 3] * e[3]
         for j in range(3):
             refined[n, j] = (
-                seen[n, j] + HP[0, j] * g[0] + HP[1, j] * (g[1] + g[3]) + HP[2, j] * g[2]
+                point[n, j] + HP[0, j] * g[0] + HP[1, j] * (g[1] + g[3]) + HP[2, j] * g[2]
             )
-        _set_offset(A, seen[n], refined[n], offset=offset[n])
+        _set_offset(A, point[n], refined[n], offset[n])
 
 
 @compiled
-def _set_offset(A: FloatArray, seen: FloatArray, refined: FloatArray, offset: FloatArray) -> None:
-    """offset [4] = A (s − ŝ), the rows v_l and v_r alike."""
-    x = seen[0] - refined[0]
-    y = seen[1] - refined[1]
-    z = seen[2] - refined[2]
+def _set_offset(A: FloatArray, point: FloatArray, refined: FloatArray, offset: FloatArray) -> None:
+    """Fill offset [4] with A (s − ŝ), the rows v_l and v_r alike."""
+    x = point[0] - refined[0]
+    y = point[1] - refined[1]
+    z = point[2] - refined[2]
     offset[0] = A[0, 0] * x + A[0, 1] * y + A[0, 2] * z
     offset[1] = offset[3] = A[1, 0] * x + A[1, 1] * y + A[1, 2] * z
     offset[2] = A[2, 0] * x + A[2, 1] * y + A[2, 2] * z
 
 
 @compiled
-def residual_jacobians(
-    C: FloatArray,
-    t: FloatArray,
-    camera: FloatArray,
-    refined: FloatArray,
-    offset: FloatArray,
+def normal_equations(
+    T: FloatArray,
+    camera: Intrinsics,
     curr: FloatArray,
-    information: FloatArray,
-    residual: FloatArray,
-    motion: FloatArray,
-    white: FloatArray,
-    disparity: FloatArray,
-) -> None:
-    """Residuals e [N, 4] and what moves h: J = ∂h/∂ξ (motion, [N, 4, 6]), Σ⁻¹ J (white), ∂h/∂d
-    (disparity, [N, 4]).
+    propagated: PropagatedNoise,
+    loss: LossParameters,
+    newton: bool,
+    system: NormalEquations,
+) -> float:
+    """Fill the normal equations of Σ ρ(eᵀ Σ⁻¹ e) in one pass over the features; return the cost.
 
-    All are zero behind the camera.
+    The Hessian is that of iteratively reweighted least squares, Σ w Jᵀ Σ⁻¹ J, which never
+    overshoots. With ``newton``, near the optimum, it is Newton's, with 2 w' (Jᵀ Σ⁻¹ e)(Jᵀ Σ⁻¹ e)ᵀ
+    added: where two groups of features pull apart, IRLS needs 40 steps and Newton 4.
     """
     fu, fv, cu, cv, fb = camera
+    refined = propagated.refined
+    offset = propagated.offset
+    information = propagated.information
+    kind = loss.kind
+    parameter = loss.parameter
+    hessian = system.hessian
+    gradient = system.gradient
+    squared = system.squared
+    cost = 0.0
+    grown = 1.0
+    common_dof = parameter[0] if len(parameter) > 0 and parameter[0] < 1e300 else -1.0
+    t00 = t01 = t02 = t11 = t12 = t22 = 0.0  # translation block
+    m00 = m01 = m02 = m10 = m11 = m12 = m20 = m21 = m22 = 0.0  # translation × rotation
+    r00 = r01 = r02 = r11 = r12 = r22 = 0.0  # rotation block
+    gt0 = gt1 = gt2 = gr0 = gr1 = gr2 = 0.0
+    for n in range(len(refined)):
+        X, Y, Z, rho = transfer(T, camera, refined[n])
+        if Z < NEAREST:
+            squared[n] = BEHIND
+            cost += robust_cost(kind, parameter[n], BEHIND)
+            continue
+        iz = 1.0 / Z
+        u = fu * X * iz
+        v = fv * Y * iz
+        d = fb * rho * iz
+        e0 = curr[n, 0] - (u + cu) - offset[n, 0]
+        e1 = curr[n, 1] - (v + cv) - offset[n, 1]
+        e2 = curr[n, 2] - (u - d + cu) - offset[n, 2]
+        e3 = curr[n, 3] - (v + cv) - offset[n, 3]
+        W = information[n]
+        g0 = W[0, 0] * e0 + W[0, 1] * e1 + W[0, 2] * e2 + W[0, 3] * e3
+        g1 = W[1, 0] * e0 + W[1, 1] * e1 + W[1, 2] * e2 + W[1, 3] * e3
+        g2 = W[2, 0] * e0 + W[2, 1] * e1 + W[2, 2] * e2 + W[2, 3] * e3
+        g3 = W[3, 0] * e0 + W[3, 1] * e1 + W[3, 2] * e2 + W[3, 3] * e3
+        s = e0 * g0 + e1 * g1 + e2 * g2 + e3 * g3 if W[0, 0] > 0.0 else BEHIND
+        squared[n] = s
+        if kind == STUDENT_T and parameter[n] == common_dof:
+            grown *= (
+                1.0 + s / common_dof
+            )  # Σ log(1 + s/ν) of features of one ν is the logarithm of a product
+            if grown > 1e250:
+                cost += 0.5 * (common_dof + 4.0) * math.log(grown)
+                grown = 1.0
+        else:
+            cost += robust_cost(kind, parameter[n], s)
+        w = robust_weight(kind, parameter[n], s)
+        # Both image rows move alike, so the information of v_l and v_r folds into one row v
+        w00 = w * W[0, 0]
+        w01 = w * (W[0, 1] + W[0, 3])
+        w02 = w * W[0, 2]
+        w11 = w * (W[1, 1] + 2.0 * W[1, 3] + W[3, 3])
+        w12 = w * (W[1, 2] + W[3, 2])
+        w22 = w * W[2, 2]
+        g0 = w * g0
+        g1 = w * (g1 + g3)
+        g2 = w * g2
+        # Rows of ∂f/∂q: u_l (a, 0, b), v (0, c, e), u_r (a, 0, f); H = Fᵀ W F
+        a = fu * iz
+        b = -u * iz
+        c = fv * iz
+        e = -v * iz
+        f = -(u - d) * iz
+        k0 = w00 * b + w01 * e + w02 * f
+        k1 = w01 * b + w11 * e + w12 * f
+        k2 = w02 * b + w12 * e + w22 * f
+        H00 = a * a * (w00 + 2.0 * w02 + w22)
+        H01 = a * c * (w01 + w12)
+        H02 = a * (k0 + k2)
+        H11 = c * c * w11
+        H12 = c * k1
+        H22 = b * k0 + e * k1 + f * k2
+        q0 = a * (g0 + g2)
+        q1 = c * g1
+        q2 = b * g0 + e * g1 + f * g2
+        if newton:
+            bend = robust_bend(kind, parameter[n], s)
+            H00 = H00 - bend * q0 * q0
+            H01 = H01 - bend * q0 * q1
+            H02 = H02 - bend * q0 * q2
+            H11 = H11 - bend * q1 * q1
+            H12 = H12 - bend * q1 * q2
+            H22 = H22 - bend * q2 * q2
+        # q moves by ρ δt + φ × q: M = H (−q^), then the rotation block (−q^)ᵀ M
+        M00 = Y * H02 - Z * H01
+        M01 = Z * H00 - X * H02
+        M02 = X * H01 - Y * H00
+        M10 = Y * H12 - Z * H11
+        M11 = Z * H01 - X * H12
+        M12 = X * H11 - Y * H01
+        M20 = Y * H22 - Z * H12
+        M21 = Z * H02 - X * H22
+        M22 = X * H12 - Y * H02
+        rho_2 = rho * rho
+        t00 += rho_2 * H00
+        t01 += rho_2 * H01
+        t02 += rho_2 * H02
+        t11 += rho_2 * H11
+        t12 += rho_2 * H12
+        t22 += rho_2 * H22
+        m00 += rho * M00
+        m01 += rho * M01
+        m02 += rho * M02
+        m10 += rho * M10
+        m11 += rho * M11
+        m12 += rho * M12
+        m20 += rho * M20
+        m21 += rho * M21
+        m22 += rho * M22
+        r00 += Y * M20 - Z * M10
+        r01 += Y * M21 - Z * M11
+        r02 += Y * M22 - Z * M12
+        r11 += Z * M01 - X * M21
+        r12 += Z * M02 - X * M22
+        r22 += X * M12 - Y * M02
+        gt0 += rho * q0
+        gt1 += rho * q1
+        gt2 += rho * q2
+        gr0 += Y * q2 - Z * q1
+        gr1 += Z * q0 - X * q2
+        gr2 += X * q1 - Y * q0
+    if grown > 1.0:
+        cost += 0.5 * (common_dof + 4.0) * math.log(grown)
+    hessian[0, 0] = t00
+    hessian[0, 1] = t01
+    hessian[0, 2] = t02
+    hessian[1, 1] = t11
+    hessian[1, 2] = t12
+    hessian[2, 2] = t22
+    hessian[0, 3] = m00
+    hessian[0, 4] = m01
+    hessian[0, 5] = m02
+    hessian[1, 3] = m10
+    hessian[1, 4] = m11
+    hessian[1, 5] = m12
+    hessian[2, 3] = m20
+    hessian[2, 4] = m21
+    hessian[2, 5] = m22
+    hessian[3, 3] = r00
+    hessian[3, 4] = r01
+    hessian[3, 5] = r02
+    hessian[4, 4] = r11
+    hessian[4, 5] = r12
+    hessian[5, 5] = r22
+    for i in range(6):
+        for j in range(i):
+            hessian[i, j] = hessian[j, i]
+    gradient[0] = gt0
+    gradient[1] = gt1
+    gradient[2] = gt2
+    gradient[3] = gr0
+    gradient[4] = gr1
+    gradient[5] = gr2
+    return cost
+
+
+@compiled
+def residual_jacobians(
+    T: FloatArray,
+    camera: Intrinsics,
+    curr: FloatArray,
+    propagated: PropagatedNoise,
+    out: StereoJacobians,
+) -> None:
+    """Fill in the residuals and Jacobians of all features at T_curr_prev [4, 4]."""
+    fu, fv, cu, cv, fb = camera
+    refined = propagated.refined
+    offset = propagated.offset
+    information = propagated.information
+    residual = out.residual
+    motion = out.motion
+    white = out.white
+    disparity = out.disparity
     F = np.zeros((4, 3))
     for n in range(len(refined)):
-        mx = (refined[n, 0] - cu) / fu
-        my = (refined[n, 1] - cv) / fv
-        rho = refined[n, 2] / fb
-        X = C[0, 0] * mx + C[0, 1] * my + C[0, 2] + rho * t[0]
-        Y = C[1, 0] * mx + C[1, 1] * my + C[1, 2] + rho * t[1]
-        Z = C[2, 0] * mx + C[2, 1] * my + C[2, 2] + rho * t[2]
+        X, Y, Z, rho = transfer(T, camera, refined[n])
         if Z < NEAREST:
             residual[n] = 0.0
             motion[n] = 0.0
@@ -194,7 +423,7 @@ def residual_jacobians(
             motion[n, i, 3] = Y * F[i, 2] - Z * F[i, 1]
             motion[n, i, 4] = Z * F[i, 0] - X * F[i, 2]
             motion[n, i, 5] = X * F[i, 1] - Y * F[i, 0]
-            disparity[n, i] = (F[i, 0] * t[0] + F[i, 1] * t[1] + F[i, 2] * t[2]) / fb
+            disparity[n, i] = (F[i, 0] * T[0, 3] + F[i, 1] * T[1, 3] + F[i, 2] * T[2, 3]) / fb
         disparity[n, 2] -= 1.0 / Z
         for i in range(4):
             for j in range(6):
@@ -205,34 +434,58 @@ def residual_jacobians(
 
 
 @compiled
+def weigh(
+    loss: LossParameters, squared: FloatArray, weights: FeatureWeights
+) -> tuple[float, float]:
+    """Fill in the weights of residuals of squared lengths [N].
+
+    Returns Σ w² s / d, the scatter of the gradient, and Σ a.
+    """
+    scatter = 0.0
+    curved = 0.0
+    for n in range(len(squared)):
+        s = squared[n]
+        if s >= BEHIND:
+            weights.weight[n] = 0.0
+            weights.curvature[n] = 0.0
+            weights.relative[n] = 0.0
+            continue
+        weight = robust_weight(loss.kind, loss.parameter[n], s)
+        weights.weight[n] = weight
+        weights.curvature[n] = robust_curvature(loss.kind, loss.parameter[n], s)
+        weights.relative[n] = weight / robust_weight(loss.kind, loss.parameter[n], 0.0)
+        scatter += weight * weight * s / RESIDUAL_DIM
+        curved += weights.curvature[n]
+    return scatter, curved
+
+
+@compiled
 def sum_information(
-    jacobian: FloatArray,
-    white: FloatArray,
-    weight: FloatArray,
-    curvature: FloatArray,
-    share: FloatArray,
-    lent: FloatArray,
+    jacobians: StereoJacobians,
+    weights: FeatureWeights,
+    disparity_share: FloatArray,
+    disparity_noise_share: FloatArray,
     hessian: FloatArray,
     information: FloatArray,
 ) -> None:
-    """Fill hessian, Σ w Jᵀ Σ⁻¹ J, and information, Σ a Jᵀ Σ⁻¹ J, [6, 6] each; see
-    ``reprojection._information``.
+    """Fill hessian, Σ w Jᵀ Σ⁻¹ J, and information, Σ a Jᵀ Σ⁻¹ J, [6, 6] each.
 
-    In the information, the translation's columns of J are scaled by ``share`` [N], their square
-    less by ``lent`` [N].
+    In the information, the translation's columns of J are scaled by ``disparity_share`` [N], and
+    their square is reduced by ``disparity_noise_share`` [N] (see ``stereo_observations``).
     """
     hessian[:] = 0.0
     information[:] = 0.0
-    for n in range(len(jacobian)):
-        both = curvature[n] * (share[n] * share[n] - lent[n])
-        one = curvature[n] * share[n]
+    for n in range(len(jacobians.motion)):
+        curvature = weights.curvature[n]
+        both = curvature * (disparity_share[n] * disparity_share[n] - disparity_noise_share[n])
+        one = curvature * disparity_share[n]
         for i in range(6):
             for j in range(i + 1):
                 product = 0.0
                 for k in range(4):
-                    product += jacobian[n, k, i] * white[n, k, j]
-                hessian[i, j] += weight[n] * product
-                information[i, j] += (both if i < 3 else one if j < 3 else curvature[n]) * product
+                    product += jacobians.motion[n, k, i] * jacobians.white[n, k, j]
+                hessian[i, j] += weights.weight[n] * product
+                information[i, j] += (both if i < 3 else one if j < 3 else curvature) * product
     for i in range(6):
         for j in range(i):
             hessian[j, i] = hessian[i, j]

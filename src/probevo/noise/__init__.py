@@ -1,4 +1,4 @@
-"""Noise models: predictors φ in, the noise of each stereo feature out."""
+"""Noise models: they map the predictors φ of a stereo feature to the distribution of its error."""
 
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.fixed import Fixed

@@ -1,98 +1,127 @@
-"""What every noise model promises, and the noise of N features as a value."""
+"""The interface of all noise models, and the noise of N stereo features as a value.
+
+A noise model maps the predictors φ of a feature to the distribution of its error. Each error is
+Student-t distributed, e ~ t_ν(b, Σ) (PROBE-GK eq. (12)); ν = ∞ is the Gaussian N(b, Σ). The scale
+matrix Σ is not the covariance, which is ν/(ν − 2) Σ and exists for ν > 2 only.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.noise.student_t_numba import measure
+from probevo.noise.model_file import ModelFile
+from probevo.noise.student_t_numba import mahalanobis_and_log_det
 
-Refers = Literal["observation", "residual"]
+RefersTo = Literal["observation", "residual"]
+"""What a scale matrix describes: a single observation, or the residual of a pair of them."""
 
 
 @dataclass(frozen=True)
 class StereoNoise:
-    """Noise of N stereo features: each is Student-t with the given scale, dof and bias (PROBE-GK
-    eq. 12)."""
+    """Noise of N stereo features: the error of each is Student-t (PROBE-GK eq. (12))."""
 
     scale: FloatArray
-    """Scale matrix, [N, 4, 4], px²; the covariance is dof/(dof − 2) times this; there is none for
-    dof ≤ 2."""
+    """Scale matrix Σ, [N, 4, 4], px²; the covariance is dof/(dof − 2) Σ, and exists for dof > 2."""
     dof: FloatArray
-    """Degrees of freedom, [N]; np.inf is Gaussian."""
+    """Degrees of freedom ν, [N]; np.inf is Gaussian."""
     bias: FloatArray
-    """Expected residual, [N, 4], px, whatever the scale refers to."""
-    refers_to: Refers = "residual"
-    """What the scale describes: the residual y' − f(T g(y)) as a whole (learned models), or each
-    single observation y and y' (classical models), from which the solver derives the residual's,
-    the triangulated point's noise included."""
+    """Mean of the residual, [N, 4], px, whatever the scale refers to."""
+    refers_to: RefersTo = "residual"
+    """What the scale describes. ``residual``: the residual y' − f(T g(y)) as a whole.
+    ``observation``: each of the two observations y and y'; the solver propagates the noise of y
+    through the triangulation to obtain the covariance of the residual."""
     out_of_domain: BoolArray | None = None
-    """Which of the N features lie where the model has seen no training data, [N]; None for models
-    that have seen none, which are at home everywhere."""
-    time_correlation: FloatArray | None = None
-    """Variance of the error of each feature's disparity that is the same in both frames, [N], px²,
-    beside ``scale``, which is new in each; None if there is none. Only of noise that refers to
-    single observations."""
+    """Which features lie where the model has no training data, [N]; None for models without a
+    domain."""
+    time_correlated: FloatArray | None = None
+    """Variance of the disparity error that is common to both frames of a feature, [N], px². It is
+    added to ``scale``, whose errors are independent from frame to frame. None if there is none;
+    only for noise that refers to observations."""
+    prev_scale: FloatArray | None = None
+    """Scale matrix of the earlier observation y, [N, 4, 4], px², where it differs from that of the
+    current one y', which is then ``scale``. None means the same scale for both; only for noise that
+    refers to observations."""
 
-    def of(self, chosen: IntArray) -> StereoNoise:
-        """The noise of some of the features, by their indices."""
-        outside = None if self.out_of_domain is None else self.out_of_domain[chosen]
-        time_correlated = None if self.time_correlation is None else self.time_correlation[chosen]
+    def subset(self, chosen: IntArray) -> StereoNoise:
+        """Return the noise of some of the features, given their indices [n]."""
+        out_of_domain = None if self.out_of_domain is None else self.out_of_domain[chosen]
+        time_correlated = None if self.time_correlated is None else self.time_correlated[chosen]
+        prev_scale = None if self.prev_scale is None else self.prev_scale[chosen]
         return StereoNoise(
-            self.scale[chosen],
-            self.dof[chosen],
-            self.bias[chosen],
+            scale=self.scale[chosen],
+            dof=self.dof[chosen],
+            bias=self.bias[chosen],
             refers_to=self.refers_to,
-            out_of_domain=outside,
-            time_correlation=time_correlated,
+            out_of_domain=out_of_domain,
+            time_correlated=time_correlated,
+            prev_scale=prev_scale,
         )
 
     def scaled(self, factors: FloatArray) -> StereoNoise:
-        """The same noise, the scale of each feature times a factor, [N]."""
-        time_correlated = None if self.time_correlation is None else factors * self.time_correlation
+        """Return the same noise with every (co)variance of a feature times its factor, [N]."""
+        time_correlated = self.time_correlated
+        if time_correlated is not None:
+            time_correlated = factors * time_correlated
+        prev_scale = self.prev_scale
+        if prev_scale is not None:
+            prev_scale = factors[:, None, None] * prev_scale
         return replace(
-            self, scale=factors[:, None, None] * self.scale, time_correlation=time_correlated
+            self,
+            scale=factors[:, None, None] * self.scale,
+            time_correlated=time_correlated,
+            prev_scale=prev_scale,
         )
 
     def log_likelihood(self, residuals: FloatArray) -> FloatArray:
-        """Log density of residuals [N, 4], px, in nats, [N]; the noise of one feature does for all."""
+        """Return the log density of residuals [N, 4], px, under ``scale``, [N], nats.
+
+        The noise of a single feature is broadcast to all residuals.
+        """
+        # The compiled loop takes contiguous, writable arrays.
         squared = np.empty(len(residuals))
         log_det = np.empty(len(residuals))
         scale = np.array(np.broadcast_to(self.scale, (len(residuals), 4, 4)), order="C")
-        measure(scale, np.ascontiguousarray(residuals - self.bias), squared, log_det=log_det)
+        centered = np.ascontiguousarray(residuals - self.bias)
+        mahalanobis_and_log_det(scale, centered, squared, log_det=log_det)
         return log_density(squared, log_det, self.dof)
 
 
 def log_density(squared: FloatArray, log_det: FloatArray, dof: FloatArray) -> FloatArray:
-    """That of a Student-t in four dimensions, nats, [N], by eᵀ Σ⁻¹ e, ln |Σ| and ν; ν = ∞ is
-    Gaussian (eq. 12)."""
+    """Return the log density of a four-dimensional Student-t, [N], nats (PROBE-GK eq. (12)).
+
+    Args:
+        squared: squared Mahalanobis distance eᵀ Σ⁻¹ e, [N].
+        log_det: ln |Σ|, [N].
+        dof: degrees of freedom ν, [N]; np.inf is Gaussian.
+    """
     nu = np.where(np.isinf(dof), 1.0, dof)
-    robust = np.where(np.isinf(dof), squared, (nu + 4.0) * np.log1p(squared / nu))
-    # Γ(ν/2 + 2) = (ν/2 + 1) (ν/2) Γ(ν/2): no difference of large logarithms is left
-    density: FloatArray = np.log((1.0 + 2.0 / dof) / (4.0 * np.pi**2)) - 0.5 * (log_det + robust)
+    exponent = np.where(np.isinf(dof), squared, (nu + 4.0) * np.log1p(squared / nu))
+    # Γ(ν/2 + 2) = (ν/2 + 1) (ν/2) Γ(ν/2), so that no difference of large log-gammas cancels.
+    density: FloatArray = np.log((1.0 + 2.0 / dof) / (4.0 * np.pi**2)) - 0.5 * (log_det + exponent)
     return density
 
 
 def disparity_variance(scale: FloatArray) -> FloatArray:
-    """That of u_l − u_r under scales of single observations [..., 4, 4], px²: [...]."""
+    """Return the variance of the disparity u_l − u_r under scales [..., 4, 4], px²: [...]."""
     variance: FloatArray = scale[..., 0, 0] + scale[..., 2, 2] - 2.0 * scale[..., 0, 2]
     return variance
 
 
 class NoiseModel(Protocol):
-    """Predictors in, the noise of each feature out. ``predict`` is pure."""
+    """A noise model maps predictors to the noise of each feature; ``predict`` is pure."""
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the M columns of the prediction space that it needs, in their order; none for a
-        static model."""
+        """Names of the M predictors that it needs, in their order; empty for a static model."""
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        """Noise of N features from their place φ in the prediction space, [N, M]."""
+        """Return the noise of N features from their places φ in the prediction space, [N, M]."""
 
     def check_camera(self, camera: StereoCamera) -> None:
         """Refuse a camera for which the model does not hold.
@@ -100,3 +129,15 @@ class NoiseModel(Protocol):
         Raises:
             InputError: the model was learned with another camera.
         """
+
+
+class LearnedNoiseModel(NoiseModel, Protocol):
+    """A noise model that was learned from recordings, and can be stored in a file."""
+
+    camera: StereoCamera | None
+    """Camera of the training data; None if it is unknown."""
+    training: Mapping[str, Any]
+    """Settings, recordings and progress of the training, in plain values that JSON can hold."""
+
+    def to_file(self) -> ModelFile:
+        """Return the content of the file of this model."""

@@ -1,4 +1,4 @@
-"""The classical noise model: one Gaussian covariance for every observation."""
+"""The Gaussian noise model: one fixed covariance for every observation (PROBE's nominal model)."""
 
 from __future__ import annotations
 
@@ -9,32 +9,34 @@ from probevo.camera.stereo import StereoCamera
 from probevo.noise.base import StereoNoise
 
 OBSERVATION_SIGMA_PX = (0.2, 0.2, 0.2, 0.2)
-"""Standard deviation of a tracked corner's (u_l, v_l, u_r, v_r): what the residuals of KITTI 0005
-and 06 show."""
+"""Standard deviation of (u_l, v_l, u_r, v_r) of a tracked corner, from the residuals of KITTI 0005
+and 06."""
 
 
 class Fixed:
-    """Gaussian noise of one fixed covariance on every observation (PROBE's R; the nominal model of
-    its Table I).
+    """Gaussian noise with one covariance R for every observation (PROBE Table I, nominal).
 
     Args:
-        covariance: of (u_l, v_l, u_r, v_r), [4, 4], px².
+        covariance: R, of (u_l, v_l, u_r, v_r), [4, 4], px²; by default that of tracked corners.
     """
 
     columns: tuple[str, ...] = ()
 
     def __init__(self, covariance: FloatArray | None = None) -> None:
-        self.covariance = (
-            np.diag(np.square(OBSERVATION_SIGMA_PX)) if covariance is None else covariance
-        )
+        if covariance is None:
+            covariance = np.diag(np.square(OBSERVATION_SIGMA_PX))
+        self.covariance = covariance
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        """The same noise for each of N features, whatever their predictors [N, M]."""
+        """Return the same noise for each of N features, whatever their predictors [N, M]."""
         count = len(predictors)
-        scale = np.broadcast_to(np.asarray(self.covariance, dtype=np.float64), (count, 4, 4))
+        covariance = np.asarray(self.covariance, dtype=np.float64)
         return StereoNoise(
-            scale, np.full(count, np.inf), np.zeros((count, 4)), refers_to="observation"
+            scale=np.broadcast_to(covariance, (count, 4, 4)),
+            dof=np.full(count, np.inf),
+            bias=np.zeros((count, 4)),
+            refers_to="observation",
         )
 
     def check_camera(self, camera: StereoCamera) -> None:
-        """Any camera will do: nothing was learned from one."""
+        """Accept any camera: the model was not learned with one."""

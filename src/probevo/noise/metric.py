@@ -1,4 +1,8 @@
-"""The metric of a prediction space: how far apart two places φ are."""
+"""The metric of a prediction space: the distance between two places φ.
+
+Each column is standardised by the training data and multiplied by a weight w_m; the distance is
+Euclidean:  d² = Σ_m w_m² ((φ_m − φ'_m)/σ_m)².
+"""
 
 from __future__ import annotations
 
@@ -12,19 +16,15 @@ from probevo.errors import InputError
 from probevo.noise.moments import Moments
 
 UNDEFINED = -4.0
-"""Where an undefined value lies, in standard deviations: a place of its own, in which it is near to
-its like only.
-
-A feature of a kind that training never saw is that far from all samples alike, and the other
-columns decide.
-"""
-FEWEST_DEFINED = 2
-"""Values that a column needs for a mean and a spread; of a single sample, its one will do."""
+"""Coordinate of an undefined value, in standard deviations: apart from nearly all defined values,
+so that undefined values are close to each other only. If training had none in a column, all its
+samples are equally far in that column, and the other columns decide."""
+MIN_DEFINED = 2
+"""Number of values that a column needs for mean and spread; of a single sample, one suffices."""
 CONSTANT_BELOW = 1e-9
-"""Spread over the mean: below, it is rounding."""
+"""Ratio of spread to mean below which a column is constant but for rounding."""
 FARTHEST = 1e3
-"""Standard deviations; what is farther out lies there, so that squares of distances stay exact
-enough."""
+"""Bound of the coordinates, in standard deviations, so that squared distances stay accurate."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class Metric:
     columns: tuple[str, ...]
     """Names of the M columns."""
     may_be_undefined: tuple[bool, ...]
-    """Which of them may hold NaN."""
+    """Which columns may hold NaN."""
     mean: FloatArray
-    """Of the training data, [M]."""
+    """Mean of the training data, [M]."""
     spread: FloatArray
-    """Their standard deviation, [M]; 1 for a column that is constant."""
+    """Standard deviation of the training data, [M]; 1 for a constant column."""
     weight: FloatArray
-    """How much a standard deviation of each column counts, [M]."""
+    """Factor on the standardised column, [M]; 0 ignores it."""
 
     @staticmethod
     def fitted(
@@ -48,22 +48,22 @@ class Metric:
         columns: Sequence[str] = (),
         may_be_undefined: Sequence[bool] = (),
     ) -> Metric:
-        """The metric in which the training data [N, M] have mean 0 and spread 1 along each column,
-        all of weight 1.
+        """Return the metric that standardises the training data [N, M], with all weights 1.
 
         Args:
             predictors: places of the samples; NaN where undefined.
-            columns: names of the columns; "column 0" … if left out.
-            may_be_undefined: which columns may hold NaN; none if left out.
+            columns: names of the columns; by default "column 0", "column 1", …
+            may_be_undefined: which columns may hold NaN; by default none.
 
         Raises:
-            InputError: a value is infinite, or NaN where it must not be, or nearly all of a column
-                is.
+            InputError: a value is infinite, or NaN in a column that must be defined, or nearly all
+                values of a column are undefined.
         """
         if predictors.ndim != 2:
             raise InputError(
                 "predictors", f"their shape is {predictors.shape}, where [N, M] is expected."
             )
+        # Without names, as in quick experiments, the columns are numbered.
         names = tuple(columns) or tuple(f"column {m}" for m in range(predictors.shape[1]))
         check_defined(predictors, names, may_be_undefined)
         return Metric.of_moments(Moments.of(predictors), names, may_be_undefined)
@@ -74,55 +74,58 @@ class Metric:
         columns: Sequence[str],
         may_be_undefined: Sequence[bool] = (),
     ) -> Metric:
-        """The same from the moments of training data that ``check_defined`` has let through.
+        """Return the same metric from the moments of data that ``check_defined`` has accepted.
 
         Raises:
-            InputError: nearly all of a column is undefined.
+            InputError: nearly all values of a column are undefined.
         """
+        required = max(min(MIN_DEFINED, moments.rows), 1)
         for name, count in zip(columns, moments.count.tolist(), strict=True):
-            if count < max(min(FEWEST_DEFINED, moments.rows), 1):
-                what = f"it is undefined for all but {count} of {moments.rows} features."
-                raise InputError(f"predictor {name}", what, "Leave it out.")
-        mean = moments.mean
-        spread = moments.spread
+            if count < required:
+                raise InputError(
+                    f"predictor {name}",
+                    f"it is undefined for all but {count} of {moments.rows} features.",
+                    "Leave it out.",
+                )
+        # A constant column says nothing; dividing by its spread of rounding errors would make it
+        # the most important of all.
+        is_constant = moments.spread <= CONSTANT_BELOW * np.abs(moments.mean)
         return Metric(
-            tuple(columns),
-            tuple(may_be_undefined) or (False,) * len(columns),
-            mean,
-            spread=np.where(spread > CONSTANT_BELOW * np.abs(mean), spread, 1.0),
+            columns=tuple(columns),
+            may_be_undefined=tuple(may_be_undefined) or (False,) * len(columns),
+            mean=moments.mean,
+            spread=np.where(is_constant, 1.0, moments.spread),
             weight=np.ones(len(columns)),
         )
 
     def coordinates(self, predictors: FloatArray) -> FloatArray:
-        """Places in which the distance is Euclidean, [N, M], finite, at most FARTHEST standard
-        deviations out.
+        """Return coordinates in which the distance is Euclidean, [N, M], finite.
 
         Raises:
-            InputError: not M columns, or a value is infinite, or NaN where it must not be.
+            InputError: not M columns, or a value is infinite, or NaN in a column that must be
+                defined.
         """
         check_defined(predictors, self.columns, self.may_be_undefined)
-        return self._placed(predictors)
+        return self._standardised(predictors)
 
     def contributing(self, predictors: FloatArray) -> FloatArray:
-        """The same, but only of the columns that have a weight; raises the same."""
+        """Return the coordinates of the columns with a positive weight only; raises the same."""
         check_defined(predictors, self.columns, self.may_be_undefined)
         columns = np.flatnonzero(self.weight)
-        return self.kept(columns)._placed(predictors[:, columns])
+        return self.kept(columns)._standardised(predictors[:, columns])
 
     def kept(self, columns: IntArray) -> Metric:
-        """The metric of some of the columns."""
-        names, may_be = (
-            tuple(part[m] for m in columns) for part in (self.columns, self.may_be_undefined)
-        )
+        """Return the metric of some of the columns, given their indices."""
         return Metric(
-            names,
-            may_be,
-            self.mean[columns],
+            columns=tuple(self.columns[m] for m in columns),
+            may_be_undefined=tuple(self.may_be_undefined[m] for m in columns),
+            mean=self.mean[columns],
             spread=self.spread[columns],
             weight=self.weight[columns],
         )
 
-    def _placed(self, predictors: FloatArray) -> FloatArray:
+    def _standardised(self, predictors: FloatArray) -> FloatArray:
+        # Undefined values pass through as NaN until they get their own coordinate.
         standard = (predictors - self.mean) / self.spread
         np.clip(standard, -FARTHEST, FARTHEST, out=standard)
         standard[np.isnan(standard)] = UNDEFINED
@@ -133,10 +136,10 @@ class Metric:
 def check_defined(
     predictors: FloatArray, columns: Sequence[str], may_be_undefined: Sequence[bool] = ()
 ) -> None:
-    """Refuse places that are not [N, M], or infinite, or NaN in a column that must not be.
+    """Refuse places that are not [N, M], infinite, or NaN in a column that must be defined.
 
     Raises:
-        InputError: gives the shape, or names the column.
+        InputError: states the shape, or the column and the first such value.
     """
     if predictors.ndim != 2 or predictors.shape[1] != len(columns):
         expected = f"[N, {len(columns)}]: {', '.join(columns)}"
@@ -144,11 +147,14 @@ def check_defined(
             "predictors", f"their shape is {predictors.shape}, where the model takes {expected}."
         )
     wrong = ~np.isfinite(predictors)
+    # Infinity is wrong everywhere, NaN where a column must be defined.
     if wrong.any():
-        wrong &= ~(np.isnan(predictors) & (tuple(may_be_undefined) or (False,) * len(columns)))
+        optional = np.array(tuple(may_be_undefined) or (False,) * len(columns))
+        wrong &= ~(np.isnan(predictors) & optional)
     if wrong.any():
         row, m = np.argwhere(wrong)[0].tolist()
-        what = f"feature {row} (from 0) has the value {predictors[row, m]}."
         raise InputError(
-            f"predictor {columns[m]}", what, "Only a predictor that may be undefined can be NaN."
+            f"predictor {columns[m]}",
+            f"feature {row} (from 0) has the value {predictors[row, m]}.",
+            "Only a predictor that may be undefined can be NaN.",
         )

@@ -1,8 +1,7 @@
-"""A learned noise model as a file: safetensors with JSON metadata and a checksum; plain data, never
-code.
+"""The file format of learned noise models: safetensors with JSON metadata and a checksum.
 
-safetensors keeps its metadata in random order, so all of ours is one entry: the same model gives
-the same bytes.
+A file holds plain data, never code. safetensors stores the entries of its metadata in random order;
+all of ours is therefore a single entry, so that the same model gives the same bytes.
 """
 
 from __future__ import annotations
@@ -23,37 +22,37 @@ from probevo.errors import InputError
 from probevo.files import write_atomically
 
 FORMAT = "probevo-noise-model"
-"""The one entry of the metadata: a JSON object of these keys."""
+"""Name of the one entry of the metadata, a JSON object."""
 KEYS = ("checksum", "facts", "kind", "version")
+"""Keys of that object, sorted."""
 VERSION = 1
 DTYPES = ("float32", "float64", "int64", "int32", "bool", "uint8")
 MAX_HEADER_BYTES = 100_000_000
-"""safetensors' own limit."""
+"""Limit of safetensors itself."""
 CURE = "Copy it again from where it came, or train it again."
 
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
-    """What a noise model is stored as; its class alone knows what the names mean."""
+    """The content of a file; only the class of the model knows what the names mean."""
 
     kind: str
-    """Which noise model this is: ``knn`` …"""
+    """Name of the kind of noise model in the registry."""
     arrays: Mapping[str, AnyArray]
-    """Arrays of any shape, of the types DTYPES; whether NaN has a meaning is for the kind to say.
-    """
+    """Arrays of any shape, of a type in DTYPES; each kind decides whether NaN is valid."""
     facts: Mapping[str, Any]
-    """Settings, predictor columns, camera, hashes of the training data …: JSON, so lists and no
-    tuples."""
+    """Settings, columns, camera, training and so on, as JSON values: lists, not tuples."""
 
 
 def write_model_file(path: Path, model: ModelFile) -> None:
-    """Write a noise model, whole or not at all; the same model gives the same bytes.
+    """Write a noise model, completely or not at all; the same model gives the same bytes.
 
     Raises:
         ValueError: an array is of a type not in DTYPES or named ``__metadata__``, or the facts
-            would not read back as they are (not JSON, NaN, tuples, keys that are no strings).
-        InputError: the place cannot be written to.
+            would be read back differently (no JSON, NaN, tuples, keys that are no strings).
+        InputError: the file cannot be written.
     """
+    # Sorted and in native byte order, so that equal models have equal bytes and checksums.
     arrays = {name: np.asarray(model.arrays[name], order="C") for name in sorted(model.arrays)}
     for name, array in arrays.items():
         if name == "__metadata__":
@@ -63,6 +62,7 @@ def write_model_file(path: Path, model: ModelFile) -> None:
                 f"array {name}: type {array.dtype}; expected one of {', '.join(DTYPES)}"
             )
         arrays[name] = array.astype(array.dtype.newbyteorder("="), copy=False)
+    # The facts must survive JSON unchanged; otherwise the model that is read would be another one.
     envelope: dict[str, Any] = {"facts": dict(model.facts), "kind": model.kind, "version": VERSION}
     try:
         survives = json.loads(_canonical(envelope)) == envelope
@@ -78,11 +78,11 @@ def write_model_file(path: Path, model: ModelFile) -> None:
 
 
 def read_model_file(path: Path) -> ModelFile:
-    """Read a noise model; each array is writable and owned by the caller alone.
+    """Read a noise model; its arrays are writable and not shared.
 
     Raises:
-        InputError: the file cannot be read, is no noise model, is of a newer format, or is damaged:
-            a changed byte anywhere is noticed unless the very same model is read.
+        InputError: the file cannot be read, is no noise model, has a newer format, or is damaged.
+            A change of any byte is detected, unless the same model is read nevertheless.
     """
     try:
         if path.exists() and not path.is_file():
@@ -91,6 +91,7 @@ def read_model_file(path: Path) -> ModelFile:
                 "this is a folder or device, not a file.",
                 "Name the .safetensors file itself.",
             )
+        # The metadata decide whether this is a file of ours before all of it is loaded.
         with path.open("rb") as stream:
             envelope = _check_envelope(path, _read_metadata(path, stream))
             stream.seek(0)
@@ -99,16 +100,13 @@ def read_model_file(path: Path) -> ModelFile:
         raise InputError(
             path, f"cannot be read: {error.strerror}", "Name a .safetensors noise model."
         ) from error
+    # The checksum covers everything but itself.
     claimed = envelope.pop("checksum")
     try:
         arrays = dict(sorted(load(content).items()))
         checksum = _checksum(envelope, arrays)
-    except (
-        SafetensorError,
-        KeyError,
-        ValueError,
-        OverflowError,
-    ) as error:  # KeyError: a type unknown to NumPy
+    except (SafetensorError, KeyError, ValueError, OverflowError) as error:
+        # A KeyError means an array type that NumPy does not have.
         raise InputError(path, f"damaged or cut short: {error}.", CURE) from error
     if checksum != claimed:
         raise InputError(path, "damaged: its content does not match its checksum.", CURE)
@@ -125,10 +123,15 @@ def _canonical(value: Any) -> str:
 
 
 def _checksum(envelope: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> str:
-    """Over all that the file says but the checksum itself; arrays in the order of their names."""
-    # Measured on 10⁶ samples, 56 MB, of which reading takes 0.09 s: SHA-256 31 ms (102 ms where the
-    # CPU has no SHA instructions), BLAKE2b 59 ms, CRC-32 13 ms. SHA-256 is affordable on both and
-    # never matches by accident.
+    """Compute SHA-256 over the metadata, and the names, types, shapes and bytes of the arrays.
+
+    Args:
+        envelope: the metadata without the checksum.
+        arrays: the arrays, sorted by name.
+    """
+    # Measured on 10⁶ samples, 56 MB, which take 0.09 s to read: SHA-256 31 ms (102 ms on a CPU
+    # without SHA instructions), BLAKE2b 59 ms, CRC-32 13 ms. SHA-256 is affordable on both, and
+    # accidental matches are excluded.
     shapes = [[name, array.dtype.name, array.shape] for name, array in arrays.items()]
     digest = hashlib.sha256(_canonical([envelope, shapes]).encode())
     for array in arrays.values():
@@ -137,8 +140,10 @@ def _checksum(envelope: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> st
 
 
 def _read_metadata(path: Path, stream: BinaryIO) -> str:
-    """Our entry of the metadata: the header alone is read, lest a foreign file of many GB be loaded
-    to be refused."""
+    """Read our entry of the metadata.
+
+    Only the header is read, so that a foreign file of many GB is refused without loading it.
+    """
     size = int.from_bytes(stream.read(8), "little")
     raw = stream.read(size) if size <= MAX_HEADER_BYTES else b""
     try:
@@ -156,13 +161,14 @@ def _read_metadata(path: Path, stream: BinaryIO) -> str:
 
 
 def _check_envelope(path: Path, text: str) -> dict[str, Any]:
-    """What stands in our entry of the metadata, with exactly KEYS, each of its type."""
+    """Parse our entry of the metadata, and check that it has exactly KEYS, each of its type."""
     try:
         envelope = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(
             f"{path}: {FORMAT}", f"damaged: the metadata are not JSON ({error}).", CURE
         ) from error
+    # The version comes first: a newer format may have other keys.
     version = envelope.get("version") if isinstance(envelope, dict) else None
     if type(version) is not int:
         raise InputError(f"{path}: {FORMAT}", "damaged: the metadata give no version.", CURE)

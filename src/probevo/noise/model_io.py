@@ -1,32 +1,16 @@
-"""Learned noise models to and from files."""
+"""Reading and writing learned noise models of every registered kind."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
 
 from probevo.errors import InputError
-from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-from probevo.noise.model_file import ModelFile, read_model_file, write_model_file
-from probevo.noise.probe.nearest_neighbors import NearestNeighbors
-from probevo.noise.student_t import StudentT
-
-Learned = GeneralizedKernel | NearestNeighbors | StudentT
-_KINDS: dict[str, type[GeneralizedKernel] | type[NearestNeighbors] | type[StudentT]] = {
-    "gk": GeneralizedKernel,
-    "knn": NearestNeighbors,
-    "student-t": StudentT,
-}
+from probevo.noise.base import LearnedNoiseModel
+from probevo.noise.model_file import read_model_file, write_model_file
+from probevo.noise.registry import noise_kinds
 
 
-class Storable(Protocol):
-    """A noise model that can be put into a file."""
-
-    def to_file(self) -> ModelFile:
-        """What the file needs to hold."""
-
-
-def save_model(model: Storable, path: Path | str) -> None:
+def save_model(model: LearnedNoiseModel, path: Path | str) -> None:
     """Write a fitted model; the same model gives the same bytes.
 
     Raises:
@@ -35,20 +19,26 @@ def save_model(model: Storable, path: Path | str) -> None:
     write_model_file(Path(path), model.to_file())
 
 
-def load_model(path: Path | str) -> Learned:
-    """Read a model. A file is data only: nothing in it is ever run.
+def load_model(path: Path | str) -> LearnedNoiseModel:
+    """Read a model. A file holds data only; nothing in it is ever executed.
 
     Raises:
-        InputError: the file is missing, damaged, or no noise model of a known kind.
+        InputError: the file is missing or damaged, or holds no noise model of a known kind.
     """
     path = Path(path)
     file = read_model_file(path)
-    if file.kind not in _KINDS:
+    readers = {
+        name: kind.from_file for name, kind in noise_kinds().items() if kind.from_file is not None
+    }
+    if file.kind not in readers:
         raise InputError(
-            path, f"a noise model of kind {file.kind!r}.", f"Known are {', '.join(_KINDS)}."
+            path,
+            f"a noise model of kind {file.kind!r}.",
+            f"Known are {', '.join(sorted(readers))}.",
         )
+    # Each kind checks its own content; here the file and the remedy are added to what it reports.
     try:
-        return _KINDS[file.kind].from_file(file)
+        return readers[file.kind](file)
     except (KeyError, ValueError, InputError) as error:
         raise InputError(
             path, f"it is no whole {file.kind} model ({error}).", "Train it again."

@@ -1,5 +1,8 @@
-"""Mean and spread of the columns of a prediction space, gathered part by part: no part need be held
-for the next."""
+"""Mean and standard deviation of the columns of a prediction space, accumulated part by part.
+
+The moments of two parts combine exactly into those of the whole, so that no part of the training
+data has to be held in memory for the next.
+"""
 
 from __future__ import annotations
 
@@ -12,41 +15,52 @@ from probevo.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Moments:
-    """Of the defined values of each of M columns."""
+    """Mean and sum of squared deviations of the defined values of each of M columns."""
 
     rows: int
-    """All values of a column, those that are undefined counted."""
+    """Number of all values of a column, undefined ones included."""
     count: IntArray
-    """Those that are defined, [M]."""
+    """Number of defined values, [M]."""
     mean: FloatArray
-    """[M]; 0 without any."""
+    """Mean of the defined values, [M]; 0 if there is none."""
     squares: FloatArray
     """Sum of squared deviations from the mean, [M]."""
 
     @staticmethod
     def of(predictors: FloatArray) -> Moments:
-        """Of places [N, M], NaN where undefined."""
+        """Compute the moments of places [N, M], NaN where undefined."""
         defined = ~np.isnan(predictors)
         count = defined.sum(axis=0)
         mean = np.sum(predictors, axis=0, where=defined) / np.maximum(count, 1)
         squares = np.sum((predictors - mean) ** 2, axis=0, where=defined)
-        return Moments(len(predictors), count, mean, squares=squares)
+        return Moments(rows=len(predictors), count=count, mean=mean, squares=squares)
 
     @staticmethod
     def none(columns: int) -> Moments:
-        """Of nothing."""
-        return Moments(0, np.zeros(columns, np.int64), np.zeros(columns), squares=np.zeros(columns))
+        """Return the moments of no data, the neutral element of the addition."""
+        return Moments(
+            rows=0,
+            count=np.zeros(columns, np.int64),
+            mean=np.zeros(columns),
+            squares=np.zeros(columns),
+        )
 
     def __add__(self, other: Moments) -> Moments:
-        """Of both together (Chan, Golub & LeVeque 1983)."""
+        """Combine the moments of two parts (Chan, Golub & LeVeque 1983)."""
+        # The deviations of each part are around its own mean; the last term of the squares moves
+        # them to the common mean.
         count = self.count + other.count
         share = other.count / np.maximum(count, 1)
-        apart = other.mean - self.mean
-        squares = self.squares + other.squares + apart**2 * self.count * share
-        return Moments(self.rows + other.rows, count, self.mean + apart * share, squares=squares)
+        shift = other.mean - self.mean
+        return Moments(
+            rows=self.rows + other.rows,
+            count=count,
+            mean=self.mean + shift * share,
+            squares=self.squares + other.squares + shift**2 * self.count * share,
+        )
 
     @property
     def spread(self) -> FloatArray:
-        """Standard deviation, [M]; 0 without any value."""
+        """Standard deviation, [M]; 0 if there is no value."""
         spread: FloatArray = np.sqrt(self.squares / np.maximum(self.count, 1))
         return spread

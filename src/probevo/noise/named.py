@@ -1,5 +1,4 @@
-"""Noise models as the user names them: a classical one by its name, a learned one by the path of
-its file."""
+"""Noise models as ``--noise`` selects them: untrained ones by kind, learned ones by file."""
 
 from __future__ import annotations
 
@@ -11,31 +10,31 @@ from pathlib import Path
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel
-from probevo.noise.classical import CLASSICAL
 from probevo.noise.model_io import load_model
+from probevo.noise.registry import untrained_model, untrained_names
 
 
 def noise_model(spec: str, others: Collection[str] = ()) -> NoiseModel:
-    """The noise model of that name, or that the file of that path holds.
+    """Return the noise model that a name or a path selects.
 
     Args:
-        spec: a name of ``CLASSICAL``, or a path; a file that is called like one of them is meant by
-            ``./fixed``.
-        others: more names that would have been right where the user gave this one; for the message.
+        spec: the name of a kind that needs no training, or the path of a model file. A name takes
+            precedence over a file: a file called ``fixed`` is selected by ``./fixed``.
+        others: further names that the option accepts, listed in the message of the error.
 
     Raises:
         InputError: it is neither a name nor a file, or the file holds no noise model.
     """
-    if spec in CLASSICAL:
-        return CLASSICAL[spec]()
+    names = untrained_names()
+    if spec in names:
+        return untrained_model(spec)
     if not os.path.isfile(spec):
-        raise _unknown(spec, (*CLASSICAL, *others))
+        raise _unknown(spec, (*names, *others))
     return load_model(Path(spec))
 
 
 def check_model_camera(spec: str, model: NoiseModel, camera: StereoCamera) -> None:
-    """Refuse a camera for which the noise model that ``spec`` names does not hold, and say which
-    file it is.
+    """Refuse a camera unlike that of the model's training, in an error that names the model file.
 
     Raises:
         InputError: the model was learned with another camera.
@@ -43,34 +42,31 @@ def check_model_camera(spec: str, model: NoiseModel, camera: StereoCamera) -> No
     try:
         model.check_camera(camera)
     except InputError as error:
-        if spec in CLASSICAL:
+        if spec in untrained_names():
             raise
         raise InputError(spec, error.what, error.cure) from error
 
 
 def portable(spec: str) -> str:
-    """The same noise model from any working directory: a path is made absolute."""
-    return spec if spec in CLASSICAL else str(Path(spec).resolve())
+    """Return ``spec`` so that it holds in any working directory: a path is made absolute."""
+    return spec if spec in untrained_names() else str(Path(spec).resolve())
 
 
 def _unknown(spec: str, names: Collection[str]) -> InputError:
+    """Return the error for a ``spec`` that is neither a name nor a file, with similar spellings."""
     if os.path.isdir(spec):
         return InputError(
             "--noise", f"{spec!r} is a folder.", "Give the model file (.safetensors) in it."
         )
-    folder = os.path.dirname(spec) or "."
-    files = (
-        [name for name in sorted(os.listdir(folder)) if name.endswith(".safetensors")]
-        if _readable(folder)
-        else []
-    )
-    beside = [os.path.join(os.path.dirname(spec), name) for name in files]
-    near = get_close_matches(spec, [*names, *beside], n=2)
-    what = f"{spec!r} is no known name, and no such file exists."
-    known = f"Known are {', '.join(names)}; or give a model file (.safetensors)."
-    cure = f"Did you mean {' or '.join(near)}? {known}" if near else known
-    return InputError("--noise", what, cure)
-
-
-def _readable(folder: str) -> bool:
-    return os.path.isdir(folder) and os.access(folder, os.R_OK)
+    # Similar names and similar files in the same folder, in case of a typing error.
+    parent = os.path.dirname(spec)
+    folder = parent or "."
+    files = []
+    if os.path.isdir(folder) and os.access(folder, os.R_OK):
+        files = [name for name in sorted(os.listdir(folder)) if name.endswith(".safetensors")]
+    candidates = [*names, *(os.path.join(parent, name) for name in files)]
+    similar = get_close_matches(spec, candidates, n=2)
+    cure = f"Known are {', '.join(names)}; or give a model file (.safetensors)."
+    if similar:
+        cure = f"Did you mean {' or '.join(similar)}? {cure}"
+    return InputError("--noise", f"{spec!r} is no known name, and no such file exists.", cure)

@@ -1,4 +1,4 @@
-"""Where a learned noise model comes from, as its file says it: the camera, and the training."""
+"""The origin of a learned noise model, as its file states it: the camera and the training."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from probevo.settings import Settings
 
 
 def origin_facts(camera: StereoCamera | None, training: Mapping[str, Any]) -> dict[str, Any]:
-    """What ``OriginFacts`` reads."""
+    """Return camera and training as plain values for a file, from which ``OriginFacts`` reads."""
     return {
         "camera": json.loads(json.dumps(asdict(camera))) if camera else None,
         "training": dict(training),
@@ -26,8 +26,10 @@ def origin_facts(camera: StereoCamera | None, training: Mapping[str, Any]) -> di
 
 
 class OriginFacts(Settings):
-    """What the file of every learned model says beside its arrays; of no other type than it is
-    written."""
+    """The facts that the file of every learned model states beside its arrays.
+
+    Types are checked strictly: a number in quotes is refused.
+    """
 
     model_config = ConfigDict(strict=True)
     camera: StereoCamera | None
@@ -35,10 +37,10 @@ class OriginFacts(Settings):
 
     @classmethod
     def of(cls, file: ModelFile) -> Self:
-        """Those of a file.
+        """Read the facts of a file.
 
         Raises:
-            ValueError, InputError: it does not hold such facts, or a camera that cannot be.
+            ValueError, InputError: a fact is missing or wrong, or the camera is impossible.
         """
         facts = cls.model_validate_json(json.dumps(dict(file.facts)))
         if facts.camera is not None:
@@ -47,20 +49,20 @@ class OriginFacts(Settings):
 
 
 def learned_from(model: NoiseModel) -> frozenset[str]:
-    """Names of the recordings that a noise model was learned from; of a classical one there are
-    none."""
+    """Return the names of the recordings that a noise model was learned from; none if untrained."""
     training: Mapping[str, Any] = getattr(model, "training", {})
     return frozenset(str(recording["name"]) for recording in training.get("recordings", ()))
 
 
 def refuse_other_camera(trained: StereoCamera | None, camera: StereoCamera) -> None:
-    """Refuse a camera unlike the one that a noise model was trained with; None was trained with
-    none.
+    """Refuse a camera unlike ``trained``, that of the training; None accepts any.
 
     Raises:
-        InputError: says in what it differs.
+        InputError: the cameras differ; the message says in what.
     """
-    unlike = difference(camera, trained) if trained else ""
+    if trained is None:
+        return
+    unlike = difference(camera, trained)
     if unlike:
         unlike = unlike.replace("its", "this one's", 1)
         raise InputError(

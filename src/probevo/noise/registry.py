@@ -1,7 +1,8 @@
-"""The kinds of noise model there are: what each is called, read by, trained by and shown by.
+"""The registry of noise models: the name of each kind, its loader, its trainer and its page.
 
-A kind is registered in one place, ``NOISE_KINDS``, or by another package's entry point in the group
-``probevo.noise``. Nothing else in probevo asks which kind a model is of.
+A kind is registered here, in ``_BUILT_IN``, or by another package through an entry point of the
+group ``probevo.noise`` whose value is a ``NoiseKind``. No other module of probevo compares the name
+of a kind. The models do not import the registry; it imports them.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from probevo.errors import InputError
-from probevo.noise.base import NoiseModel
+from probevo.noise.base import LearnedNoiseModel, NoiseModel
 from probevo.noise.fixed import Fixed
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.model_file import ModelFile
@@ -21,25 +22,26 @@ from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.noise.student_t import StudentT
 
 ENTRY_POINTS = "probevo.noise"
+"""Group of the entry points by which other packages register kinds."""
 
 
 @dataclass(frozen=True)
 class NoiseKind:
-    """One kind of noise model, and who does what with it.
+    """One kind of noise model, and the functions that make, read, train and show it.
 
-    ``trainer`` and ``inspection`` are named as ``module:function`` and imported when they are
-    needed, so that a run does not wait for what only training or a page needs.
+    ``trainer`` and ``inspection`` are written as ``module:function`` and imported on demand, so
+    that a run does not import what only training or a page needs.
     """
 
     name: str
-    """As in ``--noise`` and ``--kind``, and in the file of a model."""
+    """Name of the kind in ``--noise``, in ``--kind`` and in the file of a model."""
     model: type[Any]
-    """Its class."""
+    """Class of the models."""
     summary: str
     """One line for help texts."""
     untrained: Callable[[], NoiseModel] | None = None
-    """Makes the model that ``--noise NAME`` means; None for a kind that has to be trained."""
-    from_file: Callable[[ModelFile], NoiseModel] | None = None
+    """Makes the model that ``--noise NAME`` selects; None for a kind that has to be trained."""
+    from_file: Callable[[ModelFile], LearnedNoiseModel] | None = None
     """Reads a trained model; None for a kind that is never trained."""
     trainer: str = ""
     """Function that learns a model from drives, ``module:function``; empty without training."""
@@ -60,33 +62,68 @@ _BUILT_IN = (
         summary="one Student-t for every observation",
         untrained=StudentT,
         from_file=StudentT.from_file,
+        trainer="probevo.training.gk.learn:train_student_t",
+        inspection="probevo.output.inspection.student_t:sections",
     ),
     NoiseKind(
         name="knn",
         model=NearestNeighbors,
         summary="PROBE: a weight for each feature from its nearest neighbours",
         from_file=NearestNeighbors.from_file,
+        trainer="probevo.training.probe.learn:train_knn",
+        inspection="probevo.output.inspection.knn:sections",
     ),
     NoiseKind(
         name="gk",
         model=GeneralizedKernel,
         summary="PROBE-GK: a covariance for each feature from a generalized kernel",
         from_file=GeneralizedKernel.from_file,
+        trainer="probevo.training.gk.learn:train_gk",
+        inspection="probevo.output.inspection.gk:sections",
     ),
 )
 
 
 def noise_kinds() -> Mapping[str, NoiseKind]:
-    """All kinds by their names: the built-in ones, and those of installed entry points."""
-    found = {kind.name: kind for kind in _BUILT_IN}
+    """Return all kinds by name: the built-in ones, then those of installed entry points.
+
+    Raises:
+        InputError: an entry point cannot be loaded, is no ``NoiseKind``, or its name is taken.
+    """
+    kinds = {kind.name: kind for kind in _BUILT_IN}
     for entry in entry_points(group=ENTRY_POINTS):
+        kind = _load(entry)
+        if kind.name in kinds:
+            raise InputError(
+                f"entry point {entry.name}",
+                f"{entry.value} registers the noise model {kind.name!r}, whose name is taken.",
+                "Uninstall one of the packages, or rename the kind.",
+            )
+        kinds[kind.name] = kind
+    return kinds
+
+
+def _load(entry: EntryPoint) -> NoiseKind:
+    # What an import and a look-up raise; a package with other faults should show its own traceback.
+    try:
         kind = entry.load()
-        found.setdefault(kind.name, kind)
-    return found
+    except (ImportError, AttributeError, SyntaxError, TypeError, ValueError) as error:
+        raise InputError(
+            f"entry point {entry.name}",
+            f"{entry.value} cannot be loaded ({error}).",
+            "Repair or uninstall the package that registers it.",
+        ) from error
+    if not isinstance(kind, NoiseKind):
+        raise InputError(
+            f"entry point {entry.name}",
+            f"{entry.value} is of type {type(kind).__name__}, where a NoiseKind is expected.",
+            "Repair or uninstall the package that registers it.",
+        )
+    return kind
 
 
 def kind_of(model: NoiseModel) -> NoiseKind:
-    """Look up the kind that a model is of.
+    """Look up the kind of a model by its class.
 
     Raises:
         InputError: its class is not registered.
@@ -97,8 +134,29 @@ def kind_of(model: NoiseModel) -> NoiseKind:
     raise InputError("noise model", f"{type(model).__name__} is of no registered kind.")
 
 
+def untrained_names() -> tuple[str, ...]:
+    """Return the names of the kinds that need no training."""
+    return tuple(name for name, kind in noise_kinds().items() if kind.untrained is not None)
+
+
+def untrained_model(name: str) -> NoiseModel:
+    """Make the noise model of a kind that needs no training.
+
+    Raises:
+        InputError: there is no such kind, or it has to be trained.
+    """
+    kind = noise_kinds().get(name)
+    if kind is None or kind.untrained is None:
+        raise InputError(
+            "noise model",
+            f"{name!r} names no model that works without training.",
+            f"Known are {', '.join(untrained_names())}.",
+        )
+    return kind.untrained()
+
+
 def imported(function: str) -> Callable[..., Any]:
-    """Import ``module:function``."""
+    """Import a function that is written as ``module:function``."""
     module, _, name = function.partition(":")
     found: Callable[..., Any] = getattr(import_module(module), name)
     return found

@@ -1,57 +1,83 @@
-"""Compiled inner loops of the Student-t fits."""
+"""Compiled loops of the Student-t fits (see ``student_t_fit``).
+
+The errors of a fit are gathered as rows, one row a coordinate, and the loops over them are written
+out coordinate by coordinate, so that they run on several errors at once (SIMD).
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled, copy_into, factor, invert_symmetric_4
+from probevo.noise.student_t_arrays import ErrorSamples, Neighborhoods, StudentPrior, StudentTs
 
-LEAST_DOF = 1.0
-MOST_DOF = 200.0
-"""Of a fit: below, a mean says nothing; above, the data cannot tell it from a Gaussian."""
+MIN_DOF = 1.0
+MAX_DOF = 200.0
+"""Bounds of a fitted ν. Below, a mean carries no information; above, it is as a Gaussian."""
 DOF_TOLERANCE = 1e-9
-"""Of ln ν."""
-LEAST_SIGMA_PX = 1e-3
-"""No error is known better: added to each axis, so that errors all zero, or all alike, leave a
-distribution."""
+"""Accuracy of the root, of ln ν."""
+MIN_SIGMA_PX = 1e-3
+"""Standard deviation added to each axis, so that errors that are all zero, or all alike, still give
+a distribution."""
 MANTISSA = np.int64(2**52 - 1)
 ONE = np.int64(1023 << 52)
-"""Bits of a double's mantissa, and those of 1.0."""
+"""Bits of the mantissa of a double, and the bits of 1.0."""
 TO_52 = np.int64((1023 + 52) << 52)
-"""Bits of 2^52, under which a small whole number can be added to it by its bits."""
+"""Bits of 2⁵²: a small integer in the lowest bits adds to it exactly."""
 ROOT_2 = math.sqrt(2.0)
 LOG_2 = math.log(2.0)
 
 
+class _Rows(NamedTuple):
+    """The errors of one fit as rows; the arrays may be longer than the fit has errors."""
+
+    errors: FloatArray
+    """[4, n], px."""
+    packed_cov: FloatArray
+    """Lower triangle of each covariance, [10, n], px²; zero if the errors are exact."""
+
+
 @compiled
 def _dof_slope(dof: float) -> float:
-    """The likelihood's derivative by ν is this plus the mean of ln w − w; ψ(ν/2 + 2) − ψ(ν/2) = 2/ν
-    + 2/(ν + 2)."""
+    """Return the part of the derivative of the likelihood by ν that does not depend on the errors.
+
+    The derivative is, but for a factor, this plus the mean of ln w − w. The digamma functions have
+    cancelled: ψ(ν/2 + 2) − ψ(ν/2) = 2/ν + 2/(ν + 2).
+    """
     return 1.0 + 2.0 / dof + 2.0 / (dof + 2.0) - math.log(1.0 + 4.0 / dof)
 
 
 @compiled
-def _dof_of(mean_log_weight: float) -> float:
-    """ν at which the derivative is zero: its only root from LEAST_DOF on, by false position in ln ν
-    (Illinois)."""
-    low = math.log(LEAST_DOF)
-    high = math.log(MOST_DOF)
-    above = _dof_slope(LEAST_DOF) + mean_log_weight
-    below = _dof_slope(MOST_DOF) + mean_log_weight
+def _dof_root(mean_log_weight: float) -> float:
+    """Find the ν at which the derivative is zero, by false position in ln ν (Illinois algorithm).
+
+    There is one root at most from MIN_DOF on. Without any within the bounds, the nearer bound is
+    returned.
+
+    Args:
+        mean_log_weight: mean of ln w − w.
+    """
+    # Bracket the root; without a change of sign, the likelihood is largest at a bound.
+    low = math.log(MIN_DOF)
+    high = math.log(MAX_DOF)
+    above = _dof_slope(MIN_DOF) + mean_log_weight
+    below = _dof_slope(MAX_DOF) + mean_log_weight
     if below >= 0.0:
-        return MOST_DOF
+        return MAX_DOF
     if above <= 0.0:
-        return LEAST_DOF
+        return MIN_DOF
     middle = low
     side = 0
     for _ in range(60):
-        before = middle
+        prev_middle = middle
         middle = (low * below - high * above) / (below - above)
-        if abs(middle - before) < DOF_TOLERANCE:
+        if abs(middle - prev_middle) < DOF_TOLERANCE:
             break
+        # Illinois: halve the value at an end that stays for two iterations, so that both converge.
         value = _dof_slope(math.exp(middle)) + mean_log_weight
         if value > 0.0:
             low = middle
@@ -67,34 +93,24 @@ def _dof_of(mean_log_weight: float) -> float:
 
 
 @compiled
-def _gather(
-    errors: FloatArray,
-    spread: FloatArray,
-    index: IntArray,
-    errors_of: FloatArray,
-    spread_of: FloatArray,
-) -> None:
-    """The errors that are asked for, and their spread, as rows: loops over a row do several errors
-    at once."""
-    for m in range(len(index)):
+def _gather(samples: ErrorSamples, members: IntArray, rows: _Rows) -> None:
+    """Copy the errors of one fit, and their covariances, into rows."""
+    for m in range(len(members)):
         for i in range(4):
-            errors_of[i, m] = errors[index[m], i]
-    if len(spread):
-        for m in range(len(index)):
+            rows.errors[i, m] = samples.errors[members[m], i]
+    if len(samples.packed_cov):
+        for m in range(len(members)):
             for i in range(10):
-                spread_of[i, m] = spread[index[m], i]
+                rows.packed_cov[i, m] = samples.packed_cov[members[m], i]
 
 
 @compiled
-def _weigh(
-    errors: FloatArray,
-    spread: FloatArray,
-    bias: FloatArray,
-    W: FloatArray,
-    dof: float,
-    weight: FloatArray,
-) -> None:
-    """w = (ν + d)/(ν + (e − b)ᵀ W (e − b) + tr W S) of each error."""
+def _weigh(rows: _Rows, bias: FloatArray, W: FloatArray, dof: float, weight: FloatArray) -> None:
+    """Compute the weight w = (ν + d)/(ν + (e − b)ᵀ W (e − b) + tr W U) of each error.
+
+    W = Σ⁻¹ is [4, 4]; U is the covariance of the error.
+    """
+    # Every entry has a name, so that the loop below contains no inner loop and vectorises.
     b0, b1, b2, b3 = bias
     w00 = W[0, 0]
     w11 = W[1, 1]
@@ -106,57 +122,60 @@ def _weigh(
     w12 = W[1, 2]
     w13 = W[1, 3]
     w23 = W[2, 3]
-    x0 = errors[0]
-    x1 = errors[1]
-    x2 = errors[2]
-    x3 = errors[3]
-    s00 = spread[0]
-    s01 = spread[1]
-    s11 = spread[2]
-    s02 = spread[3]
-    s12 = spread[4]
-    s22 = spread[5]
-    s03 = spread[6]
-    s13 = spread[7]
-    s23 = spread[8]
-    s33 = spread[9]
+    x0 = rows.errors[0]
+    x1 = rows.errors[1]
+    x2 = rows.errors[2]
+    x3 = rows.errors[3]
+    u00 = rows.packed_cov[0]
+    u01 = rows.packed_cov[1]
+    u11 = rows.packed_cov[2]
+    u02 = rows.packed_cov[3]
+    u12 = rows.packed_cov[4]
+    u22 = rows.packed_cov[5]
+    u03 = rows.packed_cov[6]
+    u13 = rows.packed_cov[7]
+    u23 = rows.packed_cov[8]
+    u33 = rows.packed_cov[9]
     for m in range(len(weight)):
         e0 = x0[m] - b0
         e1 = x1[m] - b1
         e2 = x2[m] - b2
         e3 = x3[m] - b3
         squared = (
-            w00 * (e0 * e0 + s00[m])
-            + w11 * (e1 * e1 + s11[m])
-            + w22 * (e2 * e2 + s22[m])
-            + w33 * (e3 * e3 + s33[m])
-            + 2.0 * (w01 * (e0 * e1 + s01[m]) + w02 * (e0 * e2 + s02[m]) + w03 * (e0 * e3 + s03[m]))
-            + 2.0 * (w12 * (e1 * e2 + s12[m]) + w13 * (e1 * e3 + s13[m]) + w23 * (e2 * e3 + s23[m]))
+            w00 * (e0 * e0 + u00[m])
+            + w11 * (e1 * e1 + u11[m])
+            + w22 * (e2 * e2 + u22[m])
+            + w33 * (e3 * e3 + u33[m])
+            + 2.0 * (w01 * (e0 * e1 + u01[m]) + w02 * (e0 * e2 + u02[m]) + w03 * (e0 * e3 + u03[m]))
+            + 2.0 * (w12 * (e1 * e2 + u12[m]) + w13 * (e1 * e3 + u13[m]) + w23 * (e2 * e3 + u23[m]))
         )
         weight[m] = (dof + 4.0) / (dof + squared)
 
 
 @compiled
-def log_sum(values: FloatArray, factors: FloatArray, scratch: FloatArray) -> float:
-    """Σ factor · ln value, of normal positive numbers, to 1e-12 a term; several at once, where
-    math.log does one.
+def weighted_log_sum(values: FloatArray, factors: FloatArray, scratch: FloatArray) -> float:
+    """Compute Σ factor · ln value of normal positive numbers, to 1e-12 a term.
 
-    ln(2ᵏ m) = k ln 2 + ln √2 + 2 artanh((m − √2)/(m + √2)), by seven terms of its series.
+    ``math.log`` takes one number at a time; this loop takes several:
+    ln(2ᵏ m) = k ln 2 + ln √2 + 2 artanh((m − √2)/(m + √2)), with seven terms of the series.
 
     Args:
         values, factors: [n].
-        scratch: [2, n] at least.
+        scratch: work space, [2, n] at least.
     """
+    # Split each number into its mantissa, as a double from 1 to 2, and its exponent, as 2⁵² + k,
+    # by operations on integers only.
     bits = values.view(np.int64)
     split = scratch.view(np.int64)
     for m in range(len(values)):
         split[0, m] = (bits[m] & MANTISSA) | ONE
         split[1, m] = (bits[m] >> 52) | TO_52
-    powers = rest = 0.0
+    powers = 0.0
+    rest = 0.0
     for m in range(len(values)):
-        powers += factors[m] * (
-            scratch[1, m] - (2.0**52 + 1023.0)
-        )  # apart: another constant would be added to this
+        # Two sums: in one, the compiler would merge this constant with those of the series.
+        powers += factors[m] * (scratch[1, m] - (2.0**52 + 1023.0))
+        # ln m, by the series of artanh around m = √2.
         t = (scratch[0, m] - ROOT_2) / (scratch[0, m] + ROOT_2)
         y = t * t
         series = 1.0 + y * (
@@ -167,26 +186,32 @@ def log_sum(values: FloatArray, factors: FloatArray, scratch: FloatArray) -> flo
 
 
 @compiled
-def floor(scale: FloatArray) -> None:
-    """Make a matrix [4, 4], px², positive semidefinite but for rounding, positive definite in
-    double precision."""
-    least = LEAST_SIGMA_PX**2 + 1e-12 * (scale[0, 0] + scale[1, 1] + scale[2, 2] + scale[3, 3])
+def regularize(scale: FloatArray) -> None:
+    """Add to the diagonal of a matrix [4, 4], px², in place, what makes it positive definite.
+
+    It is positive semidefinite but for rounding; the sum is so in double precision.
+    """
+    least = MIN_SIGMA_PX**2 + 1e-12 * (scale[0, 0] + scale[1, 1] + scale[2, 2] + scale[3, 3])
     for i in range(4):
         scale[i, i] += least
 
 
 @compiled
-def measure(
+def mahalanobis_and_log_det(
     scale: FloatArray, errors: FloatArray, squared: FloatArray, log_det: FloatArray
 ) -> None:
-    """eᵀ Σ⁻¹ e and ln |Σ| of each of N errors, [N, 4], under its own scale, [N, 4, 4]; NaN where Σ
-    is singular."""
+    """Fill in eᵀ Σ⁻¹ e and ln |Σ| of N errors [N, 4], each under its own Σ, [N, 4, 4].
+
+    Both are NaN where Σ is singular.
+    """
     lower = np.zeros((4, 4))
     white = np.empty(4)
     for n in range(len(errors)):
         if not factor(scale[n], 4, lower):
-            squared[n] = log_det[n] = np.nan
+            squared[n] = np.nan
+            log_det[n] = np.nan
             continue
+        # Forward substitution: with Σ = L Lᵀ, the norm of L⁻¹ e is the Mahalanobis distance.
         squares = 0.0
         determinant = 1.0
         for i in range(4):
@@ -202,29 +227,29 @@ def measure(
 
 @compiled
 def _moments(
-    errors: FloatArray,
-    spread: FloatArray,
-    bias: FloatArray,
-    weight: FloatArray,
-    first: FloatArray,
-    second: FloatArray,
+    rows: _Rows, bias: FloatArray, weight: FloatArray, first: FloatArray, second: FloatArray
 ) -> float:
-    """Σ w; ``first`` ← Σ w (e − b), ``second`` ← Σ w ((e − b)(e − b)ᵀ + S), its upper half."""
+    """Compute the weighted moments of the errors around the bias, and return Σ w.
+
+    ``first`` becomes Σ w (e − b), [4]; ``second`` becomes the upper triangle of
+    Σ w ((e − b)(e − b)ᵀ + U), [4, 4].
+    """
+    # As in ``_weigh``, every entry has a name, so that the loop vectorises.
     b0, b1, b2, b3 = bias
-    x0 = errors[0]
-    x1 = errors[1]
-    x2 = errors[2]
-    x3 = errors[3]
-    s00 = spread[0]
-    s01 = spread[1]
-    s11 = spread[2]
-    s02 = spread[3]
-    s12 = spread[4]
-    s22 = spread[5]
-    s03 = spread[6]
-    s13 = spread[7]
-    s23 = spread[8]
-    s33 = spread[9]
+    x0 = rows.errors[0]
+    x1 = rows.errors[1]
+    x2 = rows.errors[2]
+    x3 = rows.errors[3]
+    u00 = rows.packed_cov[0]
+    u01 = rows.packed_cov[1]
+    u11 = rows.packed_cov[2]
+    u02 = rows.packed_cov[3]
+    u12 = rows.packed_cov[4]
+    u22 = rows.packed_cov[5]
+    u03 = rows.packed_cov[6]
+    u13 = rows.packed_cov[7]
+    u23 = rows.packed_cov[8]
+    u33 = rows.packed_cov[9]
     a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = a33 = 0.0
     p0 = p1 = p2 = p3 = total = 0.0
     for m in range(len(weight)):
@@ -238,16 +263,16 @@ def _moments(
         p1 += w * e1
         p2 += w * e2
         p3 += w * e3
-        a00 += w * (e0 * e0 + s00[m])
-        a01 += w * (e0 * e1 + s01[m])
-        a02 += w * (e0 * e2 + s02[m])
-        a03 += w * (e0 * e3 + s03[m])
-        a11 += w * (e1 * e1 + s11[m])
-        a12 += w * (e1 * e2 + s12[m])
-        a13 += w * (e1 * e3 + s13[m])
-        a22 += w * (e2 * e2 + s22[m])
-        a23 += w * (e2 * e3 + s23[m])
-        a33 += w * (e3 * e3 + s33[m])
+        a00 += w * (e0 * e0 + u00[m])
+        a01 += w * (e0 * e1 + u01[m])
+        a02 += w * (e0 * e2 + u02[m])
+        a03 += w * (e0 * e3 + u03[m])
+        a11 += w * (e1 * e1 + u11[m])
+        a12 += w * (e1 * e2 + u12[m])
+        a13 += w * (e1 * e3 + u13[m])
+        a22 += w * (e2 * e2 + u22[m])
+        a23 += w * (e2 * e3 + u23[m])
+        a33 += w * (e3 * e3 + u33[m])
     first[0] = p0
     first[1] = p1
     first[2] = p2
@@ -267,67 +292,69 @@ def _moments(
 
 @compiled
 def fit_all(
-    errors: FloatArray,
-    spread: FloatArray,
-    first: IntArray,
-    index: IntArray,
-    kernel: FloatArray,
-    prior_scale: FloatArray,
-    prior: tuple[float, float, float, float],
+    samples: ErrorSamples,
+    near: Neighborhoods,
+    prior: StudentPrior,
     iterations: int,
     robust: bool,
-    scale: FloatArray,
-    dof: FloatArray,
-    bias: FloatArray,
+    fitted: StudentTs,
 ) -> None:
-    """The scale is divided by Σ k w rather than Σ k (PX-EM; Liu, Rubin & Wu 1998): the same limit,
-    far sooner.
+    """Fill in ``fitted`` with the fit to each neighbourhood.
 
-    The prior counts as errors of weight one whose mean square is its scale.
+    The scale is divided by Σ k w rather than Σ k (PX-EM; Liu, Rubin & Wu 1998): the limit is the
+    same, and reached in far fewer iterations. The prior counts as errors of weight one whose mean
+    square is its scale.
     """
-    prior_dof, counts, dof_counts, bias_counts = prior
-    has_bias = robust and bias_counts < np.inf
-    learns_dof = robust and dof_counts < np.inf
-    prior_log_weight = -_dof_slope(prior_dof) if learns_dof else 0.0
+    has_bias = robust and prior.bias_counts < np.inf
+    learns_dof = robust and prior.dof_counts < np.inf
+    prior_log_weight = -_dof_slope(prior.dof) if learns_dof else 0.0
+    # Work space for the largest neighbourhood.
     W = np.empty((4, 4))
     lower = np.zeros((4, 4))
     mean = np.zeros(4)
     most = 0
-    for c in range(len(dof)):
-        most = max(most, first[c + 1] - first[c])
-    near = np.empty((4, most))
-    doubt = np.zeros((10, most))
+    for c in range(len(fitted.dof)):
+        most = max(most, near.first[c + 1] - near.first[c])
+    rows = _Rows(np.empty((4, most)), np.zeros((10, most)))
     weight_of = np.ones(most)
     scratch = np.empty((2, most))
-    for c in range(len(dof)):
-        S = scale[c]
-        b = bias[c]
-        nu = prior_dof
-        copy_into(S, prior_scale)
-        k = kernel[first[c] : first[c + 1]]
+    for c in range(len(fitted.dof)):
+        # Start from the prior.
+        S = fitted.scale[c]
+        b = fitted.bias[c]
+        nu = prior.dof
+        copy_into(S, prior.scale)
+        k = near.kernel[near.first[c] : near.first[c + 1]]
         weight = weight_of[: len(k)]
-        _gather(errors, spread, index[first[c] : first[c + 1]], errors_of=near, spread_of=doubt)
+        _gather(samples, near.members[near.first[c] : near.first[c + 1]], rows)
         total = k.sum()
         for _ in range(iterations if total > 0.0 else 0):
             if not invert_symmetric_4(S, W, lower):
                 break
+            # E-step: the weights, and Σ k ln w, on which the estimate of ν depends.
             if robust:
-                _weigh(near, doubt, b, W=W, dof=nu, weight=weight)
-            log_weights = log_sum(weight, k, scratch) if learns_dof else 0.0
+                _weigh(rows, b, W, dof=nu, weight=weight)
+            log_weights = weighted_log_sum(weight, k, scratch) if learns_dof else 0.0
             for m in range(len(k)):
                 weight[m] = k[m] * weight[m] if robust else k[m]
-            weights = _moments(near, doubt, b, weight=weight, first=mean, second=S)
+            # M-step for the scale: second moment around the present bias, shrunk to the prior.
+            weights = _moments(rows, b, weight, first=mean, second=S)
             for i in range(4):
                 for j in range(i, 4):
-                    S[i, j] = S[j, i] = (S[i, j] + counts * prior_scale[i, j]) / (weights + counts)
+                    S[i, j] = S[j, i] = (S[i, j] + prior.counts * prior.scale[i, j]) / (
+                        weights + prior.counts
+                    )
+            # M-step for the bias, which shrinks to zero.
             if has_bias:
                 for i in range(4):
                     b[i] += (
-                        mean[i] / (weights + bias_counts)
-                        - bias_counts / (weights + bias_counts) * b[i]
+                        mean[i] / (weights + prior.bias_counts)
+                        - prior.bias_counts / (weights + prior.bias_counts) * b[i]
                     )
+            # M-step for ν, whose prior counts as errors that have its mean log weight.
             if learns_dof:
-                nu = _dof_of(
-                    (log_weights - weights + dof_counts * prior_log_weight) / (total + dof_counts)
+                nu = _dof_root(
+                    (log_weights - weights + prior.dof_counts * prior_log_weight)
+                    / (total + prior.dof_counts)
                 )
-        dof[c] = nu
+        fitted.dof[c] = nu

@@ -43,7 +43,7 @@ class KernelView:
         used = used_columns(model)
         metric = model.metric_
         coordinates = model.centers_.places.T.astype(np.float64)
-        students, out_of_domain = model.centers_.at(coordinates, model.edge_, model.prior_)
+        students, out_of_domain = model.centers_.at(coordinates, model.domain_radius_, model.prior_)
         chosen = [column.index for column in used]
         standard = (
             coordinates[:, np.searchsorted(np.flatnonzero(metric.weight), chosen)]

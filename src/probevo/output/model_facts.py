@@ -104,8 +104,8 @@ def scale_rows(scale: FloatArray) -> list[tuple[str, ...]]:
 def lasting_text(model: GeneralizedKernel | StudentT) -> str:
     """How much of the error of a disparity is the same in both frames."""
     return (
-        f"{model.time_correlation:.2g} times what is new of a disparity's error in a frame"
-        if model.time_correlation
+        f"{model.time_correlation_ratio:.2g} times what is new of a disparity's error in a frame"
+        if model.time_correlation_ratio
         else "none"
     )
 

@@ -1,8 +1,8 @@
-"""What a feature looks like, as numbers from which its noise can be predicted; one file a
-predictor."""
+"""What a feature looks like, as numbers that predict its noise; one file a predictor."""
 
-from probevo.predictors.base import Needs, PredictionSpace, Predictor, Step
-from probevo.predictors.table import PREDICTORS, prediction_space, space_for
+from probevo.predictors.base import Needs, Predictor, Step
+from probevo.predictors.registry import PREDICTORS, all_predictors, prediction_space, space_for
+from probevo.predictors.space import PredictionSpace
 
 __all__ = [
     "PREDICTORS",
@@ -10,6 +10,7 @@ __all__ = [
     "PredictionSpace",
     "Predictor",
     "Step",
+    "all_predictors",
     "prediction_space",
     "space_for",
 ]

@@ -1,38 +1,50 @@
-"""How hard the camera is shaken and accelerated (PROBE IV-C.1)."""
+"""The acceleration and the vibration of the camera (PROBE IV-C.1)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.predictors.base import Needs, Predictor
 from probevo.sequences.frame import ImuSamples
 
 GRAVITY_M_S2 = 9.81
 
 
 def acceleration(imu: ImuSamples) -> FloatArray:
-    """How far the mean specific force is from gravity's, and how much the force varies over the
-    interval.
+    """Compute |‖f̄‖ − g| and the root mean square of ‖f − f̄‖ of the specific force f.
 
-    PROBE has the magnitude of the specific force. Which way is down is not known here, so that
-    gravity can only be taken off the magnitude of the mean force: |‖f̄‖ − g|. This shows vertical
-    acceleration, bumps, in full; horizontal acceleration a is nearly invisible in it, as √(g² + a²)
-    − g ≈ a²/2g. A bias stays in it.
+    PROBE has the magnitude of the specific force. The direction of gravity is not known here, so
+    that gravity can only be subtracted from the magnitude of the mean force f̄. Vertical
+    acceleration, such as a bump, shows in full; horizontal acceleration a hardly shows, since
+    √(g² + a²) − g ≈ a²/2g. The accelerometer's bias stays in it.
 
-    The second is the root mean square of ‖f − f̄‖: vibration and jerk along any axis. The mean
-    takes gravity and bias off, except for what gravity turns in the IMU's frame: about 0.03 m/s²
-    for each 0.1 rad/s in a step of 0.1 s.
+    The second number measures vibration and jerk along any axis. Subtracting the mean removes
+    gravity and bias, except for the change of gravity's direction in the frame of the IMU: about
+    0.03 m/s² for each 0.1 rad/s in a step of 0.1 s.
 
     Args:
         imu: samples of the interval, with an accelerometer.
 
     Returns:
-        [2], m/s²; the same for all features of a step. NaN where a sample is, and where there is
-        none.
+        Acceleration and vibration, [2], m/s², the same for all features of a step. NaN where a
+        sample is NaN, and where there is no sample.
     """
     if not len(imu.stamps_ns):
         return np.full(2, np.nan)
     mean = imu.accel_m_s2.mean(axis=0)
+    # The direction of gravity is unknown: compare magnitudes
     offset = abs(float(np.linalg.norm(mean)) - GRAVITY_M_S2)
+    # Subtracting the mean removes gravity and bias
     squared = np.sum((imu.accel_m_s2 - mean) ** 2, axis=1)
     return np.array([offset, np.sqrt(squared.mean())])
+
+
+ACCELERATION = Predictor(
+    name="acceleration",
+    columns={"acceleration": "m/s²", "vibration": "m/s²"},
+    source="PROBE IV-C.1",
+    needs=Needs.ACCELEROMETER,
+    compute=lambda step: step.for_all_features(acceleration(step.imu)),
+    undefined="where samples of the IMU are missing",
+)

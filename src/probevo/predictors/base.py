@@ -1,193 +1,141 @@
-"""What a predictor is, what it may look at, and the prediction space that several of them span."""
+"""What a predictor is, and the step of the odometry that it looks at."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Flag, auto
-from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
-from probevo.errors import InputError
-from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame, ImuSamples
 from probevo.tracking.last_residuals import LastResiduals
 from probevo.tracking.tracks import Tracks
 
 
 class Needs(Flag):
-    """What a predictor looks at, beside the tracks, their last residuals, and the motion expected
-    from gyro and last velocity."""
+    """What a predictor looks at beside the tracks, their previous residuals, and the prediction.
+
+    The prediction is the motion that gyro and motion model give before any image is looked at.
+    """
 
     TRACKS = 0
+    """Nothing else."""
     LEFT = auto()
     """The current left image."""
     PREVIOUS_LEFT = auto()
-    """The left image before."""
+    """The left image of the previous frame."""
     ACCELEROMETER = auto()
+    """The specific force that the IMU measures."""
+    RIGHT = auto()
+    """The current right image."""
+    PREVIOUS_RIGHT = auto()
+    """The right image of the previous frame."""
+    IMAGES = LEFT | PREVIOUS_LEFT | RIGHT | PREVIOUS_RIGHT
+    """Any image: ``predictor.needs & Needs.IMAGES`` is true if it looks at one at least."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """All that is known of a step before its motion is solved."""
+    """What predictors see of one step of the odometry: all the prior knowledge of its motion."""
 
     tracks: Tracks
-    """N features."""
+    """The N features that both frames show."""
     camera: StereoCamera
-    expected: FloatArray
-    """T_curr_prev that gyro and last velocity let one expect, [4, 4]."""
-    before: Frame
-    """The frame before."""
-    now: Frame
+    """The rectified camera."""
+    predicted_T_curr_prev: FloatArray
+    """T_curr_prev as gyro and motion model predict it, [4, 4]."""
+    prev_frame: Frame
+    """The previous frame."""
+    curr_frame: Frame
     """The current frame, with the IMU samples of the interval."""
-    last_residuals: LastResiduals = field(default_factory=LastResiduals.none)
-    """What the features of the step before left of its motion, if that was solved."""
+    previous_residuals: LastResiduals = field(default_factory=LastResiduals.none)
+    """Residuals of the previous step's features at its estimated motion, if that was solved."""
 
     @property
     def duration_s(self) -> float:
-        """Time since the frame before."""
-        return 1e-9 * (self.now.stamp_ns - self.before.stamp_ns)
+        """Time between the two frames."""
+        return 1e-9 * (self.curr_frame.stamp_ns - self.prev_frame.stamp_ns)
 
     @property
     def imu(self) -> ImuSamples:
-        """Samples of the interval; none at all where they leave a part of it uncovered."""
-        return self.now.imu or ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+        """IMU samples of the interval; empty where they do not cover all of it."""
+        if self.curr_frame.imu is not None:
+            return self.curr_frame.imu
+        return ImuSamples(
+            stamps_ns=np.zeros(0, np.int64),
+            gyro_rad_s=np.zeros((0, 3)),
+            accel_m_s2=np.zeros((0, 3)),
+        )
 
     @property
     def left(self) -> Image:
-        """Current left image, [height, width]; [0, 0] without images."""
-        return np.zeros((0, 0), np.uint8) if self.now.left is None else self.now.left
+        """Left image of the current frame, [height, width]; [0, 0] without images."""
+        return _image_or_empty(self.curr_frame.left)
+
+    @property
+    def right(self) -> Image:
+        """Right image of the current frame, [height, width]; [0, 0] without images."""
+        return _image_or_empty(self.curr_frame.right)
 
     @property
     def previous_left(self) -> Image:
-        """The left image before, [height, width]; [0, 0] without images."""
-        return np.zeros((0, 0), np.uint8) if self.before.left is None else self.before.left
+        """Left image of the previous frame, [height, width]; [0, 0] without images."""
+        return _image_or_empty(self.prev_frame.left)
+
+    @property
+    def previous_right(self) -> Image:
+        """Right image of the previous frame, [height, width]; [0, 0] without images."""
+        return _image_or_empty(self.prev_frame.right)
 
     @property
     def uv(self) -> FloatArray:
-        """Where the features are in the current left image, [N, 2], px."""
+        """Features (u, v) in the current left image, [N, 2], px."""
         return self.tracks.curr_px[:, :2]
 
     @property
     def previous_uv(self) -> FloatArray:
-        """Where they were in the left image before, [N, 2], px."""
+        """Features (u, v) in the left image of the previous frame, [N, 2], px."""
         return self.tracks.prev_px[:, :2]
 
     @property
-    def last_residual_px(self) -> FloatArray:
-        """How large their residuals were in the step before, [N], px; NaN where that is not known."""
-        return self.last_residuals.of(self.tracks.ids)
+    def previous_residual_px(self) -> FloatArray:
+        """Size of each feature's residual in the previous step, [N], px; NaN where unknown."""
+        return self.previous_residuals.of(self.tracks.ids)
+
+    def for_all_features(self, values: FloatArray) -> FloatArray:
+        """Repeat values that belong to the step as a whole for each feature, [C] → [N, C]."""
+        return np.broadcast_to(values, (len(self.tracks), len(values)))
+
+
+def _image_or_empty(image: Image | None) -> Image:
+    return np.zeros((0, 0), np.uint8) if image is None else image
 
 
 @dataclass(frozen=True)
 class Predictor:
-    """One idea of what tells a good feature from a bad one, as one or more columns of the
-    prediction space.
+    """One cue for the noise of a feature, as one or more columns of the prediction space.
 
     ``compute`` maps a step with N features to [N], or to [N, C] with C columns. NaN says that a
     value is undefined there, and is refused unless ``undefined`` says where that may be.
     """
 
     name: str
+    """Name of the predictor, as in ``probevo train --predictors``."""
     columns: Mapping[str, str]
     """Name and unit of each column; a predictor with one column gives it its own name."""
     source: str
     """Where it comes from: paper and section."""
     needs: Needs
+    """What it looks at; a recording that lacks it is refused."""
     compute: Callable[[Step], FloatArray]
+    """Compute its values for a step, [N] or [N, C]."""
     undefined: str = ""
-    """Where it has no value, e.g. "where the patch leaves the image"; empty if it always has one.
-    """
+    """Where it has no value, such as "where the patch leaves the image"; empty if it always has."""
+    depends_on_previous_motion: bool = False
+    """Whether the values depend on motions that earlier steps have estimated.
 
-
-@dataclass(frozen=True)
-class PredictionSpace:
-    """The space φ whose M coordinates are the columns of some predictors, in their order."""
-
-    predictors: tuple[Predictor, ...]
-
-    def __post_init__(self) -> None:
-        """Refuse two columns of one name: a model knows its predictors by their columns alone.
-
-        Raises:
-            InputError: names the second predictor.
-        """
-        seen: set[str] = set()
-        for predictor in self.predictors:
-            if not seen.isdisjoint(predictor.columns):
-                what = f"{predictor.name} has a column that an earlier one has too."
-                raise InputError(
-                    "predictors", what, "Name each predictor once, and give your own other columns."
-                )
-            seen |= set(predictor.columns)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the predictors."""
-        return tuple(predictor.name for predictor in self.predictors)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the M columns."""
-        return tuple(column for predictor in self.predictors for column in predictor.columns)
-
-    @property
-    def may_be_undefined(self) -> tuple[bool, ...]:
-        """Whether each of the M columns may hold NaN."""
-        return tuple(
-            bool(predictor.undefined) for predictor in self.predictors for _ in predictor.columns
-        )
-
-    def __call__(self, step: Step) -> FloatArray:
-        """Where the N features of a step lie, [N, M]; NaN where a predictor is undefined.
-
-        Raises:
-            InputError: the recording lacks what a predictor needs.
-        """
-        self._check(step)
-        count = len(step.tracks)
-        parts = [
-            predictor.compute(step).reshape(count, len(predictor.columns))
-            for predictor in self.predictors
-        ]
-        return np.concatenate([np.zeros((count, 0)), *parts], axis=1)
-
-    def check_recording(self, sequence: Sequence) -> None:
-        """Refuse a recording that lacks what a predictor needs.
-
-        Raises:
-            InputError: names the predictor.
-        """
-        images = sequence.camera.size_px is not None
-        imu = sequence.imu is not None
-        self._refuse(
-            {Needs.LEFT: not images, Needs.PREVIOUS_LEFT: not images, Needs.ACCELEROMETER: not imu},
-            sequence.path,
-        )
-
-    def _check(self, step: Step) -> None:
-        lacking = {
-            Needs.LEFT: step.now.left is None,
-            Needs.PREVIOUS_LEFT: step.before.left is None,
-            Needs.ACCELEROMETER: not np.isfinite(step.imu.accel_m_s2).all(),
-        }
-        self._refuse(lacking, f"frame {step.now.index}")
-
-    def _refuse(self, lacking: Mapping[Needs, bool], where: str | Path) -> None:
-        names = {
-            Needs.LEFT: "images",
-            Needs.PREVIOUS_LEFT: "images",
-            Needs.ACCELEROMETER: "accelerometer",
-        }
-        for predictor in self.predictors:
-            for need, is_lacking in lacking.items():
-                if is_lacking and need in predictor.needs:
-                    what = f"it has no {names[need]}, which the predictor {predictor.name} needs."
-                    raise InputError(
-                        where,
-                        what,
-                        "Train a model without it: name others with `train --predictors`.",
-                    )
+    Such a predictor can confirm a wrong motion by its own consequences, which the estimator has
+    to guard against."""

@@ -1,4 +1,4 @@
-"""How far a feature's depth is from where the expected motion takes it."""
+"""The deviation of a feature's disparity from that of the predicted motion."""
 
 from __future__ import annotations
 
@@ -6,31 +6,45 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.predictors.expected_place import moved_by
+from probevo.predictors.base import Needs, Predictor
+from probevo.predictors.predicted_place import predicted_place
 
 
 def disparity_change(
-    previous_px: FloatArray, curr_px: FloatArray, expected: FloatArray, camera: StereoCamera
+    prev_px: FloatArray,
+    curr_px: FloatArray,
+    predicted_T_curr_prev: FloatArray,
+    camera: StereoCamera,
 ) -> FloatArray:
-    """ln(1 + |d − d_expected|/px), d the current disparity, d_expected that to which the expected
-    motion leads. Ours.
+    """Compute ln(1 + |d − d̂|/px), d the disparity, d̂ that of the predicted motion. Ours.
 
-    Disparity is blind to small turns, and an error of the expected speed hardly shows in it: this
-    needs no correction
-    of the expected motion. It tells of oncoming cars, whose flow is like that of nearer things, and
-    of stereo matches that jump.
+    Disparity does not change with small rotations, and an error of the predicted speed hardly shows
+    in it. Hence the predicted motion needs no correction here, unlike in ``residual_flow``. The
+    predictor shows oncoming cars, whose flow is like that of nearer things, and stereo matches
+    that jump.
 
     Args:
-        previous_px: features in the previous frame, [N, 4], px.
-        curr_px: the same in the current frame, [N, 4], px.
-        expected: T_curr_prev, [4, 4].
+        prev_px: features in the previous frame, [N, 4], px.
+        curr_px: features in the current frame, [N, 4], px.
+        predicted_T_curr_prev: the predicted motion, [4, 4].
         camera: the rectified camera.
 
     Returns:
         [N], ln(1 + px); always defined.
     """
-    inverse_depth = moved_by(previous_px, expected, camera)[2]
+    _, _, inverse_depth = predicted_place(prev_px, predicted_T_curr_prev, camera)
     change: FloatArray = np.abs(
         curr_px[:, 0] - curr_px[:, 2] - camera.fu_px * camera.baseline_m * inverse_depth
     )
     return np.log1p(change)
+
+
+DISPARITY_CHANGE = Predictor(
+    name="disparity_change",
+    columns={"disparity_change": "ln(1 + px)"},
+    source="ours",
+    needs=Needs.TRACKS,
+    compute=lambda step: disparity_change(
+        step.tracks.prev_px, step.tracks.curr_px, step.predicted_T_curr_prev, camera=step.camera
+    ),
+)

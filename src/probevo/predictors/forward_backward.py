@@ -1,4 +1,4 @@
-"""Whether a feature is found again on the way back."""
+"""Forward-backward error of a track (after Kalal et al. 2010)."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import cv2
 import numpy as np
 
 from probevo.arrays import FloatArray, Image
+from probevo.predictors.base import Needs, Predictor
 
 FLOOR_PX = 1e-2
-"""Distances below this say nothing: Lucas–Kanade is no more precise."""
+"""Added to the distance: Lucas–Kanade is no more precise than this."""
 WINDOW_PX = 11
-"""Side of the window, as that of tracking is by default."""
+"""Side of the Lucas–Kanade window, the default of tracking."""
 MAX_ITERATIONS = 10
 MAX_STEP_PX = 1e-3
+"""Lucas–Kanade has converged when its step is shorter."""
 MIN_EIGENVALUE = 1e-4
 """Smallest eigenvalue of the window's gradient matrix, as in tracking."""
 
@@ -20,20 +22,20 @@ MIN_EIGENVALUE = 1e-4
 def forward_backward(
     previous_left: Image, left: Image, previous_uv: FloatArray, uv: FloatArray
 ) -> FloatArray:
-    """ln(0.01 + distance/px) between where a feature was and where Lucas–Kanade finds the current
-    one there.
+    """Compute ln(0.01 + distance/px) between a feature and its track back to the previous frame.
 
-    The search starts at ``previous_uv`` on the images as they are, at full resolution (after Kalal
-    et al. 2010, "Forward-backward error").
+    Lucas–Kanade tracks the window around the feature in the current image back to the previous one.
+    It starts at ``previous_uv``, on the images as they are, at full resolution (after Kalal,
+    Mikolajczyk, Matas, "Forward-backward error", ICPR 2010).
 
     Args:
-        previous_left: left image before, [height, width].
+        previous_left: left image of the previous frame, [height, width], uint8.
         left: current left image, of the same size.
-        previous_uv: features in the left image before, [N, 2], px.
-        uv: the same in the current left image, [N, 2], px.
+        previous_uv: features in the left image of the previous frame, [N, 2], px.
+        uv: features in the current left image, [N, 2], px.
 
     Returns:
-        [N], ln px; NaN where the search fails: outside the images, or without texture.
+        [N], ln(0.01 + px); NaN where the search fails: outside the images, or without texture.
     """
     if not len(uv):
         return np.zeros(0)
@@ -48,5 +50,19 @@ def forward_backward(
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=MIN_EIGENVALUE,
     )
-    distance = np.hypot(*(found_uv.astype(np.float64) - previous_uv).T)
+    # How far the track back ends from where the feature was
+    offset = found_uv.astype(np.float64) - previous_uv
+    distance = np.hypot(offset[:, 0], offset[:, 1])
     return np.where(status[:, 0] > 0, np.log(FLOOR_PX + distance), np.nan)
+
+
+FORWARD_BACKWARD = Predictor(
+    name="forward_backward",
+    columns={"forward_backward": "ln(0.01 + px)"},
+    source="ours",
+    needs=Needs.LEFT | Needs.PREVIOUS_LEFT,
+    compute=lambda step: forward_backward(
+        step.previous_left, step.left, step.previous_uv, uv=step.uv
+    ),
+    undefined="where the search fails",
+)

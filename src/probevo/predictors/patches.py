@@ -1,4 +1,4 @@
-"""Where the patch around a feature begins, and a copy of it to work on."""
+"""Compiled helpers of the predictors that look at a patch: its position, and a copy of it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from probevo.compiled import compiled
 
 @compiled
 def patch_start(center_px: float, before_px: int, patch_px: int, image_px: int) -> int:
-    """First pixel, along one axis, of the patch around a feature; −1 where it leaves the image.
+    """Return the first pixel, along one axis, of the patch around a feature; −1 if it is outside.
 
     Args:
-        center_px: feature, px; the patch is centred on the nearest pixel. If not finite, the patch
-            is nowhere.
-        before_px: pixels of the patch before that one.
-        patch_px: all pixels of the patch.
-        image_px: those of the image.
+        center_px: feature, px; the patch is centred on the nearest pixel. A feature that is not
+            finite has no patch.
+        before_px: number of the patch's pixels that precede the central one.
+        patch_px: size of the patch.
+        image_px: size of the image.
     """
     first = np.floor(center_px + 0.5) - before_px
     return int(first) if 0.0 <= first <= image_px - patch_px else -1
@@ -25,14 +25,14 @@ def patch_start(center_px: float, before_px: int, patch_px: int, image_px: int) 
 
 @compiled
 def copy_patch(image: Image, top: int, left: int, patch: AnyArray) -> None:
-    """Fill a patch, [rows, columns], with the image from (top, left) on; it goes on beyond its
-    border as it is there.
+    """Fill a patch, [rows, columns], with the image from (top, left) on.
 
-    The arithmetic that follows on a small copy of a wider type is vectorised; on the image itself
-    it would not be.
+    Beyond the border of the image its last pixels are repeated. Working on a small copy of a wider
+    type lets the compiler vectorise the arithmetic that follows; on the image itself it does not.
     """
     height, width = image.shape
     rows, columns = patch.shape
+    # Inside the image no index needs clamping, which would prevent vectorisation
     if top >= 0 and left >= 0 and top + rows <= height and left + columns <= width:
         for i in range(rows):
             for j in range(columns):

@@ -1,4 +1,4 @@
-"""How fast the camera turns (PROBE IV-C.1)."""
+"""The angular rate of the camera (PROBE IV-C.1)."""
 
 from __future__ import annotations
 
@@ -6,22 +6,39 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.geometry import so3
+from probevo.predictors.base import Needs, Predictor
 
 
-def turn_rate(expected: FloatArray, duration_s: float) -> FloatArray:
-    """Angular rate of the expected motion: about the camera's axes, and its magnitude.
+def turn_rate(predicted_T_curr_prev: FloatArray, duration_s: float) -> FloatArray:
+    """Compute the angular rate ω = −Log(C_curr_prev)/Δt of the predicted motion, and ‖ω‖.
 
-    It is the gyro's, less its bias, or that of the last motion where there is no gyro. PROBE has
-    the magnitude alone. About x it is positive when the camera pitches up, about y when it turns
-    right, about z when it rolls clockwise.
+    This is the gyro's rate less its bias, or that of the previous motion where there is no gyro.
+    PROBE has the magnitude alone. About x it is positive when the camera pitches up, about y when
+    it turns right, about z when it rolls clockwise.
 
     Args:
-        expected: T_curr_prev, [4, 4].
-        duration_s: of the step.
+        predicted_T_curr_prev: the predicted motion, [4, 4].
+        duration_s: time Δt between the frames.
 
     Returns:
-        (ω_x, ω_y, ω_z, ‖ω‖), [4], rad/s; the same for all features of a step.
+        (ω_x, ω_y, ω_z, ‖ω‖), [4], rad/s, the same for all features of a step; always defined.
     """
-    # A camera that turns by ω moves its points by −ω.
-    rate = -so3.log(expected[:3, :3]) / duration_s
+    # The minus: a camera that turns by ω moves its points by −ω
+    rate = -so3.log(predicted_T_curr_prev[:3, :3]) / duration_s
     return np.append(rate, np.linalg.norm(rate))
+
+
+TURN_RATE = Predictor(
+    name="turn_rate",
+    columns={
+        "turn_rate_x": "rad/s",
+        "turn_rate_y": "rad/s",
+        "turn_rate_z": "rad/s",
+        "turn_rate": "rad/s",
+    },
+    source="PROBE IV-C.1; signed: ours",
+    needs=Needs.TRACKS,
+    compute=lambda step: step.for_all_features(
+        turn_rate(step.predicted_T_curr_prev, step.duration_s)
+    ),
+)

@@ -8,24 +8,24 @@ from typing import Protocol
 
 from probevo.arrays import IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration
+from probevo.sequences.frame import Frame, GroundTruth
+from probevo.sequences.imu_calibration import ImuCalibration
 
 
 class Sequence(Protocol):
-    """A stereo recording that can be walked through, any number of times, without being held in
-    memory."""
+    """A stereo recording that is read while it is iterated over, any number of times."""
 
     @property
     def path(self) -> Path:
-        """Where the recording lies."""
+        """Folder or file of the recording."""
 
     @property
     def format(self) -> str:
-        """Name of the layout, e.g. ``kitti-raw``."""
+        """Name of the format, e.g. ``kitti-raw``."""
 
     @property
     def camera(self) -> StereoCamera:
-        """Rectified stereo camera that the yielded images or features belong to."""
+        """Rectified stereo camera of the images or features."""
 
     @property
     def imu(self) -> ImuCalibration | None:
@@ -40,7 +40,11 @@ class Sequence(Protocol):
         """Ground truth at the frames; None if the recording has none."""
 
     def __len__(self) -> int:
-        """Number of frames, K."""
+        """Return the number of frames, K."""
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames, from the first; an InputError comes up at the frame whose files are at fault."""
+        """Yield the frames from the first.
+
+        Raises:
+            InputError: at the frame whose files are at fault.
+        """

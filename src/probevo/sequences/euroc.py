@@ -1,5 +1,7 @@
-"""EuRoC MAV data in the ASL layout: ``mav0`` with cam0, cam1 and perhaps an IMU and truth (Burri et
-al., IJRR 2016)."""
+"""EuRoC MAV data in the ASL layout: ``mav0`` with cam0, cam1, and perhaps an IMU and truth.
+
+Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,13 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.camera.rectification import PinholeCamera, Rectification
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
-from probevo.sequences.frame import GroundTruth, ImuCalibration
+from probevo.sequences.frame import GroundTruth
 from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu_calibration import (
+    ACCEL_BIAS_WALK_M_S3_SQRT_HZ,
+    ACCEL_NOISE_M_S2_SQRT_HZ,
+    ImuCalibration,
+)
 from probevo.sequences.poses import ground_truth, interpolate_poses
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import check_stamps
@@ -23,8 +30,11 @@ from probevo.sequences.text import parse_stamp_ns, read_lines, read_stamped_csv
 from probevo.sequences.yaml_file import read_yaml
 
 GYRO_BIAS_SIGMA_RAD_S = 0.1
-"""Of a MEMS gyro switched on; sensor.yaml does not give it. The z axis of V1_01 starts at 0.077
-rad/s."""
+"""Bias of a MEMS gyro at power-up, which sensor.yaml does not give. On the z axis of V1_01 it is
+0.077 rad/s."""
+ACCEL_BIAS_SIGMA_M_S2 = 0.1
+"""Bias of the accelerometer at power-up, which sensor.yaml does not give. The largest on an axis of
+V1_01 is 0.066 m/s²."""
 CURE = "Both cam0 and cam1 need sensor.yaml, data.csv and data, as EuRoC's files have them."
 DISTORTION_MODELS: dict[str, Literal["radtan", "equidistant"]] = {
     "radial-tangential": "radtan",
@@ -33,7 +43,7 @@ DISTORTION_MODELS: dict[str, Literal["radtan", "equidistant"]] = {
 
 
 class Extrinsics(BaseModel):
-    """T_BS, from sensor to body: 16 numbers row by row."""
+    """The matrix T_BS from sensor to body: 16 numbers, row by row."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -41,20 +51,24 @@ class Extrinsics(BaseModel):
 
 
 class SensorFile(BaseModel):
-    """What all ``sensor.yaml`` share; comments and rates are ignored."""
+    """The part that all ``sensor.yaml`` have in common; comments and rates are ignored."""
 
     model_config = ConfigDict(frozen=True)
 
     T_BS: Extrinsics
 
     def body_from_sensor(self, where: Path) -> FloatArray:
-        """T_body_sensor, [4, 4]."""
+        """Return T_body_sensor, [4, 4].
+
+        Raises:
+            InputError: it holds no rotation.
+        """
         T = np.reshape(self.T_BS.data, (4, 4))
         return se3.from_parts(so3.check_rotation(T[:3, :3], f"{where}: T_BS"), T[:3, 3])
 
 
 class CameraFile(SensorFile):
-    """``sensor.yaml`` of a camera."""
+    """The file ``sensor.yaml`` of a camera."""
 
     camera_model: Literal["pinhole"]
     intrinsics: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
@@ -63,36 +77,46 @@ class CameraFile(SensorFile):
     resolution: tuple[PositiveInt, PositiveInt]
 
     def pinhole(self) -> PinholeCamera:
-        """The camera as probevo's rectification takes it."""
-        model = DISTORTION_MODELS[self.distortion_model]
-        return PinholeCamera(*self.intrinsics, model, self.distortion_coefficients, self.resolution)
+        """Return the camera for the rectification."""
+        fu, fv, cu, cv = self.intrinsics
+        return PinholeCamera(
+            fu_px=fu,
+            fv_px=fv,
+            cu_px=cu,
+            cv_px=cv,
+            distortion_model=DISTORTION_MODELS[self.distortion_model],
+            distortion=self.distortion_coefficients,
+            size_px=self.resolution,
+        )
 
 
 class ImuFile(SensorFile):
-    """``sensor.yaml`` of the IMU."""
+    """The file ``sensor.yaml`` of the IMU."""
 
     gyroscope_noise_density: PositiveFloat
     gyroscope_random_walk: PositiveFloat
+    accelerometer_noise_density: PositiveFloat = ACCEL_NOISE_M_S2_SQRT_HZ
+    accelerometer_random_walk: PositiveFloat = ACCEL_BIAS_WALK_M_S3_SQRT_HZ
 
 
 def open_euroc(path: Path) -> StereoRecording:
-    """Rectify cam0 and cam1 on the fly; imu0 and state_groundtruth_estimate0 are used if they are
-    there.
+    """Open cam0 and cam1, which are rectified on the fly, and IMU and ground truth if present.
 
-    Left and right images belong together by their stamps; those without a partner (V2_03 has some)
-    are left out. Truth is interpolated to the images.
+    Left and right images are matched by their stamps; images without a partner (V2_03 has some) are
+    dropped. The truth of ``state_groundtruth_estimate0`` is interpolated to the images.
 
     Args:
         path: ``mav0``, or the folder that holds it.
 
     Raises:
-        InputError: a file or field is missing, few images have a partner, or a value cannot be
-            right.
+        InputError: a file or field is missing, few images have a partner, or a value is impossible.
     """
     mav = path / "mav0" if (path / "mav0").is_dir() else path
-    path = (
-        mav.resolve().parent if mav.resolve().name == "mav0" else path
-    )  # its name is the recording's
+    # The folder that holds mav0 has the name of the recording.
+    if mav.resolve().name == "mav0":
+        path = mav.resolve().parent
+
+    # Calibration: body → left and right camera → rectified left camera.
     left_yaml = mav / "cam0" / "sensor.yaml"
     right_yaml = mav / "cam1" / "sensor.yaml"
     left = read_yaml(left_yaml, CameraFile, CURE)
@@ -103,15 +127,17 @@ def open_euroc(path: Path) -> StereoRecording:
         left.pinhole(), right.pinhole(), T_right_left, where=right_yaml
     )
     T_body_cam = T_body_left @ se3.from_parts(rectification.C_rect_left.T, np.zeros(3))
+
     stamps_ns, left_files, right_files = _match_images(mav / "cam0", mav / "cam1")
-    imu, imu_stream = (
-        _read_imu(mav / "imu0", T_body_cam, stamps_ns) if (mav / "imu0").is_dir() else (None, None)
-    )
+    imu = None
+    imu_stream = None
+    if (mav / "imu0").is_dir():
+        imu, imu_stream = _read_imu(mav / "imu0", T_body_cam, stamps_ns)
     truth = _read_truth(mav / "state_groundtruth_estimate0", T_body_cam, stamps_ns)
     return StereoRecording(
-        path,
-        "euroc",
-        rectification.camera,
+        path=path,
+        format="euroc",
+        camera=rectification.camera,
         stamps_ns=stamps_ns,
         left_files=left_files,
         right_files=right_files,
@@ -123,6 +149,11 @@ def open_euroc(path: Path) -> StereoRecording:
 
 
 def _match_images(left: Path, right: Path) -> tuple[IntArray, list[Path], list[Path]]:
+    """Return the stamps, [K], ns, and the left and right files of all pairs.
+
+    Raises:
+        InputError: less than half of the images have a partner, or a file is missing or faulty.
+    """
     left_images = _list_images(left)
     right_images = _list_images(right)
     stamps = sorted(left_images.keys() & right_images.keys())
@@ -134,26 +165,29 @@ def _match_images(left: Path, right: Path) -> tuple[IntArray, list[Path], list[P
         raise InputError(
             right / "data.csv", what, "Left and right images are matched by their stamps."
         )
-    return (
-        np.array(stamps, dtype=np.int64),
-        [left_images[s] for s in stamps],
-        [right_images[s] for s in stamps],
-    )
+    left_files = [left_images[stamp] for stamp in stamps]
+    right_files = [right_images[stamp] for stamp in stamps]
+    return np.array(stamps, dtype=np.int64), left_files, right_files
 
 
 def _list_images(camera: Path) -> dict[int, Path]:
-    """The image file of each stamp, by ``data.csv``."""
+    """Return the image file of each stamp, ns, as ``data.csv`` lists them.
+
+    Raises:
+        InputError: the list is missing or faulty, or a file that it names is missing.
+    """
     images: dict[int, Path] = {}
     on_disk = {file.name for file in (camera / "data").glob("*")}
     stamps = []
     for where, line in read_lines(camera / "data.csv"):
-        stamp, _, name = (text.strip() for text in line.partition(","))
+        text, _, name = (part.strip() for part in line.partition(","))
         if name not in on_disk:
             raise InputError(
                 where, f"the image data/{name} is missing.", "Copy it, or remove this line."
             )
-        stamps.append(parse_stamp_ns(stamp, where))
-        images[stamps[-1]] = camera / "data" / name
+        stamp_ns = parse_stamp_ns(text, where)
+        stamps.append(stamp_ns)
+        images[stamp_ns] = camera / "data" / name
     check_stamps(np.array(stamps, dtype=np.int64), camera / "data.csv")
     return images
 
@@ -161,22 +195,46 @@ def _list_images(camera: Path) -> dict[int, Path]:
 def _read_imu(
     folder: Path, T_body_cam: FloatArray, frames_ns: IntArray
 ) -> tuple[ImuCalibration, ImuStream]:
+    """Read the calibration of the IMU against the rectified left camera, and its samples.
+
+    Raises:
+        InputError: a file or field is missing or faulty.
+    """
     sensor = read_yaml(folder / "sensor.yaml", ImuFile)
     T_body_imu = sensor.body_from_sensor(folder / "sensor.yaml")
+    # p_cam = C_cam_body (p_body − t_body_cam), and p_body = C_body_imu p_imu + t_body_imu.
+    C_cam_body = T_body_cam[:3, :3].T
+    T_cam_imu = se3.from_parts(
+        C_cam_body @ T_body_imu[:3, :3], C_cam_body @ (T_body_imu[:3, 3] - T_body_cam[:3, 3])
+    )
     calibration = ImuCalibration(
-        T_body_cam[:3, :3].T @ T_body_imu[:3, :3],
-        sensor.gyroscope_noise_density,
-        GYRO_BIAS_SIGMA_RAD_S,
+        T_cam_imu=T_cam_imu,
+        gyro_noise_rad_s_sqrt_hz=sensor.gyroscope_noise_density,
+        gyro_bias_sigma_rad_s=GYRO_BIAS_SIGMA_RAD_S,
         gyro_bias_walk_rad_s2_sqrt_hz=sensor.gyroscope_random_walk,
+        accel_noise_m_s2_sqrt_hz=sensor.accelerometer_noise_density,
+        accel_bias_sigma_m_s2=ACCEL_BIAS_SIGMA_M_S2,
+        accel_bias_walk_m_s3_sqrt_hz=sensor.accelerometer_random_walk,
     )
     stamps_ns, values = read_stamped_csv(folder / "data.csv", 6)
-    return calibration, ImuStream.checked(
-        stamps_ns, values[:, :3], values[:, 3:], frames_ns=frames_ns, where=folder / "data.csv"
+    stream = ImuStream.checked(
+        stamps_ns=stamps_ns,
+        gyro_rad_s=values[:, :3],
+        accel_m_s2=values[:, 3:],
+        frames_ns=frames_ns,
+        where=folder / "data.csv",
     )
+    return calibration, stream
 
 
 def _read_truth(folder: Path, T_body_cam: FloatArray, at_ns: IntArray) -> GroundTruth | None:
-    """Truth of the rectified left camera from position and quaternion (w, x, y, z) of the body."""
+    """Return the truth of the rectified left camera at the frames; None if there is none.
+
+    The file gives position and quaternion (w, x, y, z) of the body.
+
+    Raises:
+        InputError: the file is faulty, or knows no pose of the frames.
+    """
     path = folder / "data.csv"
     if not path.exists():
         return None
@@ -187,11 +245,9 @@ def _read_truth(folder: Path, T_body_cam: FloatArray, at_ns: IntArray) -> Ground
     quaternions = values[:, 3:7]
     bad = np.flatnonzero(np.abs(np.linalg.norm(quaternions, axis=1) - 1) > 0.01)
     if len(bad):
-        raise InputError(
-            path,
-            f"the quaternion of pose {bad[0]} (from 0) is not of unit length.",
-            "Order: w, x, y, z.",
-        )
+        what = f"the quaternion of pose {bad[0]} (from 0) is not of unit length."
+        raise InputError(path, what, "Order: w, x, y, z.")
+    # The file has the body's poses in the map frame; the camera is fixed to the body.
     C = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
     T_map_cam = se3.from_parts(C, values[:, :3]) @ T_body_cam
     return ground_truth(at_ns, interpolate_poses(stamps_ns, T_map_cam, at_ns), path)

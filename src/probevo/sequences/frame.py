@@ -1,29 +1,26 @@
-"""What a sequence yields: one stereo frame with the IMU samples of the interval that led to it."""
+"""Frames of a sequence: a stereo pair, and the IMU samples since the previous frame."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
+from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.geometry import so3
-
-if TYPE_CHECKING:
-    from probevo.camera.stereo import StereoCamera
-    from probevo.tracking.preparation import PreparedImages
+from probevo.sequences.prepared_images import PreparedImages
 
 SHORTEST_STEP_NS = 1_000
-"""No camera takes frames closer together; stamps that are have another unit."""
+"""Shortest plausible time between two frames. Stamps that are closer have another unit."""
 
 
 @dataclass(frozen=True)
 class ImuSamples:
-    """Samples that cover one frame interval: the last at or before its start to the first at or
-    after its end."""
+    """The IMU samples that cover the interval between two frames.
+
+    They range from the last one at or before its start to the first one at or after its end.
+    """
 
     stamps_ns: IntArray
     """Time of each sample on the clock of the images (offsets already applied), [J], ascending."""
@@ -33,91 +30,59 @@ class ImuSamples:
     """Specific force (gravity included) in the IMU frame, [J, 3]; NaN where not recorded."""
 
     def followed_by(self, later: ImuSamples) -> ImuSamples:
-        """The samples of two consecutive intervals as those of one; what both hold around their
-        border counts once."""
-        new = later.stamps_ns > self.stamps_ns.max(initial=np.iinfo(np.int64).min)
+        """Join the samples of two consecutive intervals.
+
+        Samples around the common border, which both hold, are kept once.
+        """
+        is_new = later.stamps_ns > self.stamps_ns.max(initial=np.iinfo(np.int64).min)
         return ImuSamples(
-            np.concatenate([self.stamps_ns, later.stamps_ns[new]]),
-            np.concatenate([self.gyro_rad_s, later.gyro_rad_s[new]]),
-            np.concatenate([self.accel_m_s2, later.accel_m_s2[new]]),
+            stamps_ns=np.concatenate([self.stamps_ns, later.stamps_ns[is_new]]),
+            gyro_rad_s=np.concatenate([self.gyro_rad_s, later.gyro_rad_s[is_new]]),
+            accel_m_s2=np.concatenate([self.accel_m_s2, later.accel_m_s2[is_new]]),
         )
 
 
 @dataclass(frozen=True)
-class ImuCalibration:
-    """How the IMU sits on the camera and how far its gyro can be trusted."""
-
-    C_cam_imu: FloatArray
-    """Rotation taking IMU coordinates to those of the (rectified) left camera, [3, 3]."""
-    gyro_noise_rad_s_sqrt_hz: float
-    """White noise density of the gyro, rad/s/√Hz."""
-    gyro_bias_sigma_rad_s: float
-    """Standard deviation of the unknown constant gyro bias at start, rad/s."""
-    gyro_bias_walk_rad_s2_sqrt_hz: float = 0.0
-    """Density of the bias random walk, rad/s²/√Hz."""
-
-    def __post_init__(self) -> None:
-        """Refuse what no IMU has.
-
-        Raises:
-            InputError: C_cam_imu is no rotation, or a noise figure is negative or not finite.
-        """
-        so3.check_rotation(self.C_cam_imu, "C_cam_imu")
-        for name in (
-            "gyro_noise_rad_s_sqrt_hz",
-            "gyro_bias_sigma_rad_s",
-            "gyro_bias_walk_rad_s2_sqrt_hz",
-        ):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise InputError(
-                    name,
-                    f"is {getattr(self, name)}.",
-                    "It must be a finite number, and not negative.",
-                )
-
-
-@dataclass(frozen=True)
 class StereoFeatures:
-    """Points seen in one stereo frame."""
+    """The points that another front end tracked, as seen in one stereo frame."""
 
     ids: IntArray
-    """Identity of each point, [N], unique in the frame, the same in every frame that sees the
-    point."""
+    """Identity of each point, [N]: unique in a frame, the same in every frame that sees it."""
     pixels: FloatArray
-    """(u_l, v_l, u_r, v_r) of each point, [N, 4], px."""
+    """Observation (u_l, v_l, u_r, v_r) of each point, [N, 4], px."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One instant of a stereo recording: either two rectified images, or features already tracked."""
+    """One instant of a stereo recording: two rectified images, or features already tracked."""
 
     index: int
     """Position in the sequence, from 0."""
     stamp_ns: int
     left: Image | None = None
-    """Rectified left image, [height, width], uint8. It is kept until the next frame: do not write
-    to it again."""
+    """Rectified left image, [height, width], uint8. The odometry keeps it until the next frame: do
+    not write to it again."""
     right: Image | None = None
+    """Rectified right image, likewise."""
     features: StereoFeatures | None = None
-    """Given instead of images by a tracks file."""
+    """Tracked features, which a tracks file gives instead of images."""
     imu: ImuSamples | None = None
-    """IMU samples over the interval from the previous frame to this one; None at the first frame,
-    without an IMU, and where its samples leave a part of the interval uncovered."""
+    """IMU samples over the interval from the previous frame to this one. None at the first frame,
+    without an IMU, and where the samples do not cover the whole interval."""
     decode_ms: float = field(default=0.0, compare=False)
-    """Time that a worker thread spent to read, decode and rectify the pair."""
+    """Time that a worker thread needed to read, decode and rectify the pair."""
     prepared: PreparedImages | None = field(default=None, compare=False, repr=False)
-    """What tracking has already done with the images, if it was given the time
-    (``tracking.preparation``)."""
+    """The images as ``tracking.preparation`` prepared them ahead of time, if it did."""
 
 
 def check_frame(frame: Frame, camera: StereoCamera) -> None:
-    """Refuse images, or features, that a reader would not have let through.
+    """Refuse a frame that is not usable by itself.
 
     Raises:
-        InputError: a stamp that is no whole number; an image that is missing, or not grey, of 8
-            bits, and of the size of the camera and of the other one; an identity that appears
-            twice, or without pixels; IMU samples out of order, or of which the turn rate is not
-            known; a negative index.
+        InputError: the stamp is no whole number; an image is missing, is not grey with 8 bits, or
+            has another size than the camera or the other image; an identity appears twice, or the
+            counts of identities and pixels differ; IMU samples are out of order, or an angular
+            rate is missing or not finite; the index is negative.
     """
     where = f"frame {frame.index}"
     if not isinstance(frame.stamp_ns, int | np.integer):
@@ -126,6 +91,19 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
         )
     if frame.index < 0:
         raise InputError(where, "its index is negative.", "Count from 0.")
+    _check_images(frame, camera, where)
+    if frame.features is not None:
+        _check_features(frame.features, where)
+    if frame.imu is not None:
+        _check_imu_samples(frame.imu, where)
+
+
+def _check_images(frame: Frame, camera: StereoCamera, where: str) -> None:
+    """Refuse images that are missing, of another kind than 8-bit grey, or of a wrong size.
+
+    Raises:
+        InputError: names the image at fault.
+    """
     if frame.features is None and (frame.left is None or frame.right is None):
         missing = [name for name in ("left", "right") if getattr(frame, name) is None]
         what = (
@@ -139,103 +117,117 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
             what = f"its {name} image is {image.dtype} of shape {image.shape}."
             raise InputError(where, what, "Give a grey image, [height, width], of type uint8.")
         if image is not None and camera.size_px is not None and image.shape[::-1] != camera.size_px:
-            what = f"its {name} image is {_size(image)} px, the camera's are"
-            raise InputError(
-                where, f"{what} {'×'.join(map(str, camera.size_px))}.", "Scale image or camera."
-            )
+            camera_size = "×".join(map(str, camera.size_px))
+            what = f"its {name} image is {_size(image)} px, the camera's are {camera_size}."
+            raise InputError(where, what, "Scale image or camera.")
     if frame.left is not None and frame.right is not None and frame.left.shape != frame.right.shape:
         what = f"its images are {_size(frame.left)} and {_size(frame.right)} px."
         raise InputError(where, what, "Give both the same size, as rectification does.")
     if frame.left is not None and not frame.left.size:
         raise InputError(where, "its images have no pixels.", "Leave the frame out.")
-    if frame.features is not None and frame.features.pixels.shape != (len(frame.features.ids), 4):
-        what = (
-            f"it has {len(frame.features.ids)} identities and pixels of shape"
-            f" {frame.features.pixels.shape}."
-        )
+
+
+def _check_features(features: StereoFeatures, where: str) -> None:
+    """Refuse features with repeated identities, or without an observation for each.
+
+    Raises:
+        InputError: says which.
+    """
+    if features.pixels.shape != (len(features.ids), 4):
+        what = f"it has {len(features.ids)} identities and pixels of shape {features.pixels.shape}."
         raise InputError(where, what, "Give [N] and [N, 4].")
-    if frame.features is not None and len(np.unique(frame.features.ids)) < len(frame.features.ids):
+    if len(np.unique(features.ids)) < len(features.ids):
         raise InputError(
             where, "two of its features have the same identity.", "Give each point one of its own."
         )
-    if frame.imu is not None and not (np.diff(frame.imu.stamps_ns) > 0).all():
+
+
+def _check_imu_samples(imu: ImuSamples, where: str) -> None:
+    """Refuse IMU samples out of order, or without a finite angular rate.
+
+    Raises:
+        InputError: says which.
+    """
+    if not (np.diff(imu.stamps_ns) > 0).all():
         raise InputError(
             where, "its IMU samples are not in the order of their times.", "Sort them."
         )
-    if frame.imu is not None and frame.imu.gyro_rad_s.shape != (len(frame.imu.stamps_ns), 3):
-        what = (
-            f"{len(frame.imu.stamps_ns)} IMU samples have turn rates of shape"
-            f" {frame.imu.gyro_rad_s.shape}."
-        )
+    if imu.gyro_rad_s.shape != (len(imu.stamps_ns), 3):
+        what = f"{len(imu.stamps_ns)} IMU samples have turn rates of shape {imu.gyro_rad_s.shape}."
         raise InputError(where, what, "Give [N] and [N, 3].")
-    if frame.imu is not None and not np.isfinite(frame.imu.gyro_rad_s).all():
+    if not np.isfinite(imu.gyro_rad_s).all():
         raise InputError(
             where, "an IMU sample of it has no finite turn rate.", "Leave that sample out."
         )
 
 
-def check_order(before: Frame, frame: Frame) -> float:
-    """Time from one frame to the next, s.
+def check_order(prev: Frame, curr: Frame) -> float:
+    """Return the time from one frame to the next, s.
 
     Raises:
-        InputError: the second is not after the first, is too soon after it, has features where that
-            had images, or images of another size, or in the same memory.
+        InputError: the second frame is not after the first, or is too soon after it; one has
+            images and the other features; their images have different sizes, or share memory.
     """
-    where = f"frame {frame.index}"
-    if frame.stamp_ns <= before.stamp_ns:
+    where = f"frame {curr.index}"
+    if curr.stamp_ns <= prev.stamp_ns:
         what = (
-            f"its stamp, {frame.stamp_ns} ns, is not after that of the frame before,"
-            f" {before.stamp_ns} ns."
+            f"its stamp, {curr.stamp_ns} ns, is not after that of the frame before,"
+            f" {prev.stamp_ns} ns."
         )
         raise InputError(where, what, "Give the frames in the order of their times.")
-    if frame.stamp_ns - before.stamp_ns < SHORTEST_STEP_NS:
-        what = f"its stamp, {frame.stamp_ns} ns, is less than 1 µs after that of the frame before."
+    if curr.stamp_ns - prev.stamp_ns < SHORTEST_STEP_NS:
+        what = f"its stamp, {curr.stamp_ns} ns, is less than 1 µs after that of the frame before."
         raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")
-    if (frame.features is None) != (before.features is None):
-        raise InputError(
-            where,
-            "one of it and the frame before has images, the other features.",
-            "Keep to one kind.",
-        )
-    for earlier, later in ((before.left, frame.left), (before.right, frame.right)):
-        if earlier is not None and later is not None and earlier.shape != later.shape:
-            what = f"its images are {_size(later)} px, not {_size(earlier)} px as before."
+    if (curr.features is None) != (prev.features is None):
+        what = "one of it and the frame before has images, the other features."
+        raise InputError(where, what, "Keep to one kind.")
+    for prev_image, curr_image in ((prev.left, curr.left), (prev.right, curr.right)):
+        if prev_image is None or curr_image is None:
+            continue
+        if prev_image.shape != curr_image.shape:
+            what = f"its images are {_size(curr_image)} px, not {_size(prev_image)} px as before."
             raise InputError(where, what, "Keep to one size.")
-        if earlier is not None and later is not None and earlier.ctypes.data == later.ctypes.data:
+        if prev_image.ctypes.data == curr_image.ctypes.data:
             what = (
                 "an image of it is in the same memory as that of the frame before, which is still"
                 " needed."
             )
             raise InputError(where, what, "Hand in a new array each time, such as image.copy().")
-    return 1e-9 * (frame.stamp_ns - before.stamp_ns)
+    return 1e-9 * (curr.stamp_ns - prev.stamp_ns)
 
 
 def _size(image: Image) -> str:
+    """Return width × height of an image as text."""
     return "×".join(map(str, image.shape[::-1]))
 
 
-def is_repeated(before: Frame, frame: Frame) -> bool:
-    """Whether a frame shows an image of the one before again, byte by byte: noise makes those of a
-    camera differ."""
-    pairs = (before.left, frame.left), (before.right, frame.right)
-    return any(a is not None and b is not None and _is_same(a, b) for a, b in pairs)
+def is_repeated(prev: Frame, curr: Frame) -> bool:
+    """Return whether an image of a frame equals that of the previous frame, byte by byte.
+
+    The noise of a camera makes two exposures differ, so that equal images mean a dropped frame.
+    """
+    pairs = ((prev.left, curr.left), (prev.right, curr.right))
+    return any(
+        one is not None and other is not None and _are_equal(one, other) for one, other in pairs
+    )
 
 
-def _is_same(one: Image, other: Image) -> bool:
-    middle = slice(len(one) // 2, len(one) // 2 + 1)  # nearly all that differ do so there
+def _are_equal(one: Image, other: Image) -> bool:
+    """Return whether two images are equal; nearly all that differ do so in their middle row."""
+    middle = slice(len(one) // 2, len(one) // 2 + 1)
     return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)
 
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """Poses of the left camera in the frame of its first pose."""
+    """True poses of the left camera, in the frame of its first known pose."""
 
     stamps_ns: IntArray
-    """[K]; those of the frames."""
+    """Times of the frames, [K]."""
     T_world_cam: FloatArray
-    """[K, 4, 4]; NaN matrices where the truth is unknown."""
+    """Poses, [K, 4, 4], m; matrices of NaN where the truth is unknown."""
 
     @property
     def known(self) -> BoolArray:
-        """Which frames have a pose, [K]."""
+        """Whether each frame has a pose, [K]."""
         return np.asarray(np.isfinite(self.T_world_cam).all(axis=(1, 2)))

@@ -1,7 +1,6 @@
-"""Image files: lists of stereo pairs, and a decoder that refuses a damaged picture, as far as its
-format shows damage.
+"""Image files: lists of stereo pairs, and a decoder that refuses damaged files.
 
-PNG has checksums; of JPEG only the end can be checked.
+PNG files have checksums; of a JPEG file, only the end can be checked.
 """
 
 from __future__ import annotations
@@ -23,27 +22,32 @@ JPEG_END = b"\xff\xd9"
 
 
 def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
-    """Image files of two folders, paired by name, in the natural order of their names.
+    """Return the image files of two folders, paired by name, in the natural order of their names.
 
     Raises:
         InputError: a folder is missing or holds no image, or an image lacks its partner.
     """
     left_files = _list_images(left)
     right_files = _list_images(right)
-    lonely = sorted(left_files.keys() ^ right_files.keys(), key=natural_order)
-    if lonely:
-        folder, other = (left, right) if lonely[0] in left_files else (right, left)
-        what = f"the partner of {folder.name}/{lonely[0]} is missing"
-        counts = f"{left.name} has {len(left_files)} images, {right.name} {len(right_files)}"
-        raise InputError(
-            other / lonely[0],
-            f"{what} ({counts}).",
-            "Left and right images must bear the same names.",
+    unpaired = sorted(left_files.keys() ^ right_files.keys(), key=natural_order)
+    if unpaired:
+        name = unpaired[0]
+        folder, other = (left, right) if name in left_files else (right, left)
+        what = (
+            f"the partner of {folder.name}/{name} is missing"
+            f" ({left.name} has {len(left_files)} images, {right.name} {len(right_files)})."
         )
+        cure = "Left and right images must have the same names."
+        raise InputError(other / name, what, cure)
     return list(left_files.values()), list(right_files.values())
 
 
 def _list_images(folder: Path) -> dict[str, Path]:
+    """Return the image files of a folder by name, in the natural order of their names.
+
+    Raises:
+        InputError: the folder is missing, or holds no image.
+    """
     if not folder.is_dir():
         raise InputError(
             folder, "this image folder is missing.", "Left and right images lie in one folder each."
@@ -57,23 +61,22 @@ def _list_images(folder: Path) -> dict[str, Path]:
 
 
 def natural_order(name: str) -> tuple[tuple[str | int, ...], str]:
-    """A key to sort names by, digits as numbers: img_2 before img_10, with zeros in front or not."""
-    parts = re.split(
-        "([0-9]+)", name
-    )  # text and number in turn, so that like is compared with like
-    return tuple(int(part) if at % 2 else part for at, part in enumerate(parts)), name
+    """Return a sort key that compares digits as numbers: img_2 comes before img_10."""
+    # Text and numbers alternate, so that text is compared with text and numbers with numbers.
+    parts = re.split("([0-9]+)", name)
+    return tuple(int(part) if index % 2 else part for index, part in enumerate(parts)), name
 
 
 def read_gray(path: Path, size_px: tuple[int, int] | None = None) -> Image:
     """Decode one image to grayscale, [height, width], uint8.
 
-    Colour is turned to gray (Rec. 601 luma, as OpenCV does): everything downstream looks at gray
-    values only, and many cameras record nothing else. Sixteen bits are refused: how to squeeze them
-    into eight decides which features appear.
+    Colour is converted to gray (Rec. 601 luma, as OpenCV does), since everything downstream uses
+    gray values only. Images of 16 bits are refused: how they are reduced to 8 decides which
+    features appear.
 
     Args:
         path: PNG or JPEG file.
-        size_px: (width, height) that the image must have; None accepts any.
+        size_px: (width, height) that the image must have; None to accept any size.
 
     Raises:
         InputError: missing, damaged, not 8 bits, or of another size.
@@ -106,12 +109,18 @@ def read_gray(path: Path, size_px: tuple[int, int] | None = None) -> Image:
 
 
 def _decoded(data: bytes) -> AnyArray | None:
-    """The picture, [height, width] or [height, width, channels]; None if it cannot be decoded.
+    """Decode a PNG or JPEG file to [height, width] or [height, width, channels].
+
+    OpenCV may return the undamaged part of a damaged file, so that damage is looked for first.
+
+    Returns:
+        The image; None if it cannot be decoded.
 
     Raises:
-        DamagedError: the file is not whole; OpenCV itself may hand out the part that is left.
+        DamagedError: the file is incomplete, or neither PNG nor JPEG.
     """
     if data.startswith(PNG_MAGIC):
+        # chunks_of verifies the checksums; OpenCV decodes what is not plain grey.
         image = plain_grey(chunks_of(data))
         if image is not None:
             return image
@@ -120,6 +129,6 @@ def _decoded(data: bytes) -> AnyArray | None:
             raise DamagedError("its end is missing")
     else:
         raise DamagedError("it is neither PNG nor JPEG" if data else "it is empty")
-    with suppress(cv2.error):  # of a size that it refuses
+    with suppress(cv2.error):  # raised for images that are too large
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     return None

@@ -1,5 +1,7 @@
-"""KITTI odometry benchmark: one sequence in its native layout, ``sequences/<nn>`` and
-``poses/<nn>.txt``."""
+"""KITTI odometry benchmark: a sequence in its native layout.
+
+Images are in ``sequences/<nn>``, poses in ``poses/<nn>.txt``.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,14 @@ from probevo.sequences.stamps import read_times
 
 
 def open_kitti_odometry(path: Path) -> StereoRecording:
-    """Grayscale cameras 0 and 1 of a sequence, with the benchmark's poses if
-    ``../../poses/<nn>.txt`` is there.
+    """Open the grayscale cameras 0 and 1 of a sequence.
 
-    The layout does not write down the size of the images, so that of the first one counts.
+    Ground truth is ``../../poses/<nn>.txt``, if that file exists. The size of the images is that of
+    the first one, since the layout does not state it.
 
     Raises:
-        InputError: a file or field is missing, counts differ (of images, times, poses), or a value
-            cannot be right.
+        InputError: a file or field is missing, the counts of images, times and poses differ, or a
+            value is impossible.
     """
     left_files, right_files = list_pairs(path / "image_0", path / "image_1")
     height, width = read_gray(left_files[0]).shape
@@ -31,9 +33,9 @@ def open_kitti_odometry(path: Path) -> StereoRecording:
     poses = absolute.parent.parent / "poses" / f"{absolute.name}.txt"
     truth = read_kitti_truth(poses, stamps_ns) if poses.exists() else None
     return StereoRecording(
-        path,
-        "kitti-odometry",
-        camera,
+        path=path,
+        format="kitti-odometry",
+        camera=camera,
         stamps_ns=stamps_ns,
         left_files=left_files,
         right_files=right_files,

@@ -1,7 +1,7 @@
-"""PNG files: whether they are whole, and plain grey pictures out of them in half of OpenCV's time.
+"""A PNG decoder for plain grey images, and a check that a PNG file is complete.
 
-Nearly all of that time is inflating, which ISA-L does two to three times as fast as the zlib that
-OpenCV is built with.
+It takes half of OpenCV's time. Nearly all of that time is decompression, and ISA-L decompresses two
+to three times as fast as the zlib that OpenCV is built with.
 """
 
 from __future__ import annotations
@@ -14,18 +14,20 @@ from probevo.compiled import compiled
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 PLAIN = bytes([8, 0, 0, 0, 0])
-"""End of the header of a picture of 8 bits, grey, deflated, filtered row by row, not interlaced."""
+"""Last five bytes of the header of a plain image: 8 bits, grey, deflated, filtered by rows, not
+interlaced."""
 NEEDED = {b"IHDR", b"IDAT", b"IEND"}
+"""Chunks that every plain image has."""
 IGNORED = {b"tEXt", b"zTXt", b"iTXt", b"tIME", b"pHYs"}
-"""Chunks of a plain picture, and those that do not change what it shows."""
+"""Further chunks, which do not change the pixels."""
 
 
 class DamagedError(ValueError):
-    """The file is not what was once written; says in what."""
+    """A file is damaged; the message says how."""
 
 
 def chunks_of(data: bytes) -> list[tuple[bytes, memoryview]]:
-    """Type and body of each chunk of a PNG file, up to its end.
+    """Return the type and the body of each chunk of a PNG file.
 
     Raises:
         DamagedError: a checksum is wrong, or the end is missing.
@@ -33,6 +35,7 @@ def chunks_of(data: bytes) -> list[tuple[bytes, memoryview]]:
     view = memoryview(data)
     chunks = []
     start = len(PNG_MAGIC)
+    # A chunk is: length of its body (4 bytes), type (4), body, checksum of type and body (4).
     while start + 12 <= len(data):
         end = start + 12 + int.from_bytes(view[start : start + 4], "big")
         if end > len(data):
@@ -47,8 +50,11 @@ def chunks_of(data: bytes) -> list[tuple[bytes, memoryview]]:
 
 
 def plain_grey(chunks: list[tuple[bytes, memoryview]]) -> Image | None:
-    """The picture in the chunks of a file, [height, width], uint8; None if it is none of 8 bits
-    grey, or damaged."""
+    """Decode the chunks of a file to an image, [height, width], uint8.
+
+    Returns:
+        The image; None if it is not a plain grey one of 8 bits, or damaged.
+    """
     kinds = {kind for kind, _ in chunks}
     header = bytes(chunks[0][1])
     if not NEEDED <= kinds <= NEEDED | IGNORED or chunks[0][0] != b"IHDR" or header[8:] != PLAIN:
@@ -58,8 +64,9 @@ def plain_grey(chunks: list[tuple[bytes, memoryview]]) -> Image | None:
     size = height * (width + 1)
     deflated = b"".join(body for kind, body in chunks if kind == b"IDAT")
     try:
-        inflated = isal_zlib.decompressobj().decompress(deflated, max(size, 1))  # 0 is no limit
-    except (isal_zlib.IsalError, OverflowError):  # type: ignore[misc]  # its stub calls the class an exception
+        # The limit guards against data that inflate without end; 0 would mean no limit.
+        inflated = isal_zlib.decompressobj().decompress(deflated, max(size, 1))
+    except (isal_zlib.IsalError, OverflowError):  # type: ignore[misc]  # wrong in isal's stub
         return None
     if 0 in (width, height) or len(inflated) != size:
         return None
@@ -70,31 +77,35 @@ def plain_grey(chunks: list[tuple[bytes, memoryview]]) -> Image | None:
 
 @compiled
 def _unfilter(rows: AnyArray, image: Image) -> bool:
-    """Undo the filter of each row, which its first byte tells: of a pixel, what is left of a guess
-    from its neighbours.
+    """Undo the filters of the rows; a row stores each pixel minus a prediction from its neighbours.
 
-    False if a filter is none of the five of PNG.
+    Args:
+        rows: [height, 1 + width]; the first byte of a row is the kind of its filter.
+        image: receives the pixels, [height, width].
+
+    Returns:
+        False if a filter is none of the five of PNG.
     """
     height, width = image.shape
-    nothing = np.zeros(width, np.uint8)
+    zeros = np.zeros(width, np.uint8)
     for y in range(height):
         kind = rows[y, 0]
         row = rows[y, 1:]
-        above = image[y - 1] if y > 0 else nothing
+        above = image[y - 1] if y > 0 else zeros
         left = 0
         upper_left = 0
-        if kind == 0 or kind == 2:
+        if kind == 0 or kind == 2:  # nothing, or the pixel above
             for x in range(width):
                 image[y, x] = row[x] + (above[x] if kind == 2 else 0)
-        elif kind == 1:
+        elif kind == 1:  # the pixel to the left
             for x in range(width):
                 left = (left + row[x]) & 255
                 image[y, x] = left
-        elif kind == 3:
+        elif kind == 3:  # the mean of both
             for x in range(width):
                 left = (row[x] + (left + above[x]) // 2) & 255
                 image[y, x] = left
-        elif kind == 4:
+        elif kind == 4:  # Paeth's predictor
             for x in range(width):
                 left = (row[x] + _paeth(left, int(above[x]), upper_left)) & 255
                 image[y, x] = left
@@ -106,7 +117,7 @@ def _unfilter(rows: AnyArray, image: Image) -> bool:
 
 @compiled
 def _paeth(left: int, upper: int, upper_left: int) -> int:
-    """The neighbour nearest to left + upper − upper_left."""
+    """Return the neighbour nearest to left + upper − upper_left (Paeth's predictor)."""
     by_left = abs(upper - upper_left)
     by_upper = abs(left - upper_left)
     by_both = abs(left + upper - 2 * upper_left)

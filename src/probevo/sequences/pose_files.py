@@ -1,6 +1,6 @@
-"""Pose files in the text forms of KITTI and TUM, read and written.
+"""Poses in the text formats of KITTI and TUM, read and written.
 
-Every error names the file and the line or the pose. Numbers are written at full precision.
+Every error names the file, and the line or the pose. Numbers are written at full precision.
 """
 
 from __future__ import annotations
@@ -21,18 +21,17 @@ from probevo.sequences.stamps import check_stamps, seconds_to_ns
 from probevo.sequences.text import parse_floats, read_fields, read_table
 
 FARTHEST_M = 1e9
-"""Positions beyond are no positions of a vehicle; their squares would overflow in the evaluation.
-"""
+"""Largest plausible coordinate. Squares of much larger ones would overflow in the evaluation."""
 
 
 def read_kitti_poses(path: Path) -> FloatArray:
-    """Poses T_world_cam, [N, 4, 4], m, in KITTI's form: the first three rows, 12 numbers a line,
-    one line a frame.
+    """Read poses T_world_cam, [N, 4, 4], m, in KITTI's format.
 
-    A line of twelve ``nan`` marks a frame whose pose is unknown, NaN.
+    Each line holds the first three rows of the pose of one frame, 12 numbers. Twelve ``nan`` mean
+    an unknown pose, which becomes NaN.
 
     Raises:
-        InputError: the file cannot be read, a line holds no pose, or a position is absurdly far.
+        InputError: the file cannot be read, a line holds no pose, or a position is implausibly far.
     """
     T = _read_kitti(path)
     unknown, _ = check_poses(T, path)
@@ -41,7 +40,7 @@ def read_kitti_poses(path: Path) -> FloatArray:
 
 
 def read_kitti_truth(path: Path, stamps_ns: IntArray) -> GroundTruth:
-    """The truth of the frames with these stamps, from poses in KITTI's form.
+    """Read the ground truth of the frames with these stamps, [K], from poses in KITTI's format.
 
     Raises:
         InputError: the file cannot be read, the counts of poses and frames differ, or as
@@ -57,14 +56,14 @@ def read_kitti_truth(path: Path, stamps_ns: IntArray) -> GroundTruth:
 
 
 def read_tum(path: Path) -> tuple[IntArray, FloatArray]:
-    """Stamps, [N], ns, exact to the last of nine decimals, and poses T_world_cam, [N, 4, 4], m, in
-    TUM's form.
+    """Read poses in TUM's format: lines of ``stamp tx ty tz qx qy qz qw``, in s and m.
 
-    A line is ``stamp tx ty tz qx qy qz qw``, s and m.
+    Returns:
+        Stamps, [N], ns, exact to the last of nine decimals, and poses T_world_cam, [N, 4, 4], m.
 
     Raises:
         InputError: the file cannot be read, a line is not eight numbers, a quaternion is not of
-            unit length, the stamps do not ascend, or a position is absurdly far.
+            unit length, the stamps do not ascend, or a position is implausibly far.
     """
     stamps = []
     rows = []
@@ -83,13 +82,24 @@ def read_tum(path: Path) -> tuple[IntArray, FloatArray]:
 
 
 def _read_kitti(path: Path) -> FloatArray:
+    """Read the matrices of a file in KITTI's format, [N, 4, 4], unchecked.
+
+    Raises:
+        InputError: the file cannot be read, or a line is not twelve numbers.
+    """
     rows = read_table(path, 12, nan_allowed=True).reshape(-1, 3, 4)
     return se3.from_parts(rows[:, :, :3], rows[:, :, 3])
 
 
 def _check_positions(T: FloatArray, path: Path) -> None:
-    for k in np.flatnonzero((np.abs(T[:, :3, 3]) > FARTHEST_M).any(axis=1))[:1]:
-        what = f"the position of pose {k} (from 0) is over {FARTHEST_M:g} m away."
+    """Refuse poses [N, 4, 4] whose position is implausibly far.
+
+    Raises:
+        InputError: names the first such pose.
+    """
+    too_far = np.flatnonzero((np.abs(T[:, :3, 3]) > FARTHEST_M).any(axis=1))
+    if len(too_far):
+        what = f"the position of pose {too_far[0]} (from 0) is over {FARTHEST_M:g} m away."
         raise InputError(path, what, "Positions are in metres.")
 
 

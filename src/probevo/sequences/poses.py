@@ -1,4 +1,4 @@
-"""Ground-truth poses: reading, checking, and carrying them over to the times of the frames."""
+"""Ground-truth poses: checks, and interpolation to the times of the frames."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from probevo.geometry import se3, so3
 from probevo.sequences.frame import GroundTruth
 
 LONGEST_GAP_NS = 500_000_000
-"""Truth is not interpolated over longer gaps; the slowest common source (OXTS in sync drives) comes
-every 0.1 s."""
+"""Longest gap over which truth is interpolated. The slowest common source, OXTS in sync drives, has
+a pose every 0.1 s."""
 LONGEST_EXTRAPOLATION_NS = 50_000_000
-"""Nor carried further beyond its ends: half a period of that source."""
+"""Longest extrapolation beyond the first and last pose: half a period of that source."""
 
 
 def check_poses(T: FloatArray, where: str | Path) -> tuple[BoolArray, FloatArray]:
-    """Which of K poses [K, 4, 4] are unknown, NaN, [K, 1, 1], and the orthonormal rotations of all,
-    [K, 3, 3].
+    """Check poses [K, 4, 4], which are NaN where unknown.
+
+    Returns:
+        Which poses are unknown, [K, 1, 1], and orthonormal rotations, [K, 3, 3], which are the
+        identity where unknown.
 
     Raises:
         InputError: a pose is neither finite nor wholly NaN, or holds no rotation matrix.
@@ -37,7 +40,12 @@ def check_poses(T: FloatArray, where: str | Path) -> tuple[BoolArray, FloatArray
 
 
 def ground_truth(stamps_ns: IntArray, T: FloatArray, where: str | Path) -> GroundTruth:
-    """Truth relative to the first known pose, from T_anyworld_cam [K, 4, 4], NaN where unknown.
+    """Return the truth relative to the first known pose.
+
+    Args:
+        stamps_ns: times of the frames, [K].
+        T: poses T_anyworld_cam, [K, 4, 4], NaN where unknown.
+        where: file of the poses, for messages.
 
     Raises:
         InputError: no pose is known, or as ``check_poses`` raises.
@@ -54,24 +62,37 @@ def ground_truth(stamps_ns: IntArray, T: FloatArray, where: str | Path) -> Groun
 
 
 def interpolate_poses(stamps_ns: IntArray, T: FloatArray, at_ns: IntArray) -> FloatArray:
-    """Poses T [M, 4, 4] at M stamps, carried to the times ``at_ns`` [K]: [K, 4, 4].
+    """Interpolate poses to other times.
 
-    Rotations turn at a constant rate between neighbours, positions move linearly. Beyond the ends
-    the last motion goes on for as long as it was seen, but for 50 ms at most; there and within gaps
-    over 0.5 s the pose is NaN.
+    Between two poses, the rotation has a constant rate and the position moves linearly. Beyond the
+    ends, the last motion is extrapolated for as long as it was observed, but for 50 ms at most.
+    Further beyond, and within gaps over 0.5 s, the pose is NaN.
+
+    Args:
+        stamps_ns: time of each pose, [M], ascending.
+        T: the poses, [M, 4, 4].
+        at_ns: times to interpolate to, [K].
+
+    Returns:
+        Poses, [K, 4, 4].
     """
-    before = np.clip(
+    # Index of the pose before each time, and of the pose after it.
+    start = np.clip(
         np.searchsorted(stamps_ns, at_ns, side="right") - 1, 0, max(len(stamps_ns) - 2, 0)
     )
-    after = np.minimum(before + 1, len(stamps_ns) - 1)
-    gap = stamps_ns[after] - stamps_ns[before]
-    fraction = ((at_ns - stamps_ns[before]) / np.maximum(gap, 1))[:, None]
-    start = T[before]
-    end = T[after]
-    turn = so3.log(start[:, :3, :3].mT @ end[:, :3, :3])
-    C = start[:, :3, :3] @ so3.exp(fraction * turn)
-    poses = se3.from_parts(C, start[:, :3, 3] + fraction * (end[:, :3, 3] - start[:, :3, 3]))
+    end = np.minimum(start + 1, len(stamps_ns) - 1)
+    gap_ns = stamps_ns[end] - stamps_ns[start]
+    fraction = ((at_ns - stamps_ns[start]) / np.maximum(gap_ns, 1))[:, None]
+
+    C_start = T[start][:, :3, :3]
+    t_start = T[start][:, :3, 3]
+    rotation_rad = so3.log(C_start.mT @ T[end][:, :3, :3])
+    C = C_start @ so3.exp(fraction * rotation_rad)
+    poses = se3.from_parts(C, t_start + fraction * (T[end][:, :3, 3] - t_start))
+
+    is_at_pose = (at_ns == stamps_ns[start]) | (at_ns == stamps_ns[end])
+    is_in_gap = (gap_ns > LONGEST_GAP_NS) & ~is_at_pose
     beyond_ns = np.maximum(stamps_ns[0] - at_ns, at_ns - stamps_ns[-1])
-    lost = (gap > LONGEST_GAP_NS) & (at_ns != stamps_ns[before]) & (at_ns != stamps_ns[after])
-    poses[lost | (beyond_ns > np.minimum(gap, LONGEST_EXTRAPOLATION_NS))] = np.nan
+    is_beyond = beyond_ns > np.minimum(gap_ns, LONGEST_EXTRAPOLATION_NS)
+    poses[is_in_gap | is_beyond] = np.nan
     return poses

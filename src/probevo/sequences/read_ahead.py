@@ -1,4 +1,4 @@
-"""Does the slow part of reading a recording in threads, ahead of its consumer."""
+"""Reading of a recording in threads, ahead of its consumer."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Result = TypeVar("Result")
 def read_ahead(
     read: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 4, threads: int = 2
 ) -> Generator[Result, None, None]:
-    """``map(read, items)`` with up to ``ahead`` results in the making while the consumer works.
+    """Yield ``map(read, items)``, with up to ``ahead`` results in work while the consumer works.
 
-    Results come in order, and an error comes where its result would have. Work is only handed out
-    when the consumer asks for a result, so memory is bounded without a queue; once it stops asking
-    (``break``, an exception), what has not begun is cancelled.
+    Results come in order, and an error is raised where its result would have come. New items are
+    only started when the consumer asks for a result, which bounds the memory without a queue. When
+    it stops asking (``break``, or an exception), items that have not been started are cancelled.
 
-    Two threads: reading and decoding release the GIL, and a pair decodes (7 ms at KITTI's size)
-    faster than it is used.
+    Two threads suffice: reading and decoding release the GIL, and a pair is decoded (7 ms at the
+    size of KITTI's images) faster than it is processed.
     """
     pending: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(threads, thread_name_prefix="probevo-read") as pool:

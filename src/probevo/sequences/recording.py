@@ -1,4 +1,4 @@
-"""The recording of image files that every image format opens to."""
+"""A recording of stereo image files, as every image format opens it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from pathlib import Path
 from probevo.arrays import IntArray
 from probevo.camera.rectification import Rectification
 from probevo.camera.stereo import StereoCamera
-from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration
+from probevo.sequences.frame import Frame, GroundTruth
 from probevo.sequences.images import read_gray
 from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.read_ahead import read_ahead
 
 
 @dataclass(frozen=True, eq=False)
 class StereoRecording:
-    """A ``Sequence`` of stereo image files; the images are read while it is walked through."""
+    """A ``Sequence`` of stereo image files, which are read while it is iterated over."""
 
     path: Path
     format: str
@@ -33,14 +34,19 @@ class StereoRecording:
     """None where the files hold rectified images."""
 
     def __len__(self) -> int:
-        """Number of frames, K."""
+        """Return the number of frames, K."""
         return len(self.stamps_ns)
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames, from the first."""
+        """Yield the frames from the first; raise InputError at a faulty image."""
         return read_ahead(self._read_frame, range(len(self)))
 
     def _read_frame(self, index: int) -> Frame:
+        """Read, decode and rectify one frame.
+
+        Raises:
+            InputError: an image is missing or damaged.
+        """
         start = time.perf_counter()
         left = read_gray(self.left_files[index], self.camera.size_px)
         right = read_gray(self.right_files[index], self.camera.size_px)
@@ -53,5 +59,10 @@ class StereoRecording:
             )
         elapsed_ms = 1e3 * (time.perf_counter() - start)
         return Frame(
-            index, int(self.stamps_ns[index]), left, right=right, imu=imu, decode_ms=elapsed_ms
+            index=index,
+            stamp_ns=int(self.stamps_ns[index]),
+            left=left,
+            right=right,
+            imu=imu,
+            decode_ms=elapsed_ms,
         )

@@ -1,5 +1,4 @@
-"""Times of frames and samples: text in several notations to int64 ns, and the checks that all of
-them share."""
+"""Times of frames and samples: parsers from text to int64 ns, and their checks."""
 
 from __future__ import annotations
 
@@ -16,43 +15,52 @@ NS_PER_S = 1_000_000_000
 
 
 def read_times(path: Path, count: int) -> IntArray:
-    """Times of ``count`` frames, one a line: seconds, or nanoseconds where every line is a whole
-    number.
+    """Read the times of ``count`` frames, one a line, [count], ns.
 
-    Seconds are read as decimals, so that Unix times keep their nanoseconds, which a float64 would
-    lose.
+    They are nanoseconds if every line is a whole number, and seconds otherwise. Seconds are read as
+    decimals, so that Unix times keep their nanoseconds, which a float64 would lose.
 
     Raises:
-        InputError: not numbers, not strictly ascending, or not ``count`` of them.
+        InputError: a line is no number, the times do not ascend strictly, or there are not
+            ``count`` of them.
     """
     lines = read_lines(path, "It gives the time of each frame, in seconds, one a line.")
     if all(line.lstrip("-").isdigit() for _, line in lines):
         stamps = [parse_stamp_ns(line, where) for where, line in lines]
     else:
-        numbers = [
-            _finite(line, where) for where, line in lines
-        ]  # first of all, lest nan make seconds of nanoseconds
+        # Check all lines for numbers first: one "nan" in a file of nanoseconds leads here, too.
+        numbers = [_finite(line, where) for where, line in lines]
         cure = (
             "Are these nanoseconds? Then write all of them as whole numbers, without point or"
             " exponent."
         )
-        stamps = [_to_ns(number, *line, cure) for number, line in zip(numbers, lines, strict=True)]
+        stamps = [
+            _to_ns(number, where, line, cure=cure)
+            for number, (where, line) in zip(numbers, lines, strict=True)
+        ]
     return check_stamps(np.array(stamps, dtype=np.int64), path, count)
 
 
 def read_datetimes(path: Path, count: int) -> IntArray:
-    """Times of ``count`` frames, one a line, written as KITTI's ``2011-09-26 13:04:32.351950336``."""
+    """Read the times of ``count`` frames, one a line, [count], ns.
+
+    They are written like KITTI's ``2011-09-26 13:04:32.351950336``.
+
+    Raises:
+        InputError: a line is no time, the times do not ascend strictly, or there are not ``count``
+            of them.
+    """
     lines = read_lines(path, "It gives the time of each frame.")
-    return check_stamps(
-        np.array([_datetime_to_ns(line, where) for where, line in lines]), path, count
-    )
+    stamps_ns = np.array([_datetime_to_ns(line, where) for where, line in lines])
+    return check_stamps(stamps_ns, path, count)
 
 
 def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = None) -> IntArray:
-    """The same stamps, [K], if they ascend strictly and are ``count``.
+    """Return the stamps, [K], unchanged if they ascend strictly and there are ``count`` of them.
 
     Raises:
-        InputError: names the first pair out of order, or both counts.
+        InputError: names the first pair out of order, or both counts; or the stamps are so close
+            together that they cannot be nanoseconds.
     """
     if count is not None and len(stamps_ns) != count:
         raise InputError(
@@ -60,26 +68,32 @@ def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = Non
         )
     backwards = np.flatnonzero(np.diff(stamps_ns) <= 0)
     if len(backwards):
-        at = int(backwards[0])
-        problem = "is a duplicate of" if stamps_ns[at + 1] == stamps_ns[at] else "is earlier than"
-        what = f"stamp {at + 1} ({stamps_ns[at + 1]} ns) {problem} stamp {at} ({stamps_ns[at]} ns)."
+        k = int(backwards[0])
+        problem = "is a duplicate of" if stamps_ns[k + 1] == stamps_ns[k] else "is earlier than"
+        what = f"stamp {k + 1} ({stamps_ns[k + 1]} ns) {problem} stamp {k} ({stamps_ns[k]} ns)."
         raise InputError(where, what, "Stamps must ascend strictly; stamps are counted from 0.")
     if len(stamps_ns) > 1 and int(stamps_ns[-1]) - int(stamps_ns[0]) < 1_000 * (len(stamps_ns) - 1):
         what = f"the stamps lie less than 1 µs apart ({stamps_ns[0]} to {stamps_ns[-1]} ns)."
-        raise InputError(
-            where,
-            what,
-            "Whole numbers are read as nanoseconds; write seconds with a decimal point.",
-        )
+        cure = "Whole numbers are read as nanoseconds; write seconds with a decimal point."
+        raise InputError(where, what, cure)
     return stamps_ns
 
 
 def seconds_to_ns(text: str, where: str) -> int:
-    """A stamp written as a decimal number of seconds, ns. Raises InputError for anything else."""
+    """Parse a decimal number of seconds to ns.
+
+    Raises:
+        InputError: the text is no finite number, or too large.
+    """
     return _to_ns(_finite(text, where), where, text, cure="Are these nanoseconds?")
 
 
 def _finite(text: str, where: str) -> Decimal:
+    """Parse a finite decimal number.
+
+    Raises:
+        InputError: the text is none.
+    """
     try:
         number = Decimal(text)
     except InvalidOperation:
@@ -89,7 +103,12 @@ def _finite(text: str, where: str) -> Decimal:
     return number
 
 
-def _to_ns(seconds: Decimal, where: str, text: str, cure: str) -> int:
+def _to_ns(seconds: Decimal, where: str, text: str, *, cure: str) -> int:
+    """Convert seconds to ns.
+
+    Raises:
+        InputError: the result does not fit in 64 bits.
+    """
     stamp = seconds * NS_PER_S
     if abs(stamp) >= INT64_LIMIT:
         raise InputError(where, f"the time {text!r} is too large for a number of seconds.", cure)
@@ -97,6 +116,11 @@ def _to_ns(seconds: Decimal, where: str, text: str, cure: str) -> int:
 
 
 def _datetime_to_ns(text: str, where: str) -> int:
+    """Parse a date and time to ns since 1970.
+
+    Raises:
+        InputError: the text is none.
+    """
     try:
         moment: np.datetime64 = np.datetime64(text, "ns")
     except ValueError:

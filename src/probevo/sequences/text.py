@@ -1,4 +1,4 @@
-"""Reads number tables out of text files; every error names the file and the line."""
+"""Readers of number tables in text files; every error names the file and the line."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ INT64_LIMIT = 2**63
 
 
 def read_text(path: Path, cure: str = "") -> str:
-    """Content of a UTF-8 text file.
+    """Read a UTF-8 text file.
+
+    Args:
+        path: the file.
+        cure: how to mend that the file is missing.
 
     Raises:
-        InputError: it is missing, or not text; ``cure`` says how to mend the former.
+        InputError: the file is missing, or not text.
     """
     try:
         return path.read_text(encoding="utf-8")
@@ -28,23 +32,33 @@ def read_text(path: Path, cure: str = "") -> str:
 
 
 def read_lines(path: Path, cure: str = "") -> list[tuple[str, str]]:
-    """("path:line", stripped text) of each line that is neither blank nor a # comment.
+    """Read the lines of a text file, without blank lines and # comments.
+
+    Returns:
+        ("path:line", stripped text) of each line.
 
     Raises:
-        InputError: the file is missing, is not text or has no such line.
+        InputError: the file is missing, is not text, or has no such line.
     """
-    lines = [
-        (f"{path}:{number}", line.strip())
-        for number, line in enumerate(read_text(path, cure).splitlines(), 1)
-    ]
-    lines = [(where, line) for where, line in lines if line and not line.startswith("#")]
+    numbered = enumerate(read_text(path, cure).splitlines(), start=1)
+    stripped = [(f"{path}:{number}", line.strip()) for number, line in numbered]
+    lines = [(where, line) for where, line in stripped if line and not line.startswith("#")]
     if not lines:
         raise InputError(path, "this file holds no values.", cure)
     return lines
 
 
 def parse_floats(texts: list[str], where: str, *, nan_allowed: bool = False) -> list[float]:
-    """Numbers of one line. Raises InputError for text and for values that are not finite."""
+    """Parse the numbers of one line.
+
+    Args:
+        texts: the numbers as text.
+        where: "path:line", for messages.
+        nan_allowed: accept NaN.
+
+    Raises:
+        InputError: a text is no number, or a value is not finite.
+    """
     numbers = []
     for text in texts:
         try:
@@ -58,7 +72,11 @@ def parse_floats(texts: list[str], where: str, *, nan_allowed: bool = False) -> 
 
 
 def parse_stamp_ns(text: str, where: str) -> int:
-    """A stamp written as a whole number of nanoseconds."""
+    """Parse a whole number of nanoseconds.
+
+    Raises:
+        InputError: the text is none, or the number does not fit in 64 bits.
+    """
     try:
         stamp = int(text)
     except ValueError:
@@ -73,7 +91,14 @@ def parse_stamp_ns(text: str, where: str) -> int:
 
 
 def read_fields(path: Path, columns: int) -> list[tuple[str, list[str]]]:
-    """("path:line", its ``columns`` texts apart by blanks) of each line."""
+    """Split the lines of a file at blanks.
+
+    Returns:
+        ("path:line", the ``columns`` texts of the line) of each line.
+
+    Raises:
+        InputError: a line has another number of texts, or as ``read_lines`` raises.
+    """
     rows = [(where, line.split()) for where, line in read_lines(path)]
     for where, fields in rows:
         if len(fields) != columns:
@@ -82,28 +107,35 @@ def read_fields(path: Path, columns: int) -> list[tuple[str, list[str]]]:
 
 
 def read_table(path: Path, columns: int, *, nan_allowed: bool = False) -> FloatArray:
-    """Rows of ``columns`` numbers apart by blanks, [n, columns]."""
-    return np.array(
-        [
-            parse_floats(fields, where, nan_allowed=nan_allowed)
-            for where, fields in read_fields(path, columns)
-        ]
-    )
+    """Read rows of ``columns`` numbers separated by blanks, [n, columns].
+
+    Raises:
+        InputError: as ``read_fields`` and ``parse_floats`` raise.
+    """
+    rows = [
+        parse_floats(fields, where, nan_allowed=nan_allowed)
+        for where, fields in read_fields(path, columns)
+    ]
+    return np.array(rows)
 
 
 def read_stamped_csv(
     path: Path, columns: int, *, header: str | None = None, cure: str = ""
 ) -> tuple[IntArray, FloatArray]:
-    """A table whose first column is a stamp in ns: stamps [n] and the next ``columns`` values [n,
-    columns].
+    """Read a comma-separated table whose first column is a stamp in ns.
 
     Args:
         path: the file; lines that start with # are comments.
-        columns: how many values after the stamp to read; further ones are ignored where no header
-            is demanded.
-        header: text that the first line must be; None where the file has no header or a commented
-            one.
+        columns: number of values to read after the stamp; further values are ignored if no header
+            is required.
+        header: required first line; None if the file has no header, or a commented one.
         cure: how to mend that the file is missing.
+
+    Returns:
+        Stamps, [n], ns, and values, [n, columns].
+
+    Raises:
+        InputError: the file is missing, its header differs, or a line is faulty.
     """
     lines = read_lines(path, cure)
     if header is not None and lines.pop(0)[1].replace(" ", "") != header:

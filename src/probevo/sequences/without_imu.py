@@ -1,4 +1,4 @@
-"""A recording as if it had no IMU."""
+"""A view of a recording without its IMU."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from probevo.sequences.frame import Frame, GroundTruth
 
 @dataclass(frozen=True, eq=False)
 class WithoutImu:
-    """The ``Sequence`` of another one's frames, less their IMU samples."""
+    """A ``Sequence`` with the frames of another one, without their IMU samples."""
 
     path: Path
     format: str
@@ -26,20 +26,20 @@ class WithoutImu:
 
     @staticmethod
     def of(sequence: Sequence) -> WithoutImu:
-        """That recording without its IMU."""
-        facts = (
-            sequence.path,
-            sequence.format,
-            sequence.camera,
-            sequence.stamps_ns,
-            sequence.truth,
+        """Return a recording without its IMU."""
+        return WithoutImu(
+            path=sequence.path,
+            format=sequence.format,
+            camera=sequence.camera,
+            stamps_ns=sequence.stamps_ns,
+            truth=sequence.truth,
+            frames=sequence,
         )
-        return WithoutImu(*facts, sequence)
 
     def __len__(self) -> int:
-        """Number of frames, K."""
+        """Return the number of frames, K."""
         return len(self.frames)
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames, from the first."""
+        """Yield the frames from the first."""
         return (replace(frame, imu=None) for frame in self.frames)

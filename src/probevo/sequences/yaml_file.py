@@ -1,4 +1,4 @@
-"""Reads YAML files, and puts them into pydantic models; every error names the file and the key."""
+"""Readers of YAML files and their pydantic models; every error names the file and the key."""
 
 from __future__ import annotations
 
@@ -17,13 +17,20 @@ MERGE = "tag:yaml.org,2002:merge"
 
 
 def read_yaml(path: Path, model: type[Model], cure: str = "") -> Model:
-    """The file as a ``model``.
+    """Read a YAML file as a ``model``.
 
     Raises:
-        InputError: missing, not YAML, or not what the model allows; all the faults of the keys at
-            once.
+        InputError: it is missing, not YAML, or not what the model allows.
     """
-    content = load_yaml(path, cure)
+    return validated(load_yaml(path, cure), model, path, cure)
+
+
+def validated(content: object, model: type[Model], path: Path, cure: str = "") -> Model:
+    """Return the content of a file as a ``model``.
+
+    Raises:
+        InputError: the content is not what the model allows; names all keys at fault.
+    """
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -35,14 +42,15 @@ def read_yaml(path: Path, model: type[Model], cure: str = "") -> Model:
 
 
 def load_yaml(path: Path, cure: str = "") -> Any:
-    """What the file holds: mappings, lists and scalars.
+    """Read a YAML file: mappings, lists and scalars.
 
     Raises:
-        InputError: missing, not text, not YAML, a key given twice, or an invalid value (such as a
-            99th of May).
+        InputError: the file is missing, not text, or not YAML; a key is given twice, or a value is
+            invalid (such as a 99th of May).
     """
     text = read_text(path, cure)
-    if text.startswith("%YAML:"):  # OpenCV's header, as EuRoC has it, is no valid YAML
+    # OpenCV's header, which EuRoC's files have, is not valid YAML.
+    if text.startswith("%YAML:"):
         text = text.partition("\n")[2]
     try:
         return yaml.load(text, _NoKeyTwice)
@@ -53,7 +61,7 @@ def load_yaml(path: Path, cure: str = "") -> Any:
 
 
 class _NoKeyTwice(yaml.SafeLoader):
-    """Of two equal keys, YAML's loader would take the last without a word."""
+    """A loader that refuses a key given twice; YAML's own would silently take the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[tuple[str, str]] = set()

@@ -1,129 +1,157 @@
-"""How features looked when they were first seen, and where an image shows that again.
+"""Anchor patches: the windows in which features were first seen, aligned to later images.
 
-From one frame to the next a window seems to slip where it comes nearer, turns or slants, since its
-edges do not move as its middle does; and what slips is added up along a track. Fitted by an affine
-map to the first sight, it does not.
+A window that is tracked from one frame to the next drifts where it approaches, rotates or is
+slanted, since its edges do not move as its centre does; and the drift accumulates along a track. An
+affine alignment with the anchor patch, the window of the first observation, does not drift.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
-from probevo.tracking.anchor_patches_numba import apply, cut_windows, fit, undo
+from probevo.tracking.anchor_patches_numba import (
+    Alignment,
+    Anchors,
+    align_patches,
+    cut_patches,
+    divide_maps,
+    multiply_maps,
+)
 
-TIME_SPREAD = 0.03
-STEREO_SPREAD = 0.1
-"""How far an affine map changes from frame to frame beyond its scale; how far from the left to the
-right image."""
+SIGMA_IN_TIME = 0.03
+"""Standard deviation of an affine map's change from frame to frame, beyond its scale."""
+SIGMA_IN_STEREO = 0.1
+"""Standard deviation of the change of the affine map between left and right image."""
 MAX_GROWTH = 1.5
-"""A window that has grown or shrunk by more than this is cut anew."""
+"""A patch that has grown or shrunk by more than this is cut anew."""
+
+
+class AlignedPatches(NamedTuple):
+    """The result of aligning the anchor patches of N features with an image."""
+
+    pixels: FloatArray
+    """Features (u, v) in the image, [N, 2], px; as predicted where the alignment failed."""
+    difference: FloatArray
+    """Mean absolute difference of image and patch, [N], grey levels; ∞ where it failed."""
+    patches: AnchorPatches
+    """The patches with the maps found, and cut anew where the anchor does not hold any more."""
 
 
 @dataclass(frozen=True)
-class Windows:
-    """Windows of N features: the part of the left image around each, in the frame that saw it
-    first."""
+class AnchorPatches:
+    """Anchor patches of N features: the left image around each, in the frame that first saw it."""
 
-    first_sight: AnyArray
-    """[N, side + 2, side + 2], uint8, around a whole pixel."""
-    offset: FloatArray
-    """Of the feature from that pixel, [N, 2], px."""
+    patch: AnyArray
+    """Grey levels around a whole pixel, [N, side + 2, side + 2], uint8; the margin of one pixel is
+    for gradients."""
+    offset_px: FloatArray
+    """Offset of the feature from that whole pixel, (u, v), [N, 2], px."""
     affine: FloatArray
-    """What the window has become in the last left image, [N, 2, 2]."""
-    slant: FloatArray
-    """What the last left image becomes in the last right image, about each feature, [N, 2, 2]."""
+    """Affine map of each patch to the last left image, about the feature, [N, 2, 2]."""
+    right_from_left: FloatArray
+    """Affine map of the last left image to the last right image, about the feature, [N, 2, 2]."""
 
     @staticmethod
-    def cut(left: Image, pixels: FloatArray, side: int) -> Windows:
-        """Windows around features seen at (u, v), [N, 2], px, of a left image."""
+    def cut(left: Image, pixels: FloatArray, side: int) -> AnchorPatches:
+        """Cut patches out of a left image.
+
+        Args:
+            left: the image, [height, width], uint8.
+            pixels: features (u, v), [N, 2], px.
+            side: of the patches, without their margin, px; odd.
+        """
         center = np.round(pixels).astype(np.int64)
-        first_sight = np.empty((len(pixels), side + 2, side + 2), np.uint8)
-        cut_windows(left, center, first_sight)
-        as_it_is = np.tile(np.eye(2), (len(pixels), 1, 1))
-        return Windows(first_sight, pixels - center, as_it_is, slant=as_it_is)
+        patch = np.empty((len(pixels), side + 2, side + 2), np.uint8)
+        cut_patches(left, center, patch)
+        identity = np.tile(np.eye(2), (len(pixels), 1, 1))
+        return AnchorPatches(
+            patch=patch, offset_px=pixels - center, affine=identity, right_from_left=identity
+        )
 
     def __len__(self) -> int:
-        """Number of features, N."""
-        return len(self.offset)
+        """Return the number of features, N."""
+        return len(self.offset_px)
 
-    def kept(self, keep: BoolArray | IntArray) -> Windows:
-        """Only those of these features: a mask [N], or indices."""
-        return Windows(*(getattr(self, each.name)[keep] for each in fields(self)))
-
-    def joined(self, others: Windows) -> Windows:
-        """These and the others, [N + M]."""
-        return Windows(
-            *(
-                np.concatenate([getattr(w, each.name) for w in (self, others)])
-                for each in fields(self)
-            )
+    def subset(self, keep: BoolArray | IntArray) -> AnchorPatches:
+        """Select some features by a mask, [N], or by indices."""
+        return AnchorPatches(
+            patch=self.patch[keep],
+            offset_px=self.offset_px[keep],
+            affine=self.affine[keep],
+            right_from_left=self.right_from_left[keep],
         )
 
-    def found_in_left(
-        self, left: Image, pixels: FloatArray, growth: FloatArray
-    ) -> tuple[FloatArray, FloatArray, Windows]:
-        """Where the next left image has the features, how different they look there, and their
-        windows now.
+    def joined(self, others: AnchorPatches) -> AnchorPatches:
+        """Append the patches of M other features, [N + M]."""
+        return AnchorPatches(
+            patch=np.concatenate([self.patch, others.patch]),
+            offset_px=np.concatenate([self.offset_px, others.offset_px]),
+            affine=np.concatenate([self.affine, others.affine]),
+            right_from_left=np.concatenate([self.right_from_left, others.right_from_left]),
+        )
 
-        Where the first sight does not fit any more, the feature stays where it was thought to be
-        and is cut anew.
+    def align_left(self, left: Image, pixels: FloatArray, growth: FloatArray) -> AlignedPatches:
+        """Align the patches with the next left image.
+
+        Where the alignment fails, the feature stays at its predicted place. There, and where the
+        patch has grown or shrunk too much, a new anchor patch is cut out of this image.
 
         Args:
-            left: the image.
-            pixels: about where, (u, v), [N, 2], px.
-            growth: of the distance of two points of a surface that faces the camera, since the
-                frame before, [N].
-
-        Returns:
-            (u, v), [N, 2], px; mean absolute difference from the first sight, [N], grey levels,
-            infinite where that does not fit; the windows.
+            left: the image, [height, width], uint8.
+            pixels: predicted features (u, v), [N, 2], px.
+            growth: predicted scale of a surface that faces the camera, relative to the previous
+                frame, [N].
         """
-        grown = np.clip(growth, 1 / MAX_GROWTH, MAX_GROWTH)[:, None, None] * self.affine
-        found_px, affine, difference = self._fitted(left, pixels, grown, spread=TIME_SPREAD)
+        scale = np.clip(growth, 1 / MAX_GROWTH, MAX_GROWTH)[:, None, None]
+        aligned = self._align(left, pixels, scale * self.affine, sigma=SIGMA_IN_TIME)
+        affine = aligned.affine
+        # Find the patches whose anchor does not hold any more, by failure or by area
         area = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
-        anew = ~np.isfinite(difference) | (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
-        fresh = Windows.cut(left, found_px[anew], self.first_sight.shape[1] - 2)
-        now = replace(
-            self, first_sight=self.first_sight.copy(), offset=self.offset.copy(), affine=affine
-        )
-        now.first_sight[anew] = fresh.first_sight
-        now.offset[anew] = fresh.offset
-        now.affine[anew] = fresh.affine
-        return found_px, difference, now
+        failed = ~np.isfinite(aligned.difference)
+        lost = failed | (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
+        # Replace them by patches of this image
+        side = self.patch.shape[1] - 2
+        fresh = AnchorPatches.cut(left, aligned.pixels[lost], side)
+        patch = self.patch.copy()
+        offset_px = self.offset_px.copy()
+        patch[lost] = fresh.patch
+        offset_px[lost] = fresh.offset_px
+        affine[lost] = fresh.affine
+        patches = replace(self, patch=patch, offset_px=offset_px, affine=affine)
+        return AlignedPatches(aligned.pixels, aligned.difference, patches)
 
-    def found_in_right(
-        self, right: Image, pixels: FloatArray
-    ) -> tuple[FloatArray, FloatArray, Windows]:
-        """The same in the right image; features that do not fit stay where they were thought to be.
+    def align_right(self, right: Image, pixels: FloatArray) -> AlignedPatches:
+        """Align the patches with the right image of the frame whose left image came last.
+
+        Where the alignment fails, the feature stays at its predicted place, and its map between
+        left and right image as it was.
 
         Args:
-            right: the image.
-            pixels: about where, (u, v), [N, 2], px.
+            right: the image, [height, width], uint8.
+            pixels: predicted features (u, v), [N, 2], px.
         """
-        expected = np.empty((len(self), 2, 2))
-        slant = self.slant.copy()
-        apply(self.slant, self.affine, expected)
-        found_px, affine, difference = self._fitted(right, pixels, expected, spread=STEREO_SPREAD)
-        undo(affine, self.affine, difference, maps=slant)
-        return found_px, difference, replace(self, slant=slant)
+        predicted = np.empty((len(self), 2, 2))
+        multiply_maps(self.right_from_left, self.affine, predicted)
+        aligned = self._align(right, pixels, predicted, sigma=SIGMA_IN_STEREO)
+        right_from_left = self.right_from_left.copy()
+        divide_maps(aligned.affine, self.affine, aligned.difference, right_from_left)
+        patches = replace(self, right_from_left=right_from_left)
+        return AlignedPatches(aligned.pixels, aligned.difference, patches)
 
-    def _fitted(
-        self, image: Image, pixels: FloatArray, expected: FloatArray, spread: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        found_px = pixels.copy()
-        affine = np.empty((len(self), 2, 2))
-        difference = np.empty(len(self))
-        fit(
-            image,
-            self.first_sight,
-            self.offset,
-            expected=expected,
-            spread=spread,
-            pixels=found_px,
-            affine=affine,
-            difference=difference,
+    def _align(
+        self, image: Image, pixels: FloatArray, predicted_affine: FloatArray, sigma: float
+    ) -> Alignment:
+        anchors = Anchors(
+            patch=self.patch, offset_px=self.offset_px, predicted_affine=predicted_affine
         )
-        return found_px, affine, difference
+        alignment = Alignment(
+            pixels=pixels.copy(),
+            affine=np.empty((len(self), 2, 2)),
+            difference=np.empty(len(self)),
+        )
+        align_patches(image, anchors, sigma, alignment)
+        return alignment

@@ -1,11 +1,13 @@
-"""Compiled inner loops: cutting windows out of an image, and fitting them into another one by
-affine maps.
+"""Compiled loops of anchor patches: cutting them out of an image, and aligning them with another.
 
-The pixels of a window stand in one row. Indices are unsigned where speed matters: Numba allows for
-negative ones otherwise.
+The alignment is an inverse-compositional Gauss–Newton over affine maps (Baker, Matthews,
+"Lucas–Kanade 20 years on: a unifying framework", IJCV 2004). The pixels of a patch are held in one
+row. Indices are unsigned where speed matters: for signed ones, Numba handles negative values.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,131 +15,167 @@ from probevo.arrays import AnyArray, FloatArray, Image, IntArray
 from probevo.compiled import compiled, copy_into, factor, substitute
 
 BRIGHTNESS_NOISE = 4.0
-"""Standard deviation of a pixel's brightness between two views of the same thing, grey levels."""
+"""Standard deviation of a pixel's brightness between two views of the same point, grey levels."""
 MAX_ITERATIONS = 8
 MAX_STEP_PX = 0.05
-"""A fit is done when its step is shorter; without having got there, it has failed."""
+"""The alignment has converged when its step is shorter; if it never is, it has failed."""
 MAX_MOVE_PX = 2.0
-"""What is further than this from where it was thought to be is something else."""
+"""The alignment has failed when it goes farther than this from the predicted place."""
+
+
+class Anchors(NamedTuple):
+    """Anchor patches of N features, and the prediction of their maps."""
+
+    patch: AnyArray
+    """[N, side + 2, side + 2], uint8; the margin of one pixel is for gradients."""
+    offset_px: FloatArray
+    """Offset of the feature from the middle of its patch, [N, 2], px."""
+    predicted_affine: FloatArray
+    """Predicted affine map Â of the patch to the image, [N, 2, 2]."""
+
+
+class Alignment(NamedTuple):
+    """Place and map of N features in an image: output of ``align_patches``."""
+
+    pixels: FloatArray
+    """Features p = (u, v), [N, 2], px; on input, and where the alignment fails, as predicted."""
+    affine: FloatArray
+    """Affine map A of the patch to the image, [N, 2, 2]; Â where the alignment fails."""
+    difference: FloatArray
+    """Mean absolute difference of image and patch, [N], grey levels; ∞ where it fails."""
+
+
+class Template(NamedTuple):
+    """One patch without its margin, linearized by the six parameters (t, S) of a small map.
+
+    The small map takes x to t + (I + S) x.
+    """
+
+    position: FloatArray
+    """x of each pixel, from the feature, [2, area], px."""
+    brightness: FloatArray
+    """Grey level of each pixel, [area]."""
+    steepest_descent: FloatArray
+    """Derivatives of the brightness by (t, S), [6, area]."""
+
+
+class WarpedPixels(NamedTuple):
+    """Where the pixels of a patch are in the image."""
+
+    corner: IntArray
+    """Index, in the flat image, of the whole pixel to the upper left, [area], int32."""
+    fraction: FloatArray
+    """Offset from that whole pixel, [2, area], px."""
 
 
 @compiled
-def cut_windows(image: Image, center: IntArray, windows: AnyArray) -> None:
-    """windows[n] = the image around center[n] = (u, v), [N, side, side], continued at the border by
-    its last pixels."""
+def cut_patches(image: Image, center: IntArray, patches: AnyArray) -> None:
+    """Copy the image around center[n] = (u, v) into patches[n], [N, side, side].
+
+    Beyond the border of the image its last pixels are repeated.
+    """
     height, width = image.shape
-    reach = windows.shape[1] // 2
+    reach = patches.shape[1] // 2
     for n in range(len(center)):
-        for i in range(windows.shape[1]):
+        for i in range(patches.shape[1]):
             row = min(max(center[n, 1] + i - reach, 0), height - 1)
-            for j in range(windows.shape[2]):
-                windows[n, i, j] = image[row, min(max(center[n, 0] + j - reach, 0), width - 1)]
+            for j in range(patches.shape[2]):
+                patches[n, i, j] = image[row, min(max(center[n, 0] + j - reach, 0), width - 1)]
 
 
 @compiled
-def apply(maps: FloatArray, affine: FloatArray, product: FloatArray) -> None:
-    """product[n] = maps[n] affine[n], all [N, 2, 2]; NumPy takes thirty times as long."""
+def multiply_maps(outer: FloatArray, inner: FloatArray, product: FloatArray) -> None:
+    """Set product[n] = outer[n] inner[n], all [N, 2, 2]; NumPy takes thirty times as long."""
     for n in range(len(product)):
         for i in range(2):
             for j in range(2):
-                product[n, i, j] = maps[n, i, 0] * affine[n, 0, j] + maps[n, i, 1] * affine[n, 1, j]
+                product[n, i, j] = outer[n, i, 0] * inner[n, 0, j] + outer[n, i, 1] * inner[n, 1, j]
 
 
 @compiled
-def undo(product: FloatArray, affine: FloatArray, difference: FloatArray, maps: FloatArray) -> None:
-    """maps[n] = product[n] affine[n]⁻¹, all [N, 2, 2], where the difference, [N], is finite;
-    elsewhere they stay."""
-    for n in range(len(maps)):
+def divide_maps(
+    product: FloatArray, inner: FloatArray, difference: FloatArray, outer: FloatArray
+) -> None:
+    """Set outer[n] = product[n] inner[n]⁻¹, all [N, 2, 2], where the difference, [N], is finite."""
+    for n in range(len(outer)):
         if not difference[n] < np.inf:
             continue
-        a = affine[n, 0, 0]
-        b = affine[n, 0, 1]
-        c = affine[n, 1, 0]
-        d = affine[n, 1, 1]
-        one = 1.0 / (a * d - b * c)
+        a = inner[n, 0, 0]
+        b = inner[n, 0, 1]
+        c = inner[n, 1, 0]
+        d = inner[n, 1, 1]
+        inverse_determinant = 1.0 / (a * d - b * c)
         for i in range(2):
             p = product[n, i, 0]
             q = product[n, i, 1]
-            maps[n, i, 0] = (p * d - q * c) * one
-            maps[n, i, 1] = (q * a - p * b) * one
+            outer[n, i, 0] = (p * d - q * c) * inverse_determinant
+            outer[n, i, 1] = (q * a - p * b) * inverse_determinant
 
 
 @compiled
-def fit(
-    image: Image,
-    windows: AnyArray,
-    offset: FloatArray,
-    expected: FloatArray,
-    spread: float,
-    pixels: FloatArray,
-    affine: FloatArray,
-    difference: FloatArray,
-) -> None:
-    """Fit windows into an image by affine maps near the expected ones: inverse compositional
-    Gauss–Newton.
+def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Alignment) -> None:
+    """Align patches with an image by inverse-compositional Gauss–Newton over affine maps.
 
-    A map takes x, px from the feature, to p + A x. Minimized is the sum over the window of
-    (image(p + A x) − window(x))² / BRIGHTNESS_NOISE², plus ‖Â⁻¹ A − I‖² / spread² for the expected
-    Â (Baker, Matthews: Lucas–Kanade 20 years on, IJCV 2004).
+    A map takes x, px from the feature, to p + A x. The cost is the sum over the patch of
+    (image(p + A x) − patch(x))² / BRIGHTNESS_NOISE², plus the prior ‖Â⁻¹ A − I‖² / sigma².
 
     Args:
         image: [height, width], uint8.
-        windows: [N, side + 2, side + 2], uint8; the margin is for gradients.
-        offset: of the feature from the middle of its window, [N, 2], px.
-        expected: Â, [N, 2, 2].
-        spread: how far from it A may be.
-        pixels: about where the features are, [N, 2], px; out: p, where fitted.
-        affine: out: A, [N, 2, 2]; Â where not fitted.
-        difference: out: mean absolute difference of image and window, [N], grey levels; infinite
-            where not fitted.
+        anchors: patches of N features with their predicted maps Â.
+        sigma: standard deviation of the entries of Â⁻¹ A.
+        alignment: in: predicted places; out: places, maps and differences.
     """
-    brightness = image.ravel()
-    area = (windows.shape[1] - 2) * (windows.shape[2] - 2)
-    place = np.empty((2, area), np.float32)
-    descent = np.empty((6, area), np.float32)
-    window = np.empty(area, np.float32)
+    pixels = alignment.pixels
+    affine = alignment.affine
+    flat_image = image.ravel()
+    area = (anchors.patch.shape[1] - 2) * (anchors.patch.shape[2] - 2)
+    template = Template(
+        np.empty((2, area), np.float32),
+        np.empty(area, np.float32),
+        np.empty((6, area), np.float32),
+    )
+    warped = WarpedPixels(np.empty(area, np.int32), np.empty((2, area), np.float32))
     error = np.empty(area, np.float32)
-    corner = np.empty(area, np.int32)
-    part = np.empty((2, area), np.float32)
     information = np.empty((6, 6))
     lower = np.empty((6, 6))
-    slope = np.empty(6)
+    gradient = np.empty(6)
     step = np.empty(6)
     A = np.empty((2, 2))
-    prior = (BRIGHTNESS_NOISE / spread) ** 2
-    for n in range(len(windows)):
-        copy_into(affine[n], expected[n])
-        copy_into(A, expected[n])
+    # Everything is in units of BRIGHTNESS_NOISE
+    prior = (BRIGHTNESS_NOISE / sigma) ** 2
+    for n in range(len(anchors.patch)):
+        predicted = anchors.predicted_affine[n]
+        copy_into(affine[n], predicted)
+        copy_into(A, predicted)
         u = pixels[n, 0]
         v = pixels[n, 1]
-        difference[n] = np.inf
-        _linearize(
-            windows[n], offset[n], place, window=window, descent=descent, information=information
-        )
+        alignment.difference[n] = np.inf
+        # Linearize the patch instead of the image: the information matrix is then constant
+        _linearize(anchors.patch[n], anchors.offset_px[n], template, information=information)
         for k in range(2, 6):
             information[k, k] += prior
         if not factor(information, 6, lower):
             continue
         for _ in range(MAX_ITERATIONS):
             near = abs(u - pixels[n, 0]) < MAX_MOVE_PX and abs(v - pixels[n, 1]) < MAX_MOVE_PX
-            if not (
-                near and _locate(u, v, A, place=place, shape=image.shape, corner=corner, part=part)
-            ):
+            if not (near and _warp((u, v), A, template.position, shape=image.shape, warped=warped)):
                 break
-            _compare(brightness, image.shape[1], corner, part=part, window=window, error=error)
+            # Solve the normal equations for the step (t, S)
+            _subtract(flat_image, image.shape[1], warped, template.brightness, error=error)
             for k in range(6):
                 total = np.float32(0.0)
                 for i in range(area):
-                    total += descent[k, i] * error[i]
-                slope[k] = total
-            _add_prior(prior, A, expected[n], slope=slope)
-            substitute(lower, slope, step)
-            if not _take_back(step, A):
+                    total += template.steepest_descent[k, i] * error[i]
+                gradient[k] = total
+            _add_prior(prior, A, predicted, gradient=gradient)
+            substitute(lower, gradient, step)
+            # Compose the map with the inverse of the step
+            if not _compose_inverse(A, step):
                 break
             u -= A[0, 0] * step[0] + A[0, 1] * step[1]
             v -= A[1, 0] * step[0] + A[1, 1] * step[1]
             if step[0] * step[0] + step[1] * step[1] < MAX_STEP_PX * MAX_STEP_PX:
-                difference[n] = np.abs(error).mean()
+                alignment.difference[n] = np.abs(error).mean()
                 pixels[n, 0] = u
                 pixels[n, 1] = v
                 copy_into(affine[n], A)
@@ -146,45 +184,44 @@ def fit(
 
 @compiled
 def _linearize(
-    cut_out: AnyArray,
-    offset: FloatArray,
-    place: FloatArray,
-    window: FloatArray,
-    descent: FloatArray,
-    information: FloatArray,
+    patch: AnyArray, offset_px: FloatArray, template: Template, information: FloatArray
 ) -> None:
-    """Of one window less its margin: x, [2, area], brightness, [area], and that by the six
-    parameters of a small affine map (t, S) to x → t + (I + S) x, [6, area], with their inner
-    products, [6, 6]."""
-    brightness = cut_out.ravel()
-    width = np.uintp(cut_out.shape[1])
-    side = np.uintp(cut_out.shape[1] - 2)
+    """Fill the template of one patch, and the inner products of its derivatives, [6, 6]."""
+    position = template.position
+    window = template.brightness
+    descent = template.steepest_descent
+    brightness = patch.ravel()
+    width = np.uintp(patch.shape[1])
+    side = np.uintp(patch.shape[1] - 2)
     one = np.uintp(1)
-    first = np.float32(cut_out.shape[1] // 2 - 1)
-    u = first + np.float32(offset[0])
-    v = first + np.float32(offset[1])
+    first = np.float32(patch.shape[1] // 2 - 1)
+    u = first + np.float32(offset_px[0])
+    v = first + np.float32(offset_px[1])
     for row in range(side):
         for column in range(side):
             k = row * side + column
             at = (row + one) * width + column + one
             window[k] = np.float32(brightness[at])
-            place[0, k] = np.float32(column) - u
-            place[1, k] = np.float32(row) - v
+            position[0, k] = np.float32(column) - u
+            position[1, k] = np.float32(row) - v
+            # Central differences
             descent[0, k] = np.float32(0.5) * (
                 np.float32(brightness[at + one]) - np.float32(brightness[at - one])
             )
             descent[1, k] = np.float32(0.5) * (
                 np.float32(brightness[at + width]) - np.float32(brightness[at - width])
             )
+    # Derivatives by S: x times those by t
     for i in range(len(window)):
         along = descent[0, i]
         down = descent[1, i]
-        x = place[0, i]
-        y = place[1, i]
+        x = position[0, i]
+        y = position[1, i]
         descent[2, i] = along * x
         descent[3, i] = along * y
         descent[4, i] = down * x
         descent[5, i] = down * y
+    # Gauss–Newton information of the patch, constant during the alignment
     for m in range(6):
         for n in range(m + 1):
             total = np.float32(0.0)
@@ -194,26 +231,36 @@ def _linearize(
 
 
 @compiled
-def _locate(
-    u: float,
-    v: float,
+def _warp(
+    center: tuple[float, float],
     A: FloatArray,
-    place: FloatArray,
+    position: FloatArray,
     shape: tuple[int, int],
-    corner: IntArray,
-    part: FloatArray,
+    warped: WarpedPixels,
 ) -> bool:
-    """Where p + A x is: index of the pixel to its upper left, [area], and the rest, [2, area];
-    False if outside."""
+    """Find where p + A x is in the image for all x of a patch; False if any may be outside.
+
+    Args:
+        center: p = (u, v), px.
+        A: [2, 2].
+        position: x, [2, area], px.
+        shape: (height, width) of the image.
+        warped: out.
+    """
+    u, v = center
     height, width = shape
-    x = abs(place[0, 0]) + 1.0
-    y = abs(place[1, 0]) + 1.0  # of the window's corner, at most half a pixel less
+    corner = warped.corner
+    fraction = warped.fraction
+    # Reach of the patch from p: its corner is less than a pixel farther than the first pixel
+    x = abs(position[0, 0]) + 1.0
+    y = abs(position[1, 0]) + 1.0
     reach_u = abs(A[0, 0]) * x + abs(A[0, 1]) * y
     reach_v = abs(A[1, 0]) * x + abs(A[1, 1]) * y
     if not (u >= reach_u and v >= reach_v and u + reach_u < width - 1 and v + reach_v < height - 1):
         return False
+    # Relative to a whole pixel nearby, single precision is enough
     left = int(u - reach_u)
-    top = int(v - reach_v)  # near, so that single precision will do
+    top = int(v - reach_v)
     a = np.float32(A[0, 0])
     b = np.float32(A[0, 1])
     c = np.float32(A[1, 0])
@@ -222,56 +269,53 @@ def _locate(
     v_ = np.float32(v - top)
     base = np.int32(top * width + left)
     for i in range(len(corner)):
-        right = u_ + a * place[0, i] + b * place[1, i]
-        down = v_ + c * place[0, i] + d * place[1, i]
+        right = u_ + a * position[0, i] + b * position[1, i]
+        down = v_ + c * position[0, i] + d * position[1, i]
         column = np.int32(right)
         row = np.int32(down)
-        part[0, i] = right - np.float32(column)
-        part[1, i] = down - np.float32(row)
+        fraction[0, i] = right - np.float32(column)
+        fraction[1, i] = down - np.float32(row)
         corner[i] = base + row * np.int32(width) + column
     return True
 
 
 @compiled
-def _compare(
-    brightness: Image,
-    width: int,
-    corner: IntArray,
-    part: FloatArray,
-    window: FloatArray,
-    error: FloatArray,
+def _subtract(
+    flat_image: Image, width: int, warped: WarpedPixels, brightness: FloatArray, error: FloatArray
 ) -> None:
-    """The image there, bilinear between its pixels, less the window, [area]."""
+    """Set the error to the image, interpolated bilinearly, less the patch's brightness, [area]."""
+    corner = warped.corner
+    fraction = warped.fraction
     one = np.uintp(1)
     below = np.uintp(width)
     for i in range(len(corner)):
         k = np.uintp(corner[i])
-        upper = np.float32(brightness[k])
-        upper_right = np.float32(brightness[k + one])
-        lower = np.float32(brightness[k + below])
-        lower_right = np.float32(brightness[k + below + one])
-        upper += part[0, i] * (upper_right - upper)
-        lower += part[0, i] * (lower_right - lower)
-        error[i] = upper + part[1, i] * (lower - upper) - window[i]
+        upper = np.float32(flat_image[k])
+        upper_right = np.float32(flat_image[k + one])
+        lower = np.float32(flat_image[k + below])
+        lower_right = np.float32(flat_image[k + below + one])
+        upper += fraction[0, i] * (upper_right - upper)
+        lower += fraction[0, i] * (lower_right - lower)
+        error[i] = upper + fraction[1, i] * (lower - upper) - brightness[i]
 
 
 @compiled
-def _add_prior(prior: float, A: FloatArray, expected: FloatArray, slope: FloatArray) -> None:
-    """Of ½ prior ‖Â⁻¹ A − I‖² by S, added to the slope's last four."""
-    a = expected[0, 0]
-    b = expected[0, 1]
-    c = expected[1, 0]
-    d = expected[1, 1]
+def _add_prior(prior: float, A: FloatArray, predicted: FloatArray, gradient: FloatArray) -> None:
+    """Add the derivative of ½ prior ‖Â⁻¹ A − I‖² by S to the last four entries of the gradient."""
+    a = predicted[0, 0]
+    b = predicted[0, 1]
+    c = predicted[1, 0]
+    d = predicted[1, 1]
     weight = prior / (a * d - b * c)
-    slope[2] += weight * (d * A[0, 0] - b * A[1, 0]) - prior
-    slope[3] += weight * (d * A[0, 1] - b * A[1, 1])
-    slope[4] += weight * (a * A[1, 0] - c * A[0, 0])
-    slope[5] += weight * (a * A[1, 1] - c * A[0, 1]) - prior
+    gradient[2] += weight * (d * A[0, 0] - b * A[1, 0]) - prior
+    gradient[3] += weight * (d * A[0, 1] - b * A[1, 1])
+    gradient[4] += weight * (a * A[1, 0] - c * A[0, 0])
+    gradient[5] += weight * (a * A[1, 1] - c * A[0, 1]) - prior
 
 
 @compiled
-def _take_back(step: FloatArray, A: FloatArray) -> bool:
-    """A ← A (I + S)⁻¹, for step = (t, S); False if the step is too wild to be one."""
+def _compose_inverse(A: FloatArray, step: FloatArray) -> bool:
+    """Set A ← A (I + S)⁻¹ for step = (t, S); False if the step shrinks the patch too much."""
     determinant = (1.0 + step[2]) * (1.0 + step[5]) - step[3] * step[4]
     if not determinant > 0.25:
         return False

@@ -1,4 +1,4 @@
-"""New corners where the image has none yet."""
+"""Detection of new corners, spread over the image by a grid of cells (bucketing)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.compiled import compiled
 from probevo.config import TrackingConfig
-from probevo.tracking.fast_corners import strongest_of_cells
+from probevo.tracking.fast_corners import CornerGrid, strongest_of_cells
 
 FEATURES_PER_CELL = 2
-"""Cells are as large as it takes for this many features each to make the number wanted."""
+"""Features wanted in a cell, from which follows the size of the cells."""
 AROUND_WINDOW_PX = 3
-"""Corners whose window comes closer to the border than this could not be tracked with all of it."""
+"""Margin around the window of a corner: with less, it could not be tracked by all of its window."""
 
 
 def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
-    """The strongest FAST corners of each grid cell.
+    """Detect the strongest FAST corners of each grid cell.
 
     Args:
         image: [height, width], uint8.
@@ -28,49 +28,62 @@ def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
         (u, v) of the corners, [rows, columns, FEATURES_PER_CELL, 2], px, the strongest first; NaN
         where a cell has no more.
     """
-    grid = _grid(image.shape, config)
-    border_px = config.window_px // 2 + AROUND_WINDOW_PX
-    return strongest_of_cells(image, config.fast_threshold, *grid, FEATURES_PER_CELL, border_px)
+    return strongest_of_cells(
+        image,
+        corner_grid(image.shape, config),
+        threshold=config.fast_threshold,
+        per_cell=FEATURES_PER_CELL,
+        border_px=config.window_px // 2 + AROUND_WINDOW_PX,
+    )
 
 
-def corners_in_room(
+def corners_in_free_cells(
     strongest: FloatArray, occupied_px: FloatArray, shape: tuple[int, int], config: TrackingConfig
 ) -> FloatArray:
-    """Of each cell's strongest corners, those that are apart, as many as fill the share that the
-    features there leave.
+    """Choose new corners that do not overlap, as many as each cell has too few features.
 
     Args:
-        strongest: from ``strongest_corners``.
-        occupied_px: (u, v) of the features already there, [N, 2], px.
-        shape: [height, width] of the image.
-        config: the same settings.
+        strongest: strongest corners of each cell, as from ``strongest_corners``.
+        occupied_px: (u, v) of the features already tracked, [N, 2], px.
+        shape: (height, width) of the image.
+        config: the settings of ``strongest_corners``.
 
     Returns:
         (u, v) of the new corners, [M, 2], px.
     """
-    cell_px, rows, columns = _grid(shape, config)
-    column, row = np.clip(occupied_px // cell_px, 0, [columns - 1, rows - 1]).astype(np.int64).T
-    taken = np.bincount(row * columns + column, minlength=rows * columns).reshape(rows, columns, 1)
-    chosen = (np.arange(FEATURES_PER_CELL) < FEATURES_PER_CELL - taken) & np.isfinite(
-        strongest[..., 0]
-    )
-    corners: FloatArray = strongest[chosen]
-    return corners[apart(np.vstack([occupied_px, corners]), shape, config)[len(occupied_px) :]]
+    # Count the features of each cell
+    grid = corner_grid(shape, config)
+    last_cell = [grid.columns - 1, grid.rows - 1]
+    column, row = np.clip(occupied_px // grid.cell_px, 0, last_cell).astype(np.int64).T
+    num_cells = grid.rows * grid.columns
+    taken = np.bincount(row * grid.columns + column, minlength=num_cells)
+    free = FEATURES_PER_CELL - taken.reshape(grid.rows, grid.columns, 1)
+    # Fill the cells with their strongest corners
+    is_chosen = (np.arange(FEATURES_PER_CELL) < free) & np.isfinite(strongest[..., 0])
+    corners: FloatArray = strongest[is_chosen]
+    # Drop those that overlap with a feature, or with a corner before them
+    keep = non_overlapping(np.vstack([occupied_px, corners]), shape, config)
+    return corners[keep[len(occupied_px) :]]
 
 
-def apart(pixels: FloatArray, shape: tuple[int, int], config: TrackingConfig) -> BoolArray:
-    """Which features do not share most of their window with one before them that is kept, [N].
+def non_overlapping(
+    pixels: FloatArray, shape: tuple[int, int], config: TrackingConfig
+) -> BoolArray:
+    """Find the features whose window does not overlap by half with that of an earlier one kept.
 
-    Two that do are one: their errors are alike, and counted as two they would make the motion look
-    surer than it is.
+    The errors of two features that share most of their window are equal. Counted as two, they
+    would make the covariance of the motion too small.
 
     Args:
         pixels: (u, v) of the features, [N, 2], px.
-        shape: [height, width] of the image.
-        config: with the window.
+        shape: (height, width) of the image.
+        config: with the size of the window.
+
+    Returns:
+        Mask of the features to keep, [N].
     """
     keep = np.empty(len(pixels), np.bool_)
-    _keep_apart(
+    _fill_non_overlapping(
         np.round(pixels).astype(np.int64),
         config.window_px // 2 + 1,
         np.zeros(shape, np.bool_),
@@ -80,12 +93,13 @@ def apart(pixels: FloatArray, shape: tuple[int, int], config: TrackingConfig) ->
 
 
 @compiled
-def _keep_apart(pixels: IntArray, reach: int, taken: BoolArray, keep: BoolArray) -> None:
-    """Mark the square around each feature that is kept."""
+def _fill_non_overlapping(pixels: IntArray, reach: int, taken: BoolArray, keep: BoolArray) -> None:
+    """Mark the square around each feature that is kept in ``taken``, [height, width]."""
     height, width = taken.shape
     for n in range(len(pixels)):
         u = min(max(pixels[n, 0], 0), width - 1)
         v = min(max(pixels[n, 1], 0), height - 1)
+        # Overlapping by half: the centre lies in the square around an earlier feature
         keep[n] = not taken[v, u]
         if keep[n]:
             for row in range(max(v - reach, 0), min(v + reach + 1, height)):
@@ -93,8 +107,15 @@ def _keep_apart(pixels: IntArray, reach: int, taken: BoolArray, keep: BoolArray)
                     taken[row, column] = True
 
 
-def _grid(shape: tuple[int, int], config: TrackingConfig) -> tuple[float, int, int]:
-    """Side of the square cells, px, and how many rows and columns of them there are."""
+def corner_grid(shape: tuple[int, int], config: TrackingConfig) -> CornerGrid:
+    """Return the grid whose cells, with FEATURES_PER_CELL each, hold the number wanted.
+
+    Args:
+        shape: (height, width) of the image.
+        config: with the number of features.
+    """
     height, width = shape
     cell_px = math.sqrt(FEATURES_PER_CELL * width * height / config.num_features)
-    return cell_px, math.ceil(height / cell_px), math.ceil(width / cell_px)
+    return CornerGrid(
+        cell_px=cell_px, rows=math.ceil(height / cell_px), columns=math.ceil(width / cell_px)
+    )

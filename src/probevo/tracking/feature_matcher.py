@@ -4,44 +4,48 @@ from __future__ import annotations
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
-from probevo.sequences.frame import Frame, StereoFeatures
+from probevo.arrays import FloatArray
+from probevo.sequences.frame import Frame
+from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
 
 
 class FeatureMatcher:
-    """Joins the features of consecutive frames by identity; the counterpart of ``ImageTracker``
-    without images."""
+    """Joins the features of consecutive frames by identity; an ``ImageTracker`` without images."""
 
-    def __init__(self) -> None:
-        nothing = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
-        self._before = self._now = (nothing, np.zeros(0, np.int64))
-        self._now_stamp_ns: int | None = None
+    def track(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Tracked:
+        """Return the features that the previous frame had, too; no search, and so no start.
 
-    def track(self, frame: Frame, expected: FloatArray) -> Tracks:
-        """The features that the previous frame had too; ``expected`` is not needed here.
+        Args:
+            state: features of the previous frame.
+            frame: with features.
+            T_curr_prev: not used.
 
-        Called again for a frame, it starts over.
+        Raises:
+            ValueError: the frame has no features.
         """
         if frame.features is None:
             raise ValueError(f"frame {frame.index} has no features")
-        if frame.stamp_ns != self._now_stamp_ns:
-            self._before = self._now
-            self._now_stamp_ns = frame.stamp_ns
-        previous, previous_age = self._before
-        seen = np.isfinite(frame.features.pixels).all(axis=1)
-        current = StereoFeatures(frame.features.ids[seen], frame.features.pixels[seen])
-        ids, before, now = np.intersect1d(
-            previous.ids, current.ids, assume_unique=True, return_indices=True
+        is_finite = np.isfinite(frame.features.pixels).all(axis=1)
+        ids = frame.features.ids[is_finite]
+        pixels = frame.features.pixels[is_finite]
+        common, prev_rows, curr_rows = np.intersect1d(
+            state.ids, ids, assume_unique=True, return_indices=True
         )
-        age = np.ones(len(current.ids), np.int64)
-        age[now] = previous_age[before] + 1
-        rejected = {"not finite": int((~seen).sum())}
+        age = np.ones(len(ids), np.int64)
+        age[curr_rows] = state.age[prev_rows] + 1
         tracks = Tracks(
-            previous.pixels[before], current.pixels[now], ids, age=age[now], rejected=rejected
+            prev_px=state.pixels[prev_rows],
+            curr_px=pixels[curr_rows],
+            ids=common,
+            age=age[curr_rows],
+            rejected={"not finite": int((~is_finite).sum())},
         )
-        self._now = (current, age)
-        return tracks
-
-    def drop(self, ids: IntArray) -> None:
-        """Nothing: the file decides which features there are."""
+        alive = TrackingState(
+            ids=ids,
+            pixels=pixels,
+            age=age,
+            matches_anchor=np.ones(len(ids), np.bool_),
+            is_given=True,
+        )
+        return Tracked(tracks, alive)

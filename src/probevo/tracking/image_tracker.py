@@ -4,66 +4,58 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, Image, IntArray
+from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
-from probevo.tracking.anchor_patches import Windows
-from probevo.tracking.detection import apart, corners_in_room
-from probevo.tracking.lucas_kanade import Pyramid, find_again
-from probevo.tracking.preparation import PreparedImages, prepared
+from probevo.tracking.anchor_patches import AnchorPatches
+from probevo.tracking.detection import corners_in_free_cells, non_overlapping
+from probevo.tracking.lucas_kanade import Pyramid, track_points
+from probevo.tracking.preparation import prepare_images
+from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
+
+LEAST_SCALED_DEPTH = 0.05
+"""A point that comes nearer than this share of its depth in one step cannot be predicted."""
+BORDER_PX = 5.0
+"""Nearer to the border, a window has too little of the image."""
 
 
 @dataclass(frozen=True)
-class _Followed:
-    """Features alive in the last frame."""
+class _FoundInTime:
+    """N features of the previous frame, found in the current left image."""
 
-    left: Pyramid
-    pixels: FloatArray  # [N, 4]
-    ids: IntArray
-    age: IntArray
-    windows: Windows
-    same: BoolArray  # whether each still looks as at first sight, in both images
-    next_id: int
+    prev: TrackingState
+    """What they were."""
+    left_px: FloatArray
+    """(u, v) in the current left image, [N, 2], px."""
+    patches: AnchorPatches
+    disparity_px: FloatArray
+    """Predicted disparity in the current frame, [N], px."""
+    difference: FloatArray
+    """Difference of the windows, [N], grey levels."""
+    matches_anchor: BoolArray
+    """Whether the anchor patch still fits, [N]."""
 
-    @staticmethod
-    def none(left: Pyramid, config: TrackingConfig) -> _Followed:
-        nobody = np.zeros(0, np.int64)
-        windows = Windows.cut(left[0], np.zeros((0, 2)), config.window_px)
-        return _Followed(
-            left,
-            np.zeros((0, 4)),
-            nobody,
-            age=nobody,
-            windows=windows,
-            same=np.zeros(0, np.bool_),
-            next_id=0,
-        )
 
-    def kept(self, keep: BoolArray | IntArray) -> _Followed:
-        arrays = (
-            self.pixels[keep],
-            self.ids[keep],
-            self.age[keep],
-            self.windows.kept(keep),
-            self.same[keep],
-        )
-        return _Followed(self.left, *arrays, self.next_id)
+@dataclass(frozen=True)
+class _FoundInStereo:
+    """M of N points in the left image, found in the right one."""
 
-    def renamed(self) -> _Followed:
-        """What does not look as at first sight is taken for another point from there on."""
-        others = ~self.same
-        ids = self.ids.copy()
-        age = self.age.copy()
-        ids[others] = self.next_id + np.arange(others.sum())
-        age[others] = 1
-        return replace(self, ids=ids, age=age, next_id=self.next_id + int(others.sum()))
+    matched: BoolArray
+    """Which points these are, [N]."""
+    right_px: FloatArray
+    """(u, v) in the right image, [M, 2], px."""
+    patches: AnchorPatches
+    difference: FloatArray
+    """Difference of the windows, [M], grey levels."""
+    matches_anchor: BoolArray
+    """Whether the anchor patch still fits, [M]."""
 
 
 class ImageTracker:
@@ -77,156 +69,184 @@ class ImageTracker:
     def __init__(self, camera: StereoCamera, config: TrackingConfig) -> None:
         self._camera = camera
         self._config = config
-        self._before: _Followed | None = None
-        self._now: _Followed | None = None
-        self._now_stamp_ns: int | None = None
-        self._images: PreparedImages | None = None
 
-    def track(self, frame: Frame, expected: FloatArray) -> Tracks:
-        """The features of the previous frame that are found in this one. Called again for a frame,
-        it starts over.
+    def track(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Tracked:
+        """Find the features of the previous frame in this one, and new ones where there is room.
 
         Args:
+            state: features alive in the previous frame.
             frame: with both images.
-            expected: T_curr_prev that the search starts from, [4, 4].
+            T_curr_prev: motion that the search starts from, [4, 4].
         """
-        if self._images is None or frame.stamp_ns != self._now_stamp_ns:
-            self._images = prepared(frame, self._config)
-            self._before = self._now
-            self._now_stamp_ns = frame.stamp_ns
-        left = self._images.left
-        right = self._images.right
+        images = prepare_images(frame, self._config)
         rejected: Counter[str] = Counter()
-        before = (self._before or _Followed.none(left, self._config)).renamed()
-        next_id = before.next_id
-        followed = self._follow_in_time(before, left, expected, rejected=rejected)
-        before, windows, left_px, disparity, difference, same = followed
-        corners = corners_in_room(self._images.corners, left_px, left[0].shape, config=self._config)
-        all_px = np.vstack([left_px, corners])
-        right_px, windows, matched, difference_right, same_right = self._match_right(
-            left,
-            right,
-            all_px,
-            disparity=np.r_[disparity, _of_nearest(corners, left_px, disparity)],
-            windows=windows.joined(Windows.cut(left[0], corners, self._config.window_px)),
-            num_followed=len(left_px),
+        # What does not match its anchor patch any more continues as another landmark.
+        prev = state.with_new_identities()
+        found = self._find_in_time(prev, images.left, T_curr_prev, rejected=rejected)
+        num_found = len(found.left_px)
+        # New corners in the cells that have room, with the disparity of the nearest feature.
+        image = images.left[0]
+        corners = corners_in_free_cells(
+            images.corners, found.left_px, image.shape, config=self._config
+        )
+        corner_disparity = _disparity_of_nearest(corners, found.left_px, found.disparity_px)
+        corner_patches = AnchorPatches.cut(image, corners, self._config.window_px)
+        # All of them in the right image.
+        left_px = np.vstack([found.left_px, corners])
+        in_stereo = self._find_in_stereo(
+            (images.left, images.right),
+            left_px,
+            found.patches.joined(corner_patches),
+            disparity_px=np.concatenate([found.disparity_px, corner_disparity]),
+            is_predicted=np.arange(len(left_px)) < num_found,
             rejected=rejected,
         )
-        survived = matched[: len(left_px)]
-        born = matched[len(left_px) :]
-        num = int(survived.sum())
-        num_born = int(born.sum())
-        self._now = now = _Followed(
-            left,
-            np.hstack([all_px[matched], right_px]),
-            np.r_[before.ids[survived], next_id + np.arange(num_born)],
-            age=np.r_[before.age[survived] + 1, np.ones(num_born, np.int64)],
-            windows=windows,
-            same=np.r_[same[survived], np.ones(num_born, np.bool_)] & same_right,
-            next_id=next_id + num_born,
+        # The features of the previous frame come first, then the new ones.
+        matched = in_stereo.matched
+        survived = matched[:num_found]
+        num_survived = int(survived.sum())
+        num_new = int(matched[num_found:].sum())
+        matches_anchor = np.concatenate(
+            [found.matches_anchor[survived], np.ones(num_new, np.bool_)]
         )
-        differences = np.column_stack([difference[survived], difference_right[:num]])
-        return Tracks(
-            before.pixels[survived],
-            now.pixels[:num],
-            now.ids[:num],
-            age=now.age[:num],
+        alive = TrackingState(
+            ids=np.concatenate([found.prev.ids[survived], prev.next_id + np.arange(num_new)]),
+            pixels=np.hstack([left_px[matched], in_stereo.right_px]),
+            age=np.concatenate([found.prev.age[survived] + 1, np.ones(num_new, np.int64)]),
+            matches_anchor=matches_anchor & in_stereo.matches_anchor,
+            patches=in_stereo.patches,
+            left=images.left,
+            next_id=prev.next_id + num_new,
+        )
+        tracks = Tracks(
+            prev_px=found.prev.pixels[survived],
+            curr_px=alive.pixels[:num_survived],
+            ids=alive.ids[:num_survived],
+            age=alive.age[:num_survived],
             rejected=dict(rejected),
-            difference=differences,
+            difference=np.column_stack(
+                [found.difference[survived], in_stereo.difference[:num_survived]]
+            ),
         )
+        return Tracked(tracks, alive)
 
-    def drop(self, ids: IntArray) -> None:
-        """Stop following these features: they turned out to be outliers."""
-        if self._now is not None and len(ids):
-            self._now = self._now.kept(~np.isin(self._now.ids, ids))
-
-    def _follow_in_time(
-        self, before: _Followed, left: Pyramid, expected: FloatArray, rejected: Counter[str]
-    ) -> tuple[_Followed, Windows, FloatArray, FloatArray, FloatArray, BoolArray]:
-        """Features found again: what they were; now windows, (u, v) [N, 2], expected disparity [N],
-        difference [N], and whether the first sight fits, [N]."""
-        predicted, growth, ahead = _predict(before.pixels, expected, self._camera)
-        visible = ahead & _inside(predicted, left[0])
+    def _find_in_time(
+        self,
+        prev: TrackingState,
+        left: Pyramid,
+        T_curr_prev: FloatArray,
+        *,
+        rejected: Counter[str],
+    ) -> _FoundInTime:
+        """Find the features of the previous frame in the current left image."""
+        image = left[0]
+        # Where the motion takes them.
+        predicted_px, growth, ahead = _predict(prev.pixels, T_curr_prev, self._camera)
+        visible = ahead & _inside(predicted_px, image)
         rejected["left the view"] += int((~visible).sum())
-        seen = np.flatnonzero(visible)
-        found_px, difference = find_again(
-            before.left,
+        prev = prev.subset(visible)
+        growth = growth[visible]
+        # From there, Lucas–Kanade from frame to frame.
+        tracked = track_points(
+            prev.left,
             left,
-            before.pixels[seen, :2],
-            start_px=predicted[seen],
+            prev.pixels[:, :2],
+            start_px=predicted_px[visible],
             config=self._config,
         )
-        inside = _inside(found_px, left[0])
+        inside = _inside(tracked.pixels, image)
         rejected["left the view"] += int((~inside).sum())
-        alike = _alike(difference, inside, self._config)
-        rejected["looks different"] += int((inside & ~alike).sum())
-        before = before.kept(seen[alike])
-        growth = growth[seen[alike]]
-        difference = difference[alike]
-        found_px, fitted, windows = before.windows.found_in_left(left[0], found_px[alike], growth)
-        same = np.isfinite(fitted)
-        difference = np.where(same, fitted, difference)
-        alone = apart(
-            found_px, left[0].shape, self._config
-        )  # of two, the older one: it comes first
-        rejected["met another"] += int((~alone).sum())
-        before = before.kept(alone)
-        windows = windows.kept(alone)
-        found_px = found_px[alone]
-        disparity = growth[alone] * np.maximum(before.pixels[:, 0] - before.pixels[:, 2], 0.0)
-        return before, windows, found_px, disparity, difference[alone], same[alone]
+        similar = _similar(tracked.difference, inside, self._config)
+        rejected["looks different"] += int((inside & ~similar).sum())
+        prev = prev.subset(similar)
+        growth = growth[similar]
+        # Drift along the track is undone by the affine fit to the anchor patch.
+        patches = prev.patches
+        if patches is None:
+            patches = AnchorPatches.cut(image, np.zeros((0, 2)), self._config.window_px)
+        aligned = patches.align_left(image, tracked.pixels[similar], growth)
+        matches_anchor = np.isfinite(aligned.difference)
+        difference = np.where(matches_anchor, aligned.difference, tracked.difference[similar])
+        # Of two features that have met, the older one stays: it comes first.
+        separate = non_overlapping(aligned.pixels, image.shape, self._config)
+        rejected["met another"] += int((~separate).sum())
+        prev = prev.subset(separate)
+        prev_disparity_px = np.maximum(prev.pixels[:, 0] - prev.pixels[:, 2], 0.0)
+        return _FoundInTime(
+            prev=prev,
+            left_px=aligned.pixels[separate],
+            patches=aligned.patches.subset(separate),
+            disparity_px=growth[separate] * prev_disparity_px,
+            difference=difference[separate],
+            matches_anchor=matches_anchor[separate],
+        )
 
-    def _match_right(
+    def _find_in_stereo(
         self,
-        left: Pyramid,
-        right: Pyramid,
+        images: tuple[Pyramid, Pyramid],
         left_px: FloatArray,
-        disparity: FloatArray,
-        windows: Windows,
-        num_followed: int,
+        patches: AnchorPatches,
+        *,
+        disparity_px: FloatArray,
+        is_predicted: BoolArray,
         rejected: Counter[str],
-    ) -> tuple[FloatArray, Windows, BoolArray, FloatArray, BoolArray]:
-        """Of N points in the left image, the followed ones first, those M that pass the checks: (u,
-        v) in the right one, [M, 2], their windows, which they are, [N], how different they look,
-        [M], and whether the first sight fits, [M]."""
-        start = left_px - np.column_stack([disparity, np.zeros(len(disparity))])
-        followed = np.arange(len(left_px)) < num_followed  # their disparities are about known
-        right_px, difference = find_again(
-            left, right, left_px, start_px=start, config=self._config, near=followed
-        )
-        level, ahead = self._consistent(left_px, right_px)
-        rejected["rows differ"] += int((~level).sum())
-        rejected["negative disparity"] += int(
-            (level & ~ahead & (right_px[:, 0] > left_px[:, 0])).sum()
-        )
-        rejected["too little disparity"] += int(
-            (level & ~ahead & (right_px[:, 0] <= left_px[:, 0])).sum()
-        )
-        matched = _alike(difference, level & ahead, self._config)
-        rejected["no stereo match"] += int((level & ahead & ~matched).sum())
-        fitted_px, fitted, windows = windows.kept(matched).found_in_right(
-            right[0], right_px[matched]
-        )
-        still = np.logical_and(*self._consistent(left_px[matched], fitted_px))
-        right_px = np.where(still[:, None], fitted_px, right_px[matched])
-        difference = np.where(np.isfinite(fitted), fitted, difference[matched])
-        return right_px, windows, matched, difference, np.isfinite(fitted) & still
+    ) -> _FoundInStereo:
+        """Find N points of the left image in the right one.
 
-    def _consistent(self, left_px: FloatArray, right_px: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Which matches [N, 2] are in about the same row, and which are far enough to the left,
-        [N]."""
-        level: BoolArray = np.abs(right_px[:, 1] - left_px[:, 1]) <= self._config.max_row_offset_px
-        ahead: BoolArray = left_px[:, 0] - right_px[:, 0] >= self._config.min_disparity_px
-        return level, ahead
+        Args:
+            images: pyramids of the left and the right image.
+            left_px: the points, (u, v), [N, 2], px.
+            patches: anchor patch of each.
+            disparity_px: predicted disparity, [N], px.
+            is_predicted: which disparities follow from the previous frame, [N]; those of new
+                corners are only a guess.
+            rejected: counts what each check rejects.
+        """
+        left, right = images
+        start_px = left_px - np.column_stack([disparity_px, np.zeros(len(left_px))])
+        tracked = track_points(
+            left, right, left_px, start_px=start_px, config=self._config, near=is_predicted
+        )
+        # A match lies in about the same row, and not to the right.
+        same_row, has_disparity = self._is_consistent(left_px, tracked.pixels)
+        is_negative = tracked.pixels[:, 0] > left_px[:, 0]
+        rejected["rows differ"] += int((~same_row).sum())
+        rejected["negative disparity"] += int((same_row & ~has_disparity & is_negative).sum())
+        rejected["too little disparity"] += int((same_row & ~has_disparity & ~is_negative).sum())
+        consistent = same_row & has_disparity
+        matched = _similar(tracked.difference, consistent, self._config)
+        rejected["no stereo match"] += int((consistent & ~matched).sum())
+        # The affine fit to the anchor patch, where it stays consistent.
+        aligned = patches.subset(matched).align_right(right[0], tracked.pixels[matched])
+        same_row, has_disparity = self._is_consistent(left_px[matched], aligned.pixels)
+        consistent = same_row & has_disparity
+        fits = np.isfinite(aligned.difference)
+        return _FoundInStereo(
+            matched=matched,
+            right_px=np.where(consistent[:, None], aligned.pixels, tracked.pixels[matched]),
+            patches=aligned.patches,
+            difference=np.where(fits, aligned.difference, tracked.difference[matched]),
+            matches_anchor=fits & consistent,
+        )
+
+    def _is_consistent(
+        self, left_px: FloatArray, right_px: FloatArray
+    ) -> tuple[BoolArray, BoolArray]:
+        """Return which matches [N, 2] lie in about the same row, and which have a disparity."""
+        row_offset_px = np.abs(right_px[:, 1] - left_px[:, 1])
+        same_row: BoolArray = row_offset_px <= self._config.max_row_offset_px
+        disparity_px = left_px[:, 0] - right_px[:, 0]
+        has_disparity: BoolArray = disparity_px >= self._config.min_disparity_px
+        return same_row, has_disparity
 
 
 def _predict(
     pixels: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Where a motion takes features [N, 4]: (u, v) [N, 2], how they grow [N], and whether ahead of
-    the camera [N]."""
+    """Return where a motion takes features [N, 4]: (u, v) [N, 2], their growth [N], and which are
+    ahead of the camera [N]."""
     q, _ = camera.moved_rays(pixels, T_curr_prev)
-    ahead: BoolArray = q[2] > 0.05
+    ahead: BoolArray = q[2] > LEAST_SCALED_DEPTH
     growth = 1.0 / np.where(ahead, q[2], 1.0)
     u = camera.fu_px * q[0] * growth + camera.cu_px
     v = camera.fv_px * q[1] * growth + camera.cv_px
@@ -234,9 +254,10 @@ def _predict(
 
 
 @compiled
-def _of_nearest(corners: FloatArray, left_px: FloatArray, disparity: FloatArray) -> FloatArray:
-    """Disparity [M] to start with at new corners [M, 2]: the one [N] expected of the nearest
-    feature [N, 2]."""
+def _disparity_of_nearest(
+    corners: FloatArray, left_px: FloatArray, disparity: FloatArray
+) -> FloatArray:
+    """Return the disparity [M] to start with at corners [M, 2]: that [N] of the nearest feature."""
     found = np.zeros(len(corners))
     for m in range(len(corners)):
         nearest = np.inf
@@ -249,22 +270,22 @@ def _of_nearest(corners: FloatArray, left_px: FloatArray, disparity: FloatArray)
     return found
 
 
-def _alike(difference: FloatArray, candidates: BoolArray, config: TrackingConfig) -> BoolArray:
-    """Which of the candidates [N] look the same in both windows: little difference, or among the
-    least different quarter.
+def _similar(difference: FloatArray, candidates: BoolArray, config: TrackingConfig) -> BoolArray:
+    """Return which of the candidates [N] look the same in both windows.
 
-    The quarter is one of the features wanted: where everything has changed, by a large step or
-    blur, some must go on.
+    These differ little, or are among the least different quarter of the features wanted: where
+    everything has changed, by a large step or blur, some must go on.
     """
     ranked = np.sort(difference[candidates & np.isfinite(difference)])
-    enough = config.num_features // 4
-    limit = ranked[min(enough, len(ranked)) - 1] if len(ranked) else 0.0
-    alike: BoolArray = candidates & (difference <= max(config.max_difference, float(limit)))
-    return alike & np.isfinite(difference)
+    quarter = min(config.num_features // 4, len(ranked))
+    limit = float(ranked[quarter - 1]) if len(ranked) else 0.0
+    similar: BoolArray = candidates & (difference <= max(config.max_difference, limit))
+    return similar & np.isfinite(difference)
 
 
-def _inside(pixels: FloatArray, image: Image, border_px: float = 5.0) -> BoolArray:
+def _inside(pixels: FloatArray, image: Image) -> BoolArray:
+    """Return which (u, v), [N, 2], lie inside the image, off its border."""
     height, width = image.shape
-    far_corner = np.array([width, height]) - border_px
-    inside: BoolArray = np.all((pixels >= border_px) & (pixels < far_corner), axis=1)
+    far_corner = np.array([width, height]) - BORDER_PX
+    inside: BoolArray = np.all((pixels >= BORDER_PX) & (pixels < far_corner), axis=1)
     return inside

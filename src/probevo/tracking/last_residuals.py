@@ -8,7 +8,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.measurements.stereo_numba import NEAREST
+from probevo.camera.transfer import transfer
 from probevo.tracking.tracks import Tracks
 
 LAST_RESIDUAL = "last_residual"
@@ -51,17 +51,6 @@ class LastResiduals:
 
 
 def _residual_sizes(tracks: Tracks, T_curr_prev: FloatArray, camera: StereoCamera) -> FloatArray:
-    """‖y' − f(T g(y))‖, [N], px; a point is carried as its ray and inverse depth, as in
-    ``reprojection_kernels``."""
-    u_l, v_l, u_r, v_r = tracks.prev_px.T
-    disparity = u_l - u_r
-    rays = np.empty((3, len(tracks)))
-    rays[0], rays[1] = camera.normalized(u_l, 0.5 * (v_l + v_r))
-    rays[2] = 1.0
-    t_per_px = T_curr_prev[:3, 3, None] / (camera.fu_px * camera.baseline_m)
-    x, y, z = T_curr_prev[:3, :3] @ rays + t_per_px * disparity
-    z = np.where(z < NEAREST, np.nan, z)
-    u = camera.fu_px * x / z + camera.cu_px
-    v = camera.fv_px * y / z + camera.cv_px
-    residuals = tracks.curr_px - np.stack([u, v, u - disparity / z, v], axis=1)
-    return np.asarray(np.linalg.norm(residuals, axis=1), np.float64)
+    """Compute ‖y' − f(T g(y))‖ of each track, [N], px; NaN behind the camera."""
+    predicted = transfer(tracks.prev_px, T_curr_prev, camera)
+    return np.asarray(np.linalg.norm(tracks.curr_px - predicted.pixels, axis=1), np.float64)

@@ -1,4 +1,7 @@
-"""Have left and right been swapped? The calibration cannot tell; the first stereo matches can."""
+"""Detection of swapped left and right images.
+
+The calibration cannot show it, but the first stereo matches can: their disparity is negative.
+"""
 
 from __future__ import annotations
 
@@ -8,52 +11,59 @@ from probevo.errors import InputError
 from probevo.tracking.tracks import Tracks
 
 FRAMES_TO_SEE = 3
-"""Steps after which the matches are judged."""
+"""Number of steps whose matches are counted before the check."""
 FEWEST_MATCHES = 30
+"""With fewer matches, nothing is decided."""
 MOST_BEHIND = 0.8
-"""Share of matches with negative disparity beyond which the images are swapped. It is over 0.98 for
-swapped recordings of KITTI and EuRoC, under 0.05 for right ones, and one half where everything is
-too far away to tell."""
+"""Share of matches with negative disparity beyond which the images count as swapped.
+
+It is over 0.98 for swapped recordings of KITTI and EuRoC, under 0.05 for correct ones, and one half
+where everything is too far away for a decision."""
 
 
 class SwappedImagesError(InputError):
-    """The left images come from the right camera: whatever follows from them is worth nothing."""
+    """The left images come from the right camera, which makes every result wrong."""
 
 
 def count_matches(tracks: Tracks) -> tuple[int, int]:
-    """Stereo matches of one step with positive and with negative disparity, those that the tracker
-    refused included."""
-    in_front = tracks.curr_px[:, 0] >= tracks.curr_px[:, 2]
-    return int(in_front.sum()), int((~in_front).sum()) + tracks.rejected.get(
-        "negative disparity", 0
-    )
+    """Count the stereo matches of one step with positive and with negative disparity.
+
+    Matches that the tracker has rejected for their negative disparity are included.
+    """
+    is_positive = tracks.curr_px[:, 0] >= tracks.curr_px[:, 2]
+    num_positive = int(is_positive.sum())
+    num_negative = int((~is_positive).sum())
+    return num_positive, num_negative + tracks.rejected.get("negative disparity", 0)
 
 
-def looks_swapped(ahead: int, behind: int) -> bool:
-    """Whether the stereo matches with positive (``ahead``) and negative disparity can only come
-    from swapped images."""
-    return ahead + behind >= FEWEST_MATCHES and behind > MOST_BEHIND * (ahead + behind)
+def looks_swapped(num_positive: int, num_negative: int) -> bool:
+    """Tell whether so many matches of positive and negative disparity mean swapped images."""
+    num_matches = num_positive + num_negative
+    return num_matches >= FEWEST_MATCHES and num_negative > MOST_BEHIND * num_matches
 
 
-def check_left_right(ahead: int, behind: int, where: str | Path) -> None:
+def check_left_right(num_positive: int, num_negative: int, where: str | Path) -> None:
     """Refuse a recording whose left images come from the right camera.
 
     Args:
-        ahead: number of stereo matches with positive disparity.
-        behind: number of those with negative disparity, as of points behind the camera.
+        num_positive: number of stereo matches with positive disparity.
+        num_negative: number of those with negative disparity, as of points behind the camera.
         where: the recording, for the message.
 
     Raises:
         SwappedImagesError: nearly all matches have negative disparity.
     """
-    if looks_swapped(ahead, behind):
-        what = f"{behind} of the first {ahead + behind} stereo matches have negative disparity."
-        raise SwappedImagesError(where, what, f"Are left and right swapped? {exchange(where)}")
+    if looks_swapped(num_positive, num_negative):
+        raise SwappedImagesError(
+            where,
+            f"{num_negative} of the first {num_positive + num_negative} stereo matches have"
+            " negative disparity.",
+            f"Are left and right swapped? {exchange(where)}",
+        )
 
 
 def exchange(recording: str | Path) -> str:
-    """What to do where left and right are swapped; a recording that is a file holds features, not
-    images."""
+    """Say how to exchange left and right: a recording that is a file holds features, not images."""
     if Path(recording).is_file():
         return "Exchange columns 0 and 2, and 1 and 3, of uv."
     return "Exchange the two image folders."

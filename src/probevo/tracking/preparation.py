@@ -1,80 +1,74 @@
-"""What tracking does with a frame's images before it knows of any motion, so that it can be done
-ahead of time."""
+"""The part of tracking that needs no prediction: high-pass filter, pyramids and corners.
+
+It can be done in another thread while the previous frame is still being processed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 
 import cv2
 import numpy as np
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import Image
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame
+from probevo.sequences.prepared_images import PreparedImages as PreparedImages
 from probevo.sequences.read_ahead import read_ahead
 from probevo.tracking.detection import strongest_corners
-from probevo.tracking.lucas_kanade import Pyramid, pyramid_of
+from probevo.tracking.lucas_kanade import build_pyramid
 
 
-@dataclass(frozen=True)
-class PreparedImages:
-    """A stereo pair as it is tracked in."""
+def prepare_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[Frame]:
+    """Yield the same frames with prepared images.
 
-    left: Pyramid
-    """Less its local mean, and the levels above it."""
-    right: Pyramid
-    corners: FloatArray
-    """The strongest of each cell of the left image, as from ``strongest_corners``."""
-    config: TrackingConfig
-    """The settings that it was prepared with."""
-
-
-def prepared_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[Frame]:
-    """The same frames, prepared in a thread of their own while the consumer works on the one
-    before.
-
-    What reading a frame raises comes where the frame would have.
+    A thread of its own prepares the next frame while the consumer works on the previous one. An
+    exception of reading a frame is raised at the position of that frame.
     """
     source = iter(frames)
 
-    def following(_: int) -> Frame | None:
+    def prepare_next(_: int) -> Frame | None:
         frame = next(source, None)
-        return None if frame is None else with_prepared(frame, config)
+        return None if frame is None else with_prepared_images(frame, config)
 
-    with closing(read_ahead(following, count(), ahead=1, threads=1)) as ahead:
+    with closing(read_ahead(prepare_next, count(), ahead=1, threads=1)) as ahead:
         for frame in ahead:
             if frame is None:
                 return
             yield frame
 
 
-def with_prepared(frame: Frame, config: TrackingConfig) -> Frame:
-    """The frame with its prepared images, if it has any."""
-    return (
-        frame
-        if frame.left is None or frame.right is None
-        else replace(frame, prepared=prepared(frame, config))
-    )
+def with_prepared_images(frame: Frame, config: TrackingConfig) -> Frame:
+    """Return the frame with its prepared images; a frame without images as it is."""
+    if frame.left is None or frame.right is None:
+        return frame
+    return replace(frame, prepared=prepare_images(frame, config))
 
 
-def prepared(frame: Frame, config: TrackingConfig) -> PreparedImages:
-    """Those that the frame brings along, or else prepared now."""
+def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
+    """Prepare the images of a frame, unless it comes with images prepared with these settings.
+
+    Raises:
+        ValueError: the frame has no images.
+    """
     if frame.left is None or frame.right is None:
         raise ValueError(f"frame {frame.index} has no images")
     if frame.prepared is not None and frame.prepared.config == config:
         return frame.prepared
-    left, right = (
-        pyramid_of(_high_pass(image, config), config) for image in (frame.left, frame.right)
-    )
-    return PreparedImages(left, right, strongest_corners(left[0], config), config=config)
+    left = build_pyramid(high_pass(frame.left, config), config)
+    right = build_pyramid(high_pass(frame.right, config), config)
+    corners = strongest_corners(left[0], config)
+    return PreparedImages(left=left, right=right, corners=corners, config=config)
 
 
-def _high_pass(image: Image, config: TrackingConfig) -> Image:
-    """The image less its local mean, around 128: exposure and vignetting drop out of the brightness
-    constancy."""
+def high_pass(image: Image, config: TrackingConfig) -> Image:
+    """Subtract the local mean from an image, and add 128.
+
+    This removes exposure and vignetting, which contradict the assumption of brightness constancy.
+    """
     if config.high_pass_px == 0:
         return image
     mean = cv2.blur(image, (config.high_pass_px, config.high_pass_px))

@@ -1,7 +1,7 @@
-"""The waist of the design: stereo observations of the same points in two frames.
+"""Tracks: stereo observations of the same points in two frames, as the two-frame solve takes them.
 
-Everything left of it may be absent (a tracks file has no images); everything right of it never sees
-an image.
+Everything left of them in the data flow may be absent (a tracks file has no images); everything
+right of them never sees an image.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.stereo import StereoCamera
 
 
 @dataclass(frozen=True)
@@ -23,33 +25,35 @@ class Tracks:
     curr_px: FloatArray
     """The same points in the current frame, [N, 4], px."""
     ids: IntArray
-    """Identity of each point, [N]. What no longer looks as at first sight goes on under another
+    """Identity of each point, [N]. What no longer matches its anchor patch continues under another
     one."""
     age: IntArray
     """Number of frames, the current one included, that have seen the point in a row, [N]; at least
     2."""
     rejected: Mapping[str, int] = field(default_factory=dict)
-    """How many candidate points each consistency check turned away on this step, by the check's
+    """How many candidate points each consistency check rejected in this step, by the check's
     name."""
     difference: FloatArray | None = None
-    """How differently each point looks from when it was first seen, in the left and in the right
-    image: the mean absolute difference of the windows, [N, 2], grey levels. Where that window does
-    not fit: from the frame before, and from the left image. None where somebody else has tracked
-    the points."""
+    """Difference of each point from its anchor patch, in the left and in the right image: the mean
+    absolute difference of the windows, [N, 2], grey levels. Where that patch does not fit: from the
+    previous frame, and from the left image. None where somebody else has tracked the points."""
 
     def __len__(self) -> int:
-        """Number of points, N."""
+        """Return the number of points, N."""
         return len(self.ids)
 
     @staticmethod
     def none() -> Tracks:
-        """No tracks at all."""
+        """Return no tracks at all."""
         return Tracks(
-            np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0, np.int64), age=np.zeros(0, np.int64)
+            prev_px=np.zeros((0, 4)),
+            curr_px=np.zeros((0, 4)),
+            ids=np.zeros(0, np.int64),
+            age=np.zeros(0, np.int64),
         )
 
     def kept(self, keep: BoolArray | IntArray) -> Tracks:
-        """Only those points: a mask [N], or indices."""
+        """Return only some of the points: a mask [N], or indices."""
         return replace(
             self,
             prev_px=self.prev_px[keep],
@@ -57,4 +61,12 @@ class Tracks:
             ids=self.ids[keep],
             age=self.age[keep],
             difference=None if self.difference is None else self.difference[keep],
+        )
+
+    def corrected(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:
+        """Return the tracks with both observations corrected by the rig's calibration."""
+        return replace(
+            self,
+            prev_px=rig.corrected(self.prev_px, camera),
+            curr_px=rig.corrected(self.curr_px, camera),
         )

@@ -16,7 +16,8 @@ from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.files import remove_stale, write_atomically
-from probevo.noise.model_io import Learned, Storable, load_model, save_model
+from probevo.noise.base import LearnedNoiseModel
+from probevo.noise.model_io import load_model, save_model
 from probevo.training.recording import TICKET
 from probevo.training.settings import TrainSettings
 from probevo.training.supervised_drive import DriveOnDisk, whole
@@ -117,12 +118,12 @@ class Checkpoint:
         np.savez(buffer, allow_pickle=False, **arrays)
         write_atomically(self._iteration(number), buffer.getvalue())
 
-    def turn(self, number: int) -> Learned | None:
+    def turn(self, number: int) -> LearnedNoiseModel | None:
         """The model after a turn of EM that is done."""
         path = self._turn(number)
         return load_model(path) if path.exists() else None
 
-    def keep_turn(self, number: int, model: Storable) -> None:
+    def keep_turn(self, number: int, model: LearnedNoiseModel) -> None:
         """Write it."""
         save_model(model, self._turn(number))
 

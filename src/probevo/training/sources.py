@@ -13,7 +13,7 @@ from probevo.camera.likeness import difference
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.predictors import Needs, PredictionSpace, Predictor, prediction_space
-from probevo.runner import check_imu
+from probevo.run_checks import check_imu
 from probevo.sequences import open_sequence
 from probevo.sequences.base import Sequence
 from probevo.training.settings import DEFAULT, KERNEL, TrainSettings

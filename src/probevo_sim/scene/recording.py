@@ -13,8 +13,10 @@ import numpy as np
 from probevo.arrays import FloatArray, Image, IntArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
-from probevo.sequences.frame import Frame, GroundTruth, ImuCalibration, ImuSamples
+from probevo.geometry import se3
+from probevo.sequences.frame import Frame, GroundTruth, ImuSamples
 from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.poses import ground_truth
 from probevo.sequences.read_ahead import read_ahead
 from probevo.sequences.stamps import NS_PER_S
@@ -162,10 +164,13 @@ def open_scene(config: SceneConfig) -> SceneRecording:
 
 def _imu_calibration(rig: RigConfig) -> ImuCalibration:
     return ImuCalibration(
-        C_CAM_IMU,
-        rig.gyro_noise_rad_s_sqrt_hz,
-        rig.gyro_bias_sigma_rad_s,
+        T_cam_imu=se3.from_parts(C_CAM_IMU, np.zeros(3)),
+        gyro_noise_rad_s_sqrt_hz=rig.gyro_noise_rad_s_sqrt_hz,
+        gyro_bias_sigma_rad_s=rig.gyro_bias_sigma_rad_s,
         gyro_bias_walk_rad_s2_sqrt_hz=rig.gyro_bias_walk_rad_s2_sqrt_hz,
+        accel_noise_m_s2_sqrt_hz=rig.accel_noise_m_s2_sqrt_hz,
+        accel_bias_sigma_m_s2=rig.accel_bias_sigma_m_s2,
+        accel_bias_walk_m_s3_sqrt_hz=rig.accel_bias_walk_m_s3_sqrt_hz,
     )
 
 

@@ -154,10 +154,13 @@ def _write_rest(recording: SceneRecording, out: Path) -> None:
         "width_px": recording.config.rig.width_px,
         "height_px": recording.config.rig.height_px,
         "imu": {
-            "C_cam_imu": imu.C_cam_imu.tolist(),
+            "T_cam_imu": imu.T_cam_imu.tolist(),
             "gyro_noise_rad_s_sqrt_hz": imu.gyro_noise_rad_s_sqrt_hz,
             "gyro_bias_sigma_rad_s": imu.gyro_bias_sigma_rad_s,
             "gyro_bias_walk_rad_s2_sqrt_hz": imu.gyro_bias_walk_rad_s2_sqrt_hz,
+            "accel_noise_m_s2_sqrt_hz": imu.accel_noise_m_s2_sqrt_hz,
+            "accel_bias_sigma_m_s2": imu.accel_bias_sigma_m_s2,
+            "accel_bias_walk_m_s3_sqrt_hz": imu.accel_bias_walk_m_s3_sqrt_hz,
         },
     }
     write_atomically(out / "calib.yaml", yaml.safe_dump(calibration, sort_keys=False))

@@ -37,7 +37,7 @@ def errors(count: int = COUNT, seed: int = 0) -> FloatArray:
 
 
 def queries(columns: int = 2) -> FloatArray:
-    """From amidst the data to absurdly far."""
+    """From within the data to very far away."""
     factor = np.geomspace(1e-9, 1e12, 22)[:, None]
     return np.concatenate([np.zeros((1, columns)), factor * places(22, columns, seed=7)])
 
@@ -136,7 +136,7 @@ def test_poor_data_give_something_sound(name: str, variant: str) -> None:
         {"weights": np.array([1e-9, 1e6])},
     ],
 )
-def test_extreme_shapes_of_the_kernel_are_fine(options: dict[str, Any], variant: str) -> None:
+def test_extreme_hyperparameters_are_accepted(options: dict[str, Any], variant: str) -> None:
     """K larger than N, a reach that nothing is within, …"""
     check(places(), errors(), variant=variant, **options)
 
@@ -150,15 +150,6 @@ def test_one_sample_says_next_to_nothing_elsewhere() -> None:
     np.testing.assert_allclose(noise.scale, np.repeat(model.prior_.scale, 5, axis=0), rtol=1e-4)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
-def test_a_residual_that_is_no_number_is_refused(value: float) -> None:
-    bad = errors()
-    bad[17, 2] = value
-    with pytest.raises(InputError, match=r"residuals: that of feature 17 \(from 0\)") as caught:
-        GeneralizedKernel().fit(places(), bad)
-    assert caught.value.cure
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("count", [1, COUNT])
 def test_a_predictor_that_is_no_number_is_refused(value: float, count: int) -> None:
@@ -166,13 +157,6 @@ def test_a_predictor_that_is_no_number_is_refused(value: float, count: int) -> N
     bad[count // 2, 1] = value
     with pytest.raises(InputError, match=rf"predictor column 1: feature {count // 2} "):
         GeneralizedKernel().fit(bad, errors(count))
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_query_that_is_no_number_is_refused(value: float) -> None:
-    model = GeneralizedKernel().fit(places(), errors())
-    with pytest.raises(InputError, match="predictor column 0: feature 0 "):
-        model.predict(np.array([[value, 0.0]]))
 
 
 def test_what_may_be_undefined_may_be_so() -> None:
@@ -235,30 +219,9 @@ def test_groups_of_another_number_are_refused() -> None:
         GeneralizedKernel().fit(places(), errors(), np.arange(59))
 
 
-@pytest.mark.parametrize("shape", [(7,), (7, 1), (7, 3), ()])
-def test_queries_of_other_columns_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="predictors: their shape is"):
-        GeneralizedKernel().fit(places(), errors()).predict(np.zeros(shape))
-
-
 def test_no_query_no_noise() -> None:
     noise = GeneralizedKernel().fit(places(), errors()).predict(np.zeros((0, 2)))
     assert (noise.scale.shape, noise.dof.shape, noise.bias.shape) == ((0, 4, 4), (0,), (0, 4))
-
-
-@pytest.mark.parametrize(
-    "spread",
-    [
-        np.zeros((59, 4, 4)),
-        np.zeros((COUNT, 4)),
-        np.full((COUNT, 4, 4), np.nan),
-        np.full((COUNT, 4, 4), np.inf),
-    ],
-)
-def test_a_spread_that_is_none_is_refused(spread: FloatArray) -> None:
-    """Compiled code would read beyond its end."""
-    with pytest.raises(InputError, match="spread"):
-        GeneralizedKernel().fit(places(), errors(), spread=spread)
 
 
 @pytest.mark.parametrize(
@@ -285,9 +248,7 @@ def test_a_spread_that_is_none_is_refused(spread: FloatArray) -> None:
         ("robust", {"weights": np.array([1.0, 1e30])}),
     ],
 )
-def test_a_shape_of_the_kernel_that_is_none_is_refused(
-    variant: Any, options: dict[str, Any]
-) -> None:
+def test_an_invalid_hyperparameter_is_refused(variant: Any, options: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=f"generalized kernel: {next(iter(options))}") as caught:
         GeneralizedKernel(variant, **options).fit(places(), errors())
     assert caught.value.cure
@@ -295,7 +256,7 @@ def test_a_shape_of_the_kernel_that_is_none_is_refused(
 
 def test_whole_numbers_may_be_written_as_floats() -> None:
     model = check(places(), errors(), neighbors=8.0, centers=30.0)
-    assert (model.shape_.neighbors, len(model.centers_.values)) == (8, 30)
+    assert (model.shape_.neighbors, len(model.centers_.parameters)) == (8, 30)
 
 
 @st.composite

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from probevo.noise.gk.center_search import LEAF, NEAREST, Leaves
+from probevo.noise.gk.center_search import Leaves
+from probevo.noise.gk.center_search_numba import LEAF, NEAREST
 
 
 @settings(deadline=None)

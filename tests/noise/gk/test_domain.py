@@ -1,4 +1,4 @@
-"""A kernel knows what it does not know."""
+"""The domain of a generalized kernel: which features are unlike all training data."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def model(places: FloatArray) -> GeneralizedKernel:
     ).fit(places, errors)
 
 
-def test_next_to_nothing_of_like_data_is_out_of_domain(model: GeneralizedKernel) -> None:
+def test_hardly_any_similar_data_are_out_of_domain(model: GeneralizedKernel) -> None:
     out_of_domain = model.predict(np.random.default_rng(2).normal(size=(5000, 4))).out_of_domain
     assert out_of_domain is not None
     assert out_of_domain.mean() < 0.002
@@ -50,7 +50,7 @@ def test_far_away_it_is_as_wide_as_the_worst_tenth(
 
 @pytest.mark.parametrize("more", [0, 1, 2, 5, 100])
 def test_hardly_more_samples_than_centers_are_like_as_many(more: int) -> None:
-    """Of the few that are no center, none may lie far out: the domain does not end where they do."""
+    """None of the few others may lie far out, so they do not determine where the domain ends."""
     rng = np.random.default_rng(4)
     places = rng.normal(size=(400 + more, 3))
     errors = rng.normal(size=(400 + more, 4))

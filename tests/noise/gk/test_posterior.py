@@ -8,14 +8,9 @@ from scipy.stats import multivariate_t
 import probevo.noise.gk.posterior as module
 from probevo.arrays import FloatArray
 from probevo.noise import StereoNoise
-from probevo.noise.gk.posterior import KernelPosterior, KernelShape, prior_of
-from probevo.noise.student_t_fit import (
-    Neighborhoods,
-    StudentPrior,
-    Students,
-    fit_static,
-    fit_students,
-)
+from probevo.noise.gk.posterior import KernelPosterior, KernelSamples, KernelShape, prior_of
+from probevo.noise.student_t_arrays import Neighborhoods, StudentPrior, StudentTs
+from probevo.noise.student_t_fit import fit_static, fit_student_ts
 
 DIM = 4
 COUNT = 300
@@ -29,9 +24,9 @@ def samples(seed: int = 0, count: int = COUNT, columns: int = 2) -> tuple[FloatA
 
 
 def posterior(
-    seed: int = 0, *, published: bool = False, spread: FloatArray | None = None
+    seed: int = 0, *, published: bool = False, error_cov: FloatArray | None = None
 ) -> KernelPosterior:
-    return KernelPosterior.of(*samples(seed), spread, published=published)
+    return KernelPosterior.of(KernelSamples(*samples(seed), error_cov), published=published)
 
 
 def published_by_hand(
@@ -65,7 +60,7 @@ def test_as_published_it_is_the_posterior_of_an_inverse_wishart(place: FloatArra
 
 
 def test_the_published_predictive_density_is_that_of_scipy() -> None:
-    """The Student-t of eq. 13, whose covariance is the mean Ψ*/(ν* − d − 1) of the inverse Wishart."""
+    """The Student-t of eq. (13), whose covariance is the mean of the inverse Wishart."""
     psi, nu = published_by_hand(PLACES[1], PUBLISHED)
     dof = nu - DIM + 1.0
     errors = np.geomspace(0.01, 50.0, 6)[:, None] * np.random.default_rng(1).normal(size=(6, DIM))
@@ -79,12 +74,12 @@ def test_the_published_predictive_density_is_that_of_scipy() -> None:
 
 
 def test_the_published_prior_is_the_mean_square_of_all_errors() -> None:
-    _, errors = samples()
-    prior = prior_of(errors, published=True)
+    places, errors = samples()
+    prior = prior_of(KernelSamples(places, errors), published=True)
     np.testing.assert_allclose(prior.scale[0], errors.T @ errors / COUNT, rtol=1e-4, atol=1e-5)
 
 
-def robust_by_hand(place: FloatArray, shape: KernelShape) -> tuple[Students, float]:
+def robust_by_hand(place: FloatArray, shape: KernelShape) -> tuple[StudentTs, float]:
     """Neighbours by sorting all distances; then the fit to them."""
     places, errors = samples()
     distance = np.sqrt(np.sum((places - place) ** 2, axis=1))
@@ -101,7 +96,7 @@ def robust_by_hand(place: FloatArray, shape: KernelShape) -> tuple[Students, flo
         dof_counts=shape.dof_counts,
         bias_counts=shape.bias_counts,
     )
-    return fit_students(
+    return fit_student_ts(
         errors, Neighborhoods(np.array([0, len(near)]), near, kernel), prior
     ), float(kernel.sum())
 
@@ -126,9 +121,9 @@ def test_samples_all_in_one_place_all_count(published: bool) -> None:
     """Forty samples at the very place, and any K: their kernel is one, and the K-th neighbour is at
     no distance."""
     errors = np.random.default_rng(2).normal(size=(40, DIM))
-    crowd = KernelPosterior.of(np.ones((40, 2)), errors, None, published=published)
+    coincident = KernelPosterior.of(KernelSamples(np.ones((40, 2)), errors), published=published)
     shape = KernelShape(neighbors=40, reach=0.5, prior_counts=6.0)
-    found, counts = crowd.at(np.ones((1, 2)), shape)
+    found, counts = coincident.at(np.ones((1, 2)), shape)
     assert counts[0] == pytest.approx(40.0)
     assert np.isfinite(found.scale).all()
 
@@ -154,9 +149,11 @@ def test_beyond_the_reach_of_all_the_prior_holds(published: bool) -> None:
     np.testing.assert_array_equal(found.bias, np.zeros((1, DIM)))
 
 
-def test_at_the_very_reach_a_sample_has_no_say() -> None:
+def test_at_the_very_reach_a_sample_has_no_influence() -> None:
     """So that nothing jumps where one comes into reach."""
-    lonely = KernelPosterior.of(np.zeros((1, 1)), np.full((1, DIM), 3.0), None, published=True)
+    lonely = KernelPosterior.of(
+        KernelSamples(np.zeros((1, 1)), np.full((1, DIM), 3.0)), published=True
+    )
     shape = KernelShape(reach=1.0, prior_counts=5.0)
     _, counts = lonely.at(np.array([[0.0], [0.5], [0.999999], [1.0], [1.000001]]), shape)
     np.testing.assert_allclose(counts, [1.0, 0.75, 2e-6, 0.0, 0.0], atol=1e-9)
@@ -180,7 +177,7 @@ def test_places_one_at_a_time_and_in_blocks_are_the_same(
     known = posterior(published=published)
     shape = KernelShape(neighbors=50, reach=0.8, prior_counts=12.0)
     whole, counts = known.at(PLACES, shape)
-    monkeypatch.setattr(module, "MOST_PAIRS", 1)
+    monkeypatch.setattr(module, "MAX_PAIRS", 1)
     blocks, block_counts = known.at(PLACES, shape)
     for name in ("scale", "dof", "bias"):
         np.testing.assert_allclose(getattr(whole, name), getattr(blocks, name), rtol=1e-12)
@@ -190,15 +187,15 @@ def test_places_one_at_a_time_and_in_blocks_are_the_same(
 
 
 @pytest.mark.parametrize("published", [False, True])
-def test_a_spread_counts_as_errors_do(published: bool) -> None:
+def test_an_error_cov_counts_as_errors_do(published: bool) -> None:
     """An error of which all is hidden: what is unknown of it makes up the scale."""
     places, errors = samples()
     squares = errors[:, :, None] * errors[:, None, :]
     shape = KernelShape(neighbors=50, reach=0.8, prior_counts=12.0, bias_counts=np.inf)
-    seen = KernelPosterior.of(places, errors, None, published=published).at(PLACES, shape)[0]
-    hidden = KernelPosterior.of(places, np.zeros_like(errors), squares, published=published).at(
-        PLACES, shape
-    )[0]
+    exact = KernelSamples(places, errors)
+    unknown = KernelSamples(places, np.zeros_like(errors), squares)
+    seen, _ = KernelPosterior.of(exact, published=published).at(PLACES, shape)
+    hidden, _ = KernelPosterior.of(unknown, published=published).at(PLACES, shape)
     if published:
         np.testing.assert_allclose(hidden.scale, seen.scale, rtol=1e-9)
     else:  # The start of the static fit differs, and so its limit by a hair.
@@ -220,11 +217,11 @@ def test_of_samples_at_one_place_all_times_have_a_part() -> None:
     rng = np.random.default_rng(2)
     places = (rng.random((2 * half, 1)) < 0.5).astype(np.float64)
     errors = np.repeat([0.1, 1.0], half)[:, None] * rng.normal(size=(2 * half, DIM))
-    own = KernelPosterior.of(places, errors, None)
+    own = KernelPosterior.of(KernelSamples(places, errors))
     near = own.around(np.array([[0.0], [1.0]]), KernelShape(neighbors=400))
     early = [
-        np.mean(near.index[start:end] < half)
+        np.mean(near.members[start:end] < half)
         for start, end in zip(near.first, near.first[1:], strict=False)
     ]
     np.testing.assert_allclose(early, 0.5, atol=0.1)
-    np.testing.assert_array_equal(places[near.index, 0], np.repeat([0.0, 1.0], 400))
+    np.testing.assert_array_equal(places[near.members, 0], np.repeat([0.0, 1.0], 400))

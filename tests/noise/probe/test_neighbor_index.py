@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray
-from probevo.noise.probe.neighbor_index import CROWD, LARGEST_CELL, NeighborIndex
+from probevo.noise.probe.neighbor_index import NeighborIndex
+from probevo.noise.probe.neighbor_index_numba import MAX_VISITED_OF_CELL
 
 
 def exact_means(
@@ -27,7 +28,7 @@ def means(
 
 @pytest.mark.parametrize("dimension", [1, 2, 10])
 @pytest.mark.parametrize("count", [1, 2, 9, 60])
-def test_it_is_exact_where_every_cell_is_looked_at(count: int, dimension: int) -> None:
+def test_it_is_exact_where_every_cell_is_visited(count: int, dimension: int) -> None:
     """With K ≥ N/8, eight times K candidates are all samples; queries lie among them and far
     outside."""
     rng = np.random.default_rng([count, dimension])
@@ -58,7 +59,7 @@ def smooth(places: FloatArray) -> FloatArray:
 
 @pytest.fixture(scope="module")
 def landscape() -> Landscape:
-    """2·10⁴ samples in ten dimensions that, as predictors do, go with each other; and 500 queries."""
+    """2·10⁴ samples in ten dimensions that are correlated, as predictors are; and 500 queries."""
     rng = np.random.default_rng(1)
     factors = rng.normal(size=(4, 10))
     places = rng.normal(size=(20_500, 4)) @ factors / 2.0 + 0.3 * rng.normal(size=(20_500, 10))
@@ -94,13 +95,13 @@ def test_where_all_ten_dimensions_are_independent_it_predicts_nearly_as_well() -
 
 
 def test_several_k_at_once_equal_one_at_a_time(landscape: Landscape) -> None:
-    """Where both look at all cells; else the largest K decides how many are looked at, for all."""
+    """Where both visit all cells; otherwise the largest K decides how many are visited, for all."""
     samples = landscape[0][:1000]
     values = landscape[1][:1000]
     queries = landscape[2][:100]
     neighbors = [400, 130, 1000, 400]
-    alone = np.column_stack([means(samples, values, queries, [k])[:, 0] for k in neighbors])
-    np.testing.assert_array_equal(means(samples, values, queries, neighbors), alone)
+    separate = np.column_stack([means(samples, values, queries, [k])[:, 0] for k in neighbors])
+    np.testing.assert_array_equal(means(samples, values, queries, neighbors), separate)
 
 
 def test_with_k_as_large_as_n_it_is_the_overall_mean(landscape: Landscape) -> None:
@@ -144,7 +145,7 @@ def test_a_sample_far_out_does_not_hide_the_near_ones() -> None:
 
 @pytest.mark.parametrize("query", [1e6, 1e19, 1e30, np.inf, np.nan])
 def test_a_query_from_beyond_single_precision_does_no_harm(query: float) -> None:
-    """Squares of distances overflow; no cell may be looked at twice, as there is room for each
+    """Squares of distances overflow; no cell may be visited twice, as there is room for each
     sample once."""
     rng = np.random.default_rng(4)
     index = NeighborIndex.build(rng.normal(size=(2000, 3)), rng.normal(size=2000))
@@ -166,15 +167,15 @@ def test_a_constant_column_is_no_matter() -> None:
 
 
 @pytest.mark.parametrize("away", [0, 500])
-def test_of_a_crowd_in_one_place_a_sample_at_random_is_looked_at(away: int) -> None:
+def test_of_many_samples_in_one_place_random_ones_are_visited(away: int) -> None:
     """5·10⁴ samples alike, whose value grows from first to last; beside them, some elsewhere: the
-    mean is that of the crowd, within four standard errors."""
+    mean is that of all of them, within four standard errors."""
     values = np.linspace(0.0, 1.0, 50_000)
     places = np.concatenate(
         [np.zeros((50_000, 2)), 9.0 + np.random.default_rng(7).normal(size=(away, 2))]
     )
     found = means(places, np.concatenate([values, np.full(away, 7.0)]), np.zeros((1, 2)), [10])
-    assert abs(found[0, 0] - 0.5) < 4.0 * values.std() / np.sqrt(CROWD * LARGEST_CELL)
+    assert abs(found[0, 0] - 0.5) < 4.0 * values.std() / np.sqrt(MAX_VISITED_OF_CELL)
 
 
 def test_no_query_no_mean() -> None:

@@ -5,9 +5,10 @@ import pytest
 from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
-from probevo.geometry import so3
+from probevo.geometry import se3, so3
 from probevo.measurements.gyro import integrate_gyro
-from probevo.sequences.frame import ImuCalibration, ImuSamples
+from probevo.sequences.frame import ImuSamples
+from probevo.sequences.imu_calibration import ImuCalibration
 from probevo_sim.scene.config import RigConfig
 from probevo_sim.scene.drive import DrivePlan, Trajectory
 from probevo_sim.scene.imu import C_CAM_IMU, simulate_imu
@@ -38,7 +39,8 @@ def gyro_errors(rig: RigConfig, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     """Return the error of the integrated gyro over each frame interval, [K, 3], rad, and its
     covariance, [K, 3, 3]."""
     imu = simulate_imu(DRIVE, STAMPS_NS, rig, rng=np.random.default_rng(seed))
-    calibration = ImuCalibration(C_CAM_IMU, rig.gyro_noise_rad_s_sqrt_hz, 0.0)
+    T_cam_imu = se3.from_parts(C_CAM_IMU, np.zeros(3))
+    calibration = ImuCalibration(T_cam_imu, rig.gyro_noise_rad_s_sqrt_hz, 0.0)
     C_world_cam = DRIVE.T_world_cam(1e-9 * (STAMPS_NS - STAMPS_NS[0]))[:, :3, :3]
     errors = []
     covs = []

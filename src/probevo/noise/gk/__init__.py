@@ -1,1 +1,1 @@
-"""PROBE-GK: a covariance for each feature from a generalized kernel over the prediction space."""
+"""PROBE-GK: the noise of each feature from a generalized kernel over the prediction space."""

@@ -1,157 +1,101 @@
-"""A noise model distilled into a few thousand centers: what a prediction costs no longer depends on
-the training data.
+"""A generalized kernel sampled at a few thousand centers, between which it is interpolated.
 
-Between centers, the nearest few are averaged, nearer ones more: scales by their Cholesky factors,
-whose diagonal goes
-by its logarithm, so that every mixture is positive definite and σ of 0.1 and 10 px meet at 1.
+The cost of a prediction then no longer depends on the amount of training data. Between centers,
+the parameters of the nearest few are averaged with weights of inverse squared distance. The
+parameters are those of ``StudentTs.log_cholesky``: every mean is a valid distribution, and half
+way between σ = 0.1 px and 10 px lies 1 px.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from probevo.arrays import BoolArray, FloatArray, IntArray
-from probevo.compiled import compiled
-from probevo.noise.gk.center_search import NEAREST, Leaves, Single
-from probevo.noise.student_t_fit import Students
+from probevo.arrays import BoolArray, FloatArray
+from probevo.noise.gk.center_search import Leaves
+from probevo.noise.gk.center_search_numba import SingleArray
+from probevo.noise.gk.centers_numba import DOMAIN_MARGIN, interpolate
+from probevo.noise.student_t_arrays import LOG_PARAMETERS, StudentTs
 
-LARGEST_LOGARITHM = 100.0
-"""Of a σ in pixels, or of degrees of freedom: no number of a sound model."""
-VALUES = 15
-LOGARITHMS = [4, 6, 9, 13, 14]
-"""Which of the values are such: the Cholesky factor's diagonal and ν (``Students.mixable``)."""
-MOST_SAMPLES = 0.999
-MARGIN = 1.5
-LEAST_EDGE = 1e-6
-"""The domain ends so many times as far from the nearest center as that share of the training data
-lies at most."""
-FADE = MARGIN / (MARGIN - 1.0)
-"""What is known begins to fade where that share of the data ends."""
+MAX_LOG = 100.0
+"""Bound of the logarithms of σ in pixels and of ν; a valid model stays far below."""
+DOMAIN_QUANTILE = 0.999
+"""The radius of the domain is ``DOMAIN_MARGIN`` times the distance from the nearest center within
+which this share of the training data lies."""
+MIN_DOMAIN_RADIUS = 1e-6
 
 
 @dataclass(frozen=True)
 class Centers:
-    """C places in a space of M coordinates, and what holds at each."""
+    """C places in M dimensions, and the distribution at each."""
 
-    places: Single
-    """[M, C]."""
-    values: Single
-    """``Students.mixable``, [C, VALUES]."""
-
-    @property
-    def logarithms(self) -> Single:
-        """Those of the Cholesky factor's diagonal and of the degrees of freedom, [C, 5]."""
-        return self.values[:, LOGARITHMS]
+    places: SingleArray
+    """Coordinates, [M, C]."""
+    parameters: SingleArray
+    """Log-Cholesky parameters of each distribution, [C, NUM_PARAMETERS]."""
 
     @staticmethod
-    def of(places: FloatArray, students: Students) -> Centers:
-        """Take up what was fitted at C places [C, M]."""
-        return Centers(np.ascontiguousarray(places.T, np.float32), students.mixable)
+    def of(places: FloatArray, fitted: StudentTs) -> Centers:
+        """Store the distributions that were fitted at C places [C, M]."""
+        return Centers(
+            places=np.ascontiguousarray(places.T, np.float32), parameters=fitted.log_cholesky()
+        )
 
-    def edge_of(self, samples: FloatArray) -> float:
-        """Distance from the nearest center at which the domain of samples [N, M] ends; no center is
-        among them.
+    @property
+    def logarithms(self) -> SingleArray:
+        """The parameters that are logarithms: of the Cholesky diagonal and of ν, [C, 5]."""
+        return self.parameters[:, LOG_PARAMETERS]
 
-        Of too few to see that share of them, each center's distance from the next one counts too.
-        """
-        tree = KDTree(self.places.T)
-        distance = np.asarray(tree.query(samples)[0]) if len(samples) else np.zeros(0)
-        if len(samples) * (1.0 - MOST_SAMPLES) < 1.0 and len(self.values) > 1:
-            distance = np.concatenate([distance, np.ravel(tree.query(self.places.T, [2])[0])])
-        distance = distance if len(distance) else np.ones(1)
-        return max(MARGIN * float(np.quantile(distance, MOST_SAMPLES)), LEAST_EDGE)
-
-    def at(self, queries: FloatArray, edge: float, prior: Students) -> tuple[Students, BoolArray]:
-        """The distributions at n places, [n, M].
-
-        Over the outermost part of the way from the nearest center to the edge, the prior takes
-        over.
+    def domain_radius_of(self, samples: FloatArray) -> float:
+        """Return the distance from the nearest center at which the domain of the data ends.
 
         Args:
-            queries: finite.
-            edge: distance from the nearest center at which nothing is known.
-            prior: C = 1; what holds beyond.
+            samples: training data that are no centers, [N, M]. If they are too few to determine the
+                quantile, the distances between neighbouring centers count, too.
+        """
+        # Distances of the other training samples from their nearest centers.
+        tree = KDTree(self.places.T)
+        distance = np.asarray(tree.query(samples)[0]) if len(samples) else np.zeros(0)
+        if len(samples) * (1.0 - DOMAIN_QUANTILE) < 1.0 and len(self.parameters) > 1:
+            to_next_center = np.ravel(tree.query(self.places.T, [2])[0])
+            distance = np.concatenate([distance, to_next_center])
+        if not len(distance):
+            distance = np.ones(1)
+        radius = DOMAIN_MARGIN * float(np.quantile(distance, DOMAIN_QUANTILE))
+        return max(radius, MIN_DOMAIN_RADIUS)
+
+    def at(
+        self, queries: FloatArray, domain_radius: float, prior: StudentTs
+    ) -> tuple[StudentTs, BoolArray]:
+        """Interpolate the distributions at n places, [n, M].
+
+        Over the outermost part of the domain, the interpolated distribution turns into the prior.
+
+        Args:
+            queries: coordinates, finite.
+            domain_radius: distance from the nearest center beyond which the prior holds.
+            prior: the distribution outside of the domain, C = 1.
 
         Returns:
-            the distributions, and which places are beyond the edge, [n].
+            The n distributions, and which places are outside of the domain, [n].
         """
         count = len(queries)
-        scale = np.empty((count, 4, 4))
-        dof = np.empty(count)
-        bias = np.empty((count, 4))
-        index, squared = self._leaves.nearest(queries)
-        _mix(
-            index,
-            squared,
-            self.values,
-            own=prior.mixable[0],
-            edge=edge,
-            scale=scale,
-            dof=dof,
-            bias=bias,
+        mixed = StudentTs(
+            scale=np.empty((count, 4, 4)), dof=np.empty(count), bias=np.empty((count, 4))
         )
-        return Students(scale, dof, bias), np.asarray(squared[:, 0] >= edge**2)
+        nearest = self._leaves.nearest(queries)
+        interpolate(
+            nearest,
+            self.parameters,
+            prior.log_cholesky()[0],
+            domain_radius=domain_radius,
+            mixed=mixed,
+        )
+        return mixed, np.asarray(nearest.squared[:, 0] >= domain_radius**2)
 
     @cached_property
     def _leaves(self) -> Leaves:
         return Leaves.of(self.places.T.astype(np.float64))
-
-
-@compiled
-def _mix(
-    index: IntArray,
-    squared: Single,
-    values: Single,
-    own: Single,
-    edge: float,
-    scale: FloatArray,
-    dof: FloatArray,
-    bias: FloatArray,
-) -> None:
-    """Fill in the distributions from the nearest centers and their squared distances, [n, k]."""
-    count, nearest = index.shape
-    mixed = np.empty(VALUES)
-    lower = np.zeros((4, 4))
-    weight = np.zeros(NEAREST)
-    for n in range(count):
-        total = 0.0
-        farthest = squared[n, nearest - 1]
-        for k in range(nearest):  # inverse squares, bounded at a hundredth of the farthest
-            weight[k] = (
-                1.0 / (squared[n, k] + 0.01 * farthest + 1e-12) if farthest < np.inf else 0.0
-            )
-            total += weight[k]
-        a = index[n, 0]
-        b = index[n, 1 % nearest]
-        c = index[n, 2 % nearest]
-        d = index[n, 3 % nearest]
-        share = (
-            min(1.0, max(0.0, FADE * (1.0 - math.sqrt(squared[n, 0]) / edge)))
-            if total > 0.0
-            else 0.0
-        )
-        part = share / total if share > 0.0 else 0.0
-        wa = part * weight[0]
-        wb = part * weight[1]
-        wc = part * weight[2]
-        wd = part * weight[3]
-        for j in range(VALUES):
-            near = wa * values[a, j] + wb * values[b, j] + wc * values[c, j] + wd * values[d, j]
-            mixed[j] = (1.0 - share) * own[j] + near
-        for i in range(4):
-            bias[n, i] = mixed[i]
-            for j in range(i + 1):
-                factor = mixed[4 + i * (i + 1) // 2 + j]
-                lower[i, j] = math.exp(factor) if i == j else factor
-        for i in range(4):
-            for j in range(i + 1):
-                product = 0.0
-                for k in range(j + 1):
-                    product += lower[i, k] * lower[j, k]
-                scale[n, i, j] = scale[n, j, i] = product
-        dof[n] = math.exp(mixed[14])

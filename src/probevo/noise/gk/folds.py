@@ -1,4 +1,4 @@
-"""Blocks of time left out, by whose likelihood a generalized kernel is judged."""
+"""Cross-validation folds of whole groups, by whose likelihood hyperparameters are compared."""
 
 from __future__ import annotations
 
@@ -8,53 +8,62 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray, evenly
 from probevo.noise.base import StereoNoise
-from probevo.noise.gk.posterior import prior_of
-from probevo.noise.student_t_fit import Students, fit_static
+from probevo.noise.gk.posterior import KernelSamples, prior_of
+from probevo.noise.student_t_arrays import StudentTs
+from probevo.noise.student_t_fit import fit_static
 
 FOLDS = 5
-MOST_SAMPLES = 12_000
-MOST_QUERIES = 600
-"""Of a fold, to learn from and to judge by while weights are chosen."""
+MAX_SAMPLES = 12_000
+"""Number of training samples of a fold, at most."""
+MAX_HELD_OUT = 600
+"""Number of held-out samples of a fold, at most."""
 
 
 @dataclass(frozen=True)
 class Fold:
-    """Samples to learn from, and such of other groups to judge by."""
+    """Training samples, and held-out samples of other groups."""
 
-    coordinates: FloatArray
-    errors: FloatArray
-    spread: FloatArray | None
-    places: FloatArray
-    asked: FloatArray
-    prior: Students
+    training: KernelSamples
+    held_out: KernelSamples
+    prior: StudentTs
+    """Prior of the kernel, fitted to the training samples, C = 1."""
     static: FloatArray
-    """Log-likelihood of each of the asked under the one Student-t of the samples, nats."""
+    """Log-likelihood of each held-out error under the static Student-t of the training samples,
+    nats."""
 
 
-def folds_of(
-    coordinates: FloatArray,
-    errors: FloatArray,
-    spread: FloatArray | None,
-    groups: IntArray | None,
-    published: bool,
-) -> list[Fold]:
-    """Up to FOLDS of N samples; ``groups`` as in ``choose_shape``."""
-    count = len(errors)
+def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -> list[Fold]:
+    """Divide N samples into up to FOLDS folds; samples of one group are in the same fold.
+
+    Args:
+        samples: the samples.
+        groups: number of the group of each sample, [N]; by default blocks of consecutive samples.
+        published: whether the prior is that of the published variant.
+    """
+    # Whole groups go into a fold: neighbouring samples of a drive are correlated, and a model would
+    # seem good that has only memorised them.
+    count = len(samples.errors)
     if groups is None:
         groups = np.arange(count) * 2 * FOLDS // max(count, 1)
     fold = np.unique(groups, return_inverse=True)[1] % FOLDS
-    found = []
+    folds = []
     for number in np.unique(fold):
-        own = np.flatnonzero(fold == number)
-        other = np.flatnonzero(fold != number)
-        own = own[evenly(len(own), MOST_QUERIES)]
-        other = other[evenly(len(other), MOST_SAMPLES)]
-        if not len(other):
+        inside = np.flatnonzero(fold == number)
+        outside = np.flatnonzero(fold != number)
+        if not len(outside):
             continue
-        parts = errors[other], None if spread is None else spread[other]
-        student = fit_static(*parts)
-        prior = prior_of(*parts, published=True) if published else student
-        noise = StereoNoise(student.scale, student.dof, student.bias)
-        static = noise.log_likelihood(errors[own])
-        found.append(Fold(coordinates[other], *parts, coordinates[own], errors[own], prior, static))
-    return found
+        # Thinned out evenly, to bound the time of the search.
+        held_out = samples.subset(inside[evenly(len(inside), MAX_HELD_OUT)])
+        training = samples.subset(outside[evenly(len(outside), MAX_SAMPLES)])
+        # The static fit is the baseline of the score, and the prior of the robust kernel.
+        fitted = fit_static(training.errors, training.error_cov)
+        noise = StereoNoise(scale=fitted.scale, dof=fitted.dof, bias=fitted.bias)
+        folds.append(
+            Fold(
+                training=training,
+                held_out=held_out,
+                prior=prior_of(training, published=True) if published else fitted,
+                static=noise.log_likelihood(held_out.errors),
+            )
+        )
+    return folds

@@ -1,5 +1,15 @@
-"""PROBE-GK: the full noise of each feature, by a generalized kernel over the prediction space
-(thesis 4.4)."""
+"""PROBE-GK: the noise of each feature from the errors of similar features (thesis section 4.4).
+
+Training data are errors e_i at places φ_i of the prediction space. The noise of a new feature at φ
+is the posterior predictive Student-t of the errors around it (PROBE-GK eq. (12)),
+
+    e | φ ~ t_ν(φ)(b(φ), Σ(φ)),
+
+each error counting with a kernel k(φ, φ_i) that falls to zero with the distance; see ``posterior``.
+The scales of the columns and the hyperparameters are chosen by cross-validation; see
+``hyperparameter_search``. The fitted noise is stored at a few thousand centers and interpolated
+between them; see ``centers``.
+"""
 
 from __future__ import annotations
 
@@ -13,47 +23,54 @@ import numpy as np
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray, evenly
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.noise.base import Refers, StereoNoise, disparity_variance
+from probevo.noise.base import RefersTo, StereoNoise, disparity_variance
 from probevo.noise.gk.centers import Centers
 from probevo.noise.gk.hyperparameter_search import check_given, choose_shape
 from probevo.noise.gk.model_facts import KernelFacts, Variant, check_arrays
-from probevo.noise.gk.posterior import KernelPosterior, KernelShape
+from probevo.noise.gk.posterior import KernelPosterior, KernelSamples, KernelShape
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import origin_facts, refuse_other_camera
-from probevo.noise.student_t_fit import DIM, Students, check_errors
+from probevo.noise.student_t_arrays import DIM, StudentTs
+from probevo.noise.student_t_fit import check_errors
 
-MOST_TO_SEE = 5000
-"""Samples by which it is seen where the domain ends."""
-REACH = 2.0
-"""Without one given, ρ is so many times the distance within which 99 % of the training data have
-their K nearest."""
+MAX_DOMAIN_SAMPLES = 5000
+"""Number of samples from which the radius of the domain is estimated, at most."""
+REACH_FACTOR = 2.0
+REACH_QUANTILE = 0.99
+"""Unless given, ρ is this factor times the distance within which this share of the training data
+have their K nearest samples."""
+MIN_REACH = 1e-6
+FAR_QUANTILE = 0.9
+"""Outside of the domain, the noise is at least as large as at this quantile of the centers."""
 
 
 class GeneralizedKernel:
-    """Student-t noise of each feature, with a scale, a dof and a bias of its own, from the errors
-    of those like it.
+    """Student-t noise with a scale, degrees of freedom and a bias for each feature.
 
     Args:
-        variant: ``robust``, or ``published`` as in the paper (see ``kernel_posterior``).
-        neighbors: K, the errors that a place learns from; chosen from the data if None, as are the
-            next five.
-        reach: ρ, in standard deviations; farther samples do not contribute.
-        prior_counts: how many errors the prior counts for; ν₀ of the published form, over 3.
-        dof_counts, bias_counts: the same for the degrees of freedom, and for the bias; np.inf holds
-            them at the prior.
-        weights: how much a standard deviation of each of the M columns counts, [M].
-        centers: how many places the posterior is distilled into.
-        refers_to: what the errors are: residuals, or errors of single observations.
-        camera: the camera of the training data; None if that is not known.
-        training: how the training data came about, in plain values that JSON can hold.
-        time_correlation: how many times as large the error of a disparity is that is the same in both
-            frames, as the one that is new in each; ``fit`` does not choose it.
+        variant: ``robust``, or ``published`` as in the paper (see ``posterior``).
+        neighbors: K, the number of errors that contribute at a place. This and the next five
+            arguments are chosen from the data if None.
+        reach: support ρ, in standard deviations; samples farther away do not contribute.
+        prior_counts: number of errors that the prior scale counts for; ν₀ of the published variant,
+            over 3.
+        dof_counts: the same for the prior degrees of freedom; np.inf holds them.
+        bias_counts: the same for the bias, whose prior is zero; np.inf holds it there.
+        weights: weight of each of the M standardised columns in the distance, [M].
+        centers: number of places at which the fitted noise is stored.
+        refers_to: whether the errors are residuals, or errors of single observations.
+        camera: camera of the training data; None if it is unknown.
+        training: settings, recordings and searches of the training, in plain values that JSON can
+            hold.
+        time_correlation_ratio: standard deviation of the disparity error that is common to both
+            frames, over that of the one that is independent in each; ``fit`` does not estimate it.
     """
 
     def __init__(
         self,
         variant: Variant = "robust",
+        *,
         neighbors: int | None = None,
         reach: float | None = None,
         prior_counts: float | None = None,
@@ -61,10 +78,10 @@ class GeneralizedKernel:
         bias_counts: float | None = None,
         weights: FloatArray | None = None,
         centers: int = 2000,
-        refers_to: Refers = "residual",
+        refers_to: RefersTo = "residual",
         camera: StereoCamera | None = None,
         training: Mapping[str, Any] | None = None,
-        time_correlation: float = 0.0,
+        time_correlation_ratio: float = 0.0,
     ) -> None:
         self.variant = variant
         self.neighbors = neighbors
@@ -77,7 +94,7 @@ class GeneralizedKernel:
         self.refers_to = refers_to
         self.camera = camera
         self.training = training or {}
-        self.time_correlation = time_correlation
+        self.time_correlation_ratio = time_correlation_ratio
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -90,110 +107,179 @@ class GeneralizedKernel:
         residuals: FloatArray,
         groups: IntArray | None = None,
         *,
-        spread: FloatArray | None = None,
+        error_cov: FloatArray | None = None,
         metric: Metric | None = None,
         on_progress: Callable[[int, int], None] | None = None,
     ) -> Self:
-        """Take in N samples, and choose whatever was not given by the likelihood of groups left
-        out.
+        """Learn from N samples; what was not given is chosen by cross-validation.
 
-        Sets ``metric_``, ``weights_``, ``shape_``, ``posterior_``, ``prior_``, ``centers_``,
-        ``edge_``, ``samples_`` and ``search_``.
+        Sets ``metric_``, ``weights_``, ``shape_``, ``search_``, ``posterior_``, ``centers_``,
+        ``domain_radius_``, ``prior_`` and ``samples_``, which is N.
 
         Args:
-            predictors: places of the samples, [N, M].
-            residuals: their errors, [N, 4], px.
-            groups: samples of one group, such as a block of time of a drive, are left out together,
-                [N]; consecutive samples by default.
-            spread: covariance of what is not known of each error, [N, 4, 4], px².
+            predictors: places φ of the samples, [N, M].
+            residuals: their errors e, [N, 4], px.
+            groups: number of the group of each sample, [N]. A group, such as a block of time of a
+                drive, is held out as a whole; by default blocks of consecutive samples.
+            error_cov: covariance of each error, [N, 4, 4], px²; None if they are known exactly.
             metric: names of the columns and their standardisation; by default over the samples, and
                 none may be undefined.
-            on_progress: called with how many steps of the search are done, and how many there are
-                at most.
+            on_progress: called with the number of steps of the search that are done, and the
+                largest number of them.
 
         Raises:
-            InputError: no samples or columns, shapes that do not fit, NaN where it may not be, or a
-                given shape of the kernel that is not valid.
+            InputError: there are no samples or columns, shapes do not fit, a value is NaN where it
+                must be defined, or a given hyperparameter is not valid.
         """
-        if self.variant not in get_args(Variant) or self.refers_to not in get_args(Refers):
-            what = f"variant {self.variant!r}, refers_to {self.refers_to!r}."
-            raise InputError(
-                "generalized kernel", what, f"Known are {get_args(Variant)} and {get_args(Refers)}."
-            )
         predictors = np.asarray(predictors, dtype=np.float64)
         residuals = np.asarray(residuals, dtype=np.float64)
-        check_errors(residuals, spread)
-        if not len(predictors) == len(residuals) == len(residuals if groups is None else groups):
-            what = f"{len(predictors)} places, {len(residuals)} residuals"
-            raise InputError(
-                "training data",
-                f"{what} and {len(residuals if groups is None else groups)} groups.",
-            )
-        self.metric_ = metric or Metric.fitted(predictors)
         published = self.variant == "published"
+        self._check_input(predictors, residuals, groups, error_cov)
+        self.metric_ = metric or Metric.fitted(predictors)
         check_given(self._given() | {"centers": self.centers}, len(self.columns), published)
+
+        # Choose the weights of the columns and the hyperparameters.
+        samples = KernelSamples(self.metric_.coordinates(predictors), residuals, error_cov)
         self.weights_, shape, self.search_ = choose_shape(
-            self.metric_.coordinates(predictors),
-            residuals,
-            spread,
-            groups=groups,
-            given=self._given(),
-            published=published,
-            on_progress=on_progress,
+            samples, groups, self._given(), published=published, on_progress=on_progress
         )
-        if "weights" in self.search_:  # by name: the model may be cut down to fewer columns
-            found = self.search_["weights"]
-            found["candidates"] = [self.columns[m] for m in found["candidates"]]
-            found["chosen"] = dict(zip(self.columns, self.weights_.tolist(), strict=True))
+        if "weights" in self.search_:
+            # By name, since the model may later be reduced to fewer columns.
+            log = self.search_["weights"]
+            log["candidates"] = [self.columns[m] for m in log["candidates"]]
+            log["chosen"] = dict(zip(self.columns, self.weights_.tolist(), strict=True))
         self.metric_ = replace(self.metric_, weight=self.metric_.weight * self.weights_)
         if not self.metric_.weight.any():
             raise InputError("predictors", "no column that has a weight has one in the metric too.")
-        coordinates = self._coordinates(predictors)
-        self.posterior_ = KernelPosterior.of(coordinates, residuals, spread, published=published)
-        chosen = evenly(len(residuals), int(self.centers))
+
+        # The posterior over all samples, in the chosen columns.
+        samples = replace(samples, coordinates=self._coordinates(predictors))
+        self.posterior_ = KernelPosterior.of(samples, published=published)
+        is_center = evenly(len(residuals), int(self.centers))
+        places = samples.coordinates[is_center]
+        # A support that was not chosen covers nearly all places with K neighbours.
         if not np.isfinite(shape.reach):
-            radius = self.posterior_.radius(coordinates[chosen], shape.neighbors)
-            shape = replace(shape, reach=max(REACH * float(np.quantile(radius, 0.99)), 1e-6))
+            radius = self.posterior_.radius(places, shape.neighbors)
+            reach = REACH_FACTOR * float(np.quantile(radius, REACH_QUANTILE))
+            shape = replace(shape, reach=max(reach, MIN_REACH))
         self.shape_ = shape
         self.samples_ = len(residuals)
-        students, _ = self.posterior_.at(coordinates[chosen], shape)
-        self.centers_ = Centers.of(coordinates[chosen], students)
-        others = np.setdiff1d(np.arange(len(residuals)), chosen)
-        self.edge_ = self.centers_.edge_of(
-            coordinates[others[:: max(1, len(others) // MOST_TO_SEE)]]
-        )
-        self.prior_ = self._beyond(students)
+
+        # Store the predictive distribution at the centers, which are some of the samples, and learn
+        # from the other samples where the domain ends.
+        fitted, _ = self.posterior_.at(places, shape)
+        self.centers_ = Centers.of(places, fitted)
+        others = np.setdiff1d(np.arange(len(residuals)), is_center)
+        others = others[:: max(1, len(others) // MAX_DOMAIN_SAMPLES)]
+        self.domain_radius_ = self.centers_.domain_radius_of(samples.coordinates[others])
+        self.prior_ = self._far_prior(fitted)
         return self
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        """The noise of n features from their places in the prediction space, [n, M], whatever N was
-        to learn from."""
+        """Return the noise of n features from their places in the prediction space, [n, M].
+
+        It is interpolated between the centers; its cost does not depend on N.
+        """
         coordinates = self._coordinates(predictors)
-        return self._noise(*self.centers_.at(coordinates, self.edge_, self.prior_))
+        students, out_of_domain = self.centers_.at(coordinates, self.domain_radius_, self.prior_)
+        return self._noise(students, out_of_domain)
 
     def predict_exact(self, predictors: FloatArray) -> StereoNoise:
-        """The same from all samples instead of the centers; only of a model that was not read from
-        a file.
+        """Return the posterior of all samples instead of the interpolation between centers.
 
-        Out of domain is what has no sample within reach; there the prior itself holds, no wider
-        than it is.
+        Only a model with its samples can do so, not one that was read from a file. Places without a
+        sample within reach are out of domain; there the noise is that of the posterior's own prior,
+        which is not widened as in ``predict``.
         """
         coordinates = self._coordinates(predictors)
         students, counts = self.posterior_.at(coordinates, self.shape_)
         return self._noise(students, counts == 0.0)
 
+    def _noise(self, students: StudentTs, out_of_domain: BoolArray) -> StereoNoise:
+        time_correlated = None
+        if self.time_correlation_ratio:
+            time_correlated = self.time_correlation_ratio**2 * disparity_variance(students.scale)
+        return StereoNoise(
+            scale=students.scale,
+            dof=students.dof,
+            bias=students.bias,
+            refers_to=self.refers_to,
+            out_of_domain=out_of_domain,
+            time_correlated=time_correlated,
+        )
+
+    def _coordinates(self, predictors: FloatArray) -> FloatArray:
+        return self.metric_.contributing(np.asarray(predictors, dtype=np.float64))
+
+    def _far_prior(self, fitted: StudentTs) -> StudentTs:
+        """Return the distribution outside of the domain, C = 1, given those at the centers.
+
+        As published, it is the prior. In the robust variant the prior is widened to the size
+        |Σ|^(1/d) of the worst tenth of the centers, if that is larger: features unlike all training
+        data are rarely among the good ones.
+        """
+        prior = self.posterior_.prior
+        if self.variant == "published":
+            # Eq. (12) without any sample: ν* = ν₀ and Ψ* = ν₀ R̂.
+            nu = self.shape_.prior_counts
+            dof = nu - DIM + 1.0
+            return StudentTs(scale=prior.scale * nu / dof, dof=np.array([dof]), bias=prior.bias)
+        sizes = np.exp(np.linalg.slogdet(fitted.scale)[1] / DIM)
+        prior_size = np.exp(np.linalg.slogdet(prior.scale)[1] / DIM)[0]
+        widening = max(1.0, float(np.quantile(sizes, FAR_QUANTILE) / prior_size))
+        return StudentTs(scale=prior.scale * widening, dof=prior.dof, bias=prior.bias)
+
+    def _check_input(
+        self,
+        predictors: FloatArray,
+        residuals: FloatArray,
+        groups: IntArray | None,
+        error_cov: FloatArray | None,
+    ) -> None:
+        """Refuse settings that are unknown, and samples whose shapes do not fit together.
+
+        Raises:
+            InputError: names what is wrong.
+        """
+        if self.variant not in get_args(Variant) or self.refers_to not in get_args(RefersTo):
+            raise InputError(
+                "generalized kernel",
+                f"variant {self.variant!r}, refers_to {self.refers_to!r}.",
+                f"Known are {get_args(Variant)} and {get_args(RefersTo)}.",
+            )
+        check_errors(residuals, error_cov)
+        num_groups = len(residuals if groups is None else groups)
+        if not len(predictors) == len(residuals) == num_groups:
+            raise InputError(
+                "training data",
+                f"{len(predictors)} places, {len(residuals)} residuals and {num_groups} groups.",
+            )
+
+    def _given(self) -> dict[str, Any]:
+        """Return the hyperparameters that need not be chosen, by name."""
+        names = ("neighbors", "reach", "prior_counts", "dof_counts", "bias_counts", "weights")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
     def without_samples(self) -> GeneralizedKernel:
-        """The same model, but for ``predict_exact``: what is left takes no more room than its file."""
+        """Return the same model without its samples, as small as its file.
+
+        It cannot ``predict_exact``.
+        """
         model = copy(self)
         del model.posterior_
         return model
 
     def kept(self, columns: IntArray) -> GeneralizedKernel:
-        """The same model on some of its columns only, the others being of weight 0."""
+        """Return the same model on some of its columns, given their indices.
+
+        Raises:
+            ValueError: a column that is left out has a weight.
+        """
         metric = self.metric_
-        model = copy(self)
-        if metric.weight[np.setdiff1d(np.arange(len(self.columns)), columns)].any():
+        left_out = np.setdiff1d(np.arange(len(self.columns)), columns)
+        if metric.weight[left_out].any():
             raise ValueError("a column that contributes cannot be left out")
+        model = copy(self)
         model.metric_ = metric.kept(columns)
         model.weights_ = self.weights_[columns]
         return model
@@ -202,12 +288,12 @@ class GeneralizedKernel:
         """Refuse a camera unlike that of the training data.
 
         Raises:
-            InputError: says in what it differs.
+            InputError: the cameras differ; the message says in what.
         """
         refuse_other_camera(self.camera, camera)
 
     def to_file(self) -> ModelFile:
-        """What a file needs to hold: the centers, and none of the training data."""
+        """Return the content of the file of this model: its centers, and no training data."""
         metric = self.metric_
         prior = self.prior_
         shape = self.shape_
@@ -216,7 +302,7 @@ class GeneralizedKernel:
             "spread": metric.spread,
             "weight": metric.weight,
             "places": self.centers_.places,
-            "values": self.centers_.values,
+            "values": self.centers_.parameters,
             "prior_scale": prior.scale,
             "prior_dof": prior.dof,
             "prior_bias": prior.bias,
@@ -227,10 +313,10 @@ class GeneralizedKernel:
             "variant": self.variant,
             "neighbors": shape.neighbors,
             "reach": shape.reach,
-            "edge": self.edge_,
+            "domain_radius": self.domain_radius_,
             "prior_counts": shape.prior_counts,
             "refers_to": self.refers_to,
-            "time_correlation": self.time_correlation,
+            "time_correlation_ratio": self.time_correlation_ratio,
             "samples": self.samples_,
             **origin_facts(self.camera, self.training),
         }
@@ -238,7 +324,7 @@ class GeneralizedKernel:
 
     @staticmethod
     def from_file(file: ModelFile) -> GeneralizedKernel:
-        """The model that ``to_file`` put there.
+        """Read the model that ``to_file`` has described.
 
         Raises:
             KeyError, ValueError, InputError: the file does not hold such a model.
@@ -250,55 +336,23 @@ class GeneralizedKernel:
             refers_to=facts.refers_to,
             camera=facts.camera,
             training=facts.training,
-            time_correlation=facts.time_correlation,
+            time_correlation_ratio=facts.time_correlation_ratio,
         )
         model.metric_ = Metric(
-            facts.columns,
-            facts.may_be_undefined,
-            arrays["mean"],
+            columns=facts.columns,
+            may_be_undefined=facts.may_be_undefined,
+            mean=arrays["mean"],
             spread=arrays["spread"],
             weight=arrays["weight"],
         )
-        model.centers_ = Centers(arrays["places"], arrays["values"])
-        model.prior_ = Students(arrays["prior_scale"], arrays["prior_dof"], arrays["prior_bias"])
-        model.shape_ = KernelShape(facts.reach, facts.neighbors, facts.prior_counts)
+        model.centers_ = Centers(places=arrays["places"], parameters=arrays["values"])
+        model.prior_ = StudentTs(
+            scale=arrays["prior_scale"], dof=arrays["prior_dof"], bias=arrays["prior_bias"]
+        )
+        model.shape_ = KernelShape(
+            reach=facts.reach, neighbors=facts.neighbors, prior_counts=facts.prior_counts
+        )
         model.samples_ = facts.samples
-        model.edge_ = facts.edge
+        model.domain_radius_ = facts.domain_radius
         check_arrays(model.metric_, model.centers_, model.prior_)
         return model
-
-    def _noise(self, students: Students, out_of_domain: BoolArray) -> StereoNoise:
-        time_correlated = (
-            self.time_correlation**2 * disparity_variance(students.scale)
-            if self.time_correlation
-            else None
-        )
-        return StereoNoise(
-            students.scale,
-            students.dof,
-            students.bias,
-            refers_to=self.refers_to,
-            out_of_domain=out_of_domain,
-            time_correlation=time_correlated,
-        )
-
-    def _coordinates(self, predictors: FloatArray) -> FloatArray:
-        return self.metric_.contributing(np.asarray(predictors, dtype=np.float64))
-
-    def _given(self) -> dict[str, Any]:
-        names = ("neighbors", "reach", "prior_counts", "dof_counts", "bias_counts", "weights")
-        return {name: value for name in names if (value := getattr(self, name)) is not None}
-
-    def _beyond(self, students: Students) -> Students:
-        """What holds beyond the edge: the prior, as wide as the worst tenth of the centers at
-        least."""
-        prior = self.posterior_.prior
-        if self.variant == "published":
-            dof = self.shape_.prior_counts - DIM + 1.0
-            return Students(
-                prior.scale * self.shape_.prior_counts / dof, np.array([dof]), prior.bias
-            )
-        size, own = (np.exp(np.linalg.slogdet(part.scale)[1] / DIM) for part in (students, prior))
-        return Students(
-            prior.scale * max(1.0, float(np.quantile(size, 0.9) / own[0])), prior.dof, prior.bias
-        )

@@ -1,5 +1,9 @@
-"""What a generalized kernel is not told, it chooses by the predictive likelihood of groups left
-out."""
+"""Choice of the hyperparameters of a generalized kernel by cross-validation.
+
+The score is the mean predictive log-likelihood of held-out groups of errors, as a gain over the
+static Student-t, in nats a feature. The search is greedy: first the columns of the prediction
+space by forward selection, then their weights, then one hyperparameter after another.
+"""
 
 from __future__ import annotations
 
@@ -14,295 +18,324 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
-from probevo.noise.gk.folds import MOST_SAMPLES, Fold, folds_of
-from probevo.noise.gk.posterior import KernelPosterior, KernelShape
-from probevo.noise.student_t_fit import DIM, Neighborhoods
-from probevo.noise.student_t_numba import LEAST_DOF, MOST_DOF
+from probevo.noise.gk.folds import MAX_SAMPLES, Fold, folds_of
+from probevo.noise.gk.posterior import KernelPosterior, KernelSamples, KernelShape
+from probevo.noise.student_t_arrays import DIM, Neighborhoods
+from probevo.noise.student_t_numba import MAX_DOF, MIN_DOF
 
-LARGEST_WEIGHT = 1e6
-"""Of a column, so that squares of distances stay within single precision."""
+MAX_WEIGHT = 1e6
+"""Bound of the weight of a column, which keeps squared distances within single precision."""
 FACTORS = (0.5, 2.0)
-"""By which a column's weight is tried, once the columns are chosen."""
+"""Factors by which the weight of each column is tried, once the columns are chosen."""
 SEARCH_ITERATIONS = 6
-"""Of each fit; the chosen shape is fitted with more."""
-LEAST_GAIN = 2e-3
-"""Nats a feature that another column, or another weight of one, must gain."""
+"""EM iterations of each fit of the search; the final fit takes more."""
+MIN_GAIN = 2e-3
+"""Gain by which another column, or another weight, must improve the score, nats a feature."""
 STANDARD_ERRORS = 1.0
-"""By which it must, as far as the features asked differ in it."""
+"""Number of standard errors of that improvement by which it must exceed zero."""
 TIE = 2e-4
-"""Nats a feature by which shapes of the kernel are as good as each other. It is small, as the few
-best features carry the motion: a prior that is too heavy for them alone, or a K too large, hardly
-shows in the mean over all."""
-LIGHT = 1.0
-"""Errors that the prior counts for while the rest is chosen: under a heavier one small K look worse
-than they are."""
+"""Difference of scores below which two values are equally good, nats a feature. It is small, since
+the few best features determine the motion: a prior that is too heavy for these only, or a K that is
+too large, hardly shows in the mean over all features."""
+LIGHT_COUNTS = 1.0
+"""Pseudo-counts of the prior while the rest is chosen: under a heavier prior, a small K looks worse
+than it is."""
 DOF_TOLERANCE = 0.1
-"""Of ln ν."""
+"""Accuracy of the prior degrees of freedom, of ln ν."""
+DEFAULT_REACH = 0.5
+"""Reach of the published variant before one is chosen."""
 CANDIDATES: dict[str, tuple[float, ...]] = {
     "neighbors": (1600, 800, 400, 200, 100, 50),
     "bias_counts": (np.inf, 100.0, 10.0),
     "prior_counts": (64.0, 16.0, 4.0, 1.0, 0.25, 0.0625),
     "dof_counts": (np.inf, 300.0, 100.0, 30.0, 10.0),
 }
-PUBLISHED: dict[str, tuple[float, ...]] = {
+"""Values that are tried in the robust variant, in this order, the stiffest first."""
+PUBLISHED_CANDIDATES: dict[str, tuple[float, ...]] = {
     "reach": (0.125, 0.25, 0.5, 1.0, 2.0),
     "prior_counts": (5.0, 20.0, 80.0),
 }
-NEIGHBORS_GROW = 0.5
-"""K goes with this power of the number of samples: as N^(4/(4 + M)) is best for M of four effective
-columns."""
-Search = dict[str, dict[str, Any]]
-"""By the name of what was chosen: candidates, nats a feature that each gains over the static model,
-and the chosen."""
+"""Values that are tried in the published variant."""
+NEIGHBORS_EXPONENT = 0.5
+"""K grows with this power of the number of samples: N^(4/(4 + M)), the optimal rate, for M = 4
+effective columns."""
+SearchLog = dict[str, dict[str, Any]]
+"""For each hyperparameter that was chosen: ``candidates``, their ``gains`` in nats a feature, and
+``chosen``."""
 
 
 def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> None:
-    """Refuse a shape of the kernel that is not valid for places of M columns.
+    """Refuse hyperparameters that are not valid for places of M columns.
 
     Raises:
-        InputError: names what is wrong.
+        InputError: names the hyperparameter, its value and what is wrong.
     """
     if dimension == 0:
         raise InputError(
             "predictors", "there is no column.", "Without any, StudentT says the same."
         )
-    least = {
+    where = "generalized kernel"
+    smallest_positive = np.nextafter(0.0, np.inf)
+    lowest = {
         "neighbors": 1,
         "centers": 1,
+        # The published ν* − d + 1 degrees of freedom must be positive.
         "prior_counts": np.nextafter(DIM - 1.0 if published else 0.0, np.inf),
     }
     for name, value in given.items():
         if name == "weights":
             continue
-        if not value >= least.get(name, np.nextafter(0.0, np.inf)):
+        if not value >= lowest.get(name, smallest_positive):
             raise InputError(
-                "generalized kernel",
-                f"{name} is {value}, which is too small.",
-                "Leave it to be chosen.",
+                where, f"{name} is {value}, which is too small.", "Leave it to be chosen."
             )
         if name in ("neighbors", "centers", "prior_counts") and not np.isfinite(value):
             raise InputError(
-                "generalized kernel",
-                f"{name} is {value}, which is no number.",
-                "Leave it to be chosen.",
+                where, f"{name} is {value}, which is no number.", "Leave it to be chosen."
             )
         if name in ("neighbors", "centers") and int(value) != value:
-            raise InputError(
-                "generalized kernel", f"{name} is {value}, which is no whole number.", "Round it."
-            )
+            raise InputError(where, f"{name} is {value}, which is no whole number.", "Round it.")
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
-    fits = weights.shape == (dimension,) and bool(
-        ((weights >= 0.0) & (weights <= LARGEST_WEIGHT)).all()
-    )
-    if not fits or not weights.any():
-        what = (
-            f"weights are {weights}, where {dimension} from 0 to {LARGEST_WEIGHT:g} are expected,"
-            " not all of them 0."
+    in_bounds = bool(((weights >= 0.0) & (weights <= MAX_WEIGHT)).all())
+    if weights.shape != (dimension,) or not in_bounds or not weights.any():
+        raise InputError(
+            where,
+            f"weights are {weights}, where {dimension} from 0 to {MAX_WEIGHT:g} are expected, not"
+            " all of them 0.",
+            "Leave them to be chosen.",
         )
-        raise InputError("generalized kernel", what, "Leave them to be chosen.")
 
 
 def choose_shape(
-    coordinates: FloatArray,
-    errors: FloatArray,
-    spread: FloatArray | None,
+    samples: KernelSamples,
     groups: IntArray | None,
     given: Mapping[str, Any],
+    *,
     published: bool,
     on_progress: Callable[[int, int], None] | None = None,
-) -> tuple[FloatArray, KernelShape, Search]:
-    """Weights of the columns, [M], and the shape of the kernel: what is given stays, the rest is
-    searched one by one.
+) -> tuple[FloatArray, KernelShape, SearchLog]:
+    """Choose the weights of the columns and the hyperparameters of the kernel.
 
-    With fewer than two groups there is nothing to judge by, and what is not given keeps its
-    default.
+    What is given stays as it is. With fewer than two groups no cross-validation is possible, and
+    what is not given keeps its default.
 
     Args:
-        coordinates, errors, spread: the N samples, standardised, [N, M], [N, 4] and [N, 4, 4] or
-            None.
-        groups: [N]; consecutive samples by default.
-        given: what need not be chosen, by the names of ``KernelShape``, and ``weights``.
-        published: choose a fixed support instead of K, and all weights alike.
-        on_progress: called with how many steps are done, and how many there are at most.
+        samples: N samples.
+        groups: group of each sample, [N]; by default blocks of consecutive samples.
+        given: values that need not be chosen, by the names of ``KernelShape``, and ``weights``.
+        published: choose the support ρ instead of K, and no weights.
+        on_progress: called with the number of steps done, and the largest number of them.
+
+    Returns:
+        The weights [M], the hyperparameters, and a log of the search.
     """
-    dimension = coordinates.shape[1]
+    # Start from what is given and from the defaults.
+    dimension = samples.coordinates.shape[1]
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
-    given = {name: int(value) if name == "neighbors" else value for name, value in given.items()}
-    shape = replace(
-        KernelShape(), **{name: value for name, value in given.items() if name != "weights"}
-    )
+    fixed = {name: value for name, value in given.items() if name != "weights"}
+    if "neighbors" in fixed:
+        fixed["neighbors"] = int(fixed["neighbors"])
+    shape = replace(KernelShape(), **fixed)
     if published and "reach" not in given:
-        shape = replace(shape, reach=0.5)
+        shape = replace(shape, reach=DEFAULT_REACH)
+    # Divide the samples into folds, unless there is nothing to choose, or too few groups.
     candidates = {
-        name: c for name, c in (PUBLISHED if published else CANDIDATES).items() if name not in given
+        name: values
+        for name, values in (PUBLISHED_CANDIDATES if published else CANDIDATES).items()
+        if name not in given
     }
-    if not candidates and published:
+    if published and not candidates:
         return weights, shape, {}
-    folds = folds_of(coordinates, errors, spread, groups=groups, published=published)
+    folds = folds_of(samples, groups, published)
     if len(folds) < 2:
         return weights, shape, {}
-    # The search learns from fewer samples, where K as large would reach farther.
-    shape = shape if published or "prior_counts" in given else replace(shape, prior_counts=LIGHT)
-    fewer = max(1.0, len(errors) / MOST_SAMPLES) ** NEIGHBORS_GROW
-    shape = (
-        replace(shape, neighbors=max(1, round(shape.neighbors / fewer)))
-        if "neighbors" in given
-        else shape
-    )
-    search = _Search(folds, published, on_progress)
-    is_free = "weights" not in given and not published
-    search.total = (dimension * (dimension + 1) // 2 if is_free else 0) + len(candidates)
-    if is_free:
+
+    # The search learns from a part of the samples, of which as many neighbours would reach farther.
+    ratio = max(1.0, len(samples.errors) / MAX_SAMPLES) ** NEIGHBORS_EXPONENT
+    if "neighbors" in fixed:
+        shape = replace(shape, neighbors=max(1, round(shape.neighbors / ratio)))
+    if not published and "prior_counts" not in given:
+        shape = replace(shape, prior_counts=LIGHT_COUNTS)
+    has_free_weights = "weights" not in given and not published
+    weight_steps = dimension * (dimension + 1) // 2 if has_free_weights else 0
+    search = _Search(folds, published, on_progress, total_steps=weight_steps + len(candidates))
+
+    # Greedy search: columns and their weights, then one hyperparameter after another. The prior
+    # degrees of freedom are estimated before the other hyperparameters, and again after them.
+    if has_free_weights:
         weights = search.choose_weights(dimension, shape)
     if candidates and not published:
         shape = search.choose_dof(weights, shape)
     for name, values in candidates.items():
         shape = search.choose(name, values, weights, shape)
-    if not published:  # again, for the neighbourhoods that were chosen
+    if not published:
         shape = search.choose_dof(weights, shape)
-    return (
-        weights,
-        replace(shape, neighbors=given.get("neighbors", round(shape.neighbors * fewer))),
-        search.found,
-    )
+    # K for all samples again.
+    neighbors = fixed.get("neighbors", round(shape.neighbors * ratio))
+    return weights, replace(shape, neighbors=neighbors), search.log
 
 
 class _Search:
+    """The state of a search: its folds, its log, and the neighbourhoods that were found last."""
+
     def __init__(
-        self, folds: list[Fold], published: bool, on_progress: Callable[[int, int], None] | None
+        self,
+        folds: list[Fold],
+        published: bool,
+        on_progress: Callable[[int, int], None] | None,
+        *,
+        total_steps: int,
     ) -> None:
         self.folds = folds
         self.published = published
         self.on_progress = on_progress
-        self.found: Search = {}
-        self._at: tuple[bytes, int, float] | None = None
-        self._near: list[tuple[KernelPosterior, Neighborhoods]] = []
-        self.done = self.total = 0
-
-    def gain(self, weights: FloatArray, shape: KernelShape) -> float:
-        """Mean log-likelihood over that of the static model, nats a feature."""
-        return float(np.mean(self.gains(weights, shape)))
-
-    def gains(self, weights: FloatArray, shape: KernelShape) -> FloatArray:
-        """The same of each feature that is asked, of one fold after another, [Q]."""
-        with ThreadPoolExecutor(2) as pool:
-            # Most shapes that are tried share their neighbourhoods, which take as long to find as
-            # to fit to.
-            if self._at != (at := (weights.tobytes(), shape.neighbors, shape.reach)):
-                self._near = list(
-                    pool.map(lambda fold: self._neighborhoods(fold, weights, shape), self.folds)
-                )
-                self._at = at
-            parts = pool.map(
-                lambda fold, near: _gains_of_fold(fold, near[0], near[1], shape=shape),
-                self.folds,
-                self._near,
-            )
-            return np.concatenate(list(parts))
+        self.total_steps = total_steps
+        self.steps_done = 0
+        self.log: SearchLog = {}
+        self._cached_for: tuple[bytes, int, float] | None = None
+        self._cached: list[tuple[KernelPosterior, Neighborhoods]] = []
 
     def choose_weights(self, dimension: int, shape: KernelShape) -> FloatArray:
-        """Column after column, that which gains the most beside those before; then each one's
-        weight.
+        """Choose columns by forward selection, then the weight of each: [M].
 
-        The first stays even if it gains nothing: all of them would do more harm.
+        The first column stays even if it gains nothing: keeping all of them would be worse.
         """
         weights = np.zeros(dimension)
         best = np.zeros(1)
         order: list[tuple[int, float]] = []
-        varies = np.any([np.ptp(fold.coordinates, axis=0) > 0.0 for fold in self.folds], axis=0)
+        varies = np.any(
+            [np.ptp(fold.training.coordinates, axis=0) > 0.0 for fold in self.folds], axis=0
+        )
+        # Add the column that gains the most beside the chosen ones, as long as it gains enough.
         while len(free := np.flatnonzero(varies & (weights == 0.0))):
-            found = self._best([_with(weights, m, 1.0) for m in free.tolist()], shape)
-            self._step(len(free))
-            gains_more = is_better(found[1], best)
+            options = [_with_weight(weights, m, 1.0) for m in free.tolist()]
+            option, gains = self._best_of(options, shape)
+            self._advance(len(free))
+            gains_more = is_better(gains, best)
             if order and not gains_more:
                 break
-            order.append((int(np.flatnonzero(found[0] != weights)[0]), float(found[1].mean())))
-            weights = found[0]
-            best = found[1] if gains_more else best
+            added = int(np.flatnonzero(option != weights)[0])
+            order.append((added, float(gains.mean())))
+            weights = option
+            if gains_more:
+                best = gains
+        # Try to halve and to double the weight of each.
         for m, _ in order:
-            found = self._best([_with(weights, m, factor) for factor in FACTORS], shape)
-            if is_better(found[1], best):
-                weights, best = found
-        self.found["weights"] = {
+            options = [_with_weight(weights, m, factor) for factor in FACTORS]
+            option, gains = self._best_of(options, shape)
+            if is_better(gains, best):
+                weights = option
+                best = gains
+        self.log["weights"] = {
             "candidates": [m for m, _ in order],
             "gains": [gain for _, gain in order],
             "chosen": weights.tolist(),
         }
         return weights if weights.any() else np.ones(dimension)
 
-    def _best(self, options: list[FloatArray], shape: KernelShape) -> tuple[FloatArray, FloatArray]:
-        """The weights that gain the most, and the gain of each feature, [Q]."""
-        gains = [self.gains(weights, shape) for weights in options]
-        best = int(np.argmax([np.mean(gain) for gain in gains]))
-        return options[best], gains[best]
-
     def choose(
         self, name: str, values: tuple[float, ...], weights: FloatArray, shape: KernelShape
     ) -> KernelShape:
-        """One hyperparameter; of those that are as good, the first: the stiffest."""
+        """Choose one hyperparameter; of values that are equally good, the first, stiffest one."""
         changes: list[dict[str, Any]] = [
-            {name: int(v) if name == "neighbors" else v} for v in values
+            {name: int(value) if name == "neighbors" else value} for value in values
         ]
         options = [replace(shape, **change) for change in changes]
-        gains = [self.gain(weights, option) for option in options]
+        gains = [float(np.mean(self.gains(weights, option))) for option in options]
         chosen = int(np.argmax(np.array(gains) > max(gains) - TIE))
+        # JSON has no infinity.
         plain = [value if np.isfinite(value) else "none" for value in values]
-        self.found[name] = {"candidates": plain, "gains": gains, "chosen": plain[chosen]}
-        self._step()
+        self.log[name] = {"candidates": plain, "gains": gains, "chosen": plain[chosen]}
+        self._advance()
         return options[chosen]
 
     def choose_dof(self, weights: FloatArray, shape: KernelShape) -> KernelShape:
-        """The degrees of freedom under which errors are the most likely, each against the scale of
-        its own place.
+        """Choose the prior degrees of freedom, under which each error has the scale of its place.
 
-        They have no stiff end that a tie should go to: too few take the scale down with them, and
-        then half of all
-        errors are outside the region that should hold them.
+        The likelihood is maximised without preference for a stiff value: with too few degrees of
+        freedom the scale shrinks as well, and confidence regions hold too few errors.
         """
-        from scipy.optimize import minimize_scalar  # slow to load, and only training needs it
+        from scipy.optimize import minimize_scalar  # slow to import, and needed in training only
 
+        # With the degrees of freedom held at the prior, the likelihood is a function of these only.
         held = replace(shape, dof_counts=np.inf)
+
+        def loss(log_dof: float) -> float:
+            return -float(np.mean(self.gains(weights, replace(held, dof=math.exp(log_dof)))))
+
         best = minimize_scalar(
-            lambda logarithm: -self.gain(weights, replace(held, dof=math.exp(logarithm))),
-            bounds=(math.log(LEAST_DOF), math.log(MOST_DOF)),
+            loss,
+            bounds=(math.log(MIN_DOF), math.log(MAX_DOF)),
             method="bounded",
             options={"xatol": DOF_TOLERANCE},
         )
         dof = math.exp(best.x)
-        self.found["dof"] = {"candidates": [dof], "gains": [-float(best.fun)], "chosen": dof}
+        self.log["dof"] = {"candidates": [dof], "gains": [-float(best.fun)], "chosen": dof}
         return replace(shape, dof=dof)
+
+    def gains(self, weights: FloatArray, shape: KernelShape) -> FloatArray:
+        """Compute the log-likelihood of each held-out error over the static one, [Q], nats."""
+        with ThreadPoolExecutor(2) as pool:
+            # Finding neighbourhoods takes as long as fitting, and most shapes that are tried have
+            # the same ones, so the last ones are kept.
+            key = (weights.tobytes(), shape.neighbors, shape.reach)
+            if self._cached_for != key:
+                self._cached = list(
+                    pool.map(lambda fold: self._neighborhoods(fold, weights, shape), self.folds)
+                )
+                self._cached_for = key
+            parts = pool.map(
+                lambda fold, cached: _gains_of_fold(fold, cached[0], cached[1], shape),
+                self.folds,
+                self._cached,
+            )
+            return np.concatenate(list(parts))
+
+    def _best_of(
+        self, options: list[FloatArray], shape: KernelShape
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the weights with the largest mean gain, and the gain of each error, [Q]."""
+        gains = [self.gains(weights, shape) for weights in options]
+        best = int(np.argmax([np.mean(gain) for gain in gains]))
+        return options[best], gains[best]
 
     def _neighborhoods(
         self, fold: Fold, weights: FloatArray, shape: KernelShape
     ) -> tuple[KernelPosterior, Neighborhoods]:
+        # Columns without weight do not enter the tree.
         used = weights > 0.0
-        coordinates, places = (
-            np.ascontiguousarray((x * weights)[:, used]) for x in (fold.coordinates, fold.places)
-        )
+        coordinates = np.ascontiguousarray((fold.training.coordinates * weights)[:, used])
+        places = np.ascontiguousarray((fold.held_out.coordinates * weights)[:, used])
         posterior = KernelPosterior.of(
-            coordinates, fold.errors, fold.spread, published=self.published, prior=fold.prior
+            replace(fold.training, coordinates=coordinates),
+            published=self.published,
+            prior=fold.prior,
         )
         return posterior, posterior.around(places, shape)
 
-    def _step(self, steps: int = 1) -> None:
-        self.done += steps
+    def _advance(self, steps: int = 1) -> None:
+        self.steps_done += steps
         if self.on_progress is not None:
-            self.on_progress(self.done, self.total)
+            self.on_progress(self.steps_done, self.total_steps)
 
 
 def _gains_of_fold(
     fold: Fold, posterior: KernelPosterior, near: Neighborhoods, shape: KernelShape
 ) -> FloatArray:
-    students, _ = posterior.fit(near, shape, SEARCH_ITERATIONS)
-    noise = StereoNoise(students.scale, students.dof, students.bias)
-    return noise.log_likelihood(fold.asked) - fold.static
+    fitted, _ = posterior.fit(near, shape, SEARCH_ITERATIONS)
+    noise = StereoNoise(scale=fitted.scale, dof=fitted.dof, bias=fitted.bias)
+    return noise.log_likelihood(fold.held_out.errors) - fold.static
 
 
-def is_better(gains: FloatArray, before: FloatArray) -> bool:
-    """Whether the same features, [Q], gain more than chance explains, and enough."""
-    more = gains - before
-    return bool(more.mean() > max(LEAST_GAIN, STANDARD_ERRORS * more.std() / np.sqrt(len(more))))
+def is_better(gains: FloatArray, prev_gains: FloatArray) -> bool:
+    """Decide whether the gains of the same errors, [Q], improve by more than chance explains.
+
+    The mean difference must exceed both ``MIN_GAIN`` and its own standard error.
+    """
+    more = gains - prev_gains
+    standard_error = more.std() / np.sqrt(len(more))
+    return bool(more.mean() > max(MIN_GAIN, STANDARD_ERRORS * standard_error))
 
 
-def _with(weights: FloatArray, column: int, weight: float) -> FloatArray:
+def _with_weight(weights: FloatArray, column: int, weight: float) -> FloatArray:
     return np.where(np.arange(len(weights)) == column, weight, weights)

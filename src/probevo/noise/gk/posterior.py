@@ -1,14 +1,17 @@
-"""The noise at a place of the prediction space, from the errors of the training data around it
-(PROBE-GK eqs. 6-12).
+"""The distribution of the error at a place of the prediction space, from the errors around it.
 
-As published, a kernel of fixed support ρ, k = 1 − (distance/ρ)², adds every squared error within to
-an inverse-Wishart prior: Ψ* = Ψ₀ + Σ k e eᵀ, ν* = ν₀ + Σ k [1.8, 1.9], and the noise is the
-Student-t of ν* − d + 1 degrees of freedom and scale Ψ*/(ν* − d + 1) [1.12]. One gross outlier then
-inflates Ψ* for all its neighbours, and ν* grows with the number of samples, whatever their tails:
-the loss becomes quadratic.
+As published (PROBE-GK eqs. (6)-(12)), a kernel of fixed support ρ, k(φ, φᵢ) = 1 − (|φ − φᵢ|/ρ)²,
+weighs the squared errors within and adds them to an inverse-Wishart prior,
 
-Ours is the fit of a Student-t with a bias to the K nearest errors, weighed by the same kernel,
-whose support ends at the K-th and at ρ at the latest; the prior is the Student-t of all errors.
+    Ψ* = Ψ₀ + Σ kᵢ eᵢ eᵢᵀ  (8),        ν* = ν₀ + Σ kᵢ  (9),
+
+which predicts a Student-t of ν* − d + 1 degrees of freedom and scale Ψ*/(ν* − d + 1) (12). A single
+gross outlier then inflates Ψ* for all places near it, and ν* grows with the number of samples
+whatever the tails of their errors, so that the loss becomes quadratic.
+
+The robust variant fits a Student-t with a bias, by maximum a posteriori, to the K nearest errors
+under the same kernel. Its support ends at the K-th neighbour, or at ρ if that is nearer. Its prior
+is the Student-t of all errors.
 """
 
 from __future__ import annotations
@@ -21,178 +24,205 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.noise.student_t_fit import (
-    DIM,
-    Neighborhoods,
-    StudentPrior,
-    Students,
-    fit_static,
-    fit_students,
-    floored,
-)
+from probevo.noise.student_t_arrays import DIM, Neighborhoods, StudentPrior, StudentTs
+from probevo.noise.student_t_fit import fit_static, fit_student_ts, regularized
 
 THREADS = 2
 BLOCK = 2000
-MOST_PAIRS = 4_000_000
-"""Places whose neighbours are held in memory at a time, and pairs of a place and a neighbour, in
-the worst case."""
-
-LEAF = 32
-"""Samples of a leaf of the tree: with hundreds of neighbours, a third faster than SciPy's 10 in
-eight columns."""
+"""Number of places whose neighbours are held in memory at a time."""
+MAX_PAIRS = 4_000_000
+"""Number of pairs of a place and a neighbour that a block has at most."""
+TREE_LEAF = 32
+"""Samples in a leaf of the k-d tree: for hundreds of neighbours in eight columns, a third faster
+than SciPy's 10."""
 SEED = 0
-"""Of the order in which samples go into the tree."""
+"""Seed of the order in which samples go into the tree."""
 
 
 @dataclass(frozen=True)
 class KernelShape:
-    """Everything that is chosen from the data unless given."""
+    """The hyperparameters of a kernel and its prior; chosen from the data unless given."""
 
     reach: float = np.inf
-    """ρ: samples farther away do not contribute, in standard deviations."""
+    """Support ρ, in standard deviations: samples farther away do not contribute."""
     neighbors: int = 400
-    """K; as published, all within ρ contribute."""
+    """K of the robust variant; as published, all samples within ρ contribute."""
     prior_counts: float = 16.0
-    """How many errors the prior counts for."""
+    """Pseudo-counts of the prior scale; as published, ν₀."""
     dof_counts: float = 100.0
-    """The same for the degrees of freedom; np.inf holds them."""
+    """Pseudo-counts of the prior degrees of freedom; np.inf holds them."""
     bias_counts: float = 100.0
-    """The same for the bias, which is zero; np.inf holds it there."""
+    """Pseudo-counts of the bias, whose prior is zero; np.inf holds it there."""
     dof: float | None = None
-    """What they shrink to: those of errors held against the scale of their own place. None takes
-    those of all errors against one scale, which are fewer: a mixture of good and bad places looks
-    heavy-tailed, whatever each of them."""
+    """Prior degrees of freedom, estimated from errors under the scales of their own places. None
+    takes those of all errors under one scale, which are too few: a mixture of good and bad places
+    has heavy tails even if each place is Gaussian."""
 
     def as_given(self) -> dict[str, Any]:
-        """As ``GeneralizedKernel`` takes what it need not choose; ``dof`` it always estimates."""
+        """Return the arguments by which ``GeneralizedKernel`` need not choose any of these again.
+
+        ``dof`` is not among them; it is always estimated.
+        """
         return {name: value for name, value in asdict(self).items() if name != "dof"}
 
 
 @dataclass(frozen=True)
-class KernelPosterior:
-    """N samples: places and errors, and the prior."""
+class KernelSamples:
+    """N training samples: places in the prediction space, and an error at each."""
 
     coordinates: FloatArray
-    """[N, M]."""
+    """Places, in the coordinates of the metric, [N, M]."""
     errors: FloatArray
     """[N, 4], px."""
-    spread: FloatArray | None
-    """Covariance of what is not known of each error, [N, 4, 4], px²; None if all are exact."""
+    error_cov: FloatArray | None = None
+    """Covariance of each error, [N, 4, 4], px²; None if they are known exactly."""
+
+    def subset(self, chosen: IntArray) -> KernelSamples:
+        """Return some of the samples, given their indices."""
+        error_cov = None if self.error_cov is None else self.error_cov[chosen]
+        return KernelSamples(
+            coordinates=self.coordinates[chosen], errors=self.errors[chosen], error_cov=error_cov
+        )
+
+
+@dataclass(frozen=True)
+class KernelPosterior:
+    """The posterior predictive distribution at any place, given N samples and a prior."""
+
+    samples: KernelSamples
     published: bool
-    prior: Students
-    """C = 1: what holds where nothing is known."""
+    """Whether this is the published variant, or the robust one."""
+    prior: StudentTs
+    """The distribution without any sample near, C = 1."""
     order: IntArray = field(repr=False)
-    """A random one, in which the tree holds the samples: of many at one and the same place it finds
-    the first K, and these must not be one end of the recording, [N]."""
+    """Random order in which the tree holds the samples, [N]. Of many samples at the same place the
+    tree returns the first K, which must not all be from one end of the recording."""
     tree: KDTree = field(repr=False)
 
     @staticmethod
     def of(
-        coordinates: FloatArray,
-        errors: FloatArray,
-        spread: FloatArray | None,
-        *,
-        published: bool = False,
-        prior: Students | None = None,
+        samples: KernelSamples, *, published: bool = False, prior: StudentTs | None = None
     ) -> KernelPosterior:
-        """Samples [N, M], [N, 4]; the prior, if it is not given, is fitted to all of them."""
-        prior = prior or prior_of(errors, spread, published=published)
-        order = np.random.default_rng(SEED).permutation(len(coordinates))
+        """Store the samples; a prior that is not given is fitted to all of them."""
+        order = np.random.default_rng(SEED).permutation(len(samples.errors))
         return KernelPosterior(
-            coordinates,
-            errors,
-            spread,
+            samples=samples,
             published=published,
-            prior=prior,
+            prior=prior or prior_of(samples, published=published),
             order=order,
-            tree=KDTree(coordinates[order], LEAF),
+            tree=KDTree(samples.coordinates[order], TREE_LEAF),
         )
 
     def at(
         self, places: FloatArray, shape: KernelShape, iterations: int = 12
-    ) -> tuple[Students, FloatArray]:
-        """The noise at n places, [n, M], and Σk of each, [n]."""
-        neighbors = len(self.errors) if self.published else min(shape.neighbors, len(self.errors))
-        block = max(min(MOST_PAIRS // neighbors, BLOCK, -(-len(places) // THREADS)), 1)
-        blocks = [places[start : start + block] for start in range(0, max(len(places), 1), block)]
-        with ThreadPoolExecutor(THREADS) as pool:
-            parts = list(
-                pool.map(lambda part: self.fit(self.around(part, shape), shape, iterations), blocks)
-            )
-        students = Students(
-            *(
-                np.concatenate([getattr(p[0], name) for p in parts])
-                for name in ("scale", "dof", "bias")
-            )
-        )
-        return students, np.concatenate([part[1] for part in parts])
+    ) -> tuple[StudentTs, FloatArray]:
+        """Compute the predictive distribution at n places, [n, M].
 
-    def radius(self, places: FloatArray, neighbors: int) -> FloatArray:
-        """Distance from each place, [n, M], to its K-th nearest sample, [n]."""
-        distance: FloatArray = np.asarray(
-            self.tree.query(places, [min(neighbors, len(self.errors))])[0]
+        Returns:
+            The n distributions, and the effective number of samples Σ k of each, [n].
+        """
+        # The places are divided into blocks, so that the pairs of a place and a neighbour fit into
+        # memory, and each thread has work.
+        count = len(self.samples.errors)
+        neighbors = count if self.published else min(shape.neighbors, count)
+        block = max(min(MAX_PAIRS // neighbors, BLOCK, -(-len(places) // THREADS)), 1)
+        starts = range(0, max(len(places), 1), block)
+
+        def predict(start: int) -> tuple[StudentTs, FloatArray]:
+            near = self.around(places[start : start + block], shape)
+            return self.fit(near, shape, iterations)
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            parts = list(pool.map(predict, starts))
+        fitted = StudentTs(
+            scale=np.concatenate([part.scale for part, _ in parts]),
+            dof=np.concatenate([part.dof for part, _ in parts]),
+            bias=np.concatenate([part.bias for part, _ in parts]),
         )
-        return distance[:, 0]
+        return fitted, np.concatenate([counts for _, counts in parts])
 
     def around(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
-        """The samples that contribute at n places, [n, M], and how much each does."""
-        return self._within(places, shape) if self.published else self._nearest(places, shape)
+        """Find the samples that contribute at n places [n, M], and the kernel k of each."""
+        if self.published:
+            return self._within_reach(places, shape)
+        return self._nearest(places, shape)
 
-    def _within(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
-        """All samples within ρ."""
+    def _within_reach(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
+        """Find all samples within ρ."""
+        # The tree returns a list of neighbours for each place; they are joined into one array.
         found = self.tree.query_ball_point(places, shape.reach, return_sorted=True)
-        lists = [self.order[own] for own in found]
-        first: IntArray = np.cumsum([0, *map(len, lists)])
-        index = np.concatenate([np.zeros(0, np.int64), *lists])
-        owner = np.repeat(np.arange(len(places)), np.diff(first))
-        squared = np.sum((self.coordinates[index] - places[owner]) ** 2, axis=1)
-        return Neighborhoods(first, index, 1.0 - squared / shape.reach**2)
+        members_of_each = [self.order[own] for own in found]
+        first: IntArray = np.cumsum([0, *map(len, members_of_each)])
+        members = np.concatenate([np.zeros(0, np.int64), *members_of_each])
+        place = np.repeat(np.arange(len(places)), np.diff(first))
+        squared = np.sum((self.samples.coordinates[members] - places[place]) ** 2, axis=1)
+        return Neighborhoods(first=first, members=members, kernel=1.0 - squared / shape.reach**2)
 
     def _nearest(self, places: FloatArray, shape: KernelShape) -> Neighborhoods:
-        """The K nearest samples within ρ; the kernel ends at the K-th."""
-        ranks = np.arange(1, min(shape.neighbors, len(self.errors)) + 1)
+        """Find the K nearest samples within ρ; the kernel ends at the K-th."""
+        # The tree reports a missing neighbour at distance ∞.
+        ranks = np.arange(1, min(shape.neighbors, len(self.samples.errors)) + 1)
         distance, near = map(
             np.asarray, self.tree.query(places, ranks, distance_upper_bound=shape.reach)
         )
         found = np.isfinite(distance)
-        # The K-th itself contributes a little, and where all K lie at the very place, all do.
-        support = np.where(found[:, -1:], distance[:, -1:], shape.reach) * (1.0 + 1e-3) + 1e-12
+        # The support is a little wider than the distance of the K-th, so that this one contributes,
+        # and all do where all K lie at the very place.
+        radius = np.where(found[:, -1:], distance[:, -1:], shape.reach)
+        support = radius * (1.0 + 1e-3) + 1e-12
         kernel = np.where(found, 1.0 - (np.where(found, distance, 0.0) / support) ** 2, 0.0)
         first: IntArray = np.concatenate([[0], np.cumsum(found.sum(axis=1))])
-        return Neighborhoods(first, self.order[near[found]], kernel[found])
+        return Neighborhoods(first=first, members=self.order[near[found]], kernel=kernel[found])
 
     def fit(
         self, near: Neighborhoods, shape: KernelShape, iterations: int
-    ) -> tuple[Students, FloatArray]:
-        """The noise of places around which these samples are, and Σk of each, [n]."""
+    ) -> tuple[StudentTs, FloatArray]:
+        """Compute the predictive distribution of given neighbourhoods.
+
+        Returns:
+            The n distributions, and Σ k of each, [n].
+        """
         counts = near.counts
-        prior_dof = float(self.prior.dof[0]) if shape.dof is None else shape.dof
         prior = StudentPrior(
-            self.prior.scale[0],
-            prior_dof,
-            shape.prior_counts,
+            scale=self.prior.scale[0],
+            dof=float(self.prior.dof[0]) if shape.dof is None else shape.dof,
+            counts=shape.prior_counts,
             dof_counts=shape.dof_counts,
             bias_counts=shape.bias_counts,
         )
-        fitted = fit_students(
-            self.errors,
+        fitted = fit_student_ts(
+            self.samples.errors,
             near,
             prior,
-            spread=self.spread,
+            error_cov=self.samples.error_cov,
             iterations=iterations,
             robust=not self.published,
         )
         if self.published:
-            posterior = shape.prior_counts + counts  # ν*
-            dof = posterior - DIM + 1.0
-            fitted = Students(fitted.scale * (posterior / dof)[:, None, None], dof, fitted.bias)
+            # The fit is Ψ*/ν*, by eqs. (8) and (9) with Ψ₀ = ν₀ R̂; eq. (12) divides by ν* − d + 1.
+            nu = shape.prior_counts + counts
+            dof = nu - DIM + 1.0
+            scale = fitted.scale * (nu / dof)[:, None, None]
+            fitted = StudentTs(scale=scale, dof=dof, bias=fitted.bias)
         return fitted, counts
 
+    def radius(self, places: FloatArray, neighbors: int) -> FloatArray:
+        """Return the distance from each place, [n, M], to its K-th nearest sample, [n]."""
+        rank = min(neighbors, len(self.samples.errors))
+        distance: FloatArray = np.asarray(self.tree.query(places, [rank])[0])
+        return distance[:, 0]
 
-def prior_of(errors: FloatArray, spread: FloatArray | None = None, *, published: bool) -> Students:
-    """What holds where nothing is known: the Student-t of all errors; as published R̂ = Ψ₀/ν₀,
-    their mean square."""
+
+def prior_of(samples: KernelSamples, *, published: bool) -> StudentTs:
+    """Fit the prior to all samples, C = 1.
+
+    The robust prior is their Student-t. The published one is their mean square R̂ = Ψ₀/ν₀.
+    """
     if not published:
-        return fit_static(errors, spread=spread)
-    squares = errors.T @ errors + (0.0 if spread is None else spread.sum(axis=0))
-    return Students(floored(squares / len(errors))[None], np.array([np.inf]), np.zeros((1, DIM)))
+        return fit_static(samples.errors, samples.error_cov)
+    errors = samples.errors
+    added = 0.0 if samples.error_cov is None else samples.error_cov.sum(axis=0)
+    mean_square = (errors.T @ errors + added) / len(errors)
+    return StudentTs(
+        scale=regularized(mean_square)[None], dof=np.array([np.inf]), bias=np.zeros((1, DIM))
+    )

@@ -1,1 +1,1 @@
-"""PROBE: a weight for each feature from its nearest neighbours in the prediction space."""
+"""PROBE: a scalar weight for each feature, from its nearest neighbours in the prediction space."""

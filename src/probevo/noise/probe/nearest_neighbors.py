@@ -1,10 +1,17 @@
-"""PROBE: a scalar weight for each feature, from its nearest neighbours in the prediction space
-(PROBE IV-B, Fig. 3)."""
+"""PROBE: the covariance of each feature is R times a scalar β, learned from nearest neighbours.
+
+Training estimates motions from small subsets of the features. The error α of each such motion is
+stored at the place φ in the prediction space of the features that gave it. For a new feature,
+
+    β = (ᾱ_K(φ) / ᾱ)^γ,        R_i = β_i R,
+
+where ᾱ_K(φ) is the mean α of the K stored samples nearest to φ, and ᾱ that of all samples: features
+like those that gave poor motions get a larger covariance (PROBE section IV-B, Fig. 3).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Callable, Mapping
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -13,8 +20,7 @@ from pydantic import Field
 from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.noise.base import StereoNoise
-from probevo.noise.classical import CLASSICAL
+from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.fixed import Fixed
 from probevo.noise.metric import UNDEFINED, Metric
 from probevo.noise.model_file import ModelFile
@@ -25,43 +31,29 @@ from probevo.settings import Settings
 
 Average = Literal["arithmetic", "geometric"]
 LARGEST_WEIGHT = 1e4
-"""β stays between one over this and this: beyond, a feature contributes nothing anyhow, or
-everything."""
+"""Bound of β and of 1/β: beyond it a feature contributes nothing, or dominates all others."""
 
-
-class _Base(Settings):
-    name: Literal["fixed", "student-t"]
-
-
-class _Facts(OriginFacts):
-    """What a file says beside its arrays."""
-
-    columns: tuple[str, ...]
-    may_be_undefined: tuple[bool, ...]
-    neighbors: int = Field(ge=1)
-    exponent: float = Field(ge=0)
-    average: Average
-    log_mean_alpha: float
-    base: _Base
+_BASES: dict[str, Callable[[], Fixed | StudentT]] = {"fixed": Fixed, "student-t": StudentT}
+"""Static models whose noise can be scaled, by their names in a file."""
 
 
 class NearestNeighbors:
-    """Scales the noise R of a static model by β = (mean of the K nearest α / ᾱ)^γ (PROBE Fig. 3).
+    """Noise R of a static model, scaled for each feature by β = (ᾱ_K/ᾱ)^γ (PROBE Fig. 3).
 
-    α is the error of a motion that a feature helped to estimate, ᾱ the mean of all α. What counts
-    is how the α compare, not their unit: training may give them as RMSE in metres, as PROBE does,
-    or relative to what others reached on the same step.
+    Only ratios of the α matter, not their unit: training may give them as RMSE in metres, as PROBE
+    does, or relative to the other subsets of the same step.
 
     Args:
         neighbors: K.
-        exponent: γ, which maps small differences of α to β of several orders of magnitude; 0 is the
-            static model.
-        average: of the α, over the neighbours and over all. PROBE's is arithmetic; the geometric
-            one, the exponential of the mean logarithm, does not let one α that is off by metres
-            decide for all its neighbours.
-        base: the static model whose noise is scaled.
-        camera: the camera of the training data; None if that is not known.
-        training: how the training data came about, in plain values that JSON can hold.
+        exponent: γ, which maps small differences of α to several orders of magnitude of β; 0 gives
+            the static model.
+        average: kind of the means ᾱ_K and ᾱ. PROBE's is arithmetic. The geometric mean, which is
+            the exponential of the mean logarithm, keeps a single α that is off by metres from
+            dominating a mean of millimetres.
+        base: static model whose noise is scaled; by default a Student-t.
+        camera: camera of the training data; None if it is unknown.
+        training: settings, recordings and searches of the training, in plain values that JSON can
+            hold.
     """
 
     def __init__(
@@ -69,7 +61,8 @@ class NearestNeighbors:
         neighbors: int = 100,
         exponent: float = 8.0,
         average: Average = "geometric",
-        base: Fixed | StudentT | None = None,
+        *,
+        base: NoiseModel | None = None,
         camera: StereoCamera | None = None,
         training: Mapping[str, Any] | None = None,
     ) -> None:
@@ -92,19 +85,19 @@ class NearestNeighbors:
         *,
         metric: Metric | None = None,
     ) -> Self:
-        """Take in N samples: places in the prediction space [N, M], and the error α > 0 of a motion
-        at each, [N].
+        """Store N samples: places in the prediction space, and the error of a motion at each.
 
-        Sets ``metric_``, ``index_`` and ``log_mean_alpha_`` (of ᾱ).
+        Sets ``metric_``, ``index_`` and ``log_mean_alpha_``, which is ln ᾱ.
 
         Args:
-            predictors, alphas: the samples.
-            metric: what makes places near to each other; by default the columns are standardised
-                over the samples, and none may be undefined.
+            predictors: places φ of the samples, [N, M].
+            alphas: errors α > 0 of the motions, [N].
+            metric: distance between places; by default the columns are standardised over the
+                samples, and none may be undefined.
 
         Raises:
-            InputError: no samples, fewer than K, an α that is no positive number, or NaN where it
-                may not be.
+            InputError: there are fewer samples than K, an α is no positive number, or a predictor
+                is NaN where it must be defined.
         """
         predictors = np.asarray(predictors, dtype=np.float64)
         alphas = np.asarray(alphas, dtype=np.float64)
@@ -116,65 +109,88 @@ class NearestNeighbors:
         if not (np.isfinite(alphas) & (alphas > 0.0)).all():
             raise InputError("training data", "an error α is no positive number.")
         self.metric_ = metric or Metric.fitted(predictors)
-        values = np.log(alphas) if self.average == "geometric" else alphas
-        self.log_mean_alpha_ = float(
-            np.mean(values) if self.average == "geometric" else np.log(np.mean(values))
-        )
+        # The geometric mean is an arithmetic mean of logarithms, so the index stores these.
+        if self.average == "geometric":
+            values = np.log(alphas)
+            self.log_mean_alpha_ = float(np.mean(values))
+        else:
+            values = alphas
+            self.log_mean_alpha_ = float(np.log(np.mean(values)))
         self.index_ = NeighborIndex.build(self.metric_.coordinates(predictors), values)
         return self
 
-    def log_relative_alpha(self, predictors: FloatArray) -> FloatArray:
-        """ln(mean of the K nearest α / ᾱ) at each of N places [N, M]: [N]."""
-        mean = self.index_.mean_of_nearest(
-            self.metric_.coordinates(predictors), np.array([self.neighbors])
-        )[:, 0]
-        relative: FloatArray = (
-            mean if self.average == "geometric" else np.log(mean)
-        ) - self.log_mean_alpha_
-        return relative
+    def predict(self, predictors: FloatArray) -> StereoNoise:
+        """Return β R for each of N features from its place in the prediction space, [N, M]."""
+        beta = self.weights(predictors)
+        return self.base.predict(predictors).scaled(beta)
 
     def weights(self, predictors: FloatArray) -> FloatArray:
-        """β of each of N features from its place [N, M]: [N]."""
-        limit = np.log(LARGEST_WEIGHT)
-        beta: FloatArray = np.exp(
-            np.clip(self.exponent * self.log_relative_alpha(predictors), -limit, limit)
-        )
+        """Compute β = (ᾱ_K/ᾱ)^γ at N places [N, M], bounded by ``LARGEST_WEIGHT``: [N]."""
+        # In logarithms, so that a large exponent cannot overflow.
+        bound = np.log(LARGEST_WEIGHT)
+        log_beta = self.exponent * self.log_relative_alpha(predictors)
+        beta: FloatArray = np.exp(np.clip(log_beta, -bound, bound))
         return beta
 
-    def predict(self, predictors: FloatArray) -> StereoNoise:
-        """β R for each of N features from its place in the prediction space [N, M]."""
-        return self.base.predict(predictors).scaled(self.weights(predictors))
+    def log_relative_alpha(self, predictors: FloatArray) -> FloatArray:
+        """Compute ln(ᾱ_K/ᾱ) at N places [N, M]: [N]."""
+        coordinates = self.metric_.coordinates(predictors)
+        mean = self.index_.mean_of_nearest(coordinates, np.array([self.neighbors]))[:, 0]
+        return self._log_alpha(mean) - self.log_mean_alpha_
+
+    def samples(self) -> tuple[FloatArray, FloatArray]:
+        """Return the training samples, in the order of the index and to its single precision.
+
+        Returns:
+            Places φ [N, M], NaN where undefined; and ln(α/ᾱ) of each, [N].
+        """
+        metric = self.metric_
+        coordinates = self.index_.samples.T
+        # A value is undefined if it lies exactly where the metric puts such values.
+        undefined = metric.may_be_undefined & (
+            coordinates == (UNDEFINED * metric.weight).astype(np.float32)
+        )
+        places = coordinates / metric.weight * metric.spread + metric.mean
+        values = self.index_.values.astype(np.float64)
+        return np.where(undefined, np.nan, places), self._log_alpha(values) - self.log_mean_alpha_
+
+    def _log_alpha(self, values: FloatArray) -> FloatArray:
+        """Return ln α of values of the index, which holds α or ln α depending on the average."""
+        return values if self.average == "geometric" else np.log(values)
 
     def check_camera(self, camera: StereoCamera) -> None:
         """Refuse a camera unlike that of the training data.
 
         Raises:
-            InputError: says in what it differs.
+            InputError: the cameras differ; the message says in what.
         """
         refuse_other_camera(self.camera, camera)
 
-    def samples(self) -> tuple[FloatArray, FloatArray]:
-        """The training data as they lie in the model: places φ [N, M], NaN where undefined, and
-        ln(α/ᾱ) [N]."""
-        metric = self.metric_
-        coordinates = self.index_.samples.T
-        undefined = metric.may_be_undefined & (
-            coordinates == (UNDEFINED * metric.weight).astype(np.float32)
-        )
-        places = np.where(
-            undefined, np.nan, coordinates / metric.weight * metric.spread + metric.mean
-        )
-        values = self.index_.values.astype(np.float64)
-        return places, (
-            values if self.average == "geometric" else np.log(values)
-        ) - self.log_mean_alpha_
-
     def to_file(self) -> ModelFile:
-        """What a file needs to hold."""
+        """Return the content of the file of this model: its samples, sorted as in the index.
+
+        Raises:
+            InputError: the base is of a class that a file cannot name.
+        """
         metric = self.metric_
         index = self.index_
-        arrays = {field.name: getattr(index, field.name) for field in fields(NeighborIndex)}
-        arrays |= {"mean": metric.mean, "spread": metric.spread, "weight": metric.weight}
+        # The base is stored by name.
+        bases = [name for name, base in _BASES.items() if type(self.base) is base]
+        if not bases:
+            raise InputError(
+                "nearest neighbours",
+                f"a base of type {type(self.base).__name__} cannot be stored.",
+                f"Use one of {', '.join(_BASES)}.",
+            )
+        arrays: dict[str, AnyArray] = {
+            "centers": index.centers,
+            "first_of_cell": index.first_of_cell,
+            "samples": index.samples,
+            "values": index.values,
+            "mean": metric.mean,
+            "spread": metric.spread,
+            "weight": metric.weight,
+        }
         facts = {
             "columns": list(metric.columns),
             "may_be_undefined": list(metric.may_be_undefined),
@@ -182,47 +198,51 @@ class NearestNeighbors:
             "exponent": self.exponent,
             "average": self.average,
             "log_mean_alpha": self.log_mean_alpha_,
-            "base": {
-                "name": next(name for name, kind in CLASSICAL.items() if kind is type(self.base))
-            },
+            "base": {"name": bases[0]},
             **origin_facts(self.camera, self.training),
         }
         return ModelFile("knn", arrays, facts)
 
     @staticmethod
     def from_file(file: ModelFile) -> NearestNeighbors:
-        """The model that ``to_file`` put there.
+        """Read the model that ``to_file`` has described.
 
         Raises:
             KeyError, ValueError, InputError: the file does not hold such a model.
         """
         facts = _Facts.of(file)
         arrays = file.arrays
-        base = CLASSICAL[facts.base.name]()
         model = NearestNeighbors(
-            facts.neighbors,
-            facts.exponent,
-            facts.average,
-            base=base,
+            neighbors=facts.neighbors,
+            exponent=facts.exponent,
+            average=facts.average,
+            base=_BASES[facts.base.name](),
             camera=facts.camera,
             training=facts.training,
         )
         model.log_mean_alpha_ = facts.log_mean_alpha
         model.metric_ = Metric(
-            facts.columns,
-            facts.may_be_undefined,
-            arrays["mean"],
+            columns=facts.columns,
+            may_be_undefined=facts.may_be_undefined,
+            mean=arrays["mean"],
             spread=arrays["spread"],
             weight=arrays["weight"],
         )
         model.index_ = NeighborIndex(
-            **{field.name: arrays[field.name] for field in fields(NeighborIndex)}
+            centers=arrays["centers"],
+            first_of_cell=arrays["first_of_cell"],
+            samples=arrays["samples"],
+            values=arrays["values"],
         )
         model._check_arrays()
         return model
 
     def _check_arrays(self) -> None:
-        """Arrays that do not fit together would be read beyond their ends."""
+        """Refuse arrays that do not fit together: the compiled loops would read beyond their ends.
+
+        Raises:
+            ValueError: they do not.
+        """
         index = self.index_
         metric = self.metric_
         first = index.first_of_cell
@@ -233,36 +253,57 @@ class NearestNeighbors:
             (first, (first.size,), np.int64),
             (index.samples, (dimension, count), np.float32),
             (index.values, (count,), np.float32),
-            *(
-                (array, (dimension,), np.float64)
-                for array in (metric.mean, metric.spread, metric.weight)
-            ),
+            (metric.mean, (dimension,), np.float64),
+            (metric.spread, (dimension,), np.float64),
+            (metric.weight, (dimension,), np.float64),
         ]
         fits = (
             all(
-                a.shape == shape and a.dtype == dtype and np.isfinite(a).all()
-                for a, shape, dtype in expected
+                array.shape == shape and array.dtype == dtype and np.isfinite(array).all()
+                for array, shape, dtype in expected
             )
             and len(set(self.columns)) == dimension == len(metric.may_be_undefined)
             and (metric.spread > 0.0).all()
             and (self.average == "geometric" or (index.values > 0.0).all())
             and self.neighbors <= count
+            # The cells are consecutive, in order, and cover all samples. The comparison of
+            # neighbours avoids differences, which may wrap around.
             and first.size >= 2
-            and (first[0], first[-1]) == (0, count)
+            and first[0] == 0
+            and first[-1] == count
             and (first[1:] >= first[:-1]).all()
         )
         if not fits:
             raise ValueError("its arrays do not fit together")
 
 
+class _Base(Settings):
+    name: Literal["fixed", "student-t"]
+
+
+class _Facts(OriginFacts):
+    """The facts that a file states beside its arrays."""
+
+    columns: tuple[str, ...]
+    may_be_undefined: tuple[bool, ...]
+    neighbors: int = Field(ge=1)
+    exponent: float = Field(ge=0)
+    average: Average
+    log_mean_alpha: float
+    base: _Base
+
+
 def check_neighbors(neighbors: int, num_samples: int) -> None:
-    """Refuse a K that there cannot be.
+    """Refuse a K below one or above the number of samples.
 
     Raises:
-        InputError: K is larger than the data, or less than one.
+        InputError: K is not possible.
     """
     if num_samples < neighbors:
-        what = f"K is {neighbors}, but there are only {num_samples} samples."
-        raise InputError("--neighbors", what, "Choose a smaller K, or train on more.")
+        raise InputError(
+            "--neighbors",
+            f"K is {neighbors}, but there are only {num_samples} samples.",
+            "Choose a smaller K, or train on more.",
+        )
     if neighbors < 1:
         raise InputError("--neighbors", f"K is {neighbors}.", "It must be at least 1.")

@@ -65,7 +65,7 @@ def solve_drive(
             last = int(part.numbers[step])
             if len(chosen) < solver.min_tracks:
                 continue
-            own = noise.of(chosen)
+            own = noise.subset(chosen)
             solution = solve(
                 tracks,
                 own,
@@ -172,7 +172,7 @@ def feature_errors(
             at = first_step + step
             if len(chosen) < solver.min_tracks or cov[at, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:
                 continue  # neither solved nor known: its residuals say nothing
-            own = noise.of(chosen)
+            own = noise.subset(chosen)
             solution = solve_reprojection(
                 tracks.prev_px,
                 tracks.curr_px,

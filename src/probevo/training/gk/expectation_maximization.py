@@ -16,9 +16,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
-from probevo.noise.model_io import Learned
 from probevo.noise.student_t import StudentT
 from probevo.training.gk.evidence import Evidence, gather_evidence
 from probevo.training.gk.time_correlation import smallest_likely_ratio
@@ -37,7 +37,7 @@ Model = StudentT | GeneralizedKernel
 class Memory(Protocol):
     """Where models are kept from turn to turn; a ``Checkpoint`` is one."""
 
-    def turn(self, number: int) -> Learned | None:
+    def turn(self, number: int) -> LearnedNoiseModel | None:
         """The model after that turn, if it is kept."""
 
     def keep_turn(self, number: int, model: Model) -> None:
@@ -47,7 +47,7 @@ class Memory(Protocol):
 class NoMemory:
     """A memory that keeps no turn."""
 
-    def turn(self, number: int) -> Learned | None:
+    def turn(self, number: int) -> LearnedNoiseModel | None:
         """None."""
 
     def keep_turn(self, number: int, model: Model) -> None:
@@ -93,7 +93,7 @@ def learn_student_t(
         refers_to=gk.refers_to,
         camera=drives[0].camera,
         training={"turns": []},
-        time_correlation=0.0,
+        time_correlation_ratio=0.0,
     )
     fresh = model
     for number in range(_static_turns(gk)):
@@ -107,8 +107,10 @@ def learn_student_t(
             evidence = gather_evidence(
                 drives, model, settings, workers=course.workers, on_part=course.on_part
             )
-            model.fit(evidence.phi, evidence.errors, spread=evidence.spread)
-            model.time_correlation = 0.0 if number < STATIC_TURNS else _lasting(evidence, model)
+            model.fit(evidence.phi, evidence.errors, error_cov=evidence.spread)
+            model.time_correlation_ratio = (
+                0.0 if number < STATIC_TURNS else _lasting(evidence, model)
+            )
             model.training = {"turns": [*model.training["turns"], evidence.progress]}
             course.memory.keep_turn(number, model)
         course.on_turn()
@@ -195,11 +197,13 @@ def _turn(
         evidence.phi,
         evidence.errors,
         evidence.groups,
-        spread=evidence.spread,
+        error_cov=evidence.spread,
         metric=metric,
         on_progress=lambda done, total: course.on_part(0.5 + 0.5 * done / max(total, 1)),
     )
-    model.time_correlation = _lasting(evidence, before) if before.time_correlation else 0.0
+    model.time_correlation_ratio = (
+        _lasting(evidence, before) if before.time_correlation_ratio else 0.0
+    )
     model.training = {
         "turns": [*training["turns"], evidence.progress],
         "searches": training["searches"] or model.search_,
@@ -211,7 +215,7 @@ def _turn(
 def _lasting(evidence: Evidence, before: Model) -> float:
     """Half the way from what the last turn held to what is most likely: scale and κ explain the
     same residuals, and would overshoot together."""
-    return 0.5 * (before.time_correlation + smallest_likely_ratio(evidence.profile))
+    return 0.5 * (before.time_correlation_ratio + smallest_likely_ratio(evidence.profile))
 
 
 def _plain(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled, copy_into, factor, invert_symmetric_4
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.noise.base import StereoNoise, log_density
-from probevo.noise.student_t_numba import floor
+from probevo.noise.student_t_numba import regularize
 
 
 @dataclass(frozen=True)
@@ -125,10 +125,10 @@ def _bring_back(
     for n in range(len(residuals)):
         if not invert_symmetric_4(information[n], sigma, lower):
             copy_into(sigma, scale[n])
-        floor(sigma)
+        regularize(sigma)
         factor(sigma, 4, lower)
         if not factor(scale[n], 4, root):
-            floor(scale[n])
+            regularize(scale[n])
             factor(scale[n], 4, root)
         squares = 0.0
         determinant = 1.0

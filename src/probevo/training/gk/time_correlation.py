@@ -24,7 +24,7 @@ from scipy.optimize import brentq, minimize_scalar
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.noise.base import StereoNoise, disparity_variance
-from probevo.noise.student_t_fit import DIM
+from probevo.noise.student_t_arrays import DIM
 
 LEAST_REST = 1e-3
 """Of what Σ is along l without that part; l is taken where the points end up, and Σ where they were
@@ -52,7 +52,7 @@ def time_correlation_profile(
     s = solution.squared[chosen]
     a = np.sum(white * e, axis=1)
     b = np.sum(white * direction, axis=1)
-    taken_out = 0.0 if noise.time_correlation is None else noise.time_correlation[chosen] / variance
+    taken_out = 0.0 if noise.time_correlated is None else noise.time_correlated[chosen] / variance
     rest = np.maximum(1.0 - taken_out * b, LEAST_REST)
     return np.column_stack([s + taken_out * a**2 / rest, a / rest, b / rest, noise.dof[chosen]])
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from probevo.errors import InputError
-from probevo.noise.classical import CLASSICAL
 from probevo.noise.metric import Metric
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors, check_neighbors
+from probevo.noise.registry import untrained_model
 from probevo.training.probe.samples import Samples, folds_of_steps
 from probevo.training.probe.selection import Search, choose_exponent, choose_neighbors, out_of_fold
 from probevo.training.probe.subsets import Learner
@@ -78,7 +78,7 @@ def fit_model(
         neighbors,
         exponent,
         settings.average,
-        base=CLASSICAL[settings.base](),
+        base=untrained_model(settings.base),
         camera=learners[0].camera,
         training=training,
     )

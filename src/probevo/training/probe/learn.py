@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.noise.classical import CLASSICAL
 from probevo.noise.metric import Metric
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
+from probevo.noise.registry import untrained_model
 from probevo.training.checkpoint import Checkpoint
 from probevo.training.drive import joined
 from probevo.training.probe.fitting import fit_model
@@ -91,7 +91,7 @@ def _learner(
         coordinates=metric.coordinates(drive.phi),
         supervision=supervised.supervision.completed(drive.T_curr_prev),
         camera=supervised.camera,
-        base=CLASSICAL[settings.base](),
+        base=untrained_model(settings.base),
         solver=settings.odometry.solver,
         subset=settings.subset,
         contrast=settings.contrast,

@@ -1,0 +1,121 @@
+"""The rig's calibration as an estimate: what a rectification leaves of the right image's errors.
+
+A rectified pair should show a point in the same row of both images, and its disparity should be
+that of the baseline alone. Real pairs do neither. The correction is a smooth function of the place
+(x, y) = ((u − c_u)/f_u, (v − c_v)/f_v) in the left image:
+
+- rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y², from the tracks' stereo matches; no
+  motion is needed. On KITTI a₄ is about 6.8 px on two calibrations of different days, and modelling
+  it takes the scatter of v_r − v_l from 0.39 to 0.15 px.
+- disparity: true minus measured = b₀ + b₁ x + b₂ x², from how well the features agree on one motion
+  (``estimation.rig_update``). On KITTI b₂ is 1.7 to 2.1 px: points at the sides seem too far, which
+  on a motorway, where the useful points are at the sides, lengthens every step.
+
+b₀ is held at zero on purpose: noise in the disparity makes near points look like a mix of near and
+far ones, which mimics b₀ (regression dilution), so that an estimated b₀ runs away on noisy tracks.
+The place in the image is known without noise, so b₁ and b₂ do not suffer from that. The uncertainty
+of all three enters the covariance of the motion as a common-mode error.
+
+Both are Gaussian beliefs that start at zero with the prior below and are updated by recursive
+robust least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
+
+ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0])
+"""Prior standard deviation of a₀ … a₅."""
+DISPARITY_SIGMA_PX = np.array([1.0, 1.0])
+"""Prior standard deviation of b₁, b₂."""
+CONSTANT_SIGMA_PX = 0.1
+"""Standard deviation of the constant b₀, which is not estimated (a consider parameter)."""
+ROW_SCATTER_PX = 0.2
+"""Scale of v_r − v_l around its model; its tails are those of a Student-t with 5 degrees of
+freedom."""
+ROW_DOF = 5.0
+CORRELATED_FEATURES = 20.0
+"""How many features count as one: neighbours have common errors, and the same points come back
+frame after frame."""
+ROW_ITERATIONS = 3
+
+
+@dataclass(frozen=True)
+class RigCalibration:
+    """A Gaussian belief about the row and disparity errors of a rectified pair."""
+
+    rows: FloatArray
+    """a₀ … a₅, [6], px."""
+    rows_information: FloatArray
+    """Inverse covariance of the rows' coefficients, [6, 6], px⁻²."""
+    disparity: FloatArray
+    """b₁, b₂, [2], px."""
+    disparity_information: FloatArray
+    """Inverse covariance of the disparity's coefficients, [2, 2], px⁻²."""
+
+    @staticmethod
+    def initial() -> RigCalibration:
+        """Return the prior: no correction, with the standard deviations above."""
+        return RigCalibration(
+            rows=np.zeros(6),
+            rows_information=np.diag(ROW_SIGMA_PX**-2.0),
+            disparity=np.zeros(2),
+            disparity_information=np.diag(DISPARITY_SIGMA_PX**-2.0),
+        )
+
+    @property
+    def disparity_cov(self) -> FloatArray:
+        """Covariance of (b₀, b₁, b₂), [3, 3], px²."""
+        covariance = np.zeros((3, 3))
+        covariance[0, 0] = CONSTANT_SIGMA_PX**2
+        covariance[1:, 1:] = np.linalg.inv(self.disparity_information)
+        return covariance
+
+    def corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
+        """Return observations [N, 4], px, with u_r and v_r as a flawless rectification has them."""
+        corrected: FloatArray = pixels.copy()
+        corrected[:, 2] -= disparity_basis(pixels, camera)[:, 1:] @ self.disparity
+        corrected[:, 3] -= row_basis(pixels, camera) @ self.rows
+        return corrected
+
+    def with_rows(self, pixels: FloatArray, camera: StereoCamera) -> RigCalibration:
+        """Update the rows' coefficients with the raw stereo matches [N, 4], px, of one frame."""
+        basis = row_basis(pixels, camera)
+        offsets = pixels[:, 3] - pixels[:, 1]
+        rows = self.rows
+        information = self.rows_information
+        # IRLS: the weights of the first frame depend on the coefficients that it teaches.
+        for _ in range(ROW_ITERATIONS):
+            squared = ((offsets - basis @ rows) / ROW_SCATTER_PX) ** 2
+            weight = (ROW_DOF + 1.0) / (ROW_DOF + squared)
+            weighted = basis * (weight / (ROW_SCATTER_PX**2 * CORRELATED_FEATURES))[:, None]
+            information = self.rows_information + weighted.T @ basis
+            gradient = self.rows_information @ self.rows + weighted.T @ offsets
+            rows = np.linalg.solve(information, gradient).astype(float)
+        return replace(self, rows=rows, rows_information=information)
+
+    def with_disparity(self, information: FloatArray, gradient: FloatArray) -> RigCalibration:
+        """Update b₁, b₂ with the normal equations of a motion's residuals, [2, 2] and [2].
+
+        Residuals of neighbouring features count for less than they seem (``CORRELATED_FEATURES``).
+        """
+        posterior = self.disparity_information + information / CORRELATED_FEATURES
+        step = np.linalg.solve(posterior, gradient / CORRELATED_FEATURES)
+        return replace(self, disparity=self.disparity + step, disparity_information=posterior)
+
+
+def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
+    """Return (1, x, y, x², xy, y²) at the left observations of N features, [N, 6]."""
+    x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
+    return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+
+
+def disparity_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
+    """Return (1, x, x²) at the left observations of N features, [N, 3]."""
+    x, _ = camera.normalized(pixels[:, 0], pixels[:, 1])
+    return np.column_stack([np.ones_like(x), x, x * x])

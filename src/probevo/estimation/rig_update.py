@@ -1,0 +1,67 @@
+"""What the residuals of a motion say of the rig's calibration, and the calibration's uncertainty of
+the motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.rig_calibration import RigCalibration, disparity_basis
+from probevo.camera.stereo import StereoCamera
+from probevo.estimation.reprojection import ReprojectionSolution, sum_products
+from probevo.tracking.tracks import Tracks
+
+
+def update_rig(
+    rig: RigCalibration, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
+) -> tuple[RigCalibration, FloatArray]:
+    """Update the rig's disparity errors, and say how their uncertainty moves the motion.
+
+    With D = ∂e/∂b and J = −∂e/∂ξ, the belief takes in the part of the residuals that a change of b
+    explains, the motion being eliminated from the joint normal equations (Schur complement). The
+    solution need not be at the optimum, but must use only what these two frames show: the disparity
+    filter was fed with the calibration of its time, and would confirm it.
+
+    Args:
+        rig: the belief before this step.
+        tracks: the N tracks of the solution, corrected by ``rig``.
+        solution: the motion from these two frames alone.
+        camera: the rectified camera.
+
+    Returns:
+        The belief after the step, and the root of Schmidt's consider term, [6, 3]: columns along
+        which errors of the calibration before the step move the motion, for errors of unit
+        variance. Such an error is common to all features, so that no number of them averages it
+        out, and to all steps, so that it adds up along the path. Features that do not fix the
+        motion teach nothing.
+    """
+    if not np.isfinite(solution.cov).all():
+        return rig, np.zeros((6, 3))
+    D = disparity_sensitivity(tracks, solution, camera)
+    weighted_D = solution.whitened(D)
+    weighted_J = solution.whitened(solution.jacobian)
+    # Normal equations of (ξ, b): [[H, C], [Cᵀ, B]], with the gradients of both.
+    C = sum_products(solution.jacobian, weighted_D)
+    B = sum_products(D, weighted_D)
+    motion_gradient = np.einsum("nij,ni->j", weighted_J, solution.residuals)
+    rig_gradient = -np.einsum("nij,ni->j", weighted_D, solution.residuals)
+    # The Schur complement on b; b₀ is not estimated.
+    gain = np.linalg.solve(solution.hessian, C)
+    gradient = gain.T @ motion_gradient + rig_gradient
+    information = B - C.T @ gain
+    updated = rig.with_disparity(information[1:, 1:], gradient[1:])
+    return updated, gain @ np.linalg.cholesky(rig.disparity_cov)
+
+
+def disparity_sensitivity(
+    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
+) -> FloatArray:
+    """Return ∂e/∂(b₀, b₁, b₂), [N, 4, 3].
+
+    More disparity moves u_r' by itself, and the prediction f(T g(y)) through the depth.
+    """
+    prev_basis = disparity_basis(tracks.prev_px, camera)
+    curr_basis = disparity_basis(tracks.curr_px, camera)
+    sensitivity: FloatArray = -solution.disparity_jacobian[:, :, None] * prev_basis[:, None]
+    sensitivity[:, 2] -= curr_basis
+    return sensitivity

@@ -1,0 +1,254 @@
+"""Tracks → motion: consensus, estimate, and whether to accept the result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.config import OdometryConfig
+from probevo.estimation.disparity_filter import DisparityFilter
+from probevo.estimation.feature_weights import INLIER_FROM, OUTLIER_BELOW
+from probevo.estimation.initial_motion import are_enough, initial_motion
+from probevo.estimation.motion_estimate import Status
+from probevo.estimation.motion_model import MotionPrediction
+from probevo.estimation.reprojection import MOTION, ReprojectionSolution, solve_reprojection
+from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
+from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.measurements.base import Measurement, Variable
+from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.robust_loss import RobustLoss
+from probevo.noise.base import NoiseModel, StereoNoise
+from probevo.noise.student_t import StudentT
+from probevo.stage_clock import StageClock
+from probevo.tracking.tracks import Tracks
+
+MOTIONS_DIFFER_FROM = 22.46
+"""Squared Mahalanobis distance from which two motions of the same tracks differ by more than
+chance: 99.9 % of χ²(6)."""
+
+
+@dataclass(frozen=True)
+class VisualMotion:
+    """What the tracks of one step say about the motion."""
+
+    status: Status
+    weights: FloatArray
+    """How far each track was trusted, [N]: 0 for an outlier of the consensus, to 1 for a usual
+    residual."""
+    used: BoolArray
+    """Which tracks the solve used, [N]; the others were rejected before."""
+    solution: ReprojectionSolution | None = None
+    """The last solve; to be accepted only if the status is OK, None after too few tracks or if it
+    is degenerate."""
+    two_frames_only: ReprojectionSolution | None = None
+    """The same features at that motion, without what earlier frames and the gyro say of them."""
+    T_reference: FloatArray | None = None
+    """The motion by which features are judged in the next step, [4, 4]; None without a solve."""
+    noise: StereoNoise | None = None
+    """Predicted noise of the tracks used; None without a solve."""
+    disparities: DisparityFilter = field(default_factory=DisparityFilter.none)
+    """The disparity filter after the step; of no track where the step taught nothing."""
+    num_out_of_domain: int | None = None
+    """Tracks used that lie where the noise model has seen no training data; None without a solve,
+    and for models that know of no such place."""
+
+    @property
+    def outliers(self) -> BoolArray:
+        """Which tracks are not worth following any longer, [N]."""
+        return np.asarray(self.weights < OUTLIER_BELOW)
+
+    @property
+    def accepted_solution(self) -> ReprojectionSolution:
+        """The solve of a step with status OK.
+
+        Raises:
+            ValueError: there is none.
+        """
+        if self.status is not Status.OK or self.solution is None:
+            raise ValueError(f"a step with status {self.status.name} has no accepted solution")
+        return self.solution
+
+    @property
+    def num_inliers(self) -> int:
+        """Tracks with a weight of at least one half."""
+        return int((self.weights >= INLIER_FROM).sum())
+
+    @property
+    def num_used(self) -> int:
+        """Tracks that the solve used."""
+        return int(self.used.sum())
+
+    @property
+    def num_iterations(self) -> int:
+        """Iterations of the last solve."""
+        return self.solution.iterations if self.solution else 0
+
+
+@dataclass(frozen=True)
+class MotionPriors:
+    """What is known of a step before its tracks are looked at."""
+
+    prediction: MotionPrediction
+    gyro: RelativeRotation | None
+    """The gyro's rotation, if there is one."""
+    disparities: DisparityFilter
+    """The disparity filter after the previous step."""
+    measurements: Sequence[Measurement] = ()
+    """Measurements of the motion beside the tracks, which enter the solve."""
+    curr: Variable = MOTION
+    """The pose of the current frame, as these call it."""
+
+
+class VisualEstimator:
+    """RANSAC from the predicted motion, then the estimator under the predicted noise.
+
+    Args:
+        camera: the rectified camera.
+        noise: model that turns predictors into the noise of each track.
+        config: settings of RANSAC, solver and gyro.
+        predicts_from_motion: whether a predictor of the noise depends on earlier motions.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        noise: NoiseModel,
+        config: OdometryConfig,
+        *,
+        predicts_from_motion: bool,
+    ) -> None:
+        self._camera = camera
+        self._noise = noise
+        self._config = config
+        self._predicts_from_motion = predicts_from_motion
+        self._estimator: Estimator = TwoFrameEstimator(camera, config.solver)
+
+    def estimate(
+        self,
+        tracks: Tracks,
+        phi: FloatArray,
+        priors: MotionPriors,
+        *,
+        rng: np.random.Generator,
+        clock: StageClock,
+    ) -> VisualMotion:
+        """Estimate the motion of N tracks, and judge it.
+
+        Args:
+            tracks: the N tracks, corrected by the rig's calibration.
+            phi: their places in the prediction space, [N, M].
+            priors: what is known of the step.
+            rng: source of RANSAC's samples.
+            clock: takes the times of the stages ``consensus`` and ``solve``.
+        """
+        # Which tracks agree on a motion, and where the solve starts.
+        consensus = initial_motion(
+            tracks,
+            self._camera,
+            priors.prediction,
+            gyro=priors.gyro,
+            config=self._config,
+            rng=rng,
+        )
+        clock.lap("consensus")
+        used = consensus.inliers
+        weights = np.zeros(len(tracks))
+        if not are_enough(used, self._config):
+            return VisualMotion(Status.TOO_FEW_TRACKS, weights, used=np.zeros_like(used))
+        # The motion of these, each under its own noise.
+        inliers = tracks.kept(used)
+        noise = self._noise.predict(phi[used])
+        estimate = self._estimator.estimate(
+            inliers,
+            noise,
+            priors.disparities,
+            guess=consensus.T_curr_prev,
+            others=priors.measurements,
+            curr=priors.curr,
+        )
+        weights[used] = estimate.weights
+        solution = estimate.solution
+        two_frames_only = solution
+        if estimate.used_history or priors.measurements:
+            two_frames_only = solve_reprojection(
+                inliers.prev_px,
+                inliers.curr_px,
+                noise,
+                guess=solution.T_curr_prev,
+                camera=self._camera,
+                loss=RobustLoss.named(self._config.solver.loss),
+                max_iterations=0,
+            )
+        clock.lap("solve")
+        # Whether to accept it.
+        status = judge(solution, estimate.weights, priors.prediction, config=self._config)
+        T_reference = solution.T_curr_prev
+        if self._predicts_from_motion:
+            T_reference = self._confirmed(estimate, inliers, consensus.T_curr_prev, priors)
+        outside = noise.out_of_domain
+        return VisualMotion(
+            status=status,
+            weights=weights,
+            used=used,
+            solution=None if status is Status.DEGENERATE else solution,
+            two_frames_only=two_frames_only,
+            T_reference=T_reference,
+            noise=noise,
+            disparities=(estimate.disparities if status is Status.OK else DisparityFilter.none()),
+            num_out_of_domain=None if outside is None else int(outside.sum()),
+        )
+
+    def _confirmed(
+        self, estimate: Estimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
+    ) -> FloatArray:
+        """Return the motion under the learned noise, unless the tracks, all trusted alike, contradict
+        it: then the motion that these say, [4, 4].
+
+        A model that trusts those features that agreed with the last motion confirms that motion:
+        once it has gone with a car, it is the street that seems to be wrong. The reference must be
+        an estimate that the model cannot influence. But that is the coarser one, so that it decides
+        only where the two are farther apart than chance explains.
+        """
+        solution = estimate.solution
+        plain = self._estimator.solve(
+            tracks,
+            StudentT().predict(np.zeros((len(tracks), 0))),
+            guess=guess,
+            others=priors.measurements,
+            curr=priors.curr,
+        )
+        cov = plain.cov + solution.cov
+        if not (plain.converged and np.isfinite(cov).all()):
+            return solution.T_curr_prev
+        squared = normalized_error_squared(
+            plain.T_curr_prev[None], solution.T_curr_prev[None], cov[None]
+        )[0]
+        return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
+
+
+def judge(
+    solution: ReprojectionSolution,
+    weights: FloatArray,
+    prediction: MotionPrediction,
+    *,
+    config: OdometryConfig,
+) -> Status:
+    """Return whether a solve fixed all six degrees of freedom, converged, and passes the gate."""
+    if not np.isfinite(solution.cov).all():
+        return Status.DEGENERATE
+    translation_sigma_m = np.sqrt(np.linalg.eigvalsh(solution.cov[:3, :3])[-1])
+    rotation_sigma_rad = np.sqrt(np.linalg.eigvalsh(solution.cov[3:, 3:])[-1])
+    if (
+        translation_sigma_m > config.solver.max_translation_sigma_m
+        or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
+    ):
+        return Status.DEGENERATE
+    if (weights >= INLIER_FROM).sum() < config.solver.min_tracks:
+        return Status.TOO_FEW_TRACKS
+    if not solution.converged or prediction.fails_gate(solution.T_curr_prev, solution.cov):
+        return Status.NOT_CONVERGED
+    return Status.OK

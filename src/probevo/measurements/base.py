@@ -1,0 +1,227 @@
+"""What a measurement is: a constraint on some variables, with its own covariance and robust loss.
+
+This is the seam through which every sensor enters. The solver (``estimation.gauss_newton``) knows no
+sensor by name: it adds up the normal equations of whatever measurements it is given. A new sensor
+is one class; most need only a residual and its Jacobians (``VectorMeasurement``).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray
+from probevo.errors import InputError
+from probevo.geometry import se3
+
+
+class Variable(NamedTuple):
+    """An unknown of the problem."""
+
+    kind: str
+    """What it is, e.g. ``pose``."""
+    frame: int
+    """Index of the frame that it belongs to."""
+
+
+def pose_of(frame: int) -> Variable:
+    """Return the variable T_cam_world of a frame, [4, 4], perturbed from the left by ξ, [6]."""
+    return Variable(kind="pose", frame=frame)
+
+
+Values = Mapping[Variable, FloatArray]
+"""A value for each variable: poses T_cam_world [4, 4], anything else a vector [n]."""
+
+
+def dimension(value: FloatArray) -> int:
+    """Return the number of degrees of freedom of a variable's value."""
+    return 6 if value.shape == (4, 4) else len(value)
+
+
+def retract(value: FloatArray, step: FloatArray) -> FloatArray:
+    """Move a value by a step: Exp(ξ) T for a pose, plain addition for a vector."""
+    if value.shape == (4, 4):
+        moved: FloatArray = se3.exp(step) @ value
+        return moved
+    return value + step
+
+
+class Linearization(NamedTuple):
+    """The normal equations of one measurement over its n degrees of freedom, in the order of its
+    variables."""
+
+    cost: float
+    hessian: FloatArray
+    """[n, n]."""
+    gradient: FloatArray
+    """The direction of descent, [n]: the step solves hessian · step = gradient."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of the N residuals of a measurement (one, or a batch)."""
+
+    squared: FloatArray
+    """Squared Mahalanobis distance of each residual, [N]."""
+    weight: FloatArray
+    """Robust weight of each against that of a perfect residual, [N], 0 to 1."""
+    gated: BoolArray
+    """Which were turned away altogether, [N]."""
+
+
+class Measurement(Protocol):
+    """A constraint on some variables; a value that the solver never changes."""
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """The variables that it constrains."""
+
+    def propagated(self, values: Values) -> Measurement:
+        """Return the same measurement with its covariance taken at these values.
+
+        The solver holds that covariance while it moves by less than a standard deviation. A
+        measurement whose covariance does not depend on the values returns itself.
+        """
+
+    def linearize(self, values: Values, *, newton: bool = False) -> Linearization:
+        """Return cost and normal equations at these values.
+
+        Args:
+            values: of its variables, and maybe of others.
+            newton: the solver is close to the optimum, and the curvature of the robust loss may
+                enter the Hessian.
+        """
+
+    def information(self, values: Values) -> FloatArray:
+        """Return what it contributes to the information of the estimate, [n, n].
+
+        It is the Fisher information, which for a robust loss is not the Hessian of ``linearize``.
+        """
+
+    def outcome(self, values: Values) -> Outcome:
+        """Return what became of its residuals at these values."""
+
+
+class VectorMeasurement(ABC):
+    """A measurement with a single residual of d dimensions, Student-t distributed or Gaussian.
+
+    A subclass says which ``variables`` it constrains and how its ``residual`` depends on them; its
+    Jacobians are taken by central differences unless it has better ones.
+
+    Args:
+        covariance: of the residual, [d, d] (the scale matrix of a Student-t).
+        dof: degrees of freedom ν of the Student-t; np.inf is Gaussian.
+        gate: squared Mahalanobis distance beyond which it does not contribute; np.inf keeps all.
+
+    Raises:
+        InputError: the covariance is not symmetric positive definite.
+    """
+
+    def __init__(
+        self, covariance: FloatArray, *, dof: float = np.inf, gate: float = np.inf
+    ) -> None:
+        covariance = np.asarray(covariance, dtype=np.float64)
+        square = covariance.ndim == 2 and covariance.shape[0] == covariance.shape[1]
+        finite = square and bool(np.isfinite(covariance).all())
+        if not finite or not np.allclose(covariance, covariance.T):
+            raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
+        if not np.linalg.eigvalsh(covariance)[0] > 0.0:
+            raise InputError(type(self).__name__, "its covariance is not positive definite.")
+        self.covariance = covariance
+        self.dof = dof
+        self.gate = gate
+        self._information: FloatArray = np.asarray(np.linalg.inv(covariance), np.float64)
+
+    @property
+    @abstractmethod
+    def variables(self) -> tuple[Variable, ...]:
+        """The variables that it constrains."""
+
+    @abstractmethod
+    def residual(self, values: Values) -> FloatArray:
+        """Return the residual, measured minus predicted, [d]."""
+
+    def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
+        """Return how each variable's perturbation moves the residual, [d, n] each."""
+        return numeric_jacobians(self, values)
+
+    def propagated(self, values: Values) -> VectorMeasurement:
+        """Return itself: its covariance does not depend on the values."""
+        return self
+
+    def linearize(self, values: Values, *, newton: bool = False) -> Linearization:
+        """Return cost and normal equations, the robust weight included."""
+        residual = self.residual(values)
+        jacobian = np.hstack(self.jacobians(values))
+        squared = float(residual @ self._information @ residual)
+        weighted = self._weight(squared) * jacobian.T @ self._information
+        return Linearization(
+            cost=self._cost(squared),
+            hessian=weighted @ jacobian,
+            gradient=-weighted @ residual,
+        )
+
+    def information(self, values: Values) -> FloatArray:
+        """Return the Fisher information Jᵀ Σ⁻¹ J, times (ν + d)/(ν + d + 2) for a Student-t."""
+        residual = self.residual(values)
+        jacobian = np.hstack(self.jacobians(values))
+        squared = float(residual @ self._information @ residual)
+        if squared > self.gate:
+            return np.zeros((jacobian.shape[1], jacobian.shape[1]))
+        share = 1.0 / (1.0 + 2.0 / (self.dof + len(residual)))
+        information: FloatArray = share * jacobian.T @ self._information @ jacobian
+        return information
+
+    def outcome(self, values: Values) -> Outcome:
+        """Return what became of its residual."""
+        residual = self.residual(values)
+        squared = float(residual @ self._information @ residual)
+        perfect = self._weight(0.0)
+        return Outcome(
+            squared=np.array([squared]),
+            weight=np.array([self._weight(squared) / perfect]),
+            gated=np.array([squared > self.gate]),
+        )
+
+    def _weight(self, squared: float) -> float:
+        """Return the IRLS weight (ν + d)/(ν + s); 0 beyond the gate."""
+        if squared > self.gate:
+            return 0.0
+        if np.isinf(self.dof):
+            return 1.0
+        return (self.dof + len(self.covariance)) / (self.dof + squared)
+
+    def _cost(self, squared: float) -> float:
+        squared = min(squared, self.gate)
+        if np.isinf(self.dof):
+            return 0.5 * squared
+        return 0.5 * (self.dof + len(self.covariance)) * float(np.log1p(squared / self.dof))
+
+
+def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[FloatArray, ...]:
+    """Differentiate a residual by central differences: one [d, n] for each variable."""
+    found = []
+    for variable in measurement.variables:
+        columns = []
+        for unit in 1e-6 * np.eye(dimension(values[variable])):
+            ahead = {**values, variable: retract(values[variable], unit)}
+            behind = {**values, variable: retract(values[variable], -unit)}
+            change = measurement.residual(ahead) - measurement.residual(behind)
+            columns.append(change / 2e-6)
+        found.append(np.stack(columns, axis=1))
+    return tuple(found)
+
+
+def blocks_of(variables: Sequence[Variable], values: Values) -> tuple[dict[Variable, slice], int]:
+    """Return where each variable's degrees of freedom lie in the joint vector, and their number."""
+    found: dict[Variable, slice] = {}
+    start = 0
+    for variable in variables:
+        stop = start + dimension(values[variable])
+        found[variable] = slice(start, stop)
+        start = stop
+    return found, start

@@ -1,0 +1,25 @@
+"""A stereo pair as tracking prepared it ahead of time; a frame may bring it along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from probevo.arrays import FloatArray, Image
+from probevo.config import TrackingConfig
+
+Pyramid = tuple[Image, ...]
+"""An image and its halved versions, level by level, [height / 2^level, width / 2^level], uint8."""
+
+
+@dataclass(frozen=True)
+class PreparedImages:
+    """A stereo pair in the form in which it is tracked; ``tracking.preparation`` makes it."""
+
+    left: Pyramid
+    """Left image minus its local mean, and the pyramid levels above it."""
+    right: Pyramid
+    """Right image in the same form."""
+    corners: FloatArray
+    """The strongest corners of each cell of the left image, as from ``strongest_corners``."""
+    config: TrackingConfig
+    """The settings that the pair was prepared with."""

@@ -1,0 +1,297 @@
+"""The recording formats: how each is recognised and opened; ``open_sequence`` opens any of them.
+
+A format is registered in the table below, by ``register_format``, or by another package with an
+entry point in the group ``probevo.formats``. No other code asks which format a recording has.
+
+This module imports no reader, and NumPy neither: ``probevo run --help`` lists the formats without
+waiting for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from probevo.errors import InputError
+from probevo.settings import Settings
+
+if TYPE_CHECKING:
+    from probevo.sequences.base import Sequence
+
+ENTRY_POINTS = "probevo.formats"
+"""Group of the entry points by which other packages add formats."""
+LOAD_ERRORS = (ImportError, AttributeError, NameError, SyntaxError, TypeError, ValueError)
+"""What loading the module of a broken entry point raises."""
+MOST_NAMES = 8
+"""Entries of an unrecognised folder that its message lists."""
+
+
+class NoOptions(Settings):
+    """The options of a format that has none."""
+
+
+@dataclass(frozen=True)
+class SequenceFormat:
+    """A recording format: how it is recognised, which options it takes, and who opens it."""
+
+    name: str
+    """Name by which users ask for the format, as in ``--format kitti-raw``."""
+    summary: str
+    """One line on what the format is."""
+    open: Callable[..., Sequence]
+    """Opens a recording: called with its ``Path``, and with the options as keyword arguments."""
+    folder_signs: tuple[str, ...] = ()
+    """A folder that holds one of these files or folders is a recording of this format."""
+    file_suffixes: tuple[str, ...] = ()
+    """A file with one of these endings, such as ``.npz``, is a recording of this format."""
+    options: type[Settings] = NoOptions
+    """Options of this format, with their defaults, bounds and descriptions."""
+
+    def recognises(self, path: Path) -> bool:
+        """Return whether an existing file or folder looks like a recording of this format."""
+        if path.is_dir():
+            return any((path / sign).exists() for sign in self.folder_signs)
+        return path.suffix in self.file_suffixes
+
+    def check_kind(self, path: Path) -> None:
+        """Refuse a folder where this format needs a file, and the reverse.
+
+        A format without any sign takes both.
+
+        Raises:
+            InputError: names what the format needs.
+        """
+        is_usable = self.folder_signs if path.is_dir() else self.file_suffixes
+        if is_usable or not (self.folder_signs or self.file_suffixes):
+            return
+        needed = "a folder" if self.folder_signs else f"an {' or '.join(self.file_suffixes)} file"
+        found = "a folder" if path.is_dir() else "a file"
+        raise InputError(path, f"the format {self.name} needs {needed}, but this is {found}.")
+
+    def validated(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Return the values of all options, defaults included.
+
+        Args:
+            options: values by name, as the user gave them.
+
+        Raises:
+            InputError: names the option that is unknown, missing or out of bounds.
+        """
+        try:
+            values = self.options.model_validate(options)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            where = f"option {'.'.join(map(str, fault['loc']))} of the format {self.name}"
+            if fault["type"] == "extra_forbidden":
+                known = ", ".join(self.options.model_fields)
+                cure = f"Its options are {known}." if known else "This format has no options."
+                raise InputError(where, "there is no such option.", cure) from error
+            field = self.options.model_fields.get(str(fault["loc"][0])) if fault["loc"] else None
+            cure = (field.description or "") if field else ""
+            raise InputError(where, f"is {fault['input']!r}; {fault['msg']}.", cure) from error
+        return {name: getattr(values, name) for name in self.options.model_fields}
+
+
+# The readers are imported when a recording is opened: they need OpenCV and SciPy.
+
+
+def _open_kitti_raw(path: Path) -> Sequence:
+    from probevo.sequences.kitti_raw import open_kitti_raw
+
+    return open_kitti_raw(path)
+
+
+def _open_kitti_odometry(path: Path) -> Sequence:
+    from probevo.sequences.kitti_odometry import open_kitti_odometry
+
+    return open_kitti_odometry(path)
+
+
+def _open_euroc(path: Path) -> Sequence:
+    from probevo.sequences.euroc import open_euroc
+
+    return open_euroc(path)
+
+
+def _open_folder(path: Path) -> Sequence:
+    from probevo.sequences.folder import open_folder
+
+    return open_folder(path)
+
+
+def _open_tracks(path: Path) -> Sequence:
+    from probevo.sequences.tracks_file import open_tracks
+
+    return open_tracks(path)
+
+
+_BUILT_IN = (
+    SequenceFormat(
+        name="kitti-raw",
+        summary="a synchronised drive of KITTI raw, with OXTS as IMU and ground truth",
+        folder_signs=("image_00",),
+        open=_open_kitti_raw,
+    ),
+    SequenceFormat(
+        name="kitti-odometry",
+        summary="a sequence of the KITTI odometry benchmark",
+        folder_signs=("image_0",),
+        open=_open_kitti_odometry,
+    ),
+    SequenceFormat(
+        name="euroc",
+        summary="EuRoC MAV data in the ASL layout, rectified on the fly",
+        folder_signs=("mav0", "cam0"),
+        open=_open_euroc,
+    ),
+    SequenceFormat(
+        name="folder",
+        summary="probevo's own layout for rectified images from any source",
+        folder_signs=("calib.yaml", "left"),
+        open=_open_folder,
+    ),
+    SequenceFormat(
+        name="tracks",
+        summary="features tracked by another front end, in one .npz file without images",
+        file_suffixes=(".npz",),
+        open=_open_tracks,
+    ),
+)
+_registered = {known.name: known for known in _BUILT_IN}
+"""The formats of this process by name; entry points come on top of them."""
+
+
+def register_format(new: SequenceFormat) -> None:
+    """Make a format known to this process.
+
+    A package that is installed beside probevo uses an entry point instead.
+
+    Raises:
+        InputError: a format of this name is already known.
+    """
+    if new.name in format_names():
+        raise InputError(
+            f"format {new.name}", "a format of this name is already known.", "Choose another name."
+        )
+    _registered[new.name] = new
+
+
+def format_names() -> tuple[str, ...]:
+    """Return the names of all formats, without loading any entry point."""
+    entries = (entry.name for entry in entry_points(group=ENTRY_POINTS))
+    return tuple(dict.fromkeys([*_registered, *entries]))
+
+
+def sequence_formats() -> dict[str, SequenceFormat]:
+    """Return all formats by name, in the order in which a recording is tried against them.
+
+    Raises:
+        InputError: an entry point cannot be loaded, holds no ``SequenceFormat`` of its own name, or
+            has the name of another format.
+    """
+    formats = dict(_registered)
+    for entry in entry_points(group=ENTRY_POINTS):
+        if entry.name in formats:
+            raise InputError(
+                _entry_text(entry),
+                "a format of this name is already known.",
+                "Uninstall one of the packages that provide it.",
+            )
+        formats[entry.name] = _loaded(entry)
+    return formats
+
+
+def _loaded(entry: EntryPoint) -> SequenceFormat:
+    """Load the format that an entry point names.
+
+    Raises:
+        InputError: it cannot be loaded, or is no ``SequenceFormat`` of that name.
+    """
+    cure = "Update or uninstall the package that provides it."
+    try:
+        found = entry.load()
+    except LOAD_ERRORS as error:
+        what = f"it cannot be loaded ({type(error).__name__}: {error})."
+        raise InputError(_entry_text(entry), what, cure) from error
+    if not isinstance(found, SequenceFormat):
+        what = f"it is a {type(found).__name__}, not a SequenceFormat."
+        raise InputError(_entry_text(entry), what, cure)
+    if found.name != entry.name:
+        what = f"its format is called {found.name!r}, not {entry.name!r}."
+        raise InputError(_entry_text(entry), what, cure)
+    return found
+
+
+def _entry_text(entry: EntryPoint) -> str:
+    """Return how a message names an entry point."""
+    return f"entry point {entry.name} = {entry.value} of {ENTRY_POINTS}"
+
+
+def open_sequence(path: str | Path, format: str | None = None, **options: Any) -> Sequence:
+    """Open a recording and check all of it that can be checked without decoding images.
+
+    Args:
+        path: folder or file of the recording.
+        format: one of ``format_names()``; None to recognise the format.
+        options: options of the format, by name.
+
+    Raises:
+        InputError: nothing is there, no format fits, an option is unknown or out of bounds, or the
+            recording is faulty.
+    """
+    if not isinstance(path, str | Path):
+        raise InputError(
+            "path", f"is a {type(path).__name__}.", "Give the path of a recording, str or Path."
+        )
+    if format is not None and not isinstance(format, str):
+        raise InputError("format", f"is a {type(format).__name__}.", "Give a name, or None.")
+    path = Path(path)
+    formats = sequence_formats()
+    if format is not None and format not in formats:
+        raise InputError(
+            "format", f"{format!r} is not known.", f"Choose one of {', '.join(formats)}."
+        )
+    if not path.exists():
+        raise InputError(
+            path, "nothing is there.", "Give the folder of a recording, or a tracks file."
+        )
+    if format is None:
+        chosen = _recognised(path, formats)
+    else:
+        chosen = formats[format]
+        chosen.check_kind(path)
+    return chosen.open(path, **chosen.validated(options))
+
+
+def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceFormat:
+    """Return the first format that recognises the recording.
+
+    Raises:
+        InputError: none does; says what was found and what was looked for.
+    """
+    for known in formats.values():
+        if known.recognises(path):
+            return known
+    if path.is_file():
+        suffixes = [suffix for known in formats.values() for suffix in known.file_suffixes]
+        raise InputError(
+            path,
+            "this file is no recording.",
+            f"Give a folder, or an {' or '.join(suffixes)} file.",
+        )
+    found = sorted(entry.name for entry in path.iterdir())[:MOST_NAMES]
+    looked_for = [
+        f"{' or '.join(known.folder_signs)} ({known.name})"
+        for known in formats.values()
+        if known.folder_signs
+    ]
+    raise InputError(
+        path,
+        f"no known format; found {', '.join(found) or 'nothing'}.",
+        f"Looked for {'; '.join(looked_for)}.",
+    )

@@ -1,0 +1,150 @@
+"""Everything that the odometry remembers from frame to frame, as one value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray
+from probevo.camera.rig_calibration import RigCalibration
+from probevo.config import OdometryConfig
+from probevo.estimation.disparity_filter import DisparityFilter
+from probevo.estimation.motion_model import MotionModel, MotionPrediction
+from probevo.estimation.pose_filter import PoseFilter
+from probevo.measurements.base import pose_of
+from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
+from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.sequences.frame import Frame
+from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.tracking import TrackingState, Tracks
+from probevo.tracking.last_residuals import LastResiduals
+from probevo.tracking.observations import ObservationStore
+
+
+@dataclass(frozen=True)
+class StepFeatures:
+    """The N tracks of the last step, and what became of them."""
+
+    tracks: Tracks
+    """Corrected by the rig's calibration."""
+    phi: FloatArray
+    """Their places in the prediction space, [N, M]."""
+    used: BoolArray
+    """Which of them the solve used, [N]."""
+    weights: FloatArray
+    """How far each was trusted, [N], 0 to 1."""
+
+    @staticmethod
+    def none(num_columns: int) -> StepFeatures:
+        """Return no features, in a prediction space of M columns."""
+        return StepFeatures(
+            tracks=Tracks.none(),
+            phi=np.zeros((0, num_columns)),
+            used=np.zeros(0, np.bool_),
+            weights=np.zeros(0),
+        )
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What is known of the coming step before its images are looked at."""
+
+    duration_s: float
+    motion: MotionPrediction
+    gyro: GyroRotation | None
+    """Integrated over the interval; None where its samples do not cover it."""
+    rotation: RelativeRotation | None
+    """The same as a measurement, with the covariance of its noise and its bias."""
+    gyro_bias: GyroBias | None
+    """Belief about the gyro's bias at the current frame."""
+
+
+@dataclass(frozen=True)
+class OdometryState:
+    """The whole memory of a ``StereoOdometry``: a step computes a new one and assigns it last.
+
+    Nothing else remembers anything, so that a step that raises has never happened.
+    """
+
+    frame: Frame
+    """The last frame."""
+    tracking: TrackingState
+    """Features alive in it."""
+    observations: ObservationStore
+    """Raw observations of the last frames, by landmark."""
+    rig: RigCalibration | None
+    """What is left of the rectification's errors; None without self-calibration."""
+    gyro_bias: GyroBias | None
+    """Belief about the gyro's bias; None without an IMU."""
+    motion_model: MotionModel
+    disparities: DisparityFilter
+    residuals: LastResiduals
+    """Residuals of the last step's features, by landmark."""
+    pose: PoseFilter
+    """Pose of the camera in the world, which is the first camera."""
+    step: StepFeatures
+    """The features of the last step."""
+
+    @staticmethod
+    def at_first_frame(
+        frame: Frame,
+        tracking: TrackingState,
+        imu: ImuCalibration | None,
+        *,
+        config: OdometryConfig,
+        num_columns: int,
+    ) -> OdometryState:
+        """Return the state after the first frame.
+
+        Args:
+            frame: the first frame.
+            tracking: its features.
+            imu: calibration of the IMU, if there is one.
+            config: all settings.
+            num_columns: M of the prediction space.
+        """
+        return OdometryState(
+            frame=frame,
+            tracking=tracking,
+            observations=ObservationStore().with_frame(tracking.observations(frame)),
+            rig=RigCalibration.initial() if config.self_calibration else None,
+            gyro_bias=GyroBias.initial(imu) if imu else None,
+            motion_model=MotionModel.at_start(config.motion_model),
+            disparities=DisparityFilter.none(),
+            residuals=LastResiduals.none(),
+            pose=PoseFilter.at_origin(),
+            step=StepFeatures.none(num_columns),
+        )
+
+    def predict(self, frame: Frame, imu: ImuCalibration | None) -> Prediction:
+        """Predict the motion to the next frame, from gyro and last velocity (PROBE eqs. 3-4).
+
+        Args:
+            frame: the next frame.
+            imu: calibration of the IMU, if there is one.
+        """
+        duration_s = 1e-9 * (frame.stamp_ns - self.frame.stamp_ns)
+        gyro = None
+        bias = None
+        rotation = None
+        if imu is not None and self.gyro_bias is not None:
+            bias = self.gyro_bias.predicted(duration_s, imu)
+            start_ns = self.frame.stamp_ns
+            if frame.imu is not None and covers(frame.imu, start_ns, frame.stamp_ns):
+                gyro = integrate_gyro(
+                    frame.imu, start_ns, frame.stamp_ns, calibration=imu, bias_rad_s=bias.mean
+                )
+                rotation = RelativeRotation(
+                    gyro.C_curr_prev,
+                    bias.prior(gyro),
+                    curr=pose_of(frame.index),
+                    prev=pose_of(self.frame.index),
+                )
+        return Prediction(
+            duration_s=duration_s,
+            motion=self.motion_model.predict(duration_s, rotation),
+            gyro=gyro,
+            rotation=rotation,
+            gyro_bias=bias,
+        )

@@ -1,0 +1,128 @@
+"""What every tracker promises: it proposes, and the odometry's step commits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.sequences.frame import Frame
+from probevo.tracking.anchor_patches import AnchorPatches
+from probevo.tracking.lucas_kanade import Pyramid
+from probevo.tracking.observations import FrameObservations
+from probevo.tracking.tracks import Tracks
+
+
+@dataclass(frozen=True)
+class TrackingState:
+    """The N features alive in the last frame. A tracker never changes it: it returns a new one."""
+
+    ids: IntArray
+    """Identity of each, [N]."""
+    pixels: FloatArray
+    """Raw (u_l, v_l, u_r, v_r), [N, 4], px."""
+    age: IntArray
+    """Frames in a row that have seen each, [N]."""
+    matches_anchor: BoolArray
+    """Whether each still matches its anchor patch, in both images, [N]."""
+    patches: AnchorPatches | None = None
+    """Anchor patch of each; None without images."""
+    left: Pyramid = ()
+    """Pyramid of the left image; empty without images, and without features."""
+    next_id: int = 0
+    """The identity that the next new feature gets."""
+    is_given: bool = False
+    """Whether somebody else decides which features there are, as in a tracks file."""
+
+    @staticmethod
+    def none(next_id: int = 0) -> TrackingState:
+        """Return the state without any feature."""
+        return TrackingState(
+            ids=np.zeros(0, np.int64),
+            pixels=np.zeros((0, 4)),
+            age=np.zeros(0, np.int64),
+            matches_anchor=np.zeros(0, np.bool_),
+            next_id=next_id,
+        )
+
+    def __len__(self) -> int:
+        """Return the number of features, N."""
+        return len(self.ids)
+
+    def subset(self, keep: BoolArray | IntArray) -> TrackingState:
+        """Select some features by a mask, [N], or by indices."""
+        return replace(
+            self,
+            ids=self.ids[keep],
+            pixels=self.pixels[keep],
+            age=self.age[keep],
+            matches_anchor=self.matches_anchor[keep],
+            patches=None if self.patches is None else self.patches.subset(keep),
+        )
+
+    def without(self, ids: IntArray) -> TrackingState:
+        """Stop following features that turned out to be outliers, unless features are given."""
+        return self if self.is_given or not len(ids) else self.subset(~np.isin(self.ids, ids))
+
+    def with_new_identities(self) -> TrackingState:
+        """Take what no longer matches its anchor patch as another landmark from here on."""
+        changed = ~self.matches_anchor
+        num_changed = int(changed.sum())
+        ids = self.ids.copy()
+        age = self.age.copy()
+        ids[changed] = self.next_id + np.arange(num_changed)
+        age[changed] = 1
+        return replace(
+            self,
+            ids=ids,
+            age=age,
+            matches_anchor=np.ones(len(self), np.bool_),
+            next_id=self.next_id + num_changed,
+        )
+
+    def observations(self, frame: Frame) -> FrameObservations:
+        """Return what the frame observed, for the store.
+
+        A feature that changed its looks is the last observation of one landmark, and the first of
+        the next.
+        """
+        changed = np.flatnonzero(~self.matches_anchor)
+        rows = np.concatenate([np.arange(len(self)), changed])
+        landmarks = np.concatenate([self.ids, self.next_id + np.arange(len(changed))])
+        return FrameObservations(
+            frame=frame.index,
+            stamp_ns=frame.stamp_ns,
+            landmarks=landmarks,
+            pixels=self.pixels[rows],
+            patches=None if self.patches is None else self.patches.subset(rows),
+        )
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What a tracker proposes for a frame."""
+
+    tracks: Tracks
+    """The features of the previous frame that this one shows, too; raw."""
+    state: TrackingState
+    """The features alive in this frame, new ones included."""
+
+    @staticmethod
+    def nothing(state: TrackingState) -> Tracked:
+        """Propose to have lost all features of that state."""
+        return Tracked(Tracks.none(), TrackingState.none(state.next_id))
+
+
+class Tracker(Protocol):
+    """Finds the features of the last frame in the next one; it has no state of its own."""
+
+    def track(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Tracked:
+        """Find features again.
+
+        Args:
+            state: features alive in the previous frame.
+            frame: the current one.
+            T_curr_prev: motion that the search starts from, [4, 4].
+        """

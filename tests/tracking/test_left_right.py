@@ -1,0 +1,57 @@
+"""Swapped left and right images are recognized by their negative disparities."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo.tracking.left_right import (
+    FEWEST_MATCHES,
+    SwappedImagesError,
+    check_left_right,
+    count_matches,
+    looks_swapped,
+)
+from probevo.tracking.tracks import Tracks
+
+
+def test_matches_are_counted_with_those_that_the_tracker_rejected() -> None:
+    curr_px = np.array([[9.0, 0.0, 5.0, 0.0], [9.0, 0.0, 9.0, 0.0], [9.0, 0.0, 12.0, 0.0]])
+    rejected = {"negative disparity": 4, "rows differ": 7}
+    tracks = Tracks(
+        prev_px=curr_px,
+        curr_px=curr_px,
+        ids=np.arange(3),
+        age=np.full(3, 2),
+        rejected=rejected,
+    )
+    assert count_matches(tracks) == (2, 5)
+
+
+@pytest.mark.parametrize(
+    ("num_positive", "num_negative", "swapped"),
+    [
+        (0, FEWEST_MATCHES, True),
+        (0, FEWEST_MATCHES - 1, False),
+        (19, 81, True),
+        (20, 80, False),
+        (100, 3, False),
+    ],
+)
+def test_images_are_swapped_where_nearly_all_disparities_are_negative(
+    num_positive: int, num_negative: int, swapped: bool
+) -> None:
+    assert looks_swapped(num_positive, num_negative) == swapped
+
+
+def test_a_swapped_recording_is_refused_with_the_cure(tmp_path: Path) -> None:
+    """Which differs between a folder of images and a file of features."""
+    check_left_right(100, 1, tmp_path)
+    with pytest.raises(SwappedImagesError) as caught:
+        check_left_right(3, 97, tmp_path)
+    assert caught.value.what == "97 of the first 100 stereo matches have negative disparity."
+    assert caught.value.cure.endswith("Exchange the two image folders.")
+    file = tmp_path / "tracks.npz"
+    file.touch()
+    with pytest.raises(SwappedImagesError, match="Exchange columns 0 and 2"):
+        check_left_right(3, 97, file)
