@@ -89,6 +89,14 @@ class TrackingState:
         the next.
         """
         changed = np.flatnonzero(~self.matches_anchor)
+        if not len(changed):
+            return FrameObservations(
+                frame=frame.index,
+                stamp_ns=frame.stamp_ns,
+                landmarks=self.ids,
+                pixels=self.pixels,
+                patches=self.patches,
+            )
         rows = np.concatenate([np.arange(len(self)), changed])
         landmarks = np.concatenate([self.ids, self.next_id + np.arange(len(changed))])
         return FrameObservations(
