@@ -1,4 +1,4 @@
-"""The gyro's rotation: convention, closed forms, convergence, noise, and the estimate of its bias."""
+"""The gyro's rotation: convention, closed forms, convergence, noise; its estimated bias."""
 
 from __future__ import annotations
 
