@@ -227,7 +227,7 @@ def test_every_loss_is_consistent_under_gaussian_noise(name: str) -> None:
             seen.prev_px, seen.curr_px, noise, guess=T_CURR_PREV, camera=CAMERA, loss=loss
         )
         nees.append(normalized_error_squared(T_CURR_PREV, solution.T_curr_prev, solution.cov))
-    low, high = chi2.ppf([0.0005, 0.9995], df=6 * 150) / 150
+    low, high = np.asarray(chi2.ppf([0.0005, 0.9995], df=6 * 150)) / 150
     assert low < np.mean(nees) < high
 
 
