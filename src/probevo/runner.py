@@ -12,7 +12,6 @@ import numpy as np
 
 from probevo import __version__
 from probevo.arrays import FloatArray
-from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.evaluation.metrics import Metrics, evaluate
@@ -29,6 +28,7 @@ from probevo.predictors import space_for
 from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.pose_files import FARTHEST_M
+from probevo.sequences.requirements import check_imu
 from probevo.sequences.without_imu import WithoutImu
 from probevo.tracking.left_right import (
     FRAMES_TO_SEE,
@@ -147,21 +147,6 @@ def check_run(sequence: Sequence, config: RunConfig, noise: NoiseModel) -> None:
     if truth is not None and (np.abs(truth.T_world_cam[:, :3, 3]) > FARTHEST_M).any():
         what = f"a true position is over {FARTHEST_M:g} m from the first."
         raise InputError(sequence.path, what, "Mend the ground truth: positions are in metres.")
-
-
-def check_imu(sequence: Sequence, config: OdometryConfig) -> None:
-    """Refuse settings that ask for an IMU where the recording has none.
-
-    Raises:
-        InputError: names the settings.
-    """
-    wanted = ["--gyro.prior"] if config.gyro.prior else []
-    wanted += ["--ransac.rotation-from gyro"] if config.ransac.rotation_from == "gyro" else []
-    if sequence.imu is None and wanted:
-        what = f"the recording {sequence.path} has no IMU."
-        raise InputError(
-            " and ".join(wanted), what, "Leave it out, or set it back in the file of --config."
-        )
 
 
 def _write(
