@@ -102,7 +102,7 @@ def main() -> None:
         "GK-GT published": (
             "gk",
             "gt",
-            KernelSettings(variant="published", refers_to="residual", turns=1),
+            KernelSettings(variant="published", refers_to="residual", iterations=1),
         ),
         "GK-GT": ("gk", "gt", KernelSettings()),
         "GK-EM": ("gk", "none", KernelSettings()),

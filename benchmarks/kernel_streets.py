@@ -27,7 +27,7 @@ TURNS = 3
 
 
 def models(trial: Trial) -> dict[str, pv.noise.NoiseModel]:
-    kernel = KernelSettings(turns=TURNS)
+    kernel = KernelSettings(iterations=TURNS)
     settings = {
         "fitted Student-t": TrainSettings(
             kind="student-t", supervision="none", gk=KernelSettings(time_correlation=False)

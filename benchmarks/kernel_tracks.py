@@ -73,7 +73,7 @@ def main() -> None:
             if not p.needs & (Needs.LEFT | Needs.PREVIOUS_LEFT)
         )
     )
-    settings = TrainSettings(kind="gk", supervision="none", gk=KernelSettings(turns=turns))
+    settings = TrainSettings(kind="gk", supervision="none", gk=KernelSettings(iterations=turns))
     drives = []
     for path in paths:
         sequence = pv.open_sequence(path)
@@ -85,7 +85,7 @@ def main() -> None:
                 supervision_of(sequence, "none", 0.0, num_frames=len(sequence)),
             )
         )
-    fresh = settings.model_copy(update={"gk": KernelSettings(turns=turns, time_correlation=False)})
+    fresh = settings.model_copy(update={"gk": KernelSettings(iterations=turns, time_correlation=False)})
     ratios = []
     gains = []
     columns = [

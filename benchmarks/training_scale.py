@@ -34,7 +34,7 @@ import probevo as pv
 from probevo.config import OdometryConfig
 from probevo.predictors import prediction_space
 from probevo.training.checkpoint import Checkpoint
-from probevo.training.gk.expectation_maximization import num_turns
+from probevo.training.gk.expectation_maximization import num_iterations
 from probevo.training.recording import record_all
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import checked_sources
@@ -91,9 +91,9 @@ def train(folder: Path) -> None:
     model = pv.load_model(pv.train_model(paths, SETTINGS, folder / "m.safetensors", show))
     frames = sum(entry["frames"] for entry in model.training["recordings"])
     first = (
-        1 + num_turns(SETTINGS) - SETTINGS.gk.turns
+        1 + num_iterations(SETTINGS) - SETTINGS.gk.iterations
     )  # phases before the kernel's first turn: recording, static ones
-    ends = (1.0, first, first + 0.5, first + 1.0, first + SETTINGS.gk.turns)
+    ends = (1.0, first, first + 0.5, first + 1.0, first + SETTINGS.gk.iterations)
     until = [
         max((s for done, s in phases if done <= turns * frames), default=0.0) for turns in ends
     ]

@@ -74,7 +74,7 @@ def table_1_3(settings: Table13Config, own: tuple[Path, ...], out: Path) -> list
         [Recording(first, loops[first])], [static], out
     )  # what can be checked before the training
     models = _train(loops[first].path, first, trainings(settings), out=out)
-    turns = load_model(models[GK_EM]).training["turns"]
+    turns = load_model(models[GK_EM]).training["iterations"]
     estimators = [
         static,
         *(Estimator(name, str(model), static.settings) for name, model in models.items()),

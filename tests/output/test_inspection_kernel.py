@@ -34,7 +34,7 @@ SEARCHES: dict[str, Any] = {
     "neighbors": {"candidates": [50, 100], "gains": [0.55, 0.52], "chosen": 50},
 }
 TRAINING: dict[str, Any] = {
-    "turns": [
+    "iterations": [
         {"log_likelihood": -1.0, "loop_error_m": 2.5},
         {"log_likelihood": 0.25, "loop_error_m": 1.5},
     ],
@@ -143,7 +143,7 @@ def test_gains_turns_and_scales_in_words() -> None:
     assert gained({}) is None
     assert gained({"weights": {"candidates": [], "gains": [], "chosen": [0.0]}}) is None
     assert (signed(0.5), signed(-0.25), signed(None)) == ("+0.500", "−0.250", "–")
-    rows = turn_rows([*TRAINING["turns"], {"log_likelihood": 0.5}], "the static model")
+    rows = turn_rows([*TRAINING["iterations"], {"log_likelihood": 0.5}], "the static model")
     assert rows == [
         ("0: the static model", "-1.0000", "2.500"),
         ("1", "0.2500", "1.500"),

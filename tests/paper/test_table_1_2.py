@@ -67,7 +67,7 @@ def repeated(tmp_path_factory: pytest.TempPathFactory) -> Any:
         "4",
     ]
     with stand_ins() as calls:
-        assert run_table(root / "out", *words, "--gk.turns", "3") == 0
+        assert run_table(root / "out", *words, "--gk.iterations", "3") == 0
     calls.out = root / "out"
     return calls
 
@@ -84,7 +84,7 @@ def test_each_row_is_trained_with_truth_and_without(repeated: Any) -> None:
         ("own-student-t-fitted", "student-t", "none"),
         ("own-GK-EM", "gk", "none"),
     ]
-    assert {(c.settings.kind, c.settings.gk.turns) for c in repeated.trainings} == {
+    assert {(c.settings.kind, c.settings.gk.iterations) for c in repeated.trainings} == {
         ("gk", 3),
         ("student-t", 5),
     }
@@ -207,7 +207,7 @@ def test_mistakes_are_named_before_anything_is_rendered(
 def test_in_the_point_world_the_whole_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for the reports of the runs."""
     monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
-    words = ["--rows", "synthetic", "--max-frames", "8", "--gk.turns", "1", "--gk.centers", "100"]
+    words = ["--rows", "synthetic", "--max-frames", "8", "--gk.iterations", "1", "--gk.centers", "100"]
     assert (
         run_table(
             tmp_path, *words, "--gk.neighbors", "100", "--gk.prior-counts", "10", "--gk.reach", "1"

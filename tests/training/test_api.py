@@ -1,5 +1,4 @@
-"""The whole training on small recordings: same bytes however often it is stopped, better motions,
-clear refusals."""
+"""The whole training on small recordings: same bytes when resumed, better motions, refusals."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -8,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from training.supervised_drives import point_world, rmse_m, true_motions
 
 import probevo as pv
 from probevo.arrays import FloatArray
@@ -20,6 +18,7 @@ from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
 from probevo_sim.point_world import write_points
 from sequences.recordings import write_tracks
+from training.supervised_drives import point_world, rmse_m, true_motions
 
 FRAMES = 16
 SETTINGS = pv.TrainSettings(predictors=("place", "row_offset"), iterations=4, subset=6)
@@ -43,7 +42,7 @@ def recordings(tracks: list[Path]) -> list[Sequence]:
 
 @pytest.fixture(scope="module")
 def model_bytes(recordings: list[Sequence], tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Of a training that nobody disturbed."""
+    """Return the model of a training that was not stopped."""
     return train(recordings, tmp_path_factory.mktemp("model") / "model.safetensors").read_bytes()
 
 
@@ -61,7 +60,7 @@ def out(tmp_path: Path) -> Path:
     return tmp_path / "models" / "model.safetensors"
 
 
-def test_the_model_tells_how_it_came_about(recordings: list[Sequence], out: Path) -> None:
+def test_the_model_describes_its_training(recordings: list[Sequence], out: Path) -> None:
     assert train(recordings, out) == out
     model = pv.load_model(out)
     assert model.columns == ("x", "y", "row_offset")
@@ -112,7 +111,7 @@ def test_progress_is_that_of_all_frames_and_iterations(
 
 
 def stopping_after(calls: int) -> Callable[[int, int], None]:
-    """Ctrl-C after so many reports of progress."""
+    """Return a progress callback that raises KeyboardInterrupt after so many reports."""
     left = iter(range(calls))
 
     def show(_done: int, _total: int) -> None:
@@ -317,7 +316,7 @@ def test_two_predictors_of_one_name_are_refused(
 def refuse(
     recordings: list[Sequence], out: Path, settings: pv.TrainSettings, *fragments: str
 ) -> None:
-    """With a cure, and before there is any model."""
+    """Assert that the training is refused with a cure, and writes no model."""
     with pytest.raises(InputError) as caught:
         train(recordings, out, settings)
     for fragment in fragments:
@@ -376,7 +375,7 @@ def test_an_unknown_predictor_is_refused(recordings: list[Sequence], out: Path) 
 def test_a_predictor_that_lacks_what_it_needs_is_refused_and_no_obstacle(
     recordings: list[Sequence], model_bytes: bytes, out: Path, name: str, lacking: str
 ) -> None:
-    """Whoever follows the advice and leaves it out is not told of a training with other settings."""
+    """Whoever then leaves it out is not refused because of a training with other settings."""
     settings = SETTINGS.model_copy(update={"predictors": ("place", name)})
     refuse(
         recordings,
@@ -453,7 +452,7 @@ def test_what_a_stopped_training_knew_of_its_drives_is_not_taken_for_that_of_oth
 
 
 def changed(path: Path, to: Path, **changes: Callable[[FloatArray], FloatArray]) -> list[Sequence]:
-    """The recording with some of its arrays as these make them."""
+    """Write the recording with some of its arrays changed, and open it."""
     with np.load(path) as archive:
         arrays = {name: changes.get(name, np.asarray)(archive[name]) for name in archive.files}
     np.savez(to, allow_pickle=False, **arrays)
@@ -521,7 +520,7 @@ def test_what_is_not_ours_survives_a_training_and_stops_the_next(
 
 
 def void(_: object) -> None:
-    """Nothing to give back."""
+    """Discard a value."""
 
 
 def test_a_recording_named_twice_is_refused(recordings: list[Sequence], out: Path) -> None:

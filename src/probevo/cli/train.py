@@ -23,7 +23,7 @@ class TrainArguments:
 
     Writes one file, the model; `probevo run … --noise MODEL` uses it, `probevo inspect` shows it.
     Stopped at any moment and called again with the same words, it goes on after the last recording
-    that was through, and after the last iteration of knn or turn of the others; what is done so far
+    that was through, and after the last iteration; what is done so far
     lies in MODEL.work.
 
     What kind of model it is, --kind says. The options from --base to --exponent are for knn alone,

@@ -130,7 +130,7 @@ def _turns(model: GeneralizedKernel | StudentT, first: str) -> list[str]:
     """How well each turn of EM explains the drives."""
     from probevo.output.model_facts import END_ERROR, TURNS_HEAD, turn_rows
 
-    turns = model.training["turns"]
+    turns = model.training["iterations"]
     known = any("loop_error_m" in turn for turn in turns)
     width = len(TURNS_HEAD) if known else len(TURNS_HEAD) - 1
     shown = table(TURNS_HEAD[:width], [row[:width] for row in turn_rows(turns, first)])

@@ -60,18 +60,21 @@ _BUILT_IN = (
         summary="one Student-t for every observation",
         untrained=StudentT,
         from_file=StudentT.from_file,
+        trainer="probevo.training.gk.learn:train_student_t",
     ),
     NoiseKind(
         name="knn",
         model=NearestNeighbors,
         summary="PROBE: a weight for each feature from its nearest neighbours",
         from_file=NearestNeighbors.from_file,
+        trainer="probevo.training.probe.learn:train_knn",
     ),
     NoiseKind(
         name="gk",
         model=GeneralizedKernel,
         summary="PROBE-GK: a covariance for each feature from a generalized kernel",
         from_file=GeneralizedKernel.from_file,
+        trainer="probevo.training.gk.learn:train_gk",
     ),
 )
 

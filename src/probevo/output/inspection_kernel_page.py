@@ -216,7 +216,7 @@ def _origin_panels(view: KernelView) -> list[str]:
     training = view.model.training
     model = view.model
     panels = []
-    turns = training.get("turns", [])
+    turns = training.get("iterations", [])
     if turns:
         note = f"Turn 0 has the noise of the static model. {END_ERROR}"
         panels.append(panel("Learning by turns", note, turns_figure(turns)))

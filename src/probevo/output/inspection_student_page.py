@@ -66,9 +66,9 @@ def write_student_inspection(
         table_section("The scale matrix", _spread(model), SCALE_HEAD, rows=scale_rows(model.scale_))
     ]
     with figure_style():
-        if training.get("turns"):
+        if training.get("iterations"):
             note = f"Turn 0 has the noise of a model that was not trained. {END_ERROR}"
-            panels.append(panel("Learning by turns", note, turns_figure(training["turns"])))
+            panels.append(panel("Learning by turns", note, turns_figure(training["iterations"])))
         panels.append(training_section(training))
         sections += [grid(panels), settings_section(training)]
     write_page(path, page_title(name, frame), facts, sections=sections)

@@ -1,10 +1,9 @@
-"""The E-step over all drives: each is one worker's task, and what comes back is no more than a
-model is fitted to."""
+"""The E-step over all drives: each drive is one worker's task and yields a sample of its errors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,43 +16,45 @@ from probevo.training.gk.expectation import expect
 from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
 from probevo.training.supervision import Supervision
-from probevo.training.workers import Workers
+from probevo.training.trainer import TrainingContext
 
 BLOCKS_A_DRIVE = 10
+"""A drive is cut into at most so many blocks of time for cross-validation."""
 STEPS_A_BLOCK = 20
-"""At most, and at least: of shorter blocks, one holds the tracks of the next."""
+"""A block has at least so many steps: a shorter one shares its tracks with the next block."""
 MOST_FEATURES = 500_000
-"""That a model is fitted to; of more, about so many are drawn, evenly from all drives and times."""
+"""A model is fitted to at most about so many features; of more, a random share is drawn, evenly
+from all drives and times."""
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ErrorSamples:
     """Errors of N features to learn from, and how well the model explained them."""
 
     phi: FloatArray
-    """Their places in the prediction space, [N, M]."""
+    """Place of each feature in the prediction space, [N, M]."""
     errors: FloatArray
-    """[N, 4], px."""
+    """Error of each feature, [N, 4], px."""
     spread: FloatArray
-    """Covariance of what is not known of each error, [N, 4, 4], px²."""
+    """Covariance of each error that the uncertainty of the motion causes, [N, 4, 4], px²."""
     groups: IntArray
-    """Block of time and drive of each; blocks of one drive after those of another, [N]."""
+    """Block of time of each feature, [N]; the blocks of one drive follow those of another."""
     log_likelihood: FloatArray
-    """Of their residuals under the model, [N], nats."""
+    """Log density of each residual under the model, [N], nats."""
     profile: FloatArray
-    """What they tell of how much lasts of the disparity's error, as from ``time_correlation_profile``, [N,
-    4]."""
+    """Likelihood of each residual as a function of the time correlation, [N, 4], see
+    ``time_correlation_profile``."""
     gaps_m: FloatArray
-    """Of each drive with both ends known, how far its motions end from there."""
+    """Distance between the estimated and the true end of each drive whose ends are known."""
 
     @property
     def progress(self) -> dict[str, float]:
-        """What a turn is judged by (PROBE-GK Fig. 8): likelihood a feature, and how far loops are
-        from closing."""
+        """Likelihood a feature and loop closure error, by which an iteration is judged (PROBE-GK
+        Fig. 8)."""
         progress = {"log_likelihood": float(np.mean(self.log_likelihood))}
-        return progress | (
-            {"loop_error_m": float(np.mean(self.gaps_m))} if len(self.gaps_m) else {}
-        )
+        if len(self.gaps_m):
+            progress["loop_error_m"] = float(np.mean(self.gaps_m))
+        return progress
 
 
 @dataclass(frozen=True)
@@ -63,107 +64,126 @@ class _Task:
     model: NoiseModel
     settings: TrainSettings
     share: float
+    """Share of the features to draw."""
     blocks: int
+    """Number of blocks of time."""
 
 
-def gather_evidence(
-    drives: Sequence[SupervisedDrive],
-    model: NoiseModel,
-    settings: TrainSettings,
-    workers: Workers,
-    on_part: Callable[[float], None],
-) -> Evidence:
-    """What the features of all drives tell, given what is known of their noise so far.
+def gather_error_samples(
+    context: TrainingContext, model: NoiseModel, on_part: Callable[[float], None]
+) -> ErrorSamples:
+    """Compute the errors of the features of all drives under a noise model.
 
     Args:
-        drives: the drives.
-        model: of the noise.
-        settings: all settings.
-        workers: who does it.
-        on_part: called with the share of the work that is done.
+        context: the drives, the settings and the workers.
+        model: the noise model of the E-step.
+        on_part: called with the share of the work that is done, 0 … 1.
 
     Raises:
-        InputError: there is nothing to learn from, or what ``workers`` raise.
+        InputError: there is nothing to learn from, or what ``Workers.map`` raises.
     """
-    share = min(1.0, MOST_FEATURES / max(sum(drive.facts.used for drive in drives), 1))
+    drives = context.drives
+    num_used = sum(drive.facts.used for drive in drives)
+    share = min(1.0, MOST_FEATURES / max(num_used, 1))
     blocks = blocks_of([drive.facts.steps for drive in drives])
     tasks = [
-        _Task(n, drive, model, settings=settings, share=share, blocks=blocks[n])
-        for n, drive in enumerate(drives)
+        _Task(
+            number=number,
+            drive=drive,
+            model=model,
+            settings=context.settings,
+            share=share,
+            blocks=blocks[number],
+        )
+        for number, drive in enumerate(drives)
     ]
-    through: set[int] = set()
+    done: set[int] = set()
 
     def on_done(number: int) -> None:
-        through.add(number)
-        on_part(len(through) / len(tasks))
+        # A task that was lost with its worker may be reported twice.
+        done.add(number)
+        on_part(len(done) / len(tasks))
 
     names = [f"recording {number + 1}" for number in range(len(tasks))]
-    parts = workers.map(_evidence, tasks, names, on_done)
-    found = Evidence(
-        *(
-            np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(Evidence)
-        )
+    parts = context.workers.map(_samples_of_drive, tasks, names, on_done)
+    samples = ErrorSamples(
+        phi=np.concatenate([part.phi for part in parts]),
+        errors=np.concatenate([part.errors for part in parts]),
+        spread=np.concatenate([part.spread for part in parts]),
+        groups=np.concatenate([part.groups for part in parts]),
+        log_likelihood=np.concatenate([part.log_likelihood for part in parts]),
+        profile=np.concatenate([part.profile for part in parts]),
+        gaps_m=np.concatenate([part.gaps_m for part in parts]),
     )
-    if not len(found.errors):
-        what = f"no step has {settings.odometry.solver.min_tracks} features to learn from."
-        raise InputError("training data", what, "Give other recordings.")
-    return found
+    if not len(samples.errors):
+        fewest = context.settings.odometry.solver.min_tracks
+        raise InputError(
+            "training data",
+            f"no step has {fewest} features to learn from.",
+            "Give other recordings.",
+        )
+    return samples
 
 
 def blocks_of(steps: Sequence[int]) -> list[int]:
-    """How many blocks of time to cut each drive of so many steps into; at least two in all."""
+    """Return into how many blocks of time to cut drives of so many steps; at least two in all."""
     blocks = [min(BLOCKS_A_DRIVE, max(1, count // STEPS_A_BLOCK)) for count in steps]
     return blocks if sum(blocks) > 1 else [2] * len(blocks)
 
 
-def _evidence(task: _Task) -> Evidence:
-    settings = task.settings
-    supervision = task.drive.supervision
-    seed = (settings.odometry.seed, task.number)
-    sigma = _truth_sigma(settings.gk)
+def _samples_of_drive(task: _Task) -> ErrorSamples:
+    """Compute the errors of one drive."""
     expectation = expect(
         task.drive,
         task.model.predict,
-        _solver(settings),
-        truth_sigma=sigma,
+        _solver(task.settings),
+        truth_sigma=_truth_sigma(task.settings.gk),
         share=task.share,
-        seed=seed,
+        seed=(task.settings.odometry.seed, task.number),
     )
-    left = expectation.feature_errors
-    steps = len(expectation.T_alone)
-    groups = task.number * BLOCKS_A_DRIVE + left.steps * task.blocks // max(steps, 1)
-    gap_m = _loop_error_m(supervision, expectation.T_alone)
-    gaps_m = np.array([gap_m] if np.isfinite(gap_m) else [])
-    return Evidence(
-        left.phi,
-        left.errors,
-        left.spread,
-        groups=groups,
-        log_likelihood=left.log_likelihood,
-        profile=left.profile,
-        gaps_m=gaps_m,
+    found = expectation.feature_errors
+    num_steps = len(expectation.T_features_only)
+    block = found.steps * task.blocks // max(num_steps, 1)
+    gap_m = _loop_error_m(task.drive.supervision, expectation.T_features_only)
+    return ErrorSamples(
+        phi=found.phi,
+        errors=found.errors,
+        spread=found.spread,
+        groups=task.number * BLOCKS_A_DRIVE + block,
+        log_likelihood=found.log_likelihood,
+        profile=found.profile,
+        gaps_m=np.array([gap_m] if np.isfinite(gap_m) else []),
     )
 
 
 def _solver(settings: TrainSettings) -> SolverConfig:
+    """Return the settings of the solver: with a quadratic loss if least squares is asked for."""
     solver = settings.odometry.solver
     return solver.model_copy(update={"loss": "l2"}) if settings.gk.quadratic else solver
 
 
 def _truth_sigma(given: KernelSettings) -> FloatArray | None:
-    """Standard deviation of the truth over a stretch, m and rad, [6]; None if it is to be
-    estimated."""
+    """Return the standard deviation of the truth over a stretch, m and rad, [6].
+
+    None means that it is to be estimated.
+    """
     if given.truth_sigma_m is None or given.truth_sigma_deg is None:
         return None
     return np.repeat([given.truth_sigma_m, np.deg2rad(given.truth_sigma_deg)], 3)
 
 
 def _loop_error_m(supervision: Supervision, T_curr_prev: FloatArray) -> float:
-    """How far motions [K − 1, 4, 4] end from where the last known pose is against the first; NaN if
-    one is unknown."""
+    """Return the distance between the estimated and the true end of the path, seen from its start.
+
+    Args:
+        supervision: the known poses.
+        T_curr_prev: estimated motion of each step, [K − 1, 4, 4].
+
+    Returns:
+        distance, m; NaN if a pose at one end is unknown.
+    """
     first, last = supervision.frames[[0, -1]]
-    start, end = se3.chain_motions(T_curr_prev)[[first, last]]
-    true_start, true_end = supervision.T_world_cam[[0, -1]]
-    apart = se3.inverse(start) @ end - se3.inverse(true_start) @ true_end
-    return float(np.linalg.norm(apart[:3, 3]))
+    T_world_cam = se3.chain_motions(T_curr_prev)
+    estimated = se3.inverse(T_world_cam[first]) @ T_world_cam[last]
+    true = se3.inverse(supervision.T_world_cam[0]) @ supervision.T_world_cam[-1]
+    return float(np.linalg.norm((estimated - true)[:3, 3]))
