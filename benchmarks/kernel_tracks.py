@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 import probevo as pv
-from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.noise.metric import Metric
@@ -23,31 +22,21 @@ from probevo.output.run_result import RunRecorder
 from probevo.predictors import Needs, PredictionSpace, prediction_space
 from probevo.training.drive import joined
 from probevo.training.extraction import Extraction
-from probevo.training.gk.expectation import feature_errors, solve_drive
+from probevo.training.gk.expectation import MotionPosterior, feature_errors, solve_drive
 from probevo.training.gk.expectation_maximization import learn_kernel, learn_student_t
 from probevo.training.settings import KERNEL, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import DriveInMemory
 from probevo.training.supervision import supervision_of
+from probevo.training.trainer import TrainingContext
 
 TRACKS = Path("../shared/data/kitti_tracks")
 
 
-def likelihood(
-    drive: DriveInMemory, model: pv.noise.NoiseModel, motions: FloatArray, cov: FloatArray
-) -> float:
+def likelihood(drive: DriveInMemory, model: pv.noise.NoiseModel, motions: MotionPosterior) -> float:
     """Of the residuals at these motions, each given all before it, nats a feature."""
     solver = OdometryConfig().solver
     rng = np.random.default_rng(0)
-    found = feature_errors(
-        drive.parts(),
-        motions,
-        cov,
-        predict=model.predict,
-        camera=drive.camera,
-        solver=solver,
-        share=1.0,
-        rng=rng,
-    )
+    found = feature_errors(drive, motions, model.predict, solver, share=1.0, rng=rng)
     return float(found.log_likelihood.mean())
 
 
@@ -85,7 +74,9 @@ def main() -> None:
                 supervision_of(sequence, "none", 0.0, num_frames=len(sequence)),
             )
         )
-    fresh = settings.model_copy(update={"gk": KernelSettings(iterations=turns, time_correlation=False)})
+    fresh = settings.model_copy(
+        update={"gk": KernelSettings(iterations=turns, time_correlation=False)}
+    )
     ratios = []
     gains = []
     columns = [
@@ -101,15 +92,13 @@ def main() -> None:
             np.concatenate([each.drive.phi for each in rest]), space.columns, space.may_be_undefined
         )
         models = [
-            learn_student_t(rest, fresh, []),
-            learn_student_t(rest, settings, []),
-            learn_kernel(rest, metric, settings, recordings=[]),
+            learn_student_t(TrainingContext(rest, metric, fresh)),
+            learn_student_t(TrainingContext(rest, metric, settings)),
+            learn_kernel(TrainingContext(rest, metric, settings)),
         ]
-        oneself = learn_student_t([own], settings, [])
-        at = solve_drive(
-            own.parts(), models[0].predict, own.camera, solver=settings.odometry.solver
-        )
-        nats = [likelihood(own, model, *at) for model in (*models, oneself)]
+        oneself = learn_student_t(TrainingContext([own], metric, settings))
+        at = solve_drive(own, models[0].predict, settings.odometry.solver)
+        nats = [likelihood(own, model, at) for model in (*models, oneself)]
         runs = [run(path, model) for model in (*models, pv.noise.StudentT())]
         drift, rotation = (
             [getattr(r, name) for r in runs] for name in ("short_t_percent", "short_r_deg_per_m")
