@@ -80,6 +80,7 @@ class Drive:
 
 def joined(parts: Iterable[Drive]) -> Drive:
     """Concatenate the parts of a drive."""
+    # Feature indices begin at 0 in each part, and are counted anew over all parts.
     drives = list(parts)
     counts = np.concatenate([np.diff(part.first_of_step) for part in drives])
     return Drive(
@@ -99,6 +100,7 @@ def drive_bytes(drive: Drive) -> bytes:
     arrays: dict[str, AnyArray] = {
         field.name: getattr(drive, field.name) for field in fields(Drive)
     }
+    # Half the size; no array is computed with in single precision.
     for name in SINGLE:
         arrays[name] = arrays[name].astype(np.float32)
     buffer = io.BytesIO()

@@ -99,6 +99,7 @@ class Extraction:
 
     def _step(self, frame: Frame) -> tuple[FloatArray, bool] | None:
         """Return the motion to this frame and whether it was solved; None for the first frame."""
+        # The digest identifies the training data in the model's metadata.
         _hash_frame(self._digest, frame)
         motion = self._odometry.step(frame)
         odometry = self._odometry

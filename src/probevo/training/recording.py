@@ -63,6 +63,7 @@ def record_all(
         on_frames: called with how many frames of all recordings are done: after each frame if this
             process does the work, or else from time to time.
     """
+    # Drives of an earlier call count as done.
     missing = [number for number, drive in enumerate(drives) if not drive.is_complete]
     num_frames = sum(source.num_frames for source in sources)
     frames_done = num_frames - sum(sources[number].num_frames for number in missing)
@@ -70,6 +71,8 @@ def record_all(
         on_frames(frames_done)
     if not missing:
         return
+
+    # In this process: one recording after another, reported frame by frame.
     if workers.are_here:
         for number in missing:
             _record(
@@ -83,7 +86,7 @@ def record_all(
             on_frames(frames_done)
         return
 
-    # The longest recordings come first, so that no worker begins one when all others are done.
+    # Elsewhere: the longest recordings first, so that no worker begins one when others are done.
     missing.sort(key=lambda number: -sources[number].num_frames)
     with leased(drives[0].folder) as lease:
         tasks = [
@@ -135,6 +138,7 @@ def _record_elsewhere(task: _Task) -> None:
 
     def report(frames: int) -> None:
         nonlocal next_report_s
+        # Reports are files, and few of them suffice.
         if time.monotonic() < next_report_s:
             return
         if not is_valid(task.lease, task.drive.folder):

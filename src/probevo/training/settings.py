@@ -179,6 +179,7 @@ class KernelSettings(Settings):
 class TrainSettings(Settings):
     """Settings of a training."""
 
+    # What is learned, and from what.
     kind: Literal["knn", "gk", "student-t"] = Field(
         "knn",
         description=(
@@ -213,6 +214,7 @@ class TrainSettings(Settings):
             " recordings."
         ),
     )
+    # PROBE (``PROBE_ONLY``).
     base: BaseName = Field(
         "student-t",
         description=(
@@ -270,6 +272,7 @@ class TrainSettings(Settings):
             " error of the best one's."
         ),
     )
+    # PROBE-GK, and what all kinds share.
     gk: KernelSettings = KernelSettings()
     max_frames: int | None = Field(None, ge=2, description="Of each recording, use so many frames.")
     odometry: OdometryConfig = OdometryConfig()

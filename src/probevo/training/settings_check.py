@@ -17,6 +17,8 @@ def check_settings(settings: TrainSettings) -> None:
     """
     kind = settings.kind
     trainer = trainer_of(kind)
+
+    # What the supervision gives must suffice for the kind of model, and use all that is set.
     if settings.every_s and settings.supervision not in ("sparse", "position"):
         raise InputError(
             "--every-s",
@@ -30,6 +32,8 @@ def check_settings(settings: TrainSettings) -> None:
             " give no rotation.",
             "Take sparse if attitudes are known too, or else loop or none.",
         )
+
+    # A model without predictors has no prediction space to choose.
     if settings.predictors is not None and not trainer.default_predictors:
         raise InputError(
             "--predictors",
@@ -44,4 +48,6 @@ def check_settings(settings: TrainSettings) -> None:
         if value_of(settings) != value_of(default):
             flag = "--" + name.replace("_", "-")
             raise InputError(flag, f"--kind {kind} does not take it.", cure)
+
+    # What remains concerns this kind only.
     trainer.check(settings)

@@ -63,6 +63,8 @@ def checked_sources(
     paths: set[Path] = set()
     for recording in recordings:
         sequence = opened(recording)
+
+        # Named twice, it would weigh twice.
         path = sequence.path.resolve()
         if path in paths:
             raise InputError(
@@ -71,6 +73,9 @@ def checked_sources(
                 "Name each once: it would count double.",
             )
         paths.add(path)
+
+        # It must serve the predictors, and have the camera of the others: noise in pixels depends
+        # on the camera.
         space.check_recording(sequence)
         unlike = difference(sequence.camera, sources[0].camera) if sources else ""
         if unlike:
@@ -79,6 +84,8 @@ def checked_sources(
                 f"its camera is not that of {sources[0].path}: {unlike}.",
                 "Train one model for each camera.",
             )
+
+        # Frames, IMU and truth must suffice.
         num_frames = min(len(sequence), settings.max_frames or len(sequence))
         if num_frames < 2:
             raise InputError(
@@ -90,6 +97,8 @@ def checked_sources(
         supervision = supervision_of(
             sequence, settings.supervision, settings.every_s, num_frames=num_frames
         )
+
+        # A resumed training must find the same recording again.
         facts = [
             str(path),
             len(sequence),

@@ -180,6 +180,7 @@ class DriveOnDisk:
                 self._write(self._path(self.name, f"-{k}.npz"), drive_bytes(part))
                 yield part
 
+        # The facts come last: their file marks the drive as recorded.
         facts = asdict(DriveFacts.of(written(), digest, columns))
         facts["moments"] = {
             name: np.asarray(value).tolist() for name, value in facts["moments"].items()

@@ -86,11 +86,14 @@ class Supervision:
         estimated = se3.chain_motions(T_curr_prev)[self.frames]
         true = self.T_world_cam
         if self.kind == "position":
+            # Without attitudes, the path is aligned as a whole, and has one error.
             positions = estimated[:, :3, 3]
             true_positions = true[:, :3, 3]
             T_true_est = rigid_alignment(positions, true_positions)
             aligned = se3.transform(T_true_est, positions)
             return np.maximum([armse(aligned - true_positions)], LEAST_ALPHA_M)
+
+        # Otherwise compare the motion over each stretch; a loop is one stretch.
         last = len(self.frames) - 1
         starts = np.array([0]) if self.kind == "loop" else np.arange(last)
         ends = np.array([last]) if self.kind == "loop" else np.arange(last) + 1
@@ -111,6 +114,7 @@ class Supervision:
         """
         alphas = np.empty(len(self.stretches))
         for number, (first, last) in enumerate(self.stretches.tolist()):
+            # A perturbation of the last pose moves its position by ρ − p∧ φ.
             T_start_cam, cov_end = compound_chain(T_curr_prev[first:last], cov[first:last])
             to_position = np.hstack([np.eye(3), -so3.wedge(T_start_cam[-1, :3, 3])])
             alphas[number] = np.sqrt(np.trace(to_position @ cov_end[-1] @ to_position.T) / 3.0)
@@ -131,6 +135,7 @@ def supervision_of(
     Raises:
         InputError: there is no truth, or too little for this kind.
     """
+    # A pose counts as known if all its entries are finite.
     where = sequence.path
     poses = np.full((num_frames, 4, 4), np.nan)
     if sequence.truth is not None:
@@ -141,6 +146,7 @@ def supervision_of(
     if kind == "loop":
         return _loop(sequence, poses, is_known)
 
+    # The other kinds need truth, and enough of it.
     if not is_known.any():
         raise InputError(
             where,
@@ -177,8 +183,10 @@ def _loop(sequence: Sequence, poses: FloatArray, is_known: BoolArray) -> Supervi
     """
     num_frames = len(poses)
     ends = np.array([0, num_frames - 1])
+    # Measured ends need not coincide.
     if is_known[ends].all():
         return Supervision("loop", ends, poses[ends])
+    # Without them, the loop closes only if it is run to its end.
     if num_frames < len(sequence):
         raise InputError(
             sequence.path,

@@ -165,6 +165,7 @@ def _on_this_machine(
     """Do the tasks in other processes of this machine."""
     import joblib
 
+    # One thread each: there are as many processes as cores.
     with joblib.parallel_config("loky", inner_max_num_threads=1):
         calls = (joblib.delayed(_numbered)(work, number, task) for number, task in tasks)
         results = joblib.Parallel(jobs, return_as="generator_unordered", batch_size=1)(calls)
@@ -186,6 +187,7 @@ def _on_cluster(
     """
     from distributed import KilledWorker, as_completed
 
+    # A task is submitted for each result that has come, so that the scheduler holds few at a time.
     waiting = iter(tasks)
 
     def submitted(count: int) -> list[Any]:
@@ -209,6 +211,7 @@ def _on_cluster(
     except KilledWorker as error:
         raise LostWorkerError from error
     finally:
+        # After an error or Ctrl-C, workers need not begin what nobody waits for.
         client.cancel(list(running.futures))
 
 
@@ -258,6 +261,7 @@ class _WorkerWatch:
         """
         if time.monotonic() < self.next_look_s:
             return
+        # The time counts from the first look without a worker.
         if self._has_worker():
             self.worker_seen()
         elif self.had_worker:
@@ -279,6 +283,7 @@ def _numbered(work: Callable[[Any], Any], number: int, task: Any) -> tuple[int, 
     """Do one task on one core."""
     import cv2
 
+    # As many workers as cores: OpenCV's own threads would compete with them.
     cv2.setNumThreads(1)
     return number, work(task)
 

@@ -63,6 +63,7 @@ def conditioned(
     Returns:
         motions [K − 1, 4, 4] and covariances [K − 1, 6, 6] given the truth.
     """
+    # The distance of each stretch from the truth.
     motions = T_curr_prev.copy()
     posterior = cov.copy()
     stretches = []
@@ -102,15 +103,17 @@ def _stretch(
         last: the step after the last one.
         ends: true poses T_world_cam at both ends, [2, 4, 4].
     """
+    # From the last step backwards, so that each adjoint is that of the steps after it.
     motions = T_curr_prev[first:last]
-    T_last_step = np.eye(4)
+    T_last_k = np.eye(4)
     to_end = np.empty((len(motions), 6, 6))
     for k in range(len(motions) - 1, -1, -1):
-        to_end[k] = se3.adjoint(T_last_step)
-        T_last_step = T_last_step @ motions[k]
+        to_end[k] = se3.adjoint(T_last_k)
+        T_last_k = T_last_k @ motions[k]
+    # The motion of the whole stretch, its covariance, and the distance in the tangent space.
     M: FloatArray = np.sum(to_end @ cov[first:last] @ np.swapaxes(to_end, 1, 2), axis=0)
     T_true = se3.inverse(ends[1]) @ ends[0]
-    distance = se3.log(T_true @ se3.inverse(T_last_step))
+    distance = se3.log(T_true @ se3.inverse(T_last_k))
     return _Stretch(first=first, last=last, to_end=to_end, cov=M, distance=distance)
 
 
@@ -124,6 +127,7 @@ def _estimated_truth_sigma(stretches: Sequence[_Stretch]) -> FloatArray:
     # Translations and rotations apart, [U, 2, 3].
     distances = np.abs([stretch.distance for stretch in stretches]).reshape(-1, 2, 3)
     variances = np.reshape([np.diagonal(stretch.cov) for stretch in stretches], (-1, 2, 3))
+    # 1.4826 times the median of absolute values is the σ of a Gaussian.
     scatter = (1.4826 * np.median(distances, axis=(0, 2))) ** 2
     own = np.median(variances, axis=(0, 2))
     least = own if len(stretches) < FEW_STRETCHES else np.zeros(2)

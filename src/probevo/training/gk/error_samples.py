@@ -83,8 +83,11 @@ def gather_error_samples(
         InputError: there is nothing to learn from, or what ``Workers.map`` raises.
     """
     drives = context.drives
+    # Draw a share of the features, the same of each drive.
     num_used = sum(drive.facts.used for drive in drives)
     share = min(1.0, MOST_FEATURES / max(num_used, 1))
+
+    # The errors of each drive are one task.
     blocks = blocks_of([drive.facts.steps for drive in drives])
     tasks = [
         _Task(
@@ -104,6 +107,7 @@ def gather_error_samples(
         done.add(number)
         on_part(len(done) / len(tasks))
 
+    # Concatenate the samples in the order of the drives, whoever was done first.
     names = [f"recording {number + 1}" for number in range(len(tasks))]
     parts = context.workers.map(_samples_of_drive, tasks, names, on_done)
     samples = ErrorSamples(
@@ -143,6 +147,7 @@ def _samples_of_drive(task: _Task) -> ErrorSamples:
     )
     found = expectation.feature_errors
     num_steps = len(expectation.T_features_only)
+    # Samples of one block of time are left out together in cross-validation.
     block = found.steps * task.blocks // max(num_steps, 1)
     gap_m = _loop_error_m(task.drive.supervision, expectation.T_features_only)
     return ErrorSamples(
@@ -183,6 +188,7 @@ def _loop_error_m(supervision: Supervision, T_curr_prev: FloatArray) -> float:
         distance, m; NaN if a pose at one end is unknown.
     """
     first, last = supervision.frames[[0, -1]]
+    # The end seen from the start, so that the world of the truth does not matter.
     T_world_cam = se3.chain_motions(T_curr_prev)
     estimated = se3.inverse(T_world_cam[first]) @ T_world_cam[last]
     true = se3.inverse(supervision.T_world_cam[0]) @ supervision.T_world_cam[-1]

@@ -26,7 +26,7 @@ from probevo.training.supervised_drive import SupervisedDrive
 UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 """Standard deviation of the motion of a step whose features do not fix it, m and rad."""
 UNKNOWN_VARIANCE_M2 = UNSOLVED_SIGMA[0] ** 2 / 4.0
-"""A motion whose variance in x exceeds this was neither solved nor told by the truth, m²."""
+"""Variance in x, m², above which a motion is known neither from the features nor from the truth."""
 
 
 Predict = Callable[[FloatArray], StereoNoise]
@@ -85,7 +85,7 @@ def expect(
     """Compute the motions given features and truth, and the errors of the features.
 
     The truth is a Gaussian prior on the motion over each stretch of the supervision. Exact truth
-    decides alone (GK-GT), no truth says nothing (GK-EM), and KITTI's truth, whose errors are larger
+    decides (GK-GT), no truth says nothing (GK-EM), and KITTI's truth, whose errors are larger
     than those of the features, lies between. Stretches may be as long as the drive, but between
     solving the motions and computing the errors only motions and covariances are kept in memory.
 
@@ -98,6 +98,7 @@ def expect(
         share: share of the features, 0 … 1, whose errors are computed; they are drawn.
         seed: seed of the draw, which does not depend on how the drive is cut into parts.
     """
+    # First pass: the motions given the features, and then also given the truth.
     solved = solve_drive(drive, predict, solver)
     posterior = solved
     if drive.supervision.kind != "none":
@@ -105,6 +106,7 @@ def expect(
             solved.T_curr_prev, solved.cov, drive.supervision, truth_sigma=truth_sigma
         )
         posterior = MotionPosterior(T_curr_prev, cov)
+    # Second pass: the errors of the features at these motions.
     rng = np.random.default_rng([*seed])
     return Expectation(
         T_curr_prev=posterior.T_curr_prev,
@@ -196,6 +198,7 @@ def solved_steps(
     previous_number = -1
     index = 0
     for part in drive.parts():
+        # The noise of all features of the part at once is faster than step by step.
         noise_of_part = predict(part.phi)
         for step in range(len(part.T_curr_prev)):
             rows = part.rows(step)
@@ -209,6 +212,7 @@ def solved_steps(
             before = memory.of(tracks) if is_consecutive else DisparityMemory.none()
             previous_number = number
 
+            # Solve for the motion, or evaluate at the given one; else the memory starts anew.
             solution = None
             memory = DisparityMemory.none()
             if len(used) >= solver.min_tracks:
@@ -231,6 +235,7 @@ def solved_steps(
                         before=before,
                     )
 
+            # Tracks that the memory knows share an error with the previous step.
             has_past = np.zeros(len(used), np.bool_)
             has_past[before.known.rows] = True
             yield SolvedStep(
@@ -269,6 +274,7 @@ def _solved(
     )
     if not solution.converged or not np.isfinite(solution.cov).all():
         return None, DisparityMemory.none()
+    # Only inliers are remembered, and only the reprojection solver uses the memory.
     if solver.method != "reprojection":
         return solution, DisparityMemory.none()
     trusted = weights_of(solution, noise.dof, solver.loss) >= TRUSTED

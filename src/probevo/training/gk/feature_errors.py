@@ -93,5 +93,6 @@ def errors_of(
         log_det=np.empty(count),
     )
     rescale_errors(features, cov, noise.refers_to == "observation", out)
+    # The likelihood is that of the residual, not of the rescaled error.
     log_likelihood = log_density(out.squared, out.log_det, noise.dof[chosen])
     return out.errors + noise.bias[chosen], out.spread, log_likelihood

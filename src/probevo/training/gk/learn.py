@@ -42,6 +42,7 @@ def contributing_columns(space: PredictionSpace, weight: FloatArray) -> IntArray
         space: predictors with M columns in all.
         weight: weight of each column, [M].
     """
+    # A predictor is computed as a whole, so that one column that contributes keeps its others.
     columns_per_predictor = [len(predictor.columns) for predictor in space.predictors]
     predictor_of_column = np.repeat(np.arange(len(space.predictors)), columns_per_predictor)
     contributing = predictor_of_column[weight > 0.0]
@@ -60,8 +61,10 @@ def check_kernel_settings(settings: TrainSettings) -> None:
         raise InputError(
             f"--gk.truth-sigma-{given[0]}", "--supervision none uses no truth.", "Leave it out."
         )
+    # As published, the kernel has a fixed support and an inverse-Wishart prior.
     if kernel.variant == "published":
         _check_published(kernel)
+    # Alignment weighs the points of both frames, and so needs the noise of each observation.
     if kernel.refers_to == "residual" and settings.odometry.solver.method == "alignment":
         raise InputError(
             "--gk.refers-to",
@@ -69,6 +72,7 @@ def check_kernel_settings(settings: TrainSettings) -> None:
             " --odometry.solver.method alignment needs.",
             "Take observation, or the method reprojection.",
         )
+    # The truth of a motion has six components.
     if len(given) == 1:
         missing = "deg" if given[0] == "m" else "m"
         raise InputError(

@@ -37,10 +37,13 @@ def thinned(drives: Sequence[DriveOnDisk], seed: int, workers: Workers) -> list[
         seed: seed of the draw, which does not depend on how the drives are cut into parts.
         workers: processes that read and write the drives.
     """
+    # Thin only where more features would be left than EM draws from.
     num_used = sum(drive.facts.used for drive in drives)
     share = STEPS_PER_FEATURE * MOST_FEATURES / max(num_used, 1)
     if share >= 1.0:
         return list(drives)
+
+    # Each drive has its own stream of random numbers, and so the same steps by any worker.
     tasks = []
     for number, drive in enumerate(drives):
         rng = np.random.default_rng((seed, number, 1))
@@ -66,6 +69,7 @@ def _thin(task: _Task) -> DriveOnDisk:
                 yield part.kept(task.steps[part.numbers])
 
         thin.keep_drive(parts(), lambda: facts.digest, len(facts.moments.mean))
+        # Without truth, the stretches of the supervision are never used.
         unknown = np.full((2, 4, 4), np.nan)
         thin.keep_supervision(Supervision("none", np.zeros(2, np.int64), unknown))
     return thin

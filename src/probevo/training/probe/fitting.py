@@ -34,6 +34,8 @@ def fit_model(
     searches: dict[str, Search] = {}
     neighbors = settings.neighbors
     exponent = settings.exponent
+
+    # The mean over neighbours is that of α, or of its logarithm.
     coordinates = np.concatenate([sampler.coordinates for sampler in samplers])[samples.features]
     is_logarithmic = settings.average == "geometric"
     values = np.log(samples.alphas) if is_logarithmic else samples.alphas
@@ -64,6 +66,7 @@ def fit_model(
         searches["exponent"] = choose_exponent(samplers, log_relative_alphas)
         exponent = searches["exponent"].chosen
 
+    # The model keeps all samples, at their places in the prediction space.
     model = NearestNeighbors(
         neighbors,
         exponent,

@@ -78,6 +78,7 @@ def _sampler(
     number: int, supervised: SupervisedDrive, metric: Metric, settings: TrainSettings
 ) -> SubsetSampler:
     """Read a drive into memory and prepare its iterations."""
+    # Subsets lean in directions of the whole prediction space, so that the drive is read whole.
     drive = joined(supervised.parts())
     return SubsetSampler(
         drive=drive,

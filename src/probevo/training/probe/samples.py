@@ -87,6 +87,7 @@ def folds_of_steps(sampler: SubsetSampler, number: int) -> IntArray:
     """
     num_steps = len(sampler.drive.T_curr_prev)
     stretches = sampler.supervision.stretches
+    # A step belongs to the fold of the first step of its stretch.
     start = np.arange(num_steps)
     if len(stretches) > 1:
         stretch = sampler.supervision.stretch_of_step(num_steps)
@@ -102,6 +103,7 @@ def fold_of_step(step: IntArray, num_steps: int, drive: int) -> IntArray:
 
 def _relative(alpha: FloatArray, stretch: IntArray, *, is_logarithmic: bool) -> FloatArray:
     """Divide each α by the mean of all α of the same stretch, [N]."""
+    # The mean of the same kind as that over neighbours.
     values = np.log(alpha) if is_logarithmic else alpha
     mean = np.bincount(stretch, values) / np.maximum(np.bincount(stretch), 1)
     relative: FloatArray = (

@@ -53,9 +53,12 @@ def choose_neighbors(coordinates: FloatArray, values: FloatArray, fold: IntArray
         values: α of each, or its logarithm, [N].
         fold: fold of each, [N].
     """
+    # No candidate may exceed the samples that any cross-validation step has.
     folds = np.unique(fold)
     fewest = min(int((fold != k).sum()) for k in folds)
     candidates = np.array([k for k in NEIGHBORS if k <= fewest] or [max(1, fewest)])
+
+    # Sum the squared error of each candidate, predicting each fold from the others.
     queries = evenly(len(values), MOST_QUERIES)
     squared_error = np.zeros(len(candidates))
     for k in folds:
@@ -149,6 +152,7 @@ def _alphas(sampler: SubsetSampler, beta: FloatArray) -> FloatArray:
     supervision = sampler.supervision
     if supervision.kind != "none" and len(supervision.stretches) > 1:
         return supervision.errors(weighted_motions(sampler, beta, used))
+    # Compare two random halves, the same for all candidates.
     rng = np.random.default_rng([*sampler.seed, Stream.HALVES])
     half = rng.random(len(beta)) < 0.5
     one = weighted_motions(sampler, beta, used & half)
@@ -174,6 +178,7 @@ def weighted_motions(sampler: SubsetSampler, beta: FloatArray, used: BoolArray) 
         chosen = np.flatnonzero(used[rows])
         if len(chosen) < sampler.solver.min_tracks:
             continue
+        # The covariance of each feature is that of the static model times β.
         base = sampler.base.predict(np.zeros((len(chosen), 0)))
         solution = solve(
             drive.tracks(step).kept(chosen),
