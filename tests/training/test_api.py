@@ -13,6 +13,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise import Fixed, NoiseModel
+from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.predictors import Needs, Predictor, Step
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
@@ -55,6 +56,13 @@ def train(
     return pv.train_model(recordings, settings, out, on_progress)
 
 
+def neighbors_of(path: Path) -> NearestNeighbors:
+    """Read a model that is one of PROBE."""
+    model = pv.load_model(path)
+    assert isinstance(model, NearestNeighbors)
+    return model
+
+
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
     return tmp_path / "models" / "model.safetensors"
@@ -62,7 +70,7 @@ def out(tmp_path: Path) -> Path:
 
 def test_the_model_describes_its_training(recordings: list[Sequence], out: Path) -> None:
     assert train(recordings, out) == out
-    model = pv.load_model(out)
+    model = neighbors_of(out)
     assert model.columns == ("x", "y", "row_offset")
     assert model.camera == recordings[0].camera
     assert len(model.index_.values) <= 2 * (FRAMES - 1) * SETTINGS.iterations * SETTINGS.subset
@@ -194,7 +202,7 @@ def test_every_supervision_gives_a_model(
 ) -> None:
     every_s = 0.5 if supervision in ("sparse", "position") else 0.0
     settings = SETTINGS.model_copy(update={"supervision": supervision, "every_s": every_s})
-    model = pv.load_model(train(recordings, out, settings))
+    model = neighbors_of(train(recordings, out, settings))
     assert np.isfinite(model.weights(np.zeros((3, 3)))).all()
 
 
@@ -213,7 +221,7 @@ def test_every_setting_gives_a_model(
     recordings: list[Sequence], out: Path, changes: dict[str, object]
 ) -> None:
     settings = SETTINGS.model_copy(update=changes)
-    model = pv.load_model(train(recordings, out, settings))
+    model = neighbors_of(train(recordings, out, settings))
     assert np.isfinite(model.weights(np.zeros((3, 3)))).all()
     assert model.average == settings.average
     if settings.neighbors:
@@ -263,15 +271,14 @@ def test_a_predictor_of_one_s_own_is_learned_from(recordings: list[Sequence], ou
     """And undefined where it says that it may be; to use the model, it has to be given again."""
     predictor = own(first_undefined, undefined="for the first")
     pv.train_model(recordings, SETTINGS, out, own_predictors=[predictor])
-    model = pv.load_model(out)
+    model = neighbors_of(out)
     assert model.columns == ("x", "y", "row_offset", "own")
     assert model.metric_.may_be_undefined == (False, False, False, True)
     camera = recordings[0].camera
     with pytest.raises(InputError, match="its predictor own is not known"):
         pv.StereoOdometry(camera, model)
-    space = pv.predictors.PredictionSpace(
-        (*pv.predictors.prediction_space(SETTINGS.predictors).predictors, predictor)
-    )
+    known = pv.predictors.prediction_space(["place", "row_offset"])
+    space = pv.predictors.PredictionSpace((*known.predictors, predictor))
     odometry = pv.StereoOdometry(camera, model, predictors=space)
     for frame in recordings[0]:
         odometry.step(frame)
@@ -400,7 +407,7 @@ def test_with_fewer_neighbours_it_goes_on_where_it_was(
     sequences: list[Sequence] = list(counted)  # type: ignore[arg-type]
     refuse(sequences, out, SETTINGS.model_copy(update={"neighbors": 10_000}), "--neighbors")
     train(sequences, out, SETTINGS.model_copy(update={"neighbors": 10}))
-    assert pv.load_model(out).neighbors == 10
+    assert neighbors_of(out).neighbors == 10
     assert [len(each.asked) for each in counted] == [FRAMES, FRAMES]
 
 

@@ -23,7 +23,7 @@ from probevo.training.drive import Drive, joined
 from probevo.training.extraction import Extraction
 from probevo.training.gk import error_samples, thinning
 from probevo.training.gk.expectation import Expectation, expect, solve_drive
-from probevo.training.gk.learn import train_student_t
+from probevo.training.gk.expectation_maximization import learn_student_t
 from probevo.training.gk.thinning import thinned
 from probevo.training.lease import leased
 from probevo.training.settings import KernelSettings
@@ -312,7 +312,7 @@ def test_of_many_drives_some_steps_are_taken(
         short.keep_supervision(nothing)
         thin = thinned([stored, short], 0, workers)
         metric = Metric.fitted(drive.phi)
-        model = train_student_t(TrainingContext(drives=thin, metric=metric, settings=settings))
+        model = learn_student_t(TrainingContext(drives=thin, metric=metric, settings=settings))
         found.append((joined(thin[0].parts()), model.scale_))
     (one, scale), (other, other_scale) = found
     for mine, theirs in zip(vars(one).values(), vars(other).values(), strict=True):

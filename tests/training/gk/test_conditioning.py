@@ -21,7 +21,8 @@ def motions(count: int = STEPS, seed: int = 0) -> FloatArray:
 def covariances(count: int = STEPS, sigma: float = 1e-3, seed: int = 0) -> FloatArray:
     """Return full covariances of about σ², [K − 1, 6, 6]."""
     factor = np.random.default_rng([seed, 1]).normal(size=(count, 6, 6)) / np.sqrt(6.0)
-    return sigma**2 * (factor @ factor.mT + 0.1 * np.eye(6))
+    cov: FloatArray = sigma**2 * (factor @ factor.mT + 0.1 * np.eye(6))
+    return cov
 
 
 def disturbed(T: FloatArray, cov: FloatArray, seed: int = 0) -> FloatArray:

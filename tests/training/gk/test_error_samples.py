@@ -43,7 +43,8 @@ def groups_of(*frames: int) -> list[int]:
     context = TrainingContext(drives=drives, metric=metric, settings=settings)
     groups = gather_error_samples(context, StudentT(), lambda share: None).groups
     assert (np.diff(groups) >= 0).all()
-    return np.bincount(np.unique(groups) // BLOCKS_A_DRIVE).tolist()
+    counts: list[int] = np.bincount(np.unique(groups) // BLOCKS_A_DRIVE).tolist()
+    return counts
 
 
 def test_short_drives_are_left_out_as_a_whole() -> None:

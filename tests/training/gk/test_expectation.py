@@ -9,6 +9,7 @@ from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
 from probevo.geometry import se3
 from probevo.noise import StereoNoise, StudentT
+from probevo.noise.base import Refers
 from probevo.training.drive import Drive
 from probevo.training.gk.expectation import (
     UNSOLVED_SIGMA,
@@ -41,7 +42,7 @@ R = SIGMA**2 * np.eye(4)
 
 
 def right_noise(
-    drive: Drive, refers_to: str = "observation", bias: FloatArray | None = None
+    drive: Drive, refers_to: Refers = "observation", bias: FloatArray | None = None
 ) -> StereoNoise:
     """What the features truly have."""
     count = len(drive.phi)
@@ -51,7 +52,7 @@ def right_noise(
         np.full(count, np.inf),
         np.tile(bias, (count, 1)),
         refers_to=refers_to,
-    )  # type: ignore[arg-type]
+    )
 
 
 def expected(world: PointWorld, drive: Drive, noise: StereoNoise, kind: str = "gt") -> Expectation:
@@ -122,7 +123,7 @@ def test_residuals_are_larger_than_errors_of_observations(world: PointWorld, dri
 
 @pytest.mark.parametrize(("refers_to", "off"), [("observation", 0.08), ("residual", 0.02)])
 def test_the_spread_is_the_covariance_of_the_errors_that_the_motion_causes(
-    world: PointWorld, drive: Drive, refers_to: str, off: float
+    world: PointWorld, drive: Drive, refers_to: Refers, off: float
 ) -> None:
     """J C Jᵀ, J by central differences of the errors by the motion, and C the covariance of the
     step. Errors of observations hang on the motion by the Σ that they are scaled with, too, by some
@@ -134,14 +135,15 @@ def test_the_spread_is_the_covariance_of_the_errors_that_the_motion_causes(
     cov = solved(world, drive, noise).cov
 
     def errors_at(T: FloatArray) -> FloatArray:
-        """With the motion given, as if it were the exact truth."""
+        """Return the errors of the step with its motion given as exact truth."""
         poses = se3.chain_motions(T[None])
         frames = np.array([step, step + 1])
         supervised = DriveInMemory(drive, world.camera, Supervision("sparse", frames, poses))
-        given = expect(supervised, lambda _: noise, SolverConfig(), truth_sigma=EXACT)
-        return given.feature_errors.errors[
-            drive.step_of_feature[given.feature_errors.features] == step
-        ]
+        given = expect(
+            supervised, lambda _: noise, SolverConfig(), truth_sigma=EXACT
+        ).feature_errors
+        errors: FloatArray = given.errors[drive.step_of_feature[given.features] == step]
+        return errors
 
     at = drive.step_of_feature[found.feature_errors.features] == step
     T = found.T_curr_prev[step]
@@ -181,7 +183,7 @@ def test_errors_and_spread_together_scatter_as_the_noise_does(
 
 @pytest.mark.parametrize("refers_to", ["observation", "residual"])
 def test_errors_hold_the_bias_that_the_noise_takes_off(
-    world: PointWorld, drive: Drive, refers_to: str
+    world: PointWorld, drive: Drive, refers_to: Refers
 ) -> None:
     """So that what is learned is the bias, and not what is left of it: here of an image that is off
     by a pixel."""

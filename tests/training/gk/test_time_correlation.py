@@ -50,9 +50,8 @@ def profile_of(
     solution = solve_reprojection(
         prev_px, curr_px, noise, guess=T_CURR_PREV, camera=CAMERA, max_iterations=0
     )
-    residual_noise = StereoNoise(
-        np.linalg.inv(solution.information), noise.dof, np.zeros((count, 4))
-    )
+    scale: FloatArray = np.linalg.inv(solution.information).astype(np.float64)
+    residual_noise = StereoNoise(scale, noise.dof, np.zeros((count, 4)))
     profile = time_correlation_profile(solution, noise, np.arange(count))
     return profile, residual_noise.log_likelihood(solution.residuals)
 
