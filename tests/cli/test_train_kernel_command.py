@@ -133,7 +133,9 @@ def test_the_bar_moves_within_a_search(tracks: Path, tmp_path: Path) -> None:
     """The search is most of the training."""
     seen: list[tuple[int, int]] = []
     settings = TrainSettings(
-        kind="gk", predictors=("place",), gk=KernelSettings(iterations=1, neighbors=40, prior_counts=8.0)
+        kind="gk",
+        predictors=("place",),
+        gk=KernelSettings(iterations=1, neighbors=40, prior_counts=8.0),
     )
     sequence = open_sequence(tracks)
     train_model(
@@ -279,7 +281,8 @@ def test_trained_models_side_by_side(
     kernel = tmp_path / "city" / "gk.safetensors"
     assert main(["train", str(tracks), "--out", str(static), "--kind", "student-t"]) == 0
     assert (
-        main(["train", str(tracks), "--out", str(kernel), *GK[:-2], "--gk.iterations", "1", *GIVEN]) == 0
+        main(["train", str(tracks), "--out", str(kernel), *GK[:-2], "--gk.iterations", "1", *GIVEN])
+        == 0
     )
     out = tmp_path / "out"
     assert (

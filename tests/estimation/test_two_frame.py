@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
 from probevo.errors import InputError

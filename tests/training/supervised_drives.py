@@ -12,7 +12,7 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
-from probevo.estimation.two_frame import solve
+from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.geometry import se3
 from probevo.noise import NoiseModel, StudentT
 from probevo.sequences.frame import Frame, GroundTruth
@@ -96,18 +96,10 @@ def drive_of(world: PointWorld, *, base: NoiseModel | None = None, seed: int = 0
     steps = list(world.steps())
     motions = []
     phi = []
+    estimator = TwoFrameEstimator(world.camera, SolverConfig())
     for step in steps:
         noise = base.predict(np.zeros((len(step.tracks), 0)))
-        motions.append(
-            solve(
-                step.tracks,
-                noise,
-                step.T_curr_prev,
-                camera=world.camera,
-                prior=None,
-                config=SolverConfig(),
-            ).T_curr_prev
-        )
+        motions.append(estimator.solve(step.tracks, noise, guess=step.T_curr_prev).T_curr_prev)
         phi.append(np.column_stack([np.log(sigma_of(step)), rng.normal(size=len(step.tracks))]))
     counts = [len(step.tracks) for step in steps]
     return Drive(

@@ -9,7 +9,7 @@ from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
 from probevo.geometry import se3
 from probevo.noise import StereoNoise, StudentT
-from probevo.noise.base import Refers
+from probevo.noise.base import RefersTo
 from probevo.training.drive import Drive
 from probevo.training.gk.expectation import (
     UNSOLVED_SIGMA,
@@ -42,7 +42,7 @@ R = SIGMA**2 * np.eye(4)
 
 
 def right_noise(
-    drive: Drive, refers_to: Refers = "observation", bias: FloatArray | None = None
+    drive: Drive, refers_to: RefersTo = "observation", bias: FloatArray | None = None
 ) -> StereoNoise:
     """What the features truly have."""
     count = len(drive.phi)
@@ -123,7 +123,7 @@ def test_residuals_are_larger_than_errors_of_observations(world: PointWorld, dri
 
 @pytest.mark.parametrize(("refers_to", "off"), [("observation", 0.08), ("residual", 0.02)])
 def test_the_spread_is_the_covariance_of_the_errors_that_the_motion_causes(
-    world: PointWorld, drive: Drive, refers_to: Refers, off: float
+    world: PointWorld, drive: Drive, refers_to: RefersTo, off: float
 ) -> None:
     """J C Jᵀ, J by central differences of the errors by the motion, and C the covariance of the
     step. Errors of observations hang on the motion by the Σ that they are scaled with, too, by some
@@ -183,7 +183,7 @@ def test_errors_and_spread_together_scatter_as_the_noise_does(
 
 @pytest.mark.parametrize("refers_to", ["observation", "residual"])
 def test_errors_hold_the_bias_that_the_noise_takes_off(
-    world: PointWorld, drive: Drive, refers_to: Refers
+    world: PointWorld, drive: Drive, refers_to: RefersTo
 ) -> None:
     """So that what is learned is the bias, and not what is left of it: here of an image that is off
     by a pixel."""

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.estimation.two_frame import solve
+from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.noise import Fixed
 from probevo.training.drive import Drive
 from probevo.training.probe.subsets import SubsetSampler
@@ -182,14 +182,8 @@ def test_alpha_is_the_error_of_the_subset_s_motion() -> None:
     noise = sampler().base.predict(np.zeros((SUBSET, 0)))
     for k, chosen in enumerate(by_step(DRIVE, features)):
         tracks = DRIVE.tracks(k).kept(chosen - DRIVE.first_of_step[k])
-        motion = solve(
-            tracks,
-            noise,
-            DRIVE.T_curr_prev[k],
-            camera=WORLD.camera,
-            prior=None,
-            config=sampler().solver,
-        ).T_curr_prev
+        estimator = TwoFrameEstimator(WORLD.camera, sampler().solver)
+        motion = estimator.solve(tracks, noise, guess=DRIVE.T_curr_prev[k]).T_curr_prev
         T_true = np.linalg.inv(WORLD.T_world_cam[k + 1]) @ WORLD.T_world_cam[k]
         error_m = np.linalg.norm((np.linalg.inv(motion) - np.linalg.inv(T_true))[:3, 3])
         np.testing.assert_allclose(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray, evenly
+from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.noise.probe.nearest_neighbors import LARGEST_WEIGHT
 from probevo.noise.probe.neighbor_index import NeighborIndex
 from probevo.training.probe.subsets import Stream, SubsetSampler
