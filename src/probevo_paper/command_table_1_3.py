@@ -72,7 +72,7 @@ def repeat_table(settings: Table13Config, own: tuple[Path, ...], out: Path) -> l
             table,
             text=table_text(table),
             published_of=columns,
-            more={"trained_on": training_loop, "turns": iterations},
+            more={"trained_on": training_loop, "iterations": iterations},
         )
         write_loops_page(
             out / "table_1_3.html",

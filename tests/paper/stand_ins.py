@@ -15,17 +15,17 @@ from probevo.cli import run
 from probevo.noise import StudentT
 from probevo.noise.model_io import save_model
 
-TURNS = [
+ITERATIONS = [
     {"log_likelihood": -3.0, "loop_error_m": 0.5},
     {"log_likelihood": -2.5, "loop_error_m": 0.25},
 ]
 
 
 @contextmanager
-def stand_ins(turns: list[dict[str, float]] | None = None) -> Iterator[SimpleNamespace]:
+def stand_ins(iterations: list[dict[str, float]] | None = None) -> Iterator[SimpleNamespace]:
     """Replace scenes by walls and models by Student-t; record what was to be rendered and trained.
 
-    ``turns`` is what the models say of the iterations of EM, ``TURNS`` if it is not given.
+    ``iterations`` is what the models say of the iterations of EM, ``ITERATIONS`` if it is not given.
     """
     calls = SimpleNamespace(scenes=[], trainings=[])
 
@@ -36,7 +36,7 @@ def stand_ins(turns: list[dict[str, float]] | None = None) -> Iterator[SimpleNam
     def train(recordings: tuple[Path, ...], settings: Any, out: Path) -> None:
         calls.trainings.append(SimpleNamespace(recordings=recordings, settings=settings, out=out))
         save_model(
-            StudentT(dof=4.0, training={"iterations": TURNS if turns is None else turns}), out
+            StudentT(dof=4.0, training={"iterations": ITERATIONS if iterations is None else iterations}), out
         )
 
     with pytest.MonkeyPatch.context() as patch:

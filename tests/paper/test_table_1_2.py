@@ -55,7 +55,7 @@ def repeated(tmp_path_factory: pytest.TempPathFactory) -> Any:
     train = write_wall(root / "a", truth=False)
     test = write_wall(root / "b")
     words = ["--rows", "synthetic", "city", "--train", str(train), "--test", str(test)]
-    words += ["--max-frames", "4", "--gk.turns", "3"]
+    words += ["--max-frames", "4", "--gk.iterations", "3"]
     with stand_ins() as calls:
         assert run_table(root / "out", *words) == 0
     calls.out = root / "out"
@@ -145,7 +145,7 @@ def test_where_it_is_stopped_what_is_done_is_in_the_table(
     interrupt_run(monkeypatch, 3)
     with stand_ins():
         assert run_table(tmp_path / "out", "--rows", "city", "--max-frames", "3") == 130
-    assert "The 2 finished of 5 runs are compared in" in capsys.readouterr().err
+    assert "2 of 5 runs were finished; they are compared in" in capsys.readouterr().err
     assert "Stopped before all was run of city." in (tmp_path / "out" / "table_1_2.txt").read_text()
 
 
@@ -178,7 +178,7 @@ def test_mistakes_are_named_before_anything_is_rendered(
 def test_in_the_point_world_the_whole_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is replaced, except that the reports of single runs are left out."""
     monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
-    words = ["--rows", "synthetic", "--max-frames", "8", "--gk.turns", "1", "--gk.centers", "100"]
+    words = ["--rows", "synthetic", "--max-frames", "8", "--gk.iterations", "1", "--gk.centers", "100"]
     words += ["--gk.neighbors", "100", "--gk.prior-counts", "10", "--gk.reach", "1"]
     assert run_table(tmp_path, *words) == 0
     runs = json.loads((tmp_path / "table_1_2.json").read_text())["runs"]

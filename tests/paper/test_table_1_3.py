@@ -11,7 +11,7 @@ import pytest
 from cli.rendering import write_wall
 from output.pages import Balance
 from output.test_trial_table import tabular
-from paper.stand_ins import TURNS, interrupt_run, stand_ins
+from paper.stand_ins import ITERATIONS, interrupt_run, stand_ins
 from probevo.arrays import FloatArray
 from probevo.cli.main import main
 from probevo.estimation.motion_estimate import MotionEstimate, Status
@@ -70,13 +70,13 @@ def test_a_truth_that_does_not_know_the_end_says_nothing() -> None:
 
 
 def test_the_iterations_of_em_are_drawn_beside_the_static_model() -> None:
-    likelihood, gap = progress_figure(TURNS, 0.75).axes
+    likelihood, gap = progress_figure(ITERATIONS, 0.75).axes
     assert np.asarray(likelihood.lines[0].get_ydata()).tolist() == [-3.0, -2.5]
     static, em = gap.lines
     assert np.asarray(static.get_ydata()).tolist() == [0.75, 0.75]
     assert np.asarray(em.get_ydata()).tolist() == [0.5, 0.25]
     assert gap.get_ylim()[1] > 0.75
-    assert len(progress_figure(TURNS, None).axes[1].lines) == 1
+    assert len(progress_figure(ITERATIONS, None).axes[1].lines) == 1
     assert len(progress_figure([{"log_likelihood": -1.0}] * 3, 0.75).axes) == 1
 
 
@@ -99,7 +99,7 @@ def test_ours_stand_beside_what_was_published(
     published = [line["published_loop_error_m"] for line in lines]
     assert published == ["", "8.07", "", "3.88", "6.64", "", "3.07"]
     document = json.loads((tmp_path / "table_1_3.json").read_text())
-    assert (document["trained_on"], document["turns"]) == ("trial 1", TURNS)
+    assert (document["trained_on"], document["iterations"]) == ("trial 1", ITERATIONS)
     assert [run["loop_error_m"] for run in document["runs"]] == [
         float(line["loop_error_m"]) for line in lines
     ]

@@ -256,7 +256,7 @@ def test_where_it_is_stopped_what_is_done_is_in_the_table(
         shutil.copytree(drive, tmp_path / "kitti" / copy.folder)
     interrupt_run(monkeypatch, 2)
     assert repeat_table(tmp_path / "kitti", tmp_path / "out", "--max-frames", "3") == 130
-    assert "The 1 finished of 5 runs are compared in" in capsys.readouterr().err
+    assert "1 of 5 runs were finished; they are compared in" in capsys.readouterr().err
     text = (tmp_path / "out" / "table_i.txt").read_text()
     assert "Stopped before all was run of 26_drive_0051." in text
     assert "Only the first 3 frames of each trial" in text

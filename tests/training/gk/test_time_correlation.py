@@ -64,7 +64,7 @@ def test_the_profile_tells_the_likelihood_of_every_other_model(dof: float) -> No
     """
     seen = observations(np.random.default_rng(0), 400, 1.0, np.inf)
     scale = SIGMA_PX**2 * np.eye(4)
-    models = {ratio: StudentT(dof, scale, time_correlation=ratio) for ratio in (0.0, 0.5, 2.0)}
+    models = {ratio: StudentT(dof, scale, time_correlation_ratio=ratio) for ratio in (0.0, 0.5, 2.0)}
     profiles = {}
     likelihoods = {}
     for ratio, model in models.items():
@@ -82,7 +82,7 @@ def test_the_profile_tells_the_likelihood_of_every_other_model(dof: float) -> No
 def test_the_true_ratio_is_the_likeliest(ratio: float, dof: float) -> None:
     seen = observations(np.random.default_rng(1), 4000, ratio, dof)
     for predicted in (0.0, ratio):
-        model = StudentT(dof, SIGMA_PX**2 * np.eye(4), time_correlation=predicted)
+        model = StudentT(dof, SIGMA_PX**2 * np.eye(4), time_correlation_ratio=predicted)
         profile, _ = profile_of(seen, model)
         assert smallest_likely_ratio(profile, tie=0.0) == pytest.approx(ratio, rel=0.1)
 

@@ -119,7 +119,7 @@ def summary(model: GeneralizedKernel) -> TrainingSummary:
         paragraphs.append(
             "No predictor shows which feature is better than another: all are taken, alike."
         )
-    iterations = em_table(model.training["turns"], "the static model")
+    iterations = em_table(model.training["iterations"], "the static model")
     paragraphs.append("\n".join([iterations.as_text(), *iterations.notes]))
     return TrainingSummary(facts, tuple(paragraphs))
 
@@ -309,7 +309,7 @@ def _origin_panels(view: CentersView) -> list[Markup]:
     model = view.model
     training = model.training
     panels = []
-    iterations = training.get("turns", [])
+    iterations = training.get("iterations", [])
     if iterations:
         em_note = f"Iteration 0 has the noise of the static model. {END_ERROR}"
         panels.append(panel("EM iterations", em_note, em_figure(iterations)))

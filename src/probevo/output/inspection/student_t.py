@@ -39,10 +39,10 @@ def sections(subject: Subject) -> Findings:
         shown += of_frame.sections
     scale = scale_table(model.scale_)
     panels = [table_panel("The scale matrix", [_spread_note(model)], scale)]
-    if training.get("turns"):
+    if training.get("iterations"):
         em_note = f"Iteration 0 has the noise of a model that was not trained. {END_ERROR}"
         with figure_style():
-            panels.append(panel("EM iterations", em_note, em_figure(training["turns"])))
+            panels.append(panel("EM iterations", em_note, em_figure(training["iterations"])))
     panels.append(training_section(training))
     shown += [grid(panels), settings_section(training)]
     return Findings(
@@ -60,7 +60,7 @@ def sections(subject: Subject) -> Findings:
 
 def summary(model: StudentT) -> TrainingSummary:
     """Summarise the scale matrix that was learned, and the EM iterations."""
-    iterations = em_table(model.training["turns"], "not trained")
+    iterations = em_table(model.training["iterations"], "not trained")
     return TrainingSummary(
         facts={
             "trained on": origin(model.training),
