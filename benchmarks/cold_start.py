@@ -1,12 +1,12 @@
-"""From nothing to the first frame: help, `probevo run` with and without compiled code on disk; on
-request, the install.
+"""Measure how long it takes from the command to the first frame.
 
-python benchmarks/cold_start.py [--model MODEL.safetensors] [--repeats 3] [--install]
+    python benchmarks/cold_start.py [--model MODEL.safetensors] [--repeats 3] [--install]
 
-Each figure is wall time since the process was started, the least of some repeats, and the CPU time
-that the process had used by then: on a machine with other work, only the latter tells. --install
-builds the wheel, and installs it with all it needs into an empty environment, without pip's cache:
-from the network, unless pip is configured otherwise.
+Measures `probevo --help`, and `probevo run` with and without compiled code on disk. Each figure is
+the wall time since the process was started, the least of some repeats, and the CPU time that the
+process had used by then, which does not depend on other work of the machine. --install also builds
+the wheel and installs it with its dependencies into an empty environment, without pip's cache: from
+the network, unless pip is configured otherwise.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from recordings import available
 
@@ -28,7 +30,8 @@ import os, sys, time
 from probevo.cli.main import main
 from probevo import odometry
 
-step, times = odometry.StereoOdometry.step, []
+step = odometry.StereoOdometry.step
+times = []
 
 def watched(self, frame):
     times.append((time.time(), time.process_time()))
@@ -39,55 +42,82 @@ code = main(sys.argv[2:])
 print(f"{times[0][0]} {times[0][1]} {times[2][0]} {times[2][1]}", file=open(sys.argv[1], "w"))
 sys.exit(code)
 """
-"""Runs a command, and notes when its first and its third step began: by the third, all compiled
-code is loaded."""
+"""Program that runs a command, and records when its first and its third step began: by the third,
+all compiled code is loaded."""
 
 
-def help_s() -> tuple[float, float]:
-    """Wall and CPU time of `probevo --help`."""
+class Cost(NamedTuple):
+    """Wall and CPU time."""
+
+    wall_s: float
+    cpu_s: float
+
+
+class RunCost(NamedTuple):
+    """Time from the start of the process to the first and to the third step."""
+
+    first: Cost
+    third: Cost
+
+
+def least(costs: Sequence[Cost]) -> Cost:
+    """Return the least wall and the least CPU time."""
+    return Cost(min(cost.wall_s for cost in costs), min(cost.cpu_s for cost in costs))
+
+
+def children_cpu_s() -> float:
+    """Return the CPU time of all child processes that have ended."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def cost_of(command: Sequence[str | Path]) -> Cost:
+    """Return what a command costs from start to end."""
     start = time.time()
-    before = os.times()
-    subprocess.run(
-        [sys.executable, "-m", "probevo.cli.main", "--help"], check=True, stdout=subprocess.DEVNULL
-    )
-    after = os.times()
-    cpu_s = (
-        after.children_user + after.children_system - before.children_user - before.children_system
-    )
-    return time.time() - start, cpu_s
+    cpu_s = children_cpu_s()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    cpu_s = children_cpu_s() - cpu_s
+    return Cost(time.time() - start, cpu_s)
 
 
-def run_s(recording: Path, noise: str, cache: Path) -> tuple[float, float, float, float]:
-    """Wall and CPU time to the first step of a run, and to its third."""
+def run_cost(recording: Path, noise: str, cache: Path) -> RunCost:
+    """Run over the first frames of a recording, with compiled code in a cache folder."""
     with tempfile.TemporaryDirectory() as folder:
         words = ["run", recording, "--noise", noise, "--max-frames", FRAMES, "--out", folder]
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
         command = [sys.executable, "-c", WATCH, f"{folder}/times", *map(str, words)]
         start = time.time()
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env=environment)
-        first, first_cpu, third, third_cpu = map(float, Path(folder, "times").read_text().split())
-    return first - start, first_cpu, third - start, third_cpu
-
-
-def report(what: str, wall_s: float, cpu_s: float, limit_s: float) -> None:
-    print(
-        f"{what:60} {wall_s:6.2f} s wall {cpu_s:6.2f} s CPU   (wanted < {limit_s:g} s)", flush=True
+        words = Path(folder, "times").read_text().split()
+    first_s, first_cpu_s, third_s, third_cpu_s = map(float, words)
+    return RunCost(
+        first=Cost(first_s - start, first_cpu_s), third=Cost(third_s - start, third_cpu_s)
     )
 
 
-def run_times(recording: Path, noise: str, repeats: int) -> None:
+def report(what: str, cost: Cost, limit_s: float) -> None:
+    """Print a cost beside its limit."""
+    print(
+        f"{what:60} {cost.wall_s:6.2f} s wall {cost.cpu_s:6.2f} s CPU   (wanted < {limit_s:g} s)",
+        flush=True,
+    )
+
+
+def report_runs(recording: Path, noise: str, repeats: int) -> None:
+    """Print what the first run costs, which compiles, and the later ones."""
     name = Path(noise).name
     with tempfile.TemporaryDirectory() as cache:
-        _, _, wall_s, cpu_s = run_s(recording, noise, Path(cache))
-        report(f"first run of all, {name}: to the third frame", wall_s, cpu_s, 20.0)
-        runs = [run_s(recording, noise, Path(cache)) for _ in range(repeats)]
-    wall_s, cpu_s, third_s, third_cpu_s = (min(times) for times in zip(*runs, strict=True))
-    report(f"second run, {name}: to the first frame", wall_s, cpu_s, 2.0)
-    report(f"second run, {name}: to the third, all code loaded", third_s, third_cpu_s, 3.0)
+        compiling = run_cost(recording, noise, Path(cache))
+        report(f"first run of all, {name}: to the third frame", compiling.third, 20.0)
+        runs = [run_cost(recording, noise, Path(cache)) for _ in range(repeats)]
+    first = least([run.first for run in runs])
+    third = least([run.third for run in runs])
+    report(f"second run, {name}: to the first frame", first, 2.0)
+    report(f"second run, {name}: to the third, all code loaded", third, 3.0)
 
 
-def install() -> None:
-    """Size of the wheel, time to install it into an empty environment, and what that takes on disk."""
+def report_install() -> None:
+    """Print size of the wheel, time to install it into an empty environment, and size on disk."""
     with tempfile.TemporaryDirectory() as folder:
         venv = Path(folder, "venv")
         subprocess.run([sys.executable, "-m", "venv", venv], check=True)
@@ -98,17 +128,8 @@ def install() -> None:
         (wheel,) = Path(folder).glob("*.whl")
         print(f"wheel: {wheel.stat().st_size / 2**20:.2f} MB (wanted < 1 MB)", flush=True)
         empty = size_mb(venv)
-        start = time.time()
-        before = os.times()
-        subprocess.run([*pip, "install", "--quiet", "--no-cache-dir", wheel], check=True)
-        after = os.times()
-        cpu_s = (
-            after.children_user
-            + after.children_system
-            - before.children_user
-            - before.children_system
-        )
-        report("core installed from an empty environment", time.time() - start, cpu_s, 60.0)
+        cost = cost_of([*pip, "install", "--quiet", "--no-cache-dir", wheel])
+        report("core installed from an empty environment", cost, 60.0)
         packages = next(Path(venv, "lib").glob("python*/site-packages"))
         sizes = {path.name: size_mb(path) for path in packages.iterdir() if path.is_dir()}
         largest = sorted(sizes.items(), key=lambda item: -item[1])[:8]
@@ -119,19 +140,28 @@ def install() -> None:
 
 
 def size_mb(folder: Path) -> float:
+    """Return the size of all files below a folder, MiB."""
     return sum(path.lstat().st_size for path in folder.rglob("*") if path.is_file()) / 2**20
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Parse the command line, and print all costs."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--model", help="a model file to run with as well")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--install", action="store_true")
-    given = parser.parse_args()
-    report("probevo --help", *map(min, zip(*(help_s() for _ in range(5)), strict=True)), 0.6)
-    for model in ("student-t", *([given.model] if given.model else [])):
-        run_times(available()["raw 0005"], model, given.repeats)
-    if given.install:
-        install()
+    arguments = parser.parse_args()
+    help_command = [sys.executable, "-m", "probevo.cli.main", "--help"]
+    report("probevo --help", least([cost_of(help_command) for _ in range(5)]), 0.6)
+    recording = available()["raw 0005"]
+    report_runs(recording, "student-t", arguments.repeats)
+    if arguments.model:
+        report_runs(recording, arguments.model, arguments.repeats)
+    if arguments.install:
+        report_install()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,18 +1,20 @@
-"""PROBE-GK on six drives of KITTI tracks, each left out in turn: likelihood and motion against the
-fitted Student-t.
+"""Compare PROBE-GK with the fitted Student-t on KITTI tracks that it was not trained on.
 
-python benchmarks/kernel_tracks.py [turns]
+    python benchmarks/kernel_tracks.py [iterations of EM, 5 by default]
 
-The fitted Student-t: full 4×4 scale and ν, without and with what lasts of a disparity's error; gk
-has it.
+Each of six drives is left out in turn, and the models are trained on the other five. The fitted
+Student-t has a full 4×4 scale and ν, without and with time-correlated errors of the disparity; the
+kernel has these, too. Prints the likelihood of the residuals, drift and rotation.
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from recordings import ROOT
 
 import probevo as pv
 from probevo.arrays import FloatArray
@@ -29,29 +31,43 @@ from probevo.training.settings import KERNEL, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import DriveInMemory
 from probevo.training.supervision import supervision_of
 
-TRACKS = Path("../shared/data/kitti_tracks")
+TRACKS = ROOT / "kitti_tracks"
+STUDENT_T = "Student-t"
+CORRELATED = "it, time-correlated"
+KERNEL_NAME = "gk"
+
+
+class Scores(NamedTuple):
+    """The results of a noise model on a drive."""
+
+    nats: float
+    """Mean log-likelihood of the residuals, nats a feature."""
+    drift_percent: float
+    rotation_deg_per_m: float
 
 
 def likelihood(
     drive: DriveInMemory, model: pv.noise.NoiseModel, motions: FloatArray, cov: FloatArray
 ) -> float:
-    """Of the residuals at these motions, each given all before it, nats a feature."""
-    solver = OdometryConfig().solver
-    rng = np.random.default_rng(0)
-    found = feature_errors(
+    """Return the mean log-likelihood of the residuals at these motions, nats a feature.
+
+    Each residual is conditioned on the earlier ones of its track.
+    """
+    errors = feature_errors(
         drive.parts(),
         motions,
         cov,
         predict=model.predict,
         camera=drive.camera,
-        solver=solver,
+        solver=OdometryConfig().solver,
         share=1.0,
-        rng=rng,
+        rng=np.random.default_rng(0),
     )
-    return float(found.log_likelihood.mean())
+    return float(errors.log_likelihood.mean())
 
 
 def run(path: Path, noise: pv.noise.NoiseModel) -> Metrics:
+    """Run the odometry over a tracks file."""
     sequence = pv.open_sequence(path)
     recorder = RunRecorder()
     odometry = pv.StereoOdometry(sequence.camera, noise, sequence.imu)
@@ -63,72 +79,104 @@ def run(path: Path, noise: pv.noise.NoiseModel) -> Metrics:
     )
 
 
+def space_of_tracks() -> PredictionSpace:
+    """Return the default prediction space of the kernel without predictors that need images."""
+    images = Needs.LEFT | Needs.PREVIOUS_LEFT
+    predictors = prediction_space(KERNEL).predictors
+    return PredictionSpace(tuple(each for each in predictors if not each.needs & images))
+
+
+def load(path: Path, space: PredictionSpace, settings: TrainSettings) -> DriveInMemory:
+    """Read a drive for a training without ground truth."""
+    sequence = pv.open_sequence(path)
+    count = len(sequence)
+    drive = joined(Extraction(sequence, space, settings.odometry, num_frames=count))
+    supervision = supervision_of(sequence, "none", 0.0, num_frames=count)
+    return DriveInMemory(drive, sequence.camera, supervision)
+
+
+def print_row(path: Path, scores: dict[str, Scores], own_nats: float) -> None:
+    """Print the row of a drive that was left out."""
+    learned = [scores[name] for name in (STUDENT_T, CORRELATED, KERNEL_NAME)]
+    figures = [f"{each.nats:.2f}" for each in learned]
+    figures += [f"{each.drift_percent:.2f}" for each in learned]
+    figures += [f"{each.rotation_deg_per_m:.4f}" for each in learned]
+    shipped = run(path, pv.noise.StudentT())
+    cells = [
+        *figures,
+        f"{own_nats:.2f}",
+        f"{shipped.short_t_percent:.2f}, {shipped.short_r_deg_per_m:.4f}",
+    ]
+    print(f"| {path.stem} | {' | '.join(cells)} |", flush=True)
+
+
 def main() -> None:
-    paths = sorted(TRACKS.glob("*.npz"))
-    turns = int(sys.argv[1]) if len(sys.argv) > 1 else 5
-    space = PredictionSpace(
-        tuple(
-            p
-            for p in prediction_space(KERNEL).predictors
-            if not p.needs & (Needs.LEFT | Needs.PREVIOUS_LEFT)
-        )
+    """Print the table of docs/probe-gk.md, and the means over the drives."""
+    iterations = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    settings = TrainSettings(kind="gk", supervision="none", gk=KernelSettings(turns=iterations))
+    uncorrelated = settings.model_copy(
+        update={"gk": KernelSettings(turns=iterations, time_correlation=False)}
     )
-    settings = TrainSettings(kind="gk", supervision="none", gk=KernelSettings(turns=turns))
-    drives = []
-    for path in paths:
-        sequence = pv.open_sequence(path)
-        drive = joined(Extraction(sequence, space, settings.odometry, num_frames=len(sequence)))
-        drives.append(
-            DriveInMemory(
-                drive,
-                sequence.camera,
-                supervision_of(sequence, "none", 0.0, num_frames=len(sequence)),
-            )
-        )
-    fresh = settings.model_copy(update={"gk": KernelSettings(turns=turns, time_correlation=False)})
-    ratios = []
-    gains = []
+    space = space_of_tracks()
+    paths = sorted(TRACKS.glob("*.npz"))
+    drives = [load(path, space, settings) for path in paths]
+
     columns = [
-        f"{what}: {who}"
-        for what in ("nats", "drift, %", "°/m")
-        for who in ("Student-t", "it, lasting", "gk")
+        f"{measure}: {name}"
+        for measure in ("nats", "drift, %", "°/m")
+        for name in (STUDENT_T, CORRELATED, KERNEL_NAME)
     ]
     print(f"| left out | {' | '.join(columns)} | nats: own Student-t | shipped |\n|{'---|' * 12}")
-    for number, path in enumerate(paths):
-        rest = [drive for n, drive in enumerate(drives) if n != number]
-        own = drives[number]
-        metric = Metric.fitted(
-            np.concatenate([each.drive.phi for each in rest]), space.columns, space.may_be_undefined
+    rows: list[dict[str, Scores]] = []
+    own_nats: list[float] = []
+    for number, (path, own) in enumerate(zip(paths, drives, strict=True)):
+        # Train on all drives but this one.
+        rest = [drive for other, drive in enumerate(drives) if other != number]
+        phi = np.concatenate([drive.drive.phi for drive in rest])
+        metric = Metric.fitted(phi, space.columns, space.may_be_undefined)
+        models = {
+            STUDENT_T: learn_student_t(rest, uncorrelated, []),
+            CORRELATED: learn_student_t(rest, settings, []),
+            KERNEL_NAME: learn_kernel(rest, metric, settings, recordings=[]),
+        }
+
+        # All likelihoods are those at the motions of the Student-t.
+        motions, cov = solve_drive(
+            own.parts(), models[STUDENT_T].predict, own.camera, solver=settings.odometry.solver
         )
-        models = [
-            learn_student_t(rest, fresh, []),
-            learn_student_t(rest, settings, []),
-            learn_kernel(rest, metric, settings, recordings=[]),
-        ]
-        oneself = learn_student_t([own], settings, [])
-        at = solve_drive(
-            own.parts(), models[0].predict, own.camera, solver=settings.odometry.solver
+        scores = {}
+        for name, model in models.items():
+            metrics = run(path, model)
+            scores[name] = Scores(
+                nats=likelihood(own, model, motions, cov),
+                drift_percent=metrics.short_t_percent,
+                rotation_deg_per_m=metrics.short_r_deg_per_m,
+            )
+        rows.append(scores)
+
+        # For comparison, a Student-t that was fitted to the left-out drive itself.
+        own_nats.append(likelihood(own, learn_student_t([own], settings, []), motions, cov))
+        print_row(path, scores, own_nats[-1])
+
+    kernel_nats = np.array([row[KERNEL_NAME].nats for row in rows])
+    gains = [
+        np.mean(kernel_nats - [row[name].nats for row in rows]) for name in (STUDENT_T, CORRELATED)
+    ]
+    gains.append(np.mean(kernel_nats - own_nats))
+    print("\ngain over the three, nats: " + ", ".join(f"{gain:.2f}" for gain in gains))
+    for name in (STUDENT_T, CORRELATED):
+        drift = geometric_mean(
+            [row[KERNEL_NAME].drift_percent / row[name].drift_percent for row in rows]
         )
-        nats = [likelihood(own, model, *at) for model in (*models, oneself)]
-        runs = [run(path, model) for model in (*models, pv.noise.StudentT())]
-        drift, rotation = (
-            [getattr(r, name) for r in runs] for name in ("short_t_percent", "short_r_deg_per_m")
+        rotation = geometric_mean(
+            [row[KERNEL_NAME].rotation_deg_per_m / row[name].rotation_deg_per_m for row in rows]
         )
-        ratios.append([[values[2] / values[n] for values in (drift, rotation)] for n in (0, 1)])
-        gains.append(nats[2] - np.array(nats)[[0, 1, 3]])
-        figures = [f"{value:.2f}" for value in (*nats[:3], *drift[:3])] + [
-            f"{value:.4f}" for value in rotation[:3]
-        ]
-        shipped = f"{drift[3]:.2f}, {rotation[3]:.4f}"
-        print(f"| {path.stem} | {' | '.join(figures)} | {nats[3]:.2f} | {shipped} |", flush=True)
-    print(
-        "\ngain over the three, nats: "
-        + ", ".join(f"{gain:.2f}" for gain in np.mean(gains, axis=0))
-    )
-    for name, (drift, rotation) in zip(
-        ("Student-t", "it, lasting"), np.exp(np.log(ratios).mean(axis=0)).tolist(), strict=True
-    ):
         print(f"against the {name}: drift × {drift:.3f}, rotation × {rotation:.3f}")
+
+
+def geometric_mean(ratios: list[float]) -> float:
+    """Return the geometric mean."""
+    return float(np.exp(np.log(ratios).mean()))
 
 
 if __name__ == "__main__":

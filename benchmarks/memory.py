@@ -1,11 +1,12 @@
-"""Resident memory over many frames: a recording played back and forth, its stamps going on.
+"""Measure whether resident memory grows over many frames.
 
-python benchmarks/memory.py [--frames 20000] [--of images|tracks] [--noise NAME|MODEL] [--recorded]
-[--live]
+    python benchmarks/memory.py [--frames 20000] [--of images|tracks] [--noise NAME|MODEL]
+                                [--recorded] [--live]
 
-`images` are those of raw 0005, `tracks` those of the tracks file of the same drive; --recorded also
-keeps of each frame what `probevo run` keeps, and --live steps in the thread of a LiveOdometry. The
-slope is fitted after the first 1,000 frames; wanted is less than 1 MB per 1,000 frames.
+A recording is played back and forth, with stamps that go on: `images` are those of raw 0005,
+`tracks` the tracks file of the same drive. --recorded also keeps of each frame what `probevo run`
+keeps, and --live steps in the thread of a LiveOdometry. The slope is fitted after the first 1,000
+frames; the limit is 1 MB per 1,000 frames.
 """
 
 from __future__ import annotations
@@ -35,40 +36,47 @@ SOURCES = {
 
 
 def resident_mb() -> float:
-    """Of this process, now (Linux)."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+    """Return the resident memory of this process, MiB (Linux)."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def back_and_forth(frames: list[pv.Frame]) -> Iterator[pv.Frame]:
-    """The frames forwards, backwards, forwards … without end; backwards, the gyro turns the other
-    way."""
+    """Yield the frames forwards, backwards, forwards … without end; the gyro is reversed, too."""
     last = len(frames) - 1
     stamp_ns = frames[0].stamp_ns
     index = count()
     yield replace(frames[0], index=next(index), imu=None)
     while True:
         for k in range(1, last + 1):
-            now = frames[k]
-            duration_ns = frames[k].stamp_ns - frames[k - 1].stamp_ns
-            imu = now.imu and replace(
-                now.imu, stamps_ns=now.imu.stamps_ns + (stamp_ns - frames[k - 1].stamp_ns)
-            )
-            stamp_ns += duration_ns
-            yield replace(now, index=next(index), stamp_ns=stamp_ns, imu=imu)
+            frame = frames[k]
+            prev_ns = frames[k - 1].stamp_ns
+            imu = frame.imu
+            if imu:
+                imu = replace(imu, stamps_ns=imu.stamps_ns + (stamp_ns - prev_ns))
+            stamp_ns += frame.stamp_ns - prev_ns
+            yield replace(frame, index=next(index), stamp_ns=stamp_ns, imu=imu)
         for k in range(last - 1, -1, -1):
-            now = frames[k]
+            frame = frames[k]
+            # The samples between this frame and the later one, in reverse order; backwards in time,
+            # rates have the opposite sign.
+            later_ns = frames[k + 1].stamp_ns
             imu = frames[k + 1].imu
-            turned_ns = stamp_ns + frames[k + 1].stamp_ns
-            imu = imu and pv.ImuSamples(
-                turned_ns - imu.stamps_ns[::-1], -imu.gyro_rad_s[::-1], imu.accel_m_s2[::-1]
-            )
-            stamp_ns += frames[k + 1].stamp_ns - now.stamp_ns
-            yield replace(now, index=next(index), stamp_ns=stamp_ns, imu=imu)
+            if imu:
+                imu = pv.ImuSamples(
+                    stamp_ns + later_ns - imu.stamps_ns[::-1],
+                    -imu.gyro_rad_s[::-1],
+                    imu.accel_m_s2[::-1],
+                )
+            stamp_ns += later_ns - frame.stamp_ns
+            yield replace(frame, index=next(index), stamp_ns=stamp_ns, imu=imu)
 
 
 def steps_of(odometry: pv.StereoOdometry, live: bool) -> Callable[[pv.Frame], pv.MotionEstimate]:
-    """Its ``step``; live, each frame waits for the estimate of the one before, so that none is
-    dropped."""
+    """Return the ``step`` of an odometry, or one that steps in the thread of a LiveOdometry.
+
+    The live one waits for the estimate of each frame, so that none is dropped.
+    """
     if not live:
         return odometry.step
     thread = pv.LiveOdometry(odometry)
@@ -81,39 +89,40 @@ def steps_of(odometry: pv.StereoOdometry, live: bool) -> Callable[[pv.Frame], pv
     return step
 
 
-def main(source: str, num_frames: int, noise: str, recorded: bool, live: bool) -> None:
+def measure(arguments: argparse.Namespace) -> None:
+    """Play the recording, and print the resident memory every 1,000 frames and its slope."""
     cv2.setNumThreads(1)
     keep_freed_memory()
-    sequence = pv.open_sequence(SOURCES[source])
+    sequence = pv.open_sequence(SOURCES[arguments.of])
     frames = list(sequence)
-    odometry = pv.StereoOdometry(sequence.camera, noise_model(noise), sequence.imu)
+    odometry = pv.StereoOdometry(sequence.camera, noise_model(arguments.noise), sequence.imu)
+    step = steps_of(odometry, arguments.live)
     recorder = RunRecorder()
-    step = steps_of(odometry, live)
-    statuses = Counter()
-    seen = []
+    statuses: Counter[str] = Counter()
+    frames_seen = []
+    memory_mb = []
     start = perf_counter()
-    for frame in islice(back_and_forth(frames), num_frames):
+    for frame in islice(back_and_forth(frames), arguments.frames):
         motion = step(frame)
         statuses[motion.status.name] += 1
-        if recorded:
+        if arguments.recorded:
             recorder.add(frame.stamp_ns, motion, rejected=odometry.tracks.rejected)
-        if (frame.index + 1) % 1000 == 0:
-            seen.append((frame.index + 1, resident_mb()))
-            took_ms = 1e3 * (perf_counter() - start) / (frame.index + 1)
+        number = frame.index + 1
+        if number % 1000 == 0:
+            frames_seen.append(number)
+            memory_mb.append(resident_mb())
+            frame_ms = 1e3 * (perf_counter() - start) / number
             print(
-                f"{seen[-1][0]:7,} frames: {seen[-1][1]:7.2f} MB resident, {took_ms:.1f} ms a"
-                " frame",
+                f"{number:7,} frames: {memory_mb[-1]:7.2f} MB resident, {frame_ms:.1f} ms a frame",
                 flush=True,
             )
     print(", ".join(f"{number:,} {name}" for name, number in statuses.most_common()))
-    at, mb = np.array(seen).T
-    print(
-        f"slope after the first 1,000 frames: {1e3 * np.polyfit(at, mb, 1)[0]:+.3f} MB per 1,000"
-        " frames"
-    )
+    slope = 1e3 * np.polyfit(frames_seen, memory_mb, 1)[0]
+    print(f"slope after the first 1,000 frames: {slope:+.3f} MB per 1,000 frames")
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Parse the command line, and measure."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -122,5 +131,8 @@ if __name__ == "__main__":
     parser.add_argument("--noise", default="student-t")
     parser.add_argument("--recorded", action="store_true")
     parser.add_argument("--live", action="store_true")
-    given = parser.parse_args()
-    main(given.of, given.frames, given.noise, given.recorded, given.live)
+    measure(parser.parse_args())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,5 +1,4 @@
-"""The point world of docs/simulation.md: the shipped noise models, and what knowing every
-covariance is worth.
+"""Compare the classical noise models with knowing every covariance, in the point world.
 
 python benchmarks/points.py [number of worlds, 3 by default]
 """
@@ -23,28 +22,28 @@ from probevo_sim.noise_laws import NoiseLaw
 from probevo_sim.point_config import PointConfig
 from probevo_sim.point_world import PointWorld, stereo_camera, training_and_test_world
 
-OFF = pv.OdometryConfig(self_calibration=False)
+NO_CALIBRATION = pv.OdometryConfig(self_calibration=False)
+OUTLIER_DOF = 20.0
+"""Degrees of freedom for Gaussian errors, which leave room for outliers that RANSAC misses."""
 
 
-def shipped(
-    world: PointWorld, noise: pv.noise.NoiseModel, config: pv.OdometryConfig | None
-) -> Metrics:
+def run(world: PointWorld, noise: pv.noise.NoiseModel, config: pv.OdometryConfig | None) -> Metrics:
+    """Run the odometry over a world."""
     odometry = pv.StereoOdometry(world.camera, noise, config=config)
     motions = [odometry.step(frame) for frame in world.frames()][1:]
-    T_curr_prev = np.array([m.T_curr_prev for m in motions])
-    cov = np.array([m.cov for m in motions])
+    T_curr_prev = np.array([motion.T_curr_prev for motion in motions])
+    cov = np.array([motion.cov for motion in motions])
     return evaluate(se3.chain_motions(T_curr_prev), world.T_world_cam, T_curr_prev, cov=cov)
 
 
 def oracle(world: PointWorld) -> Metrics:
-    """With the outliers taken out and the true covariance of each observation, from the true motion
-    on."""
+    """Solve each step from its true motion, without outliers, with the true covariances."""
     solutions = []
     for step in world.steps():
-        inlier, count = step.inlier, int(step.inlier.sum())
-        scale = (
-            0.5 * (step.prev_covariance + step.curr_covariance)[inlier]
-        )  # one for both observations: they are near
+        inlier = step.inlier
+        count = int(inlier.sum())
+        # One covariance for both observations of a feature, which are near to each other.
+        scale = 0.5 * (step.prev_covariance + step.curr_covariance)[inlier]
         noise = StereoNoise(
             scale, np.full(count, np.inf), np.zeros((count, 4)), refers_to="observation"
         )
@@ -54,65 +53,71 @@ def oracle(world: PointWorld) -> Metrics:
                 tracks.prev_px, tracks.curr_px, noise, guess=step.T_curr_prev, camera=world.camera
             )
         )
-    T_curr_prev = np.array([s.T_curr_prev for s in solutions])
-    cov = np.array([s.cov for s in solutions])
+    T_curr_prev = np.array([solution.T_curr_prev for solution in solutions])
+    cov = np.array([solution.cov for solution in solutions])
     return evaluate(se3.chain_motions(T_curr_prev), world.T_world_cam, T_curr_prev, cov=cov)
 
 
-class Law:
-    """The law of a world as a noise model: the true covariance where each landmark is seen, but not
-    which are outliers.
+class KnownCovariances:
+    """The noise model that knows the true covariance of each observation, but not the outliers.
 
-    Those are left to the odometry's consensus, and to tails of ν = 20 for errors that are Gaussian.
+    Outliers are left to RANSAC, and to the tails of a Student-t with ν = 20 where errors are
+    Gaussian.
     """
 
     columns = prediction_space(("place", "disparity")).columns
 
     def __init__(self, config: PointConfig) -> None:
+        """Take the noise law of a world."""
         self.law = NoiseLaw.of(config)
         self.camera = stereo_camera(config)
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        """Noise of N features from x, y and ln d, [N, 3]."""
-        c = self.camera
+        """Return the noise of N features from x, y and ln d, [N, 3]."""
+        camera = self.camera
         count = len(predictors)
-        u = c.fu_px * predictors[:, 0] + c.cu_px
-        v = c.fv_px * predictors[:, 1] + c.cv_px
-        pixels = np.column_stack([u, v, u - np.exp(predictors[:, 2]), v])
-        covariance = self.law.covariance(pixels)
+        u = camera.fu_px * predictors[:, 0] + camera.cu_px
+        v = camera.fv_px * predictors[:, 1] + camera.cv_px
+        disparity = np.exp(predictors[:, 2])
+        covariance = self.law.covariance(np.column_stack([u, v, u - disparity, v]))
         dof = self.law.dof
         if np.isinf(dof):
-            return StereoNoise(
-                covariance, np.full(count, 20.0), np.zeros((count, 4)), refers_to="observation"
-            )
-        scale = (dof - 2.0) / dof * covariance
+            dof = OUTLIER_DOF
+            scale = covariance
+        else:
+            scale = (dof - 2.0) / dof * covariance
         return StereoNoise(
             scale, np.full(count, dof), np.zeros((count, 4)), refers_to="observation"
         )
 
     def check_camera(self, camera: StereoCamera) -> None:
-        """It is of one world, whose camera is the only one."""
+        """Accept any camera: a world has only one."""
 
 
-def estimators(world: PointWorld) -> Iterator[tuple[str, Metrics]]:
-    yield "`fixed`", shipped(world, pv.noise.Fixed(), None)
-    yield "`student-t`", shipped(world, pv.noise.StudentT(), None)
-    yield "`student-t`, no self-calibration", shipped(world, pv.noise.StudentT(), OFF)
+def results(world: PointWorld) -> Iterator[tuple[str, Metrics]]:
+    """Yield the name and the metrics of each estimator."""
+    yield "`fixed`", run(world, pv.noise.Fixed(), None)
+    yield "`student-t`", run(world, pv.noise.StudentT(), None)
+    yield "`student-t`, no self-calibration", run(world, pv.noise.StudentT(), NO_CALIBRATION)
     yield "true covariances, no outliers", oracle(world)
 
 
 def main() -> None:
+    """Print the table of docs/simulation.md."""
+    num_worlds = int(sys.argv[1]) if len(sys.argv) > 1 else 3
     rows: dict[str, list[Metrics]] = {}
-    for seed in range(int(sys.argv[1]) if len(sys.argv) > 1 else 3):
-        for name, metrics in estimators(training_and_test_world(PointConfig(seed=seed))[1]):
+    for seed in range(num_worlds):
+        _, test = training_and_test_world(PointConfig(seed=seed))
+        for name, metrics in results(test):
             rows.setdefault(name, []).append(metrics)
     print("| | ARMSE, m | drift, % | ANEES |\n|---|---|---|---|")
     for name, runs in rows.items():
-        texts = [
-            " / ".join(f"{value:.3g}" for value in values)
-            for values in zip(*((m.armse_m, m.short_t_percent, m.anees) for m in runs), strict=True)
+        cells = [
+            " / ".join(f"{metrics.armse_m:.3g}" for metrics in runs),
+            " / ".join(f"{metrics.short_t_percent:.3g}" for metrics in runs),
+            " / ".join(f"{metrics.anees:.3g}" for metrics in runs),
         ]
-        print(f"| {name} | " + " | ".join(texts) + " |")
+        print(f"| {name} | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,11 @@
-"""PROBE against nominal and aggressive RANSAC and the static Student-t: the tables of
-docs/probe.md.
+"""Compare PROBE with nominal and aggressive RANSAC and with the static Student-t.
 
-python benchmarks/probe.py [point|city|residential|road|rover|kitti|loop …, all of these by default]
-python benchmarks/probe.py ablation     from PROBE as published to ours, one change after the other
+    python benchmarks/probe.py [point|city|residential|road|rover|kitti|loop …, all by default]
+    python benchmarks/probe.py ablation     from PROBE as published to ours, one change at a time
 
-Each trial trains on one drive and is judged on another, of another place (the point world: of other
-landmarks; raw 0005: on its second half; the loops: the same field driven again). Scenes are
-rendered into out/probe first.
+Each trial trains on one drive and is tested on another, of another place (the point world: of other
+landmarks; raw 0005: on its second half; the loops: the same field driven again). Scenes are first
+rendered into out/probe.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -33,15 +33,20 @@ from probevo_sim.scene.config import Effects, PresetName, SceneConfig
 from probevo_sim.scene.writer import write_scene
 
 OUT = Path("out/probe")
+TRIALS = ("point", "city", "residential", "road", "rover", "kitti", "loop")
 EFFECTS = Effects(traffic=0.5, shadows=0.5, noise=0.3)
-"""As in the demo: a bad day, but no disaster."""
+"""The effects of the demo: clearly harder than a clean scene, but every estimator copes."""
 ROAD_EFFECTS = Effects(traffic=0.25, shadows=0.25, noise=0.15)
-"""Half of it: on the bare road, with all of it, most features are on the cars that drive along, and
-every estimator takes them for the world (drift 65 to 117 %)."""
+"""Half of ``EFFECTS``: with all of it, most features of the bare road are on the cars that drive
+along, and every estimator follows them (drift 65 to 117 %)."""
+STREET_M = 120.0
+ROAD_M = 250.0
+ROVER_M = 40.0
+LOOPS = 5
 PUBLISHED_SETTINGS = TrainSettings.published().model_copy(
     update={"predictors": tuple(name for name in PUBLISHED if name != "acceleration")}
 )
-"""Without the accelerometer, which not all of these drives have."""
+"""PROBE as published without the accelerometer, which not all of these drives have."""
 FROM_TRACKS = (
     "flow_variance",
     "place",
@@ -51,23 +56,58 @@ FROM_TRACKS = (
     "row_offset",
     "flow",
 )
-"""Predictors for the point world, which has no images."""
+"""Our predictors for the point world, which has no images."""
+PUBLISHED_FROM_TRACKS = ("turn_rate", "flow_variance")
+"""The published predictors for the point world."""
+ABLATION: dict[str, dict[str, object]] = {
+    "as published": {},
+    "with RANSAC": {"odometry": OdometryConfig()},
+    "scaling Student-t noise": {"base": "student-t"},
+    "subsets of 8, 40 of them": {"subset": 8, "iterations": 40},
+    "α against others of the step, and geometry": {"relative": True},
+    "geometric mean": {"average": "geometric"},
+    "subsets that lean (contrast 3)": {"contrast": 3.0},
+    "our predictors": {"predictors": TrainSettings().predictors},
+    "no truth": {"supervision": "none"},
+}
+"""Changes from PROBE as published to ours, each on top of those before."""
+HEAD = (
+    "trial",
+    "estimator",
+    "step, mm",
+    "ARMSE, m",
+    "final error, m",
+    "drift, %",
+    "rotation, °/m",
+    "ANEES",
+)
 
 
 @dataclass(frozen=True)
 class Trial:
+    """A drive to train on, and those to test on."""
+
     name: str
     train: Path
     tests: tuple[Path, ...]
     supervisions: tuple[SupervisionName, ...] = ("gt", "none")
     images: bool = True
     half: int | None = None
-    """Train on so many frames, and judge by those from there on."""
+    """Train on so many frames, and test on those from there on."""
+
+
+class Estimator(NamedTuple):
+    """A noise model, and the settings that the odometry runs with."""
+
+    name: str
+    noise: pv.noise.NoiseModel
+    config: OdometryConfig
 
 
 def scene(
     preset: PresetName, seed: int, distance_m: float, drive: int = 0, truth: str = "all"
 ) -> Path:
+    """Render a scene as far as an earlier call did not; return its folder."""
     effects = ROAD_EFFECTS if preset == "road" else EFFECTS
     config = SceneConfig(
         preset=preset, seed=seed, drive=drive, distance_m=distance_m, truth=truth, effects=effects
@@ -76,65 +116,73 @@ def scene(
 
 
 def trials(wanted: list[str], places: int | None = None) -> Iterator[Trial]:
-    """Streets are judged in so many places; in one, the road in two, if that is not said."""
+    """Yield the trials of these names, streets tested in so many places.
+
+    By default that is one place, and two for the road.
+    """
     for name in wanted:
         if name == "point":
             write_training_and_test(PointConfig(), OUT / "point")
-            yield Trial(
-                "point world",
-                OUT / "point" / "train.npz",
-                (OUT / "point" / "test.npz",),
-                images=False,
-            )
-        elif name in ("city", "residential", "road"):
-            distance_m = 250.0 if name == "road" else 120.0
-            seeds = range(2, 2 + (places or (2 if name == "road" else 1)))
-            yield Trial(
-                name,
-                scene(name, 1, distance_m),
-                tuple(scene(name, seed, distance_m) for seed in seeds),
-            )
+            train = OUT / "point" / "train.npz"
+            test = OUT / "point" / "test.npz"
+            yield Trial("point world", train, (test,), images=False)
+        elif name in ("city", "residential"):
+            train = scene(name, 1, STREET_M)
+            tests = tuple(scene(name, seed, STREET_M) for seed in range(2, 2 + (places or 1)))
+            yield Trial(name, train, tests)
+        elif name == "road":
+            train = scene(name, 1, ROAD_M)
+            tests = tuple(scene(name, seed, ROAD_M) for seed in range(2, 2 + (places or 2)))
+            yield Trial(name, train, tests)
         elif name == "rover":
-            yield Trial(name, scene("rover", 1, 40.0), (scene("rover", 2, 40.0),))
+            yield Trial(name, scene("rover", 1, ROVER_M), (scene("rover", 2, ROVER_M),))
         elif name == "kitti" and all(path.is_dir() for path in RECORDINGS.values()):
-            yield Trial(
-                "raw 0005, second half", RECORDINGS["raw 0005"], (RECORDINGS["raw 0005"],), half=77
-            )
-            yield Trial(
-                "raw 0005 → odometry 06", RECORDINGS["raw 0005"], (RECORDINGS["odometry 06"],)
-            )
+            raw = RECORDINGS["raw 0005"]
+            yield Trial("raw 0005, second half", raw, (raw,), half=77)
+            yield Trial("raw 0005 → odometry 06", raw, (RECORDINGS["odometry 06"],))
         elif name == "loop":
-            first, *rest = (scene("rover", 0, 40.0, drive, "loop") for drive in range(5))
+            first, *rest = (scene("rover", 0, ROVER_M, drive, "loop") for drive in range(LOOPS))
             yield Trial("rover loops", first, tuple(rest), ("loop", "none"))
 
 
-def estimators(trial: Trial) -> Iterator[tuple[str, pv.noise.NoiseModel, OdometryConfig]]:
-    """Name, noise and settings of each."""
+def estimators(trial: Trial) -> Iterator[Estimator]:
+    """Yield the estimators of a trial; the learned ones are trained first."""
     plain = OdometryConfig()
-    yield "nominal RANSAC", pv.noise.Fixed(), plain
-    yield "aggressive RANSAC", pv.noise.Fixed(), aggressive(plain)
-    yield "student-t", pv.noise.StudentT(), plain
-    settings = {
-        "PROBE as published": PUBLISHED_SETTINGS.model_copy(
-            update={"supervision": trial.supervisions[0]}
-        )
-    }
-    settings |= {
-        f"PROBE, ours, {known}": TrainSettings(supervision=known) for known in trial.supervisions
-    }
-    for name, chosen in settings.items():
-        update = {"max_frames": trial.half} | ({} if trial.images else {"predictors": FROM_TRACKS})
-        if name == "PROBE as published" and not trial.images:
-            update["predictors"] = ("turn_rate", "flow_variance")
-        path = OUT / "models" / f"{trial.name}-{name}.safetensors".replace(" ", "-")
-        model = pv.load_model(
-            pv.train_model([pv.open_sequence(trial.train)], chosen.model_copy(update=update), path)
-        )
-        yield f"{name} (K {model.neighbors}, γ {model.exponent:g})", model, chosen.odometry
+    yield Estimator("nominal RANSAC", pv.noise.Fixed(), plain)
+    yield Estimator("aggressive RANSAC", pv.noise.Fixed(), aggressive(plain))
+    yield Estimator("student-t", pv.noise.StudentT(), plain)
+
+    published = PUBLISHED_SETTINGS.model_copy(update={"supervision": trial.supervisions[0]})
+    if not trial.images:
+        published = published.model_copy(update={"predictors": PUBLISHED_FROM_TRACKS})
+    yield learned("PROBE as published", trial, published)
+
+    for supervision in trial.supervisions:
+        ours = TrainSettings(supervision=supervision)
+        if not trial.images:
+            ours = ours.model_copy(update={"predictors": FROM_TRACKS})
+        yield learned(f"PROBE, ours, {supervision}", trial, ours)
+
+
+def learned(name: str, trial: Trial, settings: TrainSettings) -> Estimator:
+    """Train on the drive of a trial."""
+    path = OUT / "models" / f"{trial.name}-{name}.safetensors".replace(" ", "-")
+    model = train(trial.train, settings.model_copy(update={"max_frames": trial.half}), path)
+    return Estimator(f"{name} {chosen(model)}", model, settings.odometry)
+
+
+def train(recording: Path, settings: TrainSettings, path: Path) -> pv.noise.NearestNeighbors:
+    """Train on a recording, and load the model."""
+    return pv.load_model(pv.train_model([pv.open_sequence(recording)], settings, path))
+
+
+def chosen(model: pv.noise.NearestNeighbors) -> str:
+    """Return the K and γ that the training chose."""
+    return f"(K {model.neighbors}, γ {model.exponent:g})"
 
 
 def estimate(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig) -> RunResult:
-    """A run over the whole recording."""
+    """Run the odometry over a whole recording."""
     sequence = pv.open_sequence(path)
     recorder = RunRecorder()
     odometry = pv.StereoOdometry(sequence.camera, noise, sequence.imu, config)
@@ -144,7 +192,7 @@ def estimate(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig) -> 
 
 
 def run(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig, first: int) -> Metrics:
-    """Metrics over the frames from ``first`` on."""
+    """Run over a recording; return the metrics over the frames from ``first`` on."""
     result = estimate(path, noise, config)
     truth = pv.open_sequence(path).truth.T_world_cam
     return evaluate(
@@ -155,71 +203,51 @@ def run(path: Path, noise: pv.noise.NoiseModel, config: OdometryConfig, first: i
     )
 
 
-def ablation() -> None:
-    """Mean error of a step on the second street of each preset, mm, as the training becomes ours."""
-    changes: dict[str, dict[str, object]] = {
-        "as published": {},
-        "with RANSAC": {"odometry": OdometryConfig()},
-        "scaling Student-t noise": {"base": "student-t"},
-        "subsets of 8, 40 of them": {"subset": 8, "iterations": 40},
-        "α against others of the step, and geometry": {"relative": True},
-        "geometric mean": {"average": "geometric"},
-        "subsets that lean (contrast 3)": {"contrast": 3.0},
-        "our predictors": {"predictors": TrainSettings().predictors},
-        "no truth": {"supervision": "none"},
-    }
+def print_ablation() -> None:
+    """Print the RMS error of a step, mm, on the second street of each preset, change by change."""
     settings = PUBLISHED_SETTINGS
     path = OUT / "models" / "ablation.safetensors"
-    for name, update in changes.items():
-        settings = settings.model_copy(update=update)
-        texts = []
+    for name, change in ABLATION.items():
+        settings = settings.model_copy(update=change)
+        cells = []
         for preset in ("city", "residential", "rover"):
-            distance_m = 40.0 if preset == "rover" else 120.0
-            model = pv.load_model(
-                pv.train_model([pv.open_sequence(scene(preset, 1, distance_m))], settings, path)
-            )
+            distance_m = ROVER_M if preset == "rover" else STREET_M
+            model = train(scene(preset, 1, distance_m), settings, path)
             metrics = run(scene(preset, 2, distance_m), model, settings.odometry, 0)
-            texts.append(
-                f"{1e3 * (metrics.rpe_t_m or np.nan):.2f} (K {model.neighbors}, γ"
-                f" {model.exponent:g})"
+            cells.append(f"{1e3 * (metrics.rpe_t_m or np.nan):.2f} {chosen(model)}")
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+
+
+def print_trial(trial: Trial) -> None:
+    """Print a row for each estimator and test drive."""
+    for estimator in estimators(trial):
+        for number, path in enumerate(trial.tests, start=1):
+            metrics = run(path, estimator.noise, estimator.config, trial.half or 0)
+            figures = (
+                1e3 * (metrics.rpe_t_m or np.nan),
+                metrics.armse_m,
+                metrics.final_error_m,
+                metrics.short_t_percent,
+                metrics.short_r_deg_per_m,
+                metrics.anees,
             )
-        print(f"| {name} | {' | '.join(texts)} |", flush=True)
+            cells = [
+                "–" if value is None or not np.isfinite(value) else f"{value:.3g}"
+                for value in figures
+            ]
+            label = trial.name if len(trial.tests) == 1 else f"{trial.name} {number}"
+            print(f"| {label} | {estimator.name} | {' | '.join(cells)} |", flush=True)
 
 
 def main() -> None:
+    """Print the tables of docs/probe.md."""
     cv2.setNumThreads(1)
     if sys.argv[1:] == ["ablation"]:
-        return ablation()
-    wanted = sys.argv[1:] or ["point", "city", "residential", "road", "rover", "kitti", "loop"]
-    head = (
-        "trial",
-        "estimator",
-        "step, mm",
-        "ARMSE, m",
-        "final error, m",
-        "drift, %",
-        "rotation, °/m",
-        "ANEES",
-    )
-    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
-    for trial in trials(wanted):
-        for name, noise, config in estimators(trial):
-            for number, path in enumerate(trial.tests):
-                m = run(path, noise, config, trial.half or 0)
-                values = (
-                    1e3 * (m.rpe_t_m or np.nan),
-                    m.armse_m,
-                    m.final_error_m,
-                    m.short_t_percent,
-                    m.short_r_deg_per_m,
-                    m.anees,
-                )
-                texts = [
-                    "–" if value is None or not np.isfinite(value) else f"{value:.3g}"
-                    for value in values
-                ]
-                label = trial.name if len(trial.tests) == 1 else f"{trial.name} {number + 1}"
-                print(f"| {label} | {name} | {' | '.join(texts)} |", flush=True)
+        print_ablation()
+        return
+    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
+    for trial in trials(sys.argv[1:] or list(TRIALS)):
+        print_trial(trial)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,4 @@
-"""Where the real recordings lie: PROBEVO_DATA, or ../shared/data beside the repository; and another
-truth of one."""
+"""The real recordings: below PROBEVO_DATA, or ../shared/data beside the repository."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ RECORDINGS = {
 
 
 def available() -> dict[str, Path]:
-    """Those that are there, by name; ends the program with a word if none is."""
+    """Return the recordings that are there, by name; end the program with a message if none is."""
     found = {name: path.resolve() for name, path in RECORDINGS.items() if path.is_dir()}
     if not found:
         sys.exit(
@@ -33,17 +32,20 @@ def available() -> dict[str, Path]:
 
 
 def by_velocities(drive: Path) -> FloatArray:
-    """T_world_cam of a KITTI raw drive, [K, 4, 4], with positions from the INS velocities, not
-    latitude and longitude.
+    """Return T_world_cam of a KITTI raw drive, [K, 4, 4], with positions from the INS velocities.
 
-    Those of drive 0005 are off by 0.3 to 0.5 m, and its path is 3 % shorter by them. The vehicle's
-    axes are taken for those of the camera, which they are to a degree.
+    Positions from latitude and longitude, as of KITTI's truth, are off by 0.3 to 0.5 m on drive
+    0005, whose path is 3 % shorter by them. The vehicle's axes are taken as those of the camera,
+    which is right to about a degree.
     """
     sequence = pv.open_sequence(drive)
     poses: FloatArray = sequence.truth.T_world_cam.copy()
+    # Columns 8 to 10 of an OXTS file are the velocities forward, left and up, m/s.
     oxts = np.array([np.loadtxt(file) for file in sorted((drive / "oxts" / "data").glob("*.txt"))])
     forward, left, up = oxts[: len(poses), 8:11].T
     velocity = np.einsum("kij,kj->ki", poses[:, :3, :3], np.column_stack([-left, -up, forward]))
-    moved = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(1e-9 * sequence.stamps_ns)[:, None]
+    # Trapezoidal rule.
+    duration_s = np.diff(1e-9 * sequence.stamps_ns)[:, None]
+    moved = 0.5 * (velocity[1:] + velocity[:-1]) * duration_s
     poses[1:, :3, 3] = poses[0, :3, 3] + np.cumsum(moved, axis=0)
     return poses

@@ -1,5 +1,4 @@
-"""How well each predictor tells features that an effect spoils from clean ones, measured (see
-``separation.py``)."""
+"""The measurements of ``separation.py``: affected and clean features, and the AUC between them."""
 
 from __future__ import annotations
 
@@ -23,9 +22,11 @@ from probevo_sim.scene.presets.place import SHADOWED_SHARE
 from probevo_sim.scene.recording import SceneRecording, open_scene
 
 WARM_UP = 6
+"""Frames before those whose features count."""
 COUNTED = 24
+"""Frames whose features count."""
 DISTANCE_M = 60.0
-"""Frames before those whose features count, and these; the drive is longer than both."""
+"""Length of a drive, which is longer than both."""
 PRESETS: tuple[PresetName, ...] = ("city", "residential")
 STRENGTHS = (1.0, 0.5)
 
@@ -40,15 +41,14 @@ CONTRAST_KEPT = 0.5
 """Fixed places are so far apart, and textureless where no more than this share of the standard
 deviation is left."""
 FAINT_NOISE = 0.15
-"""Sensor noise of 2 grey levels, as real cameras have: with it, a textureless road is not flat to
-the last bit."""
+"""Sensor noise of 2 grey levels, as real cameras have; without it, a textureless road is constant.
+"""
 
 SPACE = prediction_space(list(PREDICTORS))
 IMAGE_SPACE = prediction_space(["blur", "entropy", "frequency", "structure"])
-"""What can be asked of any place of an image, tracked or not."""
+"""Predictors that are defined at any place of an image, tracked or not."""
 OF_A_STEP = ("acceleration", "turn_rate", "velocity")
-"""Predictors that are the same for all features of a step, and so part none of them from the rest.
-"""
+"""Predictors with one value a step, which cannot separate features of that step."""
 FIXED = "textureless, fixed places"
 ROWS = (*Effects.model_fields, FIXED)
 
@@ -63,12 +63,12 @@ class Drive:
     frame: IntArray
     """Index of the frame of each feature, [N]."""
     uv: FloatArray
-    """Where it is in the left image, [N, 2], px."""
+    """Pixels of the features in the left image, [N, 2]."""
     phi: FloatArray
-    """[N, M]."""
+    """Places of the features in the prediction space, [N, M]."""
 
     def at_features(self, mask: Callable[[int], BoolArray]) -> BoolArray:
-        """The values of one mask a frame, [height, width], at the features, [N]."""
+        """Return the values at the features, [N], of a mask for each frame, [height, width]."""
         found = np.zeros(len(self.frame), np.bool_)
         for index, left in self.lefts.items():
             here = self.frame == index
@@ -88,14 +88,19 @@ class Row:
 
     @property
     def aucs(self) -> FloatArray:
-        """Of every column of the space, [M]; NaN where it was not asked."""
-        own = {c: auc(self.affected[:, k], self.clean[:, k]) for k, c in enumerate(self.columns)}
+        """The AUC of every column of the space, [M]; NaN for one that the row does not have."""
+        own = {
+            column: auc(self.affected[:, k], self.clean[:, k])
+            for k, column in enumerate(self.columns)
+        }
         return np.array([own.get(column, np.nan) for column in SPACE.columns])
 
 
 def auc(affected: FloatArray, clean: FloatArray) -> float:
-    """P(affected > clean) + P(affected = clean)/2 over all pairs (Mann–Whitney); NaN values are
-    left out."""
+    """Return P(affected > clean) + P(affected = clean)/2 over all pairs (Mann–Whitney).
+
+    NaN values are left out.
+    """
     affected = affected[np.isfinite(affected)]
     clean = clean[np.isfinite(clean)]
     if not len(affected) or not len(clean):
@@ -109,47 +114,53 @@ def drive(
 ) -> Drive:
     """Drive the first frames of a scene with the shipped defaults."""
     scene = open_scene(config)
-    lefts = {}
-    parts = []
     settings = pv.OdometryConfig(self_calibration=calibrate)
     odometry = pv.StereoOdometry(scene.camera, imu=scene.imu, config=settings, predictors=SPACE)
+    lefts = {}
+    indices = []
+    pixels = []
+    phis = []
     for frame in islice(scene, warm_up + counted):
         odometry.step(frame)
         if frame.index >= warm_up and frame.left is not None:
             lefts[frame.index] = frame.left
-            parts.append(
-                (
-                    np.full(len(odometry.tracks), frame.index),
-                    odometry.tracks.curr_px[:, :2],
-                    odometry.phi,
-                )
-            )
-    index, uv, phi = (np.concatenate(values) for values in zip(*parts, strict=True))
-    return Drive(scene, lefts, index, uv, phi)
+            indices.append(np.full(len(odometry.tracks), frame.index))
+            pixels.append(odometry.tracks.curr_px[:, :2])
+            phis.append(odometry.phi)
+    return Drive(
+        scene=scene,
+        lefts=lefts,
+        frame=np.concatenate(indices),
+        uv=np.concatenate(pixels),
+        phi=np.concatenate(phis),
+    )
 
 
 def differs(effect: Drive, clean: Drive) -> Callable[[int], BoolArray]:
-    """Where patches of the effect's picture differ from the clean one's, but for the gain that goes
-    with shadows."""
+    """Return a mask of the patches in which an effect's image differs from the clean one.
+
+    The gain of the camera that comes with shadows is no difference.
+    """
     gain = 1.0 / (1.0 - SHADOWED_SHARE * effect.scene.config.effects.shadows)
 
     def mask(index: int) -> BoolArray:
-        expected = np.minimum(gain * clean.lefts[index].astype(np.float64), 255.0)
-        return np.asarray(
-            cv2.blur(np.abs(effect.lefts[index] - expected), (PATCH_PX, PATCH_PX)) > DIFFERS
-        )
+        brightened = np.minimum(gain * clean.lefts[index].astype(np.float64), 255.0)
+        difference = np.abs(effect.lefts[index] - brightened)
+        return np.asarray(cv2.blur(difference, (PATCH_PX, PATCH_PX)) > DIFFERS)
 
     return mask
 
 
 def moves(drive: Drive) -> Callable[[int], BoolArray]:
-    """Which pixels show a thing that can move."""
+    """Return a mask of the pixels that show a thing that can move."""
     return lambda index: drive.scene.pixel_truth(index).moving
 
 
 def rows(name: str, effect: Drive, clean: Drive) -> Iterator[Row]:
-    """The effect's row; where it affects some places only, against the clean features of the same
-    places too."""
+    """Yield the effect's row.
+
+    Where it affects only some places, a second row is against clean features of the same places.
+    """
     if name.startswith(EVERYWHERE):
         yield Row(name, effect.phi, clean.phi)
         return
@@ -162,7 +173,7 @@ def rows(name: str, effect: Drive, clean: Drive) -> Iterator[Row]:
 
 
 def fixed_places(name: str, effect: Drive, clean: Drive) -> Row:
-    """Points of a grid on what has lost its texture, against the same points of the clean drive."""
+    """Return the row of grid points that lost their texture, against the same ones when clean."""
     affected = []
     untouched = []
     for index, left in effect.lefts.items():
@@ -176,7 +187,7 @@ def fixed_places(name: str, effect: Drive, clean: Drive) -> Row:
 
 
 def at_places(left: Image, uv: FloatArray, camera: StereoCamera) -> FloatArray:
-    """The predictors that look at nothing but the left image, at any of its places, [N, M']."""
+    """Compute the predictors that need only the left image at some of its places, [N, M']."""
     px = np.tile(uv, (1, 2))
     frame = Frame(0, 0, left, right=left)
     tracks = Tracks(px, px, np.arange(len(uv)), age=np.full(len(uv), 2))
@@ -184,7 +195,7 @@ def at_places(left: Image, uv: FloatArray, camera: StereoCamera) -> FloatArray:
 
 
 def _contrast(image: Image) -> FloatArray:
-    """Standard deviation of the patch around each pixel, grey levels."""
+    """Return the standard deviation of the patch around each pixel, grey levels."""
     grey = image.astype(np.float64)
     size = (PATCH_PX, PATCH_PX)
     variance = cv2.blur(grey**2, size) - cv2.blur(grey, size) ** 2
@@ -192,7 +203,7 @@ def _contrast(image: Image) -> FloatArray:
 
 
 def place(number: int) -> list[Row]:
-    """All rows of one place; presets take turns, each with another seed."""
+    """Measure all rows of one place; presets alternate, each time with another seed."""
     cv2.setNumThreads(1)
     config = SceneConfig(
         preset=PRESETS[number % len(PRESETS)], seed=number // len(PRESETS), distance_m=DISTANCE_M
@@ -205,13 +216,14 @@ def place(number: int) -> list[Row]:
             found += rows(f"{name} {strength:g}", effect, clean)
             if name == "textureless":
                 found.append(fixed_places(f"{FIXED} {strength:g}", effect, clean))
+    # Rectification errors without the self-calibration that removes a part of them.
+    uncalibrated = drive(config, calibrate=False)
     turned = drive(_with(config, rectification=1.0), calibrate=False)
-    found += rows("rectification 1, no self-calibration", turned, drive(config, calibrate=False))
-    faint = (
-        drive(_with(config, textureless=1.0, noise=FAINT_NOISE)),
-        drive(_with(config, noise=FAINT_NOISE)),
-    )
-    found.append(fixed_places(f"{FIXED} 1, faint noise", *faint))
+    found += rows("rectification 1, no self-calibration", turned, uncalibrated)
+    # A textureless road as a real camera sees it, with noise in both drives.
+    noisy = drive(_with(config, noise=FAINT_NOISE))
+    flat = drive(_with(config, textureless=1.0, noise=FAINT_NOISE))
+    found.append(fixed_places(f"{FIXED} 1, faint noise", flat, noisy))
     print(f"place {number}, {config.preset}, done", file=sys.stderr, flush=True)
     return found
 

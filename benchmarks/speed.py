@@ -1,12 +1,12 @@
-"""Time of a frame, decoding included, against the yardstick in the same run: one core and two, and
-by stage.
+"""Measure the time of a frame, decoding included, against a plain OpenCV odometry.
 
-python benchmarks/speed.py [--repeats 3] [--frames 154]
+    python benchmarks/speed.py [--repeats 3] [--frames 154]
 
-Ours predicts the noise of each feature from all default predictors by a generalized kernel of 2,000
-centers. Both read the same files and go over them in turn; a frame's time is that from one motion
-to the next. Each line is a process of its own, held to so many cores. OpenCV has as many threads
-for the yardstick, and one for ours, as in ``probevo run``, whose own threads use the other core.
+Measured on one core and on two, and by stage. Ours predicts the noise of each feature from all
+default predictors by a generalized kernel of 2,000 centers. Both odometries read the same files, in
+turn; a frame's time is that from one motion to the next. Each line is a process of its own, limited
+to so many cores. OpenCV has as many threads for the baseline, and one for ours, as in ``probevo
+run``, whose own threads use the other core.
 """
 
 from __future__ import annotations
@@ -20,15 +20,19 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from probevo.noise import GeneralizedKernel
+    from probevo.sequences import Sequence
 
 THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 FIRST = 5
-"""Frames of a pass that do not count: there is no motion yet, or the compiled code is being loaded.
-"""
+"""Frames of a pass that do not count: there is no motion yet, or compiled code is being loaded."""
 
 
 def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
-    """In a process of its own: print what was measured as JSON."""
+    """Measure in this process, and print the result as JSON."""
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     import cv2
     import numpy as np
@@ -36,7 +40,7 @@ def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
     import probevo as pv
     from probevo.allocator import keep_freed_memory
 
-    keep_freed_memory()  # as ``probevo run`` does; both gain by it
+    keep_freed_memory()  # as ``probevo run`` does; both odometries gain by it
     sequence = pv.open_sequence(path)
     model = kernel(sequence, frames)
     stages: list[dict[str, float]] = []
@@ -47,19 +51,21 @@ def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
         ours += gaps(ours_over(sequence, model, stages.append), frames)
         cv2.setNumThreads(cores)
         theirs += gaps(theirs_over(sequence), frames)
-    own = {name: float(np.median([s.get(name, 0.0) for s in stages])) for name in stages[-1]}
+    stage_ms = {
+        name: float(np.median([stage.get(name, 0.0) for stage in stages])) for name in stages[-1]
+    }
     found = {
         "ours": float(np.median(ours)),
         "p99": float(np.percentile(ours, 99)),
         "theirs": float(np.median(theirs)),
-        "stages": own,
+        "stages": stage_ms,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
     print(json.dumps(found))
 
 
-def kernel(sequence, frames: int):
-    """A model with all default predictors, none of them cut away, from the recording itself."""
+def kernel(sequence: Sequence, frames: int) -> GeneralizedKernel:
+    """Fit a model with all default predictors to the recording itself."""
     import numpy as np
 
     import probevo as pv
@@ -94,7 +100,10 @@ def kernel(sequence, frames: int):
     return model.fit(found.phi, found.errors, error_cov=found.spread, metric=metric)
 
 
-def ours_over(sequence, model, keep: Callable[[dict[str, float]], None]) -> Iterator[None]:
+def ours_over(
+    sequence: Sequence, model: GeneralizedKernel, keep: Callable[[dict[str, float]], None]
+) -> Iterator[None]:
+    """Yield after each motion of probevo; hand the times of its stages to ``keep``."""
     import probevo as pv
     from probevo.tracking.preparation import prepare_ahead
 
@@ -106,30 +115,45 @@ def ours_over(sequence, model, keep: Callable[[dict[str, float]], None]) -> Iter
         yield
 
 
-def theirs_over(sequence) -> Iterator[None]:
+def theirs_over(sequence: Sequence) -> Iterator[None]:
+    """Yield after each motion of the baseline."""
     import cv2
     from opencv_odometry import OpenCvOdometry
 
     odometry = OpenCvOdometry(sequence.camera)
     for left, right in zip(sequence.left_files, sequence.right_files, strict=True):
-        odometry.step(*(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in (left, right)))
+        left_image = cv2.imread(str(left), cv2.IMREAD_GRAYSCALE)
+        right_image = cv2.imread(str(right), cv2.IMREAD_GRAYSCALE)
+        odometry.step(left_image, right_image)
         yield
 
 
 def gaps(motions: Iterator[None], frames: int) -> list[float]:
-    """Milliseconds from each motion to the next."""
+    """Return the times from each motion to the next, ms."""
     times = []
-    before = time.perf_counter()
+    previous = time.perf_counter()
     for number, _ in enumerate(motions, start=1):
-        now = time.perf_counter()
-        times.append(1e3 * (now - before))
-        before = now
+        current = time.perf_counter()
+        times.append(1e3 * (current - previous))
+        previous = current
         if number == frames:
             break
     return times[FIRST:]
 
 
+def measure_apart(path: Path, cores: int, repeats: int, frames: int) -> dict[str, Any]:
+    """Measure in a process of its own."""
+    words = [sys.executable, __file__, "--measure", str(path), str(cores)]
+    words += ["--repeats", str(repeats), "--frames", str(frames)]
+    done = subprocess.run(
+        words, env=os.environ | THREADS, stdout=subprocess.PIPE, text=True, check=True
+    )
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
 def main() -> None:
+    """Parse the command line, and print a line for each recording and number of cores."""
     from recordings import available
 
     parser = argparse.ArgumentParser(
@@ -138,28 +162,26 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--frames", type=int, default=154)
     parser.add_argument("--measure", nargs=2, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.measure:
-        measure(Path(given.measure[0]), int(given.measure[1]), given.repeats, given.frames)
+    arguments = parser.parse_args()
+    repeats = arguments.repeats
+    frames = arguments.frames
+    if arguments.measure:
+        path, cores = arguments.measure
+        measure(Path(path), int(cores), repeats, frames)
         return
-    print(f"{'recording':12} cores  ours  p99  yardstick  ratio  p99/median  peak, MB   stages, ms")
+    print(f"{'recording':12} cores  ours  p99  baseline  ratio  p99/median  peak, MB   stages, ms")
     for name, path in available().items():
         for cores in (1, 2):
-            words = [sys.executable, __file__, "--measure", str(path), str(cores)]
-            words += ["--repeats", str(given.repeats), "--frames", str(given.frames)]
-            done = subprocess.run(
-                words, env=os.environ | THREADS, stdout=subprocess.PIPE, text=True, check=True
-            )
-            found = json.loads(done.stdout)
+            found = measure_apart(path, cores, repeats, frames)
             ours = found["ours"]
             p99 = found["p99"]
             theirs = found["theirs"]
-            row = (
-                f"{name:12} {cores:5} {ours:5.1f} {p99:5.1f} {theirs:9.1f} {ours / theirs:6.2f}"
-                f" {p99 / ours:8.2f}"
-            )
             stages = "  ".join(f"{stage} {ms:.2f}" for stage, ms in found["stages"].items())
-            print(f"{row} {found['peak_mb']:9.0f}   {stages}", flush=True)
+            print(
+                f"{name:12} {cores:5} {ours:5.1f} {p99:5.1f} {theirs:8.1f} {ours / theirs:6.2f}"
+                f" {p99 / ours:8.2f} {found['peak_mb']:9.0f}   {stages}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -1,24 +1,21 @@
-"""What training costs by how much there is to learn from: time a sample, peak memory, two workers
-against one.
+"""Measure what training costs, by the number of samples to learn from.
 
-python benchmarks/training_scale.py [samples …]    10,000 to 1,000,000 by default; 10,000,000 takes
-a quarter of an hour python benchmarks/training_scale.py --workers      recording by one process and
-by two python benchmarks/training_scale.py --fitted       what a kernel loses that is fitted to some
-of the samples
+    python benchmarks/training_scale.py [samples …]    10,000 to 1,000,000 by default
+    python benchmarks/training_scale.py --workers      recording by one process and by two
+    python benchmarks/training_scale.py --fitted       loss by the number of fitted samples
 
-A sample is a feature of a step. Drives of the point world of 100,000 samples each lie on disk as
-tracks files; each size is a process of its own, whose peak memory the system tells. CPU time is
-given beside the time on the clock, as others may be using the machine.
+A sample is a feature of a step; 10,000,000 of them take a quarter of an hour. Drives of the point
+world of 100,000 samples each lie on disk as tracks files; each size is a process of its own, whose
+peak memory the operating system reports. CPU time is given beside wall time, since others may be
+using the machine.
 """
 
 from __future__ import annotations
 
 import os
 
-os.environ |= {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-}  # before NumPy is imported: one core
+# Libraries read these once, when NumPy is imported: one core.
+os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 import json
 import resource
@@ -27,6 +24,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,12 +51,22 @@ SAMPLES_A_DRIVE = 100_000
 WORLD = PointConfig(landmarks=1600, outliers={"fraction": 0.05})  # type: ignore[arg-type]
 SAMPLES_A_STEP = 190
 DIFFERENT = 10
-"""Drives that are simulated; more are these again under other names, which save time and cost
-training the same."""
+"""Drives that are simulated. Further ones are links to these, which cost the training the same."""
+SIZES_HEAD = (
+    "samples",
+    "fitted to",
+    "s",
+    "CPU s",
+    "recording",
+    "search and first fit",
+    "the rest, µs a sample",
+    "all, µs a sample",
+    "peak MB",
+)
 
 
 def write_drives(folder: Path, samples: int) -> list[Path]:
-    """Tracks files with about so many samples in all."""
+    """Write tracks files with about so many samples in all."""
     paths = []
     for number in range(-(-samples // SAMPLES_A_DRIVE)):
         wanted = min(SAMPLES_A_DRIVE, samples - number * SAMPLES_A_DRIVE)
@@ -74,12 +82,13 @@ def write_drives(folder: Path, samples: int) -> list[Path]:
 
 
 def cpu_s() -> float:
+    """Return the CPU time of this process and of its children that have ended."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(part.ru_utime + part.ru_stime for part in used)
 
 
 def train(folder: Path) -> None:
-    """In a process of its own: says what it cost as JSON."""
+    """Train in this process on the drives of a folder, and print its cost as JSON."""
     phases: list[tuple[int, float]] = []
     start = perf_counter()
     cpu = cpu_s()
@@ -90,38 +99,29 @@ def train(folder: Path) -> None:
     paths = sorted(folder.glob("*.npz"))
     model = pv.load_model(pv.train_model(paths, SETTINGS, folder / "m.safetensors", show))
     frames = sum(entry["frames"] for entry in model.training["recordings"])
-    first = (
-        1 + num_turns(SETTINGS) - SETTINGS.gk.turns
-    )  # phases before the kernel's first turn: recording, static ones
-    ends = (1.0, first, first + 0.5, first + 1.0, first + SETTINGS.gk.turns)
-    until = [
-        max((s for done, s in phases if done <= turns * frames), default=0.0) for turns in ends
-    ]
+
+    def cpu_s_until(passes: float) -> float:
+        """Return the CPU time until the frames were passed over so many times."""
+        return max((used for done, used in phases if done <= passes * frames), default=0.0)
+
+    # Passes before the first iteration of the kernel: recording, and the iterations of the static
+    # models. The second half of that iteration is the search and the first fit.
+    first = 1 + num_turns(SETTINGS) - SETTINGS.gk.turns
     facts = {
         "samples": model.samples_,
         "features": sum(len(pv.open_sequence(path).features.ids) for path in paths),
         "clock": perf_counter() - start,
         "cpu": cpu_s() - cpu,
-        "recording": until[0],
-        "search": until[3] - until[2],
+        "recording": cpu_s_until(1.0),
+        "search": cpu_s_until(first + 1.0) - cpu_s_until(first + 0.5),
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
     }
     print(json.dumps(facts))
 
 
 def print_sizes(sizes: list[int]) -> None:
-    head = (
-        "samples",
-        "fitted to",
-        "s",
-        "CPU s",
-        "recording",
-        "search and first fit",
-        "the rest, µs a sample",
-        "all, µs a sample",
-        "peak MB",
-    )
-    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
+    """Print the cost of a training for each number of samples."""
+    print(f"| {' | '.join(SIZES_HEAD)} |\n|{'---|' * len(SIZES_HEAD)}")
     for size in sizes:
         with TemporaryDirectory() as name:
             write_drives(Path(name), size)
@@ -129,18 +129,25 @@ def print_sizes(sizes: list[int]) -> None:
                 [sys.executable, __file__, "--train", name], stdout=subprocess.PIPE, check=True
             )
         cost = json.loads(done.stdout)
-        rest = cost["cpu"] - cost["search"]
+        rest_s = cost["cpu"] - cost["search"]
         print(
             f"| {size:,} | {cost['samples']:,} | {cost['clock']:.0f} | {cost['cpu']:.0f} |"
-            f" {cost['recording']:.1f} | {cost['search']:.1f} | {1e6 * rest / size:.0f} |"
+            f" {cost['recording']:.1f} | {cost['search']:.1f} | {1e6 * rest_s / size:.0f} |"
             f" {1e6 * cost['cpu'] / size:.0f} | {cost['peak_mb']:.0f} |",
             flush=True,
         )
 
 
-def record(folder: Path, workers: Workers) -> tuple[float, float]:
-    """Seconds on the clock to record all drives of a folder, and seconds that this process was busy
-    meanwhile."""
+class RecordingTime(NamedTuple):
+    """Time to record all drives."""
+
+    wall_s: float
+    busy_s: float
+    """CPU time of the first process meanwhile."""
+
+
+def record(folder: Path, workers: Workers) -> RecordingTime:
+    """Record all drives of a folder."""
     paths = sorted(folder.glob("*.npz"))
     space = prediction_space(PREDICTORS)
     sources = checked_sources(paths, SETTINGS, space)
@@ -156,24 +163,27 @@ def record(folder: Path, workers: Workers) -> tuple[float, float]:
         record_all(
             sources, drives, space, settings=SETTINGS, workers=workers, on_frames=lambda done: None
         )
-        return perf_counter() - start, process_time() - busy
+        return RecordingTime(perf_counter() - start, process_time() - busy)
 
 
 def print_workers() -> None:
-    """The faster of three each: others may be using the machine."""
+    """Print the time of recording by one process and by two, the least of three each."""
     with TemporaryDirectory() as name:
         write_drives(Path(name), 4 * SAMPLES_A_DRIVE)
-        for jobs in (1, 2):  # compiled, and the processes started
+        # The first recordings compile the code and start the processes, and do not count.
+        for jobs in (1, 2):
             record(Path(name), Workers(jobs))
-        one, two = (min(record(Path(name), Workers(jobs)) for _ in range(3)) for jobs in (1, 2))
+        one = min(record(Path(name), Workers(1)) for _ in range(3))
+        two = min(record(Path(name), Workers(2)) for _ in range(3))
     print(
-        f"recording: one process {one[0]:.1f} s ({one[1]:.1f} s busy), two {two[0]:.1f} s (the"
-        f" first one {two[1]:.1f} s busy besides): {one[0] / two[0]:.2f} times as fast"
+        f"recording: one process {one.wall_s:.1f} s ({one.busy_s:.1f} s busy), two"
+        f" {two.wall_s:.1f} s (the first one {two.busy_s:.1f} s busy besides):"
+        f" {one.wall_s / two.wall_s:.2f} times as fast"
     )
 
 
 def errors_of(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Correlated places in eight columns, three of which σ goes by, and errors of five dof, px."""
+    """Draw correlated places in eight columns, three of which set σ, and errors with ν = 5, px."""
     places = rng.normal(size=(count, 5)) @ np.random.default_rng(1).normal(size=(5, 8))
     places += 0.5 * rng.normal(size=(count, 8))
     x, y, z = (places / places.std(axis=0))[:, :3].T
@@ -182,27 +192,33 @@ def errors_of(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndar
 
 
 def print_fitted() -> None:
-    """Likelihood of other samples; K grows with the square root of their number, as the search lets
-    it."""
+    """Print the likelihood of held-out samples by the number of samples that are fitted to.
+
+    K grows with the square root of that number, as in the search.
+    """
     rng = np.random.default_rng(0)
     asked, residuals = errors_of(40_000, rng)
     print("| fitted to | nats a feature | CPU s | peak MB |\n|---|---|---|---|")
     for count in (30_000, 100_000, 300_000, 500_000, 1_000_000):
         places, errors = errors_of(count, rng)
-        shape = {"prior_counts": 4.0, "dof_counts": 10.0, "bias_counts": np.inf}
-        weights = np.array([1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
-        neighbors = round(7.3 * count**0.5)
+        model = pv.noise.GeneralizedKernel(
+            neighbors=round(7.3 * count**0.5),
+            weights=np.array([1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            prior_counts=4.0,
+            dof_counts=10.0,
+            bias_counts=np.inf,
+        )
         spread = np.tile(1e-4 * np.eye(4), (count, 1, 1))
         start = process_time()
-        model = pv.noise.GeneralizedKernel(neighbors=neighbors, weights=weights, **shape)
         model.fit(places, errors, error_cov=spread)
-        cpu = process_time() - start
+        fit_s = process_time() - start
         nats = model.predict(asked).log_likelihood(residuals).mean()
         peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-        print(f"| {count:,} | {nats:.4f} | {cpu:.1f} | {peak_mb:.0f} |", flush=True)
+        print(f"| {count:,} | {nats:.4f} | {fit_s:.1f} | {peak_mb:.0f} |", flush=True)
 
 
 def main() -> None:
+    """Do what the command line says."""
     if sys.argv[1:2] == ["--train"]:
         train(Path(sys.argv[2]))
     elif sys.argv[1:2] == ["--workers"]:

@@ -1,4 +1,4 @@
-"""Run the odometry over a recording, frame by frame, and plot the path with what it claims to know.
+"""Run the odometry over a recording, frame by frame; plot the path and its claimed uncertainty.
 
 python examples/01_run_and_plot.py SEQUENCE [PICTURE.png]
 """
@@ -15,41 +15,39 @@ from probevo.geometry import se3
 
 
 def run(path: Path) -> list[pv.MotionEstimate]:
-    """The motion of each frame since the one before; the first is the identity."""
+    """Estimate the motion of each frame from the previous one; the first is the identity."""
     sequence = pv.open_sequence(path)
     odometry = pv.StereoOdometry(sequence.camera, noise=pv.noise.StudentT(), imu=sequence.imu)
     motions = []
     for frame in sequence:
         motion = odometry.step(frame)
         motions.append(motion)
-        sigma_mm = 1e3 * np.sqrt(np.diagonal(motion.cov)[:3])
-        print(
-            f"{frame.index:5d} {motion.status.name:14} {motion.num_tracks:4d} tracks, 1σ"
-            f" {sigma_mm.round(2)} mm"
-        )
+        sigma_mm = (1e3 * np.sqrt(np.diagonal(motion.cov)[:3])).round(2)
+        status = motion.status.name
+        print(f"{frame.index:5d} {status:14} {motion.num_tracks:4d} tracks, 1σ {sigma_mm} mm")
     return motions
 
 
 def plot(motions: list[pv.MotionEstimate], picture: Path) -> None:
-    """The path from above, and the standard deviation of the position along it."""
-    names = ("T_curr_prev", "cov", "shared", "path_cross_cov")
-    steps = [np.array([getattr(motion, name) for motion in motions[1:]]) for name in names]
-    x_m, _, z_m = se3.chain_motions(steps[0])[:, :3, 3].T
-    # Along the axes of each camera. The doubt about the calibration is one error for all steps, and
-    # adds up; and what tracks remember ties each step to the path before it.
-    sigma_m = np.sqrt(np.diagonal(drift_covariances(*steps)[:, :3, :3], axis1=1, axis2=2))
+    """Plot the path from above, and the standard deviation of the position along it."""
+    steps = motions[1:]
+    T_curr_prev = np.array([step.T_curr_prev for step in steps])
+    x_m, _, z_m = se3.chain_motions(T_curr_prev)[:, :3, 3].T
+
+    # Steps are correlated: by the calibration's error, common to all, and by tracks that last.
+    cov = drift_covariances(
+        T_curr_prev,
+        cov=np.array([step.cov for step in steps]),
+        common_mode=np.array([step.common_mode for step in steps]),
+        path_cross_cov=np.array([step.path_cross_cov for step in steps]),
+    )
+    sigma_mm = 1e3 * np.sqrt(np.diagonal(cov, axis1=1, axis2=2)[:, :3])
 
     figure = Figure(figsize=(9, 4), layout="constrained")
     path, uncertainty = figure.subplots(1, 2)
     path.plot(x_m, z_m)
-    path.set(
-        xlabel="right x, m",
-        ylabel="forward z, m",
-        title="from above",
-        aspect="equal",
-        adjustable="datalim",
-    )
-    uncertainty.plot(1e3 * sigma_m, label=["right", "down", "forward"])
+    path.set(xlabel="right x, m", ylabel="forward z, m", title="from above", aspect="equal")
+    uncertainty.plot(sigma_mm, label=["right", "down", "forward"])
     uncertainty.set(xlabel="frame", ylabel="1σ of the position, mm", title="claimed")
     uncertainty.legend()
     figure.savefig(picture)

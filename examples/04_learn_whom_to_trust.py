@@ -1,5 +1,4 @@
-"""Learn from one simulated drive how far to trust each feature, and drive through other streets
-with what was learned.
+"""Learn in one simulated street how far to trust each feature; drive through another with it.
 
 python examples/04_learn_whom_to_trust.py METRES      e.g. 40
 """
@@ -15,11 +14,16 @@ from probevo.evaluation.trajectory_errors import relative_motions
 from probevo_sim.scene.config import Effects, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
 
-BAD_DAY = Effects(traffic=0.5, shadows=0.5, noise=0.3)
+EFFECTS = Effects(traffic=0.5, shadows=0.5, noise=0.3)
+
+
+def street(seed: int, distance_m: float) -> SceneRecording:
+    """Open a street, whose images are rendered when they are asked for."""
+    return open_scene(SceneConfig(preset="city", seed=seed, distance_m=distance_m, effects=EFFECTS))
 
 
 def step_errors_mm(scene: SceneRecording, noise: pv.noise.NoiseModel) -> np.ndarray:
-    """Error of the translation of each step."""
+    """Return the error of the translation of each step."""
     odometry = pv.StereoOdometry(scene.camera, noise, scene.imu)
     motions = np.array([odometry.step(frame).T_curr_prev for frame in scene])[1:]
     true = relative_motions(scene.truth.T_world_cam)
@@ -27,27 +31,20 @@ def step_errors_mm(scene: SceneRecording, noise: pv.noise.NoiseModel) -> np.ndar
 
 
 def main(distance_m: float) -> None:
-    """Learn in one street, judge in another."""
-    street, another = (
-        open_scene(SceneConfig(preset="city", seed=seed, distance_m=distance_m, effects=BAD_DAY))
-        for seed in (1, 2)
-    )
+    """Train in the first street, test in the second."""
     with tempfile.TemporaryDirectory() as folder:
-        path = pv.train_model([street], pv.TrainSettings(), Path(folder, "street.safetensors"))
+        path = Path(folder, "street.safetensors")
+        pv.train_model([street(1, distance_m)], pv.TrainSettings(), path)
         learned = pv.load_model(path)
-    print(
-        f"learned from {len(learned.samples()[1]):,} samples; K = {learned.neighbors}, γ ="
-        f" {learned.exponent:g}"
-    )
-    for name, noise in {
-        "fixed": pv.noise.Fixed(),
-        "student-t": pv.noise.StudentT(),
-        "learned": learned,
-    }.items():
-        errors = step_errors_mm(another, noise)
-        print(
-            f"{name:10} {errors.mean():6.2f} mm a step on average, {errors.max():6.2f} mm at worst"
-        )
+    _, alphas = learned.samples()
+    chosen = f"K = {learned.neighbors}, γ = {learned.exponent:g}"
+    print(f"learned from {len(alphas):,} samples; {chosen}")
+
+    models = {"fixed": pv.noise.Fixed(), "student-t": pv.noise.StudentT(), "learned": learned}
+    test = street(2, distance_m)
+    for name, noise in models.items():
+        errors = step_errors_mm(test, noise)
+        print(f"{name:10} {errors.mean():6.2f} mm a step on average, {errors.max():6.2f} at worst")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
-"""Odometry of a camera that does not wait: here a simulated one, played at any speed.
+"""Run the odometry of a live camera: here a simulated one, played at any speed.
 
-python examples/06_live.py SPEED      1 is real time, ten frames a second; at 20, most machines have
-to skip frames
+python examples/06_live.py SPEED      1 is real time; at 20, most machines have to skip frames
 """
 
 import sys
@@ -15,10 +14,12 @@ from probevo.geometry import se3
 from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.recording import open_scene
 
+RIG = RigConfig(width_px=310, height_px=94, focal_px=180.0)
+"""A quarter of KITTI's resolution, which is quick to render."""
+
 
 def play(frames: list[pv.Frame], live: pv.LiveOdometry, speed: float) -> None:
-    """What the driver of a camera does: hand in each frame at its time, then say that there are no
-    more."""
+    """Push each frame at its time, as the driver of a camera does, then close."""
     start_s = time.monotonic()
     for frame in frames:
         due_s = start_s + 1e-9 * (frame.stamp_ns - frames[0].stamp_ns) / speed
@@ -28,37 +29,28 @@ def play(frames: list[pv.Frame], live: pv.LiveOdometry, speed: float) -> None:
 
 
 def main(speed: float) -> None:
-    """Print where the camera is as soon as it is known."""
-    rig = RigConfig(
-        width_px=310, height_px=94, focal_px=180.0
-    )  # a quarter of KITTI's resolution: quick to render
-    scene = open_scene(SceneConfig(preset="city", distance_m=15.0, rig=rig))
+    """Print each pose as soon as it is known."""
+    scene = open_scene(SceneConfig(preset="city", distance_m=15.0, rig=RIG))
     frames = list(scene)
-    warm = pv.StereoOdometry(scene.camera, imu=scene.imu)
-    for frame in frames[:2]:
-        warm.step(
-            frame
-        )  # loads the compiled code, which takes half a second; the very first time compiles it
 
+    # The first steps of a process load the compiled code, which takes half a second.
+    warm_up = pv.StereoOdometry(scene.camera, imu=scene.imu)
+    for frame in frames[:2]:
+        warm_up.step(frame)
     T_world_cam = np.eye(4)
-    read = 0
+    processed = 0
     with pv.LiveOdometry(pv.StereoOdometry(scene.camera, imu=scene.imu)) as live:
         Thread(target=play, args=(frames, live, speed)).start()
         for estimate in live.estimates():
-            read += 1
-            T_world_cam = T_world_cam @ se3.inverse(
-                estimate.motion.T_curr_prev
-            )  # since the last one processed
-            at_m = ", ".join(f"{metres:.2f}" for metres in T_world_cam[:3, 3])
-            skipped = f", after {estimate.num_dropped} skipped" if estimate.num_dropped else ""
-            status = estimate.motion.status.name
-            late_ms = estimate.latency_ms
-            print(f"{estimate.index:4} {status:6} at ({at_m}) m, {late_ms:.0f} ms late{skipped}")
-    off_m = np.linalg.norm(T_world_cam[:3, 3] - scene.truth.T_world_cam[estimate.index, :3, 3])
-    print(
-        f"{len(frames)} frames, {read} processed, {live.num_dropped} dropped; in the end"
-        f" {100 * off_m:.1f} cm off"
-    )
+            # The motion is that since the last frame that was processed.
+            T_world_cam = T_world_cam @ se3.inverse(estimate.motion.T_curr_prev)
+            processed += 1
+            pose = f"{estimate.motion.status.name:6} at {T_world_cam[:3, 3].round(2)} m"
+            late = f"{estimate.latency_ms:.0f} ms late, after {estimate.num_dropped} skipped"
+            print(f"{estimate.index:4} {pose}, {late}")
+    error_m = np.linalg.norm(T_world_cam[:3, 3] - scene.truth.T_world_cam[estimate.index, :3, 3])
+    print(f"{len(frames)} frames, {processed} processed, {live.num_dropped} dropped;", end=" ")
+    print(f"in the end {100 * error_m:.1f} cm off")
 
 
 if __name__ == "__main__":

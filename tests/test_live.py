@@ -19,8 +19,8 @@ import probevo as pv
 from probevo.errors import InputError
 from probevo.evaluation.metrics import evaluate
 from probevo.geometry import se3, so3
-from probevo.live import MOST_UNREAD
-from probevo.sequences.frame import Frame
+from probevo.live import MAX_FAILURES, MOST_UNREAD
+from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.sequences.imu import ImuStream
 from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, blind_frame, drive
 
@@ -212,12 +212,19 @@ def failing(frame: Frame) -> pv.MotionEstimate:
     raise InputError("the camera", "is dead.", "Buy another.")
 
 
-def test_the_exception_of_a_step_comes_out_wherever_it_is_asked_for() -> None:
-    live = pv.LiveOdometry(free(failing))
-    live.push(blind_frame(0))
+def dead() -> pv.LiveOdometry:
+    """A live odometry that was given as many frames as may fail, and whose steps all fail."""
+    live = pv.LiveOdometry(free(failing), waiting=MAX_FAILURES)
+    for index in range(MAX_FAILURES):
+        live.push(blind_frame(index))
+    return live
+
+
+def test_a_permanent_fault_is_raised_wherever_it_is_asked_for() -> None:
+    live = dead()
     for ask in (
         lambda: next(live.estimates()),
-        lambda: live.push(blind_frame(1)),
+        lambda: live.push(blind_frame(MAX_FAILURES)),
         live.close,
         live.close,
     ):
@@ -229,26 +236,77 @@ def test_the_exception_of_a_step_comes_out_wherever_it_is_asked_for() -> None:
             live.close()
         depth.append(len(error.traceback))
     assert depth[0] == depth[2]  # it does not grow by being raised
+    assert live.num_failed == MAX_FAILURES
 
 
-def test_the_exception_of_a_step_does_not_hide_another() -> None:
-    live = pv.LiveOdometry(free(failing))
-    live.push(blind_frame(0))
-    with pytest.raises(KeyError), live:
+def test_a_permanent_fault_does_not_hide_another_exception() -> None:
+    with pytest.raises(KeyError), dead():
         raise KeyError
 
 
-def test_what_was_estimated_before_a_failure_can_still_be_read() -> None:
+def test_what_was_estimated_before_a_permanent_fault_can_still_be_read() -> None:
     odometry = free(
-        lambda frame: failing(frame) if frame.index == 2 else pv.StereoOdometry(CAMERA).step(frame)
+        lambda frame: failing(frame) if frame.index >= 2 else pv.StereoOdometry(CAMERA).step(frame)
     )
-    live = pv.LiveOdometry(odometry, waiting=5)
-    for index in range(3):
+    live = pv.LiveOdometry(odometry, waiting=MAX_FAILURES + 2)
+    for index in range(MAX_FAILURES + 2):
         live.push(blind_frame(index))
     estimates = live.estimates()
     assert [next(estimates).index, next(estimates).index] == [0, 1]
     with pytest.raises(InputError):
         next(estimates)
+
+
+@pytest.mark.parametrize("error", [InputError("a sample", "is broken."), ZeroDivisionError("bug")])
+def test_a_step_that_fails_is_counted_and_the_next_frame_is_processed(error: Exception) -> None:
+    """With the samples of its gyro, as if the frame had been dropped."""
+    frames = drive(np.random.default_rng(0), 6)
+    frames = with_gyro(frames, gyro_stream(frames))
+    odometry = pv.StereoOdometry(CAMERA, imu=GYRO)
+    step = odometry.step
+
+    def failing_once(frame: Frame) -> pv.MotionEstimate:
+        if frame.index == 3:
+            raise error
+        return step(frame)
+
+    gated = free(failing_once)
+    gated.camera = CAMERA
+    with pv.LiveOdometry(gated, waiting=9) as live:
+        for frame in frames:
+            live.push(frame)
+    estimates = list(live.estimates())
+    assert [estimate.index for estimate in estimates] == [0, 1, 2, 4, 5]
+    assert [estimate.num_failed for estimate in estimates] == [0, 0, 0, 1, 0]
+    assert live.num_failed == 1
+    assert live.last_failure is error
+    reference = pv.StereoOdometry(CAMERA, imu=GYRO)
+    joined = replace(frames[4], imu=frames[3].imu.followed_by(frames[4].imu))
+    for estimate, frame in zip(estimates, [*frames[:3], joined, frames[5]], strict=True):
+        motion = reference.step(frame)
+        assert estimate.motion.T_curr_prev.tobytes() == motion.T_curr_prev.tobytes()
+        assert estimate.motion.cov.tobytes() == motion.cov.tobytes()
+    assert estimates[3].prev_stamp_ns == frames[2].stamp_ns
+
+
+def test_a_refused_frame_leaves_its_imu_samples_to_the_next() -> None:
+    frames = drive(np.random.default_rng(0), 4)
+    frames = with_gyro(frames, gyro_stream(frames))
+    odometry = pv.StereoOdometry(CAMERA, imu=GYRO)
+    with pv.LiveOdometry(odometry, waiting=9) as live:
+        live.push(frames[0])
+        live.push(frames[1])
+        with pytest.raises(InputError, match="same identity"):
+            doubled = StereoFeatures(np.array([1, 1]), np.zeros((2, 4)))
+            live.push(replace(frames[2], features=doubled))
+        live.push(frames[3])
+    assert live.num_refused == 1
+    reference = pv.StereoOdometry(CAMERA, imu=GYRO)
+    joined = replace(frames[3], imu=frames[2].imu.followed_by(frames[3].imu))
+    motions = [reference.step(frame) for frame in [frames[0], frames[1], joined]]
+    estimates = list(live.estimates())
+    assert estimates[-1].motion.T_curr_prev.tobytes() == motions[-1].T_curr_prev.tobytes()
+    assert odometry.gyro_bias.mean.tobytes() == reference.gyro_bias.mean.tobytes()
 
 
 def test_a_frame_out_of_order_is_refused_and_the_next_is_taken() -> None:
@@ -282,7 +340,7 @@ def test_at_least_one_frame_waits() -> None:
 GYRO = pv.ImuCalibration(np.eye(4), 2e-4, 0.01)
 
 
-def felt(frames: list[Frame]) -> ImuStream:
+def gyro_stream(frames: list[Frame]) -> ImuStream:
     """A gyro at 200 Hz, its stamps between those of the frames, that feels the turn of FORWARD and
     trembles."""
     stamps_ns = np.arange(
@@ -329,7 +387,7 @@ def test_dropped_frames_leave_their_gyro_to_the_next() -> None:
     """Motion, covariance and bias are, to the last bit, those of a recording that never had the
     dropped frames."""
     frames = drive(np.random.default_rng(1), 31)
-    stream = felt(frames)
+    stream = gyro_stream(frames)
     ours, theirs = (pv.StereoOdometry(CAMERA, imu=GYRO) for _ in range(2))
     estimates = estimates_of_every_third(ours, with_gyro(frames, stream))
     assert [estimate.index for estimate in estimates] == list(range(0, 31, 3))
@@ -344,8 +402,10 @@ def test_dropped_frames_leave_their_gyro_to_the_next() -> None:
 
 
 def test_a_dropped_frame_without_gyro_leaves_the_interval_uncovered() -> None:
-    """What the gyro felt in a part of it does not tell the whole rotation."""
-    frames = with_gyro(drive(np.random.default_rng(2), 4), felt(drive(np.random.default_rng(2), 4)))
+    """The gyro of a part of it does not tell the whole rotation."""
+    frames = with_gyro(
+        drive(np.random.default_rng(2), 4), gyro_stream(drive(np.random.default_rng(2), 4))
+    )
     frames[2] = replace(frames[2], imu=None)
     odometry = Gated()
     with pv.LiveOdometry(odometry) as live:
@@ -357,7 +417,7 @@ def test_a_dropped_frame_without_gyro_leaves_the_interval_uncovered() -> None:
         assert odometry.begun.get(timeout=PATIENCE_S).imu is None
 
 
-def test_who_stalls_does_not_pile_up_what_the_gyro_felt() -> None:
+def test_who_stalls_does_not_pile_up_imu_samples() -> None:
     """Of 700 frames, ten a second, that are dropped one after the other, the last holds no more
     than of 10 s."""
     frames = drive(np.random.default_rng(3), 700)
@@ -365,7 +425,7 @@ def test_who_stalls_does_not_pile_up_what_the_gyro_felt() -> None:
     with pv.LiveOdometry(odometry) as live:
         live.push(frames[0])
         odometry.has_begun(0)
-        for frame in with_gyro(frames, felt(frames))[1:]:
+        for frame in with_gyro(frames, gyro_stream(frames))[1:]:
             live.push(frame)
         odometry.go.release(2)
         assert odometry.begun.get(timeout=PATIENCE_S).imu is None

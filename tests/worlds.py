@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.rig_calibration import disparity_basis, row_basis
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
 from probevo.noise import StereoNoise, StudentT
@@ -67,7 +68,7 @@ def seen_twice(
 
 
 def at_infinity(rng: np.random.Generator, count: int, T_curr_prev: FloatArray = FORWARD) -> Tracks:
-    """Points without disparity: only the rotation moves them. Their rays stay ahead of the camera."""
+    """Points without disparity: only the rotation moves them. Their rays stay ahead of it."""
     prev_px = random_pixels(rng, count)
     prev_px[:, 2] = prev_px[:, 0]
     x = (prev_px[:, 0] - CAMERA.cu_px) / CAMERA.fu_px
@@ -83,6 +84,27 @@ def both(first: Tracks, second: Tracks) -> Tracks:
     return tracks_of(
         np.vstack([first.prev_px, second.prev_px]), np.vstack([first.curr_px, second.curr_px])
     )
+
+
+RIG_ROWS_PX = np.array([0.6, -0.4, 0.3, 0.5, 4.0, -0.5])
+"""True a₀ … a₅ of a bad rectification; a₄ is of the size that KITTI shows."""
+RIG_DISPARITY_PX = np.array([0.4, -1.2])
+"""True b₁, b₂ of it."""
+
+
+def misrectified(
+    pixels: FloatArray,
+    rows_px: FloatArray = RIG_ROWS_PX,
+    disparity_px: FloatArray = RIG_DISPARITY_PX,
+    b0_px: float = 0.0,
+) -> FloatArray:
+    """What a pair with these errors shows of points that a flawless one would show at ``pixels``,
+    [N, 4], px."""
+    seen = pixels.copy()
+    true_minus_measured = disparity_basis(pixels, CAMERA) @ np.r_[b0_px, disparity_px]
+    seen[:, 2] += true_minus_measured
+    seen[:, 3] += row_basis(pixels, CAMERA) @ rows_px
+    return seen
 
 
 def motion_error(T_estimated: FloatArray, T_true: FloatArray = FORWARD) -> FloatArray:

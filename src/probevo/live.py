@@ -10,10 +10,11 @@ from threading import Condition, Thread, current_thread
 from time import perf_counter
 from types import TracebackType
 
+from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.odometry import StereoOdometry
-from probevo.sequences.frame import Frame, check_order
-from probevo.sequences.validation import validated
+from probevo.sequences.frame import Frame, ImuSamples
+from probevo.sequences.validation import usable_imu, validated
 
 MOST_UNREAD = 16
 """Estimates that may wait for ``estimates()``; the next step begins only when there is room."""
@@ -127,6 +128,8 @@ class LiveOdometry:
         self._newest: Frame | None = None
         self._num_dropped = 0
         self._num_failed = 0
+        self._num_refused = 0
+        self._refused_imu: ImuSamples | None = None
         self._last_failure: Exception | None = None
         self._closed = False
         self._ended = False
@@ -149,6 +152,12 @@ class LiveOdometry:
             return self._num_failed
 
     @property
+    def num_refused(self) -> int:
+        """Frames so far that ``push`` refused."""
+        with self._changed:
+            return self._num_refused
+
+    @property
     def last_failure(self) -> Exception | None:
         """The exception of the last step that failed; None if none has."""
         with self._changed:
@@ -162,19 +171,26 @@ class LiveOdometry:
 
         Raises:
             InputError: the frame is not later than the previous one, or not what its camera sees.
-                It is left out; the next may be right.
+                It is counted (``num_refused``) and left out, but its IMU samples go to the next
+                frame.
             RuntimeError: pushed after ``close``.
         """
-        arrival = _Arrival(frame, perf_counter())
-        validated(frame, self._odometry.camera, prev_frame=None)
+        time_s = perf_counter()
         with self._changed:
             self._raise_fault()
             if self._closed:
                 raise RuntimeError("pushed a frame after close()")
-            if self._newest is not None:
-                check_order(self._newest, frame)
+            try:
+                validated(frame, self._odometry.camera, prev_frame=self._newest)
+            except InputError:
+                self._num_refused += 1
+                self._keep_imu(usable_imu(frame))
+                raise
             self._newest = frame
-            self._frames.append(arrival)
+            if self._refused_imu is not None and frame.imu is not None:
+                frame = replace(frame, imu=self._refused_imu.followed_by(frame.imu))
+            self._refused_imu = None
+            self._frames.append(_Arrival(frame, time_s))
             if len(self._frames) > self._waiting:
                 oldest = self._frames.popleft()
                 self._frames[0] = self._frames[0].after_dropped(oldest)
@@ -276,6 +292,12 @@ class LiveOdometry:
                 self._ended = True
                 self._frames.clear()
                 self._changed.notify_all()
+
+    def _keep_imu(self, imu: ImuSamples | None) -> None:
+        """Keep the samples of a refused frame for the next one."""
+        if imu is not None and self._refused_imu is not None:
+            imu = self._refused_imu.followed_by(imu)
+        self._refused_imu = imu
 
     def _count_failure(self, error: Exception) -> None:
         with self._changed:

@@ -141,7 +141,7 @@ def _write_results(
 ) -> Run:
     """Write all files of a run, and remove those of an earlier run that this one does not write."""
     # Only now: importing Matplotlib would delay the first frame.
-    from probevo.output.report import write_report
+    from probevo.output.report import RunDescription, write_report
 
     # Absolute paths, so that --config finds the recording and the noise model from any directory.
     absolute = {
@@ -168,12 +168,14 @@ def _write_results(
         write_report(
             out / "report.html",
             result,
-            sequence.path.resolve().name,
-            facts=run_facts(sequence, config, result),
+            RunDescription(
+                title=sequence.path.resolve().name,
+                facts=run_facts(sequence, config, result),
+                config=settings,
+            ),
             truth=truth,
             metrics=metrics,
             thumbnails=pictures.drawn,
-            config=settings,
         )
     else:
         remove_stale(out / "report.html")

@@ -1,29 +1,19 @@
-"""``probevo paper``: the experiments of the papers, repeated in simulation or on the recordings
-they used."""
+"""``probevo paper``: reads the command line, and repeats the experiment that it names."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from itertools import product
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
-from probevo_paper import command_gk
 from probevo.cli.arguments import checked, parse
-from probevo.cli.text import table
 from probevo.errors import InputError
-from probevo_paper.blur_config import BlurConfig
+from probevo_paper.figure_5_config import BlurConfig
 from probevo_paper.table_1_2_config import Table12Config
 from probevo_paper.table_1_3_config import Table13Config
 from probevo_paper.table_i_config import TableIConfig
-
-if TYPE_CHECKING:
-    from probevo.cli.compare import Job
-    from probevo.output.comparison import Comparison
-    from probevo.output.trial_table import TrialTable
-    from probevo_paper.table_i import Drive, Plan
 
 
 @dataclass(frozen=True)
@@ -57,8 +47,7 @@ class TableIArguments:
 
 @dataclass(frozen=True)
 class Table12Arguments:
-    """PROBE-GK trained with truth and without, beside static noise, at four kinds of place: thesis
-    Table 1.2.
+    """PROBE-GK trained with and without truth at four kinds of place: thesis Table 1.2.
 
     The places are simulated; with --train and --test a row of your recordings is added. Writes
     table_1_2 with the published figures beside ours, as .html, .csv, .json, .tex and .txt, the
@@ -79,13 +68,12 @@ class Table12Arguments:
 
 @dataclass(frozen=True)
 class Table13Arguments:
-    """PROBE-GK trained by EM on a loop of which no pose is known, run on others: thesis Table 1.3
-    and Fig. 1.20.
+    """PROBE-GK trained by EM on one loop without truth, run on others: thesis Table 1.3.
 
-    Writes table_1_3 with the published figures beside ours, as .html, which also shows how
-    likelihood and loop closure go from turn to turn of EM, .csv, .json, .tex and .txt, the
-    recordings/, which a second call does not render again, the trained models/, and runs/ with the
-    files of each run.
+    Writes table_1_3 with the published figures beside ours, as .html, which also shows likelihood
+    and loop closure error over the iterations of EM (thesis Fig. 1.20), .csv, .json, .tex and .txt,
+    the recordings/, which a second call does not render again, the trained models/, and runs/ with
+    the files of each run.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
@@ -114,20 +102,35 @@ class PaperArguments:
 
 
 def main(words: list[str]) -> None:
-    """Parse, repeat the experiment, say what it found."""
+    """Parse the words after ``probevo paper``, repeat the experiment, and print its results."""
     arguments = parse(PaperArguments, words, "paper").experiment
     from probevo.files import check_folder
 
     check_folder(arguments.out, "--out")
+    # The experiments are imported here, since help and mistakes should not wait for OpenCV.
     if isinstance(arguments, BlurArguments):
-        lines = _blur(arguments)
+        lines = _figure_5(arguments)
     elif isinstance(arguments, TableIArguments):
         lines = _table_i(arguments)
     elif isinstance(arguments, Table12Arguments):
         lines = _table_1_2(arguments)
     else:
-        lines = command_gk.table_1_3(checked(arguments.settings), arguments.loops, arguments.out)
+        lines = _table_1_3(arguments)
     print("\n".join(lines))
+
+
+def _figure_5(arguments: BlurArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    from probevo_paper.command_figure_5 import repeat_figure
+
+    return repeat_figure(settings, arguments.out)
+
+
+def _table_i(arguments: TableIArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    from probevo_paper.command_table_i import repeat_table
+
+    return repeat_table(settings, arguments.kitti, arguments.out)
 
 
 def _table_1_2(arguments: Table12Arguments) -> list[str]:
@@ -135,119 +138,17 @@ def _table_1_2(arguments: Table12Arguments) -> list[str]:
     own = None
     if arguments.train is not None and arguments.test is not None:
         own = arguments.train, arguments.test
-    elif arguments.train is not None or arguments.test is not None:
-        given, other = ("--train", "--test") if arguments.test is None else ("--test", "--train")
-        raise InputError(given, f"is given without {other}.", "A row of your own needs both.")
-    return command_gk.table_1_2(settings, own, arguments.out)
+    elif arguments.train is not None:
+        raise InputError("--train", "is given without --test.", "A row of your own needs both.")
+    elif arguments.test is not None:
+        raise InputError("--test", "is given without --train.", "A row of your own needs both.")
+    from probevo_paper.command_table_1_2 import repeat_table
+
+    return repeat_table(settings, own, arguments.out)
 
 
-def _blur(arguments: BlurArguments) -> list[str]:
+def _table_1_3(arguments: Table13Arguments) -> list[str]:
     settings = checked(arguments.settings)
-    import numpy as np
+    from probevo_paper.command_table_1_3 import repeat_table
 
-    from probevo.cli.progress import progress_bar
-    from probevo_paper.blur import BlurObservations, blur_views
-    from probevo_paper.blur_page import (
-        TABLE_HEAD,
-        counts_text,
-        table_rows,
-        write_blur_page,
-        write_csv,
-    )
-    from probevo_paper.blur_statistics import findings, verdicts
-
-    views = []
-    with progress_bar(
-        "looking at the board", "starting (compiling, if this is the first time)"
-    ) as show:
-        for view in blur_views(settings.instants, settings.seed):
-            views.append(view)
-            show(len(views), settings.instants)
-    observations = BlurObservations.of(views)
-    results = findings(observations, np.random.default_rng([settings.seed, 2]))
-    write_csv(arguments.out / "blur.csv", observations)
-    write_blur_page(
-        arguments.out / "blur.html", views, observations, results=results, seed=settings.seed
-    )
-    return [
-        table(TABLE_HEAD, table_rows(results)),
-        "",
-        *verdicts(results),
-        counts_text(views, observations),
-        str(arguments.out / "blur.html"),
-    ]
-
-
-def _table_i(arguments: TableIArguments) -> list[str]:
-    settings = checked(arguments.settings)
-    arguments = replace(arguments, settings=settings)
-    from probevo.cli.compare import run_all
-    from probevo_paper.table_i import TRIALS, plan_table
-    from probevo_paper.table_i_files import table_of, write_table
-
-    plan = plan_table(arguments.kitti)
-    _table_i_jobs(plan, {}, arguments)  # what can be checked before the training
-    print(f"{len(plan.trials)} of {len(TRIALS)} trials can be run.", flush=True)
-    jobs = _table_i_jobs(plan, _train(plan, arguments), arguments)
-
-    def write(done: Comparison) -> None:
-        trials = table_of(done, plan, settings.max_frames)
-        write_table(arguments.out, done, trials, text=_trials_text(trials))
-
-    comparison = run_all(jobs, 1, write, out=arguments.out)
-    return [
-        _trials_text(table_of(comparison, plan, settings.max_frames)),
-        str(arguments.out / "table_i.html"),
-    ]
-
-
-def _train(plan: Plan, arguments: TableIArguments) -> dict[tuple[Drive, str], Path]:
-    """The model file of each training drive, trained as published and as we would, with the
-    settings of the runs.
-
-    We do without the truth of KITTI, whose centimetres from frame to frame hide what single
-    features do.
-    """
-    from probevo.cli.train import train_with_progress
-    from probevo_paper.table_i import trainings
-
-    ways = trainings(arguments.settings)
-    models = {}
-    for drive, (name, settings) in product(plan.trainings, ways.items()):
-        file = arguments.out / "models" / f"{drive.name}-{name.replace(', ', '-')}.safetensors"
-        train_with_progress((arguments.kitti / drive.folder,), settings, file)
-        models[drive, name] = file
-    return models
-
-
-def _table_i_jobs(
-    plan: Plan, models: dict[tuple[Drive, str], Path], arguments: TableIArguments
-) -> list[Job]:
-    """The runs, those of PROBE only where its model is there."""
-    from probevo.cli import compare
-    from probevo.sequences import open_sequence
-    from probevo_paper.table_i import AGGRESSIVE, NOMINAL, OURS, PROBE, STUDENT_T, probe_settings
-
-    settings = arguments.settings
-    classical = [
-        compare.Estimator(NOMINAL, "fixed", settings),
-        compare.Estimator(AGGRESSIVE, "fixed", compare.aggressive(settings)),
-        compare.Estimator(STUDENT_T, "student-t", settings),
-    ]
-    jobs = []
-    for trial in plan.trials:
-        sequence = open_sequence(arguments.kitti / trial.drive.folder, "kitti-raw")
-        estimators = list(classical)
-        for name, chosen in ((PROBE, probe_settings(settings)), (OURS, settings)):
-            if (trial.training, name) in models:
-                estimators.append(
-                    compare.Estimator(name, str(models[trial.training, name]), chosen)
-                )
-        jobs += compare.plan(
-            [compare.Recording(trial.drive.name, sequence)], estimators, arguments.out
-        )
-    return jobs
-
-
-def _trials_text(trials: TrialTable) -> str:
-    return command_gk.table_text(trials, "ARMSE / final error, m.")
+    return repeat_table(settings, arguments.loops, arguments.out)

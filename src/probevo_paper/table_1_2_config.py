@@ -6,14 +6,14 @@ from typing import Literal
 
 from pydantic import Field
 
-from probevo_paper.kernel_trials import KernelTableConfig
+from probevo_paper.gk_tables import GkTableConfig
 
 RowName = Literal["synthetic", "city", "residential", "road"]
 ROWS: tuple[RowName, ...] = ("synthetic", "city", "residential", "road")
 
 
-class Table12Config(KernelTableConfig):
-    """Which rows, how long, and what all runs and trainings share."""
+class Table12Config(GkTableConfig):
+    """Rows of the table, lengths of their drives, and the settings of all runs and trainings."""
 
     rows: tuple[RowName, ...] = Field(ROWS, description="Of the table, those to repeat.")
     street_m: float = Field(

@@ -1,5 +1,4 @@
-"""Thesis Table 1.3 (PROBE-GK Table II): loops, the first to learn from by EM, how far the others
-are from closing."""
+"""Thesis Table 1.3 (PROBE-GK Table II): loop closure errors, learned by EM on the first loop."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ from probevo.geometry import se3
 from probevo.output.comparison import Comparison, Entry
 from probevo.output.trial_table import Errors, TrialRow, TrialTable
 from probevo.training.settings import TrainSettings
-from probevo_paper.kernel_trials import ESTIMATOR_NOTE, FITTED, GK_EM, STATIC
+from probevo_paper.gk_tables import ESTIMATOR_NOTE, FITTED, GK_EM, STATIC
 from probevo_paper.table_1_3_config import Table13Config
 from probevo_sim.scene.config import Effects, SceneConfig
 
@@ -29,23 +28,34 @@ class PublishedLoop:
 
     path_length_m: float
     errors_m: dict[str, float]
-    """Loop closure error of the two estimators."""
+    """Loop closure error by the name of the estimator."""
 
 
-PUBLISHED = {
-    f"trial {number}": PublishedLoop(length_m, {GK_EM: kernel_m, STATIC: static_m})
-    for number, length_m, kernel_m, static_m in (
-        (2, 250.3, 3.88, 8.07),
-        (3, 250.5, 3.07, 6.64),
-        (4, 205.4, 2.81, 7.57),
-        (5, 249.9, 2.34, 7.75),
-    )
-}
+# Length and loop closure errors in m.
+_PRINTED_TABLE = """
+trial  length  GK-EM  student-t
+2      250.3   3.88   8.07
+3      250.5   3.07   6.64
+4      205.4   2.81   7.57
+5      249.9   2.34   7.75
+"""
+
+
+def _read_row(line: str) -> tuple[str, PublishedLoop]:
+    """Read the name and the figures of one line of the printed table."""
+    number, *figures = line.split()
+    length_m, kernel_m, static_m = (float(figure) for figure in figures)
+    return f"trial {number}", PublishedLoop(length_m, {GK_EM: kernel_m, STATIC: static_m})
+
+
+PUBLISHED = dict(_read_row(line) for line in _PRINTED_TABLE.strip().splitlines()[1:])
 
 
 def loops(settings: Table13Config) -> dict[str, SceneConfig]:
-    """The same field driven around again and again, by name; it is known only that each loop
-    closes."""
+    """Return the scenes by name: one field, driven around again and again.
+
+    Their truth is only that each loop closes.
+    """
     return {
         f"trial {drive + 1}": SceneConfig(
             preset="rover",
@@ -58,41 +68,47 @@ def loops(settings: Table13Config) -> dict[str, SceneConfig]:
     }
 
 
-def trainings(settings: Table13Config) -> dict[str, TrainSettings]:
-    """How each learned estimator is trained on the first loop: without truth."""
-    runs = settings.shared()
+def training_settings(settings: Table13Config) -> dict[str, TrainSettings]:
+    """Return how each learned estimator is trained on the first loop: without ground truth."""
+    runs = settings.run_settings()
     return {
-        FITTED: settings.training("student-t", "none", runs),
-        GK_EM: settings.training("gk", "none", runs),
+        FITTED: settings.training_settings("student-t", "none", runs),
+        GK_EM: settings.training_settings("gk", "none", runs),
     }
 
 
 def loop_error_m(entry: Entry) -> float:
-    """How far the end lies from where it should be, the starts made equal, m.
+    """Return the distance from the estimated to the true end of the path, from a common start, m.
 
-    That is where the truth says, if it knows both ends; else the start.
+    The true end is where the truth has it, if it knows both ends; otherwise it is the start.
     """
     end = _from_first_to_last(entry.result.T_world_cam)
-    true_end = (
-        np.eye(4)
-        if not knows_ends(entry) or entry.truth is None
-        else _from_first_to_last(entry.truth)
-    )
+    if entry.truth is not None and knows_ends(entry):
+        true_end = _from_first_to_last(entry.truth)
+    else:
+        true_end = np.eye(4)
     return float(np.linalg.norm(end[:3, 3] - true_end[:3, 3]))
 
 
 def knows_ends(entry: Entry) -> bool:
-    """Whether the truth knows the poses of the first and the last frame."""
+    """Return whether the truth knows the poses of the first and the last frame."""
     return entry.truth is not None and bool(np.isfinite(entry.truth[[0, -1]]).all())
 
 
+def _from_first_to_last(T_world_cam: FloatArray) -> FloatArray:
+    """Return the last pose in the frame of the first, [4, 4]."""
+    T_first_last: FloatArray = se3.inverse(T_world_cam[0]) @ T_world_cam[-1]
+    return T_first_last
+
+
 def table_of(comparison: Comparison, planned: tuple[str, ...], own: bool) -> TrialTable:
-    """The loops but for the first; under each what was published of it.
+    """Return the table: all loops except the first, under each its published errors.
 
     Args:
-        comparison: the runs that are done, named as the loops and as ``ESTIMATORS``.
-        planned: names of all loops, the one to train on first.
-        own: whether they are the user's, and nothing is published of them.
+        comparison: the finished runs, named as the loops and as ``ESTIMATORS``.
+        planned: names of all loops, the training loop first.
+        own: whether the loops are the user's, of which nothing is published.
+
     """
     rows: list[TrialRow] = []
     for name in planned[1:]:
@@ -102,23 +118,23 @@ def table_of(comparison: Comparison, planned: tuple[str, ...], own: bool) -> Tri
         errors = tuple(
             (loop_error_m(entries[key]),) if key in entries else _UNKNOWN for key in ESTIMATORS
         )
-        rows.append(
-            TrialRow(name, errors, path_length(next(iter(entries.values())).result.T_world_cam))
-        )
+        length_m = path_length(next(iter(entries.values())).result.T_world_cam)
+        rows.append(TrialRow(name, errors, length_m))
         if name in PUBLISHED and not own:
-            row = PUBLISHED[name]
-            published = tuple((row.errors_m.get(key),) for key in ESTIMATORS)
-            rows.append(TrialRow("published", published, row.path_length_m, is_aside=True))
+            loop = PUBLISHED[name]
+            published = tuple((loop.errors_m.get(key),) for key in ESTIMATORS)
+            rows.append(TrialRow("published", published, loop.path_length_m, is_aside=True))
     notes = _notes(comparison, planned, own)
     return TrialTable(ESTIMATORS, tuple(rows), notes, measures=MEASURES, form="thesis Table 1.3")
 
 
 def _notes(comparison: Comparison, planned: tuple[str, ...], own: bool) -> tuple[str, ...]:
+    """Return what a reader of the table should know, one sentence each."""
     notes = [
-        "How far the end is from where the loop closes, m; lengths are as estimated. Trained on"
-        f" {planned[0]}."
+        "Distance of the end from where the loop closes, m; lengths are as estimated. Trained on"
+        f" {planned[0]}.",
+        ESTIMATOR_NOTE,
     ]
-    notes.append(ESTIMATOR_NOTE)
     if not own:
         notes.append("The loops are rendered here; published are those of a rover in the field.")
     assumed = dict.fromkeys(entry.sequence for entry in comparison.entries if not knows_ends(entry))
@@ -132,17 +148,18 @@ def _notes(comparison: Comparison, planned: tuple[str, ...], own: bool) -> tuple
     return tuple(notes)
 
 
-def published(entry: Entry, own: bool) -> dict[str, object]:
-    """The loop closure error of a run, and what PROBE-GK says of it; None where it says nothing."""
-    row = None if own else PUBLISHED.get(entry.sequence)
+def loop_columns(entry: Entry, own: bool) -> dict[str, object]:
+    """Return the loop closure error of a run, and the published figures; None where there are none.
+
+    Args:
+        entry: the run.
+        own: whether its loop is the user's, of which nothing is published.
+
+    """
+    loop = None if own else PUBLISHED.get(entry.sequence)
     return {
         "loop_error_m": loop_error_m(entry),
         "estimated_length_m": path_length(entry.result.T_world_cam),
-        "published_path_length_m": row.path_length_m if row else None,
-        "published_loop_error_m": row.errors_m.get(entry.estimator) if row else None,
+        "published_path_length_m": loop.path_length_m if loop else None,
+        "published_loop_error_m": loop.errors_m.get(entry.estimator) if loop else None,
     }
-
-
-def _from_first_to_last(T_world_cam: FloatArray) -> FloatArray:
-    ends: FloatArray = se3.inverse(T_world_cam[0]) @ T_world_cam[-1]
-    return ends

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from probevo_paper.kernel_trials import KernelTableConfig
+from probevo_paper.gk_tables import GkTableConfig
 
 
-class Table13Config(KernelTableConfig):
-    """How many loops, how long, and what all runs and trainings share."""
+class Table13Config(GkTableConfig):
+    """Number and length of the loops, and the settings of all runs and trainings."""
 
     trials: int = Field(
         5, ge=2, le=100, description="Loops to render, the first to train on; five were published."

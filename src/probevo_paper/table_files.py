@@ -1,4 +1,4 @@
-"""The files that repeat a table of the papers: all that is not the page."""
+"""The files that repeat a table of the papers, except its page."""
 
 from __future__ import annotations
 
@@ -17,31 +17,37 @@ def write_table_files(
     stem: Path,
     comparison: Comparison,
     table: TrialTable,
+    *,
     text: str,
-    published: Callable[[Entry], Mapping[str, object]],
+    published_of: Callable[[Entry], Mapping[str, object]],
     more: Mapping[str, object] | None = None,
 ) -> None:
     """Write a table as .csv, .json, .tex and .txt.
 
     Args:
-        stem: the files, but for their suffix.
+        stem: path of the files without their suffix.
         comparison: the runs.
-        table: them in the form of the paper.
-        text: the same for the terminal.
-        published: what the paper says of a run, with the same keys for all; None where it says
-            nothing.
-        more: what else goes into the JSON file.
+        table: the runs in the form of the paper.
+        text: the table for the terminal.
+        published_of: returns the published figures of a run, with the same keys for all runs; None
+            where nothing was published.
+        more: further entries of the JSON file.
 
     Raises:
         InputError: a file cannot be written.
+
     """
+    entries = comparison.entries
     write_csv(
-        stem.with_suffix(".csv"), ({**published(e), **flat_record(e)} for e in comparison.entries)
+        stem.with_suffix(".csv"),
+        ({**published_of(entry), **flat_record(entry)} for entry in entries),
     )
-    runs = [{**published(entry), **record(entry, stem.parent)} for entry in comparison.entries]
-    write_json(
-        stem.with_suffix(".json"),
-        {"probevo": __version__, "notes": table.notes, **(more or {}), "runs": runs},
-    )
+    document = {
+        "probevo": __version__,
+        "notes": table.notes,
+        **(more or {}),
+        "runs": [{**published_of(entry), **record(entry, stem.parent)} for entry in entries],
+    }
+    write_json(stem.with_suffix(".json"), document)
     write_atomically(stem.with_suffix(".tex"), trials_latex(table))
     write_atomically(stem.with_suffix(".txt"), text)

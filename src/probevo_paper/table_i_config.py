@@ -8,7 +8,7 @@ from probevo.config import OdometryConfig
 
 
 class TableIConfig(OdometryConfig):
-    """All runs share these; the estimators differ in noise model, RANSAC and pre-filter alone."""
+    """The settings of all runs; estimators differ only in noise model, RANSAC and pre-filter."""
 
     max_frames: int | None = Field(
         None,

@@ -73,7 +73,7 @@ def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(
     assert main(["train", str(tracks), "--out", str(out), *FLAGS]) == 0
     model = load_model(out)
     lines = capsys.readouterr().out.splitlines()
-    assert f"samples     {len(model.index_.values):,} from 16 frames of 1 recordings" in lines
+    assert f"samples     {len(model.index_.values):,} from 16 frames of 1 recording" in lines
     assert "predictors  x, y, row_offset" in lines
     assert f"K           {model.neighbors}" in lines
     assert f"γ           {model.exponent:g}" in lines

@@ -1,5 +1,4 @@
-"""How far a feature is trusted depends on how rare its residual is, not on how heavy the tails of
-its noise are."""
+"""The weight of a feature depends on how rare its residual is, not on the tails of its noise."""
 
 from types import SimpleNamespace
 
@@ -8,7 +7,12 @@ import pytest
 from scipy.stats import f as f_distribution
 
 from probevo.arrays import FloatArray
-from probevo.estimation.feature_weights import TRUSTED, USUAL_DOF, trust
+from probevo.estimation.feature_weights import (
+    INLIER_FROM,
+    REFERENCE_DOF,
+    comparable_weights,
+    feature_weights,
+)
 from probevo.estimation.reprojection import ReprojectionSolution
 
 
@@ -18,30 +22,31 @@ def solution(squared: FloatArray, dof: float) -> ReprojectionSolution:
     return SimpleNamespace(squared=squared, weight=weight)  # type: ignore[return-value]
 
 
-def test_of_the_usual_dof_it_is_the_robust_weight() -> None:
+def test_at_the_reference_dof_it_is_the_robust_weight() -> None:
     squared = np.geomspace(1e-6, 1e6, 50)
-    expected = USUAL_DOF / (USUAL_DOF + squared)
+    expected = REFERENCE_DOF / (REFERENCE_DOF + squared)
     np.testing.assert_allclose(
-        trust(solution(squared, USUAL_DOF), np.full(50, USUAL_DOF)), expected, rtol=1e-12
+        comparable_weights(solution(squared, REFERENCE_DOF), np.full(50, REFERENCE_DOF)),
+        expected,
+        rtol=1e-12,
     )
 
 
 @pytest.mark.parametrize("dof", [1.0, 1.6, 3.0, 8.0, 30.0, 200.0])
-def test_as_many_are_trusted_whatever_the_tails(dof: float) -> None:
+def test_as_many_are_inliers_whatever_the_tails(dof: float) -> None:
     """The share of features, each from its own Student-t, that keep half of their weight: that at ν
     = 5."""
     ranks = (np.arange(20_000) + 0.5) / 20_000
-    usual, own = (f_distribution.ppf(ranks, 4, nu) * 4.0 for nu in (USUAL_DOF, dof))
-    expected = (USUAL_DOF / (USUAL_DOF + usual) >= TRUSTED).mean()
-    assert (trust(solution(own, dof), np.full(len(own), dof)) >= TRUSTED).mean() == pytest.approx(
-        expected, abs=2e-3
-    )
+    reference, own = (f_distribution.ppf(ranks, 4, nu) * 4.0 for nu in (REFERENCE_DOF, dof))
+    expected = (REFERENCE_DOF / (REFERENCE_DOF + reference) >= INLIER_FROM).mean()
+    weights = comparable_weights(solution(own, dof), np.full(len(own), dof))
+    assert (weights >= INLIER_FROM).mean() == pytest.approx(expected, abs=2e-3)
 
 
 @pytest.mark.parametrize("dof", [1.0, 1.6, 3.0, 8.0, 200.0])
 def test_it_falls_from_one_to_nothing(dof: float) -> None:
     squared = np.concatenate([[0.0], np.geomspace(1e-3, 1e6, 200), [1e300]])
-    found = trust(solution(squared, dof), np.full(len(squared), dof))
+    found = comparable_weights(solution(squared, dof), np.full(len(squared), dof))
     assert found[0] == 1.0
     assert (np.diff(found) <= 0.0).all()
     assert found[-1] == pytest.approx(0.0, abs=1e-3)
@@ -50,6 +55,18 @@ def test_it_falls_from_one_to_nothing(dof: float) -> None:
 def test_what_has_no_robust_weight_keeps_the_one_it_has() -> None:
     """Gaussian features, and such behind the camera."""
     squared = np.array([0.0, 1e6])
-    np.testing.assert_array_equal(trust(solution(squared, np.inf), np.full(2, np.inf)), [1.0, 1.0])
+    gaussian = comparable_weights(solution(squared, np.inf), np.full(2, np.inf))
+    np.testing.assert_array_equal(gaussian, [1.0, 1.0])
     behind = SimpleNamespace(squared=np.array([1e4]), weight=np.zeros(1))
-    np.testing.assert_array_equal(trust(behind, np.full(1, 2.0)), [0.0])  # type: ignore[arg-type]
+    np.testing.assert_array_equal(comparable_weights(behind, np.full(1, 2.0)), [0.0])
+
+
+@pytest.mark.parametrize("loss", ["l2", "huber", "cauchy", "tukey"])
+def test_under_another_loss_it_is_the_robust_weight_of_that_loss(loss: str) -> None:
+    squared = np.geomspace(1e-3, 1e3, 20)
+    found = solution(squared, 3.0)
+    dof = np.full(20, 3.0)
+    np.testing.assert_array_equal(feature_weights(found, dof, loss), found.weight)
+    comparable = comparable_weights(found, dof)
+    np.testing.assert_array_equal(feature_weights(found, dof, "noise"), comparable)
+    assert np.abs(comparable - found.weight).max() > 0.05

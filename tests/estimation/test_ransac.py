@@ -27,7 +27,7 @@ def with_outliers(rng: np.random.Generator, sigma_px: float = 0.2) -> Tracks:
 
 
 def consensus(tracks: Tracks, seed: int = 0, C_curr_prev: FloatArray | None = None) -> Consensus:
-    """From a guess that knows nothing of the motion."""
+    """From the identity as guess."""
     rng = np.random.default_rng(seed)
     return find_consensus(
         tracks.prev_px, tracks.curr_px, CAMERA, rng=rng, guess=np.eye(4), C_curr_prev=C_curr_prev
@@ -44,7 +44,7 @@ def test_motion_is_recovered_exactly_without_noise(rotation: FloatArray | None) 
     ("rotation", "share"), [(None, 0.8), (C_GYRO, 0.3)], ids=["three points", "one point and gyro"]
 )
 @pytest.mark.parametrize("seed", range(5))
-def test_outliers_are_told_from_inliers_with_noise(
+def test_outliers_are_rejected_with_noise(
     rotation: FloatArray | None, share: float, seed: int
 ) -> None:
     """No outlier of 10 px passes. The noise of a minimal sample costs inliers: the most where a
@@ -137,7 +137,7 @@ def test_points_at_infinity_are_inliers_of_the_right_rotation() -> None:
     assert np.abs(motion_error(found.T_curr_prev)).max() < 1e-4
 
 
-def test_the_guess_stands_where_no_sample_beats_it() -> None:
+def test_the_guess_is_kept_where_no_sample_beats_it() -> None:
     """Points at infinity alone leave the translation open, every minimal solve is singular; the
     guess is right."""
     tracks = at_infinity(np.random.default_rng(11), 60)

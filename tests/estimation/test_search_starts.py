@@ -1,17 +1,22 @@
-"""Where tracking starts while the turn is not known: about where the images say."""
+"""Where tracking starts while the rotation is not known: about where the images say."""
 
 import cv2
 import numpy as np
 import pytest
 
 import probevo as pv
-from probevo.arrays import FloatArray, Image, IntArray
+from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation.motion_model import ExpectedMotion
-from probevo.estimation.search_starts import REACH_PX, seen_turn, track_from_best, turned_starts
+from probevo.estimation.motion_model import MotionPrediction
+from probevo.estimation.search_starts import (
+    REACH_PX,
+    coarse_rotation,
+    rotated_starts,
+    track_from_best_start,
+)
 from probevo.geometry import se3
-from probevo.sequences.frame import Frame
-from probevo.tracking.tracks import Tracks
+from probevo.sequences.frame import Frame, StereoFeatures
+from probevo.tracking import Tracked, TrackingState, Tracks
 
 WIDTH_PX = 640
 HEIGHT_PX = 240
@@ -48,37 +53,45 @@ def frame(index: int, image: Image | None) -> Frame:
     return Frame(index, index, image, right=image)
 
 
-def expected(sigma_rad: float) -> ExpectedMotion:
+def prediction(sigma_rad: float) -> MotionPrediction:
     T = se3.from_parts(np.eye(3), np.array([0.0, 0.0, -1.0]))
     sigma = np.diag([0.1, 0.1, 0.1, sigma_rad, sigma_rad, sigma_rad])
-    return ExpectedMotion(T, sigma**2, sigma)
+    return MotionPrediction(T, sigma**2, velocity_sensitivity=sigma)
 
 
 @pytest.mark.parametrize("moved", [(0, 0), (90, 0), (-60, 0), (0, 25), (40, -20)])
-def test_the_turn_takes_the_middle_of_the_image_where_it_went(moved: tuple[int, int]) -> None:
+def test_the_rotation_takes_the_middle_of_the_image_where_it_went(moved: tuple[int, int]) -> None:
     """To a fifth of what the tracker bridges; the content moves against the view."""
     du, dv = moved
-    C = seen_turn(view(300, 120), view(300 - du, 120 - dv), CAMERA)
+    C = coarse_rotation(view(300, 120), view(300 - du, 120 - dv), CAMERA)
     ray = C @ [0.0, 0.0, 1.0]
     went = np.array([CAMERA.fu_px, CAMERA.fv_px]) * ray[:2] / ray[2]
     np.testing.assert_allclose(went, moved, atol=0.2 * REACH_PX)
 
 
-def test_one_start_more_where_the_turn_is_unsure_with_the_translation_expected() -> None:
-    before = frame(0, view(300, 120))
-    now = frame(1, view(250, 120))
-    (start,) = turned_starts(expected(0.3), before, now, camera=CAMERA)
+def test_an_uncertain_rotation_gives_one_more_start_with_the_predicted_translation() -> None:
+    prev = frame(0, view(300, 120))
+    curr = frame(1, view(250, 120))
+    (start,) = rotated_starts(prediction(0.3), prev, curr, CAMERA)
     np.testing.assert_array_equal(start[:3, 3], [0.0, 0.0, -1.0])
     assert start[0, 2] == pytest.approx(50.0 / CAMERA.fu_px, abs=0.01)
 
 
-def test_none_where_the_turn_that_is_seen_is_the_one_expected() -> None:
-    """Within 15 px: no second search, however unsure the turn was."""
-    before = frame(0, view(300, 120))
+def test_no_more_starts_where_the_images_show_the_predicted_rotation() -> None:
+    """Within 15 px: no second search, however uncertain the rotation was."""
+    prev = frame(0, view(300, 120))
     near = frame(1, view(292, 120))
     far = frame(1, view(276, 120))
-    assert turned_starts(expected(0.3), before, near, camera=CAMERA) == []
-    assert len(turned_starts(expected(0.3), before, far, camera=CAMERA)) == 1
+    assert rotated_starts(prediction(0.3), prev, near, CAMERA) == []
+    assert len(rotated_starts(prediction(0.3), prev, far, CAMERA)) == 1
+
+
+def test_no_more_starts_where_the_rotation_is_known_or_there_is_no_image() -> None:
+    prev = frame(0, view(300, 120))
+    curr = frame(1, view(250, 120))
+    known = prediction(0.9 * REACH_PX / CAMERA.fu_px)
+    assert rotated_starts(known, prev, curr, CAMERA) == []
+    assert rotated_starts(prediction(0.3), frame(0, None), curr, CAMERA) == []
 
 
 class Counting:
@@ -86,30 +99,46 @@ class Counting:
 
     def __init__(self, right: FloatArray) -> None:
         self.right = right
-        self.tracked = list[FloatArray]()
+        self.starts = list[FloatArray]()
 
-    def track(self, frame: Frame, expected: FloatArray) -> Tracks:
-        self.tracked.append(expected)
-        count = 60 if np.array_equal(expected, self.right) else 0
+    def track(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Tracked:
+        self.starts.append(T_curr_prev)
+        count = 60 if np.array_equal(T_curr_prev, self.right) else 0
         px = np.random.default_rng(0).uniform(20.0, 220.0, (count, 4))[:, [0, 1, 0, 1]]
-        return Tracks(px, px, np.arange(count), age=np.full(count, 2))
+        tracks = Tracks(px, px, np.arange(count), age=np.full(count, 2))
+        return Tracked(tracks, TrackingState.none(next_id=len(self.starts)))
 
-    def drop(self, ids: IntArray) -> None: ...
 
-
-def test_the_start_that_is_expected_is_tracked_from_once_if_it_is_the_best() -> None:
+@pytest.mark.parametrize("best", [0, 1, 2])
+def test_each_start_is_tracked_from_once_and_the_best_is_proposed(best: int) -> None:
+    """Tracks and state come from one and the same search."""
     starts = [se3.exp(0.02 * np.eye(6)[k]) for k in range(3)]
-    now = frame(1, view(300, 120))
-    config = pv.OdometryConfig()
-    for right, calls in ((starts[0], 3), (starts[2], 4)):
-        tracker = Counting(right)
-        assert len(track_from_best(tracker, now, starts, camera=CAMERA, config=config)) == 60
-        assert len(tracker.tracked) == calls
-        np.testing.assert_array_equal(tracker.tracked[-1], right)
+    tracker = Counting(starts[best])
+    tracked = track_from_best_start(
+        tracker,
+        TrackingState.none(),
+        frame(1, view(300, 120)),
+        starts=starts,
+        camera=CAMERA,
+        config=pv.OdometryConfig(),
+    )
+    assert len(tracked.tracks) == 60
+    assert tracked.state.next_id == best + 1
+    np.testing.assert_array_equal(tracker.starts, starts)
 
 
-def test_none_where_the_turn_is_known_or_there_is_no_image() -> None:
-    before = frame(0, view(300, 120))
-    now = frame(1, view(250, 120))
-    assert turned_starts(expected(0.9 * REACH_PX / CAMERA.fu_px), before, now, camera=CAMERA) == []
-    assert turned_starts(expected(0.3), frame(0, None), now, camera=CAMERA) == []
+@pytest.mark.parametrize("has_features", [False, True])
+def test_a_single_start_or_given_features_are_tracked_once(has_features: bool) -> None:
+    starts = [se3.exp(0.02 * np.eye(6)[k]) for k in range(2 if has_features else 1)]
+    tracker = Counting(starts[0])
+    given = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
+    shown = Frame(1, 1, features=given) if has_features else frame(1, view(300, 120))
+    track_from_best_start(
+        tracker,
+        TrackingState.none(),
+        shown,
+        starts=starts,
+        camera=CAMERA,
+        config=pv.OdometryConfig(),
+    )
+    np.testing.assert_array_equal(tracker.starts, starts[:1])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.config import GyroConfig, OdometryConfig, RansacConfig, SolverConfig
 from probevo.errors import InputError
@@ -299,7 +300,9 @@ def test_the_covariance_of_an_alignment_is_honest_under_heavy_tails() -> None:
                 normalized_error_squared(FORWARD, visual.solution.T_curr_prev, visual.solution.cov)
             )
         )
-    assert 4.0 < np.mean(errors) < 7.5
+    # What the consensus rejects of the tails is not known: the lower bound is looser.
+    _, high = chi2_interval(6, len(errors))
+    assert 4.0 < np.mean(errors) < high
 
 
 def test_alignment_says_what_the_reprojection_says_of_each_feature() -> None:

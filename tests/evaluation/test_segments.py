@@ -29,7 +29,7 @@ def test_scale_error_on_a_line() -> None:
 
 
 def test_turn_rate_error_on_a_line() -> None:
-    """A heading that turns by 0.01°/m gives just that, over the L + 1 m that a segment really has."""
+    """A heading error of 0.01°/m yields just that, over the L + 1 m that a segment really has."""
     true = straight_line(201, 1.0)
     est = true.copy()
     est[:, :3, :3] = Rotation.from_rotvec(

@@ -159,7 +159,7 @@ def test_agrees_with_evo(seed: int) -> None:
     ],
 )
 def test_reproduces_probe_table_1(drive: str, expected: list[tuple[float, float]]) -> None:
-    """ARMSE and final error of nominal, aggressive and PROBE, to the figures printed in the paper."""
+    """ARMSE and final error of nominal, aggressive and PROBE agree with the printed ones."""
     runs = np.load(DATA / "probe_table1" / f"{drive}.npz")
     for name, (armse_m, final_m) in zip(("nominal", "aggressive", "probe"), expected, strict=True):
         e = te.position_errors(runs[f"T_w_cam_{name}"], runs["T_w_cam_gt"])

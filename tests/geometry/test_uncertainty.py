@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from geometry.samples import sample_poses
+from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.geometry import se3, uncertainty
 
@@ -32,7 +32,7 @@ def test_samples_have_the_given_covariance() -> None:
     T = sample_poses(T_mean, cov, 20_000, rng)
     assert relative_error(np.cov(left_errors(T, T_mean).T), cov) < 0.03
     nees = uncertainty.normalized_error_squared(T, T_mean, cov)
-    low, high = chi2.ppf([0.0005, 0.9995], df=6 * len(T)) / len(T)
+    low, high = chi2_interval(6, len(T))
     assert low < np.mean(nees) < high
 
 
@@ -104,7 +104,7 @@ def test_chain_against_monte_carlo() -> None:
     T_world_cam, cov_world_cam = uncertainty.compound_chain(motions, covs)
 
     T = np.broadcast_to(np.eye(4), (4000, 4, 4))
-    low, high = chi2.ppf([0.0005, 0.9995], df=6 * len(T)) / len(T)
+    low, high = chi2_interval(6, len(T))
     for k, (T_curr_prev, cov) in enumerate(zip(motions, covs, strict=True)):
         T = T @ se3.inverse(sample_poses(T_curr_prev, cov, len(T), rng))
         errors = left_errors(T, T_world_cam[k])

@@ -1,5 +1,4 @@
-"""The gyro's rotation: convention, closed forms, convergence, its noise; and the bias that the
-solves reveal."""
+"""The gyro's rotation: convention, closed forms, convergence, noise, and the estimate of its bias."""
 
 from __future__ import annotations
 
@@ -48,7 +47,7 @@ def test_constant_rate_has_the_closed_form() -> None:
 
 
 def test_points_move_against_the_turn() -> None:
-    """A camera yawing to its right (about +y, down) sees a point that was ahead move to its left."""
+    """A camera that yaws to its right (about +y, down) sees a point ahead move to its left."""
     calibration = ImuCalibration(np.eye(4), 0.0, 0.0)
     gyro = integrate_gyro(
         samples(steady(np.array([0.0, 1.0, 0.0]))), START_NS, END_NS, calibration=calibration
@@ -208,7 +207,7 @@ def test_updated_bias_is_that_of_joint_least_squares() -> None:
         np.testing.assert_allclose(bias.cov, joint_cov[:3, :3], rtol=1e-8, atol=1e-12)
 
 
-def test_solve_that_learns_nothing_leaves_the_bias() -> None:
+def test_solve_without_new_information_leaves_the_bias() -> None:
     bias = GyroBias.initial(CALIBRATION)
     gyro = integrate_gyro(
         samples(lambda t: coning(t)[1]), START_NS, END_NS, calibration=CALIBRATION

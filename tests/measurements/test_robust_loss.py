@@ -1,4 +1,4 @@
-"""Robust losses against their definitions, and the information of M-estimates against Monte Carlo."""
+"""Robust losses by their definitions, the information of M-estimates by Monte Carlo."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The compiled inner loops against what they claim to compute, by central differences."""
+"""The compiled loops over stereo observations against their definitions, by central differences."""
 
 from __future__ import annotations
 
@@ -9,13 +9,23 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
+from probevo.camera.transfer_numba import Intrinsics
 from probevo.geometry import se3
-from probevo.measurements.normal_equations_numba import BEHIND, normal_equations
 from probevo.measurements.robust_loss_numba import LossKind
-from probevo.measurements.stereo_numba import linearize_noise
+from probevo.measurements.stereo_numba import (
+    BEHIND,
+    LossParameters,
+    NormalEquations,
+    PointPairs,
+    PropagatedNoise,
+    StereoJacobians,
+    normal_equations,
+    propagate_noise,
+    residual_jacobians,
+)
 
 CAMERA = StereoCamera(fu_px=718.9, fv_px=720.1, cu_px=607.2, cv_px=185.2, baseline_m=0.54)
-CONSTANTS = np.array([718.9, 720.1, 607.2, 185.2, 718.9 * 0.54])
+INTRINSICS = Intrinsics.of(CAMERA)
 NUM_POINTS = 6
 S_FROM_Y = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [1, 0, -1, 0]])
 """s = (u, v, d) of an observation whose rows agree."""
@@ -71,74 +81,78 @@ def random_covariances(rng: np.random.Generator, count: int, dim: int, sigma: fl
     return sigma**2 * (factor @ factor.mT + 0.3 * np.eye(dim))
 
 
-def system(
-    T: FloatArray,
-    refined: FloatArray,
-    offset: FloatArray,
-    curr: FloatArray,
-    information: FloatArray,
-    kind: LossKind = LossKind.L2,
-) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Cost, gradient [6], hessian [6, 6] and squared lengths [N] of one pass."""
-    hessian = np.empty((6, 6))
-    gradient = np.empty(6)
-    squared = np.empty(len(refined))
-    cost = normal_equations(
-        np.ascontiguousarray(T[:3, :3]),
-        np.ascontiguousarray(T[:3, 3]),
-        CONSTANTS,
+def linearized_at(
+    refined: FloatArray, offset: FloatArray, information: FloatArray
+) -> PropagatedNoise:
+    """Noise as the normal equations take it; they do not look at the cross-covariance."""
+    return PropagatedNoise(
         refined=refined,
         offset=offset,
-        curr=curr,
         information=information,
-        kind=int(kind),
-        parameter=np.full(len(refined), PARAMETER[kind]),
-        near=False,
-        hessian=hessian,
-        gradient=gradient,
-        squared=squared,
+        cross_cov=np.full((len(refined), 4, 2), np.nan),
     )
-    return cost, gradient, hessian, squared
 
 
-def fold_noise(
+def system(
     T: FloatArray,
-    seen: FloatArray,
+    curr: FloatArray,
+    propagated: PropagatedNoise,
+    kind: LossKind = LossKind.L2,
+    *,
+    newton: bool = False,
+) -> tuple[float, NormalEquations]:
+    """Cost and normal equations of one pass."""
+    count = len(curr)
+    equations = NormalEquations(
+        hessian=np.empty((6, 6)), gradient=np.empty(6), squared=np.empty(count)
+    )
+    cost = normal_equations(
+        np.ascontiguousarray(T),
+        INTRINSICS,
+        curr,
+        propagated=propagated,
+        loss=LossParameters(int(kind), np.full(count, PARAMETER[kind])),
+        newton=newton,
+        system=equations,
+    )
+    return cost, equations
+
+
+def propagate(
+    T: FloatArray,
+    point: FloatArray,
     point_cov: FloatArray,
+    *,
     curr: FloatArray,
     scale: FloatArray,
-    refined: FloatArray,
-    time_correlation: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Refined points [N, 3], offsets [N, 4] and information [N, 4, 4] of one pass, from
-    ``refined``."""
-    refined = refined.copy()
-    offset = np.full((len(seen), 4), np.nan)
-    information = np.full((len(seen), 4, 4), np.nan)
-    C = np.ascontiguousarray(T[:3, :3])
-    t = np.ascontiguousarray(T[:3, 3])
-    joint = np.zeros((len(seen), 4, 4))
+    refined: FloatArray | None = None,
+    time_correlated: FloatArray | None = None,
+) -> PropagatedNoise:
+    """The noise of one pass, linearised at ``refined``, by default at the points themselves."""
+    count = len(point)
+    joint = np.zeros((count, 4, 4))
     joint[:, :3, :3] = point_cov
     if time_correlated is not None:
         joint[:, 2:, 2:] += time_correlated[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    linearize_noise(
-        C,
-        t,
-        CONSTANTS,
-        seen=seen,
-        point_cov=joint,
-        curr=curr,
-        scale=scale,
-        refined=refined,
-        offset=offset,
-        information=information,
-        shared=np.empty((len(seen), 4, 2)),
+    propagated = PropagatedNoise(
+        refined=point.copy() if refined is None else refined.copy(),
+        offset=np.full((count, 4), np.nan),
+        information=np.full((count, 4, 4), np.nan),
+        cross_cov=np.full((count, 4, 2), np.nan),
     )
-    return refined, offset, information
+    pairs = PointPairs(point=point, point_cov=joint, curr=curr, curr_scale=scale)
+    propagate_noise(np.ascontiguousarray(T), INTRINSICS, pairs, propagated)
+    return propagated
 
 
 def relative_error(actual: FloatArray, expected: FloatArray) -> float:
     return float(np.linalg.norm(actual - expected) / np.linalg.norm(expected))
+
+
+def derivative_of_warp(T: FloatArray, s: FloatArray, step: float = 1e-4) -> FloatArray:
+    """A = ∂h/∂s by central differences, [N, 4, 3]."""
+    columns = [(warp(T, s + h) - warp(T, s - h)) / (2 * step) for h in step * np.eye(3)]
+    return np.stack(columns, axis=2)
 
 
 def test_jacobian_against_central_differences(scenes: list[Scene]) -> None:
@@ -150,13 +164,46 @@ def test_jacobian_against_central_differences(scenes: list[Scene]) -> None:
     back = se3.exp(-step * np.eye(6))
     for scene in scenes:
         s = scene.seen[:1]
+        propagated = linearized_at(s, np.zeros((1, 4)), np.eye(4)[None])
         rows = [
-            system(scene.T, s, np.zeros((1, 4)), warp(scene.T, s) + unit, np.eye(4)[None])[1]
-            for unit in np.eye(4)
+            system(scene.T, warp(scene.T, s) + unit, propagated)[1].gradient for unit in np.eye(4)
         ]
         J = (warp(forward @ scene.T, s) - warp(back @ scene.T, s)).T / (2 * step)
         worst = max(worst, relative_error(np.array(rows), J))
     assert worst < 1e-6
+
+
+def test_residuals_and_jacobians_of_all_features(scenes: list[Scene]) -> None:
+    """e, J = ∂h/∂ξ and ∂h/∂d by central differences, and Σ⁻¹ J, for 100 motions."""
+    rng = np.random.default_rng(9)
+    step = 1e-5
+    forward = se3.exp(step * np.eye(6))
+    back = se3.exp(-step * np.eye(6))
+    for scene in scenes[:100]:
+        offset = rng.normal(size=(NUM_POINTS, 4))
+        curr = warp(scene.T, scene.seen) + rng.normal(size=(NUM_POINTS, 4))
+        information = np.linalg.inv(random_covariances(rng, NUM_POINTS, 4, 1.0))
+        found = StereoJacobians(
+            residual=np.empty((NUM_POINTS, 4)),
+            motion=np.empty((NUM_POINTS, 4, 6)),
+            white=np.empty((NUM_POINTS, 4, 6)),
+            disparity=np.empty((NUM_POINTS, 4)),
+        )
+        residual_jacobians(
+            np.ascontiguousarray(scene.T),
+            INTRINSICS,
+            curr,
+            propagated=linearized_at(scene.seen, offset, information),
+            out=found,
+        )
+        e = curr - warp(scene.T, scene.seen) - offset
+        plus, minus = (warp((shift @ scene.T)[:, None], scene.seen) for shift in (forward, back))
+        J = np.moveaxis(plus - minus, 0, 2) / (2 * step)
+        np.testing.assert_allclose(found.residual, e, atol=1e-9)
+        assert relative_error(found.motion, J) < 1e-6
+        assert relative_error(found.white, information @ J) < 1e-6
+        of_disparity = derivative_of_warp(scene.T, scene.seen)[..., 2]
+        assert relative_error(found.disparity, of_disparity) < 1e-6
 
 
 @pytest.mark.parametrize("kind", list(LossKind))
@@ -177,15 +224,19 @@ def test_gradient_is_that_of_the_cost(kind: LossKind, scenes: list[Scene]) -> No
         offset = rng.normal(size=(NUM_POINTS, 4))
         curr = warp(scene.T, scene.seen) + offset + rng.normal(scale=2.0, size=(NUM_POINTS, 4))
         information = np.linalg.inv(random_covariances(rng, NUM_POINTS, 4, 1.0))
-        fixed = (scene.seen, offset, curr, information, kind)
-        _, gradient, hessian, squared = system(scene.T, *fixed)
-        if is_at_a_kink(kind, squared):
+        propagated = linearized_at(scene.seen, offset, information)
+        _, equations = system(scene.T, curr, propagated, kind)
+        if is_at_a_kink(kind, equations.squared):
             continue
         costs = np.array(
-            [[system(shift @ scene.T, *fixed)[0] for shift in axis] for axis in shifts]
+            [
+                [system(shift @ scene.T, curr, propagated, kind)[0] for shift in axis]
+                for axis in shifts
+            ]
         )
-        pulls = np.sqrt(np.diag(hessian) * squared.sum())
-        worst = max(worst, float(np.linalg.norm((costs @ stencil + gradient) / pulls)))
+        pulls = np.sqrt(np.diag(equations.hessian) * equations.squared.sum())
+        off = (costs @ stencil + equations.gradient) / pulls
+        worst = max(worst, float(np.linalg.norm(off)))
     assert worst < 1e-6
 
 
@@ -206,20 +257,42 @@ def test_hessian_is_that_of_gauss_newton(scenes: list[Scene]) -> None:
     for scene in scenes[:100]:
         curr = warp(scene.T, scene.seen) + rng.normal(size=(NUM_POINTS, 4))
         information = np.linalg.inv(random_covariances(rng, NUM_POINTS, 4, 1.0))
-        cost, _, hessian, squared = system(
-            scene.T, scene.seen, np.zeros((NUM_POINTS, 4)), curr, information, LossKind.STUDENT_T
-        )
+        propagated = linearized_at(scene.seen, np.zeros((NUM_POINTS, 4)), information)
+        cost, equations = system(scene.T, curr, propagated, LossKind.STUDENT_T)
+        squared = equations.squared
         plus, minus = (warp((shift @ scene.T)[:, None], scene.seen) for shift in (forward, back))
         J = np.moveaxis(plus - minus, 0, 2) / (2 * step)
         e = curr - warp(scene.T, scene.seen)
         np.testing.assert_allclose(squared, np.einsum("ni,nij,nj->n", e, information, e), rtol=1e-8)
         assert cost == pytest.approx(4.5 * np.log1p(squared / 5.0).sum(), rel=1e-10)
         expected = np.einsum("n,nia,nij,njb->ab", 9.0 / (5.0 + squared), J, information, J)
-        assert relative_error(hessian, expected) < 1e-6
-        np.testing.assert_array_equal(hessian, hessian.T)
+        assert relative_error(equations.hessian, expected) < 1e-6
+        np.testing.assert_array_equal(equations.hessian, equations.hessian.T)
 
 
-def test_points_at_infinity_tell_of_rotation_alone() -> None:
+def test_newton_s_hessian_has_the_curvature_of_the_loss(scenes: list[Scene]) -> None:
+    """Σ w Jᵀ Σ⁻¹ J + 2 w' (Jᵀ Σ⁻¹ e)(Jᵀ Σ⁻¹ e)ᵀ, with w' = −(ν + 4)/(ν + s)² of the Student-t."""
+    rng = np.random.default_rng(10)
+    step = 1e-5
+    forward = se3.exp(step * np.eye(6))
+    back = se3.exp(-step * np.eye(6))
+    for scene in scenes[:100]:
+        curr = warp(scene.T, scene.seen) + rng.normal(size=(NUM_POINTS, 4))
+        information = np.linalg.inv(random_covariances(rng, NUM_POINTS, 4, 1.0))
+        propagated = linearized_at(scene.seen, np.zeros((NUM_POINTS, 4)), information)
+        irls_cost, irls = system(scene.T, curr, propagated, LossKind.STUDENT_T)
+        cost, newton = system(scene.T, curr, propagated, LossKind.STUDENT_T, newton=True)
+        plus, minus = (warp((shift @ scene.T)[:, None], scene.seen) for shift in (forward, back))
+        J = np.moveaxis(plus - minus, 0, 2) / (2 * step)
+        e = curr - warp(scene.T, scene.seen)
+        pull = np.einsum("nia,nij,nj->na", J, information, e)
+        expected = np.einsum("n,na,nb->ab", -2.0 * 9.0 / (5.0 + irls.squared) ** 2, pull, pull)
+        assert relative_error(newton.hessian - irls.hessian, expected) < 1e-6
+        assert cost == irls_cost
+        np.testing.assert_array_equal(newton.gradient, irls.gradient)
+
+
+def test_points_at_infinity_constrain_the_rotation_only() -> None:
     """d = 0: they see no translation, however large, and their rotation is that of rays."""
     rng = np.random.default_rng(3)
     T = se3.exp(np.array([5.0, -3.0, 8.0, 0.1, -0.2, 0.3]))
@@ -232,18 +305,15 @@ def test_points_at_infinity_tell_of_rotation_alone() -> None:
 
     curr = project_rays(T) + rng.normal(size=(5, 4))
     information = np.tile(np.eye(4), (5, 1, 1))
-    _, gradient, hessian, squared = system(T, seen, np.zeros((5, 4)), curr, information)
-    np.testing.assert_allclose(squared, np.sum((curr - project_rays(T)) ** 2, axis=1), rtol=1e-9)
-    np.testing.assert_array_equal(gradient[:3], 0.0)
-    np.testing.assert_array_equal(hessian[:3], 0.0)
-    step = 1e-5 * np.eye(6)[3:]
-    J = (
-        np.stack(
-            [project_rays(se3.exp(s) @ T) - project_rays(se3.exp(-s) @ T) for s in step], axis=2
-        )
-        / 2e-5
-    )
-    assert relative_error(hessian[3:, 3:], np.einsum("nia,nib->ab", J, J)) < 1e-6
+    _, equations = system(T, curr, linearized_at(seen, np.zeros((5, 4)), information))
+    squared = np.sum((curr - project_rays(T)) ** 2, axis=1)
+    np.testing.assert_allclose(equations.squared, squared, rtol=1e-9)
+    np.testing.assert_array_equal(equations.gradient[:3], 0.0)
+    np.testing.assert_array_equal(equations.hessian[:3], 0.0)
+    steps = 1e-5 * np.eye(6)[3:]
+    changes = [project_rays(se3.exp(s) @ T) - project_rays(se3.exp(-s) @ T) for s in steps]
+    J = np.stack(changes, axis=2) / 2e-5
+    assert relative_error(equations.hessian[3:, 3:], np.einsum("nia,nib->ab", J, J)) < 1e-6
 
 
 def test_points_behind_the_camera_are_ignored() -> None:
@@ -258,50 +328,45 @@ def test_points_behind_the_camera_are_ignored() -> None:
     )
     T = se3.from_parts(np.eye(3), np.array([0.0, 0.0, -20.0]))  # 20 m driven
     curr = warp(T, seen) + rng.normal(size=(6, 4))
-    refined, offset, information = fold_noise(
-        T, seen, np.tile(np.eye(3), (6, 1, 1)), curr, np.tile(np.eye(4), (6, 1, 1)), seen
-    )
-    np.testing.assert_array_equal(information[5], 0.0)
-    np.testing.assert_array_equal(refined[5], passed)
+    unit = np.tile(np.eye(4), (6, 1, 1))
+    propagated = propagate(T, seen, np.tile(np.eye(3), (6, 1, 1)), curr=curr, scale=unit)
+    np.testing.assert_array_equal(propagated.information[5], 0.0)
+    np.testing.assert_array_equal(propagated.refined[5], passed)
 
-    _, gradient, hessian, squared = system(T, refined, offset, curr, np.tile(np.eye(4), (6, 1, 1)))
-    _, expected_gradient, expected_hessian, _ = system(
-        T, refined[:5], offset[:5], curr[:5], np.tile(np.eye(4), (5, 1, 1))
-    )
-    np.testing.assert_array_equal(gradient, expected_gradient)
-    np.testing.assert_array_equal(hessian, expected_hessian)
-    assert squared[5] == BEHIND
+    all_six = linearized_at(propagated.refined, propagated.offset, unit)
+    in_front = linearized_at(propagated.refined[:5], propagated.offset[:5], unit[:5])
+    _, equations = system(T, curr, all_six)
+    _, expected = system(T, curr[:5], in_front)
+    np.testing.assert_array_equal(equations.gradient, expected.gradient)
+    np.testing.assert_array_equal(equations.hessian, expected.hessian)
+    assert equations.squared[5] == BEHIND
 
 
 def test_noise_of_points_is_propagated_by_the_derivative_of_the_warp(scenes: list[Scene]) -> None:
     """Σ = R' + A S Aᵀ and ŝ = s + S Aᵀ Σ⁻¹ e with A by central differences, for 1,000 motions."""
     rng = np.random.default_rng(5)
-    step = 1e-4
     worst = 0.0
     for scene in scenes:
         point_cov = random_covariances(rng, NUM_POINTS, 3, 0.5)
         scale = random_covariances(rng, NUM_POINTS, 4, 0.7)
         curr = warp(scene.T, scene.seen) + rng.normal(size=(NUM_POINTS, 4))
-        refined, offset, information = fold_noise(
-            scene.T, scene.seen, point_cov, curr, scale, scene.seen
-        )
-        shifts = step * np.eye(3)
-        A = np.stack(
-            [warp(scene.T, scene.seen + s) - warp(scene.T, scene.seen - s) for s in shifts], axis=2
-        )
-        A /= 2 * step
+        propagated = propagate(scene.T, scene.seen, point_cov, curr=curr, scale=scale)
+        A = derivative_of_warp(scene.T, scene.seen)
         expected = np.linalg.inv(scale + A @ point_cov @ A.mT)
         move = point_cov @ A.mT @ expected @ (curr - warp(scene.T, scene.seen))[..., None]
+        offset = (A @ (scene.seen - propagated.refined)[..., None])[..., 0]
         worst = max(
             worst,
-            relative_error(information, expected),
-            relative_error(refined - scene.seen, move[..., 0]),
-            relative_error(offset, (A @ (scene.seen - refined)[..., None])[..., 0]),
+            relative_error(propagated.information, expected),
+            relative_error(propagated.refined - scene.seen, move[..., 0]),
+            relative_error(propagated.offset, offset),
         )
     assert worst < 1e-6
 
 
-def test_a_lasting_error_enters_by_the_joint_gaussian_of_both_frames(scenes: list[Scene]) -> None:
+def test_time_correlated_error_enters_by_the_joint_gaussian_of_both_frames(
+    scenes: list[Scene],
+) -> None:
     """Errors (p, n', δ) of point, observation and disparity: e = n' − δ (0, 0, 1, 0) − A (p + (0,
     0, δ)), by means."""
     rng = np.random.default_rng(8)
@@ -310,39 +375,28 @@ def test_a_lasting_error_enters_by_the_joint_gaussian_of_both_frames(scenes: lis
     time_correlated = rng.uniform(0.0, 1.0, NUM_POINTS)
     for scene in scenes[:50]:
         curr = warp(scene.T, scene.seen) + rng.normal(scale=0.3, size=(NUM_POINTS, 4))
-        refined, _, information = fold_noise(
-            scene.T, scene.seen, S, curr, R, scene.seen, time_correlated
+        propagated = propagate(
+            scene.T, scene.seen, S, curr=curr, scale=R, time_correlated=time_correlated
         )
-        A = np.stack(
-            [
-                (warp(scene.T, scene.seen + h) - warp(scene.T, scene.seen - h)) / 2e-4
-                for h in 1e-4 * np.eye(3)
-            ],
-            axis=-1,
-        )
-        to_error = np.concatenate(
-            [
-                -A,
-                np.broadcast_to(np.eye(4), (NUM_POINTS, 4, 4)),
-                -A[..., 2:] - np.array([[0], [0], [1], [0]]),
-            ],
-            axis=2,
-        )
+        A = derivative_of_warp(scene.T, scene.seen)
+        unit = np.broadcast_to(np.eye(4), (NUM_POINTS, 4, 4))
+        of_delta = -A[..., 2:] - np.array([[0], [0], [1], [0]])
+        to_error = np.concatenate([-A, unit, of_delta], axis=2)
         joint = np.zeros((NUM_POINTS, 8, 8))
         joint[:, :3, :3] = S
         joint[:, 3:7, 3:7] = R
-        joint[:, 7, 7] = lasting
+        joint[:, 7, 7] = time_correlated
         sigma = to_error @ joint @ to_error.mT
-        mean = (
-            joint
-            @ to_error.mT
-            @ np.linalg.solve(sigma, (curr - warp(scene.T, scene.seen))[..., None])
-        )[..., 0]
-        mean[:, 2] += mean[:, 7]  # both errors of the disparity seen
-        np.testing.assert_allclose(
-            information @ sigma, np.broadcast_to(np.eye(4), sigma.shape), atol=1e-5
-        )
-        np.testing.assert_allclose(refined, scene.seen - mean[:, :3], atol=1e-5)
+        e = curr - warp(scene.T, scene.seen)
+        mean = (joint @ to_error.mT @ np.linalg.solve(sigma, e[..., None]))[..., 0]
+        mean[:, 2] += mean[:, 7]  # both errors of the measured disparity
+        np.testing.assert_allclose(propagated.information @ sigma, unit, atol=1e-5)
+        np.testing.assert_allclose(propagated.refined, scene.seen - mean[:, :3], atol=1e-5)
+        # The true disparity is the measured one less both of its errors.
+        state = np.zeros((2, 8))
+        state[0, 2] = state[0, 7] = -1.0
+        state[1, 7] = 1.0
+        np.testing.assert_allclose(propagated.cross_cov, to_error @ joint @ state.T, atol=1e-5)
 
 
 def test_points_without_noise_stay_where_they_are_seen() -> None:
@@ -350,12 +404,12 @@ def test_points_without_noise_stay_where_they_are_seen() -> None:
     scene = random_scene(rng)
     scale = random_covariances(rng, NUM_POINTS, 4, 0.7)
     curr = warp(scene.T, scene.seen) + rng.normal(size=(NUM_POINTS, 4))
-    refined, offset, information = fold_noise(
-        scene.T, scene.seen, np.zeros((NUM_POINTS, 3, 3)), curr, scale, scene.seen
-    )
-    np.testing.assert_array_equal(refined, scene.seen)
-    np.testing.assert_array_equal(offset, 0.0)
-    np.testing.assert_allclose(information, np.linalg.inv(scale), rtol=1e-9, atol=1e-12)
+    exact = np.zeros((NUM_POINTS, 3, 3))
+    propagated = propagate(scene.T, scene.seen, exact, curr=curr, scale=scale)
+    np.testing.assert_array_equal(propagated.refined, scene.seen)
+    np.testing.assert_array_equal(propagated.offset, 0.0)
+    expected = np.linalg.inv(scale)
+    np.testing.assert_allclose(propagated.information, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_repeated_refinement_ends_at_the_most_likely_point() -> None:
@@ -367,22 +421,20 @@ def test_repeated_refinement_ends_at_the_most_likely_point() -> None:
     curr = warp(scene.T, scene.seen) + rng.normal(scale=0.3, size=(NUM_POINTS, 4))
     refined = scene.seen
     for _ in range(30):
-        refined, offset, information = fold_noise(scene.T, scene.seen, S, curr, R, refined)
+        propagated = propagate(scene.T, scene.seen, S, curr=curr, scale=R, refined=refined)
+        refined = propagated.refined
 
     def misfit(s: FloatArray) -> FloatArray:
         e = curr - warp(scene.T, s)
         moved = scene.seen - s
-        solved = (
-            np.linalg.solve(R, e[..., None])[..., 0],
-            np.linalg.solve(S, moved[..., None])[..., 0],
-        )
-        return np.sum(e * solved[0], axis=1) + np.sum(moved * solved[1], axis=1)
+        of_observation = np.linalg.solve(R, e[..., None])[..., 0]
+        of_point = np.linalg.solve(S, moved[..., None])[..., 0]
+        return np.sum(e * of_observation, axis=1) + np.sum(moved * of_point, axis=1)
 
     for axis in 1e-6 * np.eye(3):
         slope = (misfit(refined + axis) - misfit(refined - axis)) / 2e-6
         np.testing.assert_allclose(slope, 0.0, atol=1e-5)
     # There, the squared length with Σ of the residual less the offset is that least misfit.
-    e = curr - warp(scene.T, refined) - offset
-    np.testing.assert_allclose(
-        np.einsum("ni,nij,nj->n", e, information, e), misfit(refined), rtol=1e-8
-    )
+    e = curr - warp(scene.T, refined) - propagated.offset
+    squared = np.einsum("ni,nij,nj->n", e, propagated.information, e)
+    np.testing.assert_allclose(squared, misfit(refined), rtol=1e-8)

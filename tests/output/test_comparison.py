@@ -13,21 +13,22 @@ from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.evaluation.trajectory_errors import position_errors
 from probevo.geometry import se3
 from probevo.output.comparison import (
-    COLUMNS,
+    FIGURES,
     Comparison,
     Entry,
     column_notes,
     comparison_rows,
     distinct_labels,
     numbered,
-    reads_least,
     truth_note,
 )
 from probevo.output.comparison_page import write_comparison
 from probevo.output.comparison_plots import errors_figure, paths_figure
 from probevo.output.run_result import RunResult
+from probevo.output.table import reads_least
 from probevo.output.trial_table import trial_table
 
+HEADS = tuple(column.head for column in FIGURES)
 COLORS = {"fixed": "#111111", "student-t": "#222222"}
 JPEGS = {name: [f"{name}{k}".encode() for k in range(4)] for name in COLORS}
 
@@ -98,7 +99,7 @@ def test_rows_hold_the_metrics_and_the_median_time(make_run: Callable[..., RunRe
     )
     run = replace(make_run(4), total_ms=np.array([7.0, 8.0, 100.0]))
     rows = comparison_rows(Comparison((Entry("hill", "fixed", run, metrics=metrics),)))
-    assert rows[0] == ("estimator", *COLUMNS, "solved %")
+    assert rows[0] == ("estimator", *HEADS, "solved %")
     assert rows[2] == ("  fixed", "0.123", "2.00", "1.50", "0.0100", "8.00", "100")
 
 
@@ -113,7 +114,7 @@ def test_out_of_domain_features_have_a_column_where_a_model_has_a_domain(
     home = entries[0]
     abroad = replace(entries[1], result=make_run(30, outside=25))
     head, _, first, second = comparison_rows(Comparison((home, abroad)))
-    assert head == ("estimator", *COLUMNS, "solved %", "out of domain %")
+    assert head == ("estimator", *HEADS, "solved %", "out of domain %")
     assert (first[-1], second[-1]) == ("–", "25.0")
     assert "Out of domain" in column_notes(Comparison((home, abroad)))[-1]
     assert "Out of domain" not in " ".join(column_notes(Comparison(entries)))

@@ -11,7 +11,7 @@ from probevo.output.feature_pictures import (
     value_shades,
     weight_shades,
 )
-from probevo.output.metrics_table import readable
+from probevo.output.table import readable
 
 SIZE_PX = 1000, 300
 GRAY = np.full((300, 1000), 128, dtype=np.uint8)

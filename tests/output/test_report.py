@@ -1,7 +1,7 @@
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,15 +13,19 @@ from output.pages import Balance
 from probevo.evaluation.consistency import Consistency
 from probevo.evaluation.metrics import evaluate
 from probevo.output.drawing import draw_tracks
-from probevo.output.metrics_table import readable
-from probevo.output.report import write_report
+from probevo.output.report import RunDescription, write_report
 from probevo.output.report_calibration import calibration_figure
 from probevo.output.report_timelines import domain_figure, stages_figure
 from probevo.output.run_result import RunResult
+from probevo.output.table import readable
 
 
 def page_of(
-    run: RunResult, folder: Path, truth: np.ndarray | None = None, **options: object
+    run: RunResult,
+    folder: Path,
+    truth: np.ndarray | None = None,
+    thumbnails: Sequence[tuple[str, bytes]] = (),
+    config: str = "",
 ) -> str:
     metrics = (
         None if truth is None else evaluate(run.T_world_cam, truth, run.T_curr_prev, cov=run.cov)
@@ -29,11 +33,10 @@ def page_of(
     write_report(
         folder / "report.html",
         run,
-        "A <run>",
-        {"noise": "student-t & co"},
-        truth,
-        metrics,
-        **options,
+        RunDescription("A <run>", {"noise": "student-t & co"}, config),
+        truth=truth,
+        metrics=metrics,
+        thumbnails=thumbnails,
     )
     assert [path.name for path in folder.iterdir()] == ["report.html"]
     return (folder / "report.html").read_text()

@@ -10,11 +10,11 @@ from output.pages import Balance
 from probevo.evaluation.metrics import Metrics
 from probevo.output.comparison import Comparison, Entry
 from probevo.output.run_result import RunResult
+from probevo.output.table import latex
 from probevo.output.trial_table import (
     UNKNOWN,
     TrialRow,
     TrialTable,
-    latex,
     trial_table,
     trials_latex,
     trials_section,

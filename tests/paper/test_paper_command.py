@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from probevo.cli.main import main
-from probevo_paper.blur_page import TABLE_HEAD
+from probevo_paper.figure_5_page import TABLE_HEAD
 
 
 def test_blur_writes_a_page_and_its_observations(

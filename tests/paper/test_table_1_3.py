@@ -1,4 +1,4 @@
-"""Thesis Table 1.3: loop closure errors, the turns of EM, and the table beside what was published."""
+"""Thesis Table 1.3: loop closure errors, iterations of EM, and our rows beside the published."""
 
 import csv
 import json
@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paper.kernel_tables import TURNS, stand_ins
 
 from cli.rendering import write_wall
 from output.pages import Balance
 from output.test_trial_table import tabular
+from paper.stand_ins import TURNS, interrupt_run, stand_ins
 from probevo.arrays import FloatArray
 from probevo.cli.main import main
 from probevo.estimation.motion_estimate import MotionEstimate, Status
@@ -26,7 +26,7 @@ FILES = {f"table_1_3.{suffix}" for suffix in ("html", "csv", "json", "tex", "txt
 
 
 def entry(*forward_m: float, truth: FloatArray | None = None) -> Entry:
-    """A run that drives straight ahead in such steps."""
+    """Return a run that drives straight ahead in such steps."""
     recorder = RunRecorder()
     recorder.add(0, MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, num_tracks=0))
     for k, step_m in enumerate(forward_m, start=1):
@@ -47,13 +47,11 @@ def test_the_loops_are_of_one_field() -> None:
     scenes = loops(Table13Config(trials=3, distance_m=20.0))
     assert [scene.drive for scene in scenes.values()] == [0, 1, 2]
     assert {scene.truth for scene in scenes.values()} == {"loop"}
-    assert (
-        len({scene.model_copy(update={"drive": 0}).model_dump_json() for scene in scenes.values()})
-        == 1
-    )
+    fields = {scene.model_copy(update={"drive": 0}).model_dump_json() for scene in scenes.values()}
+    assert len(fields) == 1
 
 
-def test_the_error_of_a_loop_is_the_way_from_its_true_end() -> None:
+def test_the_error_of_a_loop_is_the_distance_from_its_true_end() -> None:
     assert loop_error_m(entry(3.0, -2.5)) == pytest.approx(0.5, abs=1e-12)
     world = se3.exp(np.array([4.0, -5.0, 6.0, 0.3, -0.2, 0.9]))
     end = se3.exp(np.array([0.3, 0.4, 0.5, 0.1, 0.0, 0.0]))
@@ -71,7 +69,7 @@ def test_a_truth_that_does_not_know_the_end_says_nothing() -> None:
     assert loop_error_m(entry(3.0, -2.5, truth=truth)) == pytest.approx(0.5, abs=1e-12)
 
 
-def test_the_turns_of_em_are_drawn_beside_the_static_model() -> None:
+def test_the_iterations_of_em_are_drawn_beside_the_static_model() -> None:
     likelihood, gap = progress_figure(TURNS, 0.75).axes
     assert np.asarray(likelihood.lines[0].get_ydata()).tolist() == [-3.0, -2.5]
     static, em = gap.lines
@@ -89,9 +87,8 @@ def test_ours_stand_beside_what_was_published(
         assert main(["paper", "table-1.3", "--out", str(tmp_path), "--trials", "3"]) == 0
     assert {path.name for path in tmp_path.iterdir()} == FILES | {"runs", "models", "recordings"}
     assert len(calls.scenes) == 3
-    assert [(c.settings.kind, c.settings.supervision) for c in calls.trainings] == [
-        *(("student-t", "none"), ("gk", "none")),
-    ]
+    trained = [(call.settings.kind, call.settings.supervision) for call in calls.trainings]
+    assert trained == [("student-t", "none"), ("gk", "none")]
     with (tmp_path / "table_1_3.csv").open() as file:
         lines = list(csv.DictReader(file))
     names = [(line["sequence"], line["estimator"]) for line in lines]
@@ -99,15 +96,8 @@ def test_ours_stand_beside_what_was_published(
         ("trial 1", "student-t"),
         *((f"trial {k}", name) for k in (2, 3) for name in ESTIMATORS),
     ]
-    assert [line["published_loop_error_m"] for line in lines] == [
-        "",
-        "8.07",
-        "",
-        "3.88",
-        "6.64",
-        "",
-        "3.07",
-    ]
+    published = [line["published_loop_error_m"] for line in lines]
+    assert published == ["", "8.07", "", "3.88", "6.64", "", "3.07"]
     document = json.loads((tmp_path / "table_1_3.json").read_text())
     assert (document["trained_on"], document["turns"]) == ("trial 1", TURNS)
     assert [run["loop_error_m"] for run in document["runs"]] == [
@@ -121,7 +111,7 @@ def test_ours_stand_beside_what_was_published(
 
 
 def check_page(out: Path, shown: list[str]) -> None:
-    """It is whole, fetches nothing, and leads to the reports of the runs."""
+    """Check that the page is whole, fetches nothing, and leads to the reports of the runs."""
     page = Balance()
     page.feed((out / "table_1_3.html").read_text())
     assert not page.open
@@ -156,18 +146,7 @@ def runs_of(out: Path) -> list[dict[str, Any]]:
 def test_where_it_is_stopped_what_is_done_is_in_the_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from probevo.cli import run
-
-    original = run.run_with_progress
-    done = []
-
-    def stopping(*arguments: Any) -> Any:
-        done.append(None)
-        if len(done) == 2:
-            raise KeyboardInterrupt
-        return original(*arguments)
-
-    monkeypatch.setattr(run, "run_with_progress", stopping)
+    interrupt_run(monkeypatch, 2)
     with stand_ins():
         assert main(["paper", "table-1.3", "--out", str(tmp_path), "--trials", "2"]) == 130
     assert [run["sequence"] for run in runs_of(tmp_path)] == ["trial 1"]
@@ -186,20 +165,9 @@ def test_loops_that_will_not_do_are_refused_before_the_training(
         ([path, path], "is given twice"),
         ([path, other], f"--loops: the camera of {other} is not that of {path}: its baseline"),
     ):
+        command = ["paper", "table-1.3", "--out", str(tmp_path / "out"), "--loops"]
         with stand_ins() as calls:
-            assert (
-                main(
-                    [
-                        "paper",
-                        "table-1.3",
-                        "--out",
-                        str(tmp_path / "out"),
-                        "--loops",
-                        *map(str, words),
-                    ]
-                )
-                == 2
-            )
+            assert main([*command, *map(str, words)]) == 2
         assert fragment in capsys.readouterr().err
         assert not calls.trainings
     assert not (tmp_path / "out").exists()

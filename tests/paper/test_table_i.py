@@ -1,5 +1,4 @@
-"""PROBE Table I: the published rows, what a KITTI folder allows to repeat, and the table with ours
-beside them."""
+"""PROBE Table I: published rows, the part that a KITTI folder allows, and our rows beside them."""
 
 import csv
 import json
@@ -12,6 +11,7 @@ from typing import Any
 import pytest
 
 from output.test_trial_table import tabular, width
+from paper.stand_ins import interrupt_run
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.noise import StudentT
@@ -20,15 +20,15 @@ from probevo.training.settings import TrainSettings
 from probevo_paper.table_i import (
     CITY,
     ESTIMATORS,
-    KINDS,
     OURS,
     PROBE,
     RESIDENTIAL,
     ROAD,
+    TRAINING_DRIVES,
     TRIALS,
-    Drive,
+    KittiDrive,
     plan_table,
-    trainings,
+    training_settings,
 )
 from probevo_paper.table_i_config import TableIConfig
 from sequences.recordings import write_kitti_raw
@@ -36,25 +36,30 @@ from sequences.recordings import write_kitti_raw
 FILES = {f"table_i.{suffix}" for suffix in ("html", "csv", "json", "tex", "txt")}
 
 
-def folders(root: Path, *drives: Drive) -> Path:
+def with_drives(root: Path, *drives: KittiDrive) -> Path:
     for drive in drives:
         (root / drive.folder).mkdir(parents=True)
     return root
 
 
-def trial_of(name: str) -> Drive:
+def drive_named(name: str) -> KittiDrive:
     return next(trial.drive for trial in TRIALS if trial.drive.name == name)
+
+
+def repeat_table(kitti: Path, out: Path, *words: str) -> int:
+    """Run the command; return its exit code."""
+    return main(["paper", "table-i", "--kitti", str(kitti), "--out", str(out), *words])
 
 
 @pytest.fixture(autouse=True)
 def _without_reports(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of the single runs take most of the time."""
-    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_: path.touch())
+    """Leave out the reports of single runs, which take most of the time."""
+    monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
 
 
 @pytest.fixture
 def trained() -> Iterator[list[SimpleNamespace]]:
-    """In place of training and of reading models: what was asked for is collected."""
+    """Replace training and reading of models; record the trainings that were asked for."""
     calls: list[SimpleNamespace] = []
 
     def train_model(
@@ -81,16 +86,17 @@ def test_the_published_rows_are_those_of_the_paper() -> None:
     """Sums over the columns of the printed table."""
     assert len({trial.drive for trial in TRIALS}) == len(TRIALS) == 10
     sums = [
-        sum(trial.published[name][k] for trial in TRIALS)
+        sum(trial.published[name][measure] for trial in TRIALS)
         for name in ("nominal", "aggressive", "PROBE")
-        for k in (0, 1)
+        for measure in (0, 1)
     ]
     assert sums == pytest.approx([32.117, 125.94, 29.29, 112.86, 26.95, 85.92], abs=1e-9)
     assert sum(trial.path_length_m for trial in TRIALS) == pytest.approx(4169.0)
     trained_on = {
-        kind: [t.drive.name for t in TRIALS if t.training == drive] for drive, kind in KINDS.items()
+        place: [trial.drive.name for trial in TRIALS if trial.training == drive]
+        for drive, place in TRAINING_DRIVES.items()
     }
-    assert {kind: len(names) for kind, names in trained_on.items()} == {
+    assert {place: len(names) for place, names in trained_on.items()} == {
         "City": 5,
         "Residential": 2,
         "Road": 3,
@@ -100,17 +106,21 @@ def test_the_published_rows_are_those_of_the_paper() -> None:
 
 
 def test_all_there_is_nothing_missing(tmp_path: Path) -> None:
-    plan = plan_table(folders(tmp_path, *KINDS, *(trial.drive for trial in TRIALS)))
+    plan = plan_table(with_drives(tmp_path, *TRAINING_DRIVES, *(trial.drive for trial in TRIALS)))
     assert plan.trials == TRIALS
     assert plan.missing == ()
-    assert plan.trainings == (CITY, RESIDENTIAL, ROAD)
+    assert plan.training_drives == (CITY, RESIDENTIAL, ROAD)
 
 
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
-    present = [trial_of("26_drive_0051"), trial_of("26_drive_0022"), trial_of("30_drive_0016")]
-    plan = plan_table(folders(tmp_path, CITY, ROAD, *present))
+    present = [
+        drive_named("26_drive_0051"),
+        drive_named("26_drive_0022"),
+        drive_named("30_drive_0016"),
+    ]
+    plan = plan_table(with_drives(tmp_path, CITY, ROAD, *present))
     assert [trial.drive.name for trial in plan.trials] == ["26_drive_0051", "30_drive_0016"]
-    assert plan.trainings == (CITY, ROAD)
+    assert plan.training_drives == (CITY, ROAD)
     absent, untrained, blocked = plan.missing
     assert absent.startswith(
         "Absent trials: 26_drive_0104, 29_drive_0071, 26_drive_0117, 30_drive_0027,"
@@ -140,21 +150,24 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
             ],
         ),
         (
-            [trial_of("26_drive_0051")],
+            [drive_named("26_drive_0051")],
             ["has trials, 26_drive_0051, but none of the drives to train on for them."],
         ),
         (
-            [CITY, trial_of("26_drive_0022")],
+            [CITY, drive_named("26_drive_0022")],
             ["has trials, 26_drive_0022, but none", "2011_09_26_drive_0046_sync"],
         ),
     ],
 )
 def test_nothing_to_run_is_an_error_that_says_what_is_needed(
-    present: list[Drive], fragments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    present: list[KittiDrive],
+    fragments: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    root = folders(tmp_path / "kitti", *present)
+    root = with_drives(tmp_path / "kitti", *present)
     root.mkdir(exist_ok=True)
-    assert main(["paper", "table-i", "--kitti", str(root), "--out", str(tmp_path / "out")]) == 2
+    assert repeat_table(root, tmp_path / "out") == 2
     shown = capsys.readouterr().err
     assert shown.startswith(f"probevo: --kitti: {root} ")
     for fragment in fragments:
@@ -167,7 +180,7 @@ def test_a_folder_that_is_none_or_too_deep(tmp_path: Path) -> None:
     for name, what in (("file", "is a file."), ("none", "is missing.")):
         with pytest.raises(InputError, match=what):
             plan_table(tmp_path / name)
-    folders(tmp_path, CITY)
+    with_drives(tmp_path, CITY)
     with pytest.raises(InputError, match=f"Perhaps it is {tmp_path} that you mean"):
         plan_table(tmp_path / CITY.date)
 
@@ -176,24 +189,10 @@ def test_ours_stand_beside_what_was_published(
     tmp_path: Path, trained: list[SimpleNamespace], capsys: pytest.CaptureFixture[str]
 ) -> None:
     drive = write_kitti_raw(tmp_path / "kitti")
-    for copy in (CITY, trial_of("26_drive_0051"), trial_of("26_drive_0104")):
+    for copy in (CITY, drive_named("26_drive_0051"), drive_named("26_drive_0104")):
         shutil.copytree(drive, tmp_path / "kitti" / copy.folder)
     out = tmp_path / "out"
-    assert (
-        main(
-            [
-                "paper",
-                "table-i",
-                "--kitti",
-                str(tmp_path / "kitti"),
-                "--out",
-                str(out),
-                "--seed",
-                "4",
-            ]
-        )
-        == 0
-    )
+    assert repeat_table(tmp_path / "kitti", out, "--seed", "4") == 0
     assert {path.name for path in out.iterdir()} == FILES | {"runs", "models"}
     as_published, ours = trained
     assert as_published.paths == ours.paths == [tmp_path / "kitti" / CITY.folder]
@@ -216,8 +215,7 @@ def test_ours_stand_beside_what_was_published(
 
 
 def check_table(out: Path, trials: list[str]) -> None:
-    """CSV and JSON hold the metrics of the runs and the published figures; LaTeX has two rows a
-    trial."""
+    """Check CSV and JSON against the metrics of the runs and the published figures, and LaTeX."""
     runs = json.loads((out / "table_i.json").read_text())["runs"]
     with (out / "table_i.csv").open() as file:
         lines = list(csv.DictReader(file))
@@ -234,10 +232,9 @@ def check_table(out: Path, trials: list[str]) -> None:
         ]
     by_name = {(line["sequence"], line["estimator"]): line for line in lines}
     line = by_name["26_drive_0051", "PROBE"]
-    assert (line["published_armse_m"], line["published_final_error_m"], line["trained_on"]) == (
-        *("3.48", "8.07"),
-        "26_drive_0005",
-    )
+    assert line["published_armse_m"] == "3.48"
+    assert line["published_final_error_m"] == "8.07"
+    assert line["trained_on"] == "26_drive_0005"
     assert by_name["26_drive_0051", "student-t"]["published_armse_m"] == ""
     columns, rows = tabular((out / "table_i.tex").read_text())
     assert columns == "llr" + "rr" * 5
@@ -254,30 +251,11 @@ def test_where_it_is_stopped_what_is_done_is_in_the_table(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    from probevo.cli import run
-
     drive = write_kitti_raw(tmp_path / "kitti")
-    for copy in (CITY, trial_of("26_drive_0051")):
+    for copy in (CITY, drive_named("26_drive_0051")):
         shutil.copytree(drive, tmp_path / "kitti" / copy.folder)
-    done: list[None] = []
-    original = run.run_with_progress
-
-    def stopping(*arguments: Any) -> Any:
-        done.append(None)
-        if len(done) == 2:
-            raise KeyboardInterrupt
-        return original(*arguments)
-
-    monkeypatch.setattr(run, "run_with_progress", stopping)
-    words = [
-        "--kitti",
-        str(tmp_path / "kitti"),
-        "--out",
-        str(tmp_path / "out"),
-        "--max-frames",
-        "3",
-    ]
-    assert main(["paper", "table-i", *words]) == 130
+    interrupt_run(monkeypatch, 2)
+    assert repeat_table(tmp_path / "kitti", tmp_path / "out", "--max-frames", "3") == 130
     assert "The 1 finished of 5 runs are compared in" in capsys.readouterr().err
     text = (tmp_path / "out" / "table_i.txt").read_text()
     assert "Stopped before all was run of 26_drive_0051." in text
@@ -290,17 +268,9 @@ def test_a_real_drive_under_the_names_of_a_trial_and_its_training(
 ) -> None:
     date = data_root / "kitti_raw" / CITY.date
     (tmp_path / "kitti" / CITY.date).mkdir(parents=True)
-    for drive in (CITY, trial_of("26_drive_0051")):
+    for drive in (CITY, drive_named("26_drive_0051")):
         (tmp_path / "kitti" / drive.folder).symlink_to(date / CITY.folder.name)
-    words = [
-        "--kitti",
-        str(tmp_path / "kitti"),
-        "--out",
-        str(tmp_path / "out"),
-        "--max-frames",
-        "6",
-    ]
-    assert main(["paper", "table-i", *words]) == 0
+    assert repeat_table(tmp_path / "kitti", tmp_path / "out", "--max-frames", "6") == 0
     check_table(tmp_path / "out", ["26_drive_0051"])
     for estimator in ESTIMATORS:
         metrics = json.loads(
@@ -313,12 +283,12 @@ def test_models_are_trained_for_the_settings_of_the_runs() -> None:
     given = TableIConfig.model_validate(
         {"seed": 7, "self_calibration": False, "tracking": {"window_px": 21}}
     )
-    published, ours = trainings(given).values()
+    published, ours = training_settings(given).values()
     for training in (published, ours):
         assert training.odometry.seed == 7
         assert not training.odometry.self_calibration
         assert training.odometry.tracking.window_px == 21
     assert (published.odometry.ransac.mode, published.odometry.gyro.prefilter_deg) == ("off", 5.0)
     assert ours.odometry.ransac.mode != "off"
-    assert trainings(TableIConfig())[PROBE] == TrainSettings.published()
-    assert trainings(TableIConfig())[OURS] == TrainSettings(supervision="none")
+    assert training_settings(TableIConfig())[PROBE] == TrainSettings.published()
+    assert training_settings(TableIConfig())[OURS] == TrainSettings(supervision="none")

@@ -1,9 +1,10 @@
-"""``probevo inspect``: what a noise model learned, and how it sees the features of a frame (PROBE
-Figs. 6, 7)."""
+"""``probevo inspect``: what a noise model learned, and how it sees the features of a frame.
+
+PROBE Figs. 6 and 7.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,19 +12,15 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from probevo.cli.arguments import checked, parse
-from probevo.cli.text import table
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.run_config import FORMAT_HELP
 
 if TYPE_CHECKING:
     from probevo.noise.base import LearnedNoiseModel
-    from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-    from probevo.output.inspection_data import FrameView
+    from probevo.output.inspection.subject import FrameView, Subject
     from probevo.predictors import PredictionSpace
     from probevo.sequences import Sequence
-
-PAGE = "inspection.html"
 
 
 @dataclass(frozen=True)
@@ -60,14 +57,14 @@ class InspectArguments:
 
 
 def main(words: list[str]) -> None:
-    """Parse, look, write."""
-    arguments = parse(
-        InspectArguments, words, "inspect", default=InspectArguments(None, tyro.MISSING)
-    )
+    """Parse the arguments, inspect, and write the page."""
+    default = InspectArguments(None, tyro.MISSING)
+    arguments = parse(InspectArguments, words, "inspect", default=default)
     settings = checked(arguments.settings)
     _check(arguments)
     from probevo.files import check_folder
     from probevo.noise.model_io import load_model
+    from probevo.output.inspection.subject import Subject
 
     check_folder(arguments.out, "--out")
     model = load_model(arguments.model) if arguments.model else None
@@ -75,16 +72,20 @@ def main(words: list[str]) -> None:
         raise InputError(
             "--predictors", "the model says which predictors it takes.", "Leave out one of the two."
         )
-    frame = (
-        frame_view(arguments.sequence, arguments, settings, model=model)
-        if arguments.sequence
-        else None
-    )
-    print(write(arguments.out, arguments.model.name if arguments.model else "", model, frame=frame))
+    frame = None
+    if arguments.sequence is not None:
+        frame = frame_view(arguments.sequence, arguments, settings, model=model)
+    name = arguments.model.name if arguments.model else ""
+    subject = Subject(name=name, model=model, frame=frame, units=known_units())
+    print(write(arguments.out, subject))
 
 
 def _check(arguments: InspectArguments) -> None:
-    """Refuse words that do not go together."""
+    """Refuse arguments that contradict each other.
+
+    Raises:
+        InputError: neither a recording nor a model is named, or a frame of no recording.
+    """
     if arguments.sequence is None and arguments.model is None:
         cure = (
             "Give a recording, a model, or both: `probevo inspect SEQUENCE --model MODEL --out"
@@ -100,7 +101,7 @@ def _check(arguments: InspectArguments) -> None:
 
 
 def known_units() -> dict[str, str]:
-    """Unit of every column of every predictor."""
+    """Collect the unit of every column of every predictor, by its name."""
     from probevo.predictors import all_predictors
 
     return {
@@ -116,7 +117,13 @@ def frame_view(
     settings: OdometryConfig,
     model: LearnedNoiseModel | None,
 ) -> FrameView:
-    """Run over the recording up to the frame; shows on stderr how far it is.
+    """Run over a recording up to a frame, and take its features; progress is shown on stderr.
+
+    Args:
+        path: the recording.
+        arguments: which frame and, without a model, which predictors.
+        settings: of the odometry.
+        model: the noise model to run with; None for the default.
 
     Raises:
         InputError: the model belongs to another camera, the recording lacks what a predictor needs,
@@ -142,6 +149,7 @@ def frame_view(
 
 
 def _frame_index(wanted: int | None, num_frames: int, path: Path) -> int:
+    """Check the index of a frame; the frame in the middle by default."""
     if num_frames < 2:
         raise InputError(
             path, "it has one frame, and so no feature that was followed.", "Give a longer one."
@@ -165,6 +173,7 @@ def _view_of_frame(
     model: LearnedNoiseModel | None,
     settings: OdometryConfig,
 ) -> FrameView:
+    """Run over a recording up to the frame of that index, and take its features."""
     from itertools import islice
 
     import cv2
@@ -172,120 +181,59 @@ def _view_of_frame(
 
     from probevo.cli.first_use import getting_ready
     from probevo.cli.progress import progress_bar
-    from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-    from probevo.noise.probe.nearest_neighbors import NearestNeighbors
     from probevo.odometry import StereoOdometry
-    from probevo.output.inspection_data import FrameView, neighbor_radius
+    from probevo.output.inspection.subject import FrameView
 
     cv2.setNumThreads(1)
     odometry = StereoOdometry(
         sequence.camera, model, sequence.imu, config=settings, predictors=space
     )
-    corner_px = np.zeros(2)
+    # Features are tracked, so that the odometry has to see all frames up to this one.
+    farthest_px = np.zeros(2)
     left = None
     name = sequence.path.resolve().name
     with progress_bar(f"{name} up to frame {index}", getting_ready()) as show:
         for frame in islice(sequence, index + 1):
             odometry.step(frame)
-            corner_px = np.maximum(
-                corner_px, odometry.tracks.curr_px[:, :2].max(axis=0, initial=0.0)
-            )
+            seen_px = odometry.tracks.curr_px[:, :2].max(axis=0, initial=0.0)
+            farthest_px = np.maximum(farthest_px, seen_px)
             left = frame.left
             show(frame.index + 1, index + 1)
     tracks = odometry.tracks
-    phi = odometry.phi
     if len(tracks) == 0:
         raise InputError(
             "--frame", f"frame {index} has no feature that was followed.", "Choose another one."
         )
-    seen_px = tuple((np.floor(corner_px).astype(int) + 1).tolist())
+    # Without an image, and without a known image size, the area in which features were seen.
+    if left is not None:
+        size_px = (left.shape[1], left.shape[0])
+    elif sequence.camera.size_px is not None:
+        size_px = sequence.camera.size_px
+    else:
+        width_px, height_px = (np.floor(farthest_px).astype(int) + 1).tolist()
+        size_px = (width_px, height_px)
     return FrameView(
         recording=name,
         index=index,
         left=left,
-        size_px=(
-            (left.shape[1], left.shape[0])
-            if left is not None
-            else sequence.camera.size_px or seen_px
-        ),
+        size_px=size_px,
         uv=tracks.curr_px[:, :2],
         columns={
             column: unit
             for predictor in space.predictors
             for column, unit in predictor.columns.items()
         },
-        phi=phi,
-        beta=model.weights(phi) if isinstance(model, NearestNeighbors) else None,
-        radius=neighbor_radius(model, phi) if isinstance(model, NearestNeighbors) else None,
-        noise=model.predict(phi) if isinstance(model, GeneralizedKernel) else None,
+        phi=odometry.phi,
     )
 
 
-def write(out: Path, name: str, model: LearnedNoiseModel | None, frame: FrameView | None) -> str:
-    """Write pictures and page of the model of that name; returns what to print."""
-    from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-    from probevo.noise.probe.nearest_neighbors import NearestNeighbors
-    from probevo.noise.student_t import StudentT
-    from probevo.output.inspection_data import ModelView, column_summaries
-    from probevo.output.inspection_page import write_inspection
-    from probevo.output.inspection_pictures import frame_pictures
-    from probevo.output.inspection_sections import SUMMARY_HEAD, summary_rows
+def write(out: Path, subject: Subject) -> str:
+    """Write the page and the pictures of a subject; returns what to print."""
+    from probevo.output.inspection.page import PAGE, write_inspection
 
-    if isinstance(model, GeneralizedKernel):
-        return _write_kernel(out, name, model, frame=frame)
-    view = ModelView.of(name, model, known_units()) if isinstance(model, NearestNeighbors) else None
-    pictures = frame_pictures(view, frame) if frame is not None else {}
-    _write_pictures(out, frame, pictures)
-    summaries = column_summaries(view, frame)
-    if isinstance(model, StudentT):
-        from probevo.output.inspection_student_page import write_student_inspection
-        from probevo.output.model_facts import SCALE_HEAD, scale_rows
-
-        write_student_inspection(
-            out / PAGE, name, model, frame=frame, pictures=pictures, summaries=summaries
-        )
-        lines = [table(SCALE_HEAD, scale_rows(model.scale_)), f"ν = {model.dof_:.3g}"]
-    else:
-        write_inspection(out / PAGE, view, frame, pictures=pictures, summaries=summaries)
-        lines = [table(SUMMARY_HEAD, summary_rows(summaries))]
-    return _said(out, frame, lines)
-
-
-def _write_kernel(out: Path, name: str, model: GeneralizedKernel, frame: FrameView | None) -> str:
-    from probevo.output.inspection_kernel_data import KernelView
-    from probevo.output.inspection_kernel_page import (
-        KERNEL_HEAD,
-        kernel_rows,
-        share_out_of_domain,
-        write_kernel_inspection,
-    )
-    from probevo.output.inspection_kernel_pictures import kernel_pictures
-    from probevo.output.inspection_sections import percent
-
-    view = KernelView.of(name, model, known_units())
-    pictures = kernel_pictures(view, frame) if frame is not None else {}
-    _write_pictures(out, frame, pictures)
-    write_kernel_inspection(out / PAGE, view, frame, pictures=pictures)
-    lines = [table(KERNEL_HEAD, kernel_rows(view, frame))]
-    if frame is not None:
-        lines += ["", f"out of domain: {percent(share_out_of_domain(frame))} of the features"]
-    return _said(out, frame, lines)
-
-
-def _write_pictures(
-    out: Path, frame: FrameView | None, pictures: Mapping[str, tuple[str, bytes]]
-) -> None:
-    from probevo.files import remove_stale, write_atomically
-
-    if frame is None:
-        return
-    folder = out / f"frame-{frame.index}"
-    for name in {"weight", "distance", "sigma", "dof", *known_units()} - set(pictures):
-        remove_stale(folder / f"{name}.jpg")
-    for name, (_, jpeg) in pictures.items():
-        write_atomically(folder / f"{name}.jpg", jpeg)
-
-
-def _said(out: Path, frame: FrameView | None, lines: list[str]) -> str:
-    pictures = [f"pictures: {out / f'frame-{frame.index}'}"] if frame is not None else []
-    return "\n".join([*lines, "", *pictures, f"page: {out / PAGE}"])
+    findings = write_inspection(out, subject)
+    lines = [findings.text, ""]
+    if subject.frame is not None:
+        lines.append(f"pictures: {out / f'frame-{subject.frame.index}'}")
+    lines.append(f"page: {out / PAGE}")
+    return "\n".join(lines)

@@ -120,7 +120,7 @@ def summary(run: Run, out: Path) -> list[str]:
 
     from probevo.estimation.motion_estimate import Status
     from probevo.output.domain import domain_text, domain_warning
-    from probevo.output.metrics_table import readable
+    from probevo.output.table import readable
 
     result = run.result
     metrics = run.metrics

@@ -1,1 +1,1 @@
-"""Trajectory errors and the consistency of covariances, free of files."""
+"""Trajectory errors and the consistency of covariances; nothing here reads or writes files."""

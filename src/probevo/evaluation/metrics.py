@@ -1,4 +1,4 @@
-"""All figures of merit of one run against its ground truth, as they go into ``metrics.json``."""
+"""All figures of merit of a run against its ground truth, as in ``metrics.json``."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ class Metrics:
     num_frames: int
     """Frames with a known true pose."""
     armse_m: float | None = None
-    """Average root mean square error of the position, mean_k √(‖e_k‖²/3), unaligned (PROBE, Table
-    I)."""
+    """Average root mean square error of the position, mean_k √(‖e_k‖²/3), unaligned; PROBE,
+    Table I."""
     final_error_m: float | None = None
     """Distance between estimated and true position at the last known frame, unaligned."""
     rot_armse_rad: float | None = None
-    """As ``armse_m``, of the rotation vector of the attitude error."""
+    """The same as ``armse_m``, of the rotation vector of the attitude error."""
     path_length_m: float | None = None
-    """Of the truth."""
+    """Length of the true path."""
     ate_rmse_m: float | None = None
-    """Absolute trajectory error, RMS over frames after the best rigid fit."""
+    """Absolute trajectory error, RMS over frames after the best rigid alignment."""
     ate_unaligned_rmse_m: float | None = None
     """The same with the first cameras made equal instead."""
     kitti_t_percent: float | None = None
@@ -48,21 +48,20 @@ class Metrics:
     rpe_r_deg: float | None = None
     """Relative pose error frame to frame, RMS of the angle."""
     anees: float | None = None
-    """Average NEES of the relative motions; 6 is honest, unless the truth is itself noisy (KITTI's
-    is)."""
+    """Average NEES of the relative motions; 6 is consistent, unless the truth is itself noisy, as
+    that of KITTI is."""
     nees_coverage: dict[str, float] | None = None
     """Share, 0 … 1, of the relative motions inside their 50, 90, 95 and 99 % ellipsoids, keyed by
     that percentage."""
     out_of_domain: float | None = None
-    """Share, 0 … 1, of the features solved with that lie where the noise model has seen no training
-    data; None if it knows of no such place. It comes from the run, needs no truth, and is left to
-    the caller of ``evaluate``."""
+    """Share, 0 … 1, of the features used that lie outside of the noise model's domain; None if the
+    model has no domain. The caller of ``evaluate`` takes it from the run: it needs no truth."""
     stopped: str | None = None
-    """What stopped the run before all its frames were through; None if nothing did. It comes from
-    the run, too."""
+    """What stopped the run before its last frame; None if nothing did. The caller of ``evaluate``
+    takes it from the run, too."""
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values, in the order above."""
+        """Convert to plain values, in the order above."""
         return asdict(self)
 
 
@@ -94,6 +93,7 @@ def evaluate(
     frames = np.flatnonzero(np.isfinite(T_world_cam_true).all(axis=(1, 2)))
     if len(frames) < 2:
         return Metrics(num_frames=len(frames))
+    # Errors of the trajectory: only frames with a known pose count.
     est = T_world_cam_est[frames]
     true = T_world_cam_true[frames]
     e_m = trajectory_errors.position_errors(est, true)
@@ -103,10 +103,8 @@ def evaluate(
     short = segments.segment_errors(
         est, true, segments.SHORT_LENGTHS_M, starts=np.arange(len(frames))
     )
-    rpe_t_m, rpe_r_deg = trajectory_errors.rpe_rmse(T_world_cam_est, T_world_cam_true) or (
-        None,
-        None,
-    )
+    # Errors of single steps: both poses of a step have to be known, so that all frames go in.
+    rpe = trajectory_errors.rpe_rmse(T_world_cam_est, T_world_cam_true)
     consistency = None
     if T_curr_prev is not None and cov is not None:
         consistency = motion_consistency(
@@ -124,8 +122,8 @@ def evaluate(
         kitti_r_deg_per_m=kitti.mean_rotation_deg_per_m,
         short_t_percent=short.mean_translation_percent,
         short_r_deg_per_m=short.mean_rotation_deg_per_m,
-        rpe_t_m=rpe_t_m,
-        rpe_r_deg=rpe_r_deg,
+        rpe_t_m=rpe[0] if rpe else None,
+        rpe_r_deg=rpe[1] if rpe else None,
         anees=consistency.anees if consistency else None,
         nees_coverage=consistency.coverage if consistency else None,
     )

@@ -1,5 +1,4 @@
-"""Drift over segments of given length, as the KITTI odometry devkit measures it
-(evaluate_odometry.cpp)."""
+"""Drift over segments of given length, as in the KITTI odometry devkit (evaluate_odometry.cpp)."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ from probevo.geometry import se3, so3
 KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 """The devkit's lengths; its segments start at every tenth frame."""
 SHORT_LENGTHS_M = (10.0, 20.0, 30.0, 40.0, 50.0)
-"""For pieces too short for the official ones; segments start at every frame."""
+"""Lengths for recordings too short for the official ones; segments start at every frame."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ def segment_errors(
     lengths_m: tuple[float, ...],
     starts: IntArray,
 ) -> SegmentErrors:
-    """Errors of all segments that fit into the true path of K frames.
+    """Compute the errors of all segments that fit into the true path of K frames.
 
     A segment ends at the first frame whose distance along the true path exceeds that of its start
     by more than its length, as in the devkit.
@@ -58,6 +57,7 @@ def segment_errors(
         lengths_m: nominal lengths.
         starts: index of each frame at which segments start.
     """
+    # All pairs of a start and a length, and the frame at which each segment ends.
     distance = distance_along_path(T_world_cam_true)
     first = np.repeat(starts, len(lengths_m))
     length = np.tile(np.asarray(lengths_m, dtype=np.float64), len(starts))
@@ -66,7 +66,7 @@ def segment_errors(
     first = first[fits]
     last = last[fits]
     length = length[fits]
-
+    # The error is the estimated relative pose, inverted, times the true one.
     T_first_last_true = se3.inverse(T_world_cam_true[first]) @ T_world_cam_true[last]
     T_first_last_est = se3.inverse(T_world_cam_est[first]) @ T_world_cam_est[last]
     error = se3.inverse(T_first_last_est) @ T_first_last_true

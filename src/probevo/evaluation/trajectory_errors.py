@@ -13,50 +13,53 @@ from probevo.geometry import se3, so3
 
 
 def from_first_camera(T_world_cam: FloatArray) -> FloatArray:
-    """The same trajectory with the first camera as world frame, [K, 4, 4]."""
+    """Transform a trajectory to the first camera as its world frame, [K, 4, 4]."""
     return se3.inverse(T_world_cam[0]) @ T_world_cam
 
 
 def relative_motions(T_world_cam: FloatArray) -> FloatArray:
-    """T_curr_prev of each frame but the first, [K-1, 4, 4]; NaN where either pose is."""
+    """Compute T_curr_prev of each frame but the first, [K-1, 4, 4]; NaN where either pose is."""
     return se3.inverse(T_world_cam[1:]) @ T_world_cam[:-1]
 
 
 def path_length(T_world_cam: FloatArray) -> float:
-    """Length of the polyline through the positions, m."""
+    """Measure the polyline through the positions, m."""
     return float(distance_along_path(T_world_cam)[-1])
 
 
 def distance_along_path(T_world_cam: FloatArray) -> FloatArray:
-    """Distance travelled up to each frame, [K], m; 0 at the first."""
+    """Measure the distance travelled up to each frame, [K], m; 0 at the first."""
     steps = np.linalg.norm(np.diff(T_world_cam[:, :3, 3], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def position_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> FloatArray:
-    """e_k, estimated minus true position in the first camera frame, unaligned, [K, 3], m."""
+    """Compute e_k, estimated minus true position in the first camera frame, [K, 3], m."""
     return (from_first_camera(T_world_cam_est) - from_first_camera(T_world_cam_true))[:, :3, 3]
 
 
 def rotation_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> FloatArray:
-    """Log(C_true C_estᵀ) of the attitude relative to the first camera frame, unaligned, [K, 3],
-    rad."""
+    """Compute Log(C_true C_estᵀ), [K, 3], rad; attitudes are relative to the first, unaligned."""
     C_true = from_first_camera(T_world_cam_true)[:, :3, :3]
     C_est = from_first_camera(T_world_cam_est)[:, :3, :3]
     return so3.log(C_true @ np.swapaxes(C_est, -1, -2))
 
 
 def armse(errors: FloatArray) -> float:
-    """Average over frames of the root mean square over axes, mean_k √(‖e_k‖²/3) (PROBE, Table I);
-    errors [K, 3]."""
+    """Average the root mean square error over frames, mean_k √(‖e_k‖²/3) (PROBE, Table I).
+
+    The root mean square is that over the three axes of each error; errors are [K, 3].
+    """
     return float(np.mean(np.linalg.norm(errors, axis=1)) / np.sqrt(3.0))
 
 
 def ate_rmse(
     T_world_cam_est: FloatArray, T_world_cam_true: FloatArray, *, align: bool = True
 ) -> float:
-    """Absolute trajectory error, RMS over positions, m: after the best rigid fit, or with first
-    cameras made equal."""
+    """Compute the absolute trajectory error (ATE), RMS over positions, m.
+
+    Positions are compared after the best rigid alignment, or with the first cameras made equal.
+    """
     if not align:
         return _rms(position_errors(T_world_cam_est, T_world_cam_true))
     p_est = T_world_cam_est[:, :3, 3]
@@ -66,16 +69,15 @@ def ate_rmse(
 
 
 def rigid_alignment(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
-    """T_b_a, [4, 4], that takes points_a [K, 3] to points_b [K, 3] with least squared error
-    (Umeyama 1991).
+    """Find the T_b_a, [4, 4], that takes points_a to points_b, [K, 3] each (Umeyama 1991).
 
-    Points on a line or in one place leave the rotation about them open; one of the minimisers is
-    returned.
+    It minimises the sum of squared distances. Points on a line or in one place leave the rotation
+    about them open; one of the minimisers is returned.
     """
     center_a = points_a.mean(axis=0)
     center_b = points_b.mean(axis=0)
     U, _, Vt = np.linalg.svd((points_b - center_b).mT @ (points_a - center_a))
-    U[:, 2] *= np.linalg.det(U @ Vt)
+    U[:, 2] *= np.linalg.det(U @ Vt)  # a rotation, never a reflection
     C_b_a = U @ Vt
     return se3.from_parts(C_b_a, center_b - C_b_a @ center_a)
 
@@ -83,10 +85,10 @@ def rigid_alignment(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
 def rpe_rmse(
     T_world_cam_est: FloatArray, T_world_cam_true: FloatArray
 ) -> tuple[float, float] | None:
-    """Relative pose error frame to frame (Sturm et al. 2012, as evo): RMS of its translation, m,
-    and of its angle, deg.
+    """Compute the relative pose error (RPE) from frame to frame (Sturm et al. 2012, as in evo).
 
-    Only steps with truth at both ends count. The truth of KITTI is itself noisy from frame to
+    Returns the RMS of its translation, m, and of its angle, deg; None without a step whose truth is
+    known at both ends. The truth of KITTI is itself noisy from frame to
     frame, more so than good stereo odometry, so that this measures the truth as much as the
     estimate.
     """
@@ -99,4 +101,5 @@ def rpe_rmse(
 
 
 def _rms(vectors: FloatArray) -> float:
+    """Compute the root mean square length of vectors, [K, 3]."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

@@ -1,2 +1,27 @@
-"""Whatever constrains the state: each measurement has a residual, Jacobians, a covariance and a
-loss."""
+"""Whatever constrains the state: each measurement has a residual, Jacobians, a covariance, a loss."""
+
+from probevo.measurements.base import (
+    Linearization,
+    Measurement,
+    Outcome,
+    Values,
+    Variable,
+    VectorMeasurement,
+    pose_of,
+)
+from probevo.measurements.pose_prior import PosePrior
+from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.stereo_observations import StereoObservations
+
+__all__ = [
+    "Linearization",
+    "Measurement",
+    "Outcome",
+    "PosePrior",
+    "RelativeRotation",
+    "StereoObservations",
+    "Values",
+    "Variable",
+    "VectorMeasurement",
+    "pose_of",
+]

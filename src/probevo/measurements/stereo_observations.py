@@ -91,7 +91,7 @@ class StereoObservations:
         dof = np.array(np.broadcast_to(noise.dof, (count,)))
         points = PointPrior.of(
             prev_px,
-            scale=scale if noise.prev_scale is None else np.ascontiguousarray(noise.prev_scale),
+            scale=scale if noise.prev_scale is None else np.array(noise.prev_scale, order="C"),
             propagate=noise.refers_to == "observation",
             time_correlated=noise.time_correlated,
         )

@@ -1,1 +1,1 @@
-"""Files, drawings and the report that a run leaves behind."""
+"""Files, drawings and pages that a run, a comparison or a noise model is shown by."""

@@ -1,28 +1,40 @@
-"""Several estimators on the same sequences, and the figures of merit by which they are compared."""
+"""Several estimators on the same sequences, compared by their figures of merit."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
-from probevo.output.metrics_table import readable
 from probevo.output.run_result import RunResult
+from probevo.output.table import Cell, Column, Row, Table, reads_least
 from probevo.run_config import RunConfig
 
-COLUMNS = ("ARMSE m", "final error m", "drift %", "rotation °/m", "ms/frame")
-"""Figures of merit; the less, the better. Drift and rotation are those over pieces of 10 to 50 m.
-"""
-DOMAIN_COLUMN = "out of domain %"
-"""Share of the features out of the noise model's domain."""
-TIME_COLUMN = COLUMNS.index("ms/frame")
-"""The one that differs from run to run."""
+FIGURES = (
+    Column("ARMSE", "m"),
+    Column("final error", "m"),
+    Column("drift", "%"),
+    Column("rotation", "°/m"),
+    Column("ms/frame"),
+)
+"""Figures of merit; less is better. Drift and rotation are those over segments of 10 to 50 m."""
+_TIME = 4
+"""Index of the one that differs from run to run: it is never marked as the best."""
+SOLVED = Column("solved", "%")
+"""Share of steps that were solved, and not dead-reckoned."""
+ANEES = Column("ANEES")
+OUT_OF_DOMAIN = Column("out of domain", "%")
+"""Share of the features outside of the noise model's domain."""
+ASIDES = (SOLVED, ANEES, OUT_OF_DOMAIN)
+"""Figures that are no errors, and have a column only where they are known of any run."""
 
 
 @dataclass(frozen=True)
@@ -42,31 +54,36 @@ class Entry:
     """Caption and JPEG file of a few frames with their tracks; of the same frames for all entries
     of a sequence."""
     report: Path | None = None
-    """The report of this run alone."""
+    """The report of this single run."""
     config: RunConfig | None = None
     """All settings of this run."""
     learned_from_it: bool = False
-    """Whether the noise model was learned from a recording of this name: its figures then say
-    little of other ones."""
+    """Whether the noise model was trained on a recording of this name: its figures then say little
+    of other recordings."""
 
     @property
     def figures(self) -> tuple[float | None, ...]:
-        """Its figures of merit, in the order and the units of ``COLUMNS``; None where unknown."""
+        """Its figures of merit, in the order and the units of ``FIGURES``; None where unknown."""
         metrics = self.metrics or Metrics(num_frames=0)
-        drift = (metrics.short_t_percent, metrics.short_r_deg_per_m)
-        ms = float(np.median(self.result.total_ms)) if len(self.result.total_ms) else None
-        return (metrics.armse_m, metrics.final_error_m, *drift, ms)
+        has_steps = len(self.result.total_ms) > 0
+        return (
+            metrics.armse_m,
+            metrics.final_error_m,
+            metrics.short_t_percent,
+            metrics.short_r_deg_per_m,
+            float(np.median(self.result.total_ms)) if has_steps else None,
+        )
 
     @property
-    def asides(self) -> dict[str, float | None]:
-        """Figures that are no errors, by the head of their column; None where unknown."""
-        steps = self.result.status
-        share = self.result.out_of_domain
-        return {
-            "solved %": 100.0 * float(np.mean(steps == Status.OK)) if len(steps) else None,
-            "ANEES": self.metrics.anees if self.metrics else None,
-            DOMAIN_COLUMN: None if share is None else 100.0 * share,
-        }
+    def asides(self) -> tuple[float | None, ...]:
+        """Its figures that are no errors, in the order of ``ASIDES``; None where unknown."""
+        is_ok = self.result.status == Status.OK
+        out_of_domain = self.result.out_of_domain
+        return (
+            100.0 * float(np.mean(is_ok)) if len(is_ok) else None,
+            self.metrics.anees if self.metrics else None,
+            None if out_of_domain is None else 100.0 * out_of_domain,
+        )
 
     @property
     def has_truth(self) -> bool:
@@ -91,57 +108,95 @@ class Comparison:
         return tuple(dict.fromkeys(entry.estimator for entry in self.entries))
 
     @property
-    def columns(self) -> tuple[str, ...]:
-        """Those of the table: ``COLUMNS``, and of the asides those that are known of any entry."""
-        asides = [entry.asides for entry in self.entries]
-        heads = dict.fromkeys(head for row in asides for head in row)
-        return (*COLUMNS, *(head for head in heads if any(row[head] is not None for row in asides)))
+    def columns(self) -> tuple[Column, ...]:
+        """``FIGURES``, and those of ``ASIDES`` that are known of any entry."""
+        known = [
+            column
+            for k, column in enumerate(ASIDES)
+            if any(entry.asides[k] is not None for entry in self.entries)
+        ]
+        return (*FIGURES, *known)
 
     def of(self, sequence: str) -> tuple[Entry, ...]:
-        """The entries of one sequence, in the order of the estimators."""
+        """Select the entries of one sequence, in the order of the estimators."""
         chosen = [entry for entry in self.entries if entry.sequence == sequence]
         return tuple(sorted(chosen, key=lambda entry: self.estimators.index(entry.estimator)))
 
 
-def comparison_rows(comparison: Comparison) -> list[tuple[str, ...]]:
-    """Head and rows of the table as text: for each sequence a row with its name alone, then one an
-    estimator."""
-    rows: list[tuple[str, ...]] = [("estimator", *comparison.columns)]
+def comparison_table(
+    comparison: Comparison,
+    colors: Mapping[str, str] | None = None,
+    folder: Path | None = None,
+) -> Table:
+    """Make the table of a comparison: a section for each sequence, a row for each estimator.
+
+    The least of each figure of merit of a sequence is marked.
+
+    Args:
+        comparison: the runs.
+        colors: colour of each estimator, by its name; without, rows have no swatch.
+        folder: where the page lies that links to the reports of the runs; without, there is no
+            column of links.
+    """
+    columns = [Column("estimator", format=str, align="left"), *comparison.columns]
+    if folder is not None:
+        columns.append(Column("", format=str))
+    rows = []
     for sequence in comparison.sequences:
-        rows.append((sequence, *("" for _ in comparison.columns)))
-        rows += [
-            (f"  {label(entry)}", *figure_texts(entry, comparison.columns))
-            for entry in comparison.of(sequence)
-        ]
-    return rows
+        entries = comparison.of(sequence)
+        for entry, best in zip(entries, _best_figures(entries), strict=True):
+            color = colors[entry.estimator] if colors else ""
+            cells = [Cell(label(entry), color=color)]
+            cells += [
+                Cell(value, is_best=is_best)
+                for value, is_best in zip(entry.figures, best, strict=True)
+            ]
+            cells += [
+                Cell(value)
+                for column, value in zip(ASIDES, entry.asides, strict=True)
+                if column in comparison.columns
+            ]
+            if folder is not None:
+                cells.append(_report_link(entry, folder))
+            rows.append(Row(tuple(cells), section=sequence))
+    return Table(tuple(columns), tuple(rows))
 
 
-def figure_texts(entry: Entry, columns: Sequence[str] = COLUMNS) -> tuple[str, ...]:
-    """What ``Comparison.columns`` show of an entry, as a reader sees it; a dash where unknown."""
-    figures = dict(zip(COLUMNS, entry.figures, strict=True)) | entry.asides
-    return tuple(figure_text(figures[column]) for column in columns)
+def comparison_rows(comparison: Comparison) -> list[tuple[str, ...]]:
+    """Show head and rows of the table as text."""
+    return comparison_table(comparison).text_rows()
+
+
+def _best_figures(entries: Sequence[Entry]) -> list[list[bool]]:
+    """Find which figures of merit of each entry read as the least of its sequence.
+
+    None does without a rival, of an entry that has seen the recording in training, or of the time,
+    which differs from run to run.
+    """
+    unseen = [
+        (None,) * len(FIGURES) if entry.learned_from_it else entry.figures for entry in entries
+    ]
+    columns = [reads_least(column) for column in zip(*unseen, strict=True)]
+    columns[_TIME] = [False] * len(entries)
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _report_link(entry: Entry, folder: Path) -> Cell:
+    """Link to the report of a run, relative to a folder; an empty cell without a report."""
+    if entry.report is None:
+        return Cell("")
+    # A browser wants strokes whatever the system's separator, and signs such as # and % quoted.
+    path = Path(os.path.relpath(entry.report, folder)).as_posix()
+    return Cell("report", href=quote(path))
 
 
 def label(entry: Entry) -> str:
-    """Its estimator, marked where it has seen the recording before."""
+    """Name the estimator of an entry, marked where it has seen the recording in training."""
     return f"{entry.estimator} †" if entry.learned_from_it else entry.estimator
 
 
-def figure_text(value: float | None) -> str:
-    """A figure as a reader sees it; a dash where it is unknown."""
-    return "–" if value is None else readable(value)
-
-
-def reads_least(values: Sequence[float | None]) -> list[bool]:
-    """Which of the values a reader takes for the least; none where there is nothing to compare it
-    with."""
-    known = [value for value in values if value is not None]
-    least = figure_text(min(known)) if len(known) > 1 else None
-    return [value is not None and figure_text(value) == least for value in values]
-
-
 def truth_note(comparison: Comparison) -> tuple[str, ...]:
-    """Which recordings have no truth; nothing if all have."""
+    """Name the recordings without truth in a note; no note if there are none."""
     without = [
         name
         for name in comparison.sequences
@@ -151,34 +206,35 @@ def truth_note(comparison: Comparison) -> tuple[str, ...]:
 
 
 def column_notes(comparison: Comparison) -> tuple[str, ...]:
-    """What the asides and the marks mean, of those that there are."""
-    notes = {
-        "solved %": "Solved: steps that were, and not carried on from the last velocity.",
-        "ANEES": (
-            "ANEES: of the steps; 6 is honest, more is overconfident, or the truth of a step is"
+    """Explain the columns of asides, and the marks, that the table of a comparison has."""
+    explanations = {
+        SOLVED: "Solved: steps that were solved, and not dead-reckoned.",
+        ANEES: (
+            "ANEES: of the steps; 6 is consistent, more is overconfident, or the truth of a step is"
             " noisy."
         ),
-        DOMAIN_COLUMN: (
+        OUT_OF_DOMAIN: (
             "Out of domain: features that lie where the noise model has seen no training data."
         ),
     }
-    learned = any(entry.learned_from_it for entry in comparison.entries)
-    marks = ("†: learned from a recording of this name, and so no judge of it.",) if learned else ()
-    return (*(note for column, note in notes.items() if column in comparison.columns), *marks)
+    notes = [text for column, text in explanations.items() if column in comparison.columns]
+    if any(entry.learned_from_it for entry in comparison.entries):
+        notes.append("†: learned from a recording of this name, and so no test of it.")
+    return tuple(notes)
 
 
 def distinct_labels(paths: Sequence[Path], taken: Collection[str] = ()) -> list[str]:
-    """A name for each file or folder: its own, after as many folders as it takes to tell it from
-    the others.
+    """Name each file or folder by its own name, after as many parent folders as make it distinct.
 
-    Names differ in more than their case, and are none of those ``taken``, so that they can be names
-    of folders too.
+    Names differ in more than their case, and from those ``taken``, so that they can be names of
+    folders, too.
     """
     parts = [
         (*path.resolve().parent.parts[1:], path.stem if path.is_file() else path.resolve().name)
         for path in paths
     ]
     depths = [1] * len(paths)
+    # Lengthen the names that occur twice by one folder, until none does or no folder is left.
     while True:
         labels = ["-".join(part[-depth:]) for part, depth in zip(parts, depths, strict=True)]
         counts = Counter(name.casefold() for name in (*labels, *taken))
@@ -194,7 +250,7 @@ def distinct_labels(paths: Sequence[Path], taken: Collection[str] = ()) -> list[
 
 
 def numbered(names: Sequence[str], taken: Collection[str] = ()) -> list[str]:
-    """The names, with -2, -3 … behind those that came before, but for their case."""
+    """Append -2, -3 … to names that occur before, or in ``taken``, whatever their case."""
     used = {name.casefold() for name in taken}
     unique = []
     for name in names:

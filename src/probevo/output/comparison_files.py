@@ -1,9 +1,7 @@
-"""A comparison as data: one line, or one object, for each run, at full precision."""
+"""Files of a comparison: a line of CSV, or an object of JSON, for each run, at full precision."""
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -17,46 +15,42 @@ from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
 from probevo.files import write_atomically
 from probevo.output.comparison import Entry
+from probevo.output.table import records_table
 
 STEPS = tuple(status for status in Status if status is not Status.FIRST)
 _PERCENTAGES = ("50", "90", "95", "99")
-"""Of the ellipsoids in ``Metrics.nees_coverage``; columns for them there are in any case."""
+"""The ellipsoids in ``Metrics.nees_coverage``; each has a column, whether it is known or not."""
 
 
 def flat_record(entry: Entry) -> dict[str, object]:
-    """A run as the cells of one line: whose, how many steps of each status, the median time, every
-    metric.
+    """Describe a run by the cells of one line: names, number of steps by status, time, metrics.
 
-    Names are those of ``metrics.json``; its ``nees_coverage`` has a column for each percentage.
-    None where unknown.
+    Metrics have the names of ``metrics.json``; its ``nees_coverage`` has a column for each
+    percentage. None where unknown.
     """
-    values = {field.name: None for field in fields(Metrics)} | (
-        entry.metrics.as_dict() if entry.metrics else {}
-    )
-    coverage = values.pop("nees_coverage") or {}
-    shares = (
-        {f"nees_coverage_{key}": coverage.get(key) for key in _PERCENTAGES}
-        if isinstance(coverage, dict)
-        else {}
-    )
-    steps = {f"steps_{name}": count for name, count in steps_of(entry).items()}
-    whose = {"sequence": entry.sequence, "estimator": entry.estimator}
+    values: dict[str, object] = {field.name: None for field in fields(Metrics)}
+    if entry.metrics is not None:
+        values |= entry.metrics.as_dict()
     values["out_of_domain"] = entry.result.out_of_domain  # it needs no truth
-    return (
-        whose
-        | {"frames": len(entry.result)}
-        | steps
-        | {"ms_per_frame": _median_ms(entry)}
-        | values
-        | shares
-    )
+    coverage = values.pop("nees_coverage") or {}
+    if not isinstance(coverage, dict):
+        coverage = {}
+    return {
+        "sequence": entry.sequence,
+        "estimator": entry.estimator,
+        "frames": len(entry.result),
+        **{f"steps_{name}": count for name, count in steps_of(entry).items()},
+        "ms_per_frame": _median_ms(entry),
+        **values,
+        **{f"nees_coverage_{percent}": coverage.get(percent) for percent in _PERCENTAGES},
+    }
 
 
 def record(entry: Entry, folder: Path) -> dict[str, object]:
-    """A run as an object of JSON; the path of its report is relative to ``folder``."""
-    report = (
-        None if entry.report is None else Path(os.path.relpath(entry.report, folder)).as_posix()
-    )
+    """Describe a run as an object of JSON; the path of its report is relative to ``folder``."""
+    report = None
+    if entry.report is not None:
+        report = Path(os.path.relpath(entry.report, folder)).as_posix()
     return {
         "sequence": entry.sequence,
         "estimator": entry.estimator,
@@ -71,25 +65,23 @@ def record(entry: Entry, folder: Path) -> dict[str, object]:
 
 
 def steps_of(entry: Entry) -> dict[str, int]:
-    """How many steps have each status, by its name."""
+    """Count the steps of each status, by its name in lower case."""
     counts = Counter(entry.result.status.tolist())
     return {status.name.lower(): counts[int(status)] for status in STEPS}
 
 
 def document(entries: Iterable[Entry], folder: Path) -> dict[str, object]:
-    """All of a comparison as an object of JSON: the version, and each run."""
+    """Describe a comparison as an object of JSON: the version, and each run."""
     return {"probevo": __version__, "runs": [record(entry, folder) for entry in entries]}
 
 
 def write_csv(path: Path, records: Iterable[Mapping[str, object]]) -> None:
-    """Write records that all have the keys of the first; numbers at full precision, None as
-    nothing."""
-    records = list(records)
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, fieldnames=list(records[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
-    write_atomically(path, buffer.getvalue())
+    """Write records that all have the keys of the first; None becomes an empty cell.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_atomically(path, records_table(records).as_csv())
 
 
 def _median_ms(entry: Entry) -> float | None:

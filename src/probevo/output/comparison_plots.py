@@ -1,4 +1,4 @@
-"""Figures that lay the runs of several estimators over one sequence on top of each other."""
+"""Figures of the runs of several estimators over one sequence."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ _DASHED: dict[str, Any] = {"lw": 0.9, "ls": (0, (4, 2.5))}
 
 
 def paths_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
-    """The paths from above, forward up, over the true one; all start in the same place and
-    direction.
+    """Draw the paths from above, forward up, over the true one.
+
+    All start at the same place, in the same direction.
 
     Args:
-        entries: of one sequence, at least one, each of two frames or more.
-        colors: of each estimator, by its name.
+        entries: runs over one sequence, at least one, each of two frames or more.
+        colors: colour of each estimator, by its name.
     """
     paths_m = [_path_from_above(entry.result.T_world_cam, _origin(entry)) for entry in entries]
     true_m = [
@@ -42,6 +43,7 @@ def paths_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
         if entry.truth is not None
     ]
     known_m = [path_m for path_m in true_m if np.isfinite(path_m).any()]
+    # All paths fit into the figure, with a margin.
     everything_m = np.concatenate(paths_m + known_m)
     low_m = np.nanmin(everything_m, axis=0)
     high_m = np.nanmax(everything_m, axis=0)
@@ -57,6 +59,7 @@ def paths_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
         _draw_path(
             axes, factor * max(known_m, key=len), color=GREY, lw=5.0, alpha=0.6, label="truth"
         )
+    # The runs over the truth, in the order of the legend.
     for entry, path_m, width in zip(entries, paths_m, _widths(entries), strict=True):
         _draw_path(
             axes,
@@ -72,12 +75,11 @@ def paths_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
 
 
 def errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
-    """Distance between estimated and true position along the path; dashed, what each run claims as
-    3σ of it.
+    """Draw the position error along the path and, dashed, the 3σ that each run claims for it.
 
     Args:
-        entries: of one sequence, at least one, each of two frames or more.
-        colors: of each estimator, by its name.
+        entries: runs over one sequence, at least one, each of two frames or more.
+        colors: colour of each estimator, by its name.
     """
     drifts = [drift_of(entry.result, entry.truth) for entry in entries]
     errors_m = [_position_error(drift) for drift in drifts]
@@ -86,6 +88,7 @@ def errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure
         readable_top(claim_m, error_m) for claim_m, error_m in zip(claims_m, errors_m, strict=True)
     )
     factor, unit = length_unit(top_m)
+    # The axis is as long as the longest path.
     longest, label = max(
         (along_path(drift) for drift in drifts), key=lambda along: float(along[0][-1])
     )
@@ -111,18 +114,18 @@ def errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure
 
 
 def _origin(entry: Entry) -> int:
-    """The first frame whose true pose is known, as in ``drift_of``; else the first of all."""
+    """Find the first frame whose true pose is known, as in ``drift_of``; else the first of all."""
     known = np.zeros(1, bool) if entry.truth is None else np.isfinite(entry.truth).all(axis=(1, 2))
     return int(known.argmax())
 
 
 def _path_from_above(T_world_cam: FloatArray, origin: int) -> FloatArray:
-    """Positions (right x, forward z) in the frame of the camera at the origin, [N, 2], m."""
+    """Take positions (right x, forward z) in the camera frame of the origin, [N, 2], m."""
     return np.asarray((se3.inverse(T_world_cam[origin]) @ T_world_cam)[:, [0, 2], 3])
 
 
 def _draw_path(axes: Axes, points: FloatArray, *, color: str, **style: Any) -> None:
-    """A line with a square at the last known point."""
+    """Draw a line with a square at its last known point."""
     known = points[np.isfinite(points).all(axis=1)]
     line = axes.plot(*points.T, color=color, rasterized=len(points) > RASTER_FROM, **style)[0]
     size = 4.0 + line.get_linewidth()
@@ -132,12 +135,12 @@ def _draw_path(axes: Axes, points: FloatArray, *, color: str, **style: Any) -> N
 
 
 def _widths(entries: Sequence[Entry]) -> FloatArray:
-    """Each line is thinner than the one before, so that it does not hide it where they agree."""
+    """Make each line thinner than the one before, so that both are seen where they agree."""
     return np.linspace(2.6, 1.3, len(entries)) if len(entries) > 1 else np.array([1.6])
 
 
 def _position_error(drift: Drift) -> FloatArray | None:
-    """Distance between estimated and true position, [N], m; NaN where unknown."""
+    """Compute the distance between estimated and true position, [N], m; NaN where unknown."""
     if drift.T_world_cam_true is None:
         return None
     return np.asarray(
@@ -146,5 +149,5 @@ def _position_error(drift: Drift) -> FloatArray | None:
 
 
 def _literal(name: str) -> str:
-    """A name as a label: Matplotlib would set what lies between dollars as mathematics."""
+    """Escape the dollars of a name: Matplotlib would set what is between them as mathematics."""
     return name.replace("$", r"\$")

@@ -10,52 +10,65 @@ from probevo.arrays import AnyArray, FloatArray, Image, IntArray
 TRUST_COLORS_BGR = np.array(
     [[60, 60, 225], [50, 130, 245], [70, 205, 245], [140, 205, 110], [200, 170, 40]]
 )
-"""From distrusted (red) to trusted (blue-green), one a class of weights; apart also for the
-colour-blind."""
+"""Colours of the classes of weights, from distrusted (red) to trusted (blue-green); the
+colour-blind tell them apart, too."""
 WIDTH_PX = 960
+"""Width of a picture."""
 _SHIFT = 4
-"""Fractional bits of the coordinates that OpenCV draws at."""
+"""Fractional bits of the coordinates that are passed to OpenCV."""
 
 
 def draw_tracks(
     left: Image, prev_px: FloatArray, curr_px: FloatArray, weights: FloatArray
 ) -> bytes:
-    """The left image with a line from the previous to the current place of each point and a dot at
-    the current one.
+    """Draw a line from the previous to the current place of each point, and a dot at its end.
 
     Args:
         left: current left image, [height, width], uint8.
         prev_px: (u_l, v_l, u_r, v_r) of each point in the previous frame, [N, 4], px.
         curr_px: the same points in the current frame, [N, 4], px.
-        weights: how far the solver trusted each, 0 (not at all) … 1, [N].
+        weights: robust weight of each in the solve, 0 (an outlier) … 1, [N].
 
     Returns:
         A JPEG file, ``WIDTH_PX`` wide.
     """
     scale = WIDTH_PX / left.shape[1]
-    picture = cv2.cvtColor(
-        cv2.resize(left, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR
-    )
+    image = cv2.resize(left, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     picture = cv2.convertScaleAbs(picture, alpha=0.8)
+    # The center of a pixel is at a whole number: scale about the corner of the image.
     ends = np.stack([prev_px[:, :2], curr_px[:, :2]], axis=1)
     ends = np.round(((ends + 0.5) * scale - 0.5) * 2**_SHIFT).astype(np.int32)
-    classes = np.clip(weights * len(TRUST_COLORS_BGR), 0, len(TRUST_COLORS_BGR) - 1).astype(
-        np.int64
-    )
+    num_classes = len(TRUST_COLORS_BGR)
+    classes = np.clip(weights * num_classes, 0, num_classes - 1).astype(np.int64)
+    # The trusted ones are drawn last, on top.
     for k, color in enumerate(TRUST_COLORS_BGR.tolist()):
         chosen = ends[classes == k]
-        cv2.polylines(picture, list(chosen), False, color, 1, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(
+            picture,
+            list(chosen),
+            isClosed=False,
+            color=color,
+            thickness=1,
+            lineType=cv2.LINE_AA,
+            shift=_SHIFT,
+        )
         for u, v in chosen[:, 1].tolist():
             cv2.circle(
-                picture, (u, v), int(2.2 * 2**_SHIFT), color, cv2.FILLED, cv2.LINE_AA, _SHIFT
+                picture,
+                (u, v),
+                int(2.2 * 2**_SHIFT),
+                color=color,
+                thickness=cv2.FILLED,
+                lineType=cv2.LINE_AA,
+                shift=_SHIFT,
             )
-    _draw_legend(picture, np.bincount(classes, minlength=len(TRUST_COLORS_BGR)))
+    _draw_legend(picture, np.bincount(classes, minlength=num_classes))
     return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 82])[1].tobytes()
 
 
 def _draw_legend(picture: AnyArray, counts: IntArray) -> None:
-    """Lower left: one box a class, with the number of tracks in it, between "distrusted" and
-    "trusted"."""
+    """Draw one box for each class, with its number of tracks, at the lower left."""
     box_w = 34
     box_h = 16
     margin = 8
@@ -69,7 +82,7 @@ def _draw_legend(picture: AnyArray, counts: IntArray) -> None:
 
 
 def _put_text(picture: AnyArray, text: str, x: int, top: int, height: int) -> int:
-    """Write on a dark ground; returns where it ends."""
+    """Write on a dark ground; returns the column at which the text ends, px."""
     (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)
     cv2.rectangle(picture, (x - 4, top), (x + width + 4, top + height), (30, 30, 30), cv2.FILLED)
     _write(picture, text, x, y=top + height - 4, color=(240, 240, 240))
@@ -77,4 +90,14 @@ def _put_text(picture: AnyArray, text: str, x: int, top: int, height: int) -> in
 
 
 def _write(picture: AnyArray, text: str, x: int, y: int, color: tuple[int, int, int]) -> None:
-    cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, 1, cv2.LINE_AA)
+    """Write text whose lower left corner is at (x, y), px."""
+    cv2.putText(
+        picture,
+        text,
+        (x, y),
+        fontFace=cv2.FONT_HERSHEY_SIMPLEX,
+        fontScale=0.42,
+        color=color,
+        thickness=1,
+        lineType=cv2.LINE_AA,
+    )

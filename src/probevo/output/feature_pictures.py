@@ -1,5 +1,4 @@
-"""Features drawn on the image, coloured by a predictor or by their weight, with a legend below:
-PROBE Figs. 6, 7."""
+"""Features drawn on the image, coloured by a predictor or by their weight (PROBE Figs. 6, 7)."""
 
 from __future__ import annotations
 
@@ -15,17 +14,17 @@ from matplotlib.figure import Figure
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image
 from probevo.output.drawing import TRUST_COLORS_BGR
-from probevo.output.metrics_table import readable
+from probevo.output.table import readable
 
 LEGEND_PX = 46
-"""Height of the legend below a picture of REFERENCE_PX; dots and legend grow with the picture's
-width."""
+"""Height of the legend below a picture that is ``REFERENCE_PX`` wide."""
 REFERENCE_PX = 720
+"""Width of a picture at which sizes are stated; dots and legend grow in proportion to it."""
 READABLE_PX = 960
 """Smaller images are enlarged, by a whole factor, to about this width."""
 _QUANTILE = 0.02
-"""Outermost share of the values on either side that has the colour of the end: single values would
-fade all others."""
+"""Share of the values on either side that has the colour of the end: the colours would else be
+spent on a few extreme values."""
 _GROUND = 70
 _DIMMED = 0.75
 _RING = (190, 190, 190)
@@ -36,18 +35,19 @@ _BAR_FROM_PX = 96
 _DARK = "#1f2933"
 _BRIGHT = "#f5f7f9"
 _SHIFT = 4
-"""Fractional bits of the coordinates that OpenCV draws at."""
+"""Fractional bits of the coordinates that are passed to OpenCV."""
 
 
 @dataclass(frozen=True)
 class Shades:
-    """Which colour each feature has, and what the legend says of it."""
+    """The colour of each of N features, and what the legend says of it."""
 
     place: FloatArray
     """Place of each feature on the bar, [N], from 0 to 1; NaN where it has no value."""
     colors_bgr: FloatArray
-    """The bar, [256, 3]."""
+    """Colours along the bar, [256, 3]."""
     name: str
+    """What the colours mean, with its unit."""
     ends: tuple[str, str]
     """Numbers at both ends of the bar."""
     middle: str = ""
@@ -55,7 +55,14 @@ class Shades:
 
 
 def value_shades(name: str, unit: str, values: FloatArray, *, logarithmic: bool = False) -> Shades:
-    """From dark blue to yellow, which the colour-blind tell apart too; NaN is undefined."""
+    """Colour values from dark blue to yellow, which the colour-blind tell apart, too.
+
+    Args:
+        name: name of the values.
+        unit: their unit.
+        values: [N]; NaN where undefined.
+        logarithmic: whether equal ratios, and not differences, look alike.
+    """
     low, high, ends = _limits(values)
     if logarithmic and low > 0.0:
         low = float(np.log(low))
@@ -71,8 +78,10 @@ def value_shades(name: str, unit: str, values: FloatArray, *, logarithmic: bool 
 
 
 def weight_shades(beta: FloatArray) -> Shades:
-    """From trusted, blue-green, to distrusted, red, on a logarithmic scale with β = 1 in its
-    middle."""
+    """Colour weights β, [N], from trusted, blue-green, to distrusted, red.
+
+    The scale is logarithmic, with β = 1 in its middle.
+    """
     logs = np.log(beta)
     reach = max(float(np.quantile(np.abs(logs), 1.0 - _QUANTILE)), 0.01) if len(beta) else 1.0
     knots = np.linspace(0.0, 1.0, len(TRUST_COLORS_BGR))
@@ -99,8 +108,9 @@ def draw_features(
     shades: Shades,
     out_of_domain: BoolArray | None = None,
 ) -> bytes:
-    """The left image with a dot at each feature, a hollow grey ring where it has no value, and the
-    legend below.
+    """Draw a dot at each feature of the left image, and the legend below it.
+
+    Features without a value are hollow grey rings.
 
     Args:
         left: current left image, [height, width], uint8; None draws on a plain ground.
@@ -114,11 +124,13 @@ def draw_features(
     Returns:
         A JPEG file.
     """
+    # The image, dimmed, so that the features stand out; or a plain ground.
     scale = enlargement(size_px)
     plain = np.full((size_px[1], size_px[0]), _GROUND, np.uint8)
     ground = plain if left is None else cv2.convertScaleAbs(left, None, _DIMMED)
     image = cv2.resize(ground, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    # The center of a pixel is at a whole number: scale about the corner of the image.
     centers = np.round(((uv + 0.5) * scale - 0.5) * 2**_SHIFT).astype(np.int64)
     unknown = np.isnan(shades.place)
     size = picture.shape[1] / REFERENCE_PX
@@ -145,17 +157,17 @@ def draw_features(
 
 
 def enlargement(size_px: tuple[int, int]) -> int:
-    """By what whole factor an image is enlarged for its features to be told apart."""
+    """Choose the whole factor by which an image is enlarged, so that its features are distinct."""
     return max(1, round(READABLE_PX / size_px[0]))
 
 
 def legend_height(picture_width_px: int) -> int:
-    """Of the legend below a picture of that width, px."""
+    """Compute the height of the legend below a picture of that width, px."""
     return round(LEGEND_PX * picture_width_px / REFERENCE_PX)
 
 
 def _limits(values: FloatArray) -> tuple[float, float, tuple[str, str]]:
-    """The values at the ends of the bar, and as text; of no values at all, zeros and nothing."""
+    """Choose the values at the ends of the bar, and their texts; zeros and "" without a value."""
     known = values[np.isfinite(values)]
     if len(known) == 0:
         return 0.0, 0.0, ("", "")
@@ -164,9 +176,14 @@ def _limits(values: FloatArray) -> tuple[float, float, tuple[str, str]]:
 
 
 def _end_texts(low: float, high: float, values: FloatArray) -> tuple[str, str]:
-    """Numbers at the ends, which say if there are values beyond."""
-    beyond = (values < low).any(), (values > high).any()
-    return "≤ " * bool(beyond[0]) + readable(low), "≥ " * bool(beyond[1]) + readable(high)
+    """Format the numbers at the ends, and mark those beyond which there are values."""
+    low_text = readable(low)
+    if (values < low).any():
+        low_text = f"≤ {low_text}"
+    high_text = readable(high)
+    if (values > high).any():
+        high_text = f"≥ {high_text}"
+    return low_text, high_text
 
 
 def _circle(
@@ -176,14 +193,23 @@ def _circle(
     color: Sequence[float],
     thickness: int,
 ) -> None:
-    cv2.circle(picture, center, round(radius * 2**_SHIFT), color, thickness, cv2.LINE_AA, _SHIFT)
+    """Draw a circle; ``center`` has ``_SHIFT`` fractional bits, ``radius`` is in px."""
+    cv2.circle(
+        picture,
+        center,
+        round(radius * 2**_SHIFT),
+        color=color,
+        thickness=thickness,
+        lineType=cv2.LINE_AA,
+        shift=_SHIFT,
+    )
 
 
 def _legend(width_px: int, shades: Shades, num_unknown: int, num_out_of_domain: int) -> Image:
-    """What the colour means, how many features have none or are out of domain, and the bar with its
-    numbers.
+    """Draw the legend: what the colours mean, and the bar with its numbers.
 
-    It is laid out at REFERENCE_PX.
+    It also counts the features without a value, and those out of domain. Places are those in a
+    picture that is ``REFERENCE_PX`` wide.
     """
     dpi = _DPI * width_px / REFERENCE_PX
     width = REFERENCE_PX

@@ -15,14 +15,18 @@ from probevo.files import write_atomically
 
 
 def write_json(path: Path, values: Mapping[str, object]) -> None:
-    """Write e.g. ``metrics.json``: keys in the given order, numbers at full precision, None as
-    null."""
+    """Write a JSON file such as ``metrics.json``.
+
+    Keys stay in the given order, numbers have full precision, and None becomes null.
+    """
     write_atomically(path, json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 def write_tum(path: Path, stamps_ns: IntArray, T_world_cam: FloatArray) -> None:
-    """Write a TUM trajectory: a line is ``stamp tx ty tz qx qy qz qw``, s with nine decimals and m;
-    qw ≥ 0."""
+    """Write a TUM trajectory, a line ``stamp tx ty tz qx qy qz qw`` for each pose, in s and m.
+
+    Stamps have nine decimals; qw ≥ 0.
+    """
     quaternions = Rotation.from_matrix(T_world_cam[:, :3, :3]).as_quat(canonical=True)
     numbers = np.concatenate([T_world_cam[:, :3, 3], quaternions], axis=1)
     stamps = [f"{Decimal(ns).scaleb(-9):.9f}" for ns in stamps_ns.tolist()]
@@ -31,13 +35,12 @@ def write_tum(path: Path, stamps_ns: IntArray, T_world_cam: FloatArray) -> None:
 
 
 def write_kitti_poses(path: Path, T_world_cam: FloatArray) -> None:
-    """Write KITTI odometry poses: the upper three rows of T_world_cam, row by row, twelve numbers a
-    line."""
-    write_atomically(
-        path, "".join(f"{_join(row)}\n" for row in T_world_cam[:, :3, :].reshape(-1, 12))
-    )
+    """Write KITTI odometry poses: the upper three rows of T_world_cam, twelve numbers a line."""
+    rows = T_world_cam[:, :3, :].reshape(-1, 12)
+    write_atomically(path, "".join(f"{_join(row)}\n" for row in rows))
 
 
 def _join(row: FloatArray) -> str:
+    """Write numbers at full precision, with blanks between them."""
     # repr of a Python float is the shortest text that reads back as the same 64 bits.
     return " ".join(map(repr, row.tolist()))

@@ -1,10 +1,9 @@
-"""The metrics in plain language."""
+"""The metrics of a run in plain language."""
 
 from __future__ import annotations
 
-import math
-
 from probevo.evaluation.metrics import Metrics
+from probevo.output.table import Table, readable, text_table
 
 _ROWS: dict[str, tuple[str, str, str]] = {
     "num_frames": ("Frames compared", "", "Frames whose true pose is known."),
@@ -59,16 +58,16 @@ _ROWS: dict[str, tuple[str, str, str]] = {
         "ANEES",
         "",
         (
-            "Squared error of single steps over what their covariance promises: 6 is honest, more"
-            " is overconfident, less is conservative. Truth from GPS and INS is noisier than a step"
-            " of good odometry and drives it far above 6."
+            "Average normalised squared error (NEES) of single steps: 6 where their covariance is"
+            " consistent, more is overconfident, less is conservative. Truth from GPS and INS is"
+            " noisier than a step of good odometry and drives it far above 6."
         ),
     ),
 }
 
 
 def metrics_rows(metrics: Metrics) -> list[tuple[str, str, str]]:
-    """Name, value with unit, and explanation of each metric that is defined."""
+    """Show name, value with unit, and explanation of each metric that is defined."""
     rows = []
     for key, (name, unit, text) in _ROWS.items():
         value = getattr(metrics, key)
@@ -76,18 +75,12 @@ def metrics_rows(metrics: Metrics) -> list[tuple[str, str, str]]:
             rows.append((name, f"{readable(value)} {unit}".strip(), text))
     if metrics.nees_coverage:
         shares = " / ".join(f"{100 * share:.0f}" for share in metrics.nees_coverage.values())
-        promised = " / ".join(metrics.nees_coverage)
-        text = f"Share of single steps inside the ellipsoids that should hold {promised} % of them."
+        nominal = " / ".join(metrics.nees_coverage)
+        text = f"Share of single steps inside the ellipsoids that should hold {nominal} % of them."
         rows.append(("Coverage", f"{shares} %", text))
     return rows
 
 
-def readable(value: float) -> str:
-    """Three figures, never in scientific notation."""
-    if not math.isfinite(value):
-        return str(value)
-    if abs(value) < 1e-9 or isinstance(value, int):
-        return f"{value:,.0f}"
-    rounded = float(f"{value:.3g}")
-    decimals = max(0, 2 - math.floor(math.log10(abs(rounded))))
-    return f"{value:,.{decimals}f}"
+def metrics_table(metrics: Metrics) -> Table:
+    """Make the table of these rows, without a head."""
+    return text_table(("", "", ""), metrics_rows(metrics), left=(0, 1, 2))

@@ -1,5 +1,7 @@
-"""``motions.npz``: the relative motions of a run, all that its trajectory, evaluation and report
-follow from."""
+"""``motions.npz``: the relative motions of a run.
+
+Its trajectory, evaluation and report all follow from this file.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,11 @@ _CURE = "Expected a motions.npz written by `probevo run`."
 
 
 def write_motions(path: Path, result: RunResult) -> None:
-    """Write a run. The same run gives the same bytes but for its times: ``ms_<stage>`` and
-    ``total_ms``."""
+    """Write a run. The same run gives the same bytes, except for ``ms_<stage>`` and ``total_ms``.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     arrays: dict[str, AnyArray] = {
         "stamps_ns": result.stamps_ns,
         "T_curr_prev": result.T_curr_prev,
@@ -34,16 +39,20 @@ def write_motions(path: Path, result: RunResult) -> None:
         "num_inliers": result.num_inliers,
         "total_ms": result.total_ms,
     }
-    counts = {"num_used": result.num_used, "num_out_of_domain": result.num_out_of_domain}
-    arrays |= {name: count for name, count in counts.items() if count is not None}
-    arrays |= {_STAGE + name: ms for name, ms in result.stage_ms.items()}
-    arrays |= {
-        _REJECTED + name.replace(" ", "_"): np.array(count, dtype=np.int64)
-        for name, count in result.rejected.items()
-    }
-    arrays |= {} if result.stopped is None else {"stopped": np.array(result.stopped)}
+    # What not every run knows is left out of the file.
+    if result.num_used is not None:
+        arrays["num_used"] = result.num_used
+    if result.num_out_of_domain is not None:
+        arrays["num_out_of_domain"] = result.num_out_of_domain
+    for name, ms in result.stage_ms.items():
+        arrays[_STAGE + name] = ms
+    for name, count in result.rejected.items():
+        arrays[_REJECTED + name.replace(" ", "_")] = np.array(count, dtype=np.int64)
+    if result.stopped is not None:
+        arrays["stopped"] = np.array(result.stopped)
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]  # NumPy 2.0 would store allow_pickle as an array
+    # allow_pickle is not passed: NumPy 2.0 would store it as an array.
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
     write_atomically(path, buffer.getvalue())
 
 
@@ -59,14 +68,17 @@ def read_motions(path: Path) -> RunResult:
             arrays = {name: archive[name] for name in archive.files}
     except NO_ARCHIVE as error:
         raise InputError(path, f"cannot be read: {error}", _CURE) from error
+    # The number of stamps says which shapes all other arrays have.
     n = len(_take(path, arrays, "stamps_ns", shape=None))
     steps = max(n - 1, 0)
     T_curr_prev = _take(path, arrays, "T_curr_prev", shape=(steps, 4, 4))
     stages = [name for name in arrays if name.startswith(_STAGE)]
-    reasons = [name for name in arrays if name.startswith(_REJECTED)]
+    checks = [name for name in arrays if name.startswith(_REJECTED)]
     cov = _take(path, arrays, "cov", shape=(steps, 6, 6))
-    for k in np.flatnonzero(np.linalg.eigvalsh(cov).min(axis=1, initial=np.inf) <= 0.0)[:1]:
-        raise InputError(path, f"cov of motion {k} is not positive definite", _CURE)
+    # Whoever weighs by the inverse of a covariance relies on this.
+    indefinite = np.flatnonzero(np.linalg.eigvalsh(cov).min(axis=1, initial=np.inf) <= 0.0)
+    if len(indefinite) > 0:
+        raise InputError(path, f"cov of motion {indefinite[0]} is not positive definite", _CURE)
     return RunResult(
         stamps_ns=arrays["stamps_ns"],
         T_world_cam=se3.chain_motions(T_curr_prev)[:n],
@@ -85,7 +97,7 @@ def read_motions(path: Path) -> RunResult:
         total_ms=_take(path, arrays, "total_ms", shape=(steps,)),
         rejected={
             name.removeprefix(_REJECTED).replace("_", " "): int(_take(path, arrays, name, shape=()))
-            for name in reasons
+            for name in checks
         },
         num_used=_take(path, arrays, "num_used", shape=(steps,)) if "num_used" in arrays else None,
         num_out_of_domain=_take(path, arrays, "num_out_of_domain", shape=(steps,))
@@ -98,7 +110,17 @@ def read_motions(path: Path) -> RunResult:
 def _take(
     path: Path, arrays: dict[str, AnyArray], name: str, shape: tuple[int, ...] | None
 ) -> AnyArray:
-    """The array of that name; its shape must be the given one, or any with one axis."""
+    """Take the array of that name, of finite numbers.
+
+    Args:
+        path: the file, for messages.
+        arrays: all arrays of the file.
+        name: name of the array.
+        shape: the shape that it must have; None for any with one axis.
+
+    Raises:
+        InputError: it is missing, has another shape, or holds something else.
+    """
     if name not in arrays:
         raise InputError(path, f"{name} is missing", _CURE)
     array = arrays[name]

@@ -1,4 +1,4 @@
-"""What the figures of the report show, computed once."""
+"""The drift of a run, which several figures of the report show."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ from probevo.output.run_result import RunResult
 
 @dataclass(frozen=True)
 class Drift:
-    """The path of a run over N frames, how far it strayed from the truth, and how far it thinks
-    that it may have.
+    """The path of a run over N frames, its error, and the covariance that the run claims for it.
 
     Both start with 0 at the origin: the first frame with a known true pose, or the first of all
     without truth.
     """
 
     time_s: FloatArray
-    """Since the first frame of the run, [N]."""
+    """Time since the first frame of the run, [N]."""
     distance_m: FloatArray
-    """Travelled, as estimated, [N]."""
+    """Distance travelled, as estimated, [N]."""
     T_world_cam: FloatArray
     """Estimate, [N, 4, 4], m."""
     T_world_cam_true: FloatArray | None
     """Truth, made equal to the estimate at the origin, [N, 4, 4], m; NaN where unknown."""
     error: FloatArray | None
-    """[ρ; φ] along each camera's axes, [N, 6], m and rad; NaN where unknown."""
+    """Error [ρ; φ] in each camera's frame, [N, 6], m and rad; NaN where unknown."""
     cov: FloatArray
-    """Claimed covariance of it, [N, 6, 6]; 0 up to the origin."""
+    """Claimed covariance of the error, [N, 6, 6]; 0 up to the origin."""
 
     @property
     def sigma(self) -> FloatArray:
@@ -55,22 +54,29 @@ class Drift:
 
 
 def drift_of(result: RunResult, truth: FloatArray | None) -> Drift:
-    """Drift of a run; the truth, T_world_cam [N, 4, 4], may have any world frame, NaN poses, and
-    needs two others."""
-    known = (
-        np.flatnonzero(np.isfinite(truth).all(axis=(1, 2)))
-        if truth is not None
-        else np.empty(0, dtype=np.int64)
-    )
+    """Compute the drift of a run.
+
+    Args:
+        result: the run.
+        truth: true poses T_world_cam, [N, 4, 4], m, in any world frame; NaN where unknown. With
+            fewer than two known poses, there is no error.
+    """
     origin = 0
     T_world_cam_true = None
     error = None
-    if truth is not None and len(known) >= 2:
-        origin = int(known[0])
-        T_world_cam_true = result.T_world_cam[origin] @ se3.inverse(truth[origin]) @ truth
-        error = drift_errors(result.T_world_cam, T_world_cam_true)
-    steps = (result.T_curr_prev, result.cov, result.common_mode, result.path_cross_cov)
-    cov = drift_covariances(*(array[origin:] for array in steps))
+    if truth is not None:
+        known = np.flatnonzero(np.isfinite(truth).all(axis=(1, 2)))
+        if len(known) >= 2:
+            origin = int(known[0])
+            # Make the true pose equal to the estimated one at the origin.
+            T_world_cam_true = result.T_world_cam[origin] @ se3.inverse(truth[origin]) @ truth
+            error = drift_errors(result.T_world_cam, T_world_cam_true)
+    cov = drift_covariances(
+        result.T_curr_prev[origin:],
+        result.cov[origin:],
+        result.common_mode[origin:],
+        path_cross_cov=result.path_cross_cov[origin:],
+    )
     return Drift(
         time_s=(result.stamps_ns - result.stamps_ns[0]) * 1e-9,
         distance_m=distance_along_path(result.T_world_cam),

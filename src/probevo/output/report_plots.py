@@ -1,4 +1,4 @@
-"""Figures of the report that show where the run went and how far it strayed."""
+"""Figures of the report that show the path of a run and its error."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from probevo.output.report_data import Drift
 from probevo.output.svg import BAND, BLUE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
 RASTER_FROM = 1500
-"""Points from which on a curve is drawn as pixels, to keep the page small."""
+"""A curve of more points than this is drawn as pixels, to keep the page small."""
 _AXES = ("right x", "down y", "forward z", "pitch x", "yaw y", "roll z")
 
 
 def trajectory_figure(drift: Drift) -> Figure:
-    """The path from above, forward up, against the truth, with the 3σ ellipses that the run claims."""
+    """Draw the path from above, forward up, over the true one, with the claimed 3σ ellipses."""
     paths = (
         [drift.T_world_cam]
         if drift.T_world_cam_true is None
         else [drift.T_world_cam, drift.T_world_cam_true]
     )
+    # Camera x is right and z is forward: seen from above, the plane of the path.
     paths_m = [T[:, [0, 2], 3] for T in paths]
     rings_m = _claimed_rings(drift)
     low_m, high_m = _window(np.concatenate(paths_m), np.concatenate(rings_m))
@@ -34,6 +35,7 @@ def trajectory_figure(drift: Drift) -> Figure:
     # stays true.
     axes.set_aspect("equal", adjustable="datalim")
     axes.update_datalim([low_m * factor, high_m * factor])
+    # The ellipses below, then the truth, then the estimate, each with a square at its end.
     for ring_m in rings_m:
         axes.add_artist(
             Polygon(
@@ -64,8 +66,11 @@ def trajectory_figure(drift: Drift) -> Figure:
 
 
 def error_figure(drift: Drift) -> Figure:
-    """Length of the position's part of the pose error, along the path, with its 3σ; the latter
-    alone without truth."""
+    """Draw the length of the position error along the path, and its claimed 3σ.
+
+    Without truth, only the latter is known.
+    """
+    # Only the position: its worst direction is an upper bound of the length's σ.
     claimed_m = 3.0 * drift.position_sigma_m
     error_m = None if drift.error is None else np.linalg.norm(drift.error[:, :3], axis=1)
     top_m = readable_top(claimed_m, error_m)
@@ -91,11 +96,12 @@ def error_figure(drift: Drift) -> Figure:
 
 
 def axes_figure(drift: Drift) -> Figure:
-    """Error of the pose along each axis of the camera, translation and rotation, in its ±3σ band."""
+    """Draw the pose error along each axis of the camera in its ±3σ band."""
     along, label = along_path(drift)
     dense = len(along) > RASTER_FROM
     figure = Figure(figsize=(WIDTH_IN, 4.6))
     grid = figure.subplots(3, 2, sharex=True)
+    # Translation in the left column, rotation in the right one.
     for i, name in enumerate(_AXES):
         axes = grid[i % 3, i // 3]
         claimed = 3.0 * drift.sigma[:, i]
@@ -115,19 +121,24 @@ def axes_figure(drift: Drift) -> Figure:
 
 
 def length_unit(largest_m: float) -> tuple[float, str]:
-    """Factor from m, and the unit in which lengths up to the given one read well."""
+    """Choose the unit in which lengths up to the given one read well, and its factor from m."""
     return (1000.0, "mm") if largest_m < 0.1 else (1.0, "m")
 
 
 def along_path(drift: Drift) -> tuple[FloatArray, str]:
-    """What to plot against: the distance travelled, or the time of a camera that hardly moves."""
+    """Choose what to plot against: the distance travelled, or the time if the camera hardly moves.
+
+    Returns the values, [N], and their label.
+    """
     travels = np.ptp(drift.T_world_cam[:, :3, 3], axis=0).max() > 0.5
     return (drift.distance_m, "distance travelled, m") if travels else (drift.time_s, "time, s")
 
 
 def readable_top(claimed: FloatArray, error: FloatArray | None) -> float:
-    """Upper limit of an axis: shows all of the error, and as much of the band as leaves the error
-    readable."""
+    """Choose the upper limit of an axis.
+
+    It shows all of the error, and as much of the band of ``claimed`` as leaves the error readable.
+    """
     if error is None:
         return 1.05 * float(claimed.max()) + 1e-9
     largest = float(np.nanmax(np.abs(error)))
@@ -135,8 +146,7 @@ def readable_top(claimed: FloatArray, error: FloatArray | None) -> float:
 
 
 def _claimed_rings(drift: Drift) -> list[FloatArray]:
-    """Outlines, [64, 2], m, of the horizontal 3σ ellipse of the position at six places along the
-    path."""
+    """Outline the horizontal 3σ ellipse of the position at six places of the path, [64, 2], m."""
     angle = np.linspace(0.0, 2.0 * np.pi, 64)
     circle = 3.0 * np.stack([np.cos(angle), np.sin(angle)])
     rings_m = []
@@ -148,8 +158,10 @@ def _claimed_rings(drift: Drift) -> list[FloatArray]:
 
 
 def _window(path: FloatArray, rings: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper corner of a box around the path, and around the rings as far as they leave
-    the path readable."""
+    """Choose the lower and the upper corner of the part of the plane that is shown, [2] each.
+
+    It holds the path, and the rings as far as they leave the path readable.
+    """
     low = np.nanmin(path, axis=0)
     high = np.nanmax(path, axis=0)
     reach = max(float((high - low).max()), 1e-3)
@@ -159,5 +171,5 @@ def _window(path: FloatArray, rings: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def limits_of(along: FloatArray) -> tuple[float, float]:
-    """Lower and upper limit of the axis that runs along the path."""
+    """Return the lower and the upper limit of the axis that runs along the path."""
     return float(along[0]), float(max(along[-1], along[0] + 1e-3))

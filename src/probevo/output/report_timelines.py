@@ -1,5 +1,4 @@
-"""Figures of the report that show how the run went: tracks, status, times, points turned away, the
-domain."""
+"""Figures of the report over time: tracks, status, computing time, rejected points, the domain."""
 
 from __future__ import annotations
 
@@ -16,8 +15,9 @@ from probevo.output.run_result import RunResult
 from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
 _MOST_PLACES = 500
+"""Places on the time axis; a longer run is shown in groups of steps."""
 STAGES = ("track", "calibrate", "predict", "consensus", "solve", "learn")
-"""Of a step, in their order; in every report each has its own colour."""
+"""Stages of a step, in their order; each has the same colour in every report."""
 STATUS_COLORS = {
     Status.FIRST: "#8a949e",
     Status.OK: "#2a9d8f",
@@ -29,21 +29,22 @@ STATUS_COLORS = {
 
 
 def status_label(status: Status) -> str:
-    """For people: "too few tracks"."""
+    """Name a status for people, e.g. "too few tracks"."""
     return "OK" if status is Status.OK else status.name.replace("_", " ").lower()
 
 
 def group_size(result: RunResult) -> int:
-    """How many steps share one place on the time axis, so that a long run stays readable."""
+    """Return the number of steps at one place of the time axis."""
     return -(-len(result.status) // _MOST_PLACES)
 
 
 def tracks_figure(result: RunResult) -> Figure:
-    """Number of tracks of each step over time, and its status as a strip of colour below."""
+    """Draw the number of tracks of each step, and its status as a strip of colour below."""
     starts, edges_s = _groups(result)
     time_s = _seconds(result)
     figure = Figure(figsize=(WIDTH_IN, 2.9))
     tracks, strip = figure.subplots(2, 1, sharex=True, height_ratios=[8, 1])
+    # The area reaches up to the most tracks of a group, the line is at the fewest.
     fewest = np.minimum.reduceat(result.num_tracks, starts)
     most = np.maximum.reduceat(result.num_tracks, starts)
     tracks.stairs(most, edges_s, color=BLUE, alpha=0.15, fill=True)
@@ -51,6 +52,7 @@ def tracks_figure(result: RunResult) -> Figure:
     tracks.set(
         ylabel="tracks", ylim=(0, 1.1 * max(int(most.max()), 1)), xlim=(edges_s[0], edges_s[-1])
     )
+    # One span of colour for each stretch of steps with the same status.
     for start, end in _stretches(result.status):
         strip.axvspan(
             time_s[start], time_s[end], color=STATUS_COLORS[Status(result.status[start])], lw=0.8
@@ -69,16 +71,16 @@ def tracks_figure(result: RunResult) -> Figure:
 
 
 def stages_figure(result: RunResult) -> Figure:
-    """Wall time of each step, its stages stacked, and the total as a line; in groups, means and the
-    slowest step.
+    """Draw the wall time of each step, its stages stacked, and the total as a line.
 
-    Decoding runs ahead in threads of its own and is no part of the total: a line of its own,
-    outside the stack.
+    Of a group of steps, the areas are means, and the line is the slowest step. Decoding runs ahead
+    in threads of its own: it is no part of the total, and has a line of its own.
     """
     starts, edges_s = _groups(result)
     sizes = np.diff([*starts, len(result.status)])
     figure = Figure(figsize=(WIDTH_IN, 2.9))
     axes = figure.add_subplot(xlabel="time, s", ylabel="ms a frame")
+    # The stages of a step, then those that only this run has, stacked from below.
     base_ms = np.zeros(len(starts))
     stages = (*STAGES, *(name for name in result.stage_ms if name not in (*STAGES, "decode")))
     for name, color in zip(stages, cycle(CYCLE), strict=False):
@@ -89,6 +91,7 @@ def stages_figure(result: RunResult) -> Figure:
         label = f"{name.replace('_', ' ')} {np.median(ms):.3g}"
         axes.stairs(top_ms, edges_s, baseline=base_ms, fill=True, color=color, label=label)
         base_ms = top_ms
+    # The total is more than its stages: a line of the slowest step of each group.
     slowest_ms = np.maximum.reduceat(result.total_ms, starts)
     label = f"total {np.median(result.total_ms):.3g} (medians, ms)"
     axes.stairs(slowest_ms, edges_s, baseline=None, color=INK, lw=0.7, label=label)
@@ -104,11 +107,10 @@ def stages_figure(result: RunResult) -> Figure:
 
 
 def domain_figure(num_used: IntArray, num_out_of_domain: IntArray, result: RunResult) -> Figure:
-    """Share of the features solved with that the noise model had to guess, over time; in groups,
-    that of all in it.
+    """Draw the share of features out of the noise model's domain over time.
 
     Args:
-        num_used: features solved with at each step, [N-1].
+        num_used: features used in the solve of each step, [N-1].
         num_out_of_domain: those of them out of domain, [N-1].
         result: the run, for its times.
     """
@@ -131,7 +133,7 @@ def domain_figure(num_used: IntArray, num_out_of_domain: IntArray, result: RunRe
 
 
 def rejected_figure(rejected: dict[str, int]) -> Figure:
-    """How many candidate points each check turned away."""
+    """Draw the number of candidate points that each check rejected."""
     ranked = sorted(rejected.items(), key=lambda reason: (reason[1], reason[0]))
     total = max(sum(rejected.values()), 1)
     figure = Figure(figsize=(WIDTH_IN, 0.8 + 0.32 * len(ranked)))
@@ -151,24 +153,23 @@ def rejected_figure(rejected: dict[str, int]) -> Figure:
 
 
 def _seconds(result: RunResult) -> FloatArray:
+    """Compute the time of each frame since the first, [N]."""
     return np.asarray((result.stamps_ns - result.stamps_ns[0]) * 1e-9)
 
 
 def _groups(result: RunResult) -> tuple[IntArray, FloatArray]:
-    """First step of each of G groups of steps, [G], and the times, s, between which they lie,
-    [G+1]."""
+    """Find the first step of each of G groups, [G], and the times that bound them, s, [G+1]."""
     starts = np.arange(0, len(result.status), group_size(result))
     return starts, _seconds(result)[[*starts, len(result.status)]]
 
 
 def _stretches(values: IntArray) -> list[tuple[int, int]]:
-    """Start and end (exclusive) of each run of equal values."""
+    """Find start and end (exclusive) of each run of equal values."""
     edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
     return list(pairwise(edges))
 
 
 def _readable_top(slowest_ms: FloatArray) -> float:
-    """Upper limit that a single hiccup does not spoil."""
-    return 1.1 * max(
-        min(float(slowest_ms.max()), 2.0 * float(np.percentile(slowest_ms, 95.0))), 1e-3
-    )
+    """Choose an upper limit that a few slow steps do not dominate."""
+    typical_ms = 2.0 * float(np.percentile(slowest_ms, 95.0))
+    return 1.1 * max(min(float(slowest_ms.max()), typical_ms), 1e-3)

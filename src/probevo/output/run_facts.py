@@ -1,4 +1,4 @@
-"""A recording in words: for the head of the report and for ``probevo info``."""
+"""A recording in words, for the head of the report and for ``probevo info``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from probevo.sequences import GroundTruth, Sequence
 
 
 def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[str, str]:
-    """What a reader of the report should know about a run, by name."""
+    """Describe a run, by the names of its facts."""
     domain = (
         {}
         if result.out_of_domain is None
@@ -39,8 +39,12 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
 
 
 def frames_text(stamps_ns: IntArray, recorded: int | None = None) -> str:
-    """Number of frames, duration and rate; and of how many ``recorded`` ones they are the first, if
-    there are more."""
+    """Describe frames by their number, duration and rate.
+
+    Args:
+        stamps_ns: their times, [N].
+        recorded: number of frames of the recording, of which these are the first N.
+    """
     of = "" if recorded in (None, len(stamps_ns)) else f" of {recorded:,}"
     seconds = float(stamps_ns[-1] - stamps_ns[0]) * 1e-9
     if len(stamps_ns) < 2:
@@ -52,7 +56,7 @@ def frames_text(stamps_ns: IntArray, recorded: int | None = None) -> str:
 
 
 def camera_text(camera: StereoCamera) -> str:
-    """Resolution, focal length, field of view and baseline."""
+    """Describe a camera by its resolution, focal length, baseline and field of view."""
     text = f"f {camera.fu_px:.1f} px, baseline {camera.baseline_m:.4f} m"
     if camera.size_px is None:
         return text
@@ -61,7 +65,7 @@ def camera_text(camera: StereoCamera) -> str:
 
 
 def field_of_view_deg(camera: StereoCamera) -> float:
-    """Horizontal field of view; NaN where the image size is not known."""
+    """Compute the horizontal field of view; NaN where the image size is not known."""
     width_px = camera.size_px[0] if camera.size_px else math.nan
     return math.degrees(
         math.atan(camera.cu_px / camera.fu_px) + math.atan((width_px - camera.cu_px) / camera.fu_px)
@@ -69,20 +73,20 @@ def field_of_view_deg(camera: StereoCamera) -> float:
 
 
 def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
-    """Whether there is an IMU, and what its gyro is used for."""
+    """Say whether there is an IMU, and what its gyro is used for."""
     if not config.imu:
         return "left out"
     if sequence.imu is None:
         return "none"
-    uses = ["to start the tracking", "to carry on where the camera is blind"]
-    uses += ["to turn features away"] if config.gyro.prefilter_deg else []
+    uses = ["to start the tracking", "for dead reckoning where the camera is blind"]
+    uses += ["to reject features"] if config.gyro.prefilter_deg else []
     uses += ["in RANSAC"] if config.ransac.rotation_from == "gyro" else []
     uses += ["in the solve"] if config.gyro.prior else []
     return f"gyro {', '.join(uses)}"
 
 
 def truth_text(truth: GroundTruth | None, num_frames: int | None = None) -> str:
-    """How many frames, of the first ``num_frames``, have a true pose, and how far they lead."""
+    """Count the frames, of the first ``num_frames``, with a true pose; and measure their path."""
     if truth is None:
         return "none"
     known = truth.known[:num_frames]

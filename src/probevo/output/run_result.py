@@ -1,4 +1,4 @@
-"""What a run leaves behind: its motions, their covariances, and how each came about."""
+"""The result of a run: its motions, their covariances, and how each was estimated."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ from probevo.geometry import se3
 
 @dataclass(frozen=True)
 class RunResult:
-    """A run over N frames. The first frame has a pose but no motion: the arrays of motions start at
-    the second."""
+    """A run over N frames.
+
+    The first frame has a pose but no motion: the arrays of motions start at the second.
+    """
 
     stamps_ns: IntArray
-    """[N]."""
+    """Time of each frame, [N]."""
     T_world_cam: FloatArray
     """Poses of the left camera, world = first camera, [N, 4, 4], m."""
     T_curr_prev: FloatArray
@@ -29,55 +31,56 @@ class RunResult:
     cov: FloatArray
     """Covariance of the left perturbation [ρ; φ] of each motion, [N-1, 6, 6], m and rad."""
     common_mode: FloatArray
-    """Columns of the errors that all motions share, [N-1, 6, 3]: see ``MotionEstimate.common_mode``."""
+    """Columns of the common-mode errors of all motions, [N-1, 6, 3]; see
+    ``MotionEstimate.common_mode``."""
     path_cross_cov: FloatArray
-    """Covariances of each motion with the path before it, [N-1, 6, 6]: see ``MotionEstimate.path_cross_cov``.
-    """
+    """Cross-covariances of each motion with the path before it, [N-1, 6, 6]; see
+    ``MotionEstimate.path_cross_cov``."""
     status: IntArray
-    """``motion.estimate.Status`` of each motion, [N-1]."""
+    """``Status`` of each motion, [N-1]."""
     num_tracks: IntArray
-    """[N-1]."""
+    """Tracks of each motion, [N-1]."""
     num_inliers: IntArray
-    """Tracks that were trusted, [N-1]."""
+    """Tracks that are inliers, [N-1]."""
     stage_ms: dict[str, FloatArray]
     """Wall time of each stage, [N-1], ms, by name in the order of the flow; 0 where a stage did not
     run."""
     total_ms: FloatArray
     """Wall time of the whole step, [N-1], ms."""
     rejected: dict[str, int] = field(default_factory=dict)
-    """How many candidate points each consistency check turned away in all, by the check's name."""
+    """Number of candidate points that each consistency check rejected, by the check's name."""
     num_used: IntArray | None = None
-    """Tracks that were solved with, [N-1]; None in the files of versions that did not say."""
+    """Tracks used in the solve, [N-1]; None in files of versions that did not store it."""
     num_out_of_domain: IntArray | None = None
-    """Those of them that lie where the noise model has seen no training data, [N-1]; None if it
-    knows of no such place.
-    """
+    """Those of them that lie outside of the noise model's domain, [N-1]; None if it has none."""
     stopped: str | None = None
-    """What stopped the run before all its frames were through, such as a damaged image; None if
-    nothing did."""
+    """What stopped the run before its last frame, such as a damaged image; None if nothing did."""
 
     @property
     def out_of_domain(self) -> float | None:
-        """Share, 0 … 1, of all features solved with that lie where the noise model has seen no
-        training data."""
-        if self.num_used is None or self.num_out_of_domain is None or not self.num_used.any():
+        """Share, 0 … 1, of all features used that lie outside of the noise model's domain."""
+        if self.num_used is None or self.num_out_of_domain is None:
+            return None
+        if not self.num_used.any():
             return None
         return float(self.num_out_of_domain.sum() / self.num_used.sum())
 
     def __len__(self) -> int:
-        """Number of frames N."""
+        """Return the number of frames N."""
         return len(self.stamps_ns)
 
 
 class RunRecorder:
-    """Collects the estimates of a run as they come, 1 kB each; ``result`` may be asked for at any
-    time."""
+    """A recorder collects the estimates of a run as they come, 1 kB each.
+
+    Its ``result`` may be requested at any time.
+    """
 
     def __init__(self) -> None:
         self._numbers = _Rows(np.float64, 16 + 36 + 18 + 36 + 1)
         """T_curr_prev, cov, common_mode, path_cross_cov, wall time of the step."""
         self._counts = _Rows(np.int64, 6)
-        """Stamp, status, tracks, trusted, used, out of domain (−1 for None)."""
+        """Stamp, status, tracks, inliers, used, out of domain (−1 for None)."""
         self._stage_ms: dict[str, _Rows] = {}
         self._rejected: Counter[str] = Counter()
 
@@ -89,17 +92,26 @@ class RunRecorder:
         total_ms: float | None = None,
         rejected: Mapping[str, int] | None = None,
     ) -> None:
-        """Take in the estimate of the next frame.
+        """Record the estimate of the next frame.
 
         Args:
             stamp_ns: time of the frame.
-            motion: its estimate; that of the first frame gives nothing but a place to start from.
+            motion: its estimate; of the first frame, only its existence counts.
             total_ms: wall time of the step; the sum of its stages by default.
-            rejected: points turned away at this step, by the check's name.
+            rejected: points rejected at this step, by the check's name.
         """
         total = sum(motion.stage_ms.values()) if total_ms is None else total_ms
-        arrays = (motion.T_curr_prev, motion.cov, motion.common_mode, motion.path_cross_cov)
-        self._numbers.add(np.concatenate([*(array.ravel() for array in arrays), [total]]))
+        self._numbers.add(
+            np.concatenate(
+                [
+                    motion.T_curr_prev.ravel(),
+                    motion.cov.ravel(),
+                    motion.common_mode.ravel(),
+                    motion.path_cross_cov.ravel(),
+                    [total],
+                ]
+            )
+        )
         outside = -1 if motion.num_out_of_domain is None else motion.num_out_of_domain
         self._counts.add(
             (
@@ -111,23 +123,24 @@ class RunRecorder:
                 outside,
             )
         )
-        first = len(self._counts) == 1
+        # A stage that runs for the first time took 0 ms in the steps before. The first frame is no
+        # step, and its stages do not count.
         num_before = len(self._counts) - 1
-        for name in () if first else motion.stage_ms:
-            if name not in self._stage_ms:
-                self._stage_ms[name] = _Rows(np.float64, 1, zeros=num_before)
+        if num_before > 0:
+            for name in motion.stage_ms:
+                if name not in self._stage_ms:
+                    self._stage_ms[name] = _Rows(np.float64, 1, zeros=num_before)
         for name, times_ms in self._stage_ms.items():
             times_ms.add(motion.stage_ms.get(name, 0.0))
         self._rejected.update(rejected or {})
 
     def result(self) -> RunResult:
-        """All that was taken in so far."""
+        """Collect all that was recorded so far."""
         counts = self._counts.table()
+        # The first frame has a stamp, but no motion.
+        stamps_ns = counts[:, 0].copy()
+        _, status, num_tracks, num_inliers, num_used, outside = counts[1:].T.copy()
         numbers = self._numbers.table()[1:]
-        stamps_ns, (_, status, num_tracks, num_inliers, num_used, outside) = (
-            counts[:, 0].copy(),
-            counts[1:].T.copy(),
-        )
         T_curr_prev = numbers[:, :16].reshape(-1, 4, 4)
         return RunResult(
             stamps_ns=stamps_ns,
@@ -148,10 +161,13 @@ class RunRecorder:
 
 
 class _Rows:
-    """A table that grows by rows, in blocks that stay where they are: one that is moved to grow
-    leaves holes."""
+    """A table that grows by rows, in blocks that are never moved.
+
+    An array that is copied to grow would fragment the memory of a long run.
+    """
 
     BLOCK = 1024
+    """Rows of a block."""
 
     def __init__(self, dtype: type[np.float64 | np.int64], columns: int, zeros: int = 0) -> None:
         self._blocks = [
@@ -163,11 +179,12 @@ class _Rows:
         return self._len
 
     def add(self, row: ArrayLike) -> None:
+        """Append a row."""
         if self._len == self.BLOCK * len(self._blocks):
             self._blocks.append(np.zeros_like(self._blocks[0]))
         self._blocks[-1][self._len % self.BLOCK] = row
         self._len += 1
 
     def table(self) -> Any:
-        """All rows, [len, columns], a copy."""
+        """Copy all rows, [len, columns]."""
         return np.concatenate(self._blocks)[: self._len]

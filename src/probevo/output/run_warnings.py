@@ -1,4 +1,4 @@
-"""What the reader of a run should be warned of, in words."""
+"""Warnings to the reader of a run, in words."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 
 FEWEST_OK = 0.5
-"""Share of steps that have to be OK for a run to be worth believing."""
+"""Share of steps that have to be OK for a run to be usable."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
@@ -24,11 +24,12 @@ _CAUSES = {
 
 
 def run_warnings(result: RunResult) -> dict[str, str]:
-    """Heading and text of each warning."""
+    """Return heading and text of each warning."""
+    stopped = None
+    if result.stopped:
+        stopped = f"After {len(result):,} frames: {result.stopped}"
     warnings = {
-        "Stopped before the end": (
-            result.stopped and f"After {len(result):,} frames: {result.stopped}"
-        ),
+        "Stopped before the end": stopped,
         "Hardly a step is OK": status_warning(result.status),
         "Out of domain": domain_warning(result.out_of_domain),
     }
@@ -36,8 +37,7 @@ def run_warnings(result: RunResult) -> dict[str, str]:
 
 
 def status_warning(status: IntArray) -> str | None:
-    """What most steps, [N-1], ended with if not with OK, and what it usually comes of; None if half
-    of them are OK."""
+    """Warn if less than half of the steps, [N-1], are OK, and name the usual cause; else None."""
     num_ok = int(np.sum(status == Status.OK))
     if num_ok >= FEWEST_OK * len(status):
         return None
@@ -45,7 +45,7 @@ def status_warning(status: IntArray) -> str | None:
     prevailing = Status(found[counts.argmax()])
     name = prevailing.name.replace("_", " ").lower()
     return (
-        f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not to be believed. Most"
+        f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not reliable. Most"
         f" others are {name}, which usually comes of {_CAUSES[prevailing]}: see `probevo info"
         " SEQUENCE`."
     )

@@ -1,5 +1,7 @@
-"""Matplotlib figures as SVG that can stand inside an HTML page: one style, no fonts, links, dates
-or chance in it."""
+"""Matplotlib figures as SVG inside an HTML page, in one style.
+
+An SVG holds no fonts, links, dates or random ids: the same figure gives the same bytes.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 INK = "#1f2933"
@@ -19,6 +22,8 @@ BLUE = "#1769aa"
 BAND = "#bcdcf5"
 GREY = "#8a949e"
 CYCLE = ("#1769aa", "#e08a1e", "#2a9d8f", "#b5446e", "#7a6fd0", "#7d8b3a", "#4fb3d9", "#9a6a4b")
+
+ORANGE = CYCLE[1]
 
 WIDTH_IN = 5.8
 LEGEND_ABOVE: dict[str, Any] = {
@@ -62,22 +67,32 @@ _RASTER_DPI = 170
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """Within it, figures are made in the style of the report; outside, Matplotlib's settings stay
-    as they were."""
+    """Make figures in the style of the report within this context; Matplotlib stays as it was."""
     with matplotlib.rc_context(_STYLE):
         yield
 
 
-def inline_svg(figure: Figure, name: str, description: str) -> str:
-    """The figure as an ``<svg>`` element. ``name`` keeps its ids apart from those of other figures
-    on the page."""
+def inline_svg(figure: Figure, name: str, description: str) -> Markup:
+    """Draw a figure as an ``<svg>`` element.
+
+    This is the one place where text is marked as safe HTML: Matplotlib escapes the texts of a
+    figure itself.
+
+    Args:
+        figure: the figure.
+        name: prefix of its ids, which keeps them apart from those of other figures on the page.
+        description: what it shows, for readers who do not see it.
+    """
     buffer = io.StringIO()
-    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    figure.savefig(buffer, format="svg", dpi=_RASTER_DPI, metadata=nothing)
+    no_metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    figure.savefig(buffer, format="svg", dpi=_RASTER_DPI, metadata=no_metadata)
     svg = buffer.getvalue()
+    # Leave out the XML declaration and the document type before the element.
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     # HTML knows the namespaces by itself, and the size is for the page to decide.
     svg = re.sub(r' xmlns(:\w+)?="[^"]*"| (?:width|height)="[\d.]+pt"', "", svg)
+    # Ids are local to a figure; a page holds several.
     svg = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
-    return svg.replace("<svg", f'<svg role="img" aria-label="{description}"', 1).strip()
+    svg = svg.replace("<svg", f'<svg role="img" aria-label="{escape(description)}"', 1)
+    return Markup(svg.strip())

@@ -56,6 +56,19 @@ def validated(
     return frame, tuple(missing)
 
 
+def usable_imu(frame: Frame) -> ImuSamples | None:
+    """Return the IMU samples of a frame that is refused, for the next one; None if they are faulty."""
+    imu = frame.imu
+    if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) > 0).all():
+        return None
+    has_gyro: BoolArray = np.asarray(np.isfinite(imu.gyro_rad_s).all(axis=1))
+    return ImuSamples(
+        stamps_ns=imu.stamps_ns[has_gyro],
+        gyro_rad_s=imu.gyro_rad_s[has_gyro],
+        accel_m_s2=imu.accel_m_s2[has_gyro],
+    )
+
+
 def _has_rows(imu: ImuSamples) -> bool:
     """Return whether the arrays have the shapes that ``check_frame`` will ask for."""
     shape = (len(imu.stamps_ns), 3)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from intervals import chi2_interval
 from probevo.arrays import FloatArray, IntArray
 from probevo.geometry import se3, so3
 from probevo.measurements.gyro import integrate_gyro
@@ -63,7 +64,7 @@ def test_gyro_at_its_rate_is_off_by_its_noise() -> None:
     rig = RigConfig(gyro_bias_sigma_rad_s=0.0, gyro_bias_walk_rad_s2_sqrt_hz=0.0)
     errors, covs = gyro_errors(rig)
     nees = np.einsum("ka,ka->k", errors, np.linalg.solve(covs, errors[..., None])[..., 0])
-    low, high = chi2.ppf([0.0005, 0.9995], df=3 * len(nees)) / len(nees)
+    low, high = chi2_interval(3, len(nees))
     assert low < np.mean(nees) < high
 
 

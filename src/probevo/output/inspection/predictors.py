@@ -1,0 +1,143 @@
+"""The predictors of a frame's features, without a noise model or with one that takes none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.output.feature_pictures import Shades, draw_features, value_shades
+from probevo.output.inspection.common_sections import percent, pictures_section
+from probevo.output.inspection.subject import Findings, FrameView, Picture, Subject
+from probevo.output.page import table_panel
+from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, readable
+
+
+def sections(subject: Subject, remark: str = "") -> Findings:
+    """Show the predictors of a frame, in pictures and in figures.
+
+    Args:
+        subject: what is inspected; only its frame is looked at.
+        remark: what else the note above the pictures says.
+
+    Raises:
+        ValueError: there is no frame.
+    """
+    frame = subject.frame
+    if frame is None:
+        raise ValueError("an inspection needs a model or a frame")
+    pictures = drawn(frame, {name: column_shades(frame, name) for name in frame.columns})
+    table = column_table(column_summaries(frame.columns, frame.phi))
+    note = "Undefined: share of the frame’s features."
+    return Findings(
+        sections=(
+            pictures_section(frame, pictures, remark),
+            table_panel("The predictors in figures", [note], table.without("unit", "training")),
+        ),
+        text=table.as_text(),
+        pictures=pictures,
+    )
+
+
+def column_shades(frame: FrameView, name: str) -> tuple[str, Shades]:
+    """Colour the features of a frame by one column of φ; returns the caption, too."""
+    values = frame.phi[:, list(frame.columns).index(name)]
+    undefined = int(np.isnan(values).sum())
+    caption = f"{name}: undefined for {undefined} of {len(values)}" if undefined else name
+    return caption, value_shades(name, frame.columns[name], values)
+
+
+def drawn(frame: FrameView, shades: Mapping[str, tuple[str, Shades]]) -> dict[str, Picture]:
+    """Draw the features of a frame in several sets of colours, each with its caption."""
+    return {
+        name: (caption, draw_features(frame.left, frame.size_px, frame.uv, shades=colors))
+        for name, (caption, colors) in shades.items()
+    }
+
+
+@dataclass(frozen=True)
+class ColumnSummary:
+    """One column of φ in figures; None where it is not known."""
+
+    name: str
+    unit: str
+    training: tuple[float, float] | None
+    """Mean and standard deviation over the training data; None without a model."""
+    frame_mean: float | None
+    """Mean over the features of the frame; None without a frame, or a feature with a value."""
+    undefined: float
+    """Share of the frame's features, or else of the training samples, where it is undefined."""
+
+
+def column_summaries(
+    columns: Mapping[str, str],
+    phi: FloatArray,
+    training: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    of_frame: bool = True,
+) -> list[ColumnSummary]:
+    """Summarise each column of φ.
+
+    Args:
+        columns: name and unit of the M columns.
+        phi: places of the frame's features, or else of the training samples, [N, M]; NaN where
+            undefined.
+        training: mean and standard deviation of each column over the training data, [M] each.
+        of_frame: whether ``phi`` is that of a frame.
+    """
+    summaries = []
+    for m, (name, unit) in enumerate(columns.items()):
+        known = phi[np.isfinite(phi[:, m]), m]
+        mean_and_spread = None
+        if training is not None:
+            mean_and_spread = (float(training[0][m]), float(training[1][m]))
+        summaries.append(
+            ColumnSummary(
+                name=name,
+                unit=unit,
+                training=mean_and_spread,
+                frame_mean=float(known.mean()) if of_frame and len(known) else None,
+                undefined=1.0 - len(known) / max(len(phi), 1),
+            )
+        )
+    return summaries
+
+
+def column_table(summaries: list[ColumnSummary]) -> Table:
+    """Make a table with a row for each column of φ."""
+    return Table(
+        columns=(
+            Column("column", format=str, align="left"),
+            Column("unit", format=str),
+            Column("training", format=spread_text),
+            Column("this frame"),
+            Column("undefined", format=undefined_text),
+        ),
+        rows=tuple(
+            Row(
+                (
+                    Cell(column.name, unit=column.unit),
+                    Cell(column.unit),
+                    Cell(column.training),
+                    Cell(column.frame_mean),
+                    Cell(column.undefined),
+                )
+            )
+            for column in summaries
+        ),
+    )
+
+
+def spread_text(mean_and_spread: tuple[float, float] | None) -> str:
+    """Format a mean and a standard deviation; a dash where unknown."""
+    if mean_and_spread is None:
+        return UNKNOWN_TEXT
+    mean, spread = mean_and_spread
+    return f"{readable(mean)} ± {readable(spread)}"
+
+
+def undefined_text(share: float) -> str:
+    """Format the share of undefined values; a dash if all are defined."""
+    return percent(share) if share > 0.0 else UNKNOWN_TEXT

@@ -1,0 +1,89 @@
+"""The page on a static Student-t: one scale matrix for all features, whatever the frame."""
+
+from __future__ import annotations
+
+from markupsafe import Markup
+
+from probevo.noise.student_t import StudentT
+from probevo.output.inspection import predictors
+from probevo.output.inspection.common_sections import settings_section, training_section
+from probevo.output.inspection.subject import Findings, Picture, Subject, TrainingSummary
+from probevo.output.inspection.training_facts import (
+    END_ERROR,
+    em_figure,
+    em_table,
+    noise_of_text,
+    origin,
+    scale_table,
+    time_correlation_text,
+)
+from probevo.output.page import grid, panel, table_panel
+from probevo.output.svg import figure_style
+from probevo.output.table import readable
+
+_FRAME_REMARK = "To this model, all features are alike: it looks at none of these."
+
+
+def sections(subject: Subject) -> Findings:
+    """Show the scale matrix and how it was trained.
+
+    Of a frame, its predictors are shown, too, although the model takes none.
+    """
+    model: StudentT = subject.model
+    training = model.training
+    pictures: dict[str, Picture] = {}
+    shown: list[Markup] = []
+    if subject.frame is not None:
+        of_frame = predictors.sections(subject, _FRAME_REMARK)
+        pictures = dict(of_frame.pictures)
+        shown += of_frame.sections
+    scale = scale_table(model.scale_)
+    panels = [table_panel("The scale matrix", [_spread_note(model)], scale)]
+    if training.get("turns"):
+        em_note = f"Iteration 0 has the noise of a model that was not trained. {END_ERROR}"
+        with figure_style():
+            panels.append(panel("EM iterations", em_note, em_figure(training["turns"])))
+    panels.append(training_section(training))
+    shown += [grid(panels), settings_section(training)]
+    return Findings(
+        sections=tuple(shown),
+        text=f"{scale.as_text()}\nν = {model.dof_:.3g}",
+        facts={
+            "Trained on": origin(training) or "not known",
+            "ν": readable(model.dof_),
+            "Time-correlated error": time_correlation_text(model.time_correlation_ratio),
+            "Noise of": noise_of_text(model.refers_to),
+        },
+        pictures=pictures,
+    )
+
+
+def summary(model: StudentT) -> TrainingSummary:
+    """Summarise the scale matrix that was learned, and the EM iterations."""
+    iterations = em_table(model.training["turns"], "not trained")
+    return TrainingSummary(
+        facts={
+            "trained on": origin(model.training),
+            "ν": f"{model.dof_:.3g}",
+            "correlated": f"in time: {time_correlation_text(model.time_correlation_ratio)}",
+        },
+        paragraphs=(
+            scale_table(model.scale_).as_text(),
+            "\n".join([iterations.as_text(), *iterations.notes]),
+        ),
+    )
+
+
+def _spread_note(model: StudentT) -> str:
+    """Say how σ relates to the standard deviation, which is √(ν/(ν − 2)) σ for ν > 2."""
+    note = "As σ and correlations."
+    if model.dof_ <= 2.0:
+        return (
+            f"{note} With ν = {readable(model.dof_)}, errors have no finite standard deviation:"
+            " outliers are many."
+        )
+    factor = (model.dof_ / (model.dof_ - 2.0)) ** 0.5
+    return (
+        f"{note} The standard deviation of errors, outliers included, is {readable(factor)}"
+        " times σ."
+    )

@@ -1,0 +1,63 @@
+"""Steps that several experiments of ``probevo paper`` take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from probevo.camera.likeness import difference
+from probevo.cli import train
+from probevo.cli.demo import scene_folder
+from probevo.cli.text import table
+from probevo.errors import InputError
+from probevo.output.trial_table import TrialTable, trials_text
+from probevo.sequences import open_sequence
+from probevo_sim import command as simulate
+
+if TYPE_CHECKING:
+    from probevo import sequences
+    from probevo.training.settings import TrainSettings
+    from probevo_sim.scene.config import SceneConfig
+
+
+def render(name: str, config: SceneConfig, folder: Path) -> sequences.Sequence:
+    """Open a rendered scene; whatever an earlier call did not finish is rendered now."""
+    print(f"{name}: rendering, or taking what is there", flush=True)
+    path = folder / scene_folder(name.replace(" ", "-"), config)
+    return open_sequence(simulate.render_with_progress(config, path))
+
+
+def refuse_other_camera(drives: Sequence[sequences.Sequence], option: str) -> None:
+    """Refuse drives whose camera is not that of the first, which is trained on.
+
+    A model refuses such a drive, too, but only after its training.
+
+    Raises:
+        InputError: the camera of a drive differs.
+
+    """
+    first = drives[0]
+    for drive in drives[1:]:
+        unlike = difference(drive.camera, first.camera)
+        if unlike:
+            what = f"the camera of {drive.path} is not that of {first.path}: {unlike}."
+            raise InputError(option, what, "Give drives of one camera.")
+
+
+def train_all(
+    recording: Path, label: str, trainings: Mapping[str, TrainSettings], out: Path
+) -> dict[str, Path]:
+    """Train each learned estimator on one recording; return the model files by its name."""
+    models = {}
+    for name, settings in trainings.items():
+        print(f"{label}: training {name}", flush=True)
+        models[name] = out / "models" / f"{label}-{name}.safetensors".replace(" ", "-")
+        train.train_with_progress((recording,), settings, models[name])
+    return models
+
+
+def table_text(trials: TrialTable, *remarks: str) -> str:
+    """Return the table as text, followed by these remarks and the table's own notes."""
+    head, *rows = trials_text(trials)
+    return "\n".join([table(head, rows), "", *remarks, *trials.notes, ""])

@@ -1,0 +1,103 @@
+"""The rig's calibration as a value: its correction, and what stereo matches teach of the rows."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from probevo.camera.rig_calibration import (
+    CONSTANT_SIGMA_PX,
+    CORRELATED_FEATURES,
+    DISPARITY_SIGMA_PX,
+    ROW_SIGMA_PX,
+    RigCalibration,
+    row_basis,
+)
+from worlds import CAMERA, RIG_DISPARITY_PX, RIG_ROWS_PX, misrectified, seen_twice
+
+
+def test_correction_undoes_the_error() -> None:
+    """A belief that is the truth gives back what a flawless pair would show."""
+    clean = seen_twice(np.random.default_rng(4), 100)
+    rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, disparity=RIG_DISPARITY_PX)
+    for pixels in (clean.prev_px, clean.curr_px):
+        corrected = rig.corrected(misrectified(pixels), CAMERA)
+        np.testing.assert_allclose(corrected, pixels, atol=1e-10)
+
+
+def test_correction_leaves_the_left_image_and_its_argument_as_they_are() -> None:
+    pixels = misrectified(seen_twice(np.random.default_rng(4), 100).prev_px)
+    before = pixels.copy()
+    rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, disparity=RIG_DISPARITY_PX)
+    corrected = rig.corrected(pixels, CAMERA)
+    np.testing.assert_array_equal(corrected[:, :2], before[:, :2])
+    np.testing.assert_array_equal(pixels, before)
+
+
+def test_initial_calibration_corrects_nothing() -> None:
+    pixels = seen_twice(np.random.default_rng(4), 100).prev_px
+    np.testing.assert_array_equal(RigCalibration.initial().corrected(pixels, CAMERA), pixels)
+
+
+def test_tracks_are_corrected_in_both_frames() -> None:
+    clean = seen_twice(np.random.default_rng(4), 100)
+    rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, disparity=RIG_DISPARITY_PX)
+    tracks = replace(
+        clean, prev_px=misrectified(clean.prev_px), curr_px=misrectified(clean.curr_px)
+    )
+    corrected = tracks.corrected(rig, CAMERA)
+    np.testing.assert_allclose(corrected.prev_px, clean.prev_px, atol=1e-10)
+    np.testing.assert_allclose(corrected.curr_px, clean.curr_px, atol=1e-10)
+
+
+def test_rows_of_one_frame_are_least_squares_under_the_prior() -> None:
+    """Ridge regression in closed form: without noise all weights of the Student-t tend to 6/5."""
+    pixels = misrectified(seen_twice(np.random.default_rng(5), 3000).curr_px)
+    rig = RigCalibration.initial().with_rows(pixels, CAMERA)
+    basis = row_basis(pixels, CAMERA)
+    weight = 1.2 / (0.2**2 * 20.0)
+    information = np.diag(ROW_SIGMA_PX**-2.0) + weight * basis.T @ basis
+    rows = np.linalg.solve(information, weight * basis.T @ (pixels[:, 3] - pixels[:, 1]))
+    np.testing.assert_allclose(rig.rows_information, information, rtol=0.02)
+    np.testing.assert_allclose(rig.rows, rows, atol=0.005)
+
+
+def test_wrong_matches_hardly_move_the_rows() -> None:
+    rng = np.random.default_rng(6)
+    pixels = misrectified(seen_twice(rng, 500).curr_px)
+    clean = RigCalibration.initial().with_rows(pixels, CAMERA)
+    pixels[:50, 3] += rng.uniform(3.0, 20.0, 50)
+    disturbed = RigCalibration.initial().with_rows(pixels, CAMERA)
+    assert np.abs(disturbed.rows - clean.rows).max() < 0.1
+
+
+def test_no_matches_teach_nothing() -> None:
+    rig = RigCalibration.initial().with_rows(np.zeros((0, 4)), CAMERA)
+    np.testing.assert_array_equal(rig.rows, np.zeros(6))
+    np.testing.assert_array_equal(rig.rows_information, RigCalibration.initial().rows_information)
+
+
+def test_disparity_update_is_that_of_the_normal_equations() -> None:
+    """Two updates in a row are one least-squares problem: prior and both measurements at once."""
+    rng = np.random.default_rng(7)
+    truth = np.array([0.4, -1.2])
+    rig = RigCalibration.initial()
+    total = np.diag(DISPARITY_SIGMA_PX**-2.0)
+    moment = np.zeros(2)
+    for _ in range(2):
+        root = rng.normal(size=(2, 5))
+        information = root @ root.T
+        measured = truth + rng.normal(scale=0.1, size=2)
+        rig = rig.with_disparity(information, information @ (measured - rig.disparity))
+        total += information / CORRELATED_FEATURES
+        moment += information / CORRELATED_FEATURES @ measured
+    np.testing.assert_allclose(rig.disparity_information, total, rtol=1e-12)
+    np.testing.assert_allclose(rig.disparity, np.linalg.solve(total, moment), rtol=1e-12)
+
+
+def test_disparity_covariance_holds_the_constant_that_is_not_estimated() -> None:
+    information = np.array([[4.0, 1.0], [1.0, 9.0]])
+    rig = replace(RigCalibration.initial(), disparity_information=information)
+    expected = np.zeros((3, 3))
+    expected[0, 0] = CONSTANT_SIGMA_PX**2
+    expected[1:, 1:] = np.linalg.inv(information)
+    np.testing.assert_allclose(rig.disparity_cov, expected, rtol=1e-12)

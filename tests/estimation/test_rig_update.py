@@ -1,0 +1,226 @@
+"""Known errors of the rectification: the residuals reveal them, with a consistent covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray
+from probevo.camera.rig_calibration import (
+    CONSTANT_SIGMA_PX,
+    DISPARITY_SIGMA_PX,
+    ROW_SIGMA_PX,
+    RigCalibration,
+    disparity_basis,
+)
+from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
+from probevo.estimation.rig_update import disparity_sensitivity, update_rig
+from probevo.geometry import se3
+from probevo.noise import Fixed, StudentT
+from probevo.tracking.tracks import Tracks
+from worlds import (
+    CAMERA,
+    FORWARD,
+    RIG_DISPARITY_PX,
+    RIG_ROWS_PX,
+    misrectified,
+    motion_error,
+    seen_twice,
+)
+
+
+def misrectified_tracks(
+    tracks: Tracks,
+    rows_px: FloatArray = RIG_ROWS_PX,
+    disparity_px: FloatArray = RIG_DISPARITY_PX,
+    b0_px: float = 0.0,
+) -> Tracks:
+    """Both observations of clean tracks, disturbed."""
+    return replace(
+        tracks,
+        prev_px=misrectified(tracks.prev_px, rows_px, disparity_px, b0_px),
+        curr_px=misrectified(tracks.curr_px, rows_px, disparity_px, b0_px),
+    )
+
+
+def with_noise(rng: np.random.Generator, tracks: Tracks, sigma_px: float | FloatArray) -> Tracks:
+    prev_noise, curr_noise = sigma_px * rng.normal(size=(2, len(tracks), 4))
+    return replace(tracks, prev_px=tracks.prev_px + prev_noise, curr_px=tracks.curr_px + curr_noise)
+
+
+def solve(
+    tracks: Tracks, noise: Fixed | StudentT, guess: FloatArray = FORWARD
+) -> ReprojectionSolution:
+    predicted = noise.predict(np.zeros((len(tracks), 0)))
+    return solve_reprojection(tracks.prev_px, tracks.curr_px, predicted, guess=guess, camera=CAMERA)
+
+
+def learn(
+    rng: np.random.Generator,
+    frames: int = 60,
+    *,
+    disparity_px: FloatArray = RIG_DISPARITY_PX,
+    sigma_px: float | FloatArray = 0.2,
+    depth_m: tuple[float, float] = (5.0, 60.0),
+) -> tuple[RigCalibration, FloatArray]:
+    """The calibration after a drive, and the motion's error ξ of each frame, [frames, 6]."""
+    rig = RigCalibration.initial()
+    errors = []
+    for _ in range(frames):
+        clean = seen_twice(rng, 200, depth_m=depth_m)
+        tracks = with_noise(rng, misrectified_tracks(clean, disparity_px=disparity_px), sigma_px)
+        rig = rig.with_rows(tracks.curr_px, CAMERA)
+        corrected = tracks.corrected(rig, CAMERA)
+        solution = solve(corrected, StudentT())
+        rig, _ = update_rig(rig, corrected, solution, CAMERA)
+        errors.append(motion_error(solution.T_curr_prev))
+    return rig, np.array(errors)
+
+
+def sigma_of(information: FloatArray) -> FloatArray:
+    return np.sqrt(np.diagonal(np.linalg.inv(information)))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_rows_converge_to_the_truth(seed: int) -> None:
+    rig, _ = learn(np.random.default_rng(seed))
+    sigma = sigma_of(rig.rows_information)
+    assert (np.abs(rig.rows - RIG_ROWS_PX) < 3.0 * sigma).all()
+    assert (sigma < 0.35 * ROW_SIGMA_PX).all()  # y² is known least: the image is low
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_disparity_converges_to_the_truth(seed: int) -> None:
+    """σ counts twenty features as one, so that independent ones end well inside of it."""
+    rig, _ = learn(np.random.default_rng(seed))
+    sigma = sigma_of(rig.disparity_information)
+    assert (np.abs(rig.disparity - RIG_DISPARITY_PX) < 2.0 * sigma).all()
+    assert (sigma < 0.25 * DISPARITY_SIGMA_PX).all()
+
+
+def test_the_scale_of_the_motion_is_corrected() -> None:
+    """Uncorrected, points at the sides seem too near; later frames have less than a third of the
+    first one's error."""
+    _, errors = learn(np.random.default_rng(3))
+    assert np.abs(errors[-20:, 2].mean()) < np.abs(errors[0, 2]) / 3.0
+
+
+def test_a_flawless_pair_stays_uncorrected() -> None:
+    rig, _ = learn(np.random.default_rng(7), disparity_px=np.zeros(2))
+    assert (np.abs(rig.disparity) < 2.0 * sigma_of(rig.disparity_information)).all()
+    assert np.abs(rig.disparity).max() < 0.1
+
+
+def test_disparity_noise_alone_does_not_make_it_run_away() -> None:
+    """1 px on disparities of 4 to 13 px, five times what the model says, and no error of the
+    rectification."""
+    sigma_px = np.array([0.2, 0.2, 1.0, 0.2])
+    rig, _ = learn(
+        np.random.default_rng(8), disparity_px=np.zeros(2), sigma_px=sigma_px, depth_m=(30.0, 100.0)
+    )
+    assert np.abs(rig.disparity).max() < 0.25
+
+
+def test_at_rest_nothing_is_learned() -> None:
+    """Both views move alike with the disparity's error: the information stays the prior's."""
+    tracks = misrectified_tracks(seen_twice(np.random.default_rng(9), 300, np.eye(4)))
+    rig = RigCalibration.initial()
+    for _ in range(20):
+        solution = solve(tracks, StudentT(), np.eye(4))
+        rig, _ = update_rig(rig, tracks, solution, CAMERA)
+    np.testing.assert_allclose(
+        rig.disparity_information, np.diag(DISPARITY_SIGMA_PX**-2.0), atol=1e-9
+    )
+    np.testing.assert_allclose(rig.disparity, 0.0, atol=1e-9)
+
+
+def test_noise_at_rest_teaches_hardly_anything() -> None:
+    """200 pairs of frames, in which the noise passes for a motion of millimetres."""
+    rng = np.random.default_rng(13)
+    rig = RigCalibration.initial()
+    for _ in range(200):
+        tracks = seen_twice(rng, 200, np.eye(4), sigma_px=0.2)
+        rig, _ = update_rig(rig, tracks, solve(tracks, StudentT(), np.eye(4)), CAMERA)
+    assert (sigma_of(rig.disparity_information) > 0.95 * DISPARITY_SIGMA_PX).all()
+    assert np.abs(rig.disparity).max() < 0.15
+
+
+def test_what_is_learned_does_not_depend_on_the_motion_that_it_is_seen_from() -> None:
+    """At the optimum, or half a standard deviation beside it, where the motion is pulled back."""
+    rng = np.random.default_rng(14)
+    tracks = misrectified_tracks(seen_twice(rng, 300, sigma_px=0.1))
+    best = solve(tracks, Fixed())
+    beside = se3.exp(0.5 * np.linalg.cholesky(best.cov) @ rng.normal(size=6)) @ best.T_curr_prev
+    noise = Fixed().predict(np.zeros((300, 0)))
+    there = solve_reprojection(
+        tracks.prev_px, tracks.curr_px, noise, guess=beside, camera=CAMERA, max_iterations=0
+    )
+    learned = [
+        update_rig(RigCalibration.initial(), tracks, each, CAMERA)[0].disparity
+        for each in (best, there)
+    ]
+    assert np.abs(learned[0]).max() > 0.1
+    np.testing.assert_allclose(learned[1], learned[0], atol=0.02 * np.abs(learned[0]).max())
+
+
+def test_sensitivity_is_the_derivative_of_the_residuals() -> None:
+    """∂e/∂b against central differences of y' − f(T g(y)), T held."""
+    tracks = seen_twice(np.random.default_rng(10), 50)
+    solution = solve(tracks, Fixed())
+
+    def residuals(b: FloatArray) -> FloatArray:
+        prev_px = tracks.prev_px.copy()
+        curr_px = tracks.curr_px.copy()
+        prev_px[:, 2] -= disparity_basis(tracks.prev_px, CAMERA) @ b
+        curr_px[:, 2] -= disparity_basis(tracks.curr_px, CAMERA) @ b
+        return curr_px - CAMERA.project(
+            se3.transform(solution.T_curr_prev, CAMERA.triangulate(prev_px))
+        )
+
+    steps = 1e-5 * np.eye(3)
+    numeric = np.stack([(residuals(step) - residuals(-step)) / 2e-5 for step in steps], axis=-1)
+    np.testing.assert_allclose(disparity_sensitivity(tracks, solution, CAMERA), numeric, atol=1e-6)
+
+
+def test_common_mode_error_is_the_spread_over_the_uncertainty() -> None:
+    """400 motions solved with b₀, b₁, b₂ drawn from the prior: variances agree within 25 % (3.5 of
+    their own σ), and so does the largest direction. Points are near enough for the disparity's
+    error to act linearly."""
+    rng = np.random.default_rng(11)
+    clean = seen_twice(rng, 100, depth_m=(4.0, 12.0))
+    rig = replace(RigCalibration.initial(), disparity_information=np.diag([0.4**-2.0, 0.6**-2.0]))
+    _, columns = update_rig(rig, clean, solve(clean, Fixed()), CAMERA)
+    claimed = columns @ columns.T
+    errors = []
+    for b in rng.normal(size=(400, 3)) * [CONSTANT_SIGMA_PX, 0.4, 0.6]:
+        tracks = misrectified_tracks(clean, np.zeros(6), b[1:], b[0])
+        errors.append(motion_error(solve(tracks, Fixed()).T_curr_prev))
+    spread = np.cov(np.array(errors).T)
+    np.testing.assert_allclose(np.diagonal(spread), np.diagonal(claimed), rtol=0.25)
+    scale = np.sqrt(np.diagonal(claimed))
+    assert np.abs((spread - claimed) / np.outer(scale, scale)).max() < 0.25
+
+
+def test_common_mode_error_shrinks_with_the_uncertainty_to_that_of_the_constant() -> None:
+    clean = seen_twice(np.random.default_rng(12), 100)
+    solution = solve(clean, Fixed())
+    initial = RigCalibration.initial()
+    certain = replace(initial, disparity_information=1e12 * np.eye(2))
+    covs = []
+    for rig in (initial, certain):
+        _, columns = update_rig(rig, clean, solution, CAMERA)
+        covs.append(columns @ columns.T)
+    assert np.linalg.eigvalsh(covs[0] - covs[1])[0] > -1e-12
+    assert np.linalg.matrix_rank(covs[1] / covs[1].max(), tol=1e-6) == 1
+
+
+def test_features_that_fix_no_motion_teach_nothing() -> None:
+    """Three of them at one point; a gyro may make up for it, but the normal equations of the
+    features are singular."""
+    clean = seen_twice(np.random.default_rng(8), 1).kept(np.zeros(3, np.int64))
+    rig = RigCalibration.initial()
+    solution = solve(clean, StudentT())
+    assert np.isnan(solution.cov).all()
+    after, columns = update_rig(rig, clean, replace(solution, hessian=np.zeros((6, 6))), CAMERA)
+    assert after is rig
+    np.testing.assert_array_equal(columns, 0.0)
