@@ -1,4 +1,4 @@
-"""What each effect of a simulated scene costs the odometry: the tables of docs/simulation.md.
+"""Measure what each effect of a scene costs the odometry: the table of docs/simulation.md.
 
 python benchmarks/effects.py [number of places, 3 by default]
 """
@@ -6,8 +6,9 @@ python benchmarks/effects.py [number of places, 3 by default]
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import astuple, dataclass, fields
 from typing import get_args
 
 import cv2
@@ -20,16 +21,15 @@ from probevo_sim.scene.config import Effects, PresetName, SceneConfig
 from probevo_sim.scene.recording import open_scene
 
 DISTANCE_M = 200.0
-SPOILED: dict[PresetName, tuple[str, ...]] = {
+DEGRADED: dict[PresetName, tuple[str, ...]] = {
     "city": tuple(Effects.model_fields),
     "road": ("traffic", "textureless", "foliage"),
 }
-"""Effects that are tried, each alone; on the road those that the city's many features make up for.
-"""
+"""Effects that are tried one at a time; on the road, those that hardly matter in a city."""
 
 
 def run(config: SceneConfig) -> tuple[Metrics, float]:
-    """Metrics of a run with the shipped defaults, and the share of its steps that are OK."""
+    """Run the shipped defaults; return the metrics, and the share of steps that are OK."""
     cv2.setNumThreads(1)
     recording = open_scene(config)
     recorder = RunRecorder()
@@ -44,67 +44,92 @@ def run(config: SceneConfig) -> tuple[Metrics, float]:
 
 
 def scenes(places: int) -> Iterator[tuple[str, int, SceneConfig]]:
-    """Each with the row of the table that it belongs to, and the number of its place."""
+    """Yield each scene with its row of the table and the number of its place."""
     for seed in range(places):
         for preset in get_args(PresetName):
             length_m = 100.0 if preset == "rover" else DISTANCE_M
-            yield (
-                f"{preset}, clean",
-                seed,
-                SceneConfig(preset=preset, seed=seed, distance_m=length_m),
-            )
-        for preset, name in ((preset, name) for preset, names in SPOILED.items() for name in names):
-            effects = Effects(**{name: 1.0})
-            config = SceneConfig(preset=preset, seed=seed, distance_m=DISTANCE_M, effects=effects)
-            yield f"{preset}, {name}", seed, config
+            config = SceneConfig(preset=preset, seed=seed, distance_m=length_m)
+            yield f"{preset}, clean", seed, config
+        for preset, names in DEGRADED.items():
+            for name in names:
+                config = SceneConfig(
+                    preset=preset,
+                    seed=seed,
+                    distance_m=DISTANCE_M,
+                    effects=Effects(**{name: 1.0}),
+                )
+                yield f"{preset}, {name}", seed, config
 
 
-def figures(metrics: Metrics, ok: float) -> list[float]:
-    end_percent = 100.0 * metrics.final_error_m / metrics.path_length_m
-    step = [1e3 * metrics.rpe_t_m, metrics.rpe_r_deg]
-    return [
-        metrics.short_t_percent,
-        end_percent,
-        metrics.short_r_deg_per_m,
-        *step,
-        metrics.anees,
-        100.0 * ok,
-    ]
+@dataclass(frozen=True)
+class Figures:
+    """The figures of one run, or their means over several."""
+
+    drift_percent: float
+    end_percent: float
+    rotation_deg_per_m: float
+    step_mm: float
+    step_deg: float
+    anees: float
+    ok_percent: float
+
+    @staticmethod
+    def of(metrics: Metrics, ok: float) -> Figures:
+        """Return the figures of a run, from its metrics and the share of steps that are OK."""
+        return Figures(
+            drift_percent=metrics.short_t_percent,
+            end_percent=100.0 * metrics.final_error_m / metrics.path_length_m,
+            rotation_deg_per_m=metrics.short_r_deg_per_m,
+            step_mm=1e3 * metrics.rpe_t_m,
+            step_deg=metrics.rpe_r_deg,
+            anees=metrics.anees,
+            ok_percent=100.0 * ok,
+        )
+
+    @staticmethod
+    def mean(runs: Iterable[Figures]) -> Figures:
+        """Return the means over some runs."""
+        means = np.mean([astuple(run) for run in runs], axis=0).tolist()
+        names = [field.name for field in fields(Figures)]
+        return Figures(**dict(zip(names, means, strict=True)))
 
 
 def main() -> None:
+    """Run all scenes in two processes, and print the table."""
     places = int(sys.argv[1]) if len(sys.argv) > 1 else 3
     named = list(scenes(places))
     with ProcessPoolExecutor(2) as pool:
         results = pool.map(run, [config for *_, config in named])
-        rows: dict[str, dict[int, list[float]]] = {}
-        for (name, seed, _), result in zip(named, results, strict=True):
-            rows.setdefault(name, {})[seed] = figures(*result)
-            print(
-                f"{name}, place {seed}: drift {rows[name][seed][0]:.3f} %",
-                file=sys.stderr,
-                flush=True,
-            )
+        rows: dict[str, dict[int, Figures]] = {}
+        for (name, seed, _), (metrics, ok) in zip(named, results, strict=True):
+            figures = Figures.of(metrics, ok)
+            rows.setdefault(name, {})[seed] = figures
+            progress = f"{name}, place {seed}: drift {figures.drift_percent:.3f} %"
+            print(progress, file=sys.stderr, flush=True)
     print(
         "| scene | drift, % | end, % | °/m | step, mm | step, ° | against clean, mm | ANEES |"
         " OK, % |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     for name, runs in rows.items():
-        mean = np.mean(list(runs.values()), axis=0)
+        # The error of a step against that in the same place without effects.
         preset, effect = name.split(", ")
-        change = [run[3] / rows[f"{preset}, clean"][seed][3] for seed, run in runs.items()]
-        least, most = (f"{ratio:.2f}" for ratio in (min(change), max(change)))
-        against = f"× {least} … {most}" if effect != "clean" else ""
+        clean = rows[f"{preset}, clean"]
+        ratios = [run.step_mm / clean[seed].step_mm for seed, run in runs.items()]
+        against = f"× {min(ratios):.2f} … {max(ratios):.2f}" if effect != "clean" else ""
+        mean = Figures.mean(runs.values())
         cells = [
-            f"{mean[0]:.2f}",
-            f"{mean[1]:.2f}",
-            f"{mean[2]:.4f}",
-            f"{mean[3]:.1f}",
-            f"{mean[4]:.4f}",
+            name,
+            f"{mean.drift_percent:.2f}",
+            f"{mean.end_percent:.2f}",
+            f"{mean.rotation_deg_per_m:.4f}",
+            f"{mean.step_mm:.1f}",
+            f"{mean.step_deg:.4f}",
             against,
+            f"{mean.anees:.0f}",
+            f"{mean.ok_percent:.1f}",
         ]
-        print(f"| {name} | " + " | ".join([*cells, f"{mean[5]:.0f}", f"{mean[6]:.1f}"]) + " |")
+        print("| " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":

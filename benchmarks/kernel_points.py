@@ -61,7 +61,7 @@ class Training(NamedTuple):
 TRAININGS = {
     "fitted Student-t": Training("student-t", "gt"),
     "GK-GT published": Training(
-        "gk", "gt", KernelSettings(variant="published", refers_to="residual", turns=1)
+        "gk", "gt", KernelSettings(variant="published", refers_to="residual", iterations=1)
     ),
     "GK-GT": Training("gk", "gt"),
     "GK-EM": Training("gk", "none"),

@@ -24,7 +24,7 @@ from probevo.training.settings import KernelSettings, TrainSettings
 
 NAMES = ("city", "residential", "road", "kitti")
 PLACES = 4
-KERNEL = KernelSettings(turns=3)
+KERNEL = KernelSettings(iterations=3)
 TRAININGS = {
     "fitted Student-t": TrainSettings(
         kind="student-t", supervision="none", gk=KernelSettings(time_correlation=False)

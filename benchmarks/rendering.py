@@ -1,4 +1,4 @@
-"""How fast scenes are rendered on two cores, and how much memory that takes as they grow longer.
+"""Measure how fast scenes are rendered on two cores, and how much memory long ones take.
 
 python benchmarks/rendering.py
 """
@@ -12,7 +12,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import get_args
+from typing import NamedTuple, get_args
 
 from probevo_sim.scene.config import Effects, PresetName, SceneConfig
 from probevo_sim.scene.recording import open_scene
@@ -21,15 +21,24 @@ from probevo_sim.scene.writer import write_scene
 CORES = 2
 
 
-def measure(config: SceneConfig) -> tuple[int, float, float]:
-    """Frames, frames written a second (PNG files included, set-up not), and the most memory that
-    took, MiB."""
+class Rendering(NamedTuple):
+    """What a scene took."""
+
+    frames: int
+    rate_hz: float
+    """Frames written a second, PNG files included, set-up excluded."""
+    peak_mib: float
+    """Peak of the memory."""
+
+
+def measure(config: SceneConfig) -> Rendering:
+    """Render a scene in this process, and measure that."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, list(os.sched_getaffinity(0))[:CORES])
     with tempfile.TemporaryDirectory() as folder:
-        write_scene(
-            SceneConfig(preset="road", distance_m=3.0), Path(folder) / "compiled", jobs=CORES
-        )
+        # A short scene first, so that the loops are compiled.
+        short = SceneConfig(preset="road", distance_m=3.0)
+        write_scene(short, Path(folder) / "compiled", jobs=CORES)
         stamps: list[float] = []
         write_scene(
             config,
@@ -38,10 +47,12 @@ def measure(config: SceneConfig) -> tuple[int, float, float]:
             on_frame=lambda done, total: stamps.append(time.time()),
         )
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return len(open_scene(config)), (len(stamps) - 1) / (stamps[-1] - stamps[0]), peak_mib
+    rate_hz = (len(stamps) - 1) / (stamps[-1] - stamps[0])
+    return Rendering(len(open_scene(config)), rate_hz, peak_mib)
 
 
 def main() -> None:
+    """Measure and print all scenes: presets, expensive effects, and long roads."""
     scenes = {f"{p}, 100 m": SceneConfig(preset=p, distance_m=100.0) for p in get_args(PresetName)}
     scenes |= {
         f"city, {name}, 40 m": SceneConfig(
@@ -51,12 +62,12 @@ def main() -> None:
     }
     scenes |= {f"road, {m} m": SceneConfig(preset="road", distance_m=m) for m in (400, 2000)}
     for name, config in scenes.items():
-        # A process each, lest the memory of one be taken for that of the next.
+        # One process for each, because the peak of the memory is that of a process.
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            frames, rate, peak_mib = pool.submit(measure, config).result()
+            result = pool.submit(measure, config).result()
         print(
-            f"{name:20} {frames:5} pairs of 621×188: {rate:5.1f} a second, {peak_mib:4.0f} MiB at"
-            " most",
+            f"{name:20} {result.frames:5} pairs of 621×188: {result.rate_hz:5.1f} a second,"
+            f" {result.peak_mib:4.0f} MiB at most",
             flush=True,
         )
 

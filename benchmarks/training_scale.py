@@ -106,7 +106,7 @@ def train(folder: Path) -> None:
 
     # Passes before the first iteration of the kernel: recording, and the iterations of the static
     # models. The second half of that iteration is the search and the first fit.
-    first = 1 + num_turns(SETTINGS) - SETTINGS.gk.turns
+    first = 1 + num_turns(SETTINGS) - SETTINGS.gk.iterations
     facts = {
         "samples": model.samples_,
         "features": sum(len(pv.open_sequence(path).features.ids) for path in paths),

@@ -1,6 +1,7 @@
 """The examples run, stay short, and convert covariances rightly."""
 
 import importlib.util
+import itertools
 import subprocess
 import sys
 from functools import cache
@@ -23,6 +24,7 @@ from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 
 @pytest.fixture(scope="module")
@@ -125,17 +127,16 @@ def test_learn_whom_to_trust(
     assert mean_mm["learned"] < 0.9 * mean_mm["student-t"]
 
 
-def test_merge_rows() -> None:
+def test_merge_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is merged, its scale and s tell the same of any (u_l, u_r, v) as all four numbers do."""
-    example = load("05_noise_for_gtsam.py")
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    benchmark = importlib.import_module("gtsam_agreement")
     rng = np.random.default_rng(0)
     half = rng.normal(size=(20, 4, 4))
-    scale, pixels, (u_l, u_r, v) = (
-        half @ half.mT + 0.1 * np.eye(4),
-        rng.normal(size=(20, 4)),
-        rng.normal(size=3),
-    )
-    merged, merged_scale, squared = example.merge_rows(pixels, scale)
+    scale = half @ half.mT + 0.1 * np.eye(4)
+    pixels = rng.normal(size=(20, 4))
+    u_l, u_r, v = rng.normal(size=3)
+    merged, merged_scale, squared = benchmark.merge_rows(pixels, scale)
 
     def length(error: FloatArray, scale: FloatArray) -> FloatArray:
         return np.asarray(np.vecdot(error, np.linalg.solve(scale, error[..., None])[..., 0]))
@@ -145,14 +146,13 @@ def test_merge_rows() -> None:
         squared + length(merged - np.array([u_l, u_r, v]), merged_scale), whole
     )
 
-    equal, _, _ = example.merge_rows(np.array([[5.0, 1.0, 3.0, 2.0]]), np.eye(4)[None])
+    equal, _, _ = benchmark.merge_rows(np.array([[5.0, 1.0, 3.0, 2.0]]), np.eye(4)[None])
     np.testing.assert_allclose(equal, [[5.0, 3.0, 1.5]])
 
 
-@pytest.mark.parametrize(("noise", "within_sigma"), [("fixed", 0.01), ("student-t", 0.7)])
+@pytest.mark.parametrize(("noise", "within_sigma"), [("fixed", 0.01), ("student-t", 0.05)])
 def test_noise_for_gtsam(noise: str, within_sigma: float, tmp_path: Path) -> None:
-    """Gaussians agree; of a Student-t, GTSAM trusts each observation by itself, where probevo
-    trusts each feature."""
+    """GTSAM finds probevo's motions; with a Student-t, from the history of each track as well."""
     pytest.importorskip("gtsam", reason="gtsam is missing: pip install 'probevo[gtsam]'")
     gaussian = PointNoise(law="constant", sigma_low_px=0.2, sigma_high_px=0.2)
     config = PointConfig(noise=gaussian, outliers=PointOutliers(fraction=0.0))
@@ -165,6 +165,26 @@ def test_noise_for_gtsam(noise: str, within_sigma: float, tmp_path: Path) -> Non
     assert [line.split()[0] for line in lines] == ["probevo", "GTSAM"] * 10
     apart = np.array([line.split("[")[-1].split("]")[0].split() for line in lines], np.float64)
     assert np.abs(apart).max() < within_sigma
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_gtsam_agrees_on_a_recording(data_root: Path) -> None:
+    """Ten steps of KITTI: rig calibration, history, common mode, outliers, points at infinity."""
+    pytest.importorskip("gtsam", reason="gtsam is missing: pip install 'probevo[gtsam]'")
+    example = load("05_noise_for_gtsam.py")
+    sequence = pv.open_sequence(data_root / "kitti_odometry" / "sequences" / "06")
+    odometry = pv.StereoOdometry(sequence.camera)
+    for frame in itertools.islice(sequence, 11):
+        before = odometry.state
+        motion = odometry.step(frame)
+        if frame.index == 0:
+            continue
+        assert motion.status is pv.Status.OK
+        T, _ = example.solve(example.factors_of(odometry, before), np.eye(4))
+        cov = motion.cov - motion.common_mode @ motion.common_mode.T
+        apart = se3.log(T @ se3.inverse(motion.T_curr_prev)) / np.sqrt(np.diagonal(cov))
+        assert np.abs(apart).max() < 0.1
 
 
 @pytest.mark.parametrize("speed", [2.0, 50.0])
@@ -194,18 +214,18 @@ def test_noise_of_residuals_for_gtsam(dof: float) -> None:
     config = PointConfig(outliers=PointOutliers(fraction=0.0), noise=PointNoise(sigma_high_px=0.3))
     world = simulate_points(config, 0.5, np.random.default_rng(0))
     odometry = pv.StereoOdometry(world.camera, NoiseOfResiduals(dof))
-    solve = load("05_noise_for_gtsam.py").solve
-    _, *motions = [
-        (odometry.step(frame), frame.index and solve(odometry, np.eye(4)))
-        for frame in world.frames()
-    ]
-    for motion, (T, cov) in motions:
+    example = load("05_noise_for_gtsam.py")
+    for frame in world.frames():
+        before = odometry.state
+        motion = odometry.step(frame)
+        if frame.index == 0:
+            continue
         assert motion.status is pv.Status.OK
+        T, cov = example.solve(example.factors_of(odometry, before), np.eye(4))
         apart = se3.log(T @ se3.inverse(motion.T_curr_prev)) / np.sqrt(np.diagonal(motion.cov))
         assert np.abs(apart).max() < 0.02
-        ratios = np.linalg.eigvals(
-            np.linalg.solve(motion.cov - motion.common_mode @ motion.common_mode.T, cov)
-        ).real
+        own_cov = motion.cov - motion.common_mode @ motion.common_mode.T
+        ratios = np.linalg.eigvals(np.linalg.solve(own_cov, cov)).real
         # probevo scales by what residuals show, and weighs features by their curvature; Gaussian
         # ones have the same.
         assert ratios.max() < (1.01 if np.isinf(dof) else 2.0) * ratios.min()

@@ -22,7 +22,7 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.noise import Fixed, NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.predictors import prediction_space
-from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
+from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures, check_frame
 from probevo.sequences.imu_calibration import ImuCalibration
 from worlds import (
     CAMERA,
@@ -53,12 +53,12 @@ def run(
 
 
 def volume(motion: pv.MotionEstimate) -> float:
-    """Log determinant of the covariance."""
+    """Return the log determinant of the covariance."""
     return float(np.linalg.slogdet(motion.cov)[1])
 
 
 def is_proper(motion: pv.MotionEstimate) -> bool:
-    """A finite rigid motion with a finite, positive definite covariance."""
+    """Return whether it is a finite rigid motion with a finite, positive definite covariance."""
     C = motion.T_curr_prev[:3, :3]
     orthonormal = np.allclose(C @ C.T, np.eye(3), atol=1e-9) and np.linalg.det(C) > 0.0
     return bool(
@@ -105,7 +105,7 @@ def test_the_doubt_of_the_calibration_makes_the_covariance_no_smaller_than_the_e
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
-def test_blind_frames_carry_the_motion_on(count: int) -> None:
+def test_blind_frames_are_dead_reckoned(count: int) -> None:
     """Three frames in a row with hardly a feature: two steps between them, one before and one after
     are blind."""
     frames = drive(np.random.default_rng(4), 20)
@@ -120,7 +120,7 @@ def test_blind_frames_carry_the_motion_on(count: int) -> None:
 
 @pytest.mark.parametrize("steps", [5, 20, 60])
 def test_the_covariance_of_blind_motions_holds_their_error(steps: int) -> None:
-    """A vehicle that brakes with 5 m/s² while nothing is seen: each step and the path within 1.1σ."""
+    """A vehicle brakes with 5 m/s² while nothing is seen: steps and path are within 1.1σ."""
     frames = drive(np.random.default_rng(5), 12)
     twist = se3.log(FORWARD)
     braking = np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
@@ -136,7 +136,7 @@ def test_the_covariance_of_blind_motions_holds_their_error(steps: int) -> None:
     assert (np.abs(error) < 1.1 * np.sqrt(np.diagonal(cov[-1])) + 1e-9).all()
 
 
-def test_sight_is_believed_again_at_once() -> None:
+def test_images_are_accepted_again_at_once() -> None:
     frames = drive(np.random.default_rng(6), 20)
     frames[10:13] = [with_features(frame, 0) for frame in frames[10:13]]
     motions = run(frames)
@@ -175,8 +175,8 @@ def test_a_gap_in_time_is_said_and_bridged() -> None:
 
 
 def test_outlier_frames_are_refused() -> None:
-    """All features of one frame swap places: no motion explains them, and the velocity is carried
-    on."""
+    """All features of one frame swap places: no motion explains them, and the frame is
+    dead-reckoned."""
     frames = drive(np.random.default_rng(9), 15)
     features = frames[10].features
     assert features is not None
@@ -197,8 +197,8 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 
 def test_a_frame_s_randomness_does_not_depend_on_those_before() -> None:
-    """Seeded by its index: a run that starts at frame 5 draws the same samples there. Of its noise
-    nothing lasts, or tracks would remember the frames before."""
+    """Seeded by its index, a run that starts at frame 5 draws the same samples there. Its noise has
+    no time-correlated part, or tracks would remember the frames before."""
     frames = drive(np.random.default_rng(11), 12)
     noise = pv.noise.StudentT(time_correlation_ratio=0.0)
     whole = run(frames, PLAIN, noise)
@@ -209,7 +209,7 @@ def test_a_frame_s_randomness_does_not_depend_on_those_before() -> None:
 def turning(
     frames: list[Frame], bias_rad_s: FloatArray, C_cam_imu: FloatArray, rng: np.random.Generator
 ) -> list[Frame]:
-    """The frames with a gyro at 200 Hz that feels the turn of FORWARD, and its bias."""
+    """Return the frames with a gyro at 200 Hz that measures the turn of FORWARD, and its bias."""
     rate = C_cam_imu.T @ (-so3.log(FORWARD[:3, :3]) / 0.1) + bias_rad_s
     with_imu = frames[:1]
     for frame in frames[1:]:
@@ -246,9 +246,8 @@ def test_a_gyro_that_was_not_there_all_the_time_is_not_asked() -> None:
     """Whoever leaves out frames, and their samples with them, gets what the images say."""
     rng = np.random.default_rng(15)
     plain = drive(rng, 21)[::2]
-    half = turning(
-        plain, np.array([0.5, 0.5, 0.5]), np.eye(3), rng
-    )  # wrong, and of the last tenth of a second alone
+    # A wrong gyro, and samples of the last tenth of a second only.
+    half = turning(plain, np.array([0.5, 0.5, 0.5]), np.eye(3), rng)
     imu = ImuCalibration(np.eye(4), GYRO_NOISE, 1e-3)
     config = pv.OdometryConfig(gyro=GyroConfig(prior=True))
     odometry = pv.StereoOdometry(CAMERA, imu=imu, config=config)
@@ -256,7 +255,7 @@ def test_a_gyro_that_was_not_there_all_the_time_is_not_asked() -> None:
         np.testing.assert_array_equal(odometry.step(frame).T_curr_prev, motion.T_curr_prev)
 
 
-def test_a_gyro_said_to_be_perfect_is_taken_at_its_word() -> None:
+def test_a_gyro_without_noise_and_bias_fixes_the_rotation() -> None:
     rng = np.random.default_rng(17)
     frames = turning(drive(rng, 6), np.zeros(3), np.eye(3), rng)
     config = pv.OdometryConfig(gyro=GyroConfig(prior=True), self_calibration=False)
@@ -279,9 +278,9 @@ def test_while_the_gyro_is_not_asked_its_bias_walks_on() -> None:
     np.testing.assert_allclose(variances[-1] - variances[-2], 0.1 * 1e-6, rtol=1e-6)
 
 
-def test_pictures_that_are_handed_in_again_are_no_standstill(tmp_path: Path) -> None:
+def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     """A frozen driver repeats a pair three times, and a fourth time the left image only: the motion
-    goes on, unsure."""
+    is dead-reckoned, with an inflated covariance."""
     sequence = pv.open_sequence(write_wall(tmp_path / "wall", 12))
     frames = list(sequence)
     for k in (6, 7, 8, 9):
@@ -299,7 +298,7 @@ def test_pictures_that_are_handed_in_again_are_no_standstill(tmp_path: Path) -> 
     assert motions[11].status is OK
 
 
-def test_pictures_of_a_camera_at_rest_may_be_alike(tmp_path: Path) -> None:
+def test_images_of_a_camera_at_rest_may_be_equal(tmp_path: Path) -> None:
     """As a simulator gives them, without noise."""
     sequence = pv.open_sequence(write_wall(tmp_path / "wall", 2))
     odometry = pv.StereoOdometry(sequence.camera)
@@ -315,8 +314,8 @@ WHOLE = np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)
 TWICE = StereoFeatures(np.array([4, 7, 4]), np.ones((3, 4)))
 
 
-def felt(stamps_ns: list[int], rates_rad_s: list[float]) -> ImuSamples:
-    """Turn rates around one axis."""
+def turn_rates(stamps_ns: list[int], rates_rad_s: list[float]) -> ImuSamples:
+    """Return samples of a gyro that turns about one axis, without an accelerometer."""
     gyro_rad_s = np.outer(rates_rad_s, [0.0, 1.0, 0.0])
     return ImuSamples(np.array(stamps_ns), gyro_rad_s, np.full((len(stamps_ns), 3), np.nan))
 
@@ -342,11 +341,7 @@ def felt(stamps_ns: list[int], rates_rad_s: list[float]) -> ImuSamples:
         (Frame(5, 0, WHOLE), "its right image is missing"),
         (Frame(5, 0.1, WHOLE, right=WHOLE), "its stamp_ns is 0.1"),  # type: ignore[arg-type]
         (
-            Frame(5, 0, WHOLE, right=WHOLE, imu=felt([0, 1], [0.0, np.nan])),
-            "an IMU sample of it has no finite turn rate",
-        ),
-        (
-            Frame(5, 0, WHOLE, right=WHOLE, imu=felt([1, 0], [0.0, 0.0])),
+            Frame(5, 0, WHOLE, right=WHOLE, imu=turn_rates([1, 0], [0.0, 0.0])),
             "its IMU samples are not in the order",
         ),
         (
@@ -371,6 +366,18 @@ def test_frames_that_no_camera_of_this_kind_gives_are_refused(frame: Frame, frag
         pv.StereoOdometry(CAMERA).step(frame)
     assert str(caught.value).startswith(f"frame 5: {fragment}")
     assert caught.value.cure
+
+
+def test_a_sample_without_a_finite_turn_rate_is_missing_and_refuses_nothing() -> None:
+    """The check of a frame refuses it, but a step leaves the sample out and says so."""
+    frames = drive(np.random.default_rng(20), 2)
+    stamps_ns = [frames[1].stamp_ns - FRAME_NS, frames[1].stamp_ns]
+    frames[1] = replace(frames[1], imu=turn_rates(stamps_ns, [0.0, np.nan]))
+    with pytest.raises(InputError, match="frame 1: an IMU sample of it has no finite turn rate"):
+        check_frame(frames[1], CAMERA)
+    motion = run(frames)[1]
+    assert motion.status is OK
+    assert motion.missing == ("1 of 2 IMU samples without a finite angular rate",)
 
 
 def test_images_are_checked_even_if_the_camera_has_no_size() -> None:
@@ -404,7 +411,7 @@ def test_images_that_overwrite_those_before_are_refused() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_points_kilometres_away_give_statuses(seed: int) -> None:
-    """They fix the rotation and next to nothing else; what tracks remember is then as good as
+    """They fix the rotation and next to nothing else; the disparity filter is then nearly
     singular."""
     rng = np.random.default_rng(seed)
     odometry = pv.StereoOdometry(CAMERA)
@@ -464,7 +471,7 @@ def test_a_model_of_another_camera_is_refused() -> None:
         pv.StereoOdometry(CAMERA, model)
 
 
-def test_a_prior_that_the_method_would_not_heed_is_refused() -> None:
+def test_a_gyro_prior_is_refused_for_a_method_that_takes_none() -> None:
     with pytest.raises(ValueError, match="the alignment takes no prior"):
         pv.OdometryConfig(gyro=GyroConfig(prior=True), solver=SolverConfig(method="alignment"))
 
@@ -477,16 +484,16 @@ def model_of(columns: Sequence[str], exponent: float = 4.0) -> NearestNeighbors:
     return NearestNeighbors(20, exponent).fit(places, np.exp(rng.normal(size=400)), metric=metric)
 
 
-def test_what_is_known_of_the_features_stays_for_the_asking() -> None:
-    """Of the tracks of the step, as corrected: their places, which were solved with, how far each
-    is trusted."""
+def test_the_features_of_the_last_step_are_there_to_read() -> None:
+    """These are the corrected tracks: their φ, which of them the solve used, and their weights."""
     space = prediction_space(["disparity", "place"])
     odometry = pv.StereoOdometry(CAMERA, predictors=space)
     assert odometry.phi.shape == (0, 3)
     frames = drive(np.random.default_rng(14), 12, sigma_px=0.5)
     for frame in frames:
         odometry.step(frame)
-        tracks, count = odometry.tracks, len(odometry.tracks)
+        tracks = odometry.tracks
+        count = len(tracks)
         assert odometry.phi.shape == (count, 3)
         assert odometry.used.shape == odometry.weights.shape == (count,)
         np.testing.assert_allclose(
@@ -508,7 +515,7 @@ def test_each_step_says_how_many_features_it_used_and_how_many_of_them_are_out_o
         assert motion.num_out_of_domain == (-(-motion.num_used // 3) if k else None)
 
 
-def test_mismatches_that_ransac_turned_away_are_not_used() -> None:
+def test_mismatches_that_ransac_rejects_are_not_used() -> None:
     frames = drive(np.random.default_rng(15), 3)
     odometry = pv.StereoOdometry(CAMERA)
     for frame in frames[:2]:
@@ -522,22 +529,21 @@ def test_mismatches_that_ransac_turned_away_are_not_used() -> None:
     assert odometry.phi.shape == (len(odometry.tracks), 0)
 
 
-def test_predictors_alone_change_no_motion() -> None:
-    """They are only looked at."""
+def test_predictors_change_no_motion_under_static_noise() -> None:
+    """They are computed for whoever reads them."""
     frames = drive(np.random.default_rng(16), 6)
-    plain, looked_at = (
-        pv.StereoOdometry(CAMERA, predictors=space)
-        for space in (None, prediction_space(["residual_flow", "age"]))
-    )
+    space = prediction_space(["residual_flow", "age"])
+    plain = pv.StereoOdometry(CAMERA)
+    with_predictors = pv.StereoOdometry(CAMERA, predictors=space)
     for frame in frames:
-        assert (
-            plain.step(frame).T_curr_prev.tobytes() == looked_at.step(frame).T_curr_prev.tobytes()
-        )
+        motion = plain.step(frame)
+        other = with_predictors.step(frame)
+        assert motion.T_curr_prev.tobytes() == other.T_curr_prev.tobytes()
 
 
 def last_residuals_of(frames: Sequence[Frame]) -> list[tuple[pv.Status, FloatArray, FloatArray]]:
-    """Status, predicted and expected ``last_residual`` [N] of every step; expected, one feature
-    after another."""
+    """Return status, predicted and expected ``last_residual`` [N] of every step; the expected one
+    is computed feature by feature."""
     odometry = pv.StereoOdometry(CAMERA, predictors=prediction_space(["last_residual"]))
     steps = []
     left: dict[int, float] = {}
@@ -549,16 +555,16 @@ def last_residuals_of(frames: Sequence[Frame]) -> list[tuple[pv.Status, FloatArr
         steps.append((motion.status, odometry.phi[:, 0], np.array(expected)))
         left = {}
         if motion.status is OK:
-            for k, before, now in zip(
+            for k, prev, curr in zip(
                 tracks.ids.tolist(), tracks.prev_px, tracks.curr_px, strict=True
             ):
-                point = se3.transform(T_curr_prev, CAMERA.triangulate(before))
-                left[k] = float(np.linalg.norm(now - CAMERA.project(point)))
+                point = se3.transform(T_curr_prev, CAMERA.triangulate(prev))
+                left[k] = float(np.linalg.norm(curr - CAMERA.project(point)))
     return steps
 
 
 def test_features_come_with_the_residual_of_the_step_before() -> None:
-    """Those that RANSAC turned away too; new ones have none, nor has any in the first step."""
+    """Outliers of RANSAC have one, too; new features have none, nor has any in the first step."""
     frames = drive(np.random.default_rng(18), 10)
     features = frames[5].features
     assert features is not None
@@ -593,8 +599,7 @@ def test_after_a_refused_step_no_residual_is_known() -> None:
 
 @pytest.mark.parametrize(("exponent", "same"), [(0.0, True), (4.0, False)])
 def test_a_learned_model_gets_its_columns(exponent: float, same: bool) -> None:
-    """It finds its predictors by itself; with γ = 0 it is the Student-t that it scales, to the last
-    bit."""
+    """It chooses the predictors; with γ = 0 it is the Student-t that it scales, to the last bit."""
     frames = drive(np.random.default_rng(17), 8)
     learned = pv.StereoOdometry(CAMERA, model_of(["x", "y", "row_offset"], exponent))
     static = pv.StereoOdometry(CAMERA, StudentT())
@@ -621,7 +626,7 @@ def test_a_predictor_that_nobody_knows_is_refused() -> None:
 
 
 def walk(path: Path) -> tuple[list[pv.MotionEstimate], FloatArray]:
-    """Motions of a recording, and its true poses."""
+    """Return the motions of a recording, and its true poses."""
     sequence = pv.open_sequence(path)
     odometry = pv.StereoOdometry(sequence.camera, imu=sequence.imu)
     motions = [odometry.step(frame) for frame in sequence]
@@ -633,15 +638,16 @@ FIRST_OF_ALL = pv.MotionEstimate(np.eye(4), np.zeros((6, 6)), FIRST, 0)
 
 
 def trajectory(motions: list[pv.MotionEstimate]) -> tuple[FloatArray, FloatArray]:
-    """T_world_cam, and the covariance of the left perturbation of T_cam_world, of a first frame and
-    those after it."""
-    steps = (
-        np.array([getattr(m, name) for m in motions[1:]])
-        for name in ("T_curr_prev", "cov", "common_mode", "path_cross_cov")
+    """Return T_world_cam, and the covariance of the left perturbation of T_cam_world, of a first
+    frame and those after it."""
+    T_curr_prev = np.array([motion.T_curr_prev for motion in motions[1:]])
+    covariances = drift_covariances(
+        T_curr_prev,
+        np.array([motion.cov for motion in motions[1:]]),
+        common_mode=np.array([motion.common_mode for motion in motions[1:]]),
+        path_cross_cov=np.array([motion.path_cross_cov for motion in motions[1:]]),
     )
-    return se3.chain_motions(np.array([m.T_curr_prev for m in motions[1:]])), drift_covariances(
-        *steps
-    )
+    return se3.chain_motions(T_curr_prev), covariances
 
 
 def metrics_of(path: Path) -> Metrics:

@@ -34,8 +34,8 @@ START_NS = 1_400_000_000_123_456_789
 def random_pixels(
     rng: np.random.Generator, count: int, depth_m: tuple[float, float] = (5.0, 60.0)
 ) -> FloatArray:
-    """Observations of points spread over the image, uniform in inverse depth, [N, 4], px; without
-    noise."""
+    """Return noise-free observations, [N, 4], px, of points spread over the image, uniform in
+    inverse depth."""
     rho = rng.uniform(1.0 / depth_m[1], 1.0 / depth_m[0], count)
     u = rng.uniform(0.0, WIDTH_PX, count)
     v = rng.uniform(0.0, HEIGHT_PX, count)
@@ -43,7 +43,7 @@ def random_pixels(
 
 
 def moved(pixels: FloatArray, T_curr_prev: FloatArray) -> FloatArray:
-    """The same points after a motion, [N, 4], px."""
+    """Return the same points after a motion, [N, 4], px."""
     return CAMERA.project(se3.transform(T_curr_prev, CAMERA.triangulate(pixels)))
 
 
@@ -60,7 +60,7 @@ def seen_twice(
     sigma_px: float = 0.0,
     depth_m: tuple[float, float] = (5.0, 60.0),
 ) -> Tracks:
-    """Points before and after a motion, with white Gaussian noise on all eight numbers."""
+    """Return points before and after a motion, with white Gaussian noise on all eight numbers."""
     prev_px = random_pixels(rng, count, depth_m)
     curr_px = moved(prev_px, T_curr_prev)
     prev_noise, curr_noise = sigma_px * rng.normal(size=(2, count, 4))
@@ -68,7 +68,8 @@ def seen_twice(
 
 
 def at_infinity(rng: np.random.Generator, count: int, T_curr_prev: FloatArray = FORWARD) -> Tracks:
-    """Points without disparity: only the rotation moves them. Their rays stay ahead of it."""
+    """Return points without disparity, moved by the rotation alone; their rays stay ahead of the
+    camera."""
     prev_px = random_pixels(rng, count)
     prev_px[:, 2] = prev_px[:, 0]
     x = (prev_px[:, 0] - CAMERA.cu_px) / CAMERA.fu_px
@@ -80,7 +81,7 @@ def at_infinity(rng: np.random.Generator, count: int, T_curr_prev: FloatArray = 
 
 
 def both(first: Tracks, second: Tracks) -> Tracks:
-    """The points of the first, then those of the second."""
+    """Return the points of the first, then those of the second."""
     return tracks_of(
         np.vstack([first.prev_px, second.prev_px]), np.vstack([first.curr_px, second.curr_px])
     )
@@ -108,7 +109,7 @@ def misrectified(
 
 
 def motion_error(T_estimated: FloatArray, T_true: FloatArray = FORWARD) -> FloatArray:
-    """ξ = Log(T_true T_estimated⁻¹), [6], m and rad."""
+    """Return ξ = Log(T_true T_estimated⁻¹), [6], m and rad."""
     return se3.log(T_true @ se3.inverse(T_estimated))
 
 
@@ -120,7 +121,8 @@ def drive(
     points: int = 150,
     sigma_px: float = 0.2,
 ) -> list[Frame]:
-    """Features of a drive whose every step is the same motion: a circle, or rather a screw.
+    """Return the features of a drive whose every step is the same motion: a circle, or rather a
+    screw.
 
     A point is followed until it leaves the image or comes nearer than 3 m; a new one, 5 to 60 m
     away, takes its place.
@@ -147,15 +149,14 @@ def drive(
 
 
 def with_features(frame: Frame, count: int) -> Frame:
-    """The frame with only its first features."""
+    """Return the frame with only its first features."""
     assert frame.features is not None
-    return replace(
-        frame, features=StereoFeatures(frame.features.ids[:count], frame.features.pixels[:count])
-    )
+    first = StereoFeatures(frame.features.ids[:count], frame.features.pixels[:count])
+    return replace(frame, features=first)
 
 
 def blind_frame(index: int) -> Frame:
-    """A frame of the drive that shows nothing at all."""
+    """Return a frame of the drive that shows nothing at all."""
     nothing = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
     return Frame(index, START_NS + index * FRAME_NS, features=nothing)
 
@@ -164,6 +165,5 @@ class Homesick(StudentT):
     """A static noise that says of every third feature that it is out of its domain."""
 
     def predict(self, predictors: FloatArray) -> StereoNoise:
-        return replace(
-            super().predict(predictors), out_of_domain=np.arange(len(predictors)) % 3 == 0
-        )
+        outside = np.arange(len(predictors)) % 3 == 0
+        return replace(super().predict(predictors), out_of_domain=outside)

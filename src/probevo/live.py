@@ -260,7 +260,7 @@ class LiveOdometry:
                     arrival = arrival.after_failed(failed)
                 try:
                     motion = self._odometry.step(arrival.frame)
-                except Exception as error:  # noqa: BLE001 - from the user's models and sensors, too
+                except Exception as error:
                     num_in_a_row += 1
                     self._count_failure(error)
                     if num_in_a_row >= MAX_FAILURES:

@@ -95,7 +95,7 @@ class StereoOdometry:
         frame, missing = validated(frame, self.camera, prev_frame=state.frame if state else None)
         if state is None:
             self._state = self._first_state(frame)
-            return MotionEstimate.first()
+            return MotionEstimate.first(missing)
         clock = StageClock(decode=frame.decode_ms)
         prediction = state.predict(frame, self.imu)  # from gyro and last velocity
         observed = self._observe(state, frame, prediction, clock=clock)  # pixels → tracks → φ

@@ -50,7 +50,7 @@ def repeat_table(settings: Table13Config, own: tuple[Path, ...], out: Path) -> l
     models = train_all(
         recordings[training_loop].path, training_loop, training_settings(settings), out=out
     )
-    iterations = load_model(models[GK_EM]).training["turns"]
+    iterations = load_model(models[GK_EM]).training["iterations"]
     learned = [
         compare.Estimator(name, str(model), static.settings) for name, model in models.items()
     ]

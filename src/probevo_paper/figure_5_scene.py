@@ -12,11 +12,11 @@ from scipy.interpolate import make_interp_spline
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
-from probevo_sim.scene.candidates import in_image, towards_sun
+from probevo_sim.scene.candidates import image_candidates, shadow_candidates
 from probevo_sim.scene.drive import Trajectory
-from probevo_sim.scene.ray_caster import add_radiance
+from probevo_sim.scene.ray_caster_numba import PixelSampling, add_radiance
 from probevo_sim.scene.route import Route
-from probevo_sim.scene.scene_arrays import pose_solids, scene_arrays
+from probevo_sim.scene.scene_arrays import scene_arrays, view_from
 from probevo_sim.scene.sensor import expose
 from probevo_sim.scene.solids import BOX, join, solid
 from probevo_sim.scene.textures import Texture
@@ -190,19 +190,18 @@ class BoardScene:
         for time_s in times_s.tolist():
             T_world_left = self.trajectory.T_world_cam(time_s)
             T_world_object = self._world.poses(time_s, T_world_left)
-            posed = pose_solids(
+            view = view_from(
                 self._world, T_world_object, T_world_left @ camera.T_left_cam, intrinsics=intrinsics
             )
-            lists = in_image(self._scene, posed, (window.width_px, window.height_px))
-            casters = towards_sun(self._scene, posed)
+            candidates = image_candidates(self._scene, view, (window.width_px, window.height_px))
+            occluders = shadow_candidates(self._scene, view)
             add_radiance(
                 self._scene,
-                posed,
-                lists,
-                casters=casters,
+                view,
+                candidates,
+                occluders=occluders,
                 time_s=time_s,
-                offsets_px=np.zeros((1, 2)),
-                footprint_px=1.0,
+                sampling=PixelSampling(offsets_px=np.zeros((1, 2)), footprint_px=1.0),
                 image=image,
             )
         # The sensor adds its noise to the mean, and rounds it to eight bits.

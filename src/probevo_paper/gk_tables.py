@@ -8,8 +8,7 @@ from pydantic import Field
 
 from probevo.config import OdometryConfig
 from probevo.run_config import CommonRunSettings
-from probevo.training.settings import KernelSettings, SupervisionName, TrainSettings
-from probevo.training.settings_check import KERNEL_ONLY
+from probevo.training.settings import KERNEL_ONLY, KernelSettings, SupervisionName, TrainSettings
 
 FIXED = "fixed"
 """One Gaussian covariance for all features."""

@@ -1,4 +1,4 @@
-"""``probevo simulate``: a recording of a world of which everything is known."""
+"""``probevo simulate``: record a simulated world with its truth."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from probevo_sim.scene.config import SceneConfig
 class PointArguments:
     """Landmarks with known noise, seen from a circle, as tracks: train.npz and test.npz.
 
-    These are tracks files that `probevo run` reads. Beyond what it needs they hold, of each
-    observation, its covariance (covariance), whether it is none of the outliers (inlier), and where
-    it is without error (true_uv).
+    These are tracks files that `probevo run` reads. They also hold the truth about each
+    observation: its covariance (covariance), whether it is an inlier (inlier), and its place
+    without error (true_uv).
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the recordings. What an earlier simulation left there is replaced."""
+    """Folder for the recordings. Those of an earlier simulation there are replaced."""
     settings: Annotated[PointConfig, tyro.conf.arg(name="")] = field(default_factory=PointConfig)
 
 
@@ -34,18 +34,20 @@ class SceneArguments:
     """Rendered stereo images and IMU of a drive through a place, as a folder sequence."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the recording. A simulation that was stopped there goes on."""
+    """Folder for the recording. An interrupted simulation there is resumed."""
     pixel_truth: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Write disparity, optical flow and the mask of moving objects of each image too."""
+    """Also write disparity, optical flow and the mask of moving objects of each image."""
     jobs: int = 0
-    """Threads that render; 0 takes all cores. The images are the same."""
+    """Threads that render; 0 takes all cores. The images do not depend on it."""
     settings: Annotated[SceneConfig, tyro.conf.arg(name="")] = field(default_factory=SceneConfig)
 
 
 @dataclass(frozen=True)
 class SimulateArguments:
-    """Record a simulated world, with the truth about all of it. `probevo simulate WORLD --help`
-    shows its options."""
+    """Record a simulated world with its truth.
+
+    `probevo simulate WORLD --help` shows the options of a world.
+    """
 
     world: Annotated[
         Annotated[PointArguments, tyro.conf.subcommand("point")]
@@ -55,7 +57,7 @@ class SimulateArguments:
 
 
 def main(words: list[str]) -> None:
-    """Parse, simulate, say what to do with it."""
+    """Parse the arguments, simulate, and print what to do with the result."""
     arguments = parse(SimulateArguments, words, "simulate").world
     from probevo.files import check_folder
 
@@ -65,6 +67,7 @@ def main(words: list[str]) -> None:
 
 
 def _point(arguments: PointArguments) -> list[str]:
+    """Simulate the point world, and return the lines to print."""
     settings = checked(arguments.settings)
     from probevo_sim.point_world import write_training_and_test
 
@@ -74,13 +77,14 @@ def _point(arguments: PointArguments) -> list[str]:
         path_m = settings.speed_m_s * float(world.stamps_ns[-1]) * 1e-9
         seen = len(world.ids) / len(world)
         lines.append(
-            f"{arguments.out / name}: {len(world)} frames, {path_m:.0f} m, {seen:.0f} landmarks a"
-            " frame"
+            f"{arguments.out / name}: {len(world)} frames, {path_m:.0f} m,"
+            f" {seen:.0f} landmarks a frame"
         )
     return [*lines, _next_command(arguments.out / "test.npz", arguments.out / "run")]
 
 
 def _scene(arguments: SceneArguments) -> list[str]:
+    """Render a scene, and return the lines to print."""
     settings = checked(arguments.settings)
     if arguments.jobs < 0:
         raise InputError(
@@ -98,13 +102,12 @@ def _scene(arguments: SceneArguments) -> list[str]:
 def render_with_progress(
     config: SceneConfig, out: Path, *, pixel_truth: bool = False, jobs: int = 0
 ) -> Path:
-    """Render a scene, or what is missing of it, into a folder, and show on stderr how far it is."""
+    """Render a scene, or what is missing of it, into a folder, with a progress bar on stderr."""
     from probevo.cli.progress import progress_bar
     from probevo_sim.scene.writer import write_scene
 
-    with progress_bar(
-        f"rendering {out.name}", "starting (compiling, if this is the first time)"
-    ) as show:
+    title = f"rendering {out.name}"
+    with progress_bar(title, "starting (compiling, if this is the first time)") as show:
         return write_scene(config, out, pixel_truth=pixel_truth, jobs=jobs, on_frame=show)
 
 

@@ -1,4 +1,4 @@
-"""Every setting of the point world, with its bounds and its why."""
+"""Every setting of the point world, with its bounds and its reason."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LawName = Literal["constant", "row", "column", "radius", "disparity", "heavy-tai
 
 
 class PointCamera(Settings):
-    """The stereo camera: two pinholes whose axes meet the middle of the images."""
+    """The stereo camera: two pinhole cameras whose optical axes meet the middle of the images."""
 
     width_px: int = Field(640, ge=16, le=16_384, description="Width of an image.")
     height_px: int = Field(
@@ -33,8 +33,7 @@ class PointCamera(Settings):
 
 
 class PointNoise(Settings):
-    """Noise of the observations. σ goes from low to high along what the law names; errors have no
-    mean."""
+    """Noise of the observations: zero-mean, with σ from low to high along what the law names."""
 
     law: LawName = Field(
         "row",
@@ -45,56 +44,60 @@ class PointNoise(Settings):
         ),
     )
     sigma_low_px: float = Field(
-        0.05, ge=0, le=1000, description="σ of a coordinate where the law is best."
+        0.05, ge=0, le=1000, description="σ of a coordinate where it is lowest."
     )
     sigma_high_px: float = Field(
         1.0,
         ge=0,
         le=1000,
         description=(
-            "σ where it is worst: far above the best, so that one σ fits nowhere; from 1.2 px on,"
-            " the shipped noise models begin to refuse steps."
+            "σ of a coordinate where it is highest: far above the lowest, so that no single σ fits;"
+            " from 1.2 px on, the shipped noise models begin to refuse steps."
         ),
     )
     correlation: float = Field(
         0.0,
         ge=-1,
         le=1,
-        description="Of the errors in left and right image: a tracker that slips takes both along.",
+        description="Correlation of the errors in left and right image, as of a drifting track.",
     )
     dof: float | None = Field(
         None,
         gt=2,
         le=1e6,
         description=(
-            "Make the errors of any law Student-t, with so many degrees of freedom and the same"
-            " covariance; over 2, where it has one."
+            "Make the errors of any law Student-t with these degrees of freedom and the same"
+            " covariance, which exists above 2."
         ),
     )
 
 
 class PointOutliers(Settings):
-    """Landmarks with another error on top of the noise: uniform, new in each frame, on all four
-    coordinates."""
+    """Landmarks with a uniform error on top of the noise.
+
+    It is drawn anew in each frame, for each of the four coordinates.
+    """
 
     fraction: float = Field(
         0.1,
         ge=0,
         le=1,
         description=(
-            "Share of the landmarks, met to the nearest landmark; PROBE-GK has a small subset."
+            "Share of the landmarks, rounded to a whole landmark; PROBE-GK has a small subset."
         ),
     )
     range_px: float = Field(
-        10.0, ge=0, le=1000, description="Each coordinate is off by up to so much."
+        10.0, ge=0, le=1000, description="Largest uniform error of a coordinate."
     )
 
 
 class PointConfig(Settings):
-    """A stereo camera on a circle among random landmarks (PROBE-GK; thesis 1.5.3). Same settings,
-    same bytes."""
+    """A stereo camera on a circle among random landmarks (PROBE-GK; thesis 1.5.3).
 
-    seed: int = Field(0, ge=0, description="Of landmarks, outliers and noise.")
+    The same settings give the same bytes.
+    """
+
+    seed: int = Field(0, ge=0, description="Seed of landmarks, outliers and noise.")
     train_s: float = Field(
         30.0, gt=0, le=3600, description="Duration of the drive to train on: 90 m, once around."
     )
@@ -103,16 +106,16 @@ class PointConfig(Settings):
     )
     rate_hz: float = Field(10.0, ge=0.5, le=200, description="Frames a second.")
     speed_m_s: float = Field(
-        3.0, ge=0, le=100, description="Along the circle; PROBE-GK drives 3 m/s."
+        3.0, ge=0, le=100, description="Speed along the circle; PROBE-GK drives 3 m/s."
     )
     radius_m: float = Field(
-        14.3, ge=0.5, le=100_000, description="Of the circle; once around is 90 m."
+        14.3, ge=0.5, le=100_000, description="Radius of the circle; once around is 90 m."
     )
     landmarks: int = Field(
         2000, ge=1, le=100_000, description="Points in the world; PROBE-GK has 2,000."
     )
     height_m: float = Field(
-        10.0, ge=0, le=1000, description="They lie up to so far above and below the camera."
+        10.0, ge=0, le=1000, description="Landmarks lie up to this far above and below the camera."
     )
     camera: PointCamera = PointCamera()
     noise: PointNoise = PointNoise()

@@ -16,7 +16,7 @@ from worlds import CAMERA, RIG_DISPARITY_PX, RIG_ROWS_PX, misrectified, seen_twi
 
 
 def test_correction_undoes_the_error() -> None:
-    """A belief that is the truth gives back what a flawless pair would show."""
+    """A calibration that is the truth gives back what a flawless pair would show."""
     clean = seen_twice(np.random.default_rng(4), 100)
     rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, disparity=RIG_DISPARITY_PX)
     for pixels in (clean.prev_px, clean.curr_px):

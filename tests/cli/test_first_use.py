@@ -27,7 +27,7 @@ def test_where_nothing_is_compiled_another_process_begins_with_the_solver(
     started: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(first_use, "solver_cache", lambda: tmp_path)
-    monkeypatch.setattr(first_use, "available_cores", lambda: 2)
+    monkeypatch.setattr("joblib.cpu_count", lambda: 2)
     assert [first_use.getting_ready() for _ in range(2)] == [
         "compiling, only this first time: 10 to 30 s"
     ] * 2
@@ -38,7 +38,7 @@ def test_one_core_compiles_in_one_process(
     started: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(first_use, "solver_cache", lambda: tmp_path)
-    monkeypatch.setattr(first_use, "available_cores", lambda: 1)
+    monkeypatch.setattr("joblib.cpu_count", lambda: 1)
     assert first_use.getting_ready().startswith("compiling")
     assert not started
 

@@ -19,7 +19,7 @@ from probevo_sim.point_world import write_points
 from sequences.recordings import write_tracks
 from training.supervised_drives import point_world
 
-GK = ["--kind", "gk", "--predictors", "place", "--gk.turns", "2"]
+GK = ["--kind", "gk", "--predictors", "place", "--gk.iterations", "2"]
 FRAMES = 16
 GIVEN = ["--gk.neighbors", "60", "--gk.prior-counts", "8"]
 
@@ -57,7 +57,7 @@ def test_gk_says_what_was_learned_and_how_it_came_about(
     first = next(k for k, line in enumerate(lines) if line.startswith("0: the static model"))
     likelihoods = [float(line.split()[-2]) for line in lines[first : first + 3]]
     np.testing.assert_allclose(
-        likelihoods, [t["log_likelihood"] for t in model.training["turns"]], atol=1e-4
+        likelihoods, [t["log_likelihood"] for t in model.training["iterations"]], atol=1e-4
     )
     assert likelihoods[-1] > likelihoods[0]
     assert lines[-1] == f"model: {out}"
@@ -79,7 +79,7 @@ def test_published_has_a_fixed_support(
     tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "m.safetensors"
-    words = ["--gk.variant", "published", "--gk.reach", "1.5", "--gk.turns", "1"]
+    words = ["--gk.variant", "published", "--gk.reach", "1.5", "--gk.iterations", "1"]
     assert main(["train", str(tracks), "--out", str(out), *GK[:-2], *words]) == 0
     shown = capsys.readouterr().out
     assert "K           all within ρ = 1.5" in shown
@@ -133,7 +133,9 @@ def test_the_bar_moves_within_a_search(tracks: Path, tmp_path: Path) -> None:
     """The search is most of the training."""
     seen: list[tuple[int, int]] = []
     settings = TrainSettings(
-        kind="gk", predictors=("place",), gk=KernelSettings(turns=1, neighbors=40, prior_counts=8.0)
+        kind="gk",
+        predictors=("place",),
+        gk=KernelSettings(iterations=1, neighbors=40, prior_counts=8.0),
     )
     sequence = open_sequence(tracks)
     train_model(
@@ -279,7 +281,8 @@ def test_trained_models_side_by_side(
     kernel = tmp_path / "city" / "gk.safetensors"
     assert main(["train", str(tracks), "--out", str(static), "--kind", "student-t"]) == 0
     assert (
-        main(["train", str(tracks), "--out", str(kernel), *GK[:-2], "--gk.turns", "1", *GIVEN]) == 0
+        main(["train", str(tracks), "--out", str(kernel), *GK[:-2], "--gk.iterations", "1", *GIVEN])
+        == 0
     )
     out = tmp_path / "out"
     assert (

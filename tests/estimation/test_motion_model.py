@@ -267,13 +267,14 @@ def test_the_gyro_gives_the_rotation_and_its_covariance() -> None:
 
 
 def test_the_model_itself_is_never_changed() -> None:
-    """Each step yields a new belief."""
+    """Each step yields a new one."""
     model = driving()
-    before = model.twist_s.copy(), model.twist_sigma_s.copy()
+    twist_s = model.twist_s.copy()
+    twist_sigma_s = model.twist_sigma_s.copy()
     model.after_solve(STEP_S, np.eye(4), COV)
     model.predict(STEP_S, None).T_curr_prev[:] = 0.0
-    np.testing.assert_array_equal(model.twist_s, before[0])
-    np.testing.assert_array_equal(model.twist_sigma_s, before[1])
+    np.testing.assert_array_equal(model.twist_s, twist_s)
+    np.testing.assert_array_equal(model.twist_sigma_s, twist_sigma_s)
 
 
 def test_a_model_that_refuses_three_solves_in_a_row_is_given_up() -> None:

@@ -80,7 +80,7 @@ def test_inliers_are_those_within_the_threshold_of_the_motion() -> None:
 
 
 def level(pixels: FloatArray) -> FloatArray:
-    """The consensus takes the row from the left image alone."""
+    """The consensus takes the row from the left image only."""
     return pixels[:, [0, 1, 2, 1]]
 
 
@@ -138,8 +138,8 @@ def test_points_at_infinity_are_inliers_of_the_right_rotation() -> None:
 
 
 def test_the_guess_is_kept_where_no_sample_beats_it() -> None:
-    """Points at infinity alone leave the translation open, every minimal solve is singular; the
-    guess is right."""
+    """Points at infinity leave the translation open: every minimal solve is singular, and the guess
+    is right."""
     tracks = at_infinity(np.random.default_rng(11), 60)
     rng = np.random.default_rng(0)
     found = find_consensus(tracks.prev_px, tracks.curr_px, CAMERA, rng=rng, guess=FORWARD)

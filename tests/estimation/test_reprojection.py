@@ -314,7 +314,7 @@ def test_time_correlated_error_makes_a_motion_overconfident_unless_modelled(
         lengths = np.array([-s.T_curr_prev[2, 3] for s in solutions])
         assert abs(np.mean(lengths) / -T_CURR_PREV[2, 3] - 1.0) < 0.002
     low, high = chi2_interval(6, len(seen))
-    assert low < nees[lasting_px] < high
+    assert low < nees[correlated_px] < high
     assert nees[0.0] > 8.0
 
 

@@ -111,7 +111,7 @@ def test_a_flawless_pair_stays_uncorrected() -> None:
     assert np.abs(rig.disparity).max() < 0.1
 
 
-def test_disparity_noise_alone_does_not_make_it_run_away() -> None:
+def test_disparity_noise_does_not_make_it_run_away() -> None:
     """1 px on disparities of 4 to 13 px, five times what the model says, and no error of the
     rectification."""
     sigma_px = np.array([0.2, 0.2, 1.0, 0.2])

@@ -41,8 +41,8 @@ def test_the_attitude_is_corrected_towards_the_truth(names: dict[str, Any]) -> N
 
 def test_the_residual_moves_as_a_turned_direction_does(names: dict[str, Any]) -> None:
     """Under T = Exp(ξ) T̄ it changes by (C d)^ φ, and not with the position."""
-    seen = np.array([0.6, 0.0, 0.8])
-    direction = names["Direction"](pose_of(1), seen, known=seen, covariance=np.eye(3))
+    unit = np.array([0.6, 0.0, 0.8])
+    direction = names["Direction"](pose_of(1), unit, unit, covariance=np.eye(3))
     (jacobian,) = numeric_jacobians(direction, {pose_of(1): np.eye(4)})
     np.testing.assert_allclose(jacobian[:, :3], 0.0, atol=1e-9)
-    np.testing.assert_allclose(jacobian[:, 3:], so3.wedge(seen), atol=1e-9)
+    np.testing.assert_allclose(jacobian[:, 3:], so3.wedge(unit), atol=1e-9)

@@ -1,4 +1,4 @@
-"""The gyro's rotation: convention, closed forms, convergence, noise, and the estimate of its bias."""
+"""The gyro's rotation: convention, closed forms, convergence, noise; its estimated bias."""
 
 from __future__ import annotations
 
@@ -254,7 +254,7 @@ def test_filtered_bias_is_consistent() -> None:
     """ANEES of 150 runs of 20 frames lies in the 99 % interval of χ²(3)."""
     rng = np.random.default_rng(0)
     nees = [filtered_bias_nees(rng, 20) for _ in range(150)]
-    low, high = chi2.ppf([0.005, 0.995], df=3 * 150) / 150
+    low, high = np.asarray(chi2.ppf([0.005, 0.995], df=3 * 150)) / 150
     assert low < np.mean(nees) < high
 
 

@@ -137,8 +137,8 @@ def test_quadrature_holds_at_extreme_parameters(dof: float, parameter: float) ->
         a, b = RobustLoss.l2().moments(dof)
     else:
         s = np.sum(student_t(np.random.default_rng(0), dof, (1_000_000,)) ** 2, axis=1)
-        a = parameter * 0.75 * np.mean(s**-0.5)
-        b = parameter**2 / 4
+        a = np.asarray(parameter * 0.75 * np.mean(s**-0.5))
+        b = np.asarray(parameter**2 / 4)
     np.testing.assert_allclose(huber.moments(dof), (a, b), rtol=3e-3)
 
 

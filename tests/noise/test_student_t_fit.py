@@ -18,7 +18,7 @@ SCALE = 0.2 * np.array(
     [[1.0, 0.0, 0.9, 0.0], [0.0, 0.6, 0.0, 0.5], [0.9, 0.0, 1.1, 0.0], [0.0, 0.5, 0.0, 0.7]]
 )
 """px²; a tracker that slips takes both images along."""
-TRAINING = {"settings": {"seed": 0}, "turns": [{"log_likelihood": -3.5}]}
+TRAINING = {"settings": {"seed": 0}, "iterations": [{"log_likelihood": -3.5}]}
 
 
 def errors(count: int, seed: int = 0) -> FloatArray:

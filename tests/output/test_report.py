@@ -134,7 +134,7 @@ def test_a_stage_has_the_same_colour_whatever_came_first(
         ("track", "consensus", "solve", "learn"),
         ("track", "consensus", "learn", "solve", "own"),
     ):
-        stages = stages_figure(replace(run, stage_ms={name: ms for name in names})).axes[0].patches
+        stages = stages_figure(replace(run, stage_ms=dict.fromkeys(names, ms))).axes[0].patches
         colors = {str(patch.get_label()).split()[0]: patch.get_facecolor() for patch in stages}
         assert all(colors[name] == color for name, color in one.items())
         one = {name: color for name, color in colors.items() if name in names}

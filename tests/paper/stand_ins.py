@@ -35,7 +35,9 @@ def stand_ins(turns: list[dict[str, float]] | None = None) -> Iterator[SimpleNam
 
     def train(recordings: tuple[Path, ...], settings: Any, out: Path) -> None:
         calls.trainings.append(SimpleNamespace(recordings=recordings, settings=settings, out=out))
-        save_model(StudentT(dof=4.0, training={"turns": TURNS if turns is None else turns}), out)
+        save_model(
+            StudentT(dof=4.0, training={"iterations": TURNS if turns is None else turns}), out
+        )
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("probevo_sim.command.render_with_progress", render_wall)

@@ -74,7 +74,7 @@ def test_each_row_is_trained_with_truth_and_without(repeated: Any) -> None:
         ("own-student-t-fitted", "student-t", "none"),
         ("own-GK-EM", "gk", "none"),
     ]
-    assert {(c.settings.kind, c.settings.gk.turns) for c in repeated.trainings} == {
+    assert {(c.settings.kind, c.settings.gk.iterations) for c in repeated.trainings} == {
         ("gk", 3),
         ("student-t", 5),
     }

@@ -56,3 +56,23 @@ def test_gravity_leaks_into_the_vibration_when_the_camera_turns() -> None:
 
 def test_without_accelerometer_it_is_unknown() -> None:
     assert np.isnan(acceleration(samples(np.full((20, 3), np.nan)))).all()
+    assert np.isnan(acceleration(samples(np.zeros((0, 3))))).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("axes", [[0], [1, 2], [0, 1, 2]])
+def test_samples_that_are_not_finite_are_left_out(value: float, axes: list[int]) -> None:
+    """One axis is enough: the values are those of the remaining samples, to the last bit."""
+    force = GRAVITY + np.random.default_rng(1).normal(size=(20, 3))
+    rows = [0, 7, 8, 19]
+    broken = force.copy()
+    broken[np.ix_(rows, axes)] = value
+    rest = acceleration(samples(np.delete(force, rows, axis=0)))
+    assert np.isfinite(rest).all()
+    np.testing.assert_array_equal(acceleration(samples(broken)), rest)
+
+
+def test_one_finite_sample_is_an_acceleration_without_vibration() -> None:
+    force = np.full((20, 3), np.nan)
+    force[3] = GRAVITY + np.array([0.0, 0.0, 2.0])
+    np.testing.assert_allclose(acceleration(samples(force)), [2.0, 0.0], atol=1e-12)

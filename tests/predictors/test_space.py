@@ -163,6 +163,19 @@ def test_where_the_imu_s_samples_are_missing_the_acceleration_is_undefined() -> 
     assert space.may_be_undefined == (True, True, False, False)
 
 
+@pytest.mark.parametrize("num_finite", [1, 20])
+def test_single_samples_without_a_force_are_no_missing_accelerometer(num_finite: int) -> None:
+    """As long as one is finite on all axes: one axis of each sample is not enough."""
+    accel_m_s2 = IMU.accel_m_s2.copy()
+    accel_m_s2[num_finite:, 1] = np.nan
+    frame = replace(STEP.curr_frame, imu=replace(IMU, accel_m_s2=accel_m_s2))
+    space = prediction_space(["acceleration"])
+    np.testing.assert_allclose(space(replace(STEP, curr_frame=frame)), 0.0, atol=1e-9)
+    accel_m_s2[:, 1] = np.nan
+    with pytest.raises(InputError, match="frame 1: it has no accelerometer"):
+        space(replace(STEP, curr_frame=frame))
+
+
 @pytest.mark.parametrize(
     ("name", "lacking"), [("blur", "images"), ("acceleration", "accelerometer")]
 )

@@ -1,5 +1,4 @@
-"""The noise laws: σ where it should be, and errors whose covariance and distribution are the stated
-ones."""
+"""The noise laws: their σ by place, and errors of the stated covariance and distribution."""
 
 from typing import get_args
 
@@ -16,8 +15,9 @@ LAWS: tuple[LawName, ...] = get_args(LawName)
 LOW = 0.5
 HIGH = 2.0
 RIGHT = 639.0
+"""Last column of the default camera."""
 BOTTOM = 479.0
-"""The last column and row of the default camera."""
+"""Last row of the default camera."""
 NEAREST_PX = 100.0
 """Disparity of its nearest landmarks."""
 
@@ -34,7 +34,7 @@ def observation(u: float, v: float, disparity: float = 0.0) -> FloatArray:
 
 
 def moment_bound(covariance: FloatArray, dof: float) -> FloatArray:
-    """Five standard deviations of each entry of a sample covariance about a known mean.
+    """Return five standard deviations of each entry of a sample covariance about a known mean.
 
     An entry is the mean of M products e_i e_j. For Gaussian errors Var(e_i e_j) = Σ_ii Σ_jj + Σ_ij²
     (Isserlis). A Student-t error is √(w) times a Gaussian one, with E[w] = 1 and E[w²] = κ = (ν −
@@ -55,9 +55,8 @@ def test_every_name_has_a_law() -> None:
 @pytest.mark.parametrize("law", LAWS)
 def test_sample_covariance_is_that_of_the_law(law: LawName, correlation: float) -> None:
     noise = law_of(law, correlation=correlation)
-    for seed, true_px in enumerate(
-        [observation(100.0, 50.0, 20.0), observation(600.0, 400.0, 80.0)]
-    ):
+    observations = [observation(100.0, 50.0, 20.0), observation(600.0, 400.0, 80.0)]
+    for seed, true_px in enumerate(observations):
         covariance = noise.covariance(true_px)[0]
         errors = noise.draw(np.repeat(true_px, DRAWS, axis=0), np.random.default_rng(seed))
         off = np.abs(errors.T @ errors / DRAWS - covariance)
@@ -66,7 +65,7 @@ def test_sample_covariance_is_that_of_the_law(law: LawName, correlation: float) 
 
 @pytest.mark.parametrize("dof", [None, 8.0])
 @pytest.mark.parametrize("law", LAWS)
-def test_errors_have_no_mean(law: LawName, dof: float | None) -> None:
+def test_errors_are_zero_mean(law: LawName, dof: float | None) -> None:
     """The mean of M errors has the standard deviation σ/√M; five of them are allowed."""
     noise = law_of(law, dof=dof)
     true_px = np.repeat(observation(400.0, 100.0, 30.0), DRAWS, axis=0)
@@ -85,7 +84,7 @@ def test_heavy_tails_are_student_t(dof: float) -> None:
     assert kstest(squared * dof / (dof - 2.0) / 4.0, f(4, dof).cdf).pvalue > 1e-3
 
 
-def test_only_the_heavy_tailed_law_is_student_t_unasked() -> None:
+def test_only_the_heavy_tailed_law_is_student_t_by_default() -> None:
     assert [law for law in LAWS if np.isfinite(law_of(law).dof)] == ["heavy-tailed"]
     assert law_of("heavy-tailed").dof == DOF["heavy-tailed"]
     assert law_of("row", dof=7.0).dof == law_of("heavy-tailed", dof=7.0).dof == 7.0
@@ -114,7 +113,7 @@ def test_sigma_without_a_profile_is_in_the_middle(law: LawName) -> None:
 
 
 def test_each_image_has_its_own_sigma() -> None:
-    """A near landmark lies further left in the right image, where the column law is kinder."""
+    """A near landmark lies further left in the right image, where the column law has a lower σ."""
     sigma = law_of("column").sigma(observation(RIGHT, 100.0, RIGHT / 2))
     np.testing.assert_allclose(sigma, [[HIGH, HIGH, (LOW + HIGH) / 2, (LOW + HIGH) / 2]])
 

@@ -31,7 +31,7 @@ def world_of(config: PointConfig, duration_s: float = 2.0, seed: int = 0) -> Poi
 
 
 def whitened(world: PointWorld) -> FloatArray:
-    """Errors divided by the square root of the covariance stated for each, [n, 4]."""
+    """Return the errors whitened by the Cholesky factor of the covariance of each, [n, 4]."""
     lower = np.linalg.cholesky(world.covariance)
     white: FloatArray = np.linalg.solve(lower, (world.pixels - world.true_px)[..., None])[..., 0]
     return white
@@ -98,7 +98,7 @@ def test_the_truth_of_a_step_belongs_to_its_tracks() -> None:
             (k, step.tracks.prev_px, step.prev_covariance),
             (k + 1, step.tracks.curr_px, step.curr_covariance),
         ):
-            rows = slice(*world.first_of_frame[frame : frame + 2])
+            rows = slice(world.first_of_frame[frame], world.first_of_frame[frame + 1])
             where = {tuple(pixel): n for n, pixel in enumerate(world.pixels[rows].tolist())}
             found = [where[tuple(pixel)] for pixel in pixels.tolist()]
             np.testing.assert_array_equal(world.ids[rows][found], step.tracks.ids)
@@ -128,8 +128,8 @@ def test_the_default_drives_are_those_of_the_paper() -> None:
     for world, duration_s, path_m in zip(
         training_and_test_world(PointConfig()), (30.0, 60.0), (90.0, 180.0), strict=True
     ):
-        turns = so3.log(world.T_world_cam[:-1, :3, :3].mT @ world.T_world_cam[1:, :3, :3])
-        assert 14.3 * np.linalg.norm(turns, axis=1).sum() == pytest.approx(path_m)
+        rotations = so3.log(world.T_world_cam[:-1, :3, :3].mT @ world.T_world_cam[1:, :3, :3])
+        assert 14.3 * np.linalg.norm(rotations, axis=1).sum() == pytest.approx(path_m)
         assert world.stamps_ns[-1] == duration_s * 1e9
         assert len(world.landmarks_m) == 2000
 
@@ -150,7 +150,7 @@ def test_a_frame_sees_a_hundred_to_three_hundred_landmarks() -> None:
     assert seen.max() <= 300
 
 
-def test_an_identity_is_a_landmark() -> None:
+def test_an_id_is_the_index_of_a_landmark() -> None:
     """Every observation triangulates to the landmark of its id."""
     world = world_of(PointConfig())
     frame = np.repeat(np.arange(len(world)), np.diff(world.first_of_frame))
@@ -159,7 +159,8 @@ def test_an_identity_is_a_landmark() -> None:
 
 
 def test_another_law_comes_with_the_same_landmarks_and_outliers() -> None:
-    row, column = (world_of(PointConfig(noise=PointNoise(law=law))) for law in ("row", "column"))  # type: ignore[arg-type]
+    row = world_of(PointConfig(noise=PointNoise(law="row")))
+    column = world_of(PointConfig(noise=PointNoise(law="column")))
     np.testing.assert_array_equal(row.true_px, column.true_px)
     np.testing.assert_array_equal(row.outlier, column.outlier)
 
@@ -178,11 +179,9 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(tmp_path: Path)
     for name, seed in (("once", 3), ("again", 3), ("other", 4)):
         write_training_and_test(SHORT.model_copy(update={"seed": seed}), tmp_path / name)
     for name in ("train.npz", "test.npz", "config.yaml"):
-        once, again, other = (
-            (tmp_path / run / name).read_bytes() for run in ("once", "again", "other")
-        )
-        assert once == again
-        assert once != other
+        once = (tmp_path / "once" / name).read_bytes()
+        assert once == (tmp_path / "again" / name).read_bytes()
+        assert once != (tmp_path / "other" / name).read_bytes()
 
 
 def test_the_file_is_a_tracks_sequence_with_truth(tmp_path: Path) -> None:
@@ -197,8 +196,8 @@ def test_the_file_is_a_tracks_sequence_with_truth(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.features.ids, written.features.ids)
         np.testing.assert_array_equal(frame.features.pixels, written.features.pixels)
     assert sequence.truth is not None
-    expected = se3.inverse(world.T_world_cam[0]) @ world.T_world_cam
-    np.testing.assert_allclose(sequence.truth.T_world_cam, expected, atol=1e-12)
+    T_first_cam = se3.inverse(world.T_world_cam[0]) @ world.T_world_cam
+    np.testing.assert_allclose(sequence.truth.T_world_cam, T_first_cam, atol=1e-12)
     with np.load(tmp_path / "points.npz", allow_pickle=False) as archive:
         np.testing.assert_array_equal(archive["covariance"], world.covariance)
         np.testing.assert_array_equal(archive["inlier"], world.inlier)

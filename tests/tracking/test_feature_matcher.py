@@ -5,24 +5,29 @@ import pytest
 
 from probevo.config import TrackingConfig
 from probevo.sequences.frame import Frame, StereoFeatures
-from probevo.tracking import FeatureMatcher, Tracks, tracker_for
+from probevo.tracking import FeatureMatcher, TrackingState, Tracks, tracker_for
 from worlds import CAMERA
 
 
 def frame(index: int, *ids: int) -> Frame:
-    """Each feature's first coordinate tells its identity, its second the frame."""
-    pixels = np.column_stack([ids, np.full(len(ids), index), ids, np.full(len(ids), index)]).astype(
-        float
-    )
-    return Frame(
-        index, index, features=StereoFeatures(np.array(ids, np.int64), pixels.reshape(-1, 4))
-    )
+    """Return a frame in which each feature's first coordinate is its identity, its second the
+    frame."""
+    rows = np.full(len(ids), index)
+    pixels = np.column_stack([ids, rows, ids, rows]).astype(float)
+    features = StereoFeatures(np.array(ids, np.int64), pixels.reshape(-1, 4))
+    return Frame(index, index, features=features)
 
 
 def follow(*frames: Frame) -> Tracks:
-    """Tracks of the last frame."""
+    """Return the tracks of the last frame."""
     matcher = FeatureMatcher()
-    return [matcher.track(each, np.eye(4)) for each in frames][-1]
+    state = TrackingState.none()
+    tracks = Tracks.none()
+    for each in frames:
+        tracked = matcher.track(state, each, np.eye(4))
+        state = tracked.state
+        tracks = tracked.tracks
+    return tracks
 
 
 def test_the_first_frame_has_no_tracks() -> None:
@@ -44,9 +49,8 @@ def test_age_counts_the_frames_in_a_row() -> None:
 def test_a_point_that_comes_back_starts_anew() -> None:
     """It is not joined across the frame that missed it."""
     assert len(follow(frame(0, 1), frame(1, 2), frame(2, 1))) == 0
-    assert follow(frame(0, 1), frame(1, 1), frame(2, 2), frame(3, 1), frame(4, 1)).age.tolist() == [
-        2
-    ]
+    again = follow(frame(0, 1), frame(1, 1), frame(2, 2), frame(3, 1), frame(4, 1))
+    assert again.age.tolist() == [2]
 
 
 @pytest.mark.parametrize("ids", [((), (1, 2)), ((1, 2), ()), ((), ())])
@@ -64,14 +68,14 @@ def test_one_feature_is_one_track() -> None:
 
 def test_dropping_leaves_the_file_in_charge() -> None:
     matcher = FeatureMatcher()
-    matcher.track(frame(0, 1, 2), np.eye(4))
-    matcher.drop(np.array([1]))
-    assert matcher.track(frame(1, 1, 2), np.eye(4)).ids.tolist() == [1, 2]
+    first = matcher.track(TrackingState.none(), frame(0, 1, 2), np.eye(4))
+    remaining = first.state.without(np.array([1]))
+    assert matcher.track(remaining, frame(1, 1, 2), np.eye(4)).tracks.ids.tolist() == [1, 2]
 
 
 def test_a_frame_of_images_is_refused() -> None:
     with pytest.raises(ValueError, match="frame 3 has no features"):
-        FeatureMatcher().track(Frame(3, 0), np.eye(4))
+        FeatureMatcher().track(TrackingState.none(), Frame(3, 0), np.eye(4))
 
 
 def test_frames_with_features_get_this_tracker() -> None:

@@ -13,9 +13,11 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import TrackingConfig
 from probevo.geometry import se3
 from probevo.sequences.frame import Frame, StereoFeatures
-from probevo.tracking import ImageTracker, Tracks, tracker_for
+from probevo.tracking import ImageTracker, Tracked, TrackingState, Tracks, tracker_for
 
-SIZE_PX = WIDTH_PX, HEIGHT_PX = 320, 200
+WIDTH_PX = 320
+HEIGHT_PX = 200
+SIZE_PX = (WIDTH_PX, HEIGHT_PX)
 CAMERA = StereoCamera(
     fu_px=250.0, fv_px=250.0, cu_px=160.0, cv_px=100.0, baseline_m=0.3, size_px=SIZE_PX
 )
@@ -27,8 +29,8 @@ STEP = np.array([0.02, -0.01, -0.15, 0.004, -0.006, 0.01])
 
 
 def plane_points(pixels: FloatArray, T_cam_world: FloatArray) -> FloatArray:
-    """Where the rays of left pixels [N, 2] meet the plane z = DEPTH_M of the world, [N, 3], m,
-    world frame."""
+    """Return where the rays of left pixels [N, 2] meet the plane z = DEPTH_M of the world, [N, 3],
+    m, world frame."""
     T_world_cam = se3.inverse(T_cam_world)
     normalized = (pixels - [CAMERA.cu_px, CAMERA.cv_px]) / [CAMERA.fu_px, CAMERA.fv_px]
     rays = np.column_stack([normalized, np.ones(len(pixels))]) @ T_world_cam[:3, :3].T
@@ -37,12 +39,10 @@ def plane_points(pixels: FloatArray, T_cam_world: FloatArray) -> FloatArray:
 
 
 def texture(x_m: FloatArray, y_m: FloatArray) -> FloatArray:
-    """Smooth and random: 60 waves of 0.1 to 1.5 m, which are 5 to 75 px, around 128."""
+    """Return a smooth random texture around 128: 60 waves of 0.1 to 1.5 m, which are 5 to 75 px."""
     rng = np.random.default_rng(0)
-    wave_rad_m, direction, phase = (
-        2 * np.pi / np.geomspace(0.1, 1.5, 60),
-        *rng.uniform(0, 2 * np.pi, (2, 60)),
-    )
+    wave_rad_m = 2 * np.pi / np.geomspace(0.1, 1.5, 60)
+    direction, phase = rng.uniform(0, 2 * np.pi, (2, 60))
     along = np.multiply.outer(x_m, wave_rad_m * np.cos(direction)) + np.multiply.outer(
         y_m, wave_rad_m * np.sin(direction)
     )
@@ -57,7 +57,7 @@ def render(T_cam_world: FloatArray) -> Image:
 
 
 def pose(index: int) -> FloatArray:
-    """T_cam_world of a frame."""
+    """Return T_cam_world of a frame."""
     return np.asarray(se3.exp(index * STEP))
 
 
@@ -70,28 +70,42 @@ def frames() -> list[Frame]:
     ]
 
 
-def follow(
-    frames: Sequence[Frame], expected: FloatArray | None = None, config: TrackingConfig = CONFIG
-) -> Tracks:
-    """Tracks of the last frame; the search starts from the true motion, or from the one given."""
+def track_all(
+    frames: Sequence[Frame], T_start: FloatArray | None = None, config: TrackingConfig = CONFIG
+) -> list[Tracked]:
+    """Track every frame from the state that the one before left.
+
+    The search starts from the true motion, or from the one given.
+    """
     tracker = ImageTracker(CAMERA, config)
-    return [
-        tracker.track(frame, se3.exp(STEP) if expected is None else expected) for frame in frames
-    ][-1]
+    start = se3.exp(STEP) if T_start is None else T_start
+    state = TrackingState.none()
+    found = []
+    for frame in frames:
+        tracked = tracker.track(state, frame, start)
+        state = tracked.state
+        found.append(tracked)
+    return found
+
+
+def follow(
+    frames: Sequence[Frame], T_start: FloatArray | None = None, config: TrackingConfig = CONFIG
+) -> Tracks:
+    """Return the tracks of the last frame."""
+    return track_all(frames, T_start, config)[-1].tracks
 
 
 def true_pixels(left_px: FloatArray, index: int, at: int) -> FloatArray:
-    """Observations in frame ``at``, [N, 4], of the points seen at left pixels [N, 2] of frame
-    ``index``."""
+    """Return the observations in frame ``at``, [N, 4], of the points seen at left pixels [N, 2] of
+    frame ``index``."""
     return CAMERA.project(se3.transform(pose(at), plane_points(left_px, pose(index))))
 
 
 def median_error_px(tracks: Tracks, index: int) -> float:
-    """Of the current observations, the left pixels of the previous frame being the points'
-    identity."""
-    return float(
-        np.median(np.abs(tracks.curr_px - true_pixels(tracks.prev_px[:, :2], index - 1, index)))
-    )
+    """Return the median error of the current observations; a point is what the left pixels of the
+    previous frame show."""
+    true = true_pixels(tracks.prev_px[:, :2], index - 1, index)
+    return float(np.median(np.abs(tracks.curr_px - true)))
 
 
 def test_tracked_positions_agree_with_the_homography(frames: list[Frame]) -> None:
@@ -111,12 +125,13 @@ def test_right_positions_agree_with_the_depth(frames: list[Frame]) -> None:
 
 def test_positions_do_not_drift_over_several_frames(frames: list[Frame]) -> None:
     """The oldest points, found in frame 0, are still where it saw them after three steps."""
-    tracker = ImageTracker(CAMERA, CONFIG)
-    first, *_, last = [tracker.track(frame, se3.exp(STEP)) for frame in frames][1:]
-    _, before, now = np.intersect1d(first.ids, last.ids, return_indices=True)
-    true = true_pixels(first.prev_px[before, :2], 0, 3)
-    assert len(now) > 30
-    assert np.median(np.abs(last.curr_px[now] - true)) < 0.15
+    steps = track_all(frames)
+    first = steps[1].tracks
+    last = steps[-1].tracks
+    _, in_first, in_last = np.intersect1d(first.ids, last.ids, return_indices=True)
+    true = true_pixels(first.prev_px[in_first, :2], 0, 3)
+    assert len(in_last) > 30
+    assert np.median(np.abs(last.curr_px[in_last] - true)) < 0.15
 
 
 def test_points_are_found_from_a_poor_start(frames: list[Frame]) -> None:
@@ -126,22 +141,20 @@ def test_points_are_found_from_a_poor_start(frames: list[Frame]) -> None:
 def test_identities_persist_and_ages_grow(frames: list[Frame]) -> None:
     """What is found in frame k and was found in k − 1 keeps its identity, is where it was, and is
     one frame older."""
-    tracker = ImageTracker(CAMERA, CONFIG)
-    steps = [tracker.track(frame, se3.exp(STEP)) for frame in frames]
-    for before, now in pairwise(steps[1:]):
-        common, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
+    steps = [tracked.tracks for tracked in track_all(frames)]
+    for prev, curr in pairwise(steps[1:]):
+        common, i, j = np.intersect1d(prev.ids, curr.ids, return_indices=True)
         assert len(common) > 30
-        np.testing.assert_array_equal(before.curr_px[i], now.prev_px[j])
-        np.testing.assert_array_equal(before.age[i] + 1, now.age[j])
-        assert (np.delete(now.age, j) == 2).all()
+        np.testing.assert_array_equal(prev.curr_px[i], curr.prev_px[j])
+        np.testing.assert_array_equal(prev.age[i] + 1, curr.age[j])
+        assert (np.delete(curr.age, j) == 2).all()
 
 
 def test_no_identity_is_given_twice(frames: list[Frame]) -> None:
     """A new point's identity is larger than all that were given before."""
-    tracker = ImageTracker(CAMERA, CONFIG)
     largest = -1
-    for frame in frames:
-        tracks = tracker.track(frame, se3.exp(STEP))
+    for tracked in track_all(frames):
+        tracks = tracked.tracks
         assert len(np.unique(tracks.ids)) == len(tracks)
         assert (tracks.ids[tracks.age == 2] > largest).all()
         largest = max([largest, *tracks.ids[tracks.age > 2], *tracks.ids])
@@ -153,43 +166,56 @@ def test_what_no_longer_looks_as_at_first_sight_is_another_point() -> None:
     sideways = np.array([-0.008, 0.0, 0.0, 0.0, 0.0, 0.0])  # 0.4 px a frame, to the left
     T_right_left = se3.exp(np.array([-CAMERA.baseline_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
     poses = [np.asarray(se3.exp(k * sideways)) for k in range(8)]
-    tracker = ImageTracker(CAMERA, CONFIG)
-    renamed = 0
-    steps = [
-        tracker.track(
-            Frame(k, 100_000_000 * k, render(T), right=render(T_right_left @ T)), se3.exp(sideways)
-        )
+    frames = [
+        Frame(k, 100_000_000 * k, render(T), right=render(T_right_left @ T))
         for k, T in enumerate(poses)
     ]
-    for before, now in pairwise(steps[1:]):
-        at_border = (
-            before.curr_px[:, 2] < 5.9
-        )  # with half a window of 5 px, and the pixel next to it
-        followed = (now.prev_px[:, None] == before.curr_px[at_border]).all(axis=2).any(axis=1)
-        assert not np.isin(now.ids[followed], before.ids).any()
-        assert (now.age[followed] == 2).all()
+    steps = [tracked.tracks for tracked in track_all(frames, se3.exp(sideways))]
+    renamed = 0
+    for prev, curr in pairwise(steps[1:]):
+        # With half a window of 5 px, and the pixel next to it.
+        at_border = prev.curr_px[:, 2] < 5.9
+        followed = (curr.prev_px[:, None] == prev.curr_px[at_border]).all(axis=2).any(axis=1)
+        assert not np.isin(curr.ids[followed], prev.ids).any()
+        assert (curr.age[followed] == 2).all()
         renamed += int(followed.sum())
     assert renamed > 5
 
 
 def test_dropped_points_are_not_followed(frames: list[Frame]) -> None:
-    tracker = ImageTracker(CAMERA, CONFIG)
-    tracks = [tracker.track(frame, se3.exp(STEP)) for frame in frames[:2]][-1]
-    dropped = tracks.ids[::2]
-    tracker.drop(dropped)
-    after = tracker.track(frames[2], se3.exp(STEP))
-    assert not np.isin(after.ids, dropped).any()
-    assert np.isin(after.ids, tracks.ids[1::2]).any()
+    tracked = track_all(frames[:2])[-1]
+    ids = tracked.tracks.ids
+    dropped = ids[::2]
+    after = ImageTracker(CAMERA, CONFIG).track(
+        tracked.state.without(dropped), frames[2], se3.exp(STEP)
+    )
+    assert not np.isin(after.tracks.ids, dropped).any()
+    assert np.isin(after.tracks.ids, ids[1::2]).any()
 
 
 def test_dropping_before_the_first_frame_does_nothing(frames: list[Frame]) -> None:
     tracker = ImageTracker(CAMERA, CONFIG)
-    untouched = ImageTracker(CAMERA, CONFIG)
-    tracker.drop(np.array([1, 2]))
-    first, second = (
-        [t.track(frame, np.eye(4)) for frame in frames[:2]][-1] for t in (tracker, untouched)
-    )
-    np.testing.assert_array_equal(first.curr_px, second.curr_px)
+    followed = []
+    for state in (TrackingState.none().without(np.array([1, 2])), TrackingState.none()):
+        first = tracker.track(state, frames[0], np.eye(4))
+        followed.append(tracker.track(first.state, frames[1], np.eye(4)).tracks)
+    np.testing.assert_array_equal(followed[0].curr_px, followed[1].curr_px)
+
+
+def test_tracking_leaves_the_state_as_it_was(frames: list[Frame]) -> None:
+    """A tracker only proposes: whoever tracks a frame twice from one state gets the same twice."""
+    tracker = ImageTracker(CAMERA, CONFIG)
+    state = track_all(frames[:2])[-1].state
+    arrays = (state.ids, state.pixels, state.age, state.matches_anchor)
+    copies = [array.copy() for array in arrays]
+    first = tracker.track(state, frames[2], se3.exp(STEP))
+    tracker.track(state, frames[3], np.eye(4))
+    again = tracker.track(state, frames[2], se3.exp(STEP))
+    for array, copy in zip(arrays, copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+    assert first.tracks.curr_px.tobytes() == again.tracks.curr_px.tobytes()
+    assert first.state.pixels.tobytes() == again.state.pixels.tobytes()
+    np.testing.assert_array_equal(first.state.ids, again.state.ids)
 
 
 def test_the_first_frame_has_no_tracks(frames: list[Frame]) -> None:
@@ -200,13 +226,13 @@ def test_points_that_leave_the_view_are_counted(frames: list[Frame]) -> None:
     """A motion of 4 m to the right takes the points of the left 200 px out of the image."""
     beyond = se3.exp(np.array([-4.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     tracker = ImageTracker(CAMERA, CONFIG)
-    tracker.track(frames[0], np.eye(4))
-    assert tracker.track(frames[1], beyond).rejected["left the view"] > 60
+    first = tracker.track(TrackingState.none(), frames[0], np.eye(4))
+    assert tracker.track(first.state, frames[1], beyond).tracks.rejected["left the view"] > 60
 
 
 def test_points_that_vanish_are_counted(frames: list[Frame]) -> None:
-    """Lucas–Kanade believes that it finds them on an even image; there they have nothing to be
-    matched by."""
+    """Lucas–Kanade claims to find them on an even image; the stereo match then has no texture to go
+    by."""
     grey = np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8)
     tracks = follow([frames[0], replace(frames[1], left=grey)])
     assert len(tracks) == 0
@@ -259,7 +285,9 @@ def test_the_same_images_give_the_same_tracks(frames: list[Frame]) -> None:
 def test_a_frame_of_features_is_refused() -> None:
     features = StereoFeatures(np.zeros(0, np.int64), np.zeros((0, 4)))
     with pytest.raises(ValueError, match="frame 2 has no images"):
-        ImageTracker(CAMERA, CONFIG).track(Frame(2, 0, features=features), np.eye(4))
+        ImageTracker(CAMERA, CONFIG).track(
+            TrackingState.none(), Frame(2, 0, features=features), np.eye(4)
+        )
 
 
 def test_frames_with_images_get_this_tracker(frames: list[Frame]) -> None:

@@ -1,4 +1,4 @@
-"""What a step leaves is the reprojection residual of each of its tracks, found again by identity."""
+"""A step leaves the reprojection residual of each of its tracks, which is found by identity."""
 
 from dataclasses import replace
 
@@ -23,12 +23,12 @@ def sizes(tracks: Tracks, T_curr_prev: FloatArray = FORWARD) -> FloatArray:
     "T_curr_prev", [FORWARD, se3.inverse(FORWARD), np.eye(4)], ids=["forward", "back", "at rest"]
 )
 def test_sizes_by_the_definition(T_curr_prev: FloatArray) -> None:
-    """One feature after another: ‖y' − f(T g(y))‖, with rows that do not agree."""
+    """Feature by feature, ‖y' − f(T g(y))‖, with rows that do not agree."""
     assert np.abs(NOISY.prev_px[:, 1] - NOISY.prev_px[:, 3]).max() > 1.0
     expected = []
-    for before, now in zip(NOISY.prev_px, NOISY.curr_px, strict=True):
-        point = T_curr_prev @ np.append(CAMERA.triangulate(before), 1.0)
-        expected.append(np.linalg.norm(now - CAMERA.project(point[:3])))
+    for prev, curr in zip(NOISY.prev_px, NOISY.curr_px, strict=True):
+        point = T_curr_prev @ np.append(CAMERA.triangulate(prev), 1.0)
+        expected.append(np.linalg.norm(curr - CAMERA.project(point[:3])))
     np.testing.assert_allclose(sizes(NOISY, T_curr_prev), expected, rtol=1e-9)
 
 

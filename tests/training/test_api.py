@@ -1,5 +1,4 @@
-"""The whole training on small recordings: same bytes however often it is stopped, better motions,
-clear refusals."""
+"""The whole training on small recordings: same bytes when resumed, better motions, refusals."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -8,18 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from training.supervised_drives import point_world, rmse_m, true_motions
 
 import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise import Fixed, NoiseModel
+from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.predictors import Needs, Predictor, Step
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
 from probevo_sim.point_world import write_points
 from sequences.recordings import write_tracks
+from training.supervised_drives import point_world, rmse_m, true_motions
 
 FRAMES = 16
 SETTINGS = pv.TrainSettings(predictors=("place", "row_offset"), iterations=4, subset=6)
@@ -43,7 +43,7 @@ def recordings(tracks: list[Path]) -> list[Sequence]:
 
 @pytest.fixture(scope="module")
 def model_bytes(recordings: list[Sequence], tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Of a training that nobody disturbed."""
+    """Return the model of a training that was not stopped."""
     return train(recordings, tmp_path_factory.mktemp("model") / "model.safetensors").read_bytes()
 
 
@@ -56,14 +56,21 @@ def train(
     return pv.train_model(recordings, settings, out, on_progress)
 
 
+def neighbors_of(path: Path) -> NearestNeighbors:
+    """Read a model that is one of PROBE."""
+    model = pv.load_model(path)
+    assert isinstance(model, NearestNeighbors)
+    return model
+
+
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
     return tmp_path / "models" / "model.safetensors"
 
 
-def test_the_model_tells_how_it_came_about(recordings: list[Sequence], out: Path) -> None:
+def test_the_model_describes_its_training(recordings: list[Sequence], out: Path) -> None:
     assert train(recordings, out) == out
-    model = pv.load_model(out)
+    model = neighbors_of(out)
     assert model.columns == ("x", "y", "row_offset")
     assert model.camera == recordings[0].camera
     assert len(model.index_.values) <= 2 * (FRAMES - 1) * SETTINGS.iterations * SETTINGS.subset
@@ -112,7 +119,7 @@ def test_progress_is_that_of_all_frames_and_iterations(
 
 
 def stopping_after(calls: int) -> Callable[[int, int], None]:
-    """Ctrl-C after so many reports of progress."""
+    """Return a progress callback that raises KeyboardInterrupt after so many reports."""
     left = iter(range(calls))
 
     def show(_done: int, _total: int) -> None:
@@ -195,7 +202,7 @@ def test_every_supervision_gives_a_model(
 ) -> None:
     every_s = 0.5 if supervision in ("sparse", "position") else 0.0
     settings = SETTINGS.model_copy(update={"supervision": supervision, "every_s": every_s})
-    model = pv.load_model(train(recordings, out, settings))
+    model = neighbors_of(train(recordings, out, settings))
     assert np.isfinite(model.weights(np.zeros((3, 3)))).all()
 
 
@@ -214,7 +221,7 @@ def test_every_setting_gives_a_model(
     recordings: list[Sequence], out: Path, changes: dict[str, object]
 ) -> None:
     settings = SETTINGS.model_copy(update=changes)
-    model = pv.load_model(train(recordings, out, settings))
+    model = neighbors_of(train(recordings, out, settings))
     assert np.isfinite(model.weights(np.zeros((3, 3)))).all()
     assert model.average == settings.average
     if settings.neighbors:
@@ -264,15 +271,14 @@ def test_a_predictor_of_one_s_own_is_learned_from(recordings: list[Sequence], ou
     """And undefined where it says that it may be; to use the model, it has to be given again."""
     predictor = own(first_undefined, undefined="for the first")
     pv.train_model(recordings, SETTINGS, out, own_predictors=[predictor])
-    model = pv.load_model(out)
+    model = neighbors_of(out)
     assert model.columns == ("x", "y", "row_offset", "own")
     assert model.metric_.may_be_undefined == (False, False, False, True)
     camera = recordings[0].camera
     with pytest.raises(InputError, match="its predictor own is not known"):
         pv.StereoOdometry(camera, model)
-    space = pv.predictors.PredictionSpace(
-        (*pv.predictors.prediction_space(SETTINGS.predictors).predictors, predictor)
-    )
+    known = pv.predictors.prediction_space(["place", "row_offset"])
+    space = pv.predictors.PredictionSpace((*known.predictors, predictor))
     odometry = pv.StereoOdometry(camera, model, predictors=space)
     for frame in recordings[0]:
         odometry.step(frame)
@@ -317,7 +323,7 @@ def test_two_predictors_of_one_name_are_refused(
 def refuse(
     recordings: list[Sequence], out: Path, settings: pv.TrainSettings, *fragments: str
 ) -> None:
-    """With a cure, and before there is any model."""
+    """Assert that the training is refused with a cure, and writes no model."""
     with pytest.raises(InputError) as caught:
         train(recordings, out, settings)
     for fragment in fragments:
@@ -376,7 +382,7 @@ def test_an_unknown_predictor_is_refused(recordings: list[Sequence], out: Path) 
 def test_a_predictor_that_lacks_what_it_needs_is_refused_and_no_obstacle(
     recordings: list[Sequence], model_bytes: bytes, out: Path, name: str, lacking: str
 ) -> None:
-    """Whoever follows the advice and leaves it out is not told of a training with other settings."""
+    """Whoever then leaves it out is not refused because of a training with other settings."""
     settings = SETTINGS.model_copy(update={"predictors": ("place", name)})
     refuse(
         recordings,
@@ -401,7 +407,7 @@ def test_with_fewer_neighbours_it_goes_on_where_it_was(
     sequences: list[Sequence] = list(counted)  # type: ignore[arg-type]
     refuse(sequences, out, SETTINGS.model_copy(update={"neighbors": 10_000}), "--neighbors")
     train(sequences, out, SETTINGS.model_copy(update={"neighbors": 10}))
-    assert pv.load_model(out).neighbors == 10
+    assert neighbors_of(out).neighbors == 10
     assert [len(each.asked) for each in counted] == [FRAMES, FRAMES]
 
 
@@ -453,7 +459,7 @@ def test_what_a_stopped_training_knew_of_its_drives_is_not_taken_for_that_of_oth
 
 
 def changed(path: Path, to: Path, **changes: Callable[[FloatArray], FloatArray]) -> list[Sequence]:
-    """The recording with some of its arrays as these make them."""
+    """Write the recording with some of its arrays changed, and open it."""
     with np.load(path) as archive:
         arrays = {name: changes.get(name, np.asarray)(archive[name]) for name in archive.files}
     np.savez(to, allow_pickle=False, **arrays)
@@ -521,7 +527,7 @@ def test_what_is_not_ours_survives_a_training_and_stops_the_next(
 
 
 def void(_: object) -> None:
-    """Nothing to give back."""
+    """Discard a value."""
 
 
 def test_a_recording_named_twice_is_refused(recordings: list[Sequence], out: Path) -> None:

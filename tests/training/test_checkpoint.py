@@ -1,4 +1,4 @@
-"""What a stopped training leaves: whole things only, taken up by the same training and by no other."""
+"""What a stopped training leaves: complete files, which the same training resumes, and no other."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from worlds import CAMERA
 
 
 def rounded(drive: Drive) -> Drive:
-    """As it lies on disk, so that it comes back as it was."""
+    """Round a drive to its precision on disk, so that it is read as it was written."""
     single = {
         name: getattr(drive, name).astype(np.float32) for name in ("prev_px", "curr_px", "phi")
     }
@@ -58,7 +58,7 @@ def opened(
 
 
 def keep(work: Checkpoint, number: int, drive: Drive = DRIVE, digest: str = "") -> None:
-    """The drive in two parts, of which the second may have no step; and what is known of it."""
+    """Write the drive in two parts, and its supervision; the second part may have no step."""
     stored = work.drive(number, CAMERA)
     cut = len(drive.T_curr_prev) // 2
     stored.keep_drive(
@@ -68,21 +68,24 @@ def keep(work: Checkpoint, number: int, drive: Drive = DRIVE, digest: str = "") 
 
 
 def part_of(drive: Drive, first: int, last: int | None) -> Drive:
-    """Steps from the first up to the last."""
+    """Return the steps from the first up to the last."""
     places = drive.first_of_step[first : None if last is None else last + 1]
     rows = slice(places[0], places[-1])
     features = {
         name: getattr(drive, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")
     }
     return Drive(
-        drive.T_curr_prev[first:last], drive.numbers[first:last], places - places[0], **features
+        T_curr_prev=drive.T_curr_prev[first:last],
+        numbers=drive.numbers[first:last],
+        first_of_step=places - places[0],
+        **features,
     )
 
 
 def drive_of_number(work: Checkpoint, number: int) -> Drive | None:
-    """The whole drive, if it is through."""
+    """Read the whole drive, if all of it is recorded."""
     drive = work.drive(number, CAMERA)
-    return joined(drive.parts()) if drive.is_whole else None
+    return joined(drive.parts()) if drive.is_recorded else None
 
 
 def test_it_lies_beside_the_model(out: Path) -> None:

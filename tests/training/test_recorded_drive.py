@@ -1,10 +1,8 @@
-"""A recording, tracked and solved once: what is kept of steps that were solved, and of those that
-were not."""
+"""A recorded drive: what is kept of steps that were solved, and of those that were not."""
 
 from pathlib import Path
 
 import numpy as np
-from training.supervised_drives import point_world
 
 import probevo as pv
 from probevo.noise import StudentT
@@ -12,6 +10,7 @@ from probevo.predictors import prediction_space
 from probevo.training.drive import drive_bytes, joined, load_drive
 from probevo.training.extraction import Extraction
 from probevo_sim.point_world import write_points
+from training.supervised_drives import point_world
 
 SPACE = prediction_space(["place", "row_offset"])
 CONFIG = pv.OdometryConfig()
@@ -30,7 +29,7 @@ def write_drive(path: Path, *, swapped: bool) -> Path:
     return path
 
 
-def test_a_step_that_was_refused_teaches_nothing(tmp_path: Path) -> None:
+def test_nothing_is_learned_from_a_step_that_was_not_solved(tmp_path: Path) -> None:
     """Its features are kept, but none of them counts as used."""
     sequence = pv.open_sequence(write_drive(tmp_path / "drive.npz", swapped=True))
     drive = joined(Extraction(sequence, SPACE, CONFIG, num_frames=len(sequence)))

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from training.supervised_drives import recording
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.training.supervision import LEAST_ALPHA_M, Supervision, supervision_of
+from training.supervised_drives import recording
 
 STEPS = 10
 
 
 def random_motions(seed: int = 0) -> FloatArray:
-    """T_curr_prev of ten steps that go and turn anywhere, [10, 4, 4]."""
+    """Return T_curr_prev of ten steps that go and turn anywhere, [10, 4, 4]."""
     rng = np.random.default_rng(seed)
     return se3.exp(rng.normal(scale=[0.3, 0.3, 1.0, 0.2, 0.3, 0.1], size=(STEPS, 6)))
 
@@ -28,14 +28,13 @@ OFFSET_M = np.array([0.3, -0.2, 0.6])
 
 
 def shifted(step: int, offset_m: FloatArray) -> FloatArray:
-    """The motions, but for one after which the camera is elsewhere by this, in the frame of the
-    camera before."""
+    """Return the motions with an offset at one step, in the frame of the previous camera."""
     T_prev_curr = se3.inverse(MOTIONS)
     T_prev_curr[step, :3, 3] += offset_m
     return se3.inverse(T_prev_curr)
 
 
-def taught(kind: str, every_s: float = 0.0, truth: FloatArray | None = TRUTH) -> Supervision:
+def supervised(kind: str, every_s: float = 0.0, truth: FloatArray | None = TRUTH) -> Supervision:
     return supervision_of(recording(truth), kind, every_s, num_frames=STEPS + 1)  # type: ignore[arg-type]
 
 
@@ -50,7 +49,7 @@ def test_a_path_is_made_of_its_motions() -> None:
 )
 def test_exact_motions_have_no_error(kind: str, every_s: float) -> None:
     """But for the floor that keeps the logarithm of α from counting rounding errors."""
-    supervision = taught(kind, every_s)
+    supervision = supervised(kind, every_s)
     alphas = supervision.errors(MOTIONS)
     assert alphas.shape == (len(supervision.stretches),)
     np.testing.assert_array_equal(alphas, LEAST_ALPHA_M)
@@ -60,7 +59,7 @@ def test_exact_motions_have_no_error(kind: str, every_s: float) -> None:
 @pytest.mark.parametrize("step", [0, 4, 9])
 def test_an_offset_shows_in_its_own_step(kind: str, step: int) -> None:
     """‖d‖/√3 (PROBE IV-A), and nothing in the steps before and after."""
-    alphas = taught(kind).errors(shifted(step, OFFSET_M))
+    alphas = supervised(kind).errors(shifted(step, OFFSET_M))
     assert alphas[step] == pytest.approx(np.linalg.norm(OFFSET_M) / np.sqrt(3.0))
     np.testing.assert_array_equal(np.delete(alphas, step), LEAST_ALPHA_M)
 
@@ -68,7 +67,7 @@ def test_an_offset_shows_in_its_own_step(kind: str, step: int) -> None:
 @pytest.mark.parametrize(("step", "stretch"), [(0, 0), (2, 0), (3, 1), (7, 2)])
 def test_an_offset_shows_at_the_end_of_its_stretch(step: int, stretch: int) -> None:
     """Three steps a stretch: whichever of them is off, the end of the stretch is off by as much."""
-    alphas = taught("sparse", 0.3).errors(shifted(step, OFFSET_M))
+    alphas = supervised("sparse", 0.3).errors(shifted(step, OFFSET_M))
     assert len(alphas) == 3
     assert alphas[stretch] == pytest.approx(np.linalg.norm(OFFSET_M) / np.sqrt(3.0))
     np.testing.assert_array_equal(np.delete(alphas, stretch), LEAST_ALPHA_M)
@@ -76,7 +75,7 @@ def test_an_offset_shows_at_the_end_of_its_stretch(step: int, stretch: int) -> N
 
 @pytest.mark.parametrize("step", [0, 5, 9])
 def test_an_offset_opens_a_loop(step: int) -> None:
-    assert taught("loop").errors(shifted(step, OFFSET_M)) == pytest.approx(
+    assert supervised("loop").errors(shifted(step, OFFSET_M)) == pytest.approx(
         np.linalg.norm(OFFSET_M) / np.sqrt(3.0)
     )
 
@@ -91,7 +90,7 @@ def test_an_error_of_rotation_counts_by_its_lever() -> None:
     )
     arm_m = (se3.inverse(se3.chain_motions(MOTIONS)[1]) @ se3.chain_motions(MOTIONS)[3])[:3, 3]
     expected = 2.0 * np.sin(0.005) * np.linalg.norm(np.cross(axis, arm_m)) / np.sqrt(3.0)
-    assert taught("sparse", 0.3).errors(se3.inverse(T_prev_curr))[0] == pytest.approx(expected)
+    assert supervised("sparse", 0.3).errors(se3.inverse(T_prev_curr))[0] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("every_s", [0.0, 0.2])
@@ -100,7 +99,7 @@ def test_positions_are_compared_after_the_best_fit(every_s: float) -> None:
     there."""
     T_prev_curr = se3.inverse(MOTIONS)
     T_prev_curr[:, :3, 3] *= 1.03
-    supervision = taught("position", every_s)
+    supervision = supervised("position", every_s)
     positions = se3.chain_motions(MOTIONS)[supervision.frames, :3, 3]
     expected = (
         0.03 * np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean() / np.sqrt(3.0)
@@ -117,8 +116,8 @@ def test_positions_need_no_common_world(seed: int) -> None:
         T @ TRUTH @ se3.from_parts(se3.exp(rng.normal(size=(STEPS + 1, 6)))[:, :3, :3], np.zeros(3))
     )
     wrong = random_motions(7)
-    assert taught("position", truth=elsewhere).errors(wrong) == pytest.approx(
-        taught("position").errors(wrong)
+    assert supervised("position", truth=elsewhere).errors(wrong) == pytest.approx(
+        supervised("position").errors(wrong)
     )
 
 
@@ -127,7 +126,8 @@ def test_the_world_of_the_truth_does_not_matter() -> None:
     for kind, every_s in (("gt", 0.0), ("sparse", 0.4), ("loop", 0.0)):
         elsewhere = se3.inverse(SOMEWHERE) @ TRUTH
         np.testing.assert_allclose(
-            taught(kind, every_s, elsewhere).errors(wrong), taught(kind, every_s).errors(wrong)
+            supervised(kind, every_s, elsewhere).errors(wrong),
+            supervised(kind, every_s).errors(wrong),
         )
 
 
@@ -144,17 +144,17 @@ def test_the_world_of_the_truth_does_not_matter() -> None:
     ],
 )
 def test_the_truth_is_used_only_so_often(every_s: float, frames: list[int]) -> None:
-    """Stamps are exact nanoseconds since 1970, and those that are due to the nanosecond are taken."""
+    """Stamps are exact nanoseconds since 1970; one that is due to the nanosecond is taken."""
     for kind in ("sparse", "gt"):
-        np.testing.assert_array_equal(taught(kind, every_s).frames, list(frames))
+        np.testing.assert_array_equal(supervised(kind, every_s).frames, list(frames))
 
 
 def test_gaps_in_the_truth_restart_the_count() -> None:
     """Frames 0, 1 and 4 to 6 are unknown: 2, then the first one 0.2 s later that is known."""
     truth = TRUTH.copy()
     truth[[0, 1, 4, 5, 6]] = np.nan
-    np.testing.assert_array_equal(taught("sparse", 0.2, truth).frames, [2, 7, 9])
-    supervision = taught("sparse", 0.0, truth)
+    np.testing.assert_array_equal(supervised("sparse", 0.2, truth).frames, [2, 7, 9])
+    supervision = supervised("sparse", 0.0, truth)
     np.testing.assert_array_equal(supervision.frames, [2, 3, 7, 8, 9, 10])
     np.testing.assert_array_equal(supervision.stretches, [[2, 3], [3, 7], [7, 8], [8, 9], [9, 10]])
     np.testing.assert_array_equal(supervision.errors(MOTIONS), LEAST_ALPHA_M)
@@ -164,24 +164,24 @@ def test_gaps_in_the_truth_restart_the_count() -> None:
 
 
 def test_every_step_belongs_to_its_stretch() -> None:
-    np.testing.assert_array_equal(taught("gt").stretch_of_step(STEPS), range(STEPS))
+    np.testing.assert_array_equal(supervised("gt").stretch_of_step(STEPS), range(STEPS))
     np.testing.assert_array_equal(
-        taught("sparse", 0.3).stretch_of_step(STEPS), [0, 0, 0, 1, 1, 1, 2, 2, 2, -1]
+        supervised("sparse", 0.3).stretch_of_step(STEPS), [0, 0, 0, 1, 1, 1, 2, 2, 2, -1]
     )
     for kind in ("position", "loop"):
-        np.testing.assert_array_equal(taught(kind).stretch_of_step(STEPS), np.zeros(STEPS))
+        np.testing.assert_array_equal(supervised(kind).stretch_of_step(STEPS), np.zeros(STEPS))
     np.testing.assert_array_equal(
-        taught("position", 0.3).stretch_of_step(STEPS), [0, 0, 0, 0, 0, 0, 0, 0, 0, -1]
+        supervised("position", 0.3).stretch_of_step(STEPS), [0, 0, 0, 0, 0, 0, 0, 0, 0, -1]
     )
 
 
 @pytest.mark.parametrize("unknown", [slice(None), slice(0, 1), slice(10, 11)])
 def test_a_loop_without_truth_closes(unknown: slice) -> None:
-    """What is known of only one end is no help."""
+    """A truth that knows only one end does not help."""
     truth = TRUTH.copy()
     truth[unknown] = np.nan
     for known in (truth, None):
-        alpha = taught("loop", truth=known).errors(MOTIONS)
+        alpha = supervised("loop", truth=known).errors(MOTIONS)
         assert alpha == pytest.approx(
             np.linalg.norm(se3.chain_motions(MOTIONS)[-1, :3, 3]) / np.sqrt(3.0)
         )
@@ -201,35 +201,34 @@ def test_a_loop_cut_short_does_not_close() -> None:
 
 
 def test_without_any_supervision_the_motions_of_all_features_are_the_truth() -> None:
-    completed = taught("none", truth=None).completed(MOTIONS)
+    completed = supervised("none", truth=None).completed(MOTIONS)
     wrong = random_motions(9)
     np.testing.assert_array_equal(completed.errors(MOTIONS), LEAST_ALPHA_M)
-    np.testing.assert_allclose(completed.errors(wrong), taught("gt").errors(wrong))
-    assert taught("gt").completed(wrong).T_world_cam is not None
-    np.testing.assert_array_equal(taught("gt").completed(wrong).T_world_cam, TRUTH)
+    np.testing.assert_allclose(completed.errors(wrong), supervised("gt").errors(wrong))
+    assert supervised("gt").completed(wrong).T_world_cam is not None
+    np.testing.assert_array_equal(supervised("gt").completed(wrong).T_world_cam, TRUTH)
 
 
 @pytest.mark.parametrize("every_s", [0.0, 0.3, 1.0])
-def test_expected_errors_are_those_of_random_motions(every_s: float) -> None:
-    """Monte Carlo: 2,000 motions drawn from their covariances have the α expected, as RMS, within 5
-    %."""
+def test_predicted_errors_are_those_of_random_motions(every_s: float) -> None:
+    """Monte Carlo: 2,000 motions drawn from their covariances have the predicted RMS α, ±5 %."""
     rng = np.random.default_rng(2)
     factor = rng.normal(
         scale=[[0.02], [0.02], [0.02], [0.004], [0.004], [0.004]], size=(STEPS, 6, 6)
     )
-    supervision = taught("sparse", every_s)
+    supervision = supervised("sparse", every_s)
     squared = [
         supervision.errors(se3.exp((factor @ rng.normal(size=(STEPS, 6, 1)))[..., 0]) @ MOTIONS)
         ** 2
         for _ in range(2000)
     ]
-    expected = supervision.expected_errors(MOTIONS, factor @ factor.mT)
+    expected = supervision.predicted_errors(MOTIONS, factor @ factor.mT)
     np.testing.assert_allclose(np.sqrt(np.mean(squared, axis=0)), expected, rtol=0.05)
 
 
 def test_motions_that_are_certain_have_the_least_error() -> None:
     np.testing.assert_array_equal(
-        taught("gt").expected_errors(MOTIONS, np.zeros((STEPS, 6, 6))), LEAST_ALPHA_M
+        supervised("gt").predicted_errors(MOTIONS, np.zeros((STEPS, 6, 6))), LEAST_ALPHA_M
     )
 
 
@@ -237,7 +236,7 @@ def test_motions_that_are_certain_have_the_least_error() -> None:
 @pytest.mark.parametrize("truth", [None, np.full_like(TRUTH, np.nan)])
 def test_no_truth_is_refused(kind: str, truth: FloatArray | None) -> None:
     with pytest.raises(InputError) as caught:
-        taught(kind, truth=truth)
+        supervised(kind, truth=truth)
     assert str(caught.value).startswith(
         f"drive: it has no ground truth, which --supervision {kind} needs."
     )
@@ -248,7 +247,7 @@ def test_truth_of_some_frames_is_no_full_truth() -> None:
     truth = TRUTH.copy()
     truth[3:5] = np.nan
     with pytest.raises(InputError) as caught:
-        taught("gt", truth=truth)
+        supervised("gt", truth=truth)
     assert "drive: only 9 of 11 frames have a true pose." in str(caught.value)
     assert caught.value.cure == "Take --supervision sparse."
 
@@ -258,7 +257,7 @@ def test_too_little_truth_is_refused(kind: str, known: int, needs: int) -> None:
     truth = TRUTH.copy()
     truth[known:] = np.nan
     with pytest.raises(InputError) as caught:
-        taught(kind, truth=truth)
+        supervised(kind, truth=truth)
     assert f"the truth of {known} frames is used; --supervision {kind} needs {needs}." in str(
         caught.value
     )
@@ -269,7 +268,7 @@ def test_truth_too_seldom_is_refused() -> None:
     with pytest.raises(
         InputError, match=r"the truth of 1 frames is used; --supervision sparse needs 2\."
     ):
-        taught("sparse", 1.1)
+        supervised("sparse", 1.1)
 
 
 def test_frames_that_are_not_used_need_no_truth() -> None:

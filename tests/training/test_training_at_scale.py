@@ -1,5 +1,4 @@
-"""A training by many workers: the same bytes as by one, also with a worker killed midway; parts
-that stay small."""
+"""Training by many workers: the same bytes as by one, even if a worker is killed; small parts."""
 
 import os
 import signal
@@ -9,28 +8,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from training.supervised_drives import drive_of, known, point_world
 
 import probevo as pv
+from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
 from probevo.errors import InputError
 from probevo.noise import StudentT
+from probevo.noise.metric import Metric
 from probevo.predictors import Needs, Predictor, Step, prediction_space
 from probevo.sequences.base import Sequence
 from probevo.sequences.frame import Frame
 from probevo.training import extraction, recording
-from probevo.training.gk import evidence, thinning
 from probevo.training.drive import Drive, joined
 from probevo.training.extraction import Extraction
+from probevo.training.gk import error_samples, thinning
 from probevo.training.gk.expectation import Expectation, expect, solve_drive
 from probevo.training.gk.expectation_maximization import learn_student_t
 from probevo.training.gk.thinning import thinned
+from probevo.training.lease import leased
 from probevo.training.settings import KernelSettings
 from probevo.training.sources import checked_sources
 from probevo.training.supervised_drive import DriveInMemory, DriveOnDisk
-from probevo.training.supervision import Supervision
+from probevo.training.trainer import TrainingContext
 from probevo.training.workers import Workers
 from probevo_sim.point_world import write_points
+from training.supervised_drives import drive_of, in_memory, known, point_world
 
 FRAMES = 16
 GK = pv.TrainSettings(
@@ -38,7 +40,7 @@ GK = pv.TrainSettings(
     predictors=("place",),
     supervision="sparse",
     every_s=0.5,
-    gk=KernelSettings(neighbors=50, prior_counts=8.0, turns=1, centers=100),
+    gk=KernelSettings(neighbors=50, prior_counts=8.0, iterations=1, centers=100),
 )
 STATIC = GK.model_copy(update={"kind": "student-t", "predictors": None, "gk": KernelSettings()})
 KNN = pv.TrainSettings(predictors=("place", "row_offset"), iterations=3, subset=6)
@@ -58,7 +60,7 @@ def tracks(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def static_bytes(tracks: list[Path], tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Of the static model, by one process."""
+    """Return the static model as one process trains it."""
     return pv.train_model(
         tracks, STATIC, tmp_path_factory.mktemp("static") / "m.safetensors"
     ).read_bytes()
@@ -68,7 +70,7 @@ def static_bytes(tracks: list[Path], tmp_path_factory: pytest.TempPathFactory) -
 def test_two_processes_give_the_bytes_of_one(
     tracks: list[Path], tmp_path: Path, settings: pv.TrainSettings
 ) -> None:
-    """Told of recordings, or given them open."""
+    """Recordings are given by their paths, or open."""
     one = pv.train_model(
         [pv.open_sequence(path) for path in tracks], settings, tmp_path / "one.safetensors"
     )
@@ -128,7 +130,7 @@ def test_a_cluster_gives_them_too(tracks: list[Path], static_bytes: bytes, tmp_p
     sequences = [pv.open_sequence(path) for path in tracks]
     deadly: Sequence = Deadly(sequences[1], tmp_path / "grave", os.getpid())  # type: ignore[assignment]
     with distributed.LocalCluster(
-        2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
     ) as cluster:
         workers = Workers(cluster=cluster.scheduler_address)
         there = pv.train_model(sequences, STATIC, tmp_path / "there.safetensors", workers=workers)
@@ -151,8 +153,8 @@ def test_what_a_worker_refuses_is_refused(tracks: list[Path], tmp_path: Path) ->
     assert "may be undefined" in caught.value.cure
 
 
-def test_a_worker_that_nobody_waits_for_goes_home(tracks: list[Path], tmp_path: Path) -> None:
-    """As one of a cluster after Ctrl-C, which cannot be interrupted: at the first frame after that."""
+def test_a_worker_whose_lease_has_expired_stops(tracks: list[Path], tmp_path: Path) -> None:
+    """Tasks of a cluster cannot be interrupted by Ctrl-C; they stop at the next frame."""
     asked: list[int] = []
 
     @dataclass(frozen=True)
@@ -174,18 +176,14 @@ def test_a_worker_that_nobody_waits_for_goes_home(tracks: list[Path], tmp_path: 
     sequence = Watched(pv.open_sequence(tracks[0]))
     (source,) = checked_sources([sequence], GK, space)  # type: ignore[list-item]
     drive = DriveOnDisk(tmp_path, 0, source.camera)
-    with recording._issued(tmp_path) as ticket:
+    with leased(tmp_path) as lease:
         pass
-    with pytest.raises(recording._GoneError):
-        recording._record_elsewhere(
-            recording._Task(source, drive, space, settings=GK, ticket=ticket)
-        )
+    with pytest.raises(recording.LeaseExpiredError):
+        recording._record_elsewhere(recording._Task(source, drive, space, settings=GK, lease=lease))
     assert asked == [0]
-    assert not drive.is_whole
-    with recording._issued(tmp_path) as ticket:
-        recording._record_elsewhere(
-            recording._Task(source, drive, space, settings=GK, ticket=ticket)
-        )
+    assert not drive.is_recorded
+    with leased(tmp_path) as lease:
+        recording._record_elsewhere(recording._Task(source, drive, space, settings=GK, lease=lease))
     assert drive.is_complete
     assert drive.frames_done == FRAMES
 
@@ -202,7 +200,7 @@ def extracted(path: Path) -> list[Drive]:
 def test_parts_are_no_larger_than_they_may_be(
     tracks: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither in steps nor in bytes; and together they are the drive, whatever they are cut into."""
+    """Neither in steps nor in bytes; joined, they are the drive, however it was cut."""
     (whole,) = extracted(tracks[0])
     monkeypatch.setattr(extraction, "MOST_STEPS", 4)
     parts = extracted(tracks[0])
@@ -244,8 +242,7 @@ def test_stretches_may_go_on_from_part_to_part(kind: str, every: int, share: flo
     to the last bit."""
     world = point_world(frames=24)
     drive = drive_of(world)
-    nothing = Supervision("none", np.arange(24), np.full((24, 4, 4), np.nan))
-    supervision = nothing if kind == "none" else known(world, kind, every)
+    supervision = known(world, kind, every)
 
     def expected(supervised: DriveInMemory) -> Expectation:
         return expect(
@@ -261,7 +258,7 @@ def test_stretches_may_go_on_from_part_to_part(kind: str, every: int, share: flo
         expected(way(drive, world.camera, supervision)) for way in (DriveInMemory, CutDrive)
     )
     np.testing.assert_array_equal(cut.T_curr_prev, whole.T_curr_prev)
-    np.testing.assert_array_equal(cut.T_alone, whole.T_alone)
+    np.testing.assert_array_equal(cut.T_features_only, whole.T_features_only)
     for one, other in zip(
         vars(cut.feature_errors).values(), vars(whole.feature_errors).values(), strict=True
     ):
@@ -272,8 +269,8 @@ def test_stretches_may_go_on_from_part_to_part(kind: str, every: int, share: flo
 def test_of_more_features_than_a_model_takes_some_are_drawn(
     tracks: list[Path], static_bytes: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same ones by whomever; and not all of them."""
-    monkeypatch.setattr(evidence, "MOST_FEATURES", 1000)
+    """The draw does not depend on the workers, and leaves some features out."""
+    monkeypatch.setattr(error_samples, "MOST_FEATURES", 1000)
     one, two = (
         pv.train_model(tracks, STATIC, tmp_path / f"{workers.jobs}.safetensors", workers=workers)
         for workers in (Workers(), TWO)
@@ -297,13 +294,13 @@ def test_a_drive_on_disk_needs_no_more_than_its_number(tmp_path: Path) -> None:
 def test_of_many_drives_some_steps_are_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In stretches, the same for whomever and in whatever parts; and of one that shows too little,
-    perhaps none."""
+    """The draw depends neither on workers nor on parts; a short drive may lose all its steps."""
     monkeypatch.setattr(thinning, "MOST_FEATURES", 500)
     monkeypatch.setattr(thinning, "STRETCH", 3)
     world = point_world(frames=60, landmarks=400)
     drive = drive_of(world)
-    nothing = Supervision("none", np.arange(60), np.full((60, 4, 4), np.nan))
+    nothing = known(world, "none")
+    settings = pv.TrainSettings(kind="student-t", supervision="none")
     found = []
     for name, parts, workers in (("a", 1, Workers()), ("b", 12, TWO)):
         stored = DriveOnDisk(tmp_path / name, 0, world.camera)
@@ -314,7 +311,8 @@ def test_of_many_drives_some_steps_are_taken(
         short.keep_drive([drive.kept(np.arange(59) == 0)], str, 2)
         short.keep_supervision(nothing)
         thin = thinned([stored, short], 0, workers)
-        model = learn_student_t(thin, pv.TrainSettings(kind="student-t", supervision="none"), [])
+        metric = Metric.fitted(drive.phi)
+        model = learn_student_t(TrainingContext(drives=thin, metric=metric, settings=settings))
         found.append((joined(thin[0].parts()), model.scale_))
     (one, scale), (other, other_scale) = found
     for mine, theirs in zip(vars(one).values(), vars(other).values(), strict=True):
@@ -339,11 +337,10 @@ def test_across_a_gap_nothing_is_remembered() -> None:
     steps = np.arange(23)
     second = drive.kept(steps >= 12)
     with_gap = drive.kept((steps < 6) | (steps >= 12))
-    one, other = (
-        solve_drive([part], model.predict, world.camera, solver=SolverConfig())
-        for part in (with_gap, second)
-    )
-    np.testing.assert_array_equal(one[0][6:], other[0])
-    whole, _ = solve_drive([drive], model.predict, world.camera, solver=SolverConfig())
-    np.testing.assert_array_equal(one[0][:6], whole[:6])
-    assert np.abs(whole[12:] - other[0]).max() > 1e-5
+
+    def solved(part: Drive) -> FloatArray:
+        return solve_drive(in_memory(part, world), model.predict, SolverConfig()).T_curr_prev
+
+    np.testing.assert_array_equal(solved(with_gap)[6:], solved(second))
+    np.testing.assert_array_equal(solved(with_gap)[:6], solved(drive)[:6])
+    assert np.abs(solved(drive)[12:] - solved(second)).max() > 1e-5

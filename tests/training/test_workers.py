@@ -1,10 +1,14 @@
-"""Tasks in other processes: the same results, whatever becomes of the processes; errors that arrive
-as they were."""
+"""Tasks in other processes: the same results even if processes are killed; errors stay intact."""
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer
+from typing import Any
 
 import pytest
 
@@ -18,11 +22,18 @@ TWO = Workers(jobs=2)
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Workers]:
-    """Two workers of a Dask cluster on this machine."""
+    """Start a Dask cluster with two workers on this machine.
+
+    A task is given up after two lost workers, not four, to save time.
+    """
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        2, threads_per_worker=1, dashboard_address=None, silence_logs=50
-    ) as found:
+    dask = pytest.importorskip("dask")
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+        ) as found,
+    ):
         yield Workers(cluster=found.scheduler_address)
 
 
@@ -36,7 +47,7 @@ def workers(request: pytest.FixtureRequest) -> Workers:
 
 @pytest.fixture(params=["two", "cluster"])
 def others(request: pytest.FixtureRequest) -> Workers:
-    """Not this process."""
+    """Return workers other than this process."""
     found: Workers = TWO if request.param == "two" else request.getfixturevalue("cluster")
     return found
 
@@ -85,7 +96,7 @@ def test_an_input_error_arrives_as_it_was(workers: Workers) -> None:
 
 
 def die_once(task: tuple[int, Path]) -> int:
-    """The worker of the second task is killed when it comes to it first."""
+    """Kill the worker of the second task the first time."""
     number, grave = task
     if number == 1 and not grave.exists():
         grave.touch()
@@ -103,6 +114,7 @@ def test_what_a_killed_worker_had_is_done_again(others: Workers, tmp_path: Path)
 
 
 def die_always(task: tuple[int, Path]) -> int:
+    """Kill every worker of the second task."""
     number, graves = task
     if number == 1:
         (graves / f"{os.getpid()}").touch()
@@ -113,8 +125,12 @@ def die_always(task: tuple[int, Path]) -> int:
 def test_a_task_that_kills_every_worker_is_given_up_and_named(
     others: Workers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After all others are through. Here it is given up at the first loss, to save time."""
+    """All other tasks are done first. It is given up at the first loss, to save time.
+
+    Should a cluster fail to restart its workers, as under load, the test ends with that error soon.
+    """
     monkeypatch.setattr(workers_module, "MOST_LOSSES", 1)
+    monkeypatch.setattr(workers_module, "NO_WORKER_S", 20.0)
     done: list[int] = []
     with pytest.raises(InputError) as caught:
         others.map(
@@ -125,6 +141,61 @@ def test_a_task_that_kills_every_worker_is_given_up_and_named(
     assert "goes on from what is done" in caught.value.cure
     assert sorted(done) == [0, 2, 3]
     assert len(list(tmp_path.iterdir())) >= 2
+
+
+@contextmanager
+def scheduler_without_workers() -> Iterator[Any]:
+    """Start a Dask cluster of this machine that has no worker yet."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=0, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as found:
+        yield found
+
+
+@contextmanager
+def unattended_worker(address: str) -> Iterator[None]:
+    """Start a worker process that nobody restarts once it is killed."""
+    command = [sys.executable, "-m", "distributed.cli.dask_worker", address]
+    options = ["--no-nanny", "--nthreads", "1", "--no-dashboard"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    worker = subprocess.Popen([*command, *options], env=environment, stderr=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        worker.kill()
+        worker.wait()
+
+
+def test_a_cluster_whose_workers_do_not_come_back_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where the restart of a killed worker fails: the remaining tasks are named."""
+    monkeypatch.setattr(workers_module, "NO_WORKER_S", 0.5)
+    monkeypatch.setattr(workers_module, "WATCH_S", 0.1)
+    tasks = [(number, tmp_path) for number in range(3)]
+    done: list[int] = []
+    with scheduler_without_workers() as found, unattended_worker(found.scheduler_address):
+        workers = Workers(cluster=found.scheduler_address)
+        with pytest.raises(InputError) as caught:
+            workers.map(die_always, tasks, list("abc"), done.append)
+    remaining = [name for number, name in enumerate("abc") if number not in done]
+    assert "b" in remaining
+    assert caught.value.where == ", ".join(remaining)
+    assert "none has come back within 0.5 s" in caught.value.what
+    assert "the same command goes on from what is done" in caught.value.cure
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_cluster_that_never_had_a_worker_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its workers may still be queued: here the first starts long after a lost one is given up."""
+    monkeypatch.setattr(workers_module, "NO_WORKER_S", 0.1)
+    monkeypatch.setattr(workers_module, "WATCH_S", 0.05)
+    with scheduler_without_workers() as found:
+        late = Timer(1.0, found.scale, [1])
+        late.start()
+        assert mapped(Workers(cluster=found.scheduler_address), 2) == [0, 1]
+        late.join()
 
 
 def test_whoever_stops_it_in_between_is_not_kept_waiting(workers: Workers) -> None:

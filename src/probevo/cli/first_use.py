@@ -11,8 +11,6 @@ import sys
 from functools import cache
 from pathlib import Path
 
-from probevo.cores import available_cores
-
 
 def getting_ready() -> str:
     """Return the text to show until the first frame is done.
@@ -21,25 +19,27 @@ def getting_ready() -> str:
     """
     if is_solver_compiled():
         return "starting"
-    if available_cores() > 1:
+    import joblib
+
+    if joblib.cpu_count() > 1:
         compile_solver()
     return "compiling, only this first time: 10 to 30 s"
 
 
 def is_solver_compiled() -> bool:
     """Return whether Numba's cache holds the compiled solver."""
-    from probevo.estimation.gauss_newton import minimize
+    from probevo.measurements.stereo_numba import normal_equations
 
     # Numba names the index of a function's cache after its module, name and line.
-    module = minimize.__module__.rpartition(".")[2]
-    return any(solver_cache().glob(f"{module}.{minimize.__qualname__}-*.nbi"))
+    module = normal_equations.__module__.rpartition(".")[2]
+    return any(solver_cache().glob(f"{module}.{normal_equations.__qualname__}-*.nbi"))
 
 
 def solver_cache() -> Path:
     """Return the folder where Numba caches the compiled solver."""
-    from probevo.estimation.gauss_newton import minimize
+    from probevo.measurements.stereo_numba import normal_equations
 
-    return Path(minimize.stats.cache_path)  # type: ignore[attr-defined]
+    return Path(normal_equations.stats.cache_path)  # type: ignore[attr-defined]
 
 
 @cache
@@ -47,7 +47,7 @@ def compile_solver() -> subprocess.Popen[bytes]:
     """Start a process that compiles the solver, once; nobody needs to wait for it."""
     command = "from probevo.cli.first_use import solve_once; solve_once()"
     return subprocess.Popen(
-        [sys.executable, "-c", command],
+        [sys.executable, "-P", "-c", command],  # -P: no module of the working directory is imported
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

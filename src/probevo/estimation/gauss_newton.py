@@ -45,6 +45,8 @@ class _Layout:
     placements: tuple[tuple[tuple[slice, slice], ...], ...]
     """For each measurement, for each of its free variables: where it lies in the joint vector, and
     where in the measurement's own."""
+    is_single: bool
+    """Whether there is one measurement, of one free variable: its normal equations are the sum."""
 
     @staticmethod
     def of(
@@ -55,12 +57,15 @@ class _Layout:
         for measurement in measurements:
             own, _ = blocks_of(measurement.variables, values)
             placements.append(tuple((blocks[key], at) for key, at in own.items() if key in blocks))
-        return _Layout(blocks, dof, tuple(placements))
+        is_single = len(placements) == 1 and len(placements[0]) == len(own) == len(blocks) == 1
+        return _Layout(blocks, dof, tuple(placements), is_single)
 
     def add_up(
         self, measurements: Sequence[Measurement], values: Values, *, newton: bool
     ) -> Linearization:
         """Sum the normal equations of all measurements."""
+        if self.is_single:
+            return measurements[0].linearize(values, newton=newton)
         total = Linearization(0.0, np.zeros((self.dof, self.dof)), np.zeros(self.dof))
         cost = 0.0
         for measurement, placement in zip(measurements, self.placements, strict=True):

@@ -67,8 +67,12 @@ class MotionEstimate:
     """What the frame lacked, in words: samples that could not be used."""
 
     @staticmethod
-    def first() -> MotionEstimate:
+    def first(missing: tuple[str, ...] = ()) -> MotionEstimate:
         """Return the estimate of the first frame."""
         return MotionEstimate(
-            T_curr_prev=np.eye(4), cov=np.zeros((6, 6)), status=Status.FIRST, num_tracks=0
+            T_curr_prev=np.eye(4),
+            cov=np.zeros((6, 6)),
+            status=Status.FIRST,
+            num_tracks=0,
+            missing=missing,
         )

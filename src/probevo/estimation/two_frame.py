@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
 from probevo.errors import InputError
@@ -43,8 +43,8 @@ class Estimate:
     """How far each track is trusted, [N], 0 to 1 (``feature_weights``)."""
     disparities: DisparityFilter
     """The disparity filter after the step, in terms of the current frame."""
-    used_history: bool = False
-    """Whether the filter had a state of any of the tracks before the step."""
+    has_history: BoolArray
+    """Whether the filter had a state of each track before the step, [N]."""
 
 
 class Estimator(Protocol):
@@ -159,7 +159,12 @@ class TwoFrameEstimator:
         )
         weights = feature_weights(solution, noise.dof, self.config.loss)
         if not self._method.filters_disparities:
-            return Estimate(solution, weights, DisparityFilter.none())
+            return Estimate(
+                solution=solution,
+                weights=weights,
+                disparities=DisparityFilter.none(),
+                has_history=_has_history(prior, tracks),
+            )
         solution, after = update_with_common_mode(
             prior,
             tracks,
@@ -168,7 +173,12 @@ class TwoFrameEstimator:
             camera=self.camera,
             inliers=weights >= INLIER_FROM,
         )
-        return Estimate(solution, weights, after, used_history=len(prior.ids) > 0)
+        return Estimate(
+            solution=solution,
+            weights=weights,
+            disparities=after,
+            has_history=_has_history(prior, tracks),
+        )
 
     def evaluate(
         self,
@@ -192,7 +202,12 @@ class TwoFrameEstimator:
         )
         weights = feature_weights(solution, noise.dof, self.config.loss)
         if not self._method.filters_disparities:
-            return Estimate(solution, weights, DisparityFilter.none())
+            return Estimate(
+                solution=solution,
+                weights=weights,
+                disparities=DisparityFilter.none(),
+                has_history=_has_history(prior, tracks),
+            )
         after = update_at_known_motion(
             prior,
             tracks,
@@ -201,7 +216,18 @@ class TwoFrameEstimator:
             camera=self.camera,
             inliers=weights >= INLIER_FROM,
         )
-        return Estimate(solution, weights, after)
+        return Estimate(
+            solution=solution,
+            weights=weights,
+            disparities=after,
+            has_history=_has_history(prior, tracks),
+        )
+
+
+def _has_history(prior: DisparityFilter, tracks: Tracks) -> BoolArray:
+    known = np.zeros(len(tracks), np.bool_)
+    known[prior.states.rows] = True
+    return known
 
 
 class SolveMethod(Protocol):

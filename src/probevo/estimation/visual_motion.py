@@ -173,7 +173,7 @@ class VisualEstimator:
         weights[used] = estimate.weights
         solution = estimate.solution
         two_frames_only = solution
-        if estimate.used_history or priors.measurements:
+        if estimate.has_history.any() or priors.measurements:
             two_frames_only = solve_reprojection(
                 inliers.prev_px,
                 inliers.curr_px,

@@ -12,7 +12,7 @@ GRAVITY_M_S2 = 9.81
 
 
 def acceleration(imu: ImuSamples) -> FloatArray:
-    """Compute |‖f̄‖ − g| and the root mean square of ‖f − f̄‖ of the specific force f.
+    """Compute |‖f̄‖ − g| and the root mean square of ‖f − f̄‖ of the finite specific forces f.
 
     PROBE has the magnitude of the specific force. The direction of gravity is not known here, so
     that gravity can only be subtracted from the magnitude of the mean force f̄. Vertical
@@ -27,16 +27,19 @@ def acceleration(imu: ImuSamples) -> FloatArray:
         imu: samples of the interval, with an accelerometer.
 
     Returns:
-        Acceleration and vibration, [2], m/s², the same for all features of a step. NaN where a
-        sample is NaN, and where there is no sample.
+        Acceleration and vibration, [2], m/s², the same for all features of a step, from the samples
+        that are finite on all three axes. NaN where there is none.
     """
-    if not len(imu.stamps_ns):
+    # A sample that is not finite is a missing one
+    is_finite = np.isfinite(imu.accel_m_s2).all(axis=1)
+    if not is_finite.any():
         return np.full(2, np.nan)
-    mean = imu.accel_m_s2.mean(axis=0)
+    force = imu.accel_m_s2[is_finite]
+    mean = force.mean(axis=0)
     # The direction of gravity is unknown: compare magnitudes
     offset = abs(float(np.linalg.norm(mean)) - GRAVITY_M_S2)
     # Subtracting the mean removes gravity and bias
-    squared = np.sum((imu.accel_m_s2 - mean) ** 2, axis=1)
+    squared = np.sum((force - mean) ** 2, axis=1)
     return np.array([offset, np.sqrt(squared.mean())])
 
 
@@ -46,5 +49,5 @@ ACCELERATION = Predictor(
     source="PROBE IV-C.1",
     needs=Needs.ACCELEROMETER,
     compute=lambda step: step.for_all_features(acceleration(step.imu)),
-    undefined="where samples of the IMU are missing",
+    undefined="where the IMU has no finite sample",
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.errors import InputError
 from probevo.predictors.base import Needs, Predictor, Step
 from probevo.sequences.base import Sequence
@@ -89,12 +89,15 @@ class PredictionSpace:
         self._refuse_lacking(lacking, sequence.path)
 
     def _check_step(self, step: Step) -> None:
+        # An accelerometer is lacking where no sample of the interval is finite. A gap of the IMU,
+        # without any sample, leaves its predictors undefined, as single missing samples do not.
+        has_force: BoolArray = np.asarray(np.isfinite(step.imu.accel_m_s2).all(axis=1))
         lacking = {
             Needs.LEFT: step.curr_frame.left is None,
             Needs.RIGHT: step.curr_frame.right is None,
             Needs.PREVIOUS_LEFT: step.prev_frame.left is None,
             Needs.PREVIOUS_RIGHT: step.prev_frame.right is None,
-            Needs.ACCELEROMETER: not np.isfinite(step.imu.accel_m_s2).all(),
+            Needs.ACCELEROMETER: len(has_force) > 0 and not bool(has_force.any()),
         }
         self._refuse_lacking(lacking, f"frame {step.curr_frame.index}")
 

@@ -1,10 +1,11 @@
-"""Readers of poses in the text formats of KITTI and TUM.
+"""Poses in the text formats of KITTI and TUM, read and written.
 
-Every error names the file, and the line or the pose.
+Every error names the file, and the line or the pose. Numbers are written at full precision.
 """
 
 from __future__ import annotations
 
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
+from probevo.files import write_atomically
 from probevo.geometry import se3
 from probevo.sequences.frame import GroundTruth
 from probevo.sequences.poses import check_poses, ground_truth
@@ -99,3 +101,41 @@ def _check_positions(T: FloatArray, path: Path) -> None:
     if len(too_far):
         what = f"the position of pose {too_far[0]} (from 0) is over {FARTHEST_M:g} m away."
         raise InputError(path, what, "Positions are in metres.")
+
+
+def write_tum(path: Path, stamps_ns: IntArray, T_world_cam: FloatArray) -> None:
+    """Write a TUM trajectory.
+
+    A line is ``stamp tx ty tz qx qy qz qw``: the stamp in s with nine decimals, the position in m,
+    and the unit quaternion with qw ≥ 0.
+
+    Args:
+        path: the file.
+        stamps_ns: [N], ns.
+        T_world_cam: poses, [N, 4, 4], m.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    quaternions = Rotation.from_matrix(T_world_cam[:, :3, :3]).as_quat(canonical=True)
+    numbers = np.concatenate([T_world_cam[:, :3, 3], quaternions], axis=1)
+    stamps = [f"{Decimal(ns).scaleb(-9):.9f}" for ns in stamps_ns.tolist()]
+    lines = [f"{stamp} {_shortest_text(row)}\n" for stamp, row in zip(stamps, numbers, strict=True)]
+    write_atomically(path, "".join(lines))
+
+
+def write_kitti_poses(path: Path, T_world_cam: FloatArray) -> None:
+    """Write poses T_world_cam, [N, 4, 4], m, in KITTI's odometry form.
+
+    A line holds the upper three rows of one pose, row by row: twelve numbers.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    rows = T_world_cam[:, :3, :].reshape(-1, 12)
+    write_atomically(path, "".join(f"{_shortest_text(row)}\n" for row in rows))
+
+
+def _shortest_text(row: FloatArray) -> str:
+    # repr of a Python float is the shortest text that reads back as the same 64 bits.
+    return " ".join(map(repr, row.tolist()))

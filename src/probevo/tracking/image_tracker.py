@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class _FoundInTime:
     """N features of the previous frame, found in the current left image."""
 
     prev: TrackingState
-    """What they were."""
+    """What they were, without their anchor patches."""
     left_px: FloatArray
     """(u, v) in the current left image, [N, 2], px."""
     patches: AnchorPatches
@@ -142,15 +142,13 @@ class ImageTracker:
         image = left[0]
         # Where the motion takes them.
         predicted_px, growth, ahead = _predict(prev.pixels, T_curr_prev, self._camera)
-        visible = ahead & _inside(predicted_px, image)
-        rejected["left the view"] += int((~visible).sum())
-        prev = prev.subset(visible)
-        growth = growth[visible]
+        visible = np.flatnonzero(ahead & _inside(predicted_px, image))
+        rejected["left the view"] += len(prev) - len(visible)
         # From there, Lucas–Kanade from frame to frame.
         tracked = track_points(
             prev.left,
             left,
-            prev.pixels[:, :2],
+            prev.pixels[visible, :2],
             start_px=predicted_px[visible],
             config=self._config,
         )
@@ -158,8 +156,8 @@ class ImageTracker:
         rejected["left the view"] += int((~inside).sum())
         similar = _similar(tracked.difference, inside, self._config)
         rejected["looks different"] += int((inside & ~similar).sum())
-        prev = prev.subset(similar)
-        growth = growth[similar]
+        prev = prev.subset(visible[similar])
+        growth = growth[visible[similar]]
         # Drift along the track is undone by the affine fit to the anchor patch.
         patches = prev.patches
         if patches is None:
@@ -170,7 +168,7 @@ class ImageTracker:
         # Of two features that have met, the older one stays: it comes first.
         separate = non_overlapping(aligned.pixels, image.shape, self._config)
         rejected["met another"] += int((~separate).sum())
-        prev = prev.subset(separate)
+        prev = replace(prev, patches=None).subset(separate)
         prev_disparity_px = np.maximum(prev.pixels[:, 0] - prev.pixels[:, 2], 0.0)
         return _FoundInTime(
             prev=prev,

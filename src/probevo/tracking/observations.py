@@ -26,8 +26,10 @@ class FrameObservations:
     """Index of the frame."""
     stamp_ns: int
     landmarks: IntArray
-    """Identity of each landmark, [N]. A landmark that changed its looks has two rows: as the end of
-    one and as the beginning of the next."""
+    """Identity of each landmark, [N]."""
+    successors: IntArray
+    """Identity under which each continues, [N]: the same, unless it changed its looks. Then this is
+    the last observation of one landmark, and the first of the next."""
     pixels: FloatArray
     """Raw (u_l, v_l, u_r, v_r), [N, 4], px."""
     patches: AnchorPatches | None = None
@@ -77,7 +79,9 @@ class ObservationStore:
         pixels = []
         scales = []
         for observations in self.frames:
-            for row in np.flatnonzero(observations.landmarks == landmark)[:1]:
+            is_landmark = observations.landmarks == landmark
+            is_landmark |= observations.successors == landmark
+            for row in np.flatnonzero(is_landmark)[:1]:
                 noise_row = observations.noise_rows(np.array([landmark]))[0]
                 known = observations.noise is not None and noise_row >= 0
                 frames.append(observations.frame)

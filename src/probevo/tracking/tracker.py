@@ -83,20 +83,17 @@ class TrackingState:
         )
 
     def observations(self, frame: Frame) -> FrameObservations:
-        """Return what the frame observed, for the store.
-
-        A feature that changed its looks is the last observation of one landmark, and the first of
-        the next.
-        """
-        changed = np.flatnonzero(~self.matches_anchor)
-        rows = np.concatenate([np.arange(len(self)), changed])
-        landmarks = np.concatenate([self.ids, self.next_id + np.arange(len(changed))])
+        """Return what the frame observed, for the store."""
+        changed = ~self.matches_anchor
+        successors = self.ids.copy()
+        successors[changed] = self.next_id + np.arange(int(changed.sum()))
         return FrameObservations(
             frame=frame.index,
             stamp_ns=frame.stamp_ns,
-            landmarks=landmarks,
-            pixels=self.pixels[rows],
-            patches=None if self.patches is None else self.patches.subset(rows),
+            landmarks=self.ids,
+            successors=successors,
+            pixels=self.pixels,
+            patches=self.patches,
         )
 
 

@@ -1,2 +1,2 @@
-"""Recordings → noise model, with truth at every step, at some steps, of positions only, or of a
-closed loop alone."""
+"""Recordings → noise model, with truth at every step, at some steps, of positions only, of a closed
+loop, or without truth."""

@@ -1,4 +1,4 @@
-"""What a training has done so far, on disk, so that it can be stopped at any moment and go on."""
+"""The intermediate results of a training on disk, so that it can be stopped and resumed."""
 
 from __future__ import annotations
 
@@ -18,31 +18,34 @@ from probevo.errors import InputError
 from probevo.files import remove_stale, write_atomically
 from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.model_io import load_model, save_model
-from probevo.training.recording import TICKET
+from probevo.training.lease import LEASE
 from probevo.training.settings import TrainSettings
-from probevo.training.supervised_drive import DriveOnDisk, whole
+from probevo.training.supervised_drive import DriveOnDisk, damage_reported
 
 Iteration = list[tuple[IntArray, FloatArray]]
-"""Of each drive, the features that took part in a motion with a known error, and that error."""
+"""For each drive, the features that took part in a motion with a known error, and that error."""
 
 
 PLAN = "plan.json"
+"""File with the settings and recordings that the folder belongs to."""
 DRIVES = ("drive-[0-9]*.json", "drive-[0-9]*.npz", "drive-[0-9]*.frames")
+"""Recorded drives, which depend on recordings, predictors and odometry only."""
 MADE_OF_DRIVES = (
     "drive-truth-*.npz",
     "thin-*.json",
     "thin-*.npz",
     "iteration-*.npz",
-    "turn-*.safetensors",
+    "em-iteration-*.safetensors",
 )
-KINDS = (PLAN, TICKET, *DRIVES, *MADE_OF_DRIVES)
-OWN = tuple(f"{name}{end}" for name in KINDS for end in ("", ".part", ".*.part"))
-"""All that is ever written into the folder, and so all that is ever removed from it."""
+"""Files that depend on the other settings or on the truth, too."""
+KINDS = (PLAN, LEASE, *DRIVES, *MADE_OF_DRIVES)
+OWN = tuple(f"{name}{suffix}" for name in KINDS for suffix in ("", ".part", ".*.part"))
+"""All files that are ever written into the folder, and so all that are ever removed from it."""
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A folder beside the model file; each thing in it is written whole or not at all."""
+    """A folder beside the model file; each file in it is written whole or not at all."""
 
     folder: Path
 
@@ -54,96 +57,110 @@ class Checkpoint:
         settings: TrainSettings,
         columns: tuple[str, ...],
     ) -> Checkpoint:
-        """The work so far for this model file, or none yet. What other settings or truth made of
-        the drives is dropped.
+        """Open the checkpoint of a model file, or begin a new one.
+
+        Files that were made of the drives with other settings or other truth are removed.
 
         Args:
             out: the model file.
-            recordings, truths: the facts of each ``Source``, and the digests of their truth.
+            recordings: ``Source.facts`` of each recording.
+            truths: ``Source.truth`` of each recording.
             settings: all settings.
-            columns: of the prediction space.
+            columns: columns of the prediction space.
 
         Raises:
-            InputError: what lies there belongs to other recordings, predictors or settings of the
-                odometry, is damaged or not ours, or the place cannot be written to.
+            InputError: the folder belongs to other recordings, predictors or settings of the
+                odometry, is damaged, holds foreign files, or cannot be written to.
         """
         checkpoint = Checkpoint(out.with_name(out.name + ".work"))
         checkpoint._refuse_foreign()
+
+        # What the recorded drives depend on, and what the iterations over them depend on.
         chosen = settings.model_dump(
             mode="json", exclude={"neighbors", "exponent", "average", "iterations"}
         )
         of_drives = {name: chosen.pop(name) for name in ("odometry", "max_frames", "predictors")}
-        facts = {
+        plan = {
             "probevo": __version__,
             "drives": {**of_drives, "columns": list(columns), "recordings": recordings},
             "iterations": chosen | {"truths": truths},
         }
-        before = checkpoint._plan()
-        same = all(before.get(part) == facts[part] for part in ("probevo", "drives"))
-        if before and not same and any(checkpoint.folder.glob("drive-[0-9]*.npz")):
+
+        # Refuse to mix the drives of two different trainings.
+        found = checkpoint._plan()
+        is_same = all(found.get(part) == plan[part] for part in ("probevo", "drives"))
+        if found and not is_same and any(checkpoint.folder.glob("drive-[0-9]*.npz")):
             differs = "recordings, predictors or odometry"
-            if before.get("drives") == facts["drives"]:
-                differs = f"code, probevo {before.get('probevo')} instead of {__version__}"
-            what = f"a training that was stopped here had other {differs}."
+            if found.get("drives") == plan["drives"]:
+                differs = f"code, probevo {found.get('probevo')} instead of {__version__}"
             raise InputError(
-                checkpoint.folder, what, "Repeat those to go on with it, or delete this folder."
+                checkpoint.folder,
+                f"a training that was stopped here had other {differs}.",
+                "Repeat those to go on with it, or delete this folder.",
             )
-        if not same:  # no drive is begun yet, or ``remove`` was stopped
+
+        # Remove what cannot be used. Without the same plan no drive is begun yet, or an earlier
+        # removal was interrupted.
+        if not is_same:
             checkpoint._remove(*OWN)
-        elif before.get("iterations") != facts["iterations"]:
+        elif found.get("iterations") != plan["iterations"]:
             checkpoint._remove(*MADE_OF_DRIVES)
         checkpoint._remove("*.part", "*.frames")
-        write_atomically(checkpoint.folder / PLAN, json.dumps(facts, indent=1) + "\n")
+        write_atomically(checkpoint.folder / PLAN, json.dumps(plan, indent=1) + "\n")
         return checkpoint
 
     def drive(self, number: int, camera: StereoCamera) -> DriveOnDisk:
-        """The recording of that number, whatever there is of it."""
+        """Return the drive of the recording of that number, complete or not."""
         return DriveOnDisk(self.folder, number, camera)
 
     def iteration(self, number: int) -> Iteration | None:
-        """An iteration that is done."""
-        path = self._iteration(number)
+        """Read an iteration of PROBE; None if it is not stored."""
+        path = self._iteration_path(number)
         if not path.exists():
             return None
-        with whole(path), np.load(path, allow_pickle=False) as archive:
-            count = len(archive.files) // 2
-            return [(archive[f"features_{k}"], archive[f"alphas_{k}"]) for k in range(count)]
+        with damage_reported(path), np.load(path, allow_pickle=False) as archive:
+            num_drives = len(archive.files) // 2
+            return [(archive[f"features_{k}"], archive[f"alphas_{k}"]) for k in range(num_drives)]
 
     def keep_iteration(self, number: int, iteration: Iteration) -> None:
-        """Write it."""
-        buffer = io.BytesIO()
+        """Write an iteration of PROBE."""
         arrays: dict[str, AnyArray] = {}
         for k, (features, alphas) in enumerate(iteration):
-            arrays |= {f"features_{k}": features, f"alphas_{k}": alphas}
+            arrays[f"features_{k}"] = features
+            arrays[f"alphas_{k}"] = alphas
+        buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **arrays)
-        write_atomically(self._iteration(number), buffer.getvalue())
+        write_atomically(self._iteration_path(number), buffer.getvalue())
 
-    def turn(self, number: int) -> LearnedNoiseModel | None:
-        """The model after a turn of EM that is done."""
-        path = self._turn(number)
+    def em_model(self, number: int) -> LearnedNoiseModel | None:
+        """Read the model after an EM iteration; None if it is not stored."""
+        path = self._em_path(number)
         return load_model(path) if path.exists() else None
 
-    def keep_turn(self, number: int, model: LearnedNoiseModel) -> None:
-        """Write it."""
-        save_model(model, self._turn(number))
+    def keep_em_model(self, number: int, model: LearnedNoiseModel) -> None:
+        """Write the model after an EM iteration."""
+        save_model(model, self._em_path(number))
 
     def remove(self) -> None:
-        """The model is written: nothing of this is needed any more."""
-        self._remove(*OWN)  # the plan first, lest a rest of this pass for work to go on with
+        """Remove the checkpoint, which is no longer needed once the model is written."""
+        # The plan goes first: without it, an interrupted removal does not pass for a checkpoint.
+        self._remove(*OWN)
         with suppress(OSError):
             self.folder.rmdir()
 
     def _plan(self) -> dict[str, Any]:
+        """Read the plan; empty if there is none."""
         path = self.folder / PLAN
         if not path.exists():
             return {}
-        with whole(path):
+        with damage_reported(path):
             plan = json.loads(path.read_text("utf-8"))
             if not (isinstance(plan, dict) and "drives" in plan):
                 raise ValueError("it is no plan of a training")
             return plan
 
     def _refuse_foreign(self) -> None:
+        """Refuse a folder that holds files of others."""
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(
                 self.folder,
@@ -151,21 +168,39 @@ class Checkpoint:
                 "Move it.",
             )
         found = set(self.folder.iterdir()) if self.folder.exists() else set()
-        foreign = sorted(found - {path for pattern in OWN for path in self.folder.glob(pattern)})
+        own = {path for pattern in OWN for path in self.folder.glob(pattern)}
+        foreign = sorted(found - own)
         if foreign:
-            what = (
+            raise InputError(
+                self.folder,
                 f"holds {foreign[0].name}, which is none of ours; the work so far is kept in a"
-                " folder of this name."
+                " folder of this name.",
+                "Move it, or give the model another name.",
             )
-            raise InputError(self.folder, what, "Move it, or give the model another name.")
 
     def _remove(self, *patterns: str) -> None:
         for pattern in patterns:
             for path in sorted(self.folder.glob(pattern)):
                 remove_stale(path)
 
-    def _turn(self, number: int) -> Path:
-        return self.folder / f"turn-{number}.safetensors"
+    def _em_path(self, number: int) -> Path:
+        return self.folder / f"em-iteration-{number}.safetensors"
 
-    def _iteration(self, number: int) -> Path:
+    def _iteration_path(self, number: int) -> Path:
         return self.folder / f"iteration-{number}.npz"
+
+
+class NoCheckpoint:
+    """A checkpoint that keeps nothing, for a training that need not be resumed."""
+
+    def iteration(self, number: int) -> Iteration | None:
+        """Return None: no iteration is stored."""
+
+    def keep_iteration(self, number: int, iteration: Iteration) -> None:
+        """Discard the iteration."""
+
+    def em_model(self, number: int) -> LearnedNoiseModel | None:
+        """Return None: no model is stored."""
+
+    def keep_em_model(self, number: int, model: LearnedNoiseModel) -> None:
+        """Discard the model."""

@@ -1,4 +1,4 @@
-"""A recording, tracked and solved once: all that training needs to know of it, without its images."""
+"""A drive: a recording that is tracked and solved once; all that training needs, without images."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.tracking.tracks import Tracks
 
 SINGLE = ("prev_px", "curr_px", "phi")
-"""What is of single precision on disk."""
+"""Arrays that are of single precision on disk."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """K − 1 consecutive steps of a recording, all of them or a part, and the n features of all
-    steps, in their order.
+    """K − 1 consecutive steps of a recording, or a part of them, and the n features of all steps.
 
-    On disk, pixels and predictors are of single precision: half the size, and 0.0001 px at most.
+    On disk, pixels and predictors are of single precision: this halves the size and changes a pixel
+    coordinate by at most 0.0001 px.
     """
 
     T_curr_prev: FloatArray
-    """Motion of each step as all its features give it, [K − 1, 4, 4]."""
+    """Motion of each step, solved with all its features, [K − 1, 4, 4]."""
     numbers: IntArray
-    """Which step of the recording each is, ascending, [K − 1]; what is missing in between was not
-    taken."""
+    """Number of each step in the recording, ascending, [K − 1]; gaps are steps that were left
+    out."""
     first_of_step: IntArray
-    """Where the features of each step begin, and the end of the last, [K]."""
+    """Index of the first feature of each step, and the end of the last step, [K]."""
     prev_px: FloatArray
-    """(u_l, v_l, u_r, v_r) of each feature in the frame before, corrected, [n, 4]."""
+    """(u_l, v_l, u_r, v_r) of each feature in the previous frame, corrected, [n, 4]."""
     curr_px: FloatArray
     """The same in the current frame."""
     ids: IntArray
-    """Identity of its track, [n]."""
+    """Identity of the track of each feature, [n]."""
     phi: FloatArray
-    """Its place in the prediction space, [n, M]."""
+    """Place of each feature in the prediction space, [n, M]."""
     used: BoolArray
-    """Whether the step was solved and this one had a part in it, [n]; RANSAC and the pre-filter
-    turn some away."""
+    """Whether the step was solved and the feature took part, [n]: RANSAC and the gyro's pre-filter
+    reject some."""
 
     def rows(self, step: int) -> slice:
-        """Where the features of a step are."""
+        """Return the features of a step."""
         return slice(*self.first_of_step[step : step + 2].tolist())
 
     def tracks(self, step: int) -> Tracks:
-        """The features of a step; their ages are not kept."""
+        """Return the features of a step as tracks; their ages are not known."""
         rows = self.rows(step)
         return Tracks(
             self.prev_px[rows],
@@ -63,45 +63,55 @@ class Drive:
         return np.repeat(np.arange(len(self.T_curr_prev)), np.diff(self.first_of_step))
 
     def kept(self, steps: BoolArray) -> Drive:
-        """Only the steps that are marked, [K − 1]."""
+        """Return the drive with the marked steps only, [K − 1]."""
         rows = steps[self.step_of_feature]
-        features = {
-            name: getattr(self, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")
-        }
         counts = np.diff(self.first_of_step)[steps]
         return Drive(
-            self.T_curr_prev[steps],
-            self.numbers[steps],
-            np.concatenate([[0], np.cumsum(counts)]),
-            **features,
+            T_curr_prev=self.T_curr_prev[steps],
+            numbers=self.numbers[steps],
+            first_of_step=np.concatenate([[0], np.cumsum(counts)]),
+            prev_px=self.prev_px[rows],
+            curr_px=self.curr_px[rows],
+            ids=self.ids[rows],
+            phi=self.phi[rows],
+            used=self.used[rows],
         )
 
 
 def joined(parts: Iterable[Drive]) -> Drive:
-    """One after another as one."""
-    found = list(parts)
-    arrays = {
-        field.name: np.concatenate([getattr(part, field.name) for part in found])
-        for field in fields(Drive)
-    }
-    counts = np.concatenate([np.diff(part.first_of_step) for part in found])
-    return Drive(**arrays | {"first_of_step": np.concatenate([[0], np.cumsum(counts)])})
+    """Concatenate the parts of a drive."""
+    # Feature indices begin at 0 in each part, and are counted anew over all parts.
+    drives = list(parts)
+    counts = np.concatenate([np.diff(part.first_of_step) for part in drives])
+    return Drive(
+        T_curr_prev=np.concatenate([part.T_curr_prev for part in drives]),
+        numbers=np.concatenate([part.numbers for part in drives]),
+        first_of_step=np.concatenate([[0], np.cumsum(counts)]),
+        prev_px=np.concatenate([part.prev_px for part in drives]),
+        curr_px=np.concatenate([part.curr_px for part in drives]),
+        ids=np.concatenate([part.ids for part in drives]),
+        phi=np.concatenate([part.phi for part in drives]),
+        used=np.concatenate([part.used for part in drives]),
+    )
 
 
 def drive_bytes(drive: Drive) -> bytes:
-    """An ``.npz`` file."""
+    """Return the content of an ``.npz`` file with the drive."""
     arrays: dict[str, AnyArray] = {
         field.name: getattr(drive, field.name) for field in fields(Drive)
     }
-    arrays |= {name: arrays[name].astype(np.float32) for name in SINGLE}
+    # Half the size; no array is computed with in single precision.
+    for name in SINGLE:
+        arrays[name] = arrays[name].astype(np.float32)
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()
 
 
 def load_drive(path: Path) -> Drive:
-    """Read what ``drive_bytes`` gave."""
+    """Read a file that ``drive_bytes`` gave."""
     with np.load(path, allow_pickle=False) as archive:
-        arrays = {field.name: archive[field.name] for field in fields(Drive)}
-    wide: dict[str, AnyArray] = {name: arrays[name].astype(np.float64) for name in SINGLE}
-    return Drive(**arrays | wide)
+        arrays: dict[str, AnyArray] = {field.name: archive[field.name] for field in fields(Drive)}
+    for name in SINGLE:
+        arrays[name] = arrays[name].astype(np.float64)
+    return Drive(**arrays)

@@ -1,16 +1,19 @@
-"""Recording → drive, part by part: the odometry runs over it once, and no more than a part is held
-in memory."""
+"""Recording → drive: the odometry runs over the recording once, and the drive is yielded in parts.
+
+At most one part is held in memory.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from itertools import islice
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_estimate import Status
 from probevo.noise import StudentT
@@ -25,19 +28,19 @@ from probevo.training.drive import Drive
 from probevo.training.sources import calibration
 
 MOST_STEPS = 1000
+"""Most steps of a part."""
 MOST_BYTES = 32_000_000
-"""Of a part, as it lies on disk; a single step may be larger."""
+"""Most bytes of a part on disk; a single step may be larger."""
 
 
 class Extraction:
-    """Walk through a recording with static robust noise, and keep every step's features with their
-    predictors.
+    """A walk through a recording with static robust noise, which keeps the features of every step.
 
     Args:
         sequence: the recording.
         space: the predictors.
         config: all settings of the odometry.
-        num_frames: how many of its frames, at least 2.
+        num_frames: how many of its frames to use, at least 2.
         on_frame: called with how many frames are done.
     """
 
@@ -66,86 +69,108 @@ class Extraction:
         return self._digest.hexdigest()
 
     def __iter__(self) -> Iterator[Drive]:
-        """The parts, each of at most MOST_STEPS and MOST_BYTES.
+        """Yield the parts, each of at most MOST_STEPS and MOST_BYTES.
 
         Raises:
             InputError: the recording is faulty, its left and right images are swapped, it lacks
                 what a predictor needs, or a predictor is undefined where it must not be.
         """
-        part = _Part()
-        size = 0
-        number = 0
+        part = _Part(first_step=0)
+        part_bytes = 0
         for frame in islice(self.sequence, self.num_frames):
             motion = self._step(frame)
             if motion is None:
                 continue
-            odometry = self._odometry
-            used = odometry.used & motion[1]  # a step that was carried on teaches nothing
-            added = _bytes(odometry.phi)
-            if len(part) and (len(part) == MOST_STEPS or size + added > MOST_BYTES):
-                yield part.drive(number)
-                part, size, number = _Part(), 0, number + len(part)
-            part.add(motion[0], odometry.tracks, odometry.phi, used)
-            size += added
-        yield part.drive(number)
+            T_curr_prev, is_solved = motion
+
+            # Begin a new part where this step would make the current one too large.
+            step_bytes = _bytes(self._odometry.phi)
+            is_full = len(part) == MOST_STEPS or part_bytes + step_bytes > MOST_BYTES
+            if len(part) and is_full:
+                yield part.drive()
+                part = _Part(first_step=part.first_step + len(part))
+                part_bytes = 0
+
+            # Nothing is learned from a step whose motion is dead reckoning.
+            used = self._odometry.used & is_solved
+            part.add(T_curr_prev, self._odometry.tracks, self._odometry.phi, used)
+            part_bytes += step_bytes
+        yield part.drive()
 
     def _step(self, frame: Frame) -> tuple[FloatArray, bool] | None:
-        """Motion to this frame, and whether it was solved; None of the first."""
-        _take_in(self._digest, frame)
+        """Return the motion to this frame and whether it was solved; None for the first frame."""
+        # The digest identifies the training data in the model's metadata.
+        _hash_frame(self._digest, frame)
         motion = self._odometry.step(frame)
         odometry = self._odometry
         check_defined(odometry.phi, self.space.columns, self.space.may_be_undefined)
+
+        # Swapped cameras show after some frames.
         self._matches += count_matches(odometry.tracks)
         if frame.index == min(FRAMES_TO_SEE, self.num_frames - 1):
             check_left_right(int(self._matches[0]), int(self._matches[1]), self.sequence.path)
         if self.on_frame is not None:
             self.on_frame(frame.index + 1)
-        return None if frame.index == 0 else (motion.T_curr_prev, motion.status is Status.OK)
+        if frame.index == 0:
+            return None
+        return motion.T_curr_prev, motion.status is Status.OK
 
 
+@dataclass(frozen=True)
+class _Step:
+    """A step of a part."""
+
+    T_curr_prev: FloatArray
+    tracks: Tracks
+    phi: FloatArray
+    used: BoolArray
+
+
+@dataclass
 class _Part:
-    """Steps that are gathered for a drive."""
+    """Steps that are gathered for a part of a drive."""
 
-    def __init__(self) -> None:
-        self.motions: list[FloatArray] = []
-        self.steps: list[tuple[FloatArray, FloatArray, IntArray, FloatArray, BoolArray]] = []
+    first_step: int
+    """Number of its first step in the recording."""
+    steps: list[_Step] = field(default_factory=list)
 
     def __len__(self) -> int:
+        """Return the number of steps."""
         return len(self.steps)
 
     def add(
         self, T_curr_prev: FloatArray, tracks: Tracks, phi: FloatArray, used: BoolArray
     ) -> None:
-        self.motions.append(T_curr_prev)
-        self.steps.append((tracks.prev_px, tracks.curr_px, tracks.ids, phi, used))
+        """Append a step."""
+        self.steps.append(_Step(T_curr_prev=T_curr_prev, tracks=tracks, phi=phi, used=used))
 
-    def drive(self, first: int) -> Drive:
-        """The part; the number of its first step."""
-        prev_px, curr_px, ids, phi, used = (
-            np.concatenate(part) for part in zip(*self.steps, strict=True)
-        )
-        first_of_step = np.cumsum([0, *(len(step[0]) for step in self.steps)])
-        numbers = np.arange(first, first + len(self.motions))
+    def drive(self) -> Drive:
+        """Return the steps as arrays."""
+        counts = [len(step.tracks) for step in self.steps]
         return Drive(
-            np.array(self.motions),
-            numbers,
-            first_of_step,
-            prev_px=prev_px,
-            curr_px=curr_px,
-            ids=ids,
-            phi=phi,
-            used=used,
+            T_curr_prev=np.array([step.T_curr_prev for step in self.steps]),
+            numbers=np.arange(self.first_step, self.first_step + len(self.steps)),
+            first_of_step=np.cumsum([0, *counts]),
+            prev_px=np.concatenate([step.tracks.prev_px for step in self.steps]),
+            curr_px=np.concatenate([step.tracks.curr_px for step in self.steps]),
+            ids=np.concatenate([step.tracks.ids for step in self.steps]),
+            phi=np.concatenate([step.phi for step in self.steps]),
+            used=np.concatenate([step.used for step in self.steps]),
         )
 
 
 def _bytes(phi: FloatArray) -> int:
-    """What a step takes on disk: its features' observations, identities, predictors and marks, its
-    motion and place."""
+    """Return how many bytes a step with n features and M predictors, [n, M], takes on disk.
+
+    These are observations, identities, predictors and flags of its features, its motion and its
+    index.
+    """
     count, columns = map(int, phi.shape)
     return count * (4 * (4 + 4 + columns) + 8 + 1) + 136
 
 
-def _take_in(digest: hashlib._Hash, frame: Frame) -> None:
+def _hash_frame(digest: hashlib._Hash, frame: Frame) -> None:
+    """Add all that the odometry is given with a frame to the digest."""
     digest.update(np.int64(frame.stamp_ns).tobytes())
     arrays: list[AnyArray | None] = [frame.left, frame.right]
     if frame.features is not None:

@@ -1,5 +1,7 @@
-"""Recordings → drives on disk: each recording is the work of one worker, which tells in a file how
-far it is."""
+"""Recordings → drives on disk: each recording is one worker's task.
+
+Workers in other processes report their progress in files.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +11,12 @@ from collections.abc import Sequence as Collection
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from threading import Event, Thread
-from uuid import uuid4
 
 from probevo.errors import ProbevoError
-from probevo.files import write_atomically
 from probevo.predictors import PredictionSpace
 from probevo.training.extraction import Extraction
+from probevo.training.lease import is_valid, leased
 from probevo.training.settings import TrainSettings
 from probevo.training.sources import Source
 from probevo.training.supervised_drive import DriveOnDisk
@@ -24,9 +24,13 @@ from probevo.training.supervision import supervision_of
 from probevo.training.workers import Workers
 
 OnFrames = Callable[[int], None]
-"""Takes how many frames of all recordings are done."""
+"""Takes a number of frames that are done."""
 REPORT_S = 1.0
-TICKET = "ticket"
+"""Time between two reports of a worker."""
+
+
+class LeaseExpiredError(ProbevoError):
+    """The training that waited for this worker was stopped, or began anew."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +39,8 @@ class _Task:
     drive: DriveOnDisk
     space: PredictionSpace
     settings: TrainSettings
-    ticket: str
-    """Of this call: a worker that finds another one's goes home, as nobody waits for it any more.
-    """
+    lease: str
+    """Lease of the call that the task belongs to; a worker stops once it has expired."""
 
 
 def record_all(
@@ -45,41 +48,63 @@ def record_all(
     drives: Collection[DriveOnDisk],
     space: PredictionSpace,
     settings: TrainSettings,
+    *,
     workers: Workers,
     on_frames: OnFrames,
 ) -> None:
-    """Write, of each recording, what is missing of its drive; in this process, ``on_frames`` hears
-    of every frame."""
-    left = [n for n, drive in enumerate(drives) if not drive.is_complete]
-    before = sum(source.num_frames for source in sources) - sum(sources[n].num_frames for n in left)
-    if before:
-        on_frames(before)
-    if not left:
+    """Record the drives that are not complete yet.
+
+    Args:
+        sources: the recordings.
+        drives: the drive of each recording.
+        space: the predictors.
+        settings: all settings.
+        workers: processes that do the work, one recording each at a time.
+        on_frames: called with how many frames of all recordings are done: after each frame if this
+            process does the work, or else from time to time.
+    """
+    # Drives of an earlier call count as done.
+    missing = [number for number, drive in enumerate(drives) if not drive.is_complete]
+    num_frames = sum(source.num_frames for source in sources)
+    frames_done = num_frames - sum(sources[number].num_frames for number in missing)
+    if frames_done:
+        on_frames(frames_done)
+    if not missing:
         return
+
+    # In this process: one recording after another, reported frame by frame.
     if workers.are_here:
-        for n in left:
+        for number in missing:
             _record(
-                sources[n],
-                drives[n],
+                sources[number],
+                drives[number],
                 space,
-                settings=settings,
-                on_frame=partial(_on_frame, on_frames, before),
+                settings,
+                on_frame=partial(_report_sum, on_frames, frames_done),
             )
-            before += sources[n].num_frames
-            on_frames(before)
+            frames_done += sources[number].num_frames
+            on_frames(frames_done)
         return
-    left.sort(
-        key=lambda n: -sources[n].num_frames
-    )  # the longest first, lest all wait for it in the end
-    with _issued(drives[0].folder) as ticket:
+
+    # Elsewhere: the longest recordings first, so that no worker begins one when others are done.
+    missing.sort(key=lambda number: -sources[number].num_frames)
+    with leased(drives[0].folder) as lease:
         tasks = [
-            _Task(sources[n], drives[n], space, settings=settings, ticket=ticket) for n in left
+            _Task(
+                source=sources[number],
+                drive=drives[number],
+                space=space,
+                settings=settings,
+                lease=lease,
+            )
+            for number in missing
         ]
-        with _watched(tasks, lambda done: on_frames(before + done)):
+        with _reported(tasks, lambda done: on_frames(frames_done + done)):
             workers.map(_record_elsewhere, tasks, [str(task.source.path) for task in tasks])
 
 
-def _on_frame(on_frames: OnFrames, before: int, done: int) -> None:
+def _report_sum(on_frames: OnFrames, before: int, done: int) -> None:
+    """Report the frames of this recording together with those before it."""
     on_frames(before + done)
 
 
@@ -90,73 +115,54 @@ def _record(
     settings: TrainSettings,
     on_frame: OnFrames,
 ) -> None:
+    """Record one drive and its supervision."""
     sequence = source.open()
-    drive.keep_supervision(
-        supervision_of(
-            sequence, settings.supervision, settings.every_s, num_frames=source.num_frames
-        )
+    supervision = supervision_of(
+        sequence, settings.supervision, settings.every_s, num_frames=source.num_frames
     )
-    if not drive.is_whole:
+    drive.keep_supervision(supervision)
+    if not drive.is_recorded:
         extraction = Extraction(
             sequence, space, settings.odometry, num_frames=source.num_frames, on_frame=on_frame
         )
         drive.keep_drive(extraction, lambda: extraction.digest, len(space.columns))
 
 
-class _GoneError(ProbevoError):
-    """Nobody waits for this worker any more: the training was stopped, or began anew."""
-
-
 def _record_elsewhere(task: _Task) -> None:
-    due_s = 0.0
+    """Record one drive in a process of its own, as long as its lease is valid.
+
+    Raises:
+        LeaseExpiredError: nobody waits for the drive any more.
+    """
+    next_report_s = 0.0
 
     def report(frames: int) -> None:
-        nonlocal due_s
-        if time.monotonic() < due_s:
+        nonlocal next_report_s
+        # Reports are files, and few of them suffice.
+        if time.monotonic() < next_report_s:
             return
-        if not _is_good(task.ticket, task.drive.folder):
-            raise _GoneError
-        task.drive.tell(frames)
-        due_s = time.monotonic() + REPORT_S
+        if not is_valid(task.lease, task.drive.folder):
+            raise LeaseExpiredError
+        task.drive.report_frames(frames)
+        next_report_s = time.monotonic() + REPORT_S
 
-    if (
-        not task.drive.is_complete
-    ):  # another worker, given up for lost, may have been through all the same
-        _record(task.source, task.drive, task.space, settings=task.settings, on_frame=report)
-    task.drive.tell(task.source.num_frames)
-
-
-@contextmanager
-def _issued(folder: Path) -> Iterator[str]:
-    """A ticket that is good until the end, or until the next one is issued."""
-    ticket = uuid4().hex
-    write_atomically(folder / TICKET, ticket)
-    try:
-        yield ticket
-    finally:
-        write_atomically(folder / TICKET, "none is good")
-
-
-def _is_good(ticket: str, folder: Path) -> bool:
-    """Whether it is the one that was issued last; if that cannot be told, as on a slow file system,
-    it is."""
-    try:
-        return (folder / TICKET).read_text("utf-8") == ticket
-    except OSError:
-        return True
+    # Another worker, given up as lost, may have completed the drive after all.
+    if not task.drive.is_complete:
+        _record(task.source, task.drive, task.space, task.settings, on_frame=report)
+    task.drive.report_frames(task.source.num_frames)
 
 
 @contextmanager
-def _watched(tasks: Collection[_Task], on_frames: OnFrames) -> Iterator[None]:
-    """Meanwhile another thread tells how far the workers are, and this one in the end."""
+def _reported(tasks: Collection[_Task], on_frames: OnFrames) -> Iterator[None]:
+    """Report the progress of all workers from another thread, and once more at the end."""
     is_over = Event()
 
-    def frames() -> int:
+    def frames_done() -> int:
         return sum(task.drive.frames_done for task in tasks)
 
     def watch() -> None:
         while not is_over.wait(REPORT_S):
-            on_frames(frames())
+            on_frames(frames_done())
 
     thread = Thread(target=watch, daemon=True)
     thread.start()
@@ -165,4 +171,4 @@ def _watched(tasks: Collection[_Task], on_frames: OnFrames) -> Iterator[None]:
     finally:
         is_over.set()
         thread.join()
-    on_frames(frames())
+    on_frames(frames_done())

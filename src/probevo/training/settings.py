@@ -1,4 +1,4 @@
-"""Every setting of ``probevo train``, with its bounds and its why."""
+"""Every setting of ``probevo train``, with its bounds and its reason."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ DEFAULT = (
     "forward_backward",
     "structure",
 )
-"""No accelerometer: a model that needs one is of no use to a recording that has none."""
+"""Default predictors of PROBE. None needs an accelerometer, as a model that needs one is of no use
+to a recording without it."""
 KERNEL = (
     "place",
     "last_residual",
@@ -41,15 +42,31 @@ KERNEL = (
     "forward_backward",
     "window_difference",
 )
-"""Of these the kernel chooses. None is made of the very measurements whose noise is predicted: a
-weight that goes with the error of a disparity, or with how well a feature agrees with the expected
-motion (``disparity``, ``flow``, ``residual_flow``), makes residuals more likely and motions worse.
-"""
+"""Default predictors of PROBE-GK, among which the kernel chooses. None is computed from the very
+measurements whose noise is predicted: a weight that is correlated with the error of a disparity, or
+with how well a feature agrees with the predicted motion (``disparity``, ``flow``,
+``residual_flow``), makes residuals more likely and motions worse."""
+PROBE_ONLY = (
+    "base",
+    "iterations",
+    "subset",
+    "contrast",
+    "relative",
+    "average",
+    "neighbors",
+    "exponent",
+)
+"""Fields of ``TrainSettings`` that only PROBE uses."""
+KERNEL_ONLY = ("variant", "neighbors", "reach", "prior_counts", "bias", "centers", "iterations")
+"""Fields of ``KernelSettings`` that only the generalized kernel uses; the static Student-t uses the
+others, too."""
 
 
 class KernelSettings(Settings):
-    """What PROBE-GK is trained with; whatever is left out is chosen by the likelihood of blocks of
-    time left out."""
+    """Settings of PROBE-GK; a hyperparameter that is not given is chosen by cross-validation.
+
+    The criterion is the likelihood of blocks of time that were left out.
+    """
 
     variant: Literal["robust", "published"] = Field(
         "robust",
@@ -71,9 +88,9 @@ class KernelSettings(Settings):
     bias: bool = Field(
         False,
         description=(
-            "Learn what errors are on average too, not only how they scatter. It makes residuals"
-            " more likely, but without truth a bias cannot be told from a motion, and each turn of"
-            " EM moves both a little further."
+            "Learn the mean of errors too, not only their scatter. It makes residuals more likely,"
+            " but without truth a bias cannot be told from a motion, and each EM iteration moves"
+            " both a little further."
         ),
     )
     centers: int = Field(
@@ -82,11 +99,11 @@ class KernelSettings(Settings):
         le=1_000_000,
         description="Places that the model is distilled into; the cost of a run goes by it.",
     )
-    turns: int = Field(
+    iterations: int = Field(
         5,
         ge=1,
         le=1000,
-        description="Turns of EM: motions given the noise, the noise given their residuals.",
+        description="EM iterations: motions given the noise, the noise given their residuals.",
     )
     quadratic: bool = Field(
         False,
@@ -104,15 +121,18 @@ class KernelSettings(Settings):
     time_correlation: bool = Field(
         True,
         description=(
-            "Learn how much of the error of a disparity is the same in both frames, beside what is"
-            " new in each; the noise of a residual as a whole has no such part."
+            "Learn how much of a disparity's error is time-correlated, the same in both frames,"
+            " beside what is new in each; the noise of a residual as a whole has no such part."
         ),
     )
     truth_sigma_m: float | None = Field(
         None,
         ge=0,
         le=1000,
-        description="How far the true positions are off, between two of them; left out, estimated.",
+        description=(
+            "Standard deviation of the true motion between two known positions, m; left out, it is"
+            " estimated."
+        ),
     )
     truth_sigma_deg: float | None = Field(
         None,
@@ -123,15 +143,18 @@ class KernelSettings(Settings):
 
     @property
     def learns_time_correlation(self) -> bool:
-        """Whether there is such a part, and it is to be learned."""
+        """Whether the noise has a time-correlated part, and it is to be learned."""
         return (
             self.time_correlation and self.refers_to == "observation" and self.variant == "robust"
         )
 
     @staticmethod
     def published() -> KernelSettings:
-        """As in PROBE-GK: the noise of residuals, an inverse Wishart, least squares in EM, truth
-        that is exact."""
+        """Return the settings of PROBE-GK as published.
+
+        The noise is that of residuals, the posterior an inverse Wishart, the motions of EM are
+        solved by least squares, and the truth is exact.
+        """
         return KernelSettings(
             variant="published",
             refers_to="residual",
@@ -141,19 +164,22 @@ class KernelSettings(Settings):
         )
 
     def given(self) -> dict[str, Any]:
-        """What need not be chosen, as ``GeneralizedKernel`` takes it."""
-        names = {
+        """Return the hyperparameters that are given, as ``GeneralizedKernel`` takes them."""
+        hyperparameters: dict[str, Any] = {
             "neighbors": self.neighbors,
             "reach": self.reach,
             "prior_counts": self.prior_counts,
         }
-        names |= {} if self.bias else {"bias_counts": math.inf}
-        return {name: value for name, value in names.items() if value is not None}
+        if not self.bias:
+            # An infinite weight of the prior, whose bias is 0.
+            hyperparameters["bias_counts"] = math.inf
+        return {name: value for name, value in hyperparameters.items() if value is not None}
 
 
 class TrainSettings(Settings):
-    """What a noise model is trained with."""
+    """Settings of a training."""
 
+    # What is learned, and from what.
     kind: Literal["knn", "gk", "student-t"] = Field(
         "knn",
         description=(
@@ -165,11 +191,11 @@ class TrainSettings(Settings):
     supervision: SupervisionName = Field(
         "gt",
         description=(
-            "What is known of the drives: the pose at every frame, or at some (sparse), positions"
-            " alone, only that each ends where it began (loop; or where the truth says, if it knows"
-            " both ends), or none of it: then the motion of all features stands in for the truth of"
-            " a few, better than a truth that is off by centimetres from frame to frame, as"
-            " KITTI's is."
+            "What is known of the drives: the pose at every frame (gt), or at some (sparse), only"
+            " positions (position), only that each ends where it began (loop; or where the truth"
+            " says, if it knows both ends), or nothing (none): then the motion of all features"
+            " replaces the truth for a few, which is better than a truth that is off by centimetres"
+            " from frame to frame, as KITTI's is."
         ),
     )
     every_s: float = Field(
@@ -184,9 +210,11 @@ class TrainSettings(Settings):
         None,
         min_length=1,
         description=(
-            "What spans the prediction space; left out, what suits the kind and the recordings."
+            "Predictors that span the prediction space; left out, those that suit the kind and the"
+            " recordings."
         ),
     )
+    # PROBE (``PROBE_ONLY``).
     base: BaseName = Field(
         "student-t",
         description=(
@@ -197,7 +225,9 @@ class TrainSettings(Settings):
         40,
         ge=2,
         le=10_000,
-        description="Motions of random subsets at each step; PROBE takes 10. More cost time alone.",
+        description=(
+            "Motions of random subsets at each step; PROBE takes 10. More only cost time."
+        ),
     )
     subset: int = Field(
         8,
@@ -212,7 +242,7 @@ class TrainSettings(Settings):
         ge=0,
         le=100,
         description=(
-            "How much alike the features of a subset are: each subset leans towards a random"
+            "How similar the features of a subset are: each subset leans towards a random"
             " direction of the prediction space, so that its error tells of one region of it. 0 is"
             " PROBE: subsets at random."
         ),
@@ -220,14 +250,14 @@ class TrainSettings(Settings):
     relative: bool = Field(
         True,
         description=(
-            "Compare α with what other subsets reached on the same step. PROBE does not; but what a"
-            " whole step has in common says nothing of which of its features to trust."
+            "Divide α by the mean α of other subsets of the same step. PROBE does not; but an error"
+            " that all subsets of a step share does not tell which of its features to trust."
         ),
     )
     average: Literal["arithmetic", "geometric"] = Field(
         "geometric",
         description=(
-            "Of α over the neighbours; PROBE's is arithmetic, which single large α carry away."
+            "Mean of α over the neighbours; PROBE's is arithmetic, which single large α dominate."
         ),
     )
     neighbors: int | None = Field(
@@ -242,14 +272,18 @@ class TrainSettings(Settings):
             " error of the best one's."
         ),
     )
+    # PROBE-GK, and what all kinds share.
     gk: KernelSettings = KernelSettings()
     max_frames: int | None = Field(None, ge=2, description="Of each recording, use so many frames.")
     odometry: OdometryConfig = OdometryConfig()
 
     @staticmethod
     def published() -> TrainSettings:
-        """As in PROBE: its predictors, Gaussian noise, no RANSAC but the gyro's pre-filter, ten
-        random subsets of 60 features (it took tenths of some 600), absolute α, arithmetic means."""
+        """Return the settings of PROBE as published.
+
+        These are its predictors, Gaussian noise, the gyro's pre-filter instead of RANSAC, ten
+        random subsets of 60 features (it took tenths of some 600), absolute α, arithmetic means.
+        """
         return TrainSettings(
             predictors=PUBLISHED,
             base="fixed",

@@ -1,4 +1,4 @@
-"""The recordings that a training is given: looked at, checked, and not held."""
+"""The recordings that a training is given: checked before the work, and opened only when needed."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from probevo.predictors import Needs, PredictionSpace, Predictor, prediction_spa
 from probevo.run_checks import check_imu
 from probevo.sequences import open_sequence
 from probevo.sequences.base import Sequence
-from probevo.training.settings import DEFAULT, KERNEL, TrainSettings
+from probevo.training.settings import TrainSettings
 from probevo.training.supervision import supervision_of
+from probevo.training.trainer import trainer_of
 
 Recording = Sequence | Path
-"""Open, or where it lies: then it is opened when it is needed, by whoever needs it, and closed
+"""An open recording, or its path; a path is opened by whoever needs the recording, and closed
 again."""
 
 
@@ -32,49 +33,59 @@ class Source:
     path: Path
     camera: StereoCamera
     num_frames: int
-    """Those that are used."""
+    """Number of its frames that are used."""
     facts: list[Any]
-    """By which it is known again, in plain values that JSON can hold: where it lies, how many
-    frames it has, when it begins and ends, and its calibration."""
+    """Facts that identify the recording, in plain values that JSON can hold: its path, number of
+    frames, first and last time, and calibration."""
     truth: str
-    """Digest of what is used of its truth."""
+    """Digest of the part of its ground truth that is used."""
 
     def open(self) -> Sequence:
-        """The recording."""
+        """Open the recording."""
         return opened(self.recording)
 
 
 def opened(recording: Recording) -> Sequence:
-    """The recording."""
+    """Open a recording that is given by its path; return any other as it is."""
     return open_sequence(recording) if isinstance(recording, Path) else recording
 
 
 def checked_sources(
     recordings: Collection[Recording], settings: TrainSettings, space: PredictionSpace
 ) -> list[Source]:
-    """The recordings; refuses before the long work what would only show after it.
+    """Check the recordings, so that what is wrong shows before the long work.
 
     Raises:
         InputError: a recording is faulty, lacks what the supervision or a predictor needs, is named
             twice, or has another camera than the first.
     """
     sources: list[Source] = []
-    named: set[Path] = set()
+    paths: set[Path] = set()
     for recording in recordings:
         sequence = opened(recording)
+
+        # Named twice, it would weigh twice.
         path = sequence.path.resolve()
-        if path in named:
+        if path in paths:
             raise InputError(
                 sequence.path,
                 "this recording is named twice.",
                 "Name each once: it would count double.",
             )
-        named.add(path)
+        paths.add(path)
+
+        # It must serve the predictors, and have the camera of the others: noise in pixels depends
+        # on the camera.
         space.check_recording(sequence)
         unlike = difference(sequence.camera, sources[0].camera) if sources else ""
         if unlike:
-            what = f"its camera is not that of {sources[0].path}: {unlike}."
-            raise InputError(sequence.path, what, "Train one model for each camera.")
+            raise InputError(
+                sequence.path,
+                f"its camera is not that of {sources[0].path}: {unlike}.",
+                "Train one model for each camera.",
+            )
+
+        # Frames, IMU and truth must suffice.
         num_frames = min(len(sequence), settings.max_frames or len(sequence))
         if num_frames < 2:
             raise InputError(
@@ -83,30 +94,31 @@ def checked_sources(
                 "Give a longer one.",
             )
         check_imu(sequence, settings.odometry)
-        truth = supervision_of(
+        supervision = supervision_of(
             sequence, settings.supervision, settings.every_s, num_frames=num_frames
-        ).digest
+        )
+
+        # A resumed training must find the same recording again.
         facts = [
             str(path),
             len(sequence),
             sequence.stamps_ns[[0, -1]].tolist(),
             calibration(sequence),
         ]
-        sources.append(
-            Source(
-                recording,
-                sequence.path,
-                sequence.camera,
-                num_frames=num_frames,
-                facts=facts,
-                truth=truth,
-            )
+        source = Source(
+            recording=recording,
+            path=sequence.path,
+            camera=sequence.camera,
+            num_frames=num_frames,
+            facts=facts,
+            truth=supervision.digest,
         )
+        sources.append(source)
     return sources
 
 
 def calibration(sequence: Sequence) -> list[Any]:
-    """Of camera and IMU, in plain values."""
+    """Return the calibration of camera and IMU in plain values."""
     parts = [sequence.camera, *([] if sequence.imu is None else [sequence.imu])]
     return [np.asarray(value).tolist() for part in parts for value in vars(part).values()]
 
@@ -114,11 +126,19 @@ def calibration(sequence: Sequence) -> list[Any]:
 def known_predictors(
     settings: TrainSettings, recordings: Collection[Recording]
 ) -> tuple[Predictor, ...]:
-    """Those that are named, or those that suit the kind and that every recording can serve."""
-    if settings.kind == "student-t":
+    """Return the predictors that the settings name, or else the defaults of the kind of model.
+
+    Of the defaults, those that need images are left out unless every recording has images.
+    """
+    default = trainer_of(settings.kind).default_predictors
+    if not default:
         return ()
     if settings.predictors is not None:
         return prediction_space(settings.predictors).predictors
-    images = all(opened(recording).camera.size_px is not None for recording in recordings)
-    suited = prediction_space(DEFAULT if settings.kind == "knn" else KERNEL).predictors
-    return tuple(p for p in suited if images or not p.needs & (Needs.LEFT | Needs.PREVIOUS_LEFT))
+    has_images = all(opened(recording).camera.size_px is not None for recording in recordings)
+    of_images = Needs.LEFT | Needs.PREVIOUS_LEFT
+    return tuple(
+        predictor
+        for predictor in prediction_space(default).predictors
+        if has_images or not predictor.needs & of_images
+    )

@@ -1,5 +1,4 @@
-"""What there is to learn from: a drive, and what is known of it. In memory, or part by part from
-files."""
+"""A drive together with what is known of its true motion, in memory or part by part on disk."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ from probevo.training.supervision import Supervision
 
 @dataclass(frozen=True)
 class DriveFacts:
-    """What need be known of a drive before its parts are read."""
+    """Facts of a drive that are needed before its parts are read."""
 
     digest: str
     """SHA-256 of all that the odometry was given."""
@@ -32,30 +31,42 @@ class DriveFacts:
     steps: int
     features: int
     used: int
-    """Those of the features that may teach something."""
+    """Number of features that took part in a solve, and so can be learned from."""
     moments: Moments
-    """Of the predictors of all features."""
+    """Moments of the predictors of all features."""
 
     @staticmethod
     def of(parts: Iterable[Drive], digest: Callable[[], str], columns: int) -> DriveFacts:
-        """Of a drive of M columns whose parts are looked at once, and whose digest is known after
-        that."""
-        count = 0
-        steps = 0
-        features = 0
-        used = 0
+        """Gather the facts of a drive in one pass over its parts.
+
+        Args:
+            parts: the parts.
+            digest: called after the last part, since the digest is known only then.
+            columns: number M of predictor columns.
+        """
+        num_parts = 0
+        num_steps = 0
+        num_features = 0
+        num_used = 0
         moments = Moments.none(columns)
         for part in parts:
-            count = count + 1
-            steps = steps + len(part.T_curr_prev)
-            features = features + len(part.phi)
-            used = used + int(part.used.sum())
+            num_parts += 1
+            num_steps += len(part.T_curr_prev)
+            num_features += len(part.phi)
+            num_used += int(part.used.sum())
             moments = moments + Moments.of(part.phi)
-        return DriveFacts(digest(), count, steps, features=features, used=used, moments=moments)
+        return DriveFacts(
+            digest=digest(),
+            parts=num_parts,
+            steps=num_steps,
+            features=num_features,
+            used=num_used,
+            moments=moments,
+        )
 
 
 class SupervisedDrive(Protocol):
-    """A drive, and what is known of it."""
+    """A drive, and what is known of its true motion."""
 
     @property
     def camera(self) -> StereoCamera:
@@ -63,19 +74,19 @@ class SupervisedDrive(Protocol):
 
     @property
     def facts(self) -> DriveFacts:
-        """Of the drive."""
+        """Facts of the whole drive."""
 
     @property
     def supervision(self) -> Supervision:
-        """What is known of it."""
+        """The part of the truth that is used."""
 
     def parts(self) -> Iterator[Drive]:
-        """The drive, one stretch of steps after another."""
+        """Yield the drive, one run of consecutive steps after another."""
 
 
 @dataclass(frozen=True)
 class DriveInMemory:
-    """One in memory."""
+    """A supervised drive in memory."""
 
     drive: Drive
     camera: StereoCamera
@@ -83,111 +94,127 @@ class DriveInMemory:
 
     @property
     def facts(self) -> DriveFacts:
-        """Of the drive, of which the digest is not known."""
+        """Facts of the drive; its digest is not known."""
         return DriveFacts.of([self.drive], str, self.drive.phi.shape[1])
 
     def parts(self) -> Iterator[Drive]:
-        """The whole drive."""
+        """Yield the whole drive."""
         yield self.drive
 
 
 @dataclass(frozen=True)
 class DriveOnDisk:
-    """One on disk, of which no more than a part is in memory; any process may write it, and only
-    whole files count."""
+    """A supervised drive on disk, of which at most one part is in memory.
+
+    Any process may write it. Each file is written whole or not at all.
+    """
 
     folder: Path
     number: int
     camera: StereoCamera
     name: str = "drive"
-    """How its files' names begin."""
+    """Prefix of the names of its files."""
 
     @property
-    def is_whole(self) -> bool:
-        """Whether the drive is through. Its facts are written last."""
+    def is_recorded(self) -> bool:
+        """Whether all parts are written; the facts are written after them."""
         return self._path(self.name, ".json").exists()
 
     @property
     def is_complete(self) -> bool:
-        """Whether what is known of it is there too."""
-        return self.is_whole and self._path(f"{self.name}-truth", ".npz").exists()
+        """Whether all parts and the supervision are written."""
+        return self.is_recorded and self._path(f"{self.name}-truth", ".npz").exists()
 
     @property
     def frames_done(self) -> int:
-        """How many frames a worker was through when it last told."""
+        """Number of frames that a worker had done when it last reported."""
         try:
             return int(self._path(self.name, ".frames").read_text("utf-8"))
         except OSError:
             return 0
 
-    def tell(self, frames: int) -> None:
-        """That so many frames are done."""
+    def report_frames(self, frames: int) -> None:
+        """Write how many frames are done."""
         self._write(self._path(self.name, ".frames"), str(frames).encode())
 
     @property
     def facts(self) -> DriveFacts:
-        """Of the drive."""
+        """Facts of the whole drive."""
         path = self._path(self.name, ".json")
-        with whole(path):
+        with damage_reported(path):
             found = json.loads(path.read_text("utf-8"))
             arrays = {name: np.array(value) for name, value in found["moments"].items()}
-            return DriveFacts(
-                **found | {"moments": Moments(**arrays | {"rows": found["features"]})}
-            )
+            found["moments"] = Moments(**arrays | {"rows": found["features"]})
+            return DriveFacts(**found)
 
     @property
     def supervision(self) -> Supervision:
-        """What is known of it."""
+        """The part of the truth that is used."""
         path = self._path(f"{self.name}-truth", ".npz")
-        with whole(path), np.load(path, allow_pickle=False) as archive:
-            return Supervision(str(archive["kind"]), archive["frames"], archive["T_world_cam"])  # type: ignore[arg-type]
+        with damage_reported(path), np.load(path, allow_pickle=False) as archive:
+            return Supervision(
+                kind=str(archive["kind"]),  # type: ignore[arg-type]
+                frames=archive["frames"],
+                T_world_cam=archive["T_world_cam"],
+            )
 
     def parts(self) -> Iterator[Drive]:
-        """The drive, one file after another."""
+        """Yield the drive, one file after another."""
         for k in range(self.facts.parts):
             path = self._path(self.name, f"-{k}.npz")
-            with whole(path):
+            with damage_reported(path):
                 part = load_drive(path)
             yield part
 
     def keep_drive(self, parts: Iterable[Drive], digest: Callable[[], str], columns: int) -> None:
-        """Write a drive of M columns, part by part as it comes; the digest is asked for after the
-        last."""
+        """Write a drive, part by part as it comes, and then its facts.
 
-        def kept() -> Iterator[Drive]:
+        Args:
+            parts: the parts.
+            digest: called after the last part, since the digest is known only then.
+            columns: number M of predictor columns.
+        """
+
+        def written() -> Iterator[Drive]:
             for k, part in enumerate(parts):
                 self._write(self._path(self.name, f"-{k}.npz"), drive_bytes(part))
                 yield part
 
-        facts = asdict(DriveFacts.of(kept(), digest, columns))
+        # The facts come last: their file marks the drive as recorded.
+        facts = asdict(DriveFacts.of(written(), digest, columns))
         facts["moments"] = {
             name: np.asarray(value).tolist() for name, value in facts["moments"].items()
         }
         self._write(self._path(self.name, ".json"), json.dumps(facts, indent=1).encode())
 
     def keep_supervision(self, supervision: Supervision) -> None:
-        """Write what is known of it, unless it is there."""
+        """Write the supervision, unless it is there."""
         path = self._path(f"{self.name}-truth", ".npz")
+        if path.exists():
+            return
+        arrays: dict[str, Any] = {
+            name: np.asarray(value) for name, value in vars(supervision).items()
+        }
         buffer = io.BytesIO()
-        if not path.exists():
-            known: dict[str, Any] = {
-                name: np.asarray(value) for name, value in vars(supervision).items()
-            }
-            np.savez(buffer, allow_pickle=False, **known)
-            self._write(path, buffer.getvalue())
+        np.savez(buffer, allow_pickle=False, **arrays)
+        self._write(path, buffer.getvalue())
 
-    def _path(self, what: str, end: str) -> Path:
-        return self.folder / f"{what}-{self.number}{end}"
+    def _path(self, prefix: str, suffix: str) -> Path:
+        return self.folder / f"{prefix}-{self.number}{suffix}"
 
     def _write(self, path: Path, content: bytes) -> None:
-        # A worker that was given up for lost may still write the same file: the same bytes, but not
-        # at the same time.
+        # A worker that was given up as lost may still write the same file: the same bytes, but it
+        # must not write to the same temporary file.
         write_atomically(path, content, f".{uuid4().hex}")
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[None]:
-    """Say which file it is if it cannot be read."""
+def damage_reported(path: Path) -> Iterator[None]:
+    """Name the file if it cannot be read.
+
+    Raises:
+        InputError: the file is damaged.
+    """
     try:
         yield
     except (KeyError, *NO_ARCHIVE) as error:

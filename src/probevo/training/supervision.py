@@ -1,5 +1,4 @@
-"""What is known of a drive, and the α of PROBE: how far motions are from it, over a step, a stretch
-or all the path."""
+"""What is known of the true motion of a drive, and the error α of PROBE."""
 
 from __future__ import annotations
 
@@ -18,29 +17,33 @@ from probevo.sequences.stamps import NS_PER_S
 from probevo.training.settings import SupervisionName
 
 LEAST_ALPHA_M = 1e-6
-"""An error below a thousandth of a millimetre is chance; its logarithm would weigh most."""
+"""Least error α: a smaller one is due to chance, and its logarithm would weigh most."""
 FEWEST_POSITIONS = 4
-"""To align a path with; three always fit."""
+"""Fewest positions with which a path is aligned; three always fit."""
 
 
 @dataclass(frozen=True)
 class Supervision:
-    """Stretches of a drive over which the motion is known, and what it truly was."""
+    """Stretches of a drive over which the true motion is known."""
 
     kind: SupervisionName
     frames: IntArray
     """Frames whose truth is used, ascending, [F]."""
     T_world_cam: FloatArray
-    """Their true poses, [F, 4, 4]; of ``position``, only the positions count."""
+    """Their true poses, [F, 4, 4]; with ``position`` only the positions count."""
 
     @property
     def is_assumed(self) -> bool:
-        """Whether it is a loop of which nobody has measured how well it closes."""
+        """Whether it is a loop that is assumed to close, without a measurement of its ends."""
         return self.kind == "loop" and bool((self.T_world_cam == np.eye(4)).all())
 
     def completed(self, T_curr_prev: FloatArray) -> Supervision:
-        """With ``none``, the motions of all features, [K − 1, 4, 4], in place of the truth; else as
-        it is."""
+        """Return the supervision, with the motions of all features instead of unknown truth.
+
+        Args:
+            T_curr_prev: motion of each step, [K − 1, 4, 4], which replaces the truth if the kind is
+                ``none``.
+        """
         return from_step_to_step(T_curr_prev) if self.kind == "none" else self
 
     @property
@@ -51,51 +54,67 @@ class Supervision:
         return np.column_stack([self.frames[:-1], self.frames[1:]])
 
     def stretch_of_step(self, num_steps: int) -> IntArray:
-        """The stretch that each step belongs to, [num_steps]; −1 for none. Step k leads to frame k
-        + 1."""
-        owner = np.full(num_steps, -1)
+        """Return the stretch that each step belongs to, [num_steps]; −1 for none.
+
+        Step k leads to frame k + 1.
+        """
+        stretch = np.full(num_steps, -1)
         for number, (first, last) in enumerate(self.stretches.tolist()):
-            owner[first:last] = number
-        return owner
+            stretch[first:last] = number
+        return stretch
 
     @property
     def digest(self) -> str:
         """SHA-256 of the truth that is used."""
-        content = (
-            np.asarray(self.frames, np.int64).tobytes()
-            + np.asarray(self.T_world_cam, np.float64).tobytes()
-        )
-        return hashlib.sha256(content).hexdigest()
+        frames = np.asarray(self.frames, np.int64)
+        poses = np.asarray(self.T_world_cam, np.float64)
+        return hashlib.sha256(frames.tobytes() + poses.tobytes()).hexdigest()
 
     def errors(self, T_curr_prev: FloatArray) -> FloatArray:
-        """α of motions T_curr_prev [K − 1, 4, 4] over each of the U stretches, [U], m.
+        """Compute the error α of motions over each of the U stretches.
 
-        It is the RMS over the axes of the translation's error, √(‖Δr‖²/3) (PROBE IV-A): of the
-        motion from the first to the last frame of the stretch; for ``position`` the ARMSE of the
-        path after the best rigid fit.
+        It is the RMS over the axes of the translation error, √(‖Δr‖²/3) (PROBE IV-A), of the motion
+        from the first to the last frame of the stretch; with ``position``, the ARMSE of the path
+        after the best rigid alignment.
+
+        Args:
+            T_curr_prev: motion of each step, [K − 1, 4, 4].
+
+        Returns:
+            α, [U], m.
         """
-        T_world_cam = se3.chain_motions(T_curr_prev)[self.frames]
+        estimated = se3.chain_motions(T_curr_prev)[self.frames]
+        true = self.T_world_cam
         if self.kind == "position":
-            positions = T_world_cam[:, :3, 3]
-            true = self.T_world_cam[:, :3, 3]
-            T_true_est = rigid_alignment(positions, true)
-            return np.maximum([armse(se3.transform(T_true_est, positions) - true)], LEAST_ALPHA_M)
+            # Without attitudes, the path is aligned as a whole, and has one error.
+            positions = estimated[:, :3, 3]
+            true_positions = true[:, :3, 3]
+            T_true_est = rigid_alignment(positions, true_positions)
+            aligned = se3.transform(T_true_est, positions)
+            return np.maximum([armse(aligned - true_positions)], LEAST_ALPHA_M)
+
+        # Otherwise compare the motion over each stretch; a loop is one stretch.
         last = len(self.frames) - 1
-        start, end = (
-            ([0], [last]) if self.kind == "loop" else (np.arange(last), np.arange(last) + 1)
-        )
-        estimated, true = (
-            (se3.inverse(poses[start]) @ poses[end])[:, :3, 3]
-            for poses in (T_world_cam, self.T_world_cam)
-        )
-        alphas: FloatArray = np.linalg.norm(estimated - true, axis=1) / np.sqrt(3.0)
+        starts = np.array([0]) if self.kind == "loop" else np.arange(last)
+        ends = np.array([last]) if self.kind == "loop" else np.arange(last) + 1
+        estimated_m = (se3.inverse(estimated[starts]) @ estimated[ends])[:, :3, 3]
+        true_m = (se3.inverse(true[starts]) @ true[ends])[:, :3, 3]
+        alphas: FloatArray = np.linalg.norm(estimated_m - true_m, axis=1) / np.sqrt(3.0)
         return np.maximum(alphas, LEAST_ALPHA_M)
 
-    def expected_errors(self, T_curr_prev: FloatArray, cov: FloatArray) -> FloatArray:
-        """α that motions with these covariances, [K − 1, 6, 6], should have: √(tr Σ_r/3) at each
-        stretch's end, [U]."""
+    def predicted_errors(self, T_curr_prev: FloatArray, cov: FloatArray) -> FloatArray:
+        """Compute the error α that the covariances of the motions predict over each stretch.
+
+        Args:
+            T_curr_prev: motion of each step, [K − 1, 4, 4].
+            cov: covariance of each motion, [K − 1, 6, 6].
+
+        Returns:
+            √(tr Σ_r/3) at the end of each stretch, [U], m.
+        """
         alphas = np.empty(len(self.stretches))
         for number, (first, last) in enumerate(self.stretches.tolist()):
+            # A perturbation of the last pose moves its position by ρ − p∧ φ.
             T_start_cam, cov_end = compound_chain(T_curr_prev[first:last], cov[first:last])
             to_position = np.hstack([np.eye(3), -so3.wedge(T_start_cam[-1, :3, 3])])
             alphas[number] = np.sqrt(np.trace(to_position @ cov_end[-1] @ to_position.T) / 3.0)
@@ -105,59 +124,86 @@ class Supervision:
 def supervision_of(
     sequence: Sequence, kind: SupervisionName, every_s: float, num_frames: int
 ) -> Supervision:
-    """What is used of the truth of a recording.
+    """Return the part of a recording's truth that is used.
 
     Args:
         sequence: the recording.
         kind: what is known.
         every_s: time between the frames whose truth is used; 0 uses all.
-        num_frames: frames of it that are used.
+        num_frames: number of its frames that are used.
 
     Raises:
         InputError: there is no truth, or too little for this kind.
     """
+    # A pose counts as known if all its entries are finite.
     where = sequence.path
-    poses = (
-        np.full((num_frames, 4, 4), np.nan)
-        if sequence.truth is None
-        else sequence.truth.T_world_cam[:num_frames]
-    )
-    known: BoolArray = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
-    if kind == "loop":
-        ends = np.array([0, num_frames - 1])
-        if known[ends].all():
-            return Supervision(kind, ends, poses[ends])
-        if num_frames < len(sequence):
-            what = (
-                f"only {num_frames} of its {len(sequence)} frames are used, but the loop closes at"
-                " the last one."
-            )
-            raise InputError(where, what, "Leave out --max-frames.")
-        return Supervision(kind, ends, np.stack([np.eye(4)] * 2))
+    poses = np.full((num_frames, 4, 4), np.nan)
+    if sequence.truth is not None:
+        poses = sequence.truth.T_world_cam[:num_frames]
+    is_known: BoolArray = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
     if kind == "none":
         return Supervision(kind, np.arange(num_frames), poses)
-    if not known.any():
-        what = f"it has no ground truth, which --supervision {kind} needs."
-        raise InputError(where, what, "Take --supervision none, or loop if it ends where it began.")
-    if kind == "gt" and not known.all():
-        what = f"only {known.sum()} of {len(known)} frames have a true pose."
-        raise InputError(where, what, "Take --supervision sparse.")
-    frames = _spaced(np.flatnonzero(known), sequence.stamps_ns, every_s)
+    if kind == "loop":
+        return _loop(sequence, poses, is_known)
+
+    # The other kinds need truth, and enough of it.
+    if not is_known.any():
+        raise InputError(
+            where,
+            f"it has no ground truth, which --supervision {kind} needs.",
+            "Take --supervision none, or loop if it ends where it began.",
+        )
+    if kind == "gt" and not is_known.all():
+        raise InputError(
+            where,
+            f"only {is_known.sum()} of {len(is_known)} frames have a true pose.",
+            "Take --supervision sparse.",
+        )
+    frames = _spaced(np.flatnonzero(is_known), sequence.stamps_ns, every_s)
     fewest = FEWEST_POSITIONS if kind == "position" else 2
     if len(frames) < fewest:
-        what = f"the truth of {len(frames)} frames is used; --supervision {kind} needs {fewest}."
-        raise InputError(where, what, "Give a longer recording, or a smaller --every-s.")
+        raise InputError(
+            where,
+            f"the truth of {len(frames)} frames is used; --supervision {kind} needs {fewest}.",
+            "Give a longer recording, or a smaller --every-s.",
+        )
     return Supervision(kind, frames, poses[frames])
 
 
+def _loop(sequence: Sequence, poses: FloatArray, is_known: BoolArray) -> Supervision:
+    """Return the true ends of a loop, or the assumption that it closes.
+
+    Args:
+        sequence: the recording.
+        poses: true poses of the frames that are used, [num_frames, 4, 4].
+        is_known: which of them are known, [num_frames].
+
+    Raises:
+        InputError: the end of the loop is not known, and the last frames are not used.
+    """
+    num_frames = len(poses)
+    ends = np.array([0, num_frames - 1])
+    # Measured ends need not coincide.
+    if is_known[ends].all():
+        return Supervision("loop", ends, poses[ends])
+    # Without them, the loop closes only if it is run to its end.
+    if num_frames < len(sequence):
+        raise InputError(
+            sequence.path,
+            f"only {num_frames} of its {len(sequence)} frames are used, but the loop closes at the"
+            " last one.",
+            "Leave out --max-frames.",
+        )
+    return Supervision("loop", ends, np.stack([np.eye(4), np.eye(4)]))
+
+
 def from_step_to_step(T_curr_prev: FloatArray) -> Supervision:
-    """These motions, [K − 1, 4, 4], as if they were the truth."""
+    """Return the supervision in which these motions, [K − 1, 4, 4], stand for the truth."""
     return Supervision("none", np.arange(len(T_curr_prev) + 1), se3.chain_motions(T_curr_prev))
 
 
 def _spaced(frames: IntArray, stamps_ns: IntArray, every_s: float) -> IntArray:
-    """Of these frames the first, and then each that is at least so much later than the last one
-    taken."""
+    """Return the first frame, and then each that is at least every_s after the last one taken."""
     if every_s == 0.0:
         return frames
     taken = []

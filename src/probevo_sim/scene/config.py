@@ -1,4 +1,4 @@
-"""Every setting of a simulated scene, with its bounds and its why."""
+"""Every setting of a simulated scene, with its bounds and its reason."""
 
 from __future__ import annotations
 
@@ -27,25 +27,24 @@ class RigConfig(Settings):
         1.7e-4, gt=0, le=0.1, description="White noise density of the gyro."
     )
     gyro_bias_sigma_rad_s: float = Field(
-        2e-3, ge=0, le=0.1, description="Spread of the gyro's bias at start."
+        2e-3, ge=0, le=0.1, description="Standard deviation of the gyro's bias at the start."
     )
     gyro_bias_walk_rad_s2_sqrt_hz: float = Field(
-        2e-5, ge=0, le=0.1, description="Random walk of the gyro's bias."
+        2e-5, ge=0, le=0.1, description="Random-walk density of the gyro's bias."
     )
     accel_noise_m_s2_sqrt_hz: float = Field(
         2e-3, gt=0, le=1, description="White noise density of the accelerometer."
     )
     accel_bias_sigma_m_s2: float = Field(
-        0.02, ge=0, le=1, description="Spread of the accelerometer's bias at start."
+        0.02, ge=0, le=1, description="Standard deviation of the accelerometer's bias at the start."
     )
     accel_bias_walk_m_s3_sqrt_hz: float = Field(
-        3e-4, ge=0, le=1, description="Random walk of that bias."
+        3e-4, ge=0, le=1, description="Random-walk density of the accelerometer's bias."
     )
 
 
 class Effects(Settings):
-    """What spoils the images; each from 0, which is off, to 1, which is as bad as one meets on a
-    bad day."""
+    """Degradations of the images, each from 0, which is off, to 1, which is a bad day."""
 
     blur: float = Field(
         0.0, ge=0, le=1, description="Motion blur: the shutter is open for 50 ms times this."
@@ -57,10 +56,10 @@ class Effects(Settings):
         0.0,
         ge=0,
         le=1,
-        description="Darkness of cast shadows: of things, the own vehicle, leaves in the wind.",
+        description="Darkness of cast shadows: of solids, the own vehicle, leaves in the wind.",
     )
     textureless: float = Field(
-        0.0, ge=0, le=1, description="Share of the road's texture that is taken away."
+        0.0, ge=0, le=1, description="Share of the road's texture that is removed."
     )
     foliage: float = Field(
         0.0,
@@ -79,7 +78,8 @@ class Effects(Settings):
         ge=0,
         le=1,
         description=(
-            "Sensor noise: 1 is 12 grey levels in the middle of the range, less in the dark."
+            "Sensor noise: 1 is a standard deviation of 12 grey levels in the middle of the range,"
+            " less in the dark."
         ),
     )
     rectification: float = Field(
@@ -87,33 +87,38 @@ class Effects(Settings):
         ge=0,
         le=1,
         description=(
-            "Rectification error: 1 turns the right camera so that corners are off by about 1 px."
+            "Rectification error: 1 rotates the right camera so that corners are off by about 1 px."
         ),
     )
 
 
 class SceneConfig(Settings):
-    """A drive through a simulated place. The same settings give the same bytes (on one machine)."""
+    """A drive through a simulated place.
 
-    preset: PresetName = Field("city", description="The place, after those of the papers.")
-    seed: int = Field(0, ge=0, description="Of the place: another seed is another city.")
+    The same settings give the same bytes on one machine.
+    """
+
+    preset: PresetName = Field("city", description="The place, like those of the papers.")
+    seed: int = Field(0, ge=0, description="Seed of the place: another seed is another city.")
     drive: int = Field(
         0,
         ge=0,
-        description="Of the drive: other numbers drive the same place again, with other noise.",
+        description="Number of the drive: another one drives the same place with other noise.",
     )
     distance_m: float | None = Field(
         None,
         gt=1,
         le=5000,
         description=(
-            "How far to drive, m; left out, what suits the preset. The rover drives a loop so long."
+            "Distance to drive, m; by default what suits the preset. The rover drives a loop of"
+            " this length."
         ),
     )
     truth: TruthName = Field(
         "all",
         description=(
-            "Poses to give away: of every frame, only that the rover's loop closes, or nothing."
+            "True poses to give away: those of all frames, only the first and last of the rover's"
+            " loop, or none."
         ),
     )
     rig: RigConfig = RigConfig()

@@ -1,4 +1,4 @@
-"""The motion of the rig along a road: smooth, and with derivatives that are exact."""
+"""The motion of the rig along a road: a smooth trajectory with exact derivatives."""
 
 from __future__ import annotations
 
@@ -16,65 +16,82 @@ from probevo_sim.scene.pace import Pace
 from probevo_sim.scene.route import Route
 
 C_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Takes camera axes (x right, y down, z forward) to those of the vehicle (x forward, y left, z up).
-"""
+"""Rotation from the camera (x right, y down, z forward) to the body (x forward, y left, z up)."""
 GRAVITY_M_S2 = 9.81
 
 _KNOT_STEP_S = 0.05
+"""Distance between the knots of the splines, or a little less."""
 _MARGIN_S = 0.5
 """The splines reach this far beyond both ends."""
 _LATERAL_M_S2 = 1.8
+"""Most lateral acceleration in a curve."""
 _WANDER_RMS_M = 0.1
+"""Lateral deviation from the planned path."""
 _WANDER_FADE_M = 15.0
+"""Distance from an end at rest over which the deviation grows from 0."""
 _PITCH_RMS_RAD = 2.6e-3
 _ROLL_RMS_RAD = 1.75e-3
 _HEIGHT_RMS_M = 0.01
+"""Motion of the suspension at high speed."""
 _SINES = 4
+"""Sine waves that each random motion is the sum of."""
 
 
 @dataclass(frozen=True)
 class DrivePlan:
-    """Where along a route to drive, and how fast. Distances count along the route's centre line."""
+    """A plan of a drive: where along a route, and how fast.
+
+    Distances count along the route's centre line.
+    """
 
     start_m: float
     distance_m: float
     speed_m_s: float
-    """Where neither curve nor halt asks for less."""
+    """Cruising speed; curves and halts may force a lower one."""
     height_m: float = 1.65
-    """Of the camera above the road."""
+    """Height of the camera above the road."""
     pitch_down_rad: float = 0.0
     lateral_m: float = 0.0
-    """Of the camera to the left of the centre line; driving on the right: negative."""
+    """Distance of the camera to the left of the centre line; negative when driving on the right."""
     stops_m: tuple[float, ...] = ()
     """Distances driven at which to halt for 1.5 s; those not within the drive are left out."""
     from_rest: bool = False
+    """Whether the vehicle stands at the start."""
     to_rest: bool = False
+    """Whether the vehicle stands at the end."""
     shake: float = 1.0
-    """Size of the suspension's motion: 1 is 0.15° of pitch, 0.1° of roll and 1 cm of height, rms,
-    at high speed."""
+    """Amplitude of the suspension's motion.
+
+    1 is 0.15° of pitch, 0.1° of roll and 1 cm of height, rms, at high speed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Motion of the left camera as quintic splines over time; every derivative is exact.
+    """The motion of the left camera as quintic splines over time, whose derivatives are exact.
 
-    All is defined up to 0.5 s beyond both ends, where the drive goes on as it does at them.
+    Everything is defined up to 0.5 s beyond both ends, where the drive continues as at the ends.
     """
 
     duration_s: float
     coordinates: BSpline
-    """(x, y, z, yaw, pitch, roll) in the world over time, m and rad, s.
+    """(x, y, z, yaw, pitch, roll) in the world, m and rad, over time, s.
 
-    The vehicle's axes (x forward, y left, z up) come from the world's by a turn about z, then y,
-    then x; the camera's from the vehicle's by ``C_BODY_CAM``. Pitch is positive nose down.
-    """
+    The vehicle's axes (x forward, y left, z up) follow from the world's by rotations about z, then
+    y, then x; the camera's follow from the vehicle's by ``C_BODY_CAM``. Pitch is positive nose
+    down."""
 
     @staticmethod
     def along(route: Route, plan: DrivePlan, rng: np.random.Generator) -> Trajectory:
         """Drive along a route; another ``rng`` drives the same road a little differently.
 
-        At an end at rest the pose is that of the plan exactly. The drive wanders sideways by 0.1 m,
-        and the suspension sways at 1 to 2 Hz, the more so the faster it goes: v / (v + 2 m/s).
+        The vehicle deviates sideways from the planned path by 0.1 m rms, and its suspension
+        oscillates at 1 to 2 Hz with an amplitude that grows with the speed as v / (v + 2 m/s). At
+        an end at rest the pose is exactly that of the plan.
+
+        Args:
+            route: the road.
+            plan: where to drive, and how fast.
+            rng: source of the deviation and of the oscillation.
 
         Raises:
             InputError: distance, speed or height is not positive.
@@ -85,6 +102,7 @@ class Trajectory:
                 f" {plan.height_m} m."
             )
             raise InputError("drive", what, "All three must be positive.")
+        # Distance over time.
         pace = Pace.within(
             lambda d: _speed_limit(route, plan, d),
             plan.distance_m,
@@ -92,13 +110,16 @@ class Trajectory:
             from_rest=plan.from_rest,
             to_rest=plan.to_rest,
         )
+
+        # Times of the knots, chosen so that both ends are knots.
         steps = int(np.ceil(pace.duration_s / _KNOT_STEP_S))
         beyond = int(np.ceil(_MARGIN_S / _KNOT_STEP_S)) + 1
-        knot_step_s = pace.duration_s / steps  # so that both ends are knots
+        knot_step_s = pace.duration_s / steps
         t_s = np.linspace(
             -beyond * knot_step_s, pace.duration_s + beyond * knot_step_s, steps + 2 * beyond + 1
         )
 
+        # Coordinates of the camera at the knots; the heading follows the direction of travel.
         driven_m = pace.distance(t_s)
         wander_m, wander_slope = _wander(plan, driven_m, rng)
         s_m = plan.start_m + driven_m
@@ -117,7 +138,7 @@ class Trajectory:
         )
 
     def T_world_cam(self, t_s: ArrayLike) -> FloatArray:
-        """Pose of the left camera at times [...]: [..., 4, 4], m."""
+        """Return the pose of the left camera at times [...], s: [..., 4, 4], m."""
         coordinates = self.coordinates(np.asarray(t_s, float))
         T_world_cam = np.zeros((*coordinates.shape[:-1], 4, 4))
         T_world_cam[..., :3, :3] = _rotation(coordinates[..., 3:]) @ C_BODY_CAM
@@ -126,16 +147,19 @@ class Trajectory:
         return T_world_cam
 
     def velocity(self, t_s: ArrayLike) -> FloatArray:
-        """Of the left camera in the world at times [...]: [..., 3], m/s."""
+        """Return the velocity of the left camera in the world at times [...], s: [..., 3], m/s."""
         velocity: FloatArray = self._rates(np.asarray(t_s, float))[..., :3]
         return velocity
 
     def angular_rate(self, t_s: ArrayLike) -> FloatArray:
-        """Of the left camera against the world, in the camera's axes, at times [...]: [..., 3],
-        rad/s."""
+        """Return the angular rate of the left camera at times [...], s: [..., 3], rad/s.
+
+        The rate is that against the world, in the camera's axes.
+        """
         t_s = np.asarray(t_s, float)
         _, pitch, roll = np.moveaxis(self.coordinates(t_s)[..., 3:], -1, 0)
         yaw_rate, pitch_rate, roll_rate = np.moveaxis(self._rates(t_s)[..., 3:], -1, 0)
+        # Rates of Euler angles in the axes of the body.
         body_rate = [
             roll_rate - yaw_rate * np.sin(pitch),
             pitch_rate * np.cos(roll) + yaw_rate * np.cos(pitch) * np.sin(roll),
@@ -145,8 +169,11 @@ class Trajectory:
         return rate
 
     def specific_force(self, t_s: ArrayLike) -> FloatArray:
-        """Acceleration minus gravity at the left camera, in its axes, at times [...]: [..., 3],
-        m/s²."""
+        """Return the specific force at the left camera at times [...], s: [..., 3], m/s².
+
+        Specific force is acceleration minus gravity, which an accelerometer measures. It is given
+        in the camera's axes.
+        """
         t_s = np.asarray(t_s, float)
         force = self._accelerations(t_s)[..., :3] + [0.0, 0.0, GRAVITY_M_S2]
         C_world_body = _rotation(self.coordinates(t_s)[..., 3:])
@@ -163,29 +190,33 @@ class Trajectory:
 
 
 def _rotation(yaw_pitch_roll: FloatArray) -> FloatArray:
-    """C_world_body of angles [..., 3], rad: [..., 3, 3]."""
+    """Return C_world_body of angles [..., 3], rad: [..., 3, 3]."""
     C_world_body = Rotation.from_euler("ZYX", yaw_pitch_roll.reshape(-1, 3)).as_matrix()
     return C_world_body.reshape(*yaw_pitch_roll.shape, 3)
 
 
 def _speed_limit(route: Route, plan: DrivePlan, driven_m: FloatArray) -> FloatArray:
-    """The cruising speed, or less where the curve would push harder than it may."""
+    """Return the cruising speed, or less where the lateral acceleration would be too high, m/s."""
     curvature = route.curvature(plan.start_m + driven_m)
-    push = np.abs(curvature * (1.0 - curvature * plan.lateral_m))
-    return np.minimum(plan.speed_m_s, np.sqrt(_LATERAL_M_S2 / np.maximum(push, 1e-9)))
+    path_curvature = np.abs(curvature * (1.0 - curvature * plan.lateral_m))
+    return np.minimum(plan.speed_m_s, np.sqrt(_LATERAL_M_S2 / np.maximum(path_curvature, 1e-9)))
 
 
 def _wander(
     plan: DrivePlan, driven_m: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Slow random offset to the left, m, and its slope along the road; both are 0 at the ends that
-    are at rest."""
+    """Return a slow random offset to the left, m, and its slope along the road, [J] each.
+
+    Both are 0 at the ends that are at rest.
+    """
     wave_number = 2.0 * np.pi / rng.uniform(40.0, 120.0, _SINES)
     phase = rng.uniform(0.0, 2.0 * np.pi, _SINES)
     angle = driven_m[:, None] * wave_number + phase
     scale = _WANDER_RMS_M * np.sqrt(2.0 / _SINES)
     offset = scale * np.sin(angle).sum(axis=1)
     slope = scale * (wave_number * np.cos(angle)).sum(axis=1)
+
+    # A quintic step, whose first two derivatives are 0 at both ends, fades the offset in.
     fade_m = min(_WANDER_FADE_M, 0.5 * plan.distance_m)
     for is_at_rest, sign, end_m in (
         (plan.from_rest, 1.0, 0.0),
@@ -195,17 +226,18 @@ def _wander(
             u = np.clip(sign * (driven_m - end_m) / fade_m, 0.0, 1.0)
             fade = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
             fade_slope = sign * 30.0 * (u * (1.0 - u)) ** 2 / fade_m
-            offset, slope = fade * offset, fade * slope + fade_slope * offset
+            slope = fade * slope + fade_slope * offset
+            offset = fade * offset
     return offset, slope
 
 
 def _suspension(
     plan: DrivePlan, t_s: FloatArray, speed_m_s: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Pitch, roll, rad, and height, m, of the body on its springs: [3, J]; 0 at rest."""
+    """Return pitch, roll, rad, and height, m, of the body on its springs, [3, J]; 0 at rest."""
     frequency_hz = rng.uniform(1.0, 2.0, (3, _SINES, 1))
     phase = rng.uniform(0.0, 2.0 * np.pi, (3, _SINES, 1))
     sway = np.sin(2.0 * np.pi * frequency_hz * t_s + phase).sum(axis=1) * np.sqrt(2.0 / _SINES)
     rms = np.array([_PITCH_RMS_RAD, _ROLL_RMS_RAD, _HEIGHT_RMS_M])
-    swayed: FloatArray = plan.shake * rms[:, None] * sway * (speed_m_s / (speed_m_s + 2.0))
-    return swayed
+    motion: FloatArray = plan.shake * rms[:, None] * sway * (speed_m_s / (speed_m_s + 2.0))
+    return motion

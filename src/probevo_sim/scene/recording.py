@@ -1,4 +1,4 @@
-"""A drive through a scene as a ``Sequence`` that is rendered while it is walked through."""
+"""A drive through a scene as a ``Sequence`` that is rendered while it is iterated over."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from probevo.arrays import FloatArray, Image, IntArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.sequences.frame import Frame, GroundTruth
+from probevo.sequences.frame import Frame, GroundTruth, ImuSamples
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.poses import ground_truth
@@ -24,64 +24,76 @@ from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.drive import Trajectory
 from probevo_sim.scene.imu import C_CAM_IMU, simulate_imu
 from probevo_sim.scene.presets import PRESETS
-from probevo_sim.scene.renderer import PixelTruth, Renderer
+from probevo_sim.scene.renderer import FloatImage, PixelTruth, Renderer
 from probevo_sim.scene.sensor import expose, exposures
 
 START_NS = 1_600_000_000 * NS_PER_S
+"""Stamp of the first frame of every drive."""
+
+# Every part of a drive draws from a random generator of its own, keyed by (seed, drive, part), so
+# that a setting of one part leaves the others as they are.
+_MOTION_KEY = 1
+_IMU_KEY = 2
+_EXPOSURE_KEY = 3
+_NOISE_KEY = 4
 
 
 @dataclass(frozen=True, eq=False)
 class SceneRecording:
-    """A ``Sequence`` of rendered stereo images; ``open_scene`` builds it. The same settings give
-    the same bytes."""
+    """A ``Sequence`` of rendered stereo images with IMU and truth; ``open_scene`` builds it.
+
+    The same settings give the same bytes.
+    """
 
     config: SceneConfig
     camera: StereoCamera
     renderer: Renderer
     stamps_ns: IntArray
+    """Middle of the exposure of each frame, [K]."""
     exposure: FloatArray
     """Gain of each frame, [K]."""
     imu: ImuCalibration
-    imu_samples: tuple[IntArray, FloatArray, FloatArray]
-    """Stamps [J], ns; angular rates [J, 3], rad/s; specific force [J, 3], m/s²."""
+    imu_samples: ImuSamples
+    """All samples of the drive."""
     truth: GroundTruth | None
     path: Path = Path("scene")
     format: str = "scene"
 
     def __len__(self) -> int:
-        """Number of frames, K."""
+        """Return the number of frames, K."""
         return len(self.stamps_ns)
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames, from the first."""
+        """Iterate over the frames, from the first."""
         return read_ahead(self._frame, range(len(self)))
 
     def images(self, index: int) -> tuple[Image, Image]:
-        """The left and right image of a frame, [height, width], uint8."""
-        pair = self.renderer.pair(self._time_s(index))
-        keys = [self.config.seed, self.config.drive, 4, index]
-        left, right = (
-            expose(
-                radiance,
-                self.exposure[index],
-                self.config.effects.noise,
-                rng=np.random.default_rng([*keys, side]),
-            )
-            for side, radiance in enumerate(pair)
-        )
-        return left, right
+        """Return the left and right image of a frame, [height, width], uint8."""
+        left, right = self.renderer.pair(self._time_s(index))
+        return self._expose(left, index, side=0), self._expose(right, index, side=1)
 
     def pixel_truth(self, index: int) -> PixelTruth:
-        """Truth about each pixel of the left image of a frame; its flow leads to the next frame's
-        time."""
-        return self.renderer.pixel_truth(
-            self._time_s(index), self._time_s(index) + 1.0 / self.config.rig.rate_hz
-        )
+        """Return the truth about each pixel of the left image of a frame.
+
+        Its flow leads to the time of the next frame.
+        """
+        time_s = self._time_s(index)
+        return self.renderer.pixel_truth(time_s, time_s + 1.0 / self.config.rig.rate_hz)
 
     def _time_s(self, index: int) -> float:
         return index / self.config.rig.rate_hz
 
+    def _expose(self, radiance: FloatImage, index: int, side: int) -> Image:
+        key = [self.config.seed, self.config.drive, _NOISE_KEY, index, side]
+        return expose(
+            radiance,
+            self.exposure[index],
+            self.config.effects.noise,
+            rng=np.random.default_rng(key),
+        )
+
     def _frame(self, index: int) -> Frame:
+        """Render a frame, with the IMU samples since the previous one."""
         start = perf_counter()
         left, right = self.images(index)
         imu = None
@@ -100,24 +112,32 @@ class SceneRecording:
 
     @cached_property
     def _imu_stream(self) -> ImuStream:
-        return ImuStream.checked(*self.imu_samples, self.stamps_ns, self.path)
+        return ImuStream.checked(
+            self.imu_samples.stamps_ns,
+            self.imu_samples.gyro_rad_s,
+            self.imu_samples.accel_m_s2,
+            frames_ns=self.stamps_ns,
+            where=self.path,
+        )
 
 
 def open_scene(config: SceneConfig) -> SceneRecording:
-    """The drive that the settings describe; nothing is rendered yet.
+    """Open the drive that the settings describe; nothing is rendered yet.
 
     Raises:
         InputError: the camera is not valid, the drive is too short for two frames, or the truth of
             a loop is asked for and the drive is no loop.
     """
+    # The place, and the rig's motion through it.
     rig = config.rig
     place = PRESETS[config.preset](config)
     camera = StereoCamera.centered(rig.focal_px, rig.baseline_m, (rig.width_px, rig.height_px))
     check_camera(camera, "rig")
     key = [config.seed, config.drive]
-    trajectory = Trajectory.along(
-        place.world.ground.route, place.plan, np.random.default_rng([*key, 1])
-    )
+    route = place.world.ground.route
+    trajectory = Trajectory.along(route, place.plan, np.random.default_rng([*key, _MOTION_KEY]))
+
+    # The times of the frames.
     count = int(trajectory.duration_s * rig.rate_hz) + 1
     if count < 2:
         raise InputError(
@@ -125,20 +145,20 @@ def open_scene(config: SceneConfig) -> SceneRecording:
         )
     times_s = np.arange(count) / rig.rate_hz
     stamps_ns = START_NS + np.round(times_s * NS_PER_S).astype(np.int64)
+
+    # What the sensors record along it.
+    imu_rng = np.random.default_rng([*key, _IMU_KEY])
+    exposure_rng = np.random.default_rng([*key, _EXPOSURE_KEY])
+    T_world_cam = trajectory.T_world_cam(times_s)
     return SceneRecording(
         config=config,
         camera=camera,
         renderer=Renderer(place.world, trajectory, camera, effects=config.effects),
         stamps_ns=stamps_ns,
-        exposure=exposures(count, config.effects.exposure, np.random.default_rng([*key, 3])),
+        exposure=exposures(count, config.effects.exposure, exposure_rng),
         imu=_imu_calibration(rig),
-        imu_samples=simulate_imu(trajectory, stamps_ns, rig, rng=np.random.default_rng([*key, 2])),
-        truth=_given_truth(
-            config,
-            place.world.ground.route.closed,
-            stamps_ns,
-            T_world_cam=trajectory.T_world_cam(times_s),
-        ),
+        imu_samples=simulate_imu(trajectory, stamps_ns, rig, rng=imu_rng),
+        truth=_given_truth(config, route.closed, stamps_ns, T_world_cam=T_world_cam),
     )
 
 
@@ -157,6 +177,17 @@ def _imu_calibration(rig: RigConfig) -> ImuCalibration:
 def _given_truth(
     config: SceneConfig, is_loop: bool, stamps_ns: IntArray, T_world_cam: FloatArray
 ) -> GroundTruth | None:
+    """Return the part of the true poses that the settings give away.
+
+    Args:
+        config: its ``truth`` decides.
+        is_loop: whether the drive ends where it began.
+        stamps_ns: stamps of the frames, [K].
+        T_world_cam: true poses of the left camera, [K, 4, 4], m.
+
+    Raises:
+        InputError: the truth of a loop is asked for and the drive is no loop.
+    """
     if config.truth == "none":
         return None
     given = T_world_cam.copy()

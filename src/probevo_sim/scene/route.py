@@ -1,5 +1,4 @@
-"""The centre line of a road: a plane curve, given by its heading as a function of the distance
-along it."""
+"""The centre line of a road: a plane curve, given by its heading over the distance along it."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ from probevo.errors import InputError
 _NODE_STEP_M = 0.25
 """Four Gauss points on a cell this long integrate a radius of 1 m to 1e-13 m."""
 _GAUSS = 0.5 * np.array(np.polynomial.legendre.leggauss(4)) + [[0.5], [0.0]]
-"""Places and weights on the interval from 0 to 1."""
+"""Nodes and weights of Gauss–Legendre quadrature on the interval from 0 to 1, [2, 4]."""
 _NEWTON_STEPS = 3
 
 ComplexArray = NDArray[np.complex128]
@@ -26,23 +25,24 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """Centre line of a road in the plane z = 0, with continuous curvature. Build it with
-    ``from_turns`` or ``loop``.
+    """The centre line of a road in the plane z = 0, with continuous curvature.
 
-    The heading, counted from east to north, is a polynomial of degree 5 between knots. Its
-    derivative is the curvature, positive to the left, and the integral of (cos, sin) of it is the
-    position; so the three agree to rounding.
+    ``from_turns`` and ``loop`` build it. The heading, counted from east to north, is a polynomial
+    of degree 5 between knots. Its derivative is the curvature, positive to the left, and the
+    integral of (cos, sin) of it is the position, so that the three agree to rounding.
 
-    s is the distance along the line, m. An open route goes straight on beyond its ends. A closed
+    s is the distance along the line, m. An open route continues straight beyond its ends. A closed
     one repeats itself every ``length_m``, and its heading grows by 2π each time.
     """
 
     length_m: float
-    """Without the leads; the length of one turn of a closed route."""
+    """Length without the leads; of a closed route, the length of one lap."""
     closed: bool
+    """Whether the route is a loop."""
     heading_spline: PPoly
-    """rad over m, from the start of the lead before s = 0 to the end of the lead after
-    ``length_m``."""
+    """Heading, rad, over s, m.
+
+    It covers the lead before s = 0 and the lead after ``length_m``."""
 
     @staticmethod
     def from_turns(
@@ -51,14 +51,14 @@ class Route:
         lead_m: float = 0.0,
         start_heading_rad: float = 0.0,
     ) -> Route:
-        """Straight and turning pieces one after another, from the origin on.
+        """Join straight and turning pieces one after another, from the origin on.
 
         Args:
             pieces: (length, m; turn, rad, positive to the left) of each. Over a piece the curvature
                 rises from 0 and falls to 0 again as u² (1 − u)², with its peak at 1.875 turn /
                 length.
-            lead_m: of straight road before s = 0 and after ``length_m``.
-            start_heading_rad: at s = 0.
+            lead_m: length of straight road before s = 0 and after ``length_m``.
+            start_heading_rad: heading at s = 0.
 
         Raises:
             InputError: no piece, a piece that is not longer than 0, or a negative lead.
@@ -69,24 +69,28 @@ class Route:
                 "the pieces and the lead are no road.",
                 "Give pieces longer than 0, a lead ≥ 0.",
             )
+        # The heading over a piece is the integral of its curvature: a polynomial of u = s / length,
+        # whose coefficients are scaled to polynomials of s.
         leads = [(lead_m, 0.0)] if lead_m else []
         lengths, turns = np.array([*leads, *pieces, *leads], dtype=float).T
         u_from_s = lengths ** -np.arange(5, -1, -1.0)[:, None]
         coefficients = np.array([6.0, -15.0, 10.0, 0.0, 0.0, 0.0])[:, None] * turns * u_from_s
         coefficients[-1] = start_heading_rad + np.cumsum(turns) - turns
         knots = np.r_[0.0, np.cumsum(lengths)] - lead_m
-        return Route(float(knots[-1] - lead_m), False, PPoly(coefficients, knots))
+        return Route(
+            float(knots[-1] - lead_m), closed=False, heading_spline=PPoly(coefficients, knots)
+        )
 
     @staticmethod
     def loop(length_m: float, *, roundness: float = 0.0) -> Route:
-        """A closed road that turns to the left: a winding oblong, from the origin on, eastwards.
+        """Build a closed road that turns to the left: a winding oblong that starts eastwards.
 
-        Its heading is 2π s / length plus waves whose period divides half the length. Half a loop
-        further on everything is turned by π, so the second half leads back to where the first
-        began.
+        It starts at the origin. Its heading is 2π s / length plus waves whose period divides half
+        the length. Half a loop further on the heading is larger by π, so that the second half leads
+        back to where the first began.
 
         Args:
-            length_m: of one turn; the tightest radius is about a thirteenth of it.
+            length_m: length of one lap; the tightest radius is about a thirteenth of it.
             roundness: from 0, the winding oblong, to 1, a circle.
 
         Raises:
@@ -103,37 +107,40 @@ class Route:
         spline = make_interp_spline(
             knots, (1.0 - roundness) * (waves - waves[0]), k=5, bc_type="periodic"
         )
+        # The Taylor coefficients of the spline at each knot are those of the polynomial after it.
         derivatives = [spline(knots[:-1], nu=order) for order in range(6)]
         coefficients = np.array(
             [derivatives[order] / np.prod(np.arange(1, order + 1)) for order in range(5, -1, -1)]
         )
+
+        # Add 2π s / length, which is not periodic.
         coefficients[-1] += angle[:-1]
         coefficients[-2] += 2.0 * np.pi / length_m
-        return Route(length_m, True, PPoly(coefficients, knots))
+        return Route(length_m, closed=True, heading_spline=PPoly(coefficients, knots))
 
     def position(self, s_m: ArrayLike) -> FloatArray:
-        """(x, y) at distances [...]: [..., 2], m."""
+        """Return (x, y) at distances [...], m: [..., 2], m."""
         return _pairs(self._positions(np.asarray(s_m, float)))
 
     def heading(self, s_m: ArrayLike) -> FloatArray:
-        """Direction of the tangent at distances [...], rad, without jumps."""
-        s, turns = self._inside(np.asarray(s_m, float))
-        heading: FloatArray = self.heading_spline(s) + 2.0 * np.pi * turns
+        """Return the direction of the tangent at distances [...], m: [...], rad, without jumps."""
+        s, laps = self._inside(np.asarray(s_m, float))
+        heading: FloatArray = self.heading_spline(s) + 2.0 * np.pi * laps
         return heading
 
     def curvature(self, s_m: ArrayLike) -> FloatArray:
-        """Change of the heading with the distance at distances [...], 1/m."""
+        """Return the curvature at distances [...], m: [...], 1/m, positive to the left."""
         s = np.asarray(s_m, float)
         inside, _ = self._inside(s)
         curvature: FloatArray = self._curvature(inside)
         return curvature if self.closed else np.where(inside == s, curvature, 0.0)
 
     def place(self, s_m: ArrayLike, lateral_m: ArrayLike) -> FloatArray:
-        """T_world_object [..., 4, 4] of what stands at distance ``s_m`` and that far to the left;
-        its x along the road.
+        """Return T_world_object, [..., 4, 4], m, of an object beside the road, its x along it.
 
         Args:
-            s_m, lateral_m: [...], broadcast against each other, m.
+            s_m: distance along the road, [...], m, broadcast against ``lateral_m``.
+            lateral_m: distance to the left of the centre line, [...], m.
         """
         s, lateral = np.broadcast_arrays(np.asarray(s_m, float), np.asarray(lateral_m, float))
         heading = self.heading(s)
@@ -150,11 +157,13 @@ class Route:
         return T_world_object
 
     def nearest(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The place s [...] and the signed distance to the left [...], m, of points [..., 2], m.
+        """Return s and the signed distance to the left, [...] each, m, of points [..., 2], m.
 
         A point beyond an end of an open route, nearer to that end than to the rest, belongs to the
-        straight line on from there. On a closed route 0 ≤ s < ``length_m``.
+        straight continuation there. On a closed route 0 ≤ s < ``length_m``.
         """
+        # Start at the nearest node. Newton's method may leave it by at most a step, except beyond
+        # an open end.
         point = np.ascontiguousarray(xy_m, dtype=float).view(complex)[..., 0]
         node = np.asarray(self._tree.query(xy_m)[1])
         s = self._nodes_m[node]
@@ -166,8 +175,8 @@ class Route:
         reach_m = np.where(is_end[node] > 0, np.inf, _NODE_STEP_M)
         for _ in range(_NEWTON_STEPS):
             offset = (point - self._positions(s)) * np.exp(-1j * self.heading(s))
-            # Towards the centre of curvature the slope tends to 0: there one point of the line is
-            # as near as the next.
+            # Towards the centre of curvature the slope tends to 0: there all points of the line are
+            # equally near.
             slope = np.maximum(1.0 - self.curvature(s) * offset.imag, 0.05)
             s = s + np.clip(offset.real / slope, -reach_m, reach_m)
         lateral = ((point - self._positions(s)) * np.exp(-1j * self.heading(s))).imag
@@ -179,8 +188,7 @@ class Route:
 
     @cached_property
     def _nodes_m(self) -> FloatArray:
-        """Places with known positions: the knots, and between them so many that no cell is longer
-        than a step."""
+        """Places s whose positions are stored: the knots, and nodes at most a step apart."""
         knots = self.heading_spline.x
         counts = np.ceil(np.diff(knots) / _NODE_STEP_M).astype(int)
         cells = [
@@ -191,7 +199,7 @@ class Route:
 
     @cached_property
     def _node_positions(self) -> ComplexArray:
-        """x + iy at the nodes; s = 0 lies in the origin."""
+        """Positions x + iy at the nodes; s = 0 lies in the origin."""
         nodes = self._nodes_m
         positions: ComplexArray = np.r_[0.0, np.cumsum(self._along(nodes[:-1], np.diff(nodes)))]
         positions -= positions[np.argmin(np.abs(nodes))]
@@ -202,22 +210,21 @@ class Route:
         return KDTree(_pairs(self._node_positions))
 
     def _inside(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The place within the knots that stands for each place, and the number of turns in
-        between."""
+        """Return the place within the knots that stands for each place, and the laps in between."""
         if not self.closed:
             return np.clip(s, self.heading_spline.x[0], self.heading_spline.x[-1]), np.zeros_like(s)
-        turns = np.floor(s / self.length_m)
-        return s - turns * self.length_m, turns
+        laps = np.floor(s / self.length_m)
+        return s - laps * self.length_m, laps
 
     def _along(self, s: FloatArray, step: FloatArray) -> ComplexArray:
-        """∫ exp(iψ) over a step of at most one cell from s on, by Gauss's quadrature."""
+        """Integrate exp(iψ) over a step of at most one cell from s on, by Gauss's quadrature."""
         total = np.zeros(s.shape, complex)
         for place, weight in _GAUSS.T:
             total += weight * step * np.exp(1j * self.heading_spline(s + place * step))
         return total
 
     def _positions(self, s: FloatArray) -> ComplexArray:
-        """X + iy, m."""
+        """Return the positions x + iy at places s, m."""
         inside, _ = self._inside(s)
         node = np.clip(
             np.searchsorted(self._nodes_m, inside, side="right") - 1, 0, len(self._nodes_m) - 2
@@ -230,5 +237,5 @@ class Route:
 
 
 def _pairs(z: ComplexArray) -> FloatArray:
-    """X + iy, [...], as [..., 2]."""
+    """Return x + iy, [...], as (x, y), [..., 2]."""
     return np.stack([z.real, z.imag], axis=-1)

@@ -1,5 +1,4 @@
-"""A world as the plain arrays that the compiled loops read, and what of it one camera sees at one
-instant."""
+"""A world as the plain arrays that the compiled loops read, and the view of it from one camera."""
 
 from __future__ import annotations
 
@@ -10,63 +9,84 @@ from numpy.typing import NDArray
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.geometry import se3
-from probevo_sim.scene.textures import SIZE, Texture, make_textures
+from probevo_sim.scene.textures import SIZE, Mipmaps, Texture, make_textures
 from probevo_sim.scene.world import Ground, World
 
 GROUND = -1
+"""Index of the ground where a ray's hit is recorded; solids count from 0."""
 SKY = -2
-"""What a ray hits if it is no solid."""
+"""Index of the sky, which a ray hits that meets nothing else."""
 MAP_CELL_M = 0.5
+"""Distance between the nodes of the map of distances from the road."""
 BLOCK_CELLS = 32
+"""Cells along one side of a block of that map."""
 BLOCK_M = MAP_CELL_M * BLOCK_CELLS
 LEAD_M = 150.0
-"""How far beyond both ends of the road its bands go on."""
+"""How far the bands of the ground continue beyond both ends of the road."""
 
 
 class SceneArrays(NamedTuple):
-    """What does not change during a drive; see ``Solids``, ``Ground`` and ``World``."""
+    """The part of a world that stays the same during a drive, of N solids and B bands of ground."""
 
     shape: IntArray
+    """BOX or ELLIPSOID, [N]."""
     half_size_m: FloatArray
+    """[N, 3]; see ``Solids``, like the fields up to ``seen``."""
     object_index: IntArray
+    """[N]."""
     texture: IntArray
+    """Layer of the texture on each face, [N, 3]."""
     texels_per_m: FloatArray
-    """[N, 3, 2]."""
+    """Scale of the texture along the two axes of each face, [N, 3, 2]."""
     shift_m: FloatArray
+    """[N, 2]."""
     albedo: FloatArray
+    """[N]."""
     contrast: FloatArray
+    """[N]."""
     seen: BoolArray
-    texels: NDArray[np.uint8]
-    level_start: IntArray
+    """[N]."""
+    mipmaps: Mipmaps
     blotches: int
+    """Layer of the texture of weathering."""
     clouds: int
+    """Layer of the texture of the sky."""
     dapple: int
+    """Layer of the texture of the light that falls through leaves."""
     repeated: int
-    """The texture of leaves that repeat; they sway in the wind."""
+    """Layer of the texture of leaves that repeat; they sway in the wind."""
     band_edge_m: FloatArray
+    """[B]; see ``Ground``, like the other fields of bands."""
     band_texture: IntArray
+    """[B]."""
     band_texels_per_m: FloatArray
+    """[B]."""
     band_albedo: FloatArray
+    """[B]."""
     band_contrast: FloatArray
+    """[B]."""
     map_corner_m: FloatArray
+    """Lower corner of the map of distances from the road in the world, (x, y), [2]."""
     map_blocks: IntArray
-    """Number of each block of a grid over the world's x (columns) and y (rows); −1 far from the
+    """Number of each block of a grid over the world's y (rows) and x (columns), −1 far from the
     road."""
     road_distance_m: NDArray[np.float32]
-    """Signed distance from the centre line at the nodes of each block, [blocks, BLOCK_CELLS + 1,
-    BLOCK_CELLS + 1]."""
+    """Signed distance from the road's centre line at the nodes of each block,
+    [blocks, BLOCK_CELLS + 1, BLOCK_CELLS + 1]."""
     to_sun: FloatArray
-    sun: float
-    sky: float
+    """Unit vector towards the sun in the world, [3]."""
+    sun_irradiance: float
+    """See ``World``."""
+    sky_irradiance: float
+    """See ``World``."""
     shadow: float
     """Darkness of cast shadows, 0 … 1."""
 
 
 def scene_arrays(world: World, shadow: float) -> SceneArrays:
-    """The arrays of a world."""
+    """Return the arrays of a world, with cast shadows of darkness ``shadow``, 0 … 1."""
     solids = world.solids
     ground = world.ground
-    textures = make_textures()
     corner_m, blocks, distance_m = _road_map(ground)
     return SceneArrays(
         shape=solids.shape,
@@ -78,8 +98,7 @@ def scene_arrays(world: World, shadow: float) -> SceneArrays:
         albedo=solids.albedo,
         contrast=solids.contrast,
         seen=solids.seen,
-        texels=textures.texels,
-        level_start=textures.level_start,
+        mipmaps=make_textures(),
         blotches=int(Texture.BLOTCHES),
         clouds=int(Texture.CLOUDS),
         dapple=int(Texture.DAPPLE),
@@ -93,22 +112,25 @@ def scene_arrays(world: World, shadow: float) -> SceneArrays:
         map_blocks=blocks,
         road_distance_m=distance_m,
         to_sun=world.to_sun,
-        sun=world.sun,
-        sky=world.sky,
+        sun_irradiance=world.sun_irradiance,
+        sky_irradiance=world.sky_irradiance,
         shadow=shadow,
     )
 
 
 def _road_map(ground: Ground) -> tuple[FloatArray, IntArray, NDArray[np.float32]]:
-    """Lower corner of a grid of blocks around the road, which of them are near it, and the nodes of
-    those.
+    """Return the map of distances from the road: corner, numbers of the blocks, and their nodes.
 
-    Each block has BLOCK_CELLS cells a side. Blocks out of the bands' reach have no nodes: the map
-    grows with the length of the road, not with the area around it.
+    Each block has BLOCK_CELLS cells a side. Blocks out of the bands' reach have no nodes, so the
+    map grows with the length of the road, not with the area around it.
     """
     reach_m = MAP_CELL_M + float(ground.edge_m[:-1].max(initial=0.0))
+
+    # Points of the centre line, closer together than a block is wide.
     along_m = np.arange(-LEAD_M, ground.route.length_m + LEAD_M, BLOCK_M / 4.0)
     line_m = ground.route.place(along_m, np.zeros_like(along_m))[:, :2, 3]
+
+    # Number the blocks within reach of any of them.
     around = np.arange(-np.ceil(reach_m / BLOCK_M) - 1, np.ceil(reach_m / BLOCK_M) + 2)
     corner_m = line_m.min(axis=0) + (around[0] - 1) * BLOCK_M
     center = np.floor((line_m - corner_m) / BLOCK_M)[:, None]
@@ -116,16 +138,19 @@ def _road_map(ground: Ground) -> tuple[FloatArray, IntArray, NDArray[np.float32]
     near = np.unique((center + offsets).reshape(-1, 2).astype(np.int64), axis=0)
     blocks = np.full(near.max(axis=0)[::-1] + 1, -1)
     blocks[near[:, 1], near[:, 0]] = np.arange(len(near))
+
+    # The distance from the centre line at the nodes of these blocks.
     steps_m = MAP_CELL_M * np.arange(BLOCK_CELLS + 1)
     nodes_m = np.stack(np.meshgrid(steps_m, steps_m), axis=-1)
     distance_m = [ground.route.nearest(corner_m + BLOCK_M * block + nodes_m)[1] for block in near]
     return corner_m, blocks, np.array(distance_m, dtype=np.float32)
 
 
-class Posed(NamedTuple):
-    """The solids of a world as seen from one camera at one instant."""
+class View(NamedTuple):
+    """The N solids of a world as seen from one camera at one instant."""
 
     C_world_cam: FloatArray
+    """[3, 3]."""
     center_m: FloatArray
     """The camera's centre in the world, [3]."""
     focal_px: float
@@ -141,18 +166,24 @@ class Posed(NamedTuple):
     """The world's origin in each solid's axes, [N, 3]."""
 
 
-def pose_solids(
+def view_from(
     world: World,
     T_world_object: FloatArray,
     T_world_cam: FloatArray,
     intrinsics: tuple[float, float, float],
-) -> Posed:
-    """Solids whose objects are at ``T_world_object`` [1 + G, 4, 4], before a camera of (focal, cu,
-    cv), px."""
+) -> View:
+    """Return the view of a world from one camera.
+
+    Args:
+        world: the solids and the object that each belongs to.
+        T_world_object: poses of the objects, as ``World.poses`` gives them, [2 + G, 4, 4], m.
+        T_world_cam: pose of the camera, [4, 4], m.
+        intrinsics: (focal length, cu, cv) of the camera, px.
+    """
     solids = world.solids
     T_solid_world = se3.inverse(T_world_object[solids.object_index] @ solids.T_object_solid)
     T_solid_cam = T_solid_world @ T_world_cam
-    return Posed(
+    return View(
         C_world_cam=np.ascontiguousarray(T_world_cam[:3, :3]),
         center_m=np.ascontiguousarray(T_world_cam[:3, 3]),
         focal_px=intrinsics[0],

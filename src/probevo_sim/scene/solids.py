@@ -1,5 +1,4 @@
-"""What a scene is made of: boxes and ellipsoids with a texture on each face, as one struct of
-arrays."""
+"""Solids, which a scene is made of: textured boxes and ellipsoids, as one struct of arrays."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ ELLIPSOID = 1
 
 @dataclass(frozen=True)
 class Solids:
-    """N solids, each posed in the frame of the object that it belongs to.
+    """A collection of N solids, each posed in the frame of the object that it belongs to.
 
     A solid's own axes are x forward, y left, z up, with the origin in its middle. Face 0 looks
     along x (front and back), face 1 along y (the sides), face 2 along z (top and bottom); an
@@ -33,43 +32,46 @@ class Solids:
     half_size_m: FloatArray
     """Half the extent along its own axes, [N, 3]."""
     object_index: IntArray
-    """The object it belongs to, [N]: 0 is the ground, which is at rest; then the movers, then the
-    own vehicle."""
+    """The object that it belongs to, [N]: 0 is the ground, which is at rest.
+
+    Then follow the movers, then the own vehicle."""
     texture: IntArray
     """Texture of each face, [N, 3]."""
     tile_m: FloatArray
     """Size of one tile of the texture along the two axes of each face, [N, 3, 2], m."""
     shift_m: FloatArray
-    """Where on its texture each solid begins, [N, 2], m: makes two like solids look different."""
+    """Where on its texture each solid begins, [N, 2], m; makes two equal solids look different."""
     albedo: FloatArray
     """Mean reflectance, [N], 0 … 1."""
     contrast: FloatArray
-    """How far the texture varies it, [N]: reflectance = albedo (1 + contrast (2 texture − 1))."""
+    """How far the texture varies the reflectance, albedo (1 + contrast (2 texture − 1)), [N]."""
     seen: BoolArray
-    """False for what only casts a shadow, such as the own vehicle, [N]."""
+    """Whether the camera sees it, [N]; if not, it only casts a shadow, as the own vehicle does."""
 
     def __len__(self) -> int:
-        """Number of solids, N."""
+        """Return the number of solids, N."""
         return len(self.shape)
 
     @staticmethod
     def none() -> Solids:
-        """No solid at all."""
+        """Return no solid at all."""
         one = solid(BOX, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), texture=Texture.PLAIN, tile_m=1.0)
         return Solids(**{f.name: getattr(one, f.name)[:0] for f in fields(Solids)})
 
     def of_object(self, index: int) -> Solids:
-        """The same solids as parts of another object."""
+        """Return the same solids as parts of another object."""
         return replace(self, object_index=np.full(len(self), index))
 
     def at(self, T_object_part: FloatArray) -> Solids:
-        """The same solids, moved as one: T_object_part [4, 4] takes their present frame to the
-        object's."""
+        """Return the same solids, moved as one by T_object_part, [4, 4], m.
+
+        It maps their present frame to the object's.
+        """
         return replace(self, T_object_solid=T_object_part @ self.T_object_solid)
 
 
 def join(parts: Iterable[Solids]) -> Solids:
-    """All solids of several groups, in their order."""
+    """Concatenate several groups of solids, in their order."""
     groups = list(parts)
     return Solids(
         **{
@@ -83,16 +85,16 @@ def solid(
     shape: int,
     size_m: ArrayLike,
     center_m: ArrayLike,
+    *,
     texture: Texture | tuple[Texture, Texture, Texture],
     tile_m: ArrayLike,
-    *,
     yaw_rad: float = 0.0,
     albedo: float = 0.45,
     contrast: float = 0.8,
     shift_m: ArrayLike = (0.0, 0.0),
     seen: bool = True,
 ) -> Solids:
-    """One solid at rest; ``object_index`` 0.
+    """Return one solid at rest, as a part of object 0.
 
     Args:
         shape: BOX or ELLIPSOID.
@@ -101,11 +103,11 @@ def solid(
         texture: of all faces, or of faces 0 (front, back), 1 (sides), 2 (top).
         tile_m: side of one tile: one number for all, or broadcastable to [3, 2]: two axes for each
             face.
-        yaw_rad: turn about z, counter-clockwise seen from above.
+        yaw_rad: rotation about z, counter-clockwise seen from above.
         albedo: mean reflectance, 0 … 1.
         contrast: how far the texture varies it, 0 … 1.
         shift_m: where on its texture it begins.
-        seen: False for what only casts a shadow.
+        seen: False for a solid that only casts a shadow.
     """
     T_object_solid = np.eye(4)
     cosine = np.cos(yaw_rad)

@@ -1,12 +1,11 @@
-"""The textures of a rendered scene: procedural grey tiles that wrap around, each as a pyramid of
-box means."""
+"""The textures of a scene: procedural grey tiles that wrap around, with their mip levels."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +14,11 @@ from probevo.arrays import IntArray
 from probevo_sim.scene.texture_patterns import canvas, facades, ground, plants, surfaces, vehicles
 
 SIZE = canvas.SIDE
-"""Texels a side of a tile's finest level."""
+"""Texels along one side of a tile at mip level 0, the finest."""
 
 
 class Texture(IntEnum):
-    """Every texture; the value is its layer in the pyramid."""
+    """The name of every texture; its value is the layer in ``Mipmaps``."""
 
     PLAIN = 0
     ASPHALT = 1
@@ -51,17 +50,20 @@ class Texture(IntEnum):
     DAPPLE = 27
 
 
-@dataclass(frozen=True)
-class TexturePyramid:
-    """All textures at all scales, shared and read-only. A tile wraps around; its mean is 0.5, that
-    is 127.5."""
+class Mipmaps(NamedTuple):
+    """All L textures with all their mip levels, read-only.
+
+    A tile wraps around at its edges. Its mean is 0.5, which is stored as 127.5.
+    """
 
     texels: NDArray[np.uint8]
-    """[L, M]: of each texture its levels one after another, level 0 first, row-major. Column =
-    first texture coordinate, row = second, growing upward on a wall: row 0 is the foot of a facade.
+    """[L, M]: of each texture the mip levels one after another, level 0 first, row-major.
+
+    The column is the first texture coordinate, the row the second. Rows grow upwards on a wall:
+    row 0 is the foot of a facade.
     """
     level_start: IntArray
-    """[n_levels]: where each level begins; level l has (SIZE >> l)² texels."""
+    """Index of the first texel of each level, [n_levels]; level l has (SIZE >> l)² texels."""
 
 
 _PATTERNS: dict[Texture, tuple[Callable[[np.random.Generator], canvas.Tile], float]] = {
@@ -94,33 +96,35 @@ _PATTERNS: dict[Texture, tuple[Callable[[np.random.Generator], canvas.Tile], flo
     Texture.BLOTCHES: (surfaces.blotches, 0.18),
     Texture.DAPPLE: (plants.dapple, 0.4),
 }
-"""What draws each texture, and the standard deviation that it is given."""
+"""The function that draws each texture, and the standard deviation that the texture is given."""
 
 
 @cache
-def make_textures() -> TexturePyramid:
-    """Draw every texture, the same on each call."""
+def make_textures() -> Mipmaps:
+    """Draw every texture with its mip levels, the same on each call."""
     layers = []
     for texture in Texture:
-        draw, spread = _PATTERNS[texture]
-        level = _toned(draw(np.random.default_rng(int(texture))), spread)
+        draw, deviation = _PATTERNS[texture]
+        level = _normalized(draw(np.random.default_rng(int(texture))), deviation)
+
+        # Each level is the 2×2 box mean of the one before, down to a single texel.
         levels = [level]
         while len(level) > 1:
-            level = canvas.reduced(level)
+            level = canvas.downsampled(level)
             levels.append(level)
         layers.append(np.concatenate([level.ravel() for level in levels]))
     texels = np.rint(255 * np.array(layers)).astype(np.uint8)
-    texels.setflags(write=False)
+    texels.setflags(write=False)  # the result is cached, and so shared by all callers
     texels_of_level = (SIZE >> np.arange(SIZE.bit_length())) ** 2
-    return TexturePyramid(texels, np.cumsum(texels_of_level) - texels_of_level)
+    return Mipmaps(texels, level_start=np.cumsum(texels_of_level) - texels_of_level)
 
 
-def _toned(tile: canvas.Tile, spread: float) -> canvas.Tile:
-    """The tile within 0 … 1, of mean 0.5 and, but for what that cuts off, of this standard
-    deviation."""
-    deviation = tile.std()
-    tile = (tile - tile.mean()) * (spread / deviation if deviation > 0 else 0.0)
+def _normalized(tile: canvas.Tile, deviation: float) -> canvas.Tile:
+    """Return the tile within 0 … 1, with mean 0.5 and, before clipping, this standard deviation."""
+    drawn_deviation = tile.std()
+    scale = deviation / drawn_deviation if drawn_deviation > 0 else 0.0
+    tile = (tile - tile.mean()) * scale
     shift = 0.5
-    for _ in range(8):  # cutting off moves the mean
+    for _ in range(8):  # clipping moves the mean, so the shift is found by iteration
         shift += 0.5 - float(np.clip(tile + shift, 0, 1).mean())
     return np.clip(tile + shift, 0, 1)

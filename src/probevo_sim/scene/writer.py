@@ -1,4 +1,4 @@
-"""Writes a drive through a scene as a folder of files that ``open_sequence`` reads."""
+"""Write a drive through a scene as a folder of files that ``open_sequence`` reads."""
 
 from __future__ import annotations
 
@@ -7,24 +7,26 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import joblib
 import numpy as np
 import yaml
 
-from probevo.cores import available_cores
 from probevo.errors import InputError
 from probevo.files import check_folder, remove_stale, write_atomically
-from probevo.output.files import write_kitti_poses
 from probevo.sequences.folder import IMU_HEADER
+from probevo.sequences.pose_files import write_kitti_poses
 from probevo.sequences.read_ahead import read_ahead
 from probevo_sim.scene.config import SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
 from probevo_sim.scene.renderer import PixelTruth
 
 RENDERER_VERSION = 1
-"""To be counted up when the same settings come to give other images: it tells old folders from new
-ones."""
+"""Version of the images that the same settings give; it distinguishes old folders from new ones.
+
+Increase it with every change that alters an image."""
 SETTINGS_FILE = "scene.yaml"
 LAST_FILE = "times.txt"
+"""The file that is written last: where it is, the recording is complete."""
 SIDES = ("left", "right")
 
 
@@ -36,19 +38,19 @@ def write_scene(
     jobs: int = 0,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Render a drive into a folder that ``open_sequence`` reads; what an earlier, stopped call left
-    there is kept.
+    """Render a drive into a folder that ``open_sequence`` reads.
 
-    Beside the files of the folder layout it holds ``scene.yaml``, the settings, and on request
-    ``pixel_truth/<frame>.npz`` with the arrays of ``PixelTruth`` in single precision.
+    Frames that an earlier, interrupted call wrote are kept. Beside the files of the folder layout
+    the folder holds the settings, ``scene.yaml``, and on request ``pixel_truth/<frame>.npz`` with
+    the arrays of ``PixelTruth`` in single precision.
 
     Args:
-        config: all settings. ``truth`` may change from call to call: it decides ``poses.txt``
-            alone.
+        config: all settings. ``truth`` may change from call to call: only ``poses.txt`` depends on
+            it.
         out: the folder; made if it is missing.
         pixel_truth: also write the truth about each pixel.
         jobs: threads that render; 0 is one for each core.
-        on_frame: called with how many frames are there, and how many there will be.
+        on_frame: called with the number of frames that exist, and of all frames.
 
     Returns:
         ``out``.
@@ -73,8 +75,9 @@ def write_scene(
     def is_missing(index: int) -> bool:
         return not _has_images(out, index) or (pixel_truth and not _truth_file(out, index).exists())
 
+    # Render the missing frames in threads; compiled loops release the interpreter's lock.
     missing = [index for index in range(len(recording)) if is_missing(index)]
-    threads = min(jobs or available_cores(), len(recording))
+    threads = min(jobs or joblib.cpu_count(), len(recording))
     written = read_ahead(write, missing, ahead=2 * threads, threads=threads)
     for done, _ in enumerate(written, start=len(recording) - len(missing) + 1):
         if on_frame is not None:
@@ -84,13 +87,20 @@ def write_scene(
 
 
 def settings_text(config: SceneConfig) -> str:
-    """Everything that decides the images, as YAML: two scenes with the same text look the same."""
-    decisive = config.model_dump(exclude={"truth"})
-    return yaml.safe_dump({"renderer": RENDERER_VERSION, **decisive}, sort_keys=False)
+    """Return all settings that the images depend on, as YAML.
+
+    Two scenes with the same text have the same images.
+    """
+    settings = config.model_dump(exclude={"truth"})
+    return yaml.safe_dump({"renderer": RENDERER_VERSION, **settings}, sort_keys=False)
 
 
 def _check_out(settings: str, out: Path) -> None:
-    """Refuse a folder that holds anything but a part of this very scene."""
+    """Check that a folder is empty or holds a part of this very scene.
+
+    Raises:
+        InputError: it holds something else.
+    """
     check_folder(out, "--out")
     try:
         if not out.is_dir() or all(path.suffix == ".part" for path in out.iterdir()):
@@ -113,11 +123,12 @@ def _truth_file(out: Path, index: int) -> Path:
 
 
 def _has_images(out: Path, index: int) -> bool:
-    """Whether the images of a frame were written; files appear whole or not at all."""
+    """Return whether the images of a frame are there; files appear whole or not at all."""
     return all(_image_file(out, side, index).exists() for side in SIDES)
 
 
 def _write_pixel_truth(path: Path, truth: PixelTruth) -> None:
+    """Write the truth about each pixel in single precision."""
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
@@ -130,7 +141,8 @@ def _write_pixel_truth(path: Path, truth: PixelTruth) -> None:
 
 
 def _write_rest(recording: SceneRecording, out: Path) -> None:
-    """Calibration, IMU, poses and, last, the times."""
+    """Write calibration, IMU, poses and, last, the times."""
+    # The calibration of cameras and IMU.
     camera = recording.camera
     imu = recording.imu
     calibration = {
@@ -152,10 +164,17 @@ def _write_rest(recording: SceneRecording, out: Path) -> None:
         },
     }
     write_atomically(out / "calib.yaml", yaml.safe_dump(calibration, sort_keys=False))
-    stamps_ns, gyro_rad_s, accel_m_s2 = recording.imu_samples
-    rows = zip(stamps_ns.tolist(), np.hstack([gyro_rad_s, accel_m_s2]).tolist(), strict=True)
-    lines = [",".join([str(stamp), *map(repr, values)]) for stamp, values in rows]
+
+    # The IMU's samples, one a line, at full precision.
+    samples = recording.imu_samples
+    values = np.hstack([samples.gyro_rad_s, samples.accel_m_s2])
+    lines = [
+        ",".join([str(stamp), *map(repr, row)])
+        for stamp, row in zip(samples.stamps_ns.tolist(), values.tolist(), strict=True)
+    ]
     write_atomically(out / "imu.csv", "\n".join([IMU_HEADER, *lines, ""]))
+
+    # The poses that are given away, and the times.
     if recording.truth is not None:
         write_kitti_poses(out / "poses.txt", recording.truth.T_world_cam)
     else:

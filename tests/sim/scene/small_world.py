@@ -1,5 +1,4 @@
-"""A few solids on a plane, and a camera that drives past them: ``from sim.scene.small_world
-import …``."""
+"""A few solids on a plane, and a camera that drives past them, for the tests of the renderer."""
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
@@ -17,21 +16,21 @@ from probevo_sim.scene.world import Ground, Movers, World
 CAMERA = StereoCamera(180.0, 180.0, 159.5, cv_px=63.5, baseline_m=0.54, size_px=(320, 128))
 HEIGHT_M = 1.5
 SPEED_M_S = 6.0
-TURN_RAD_S = 0.05
+YAW_RATE_RAD_S = 0.05
 WALL_M = 30.0
 """How far east the front of the wall is; the camera starts at the origin and looks east."""
 
 
 def trajectory() -> Trajectory:
-    """Eastward, slowly turning to the left, without any shaking."""
+    """Return a drive eastwards that bends slowly to the left, without suspension."""
     t_s = np.linspace(-1.0, 5.0, 121)
     zero = np.zeros_like(t_s)
     coordinates = np.stack(
         [
             SPEED_M_S * t_s,
-            0.5 * SPEED_M_S * TURN_RAD_S * t_s**2,
+            0.5 * SPEED_M_S * YAW_RATE_RAD_S * t_s**2,
             HEIGHT_M + zero,
-            TURN_RAD_S * t_s,
+            YAW_RATE_RAD_S * t_s,
             zero,
             zero,
         ],
@@ -42,7 +41,7 @@ def trajectory() -> Trajectory:
 
 
 def things() -> Solids:
-    """A wall across the view, a box to the left, a ball to the right."""
+    """Return a wall across the view, a box to the left, and a sphere to the right."""
     return join(
         [
             solid(

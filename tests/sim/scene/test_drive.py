@@ -1,5 +1,4 @@
-"""The rig's motion: exact derivatives, the plan's pose at the ends, its limits, and another drive
-each time."""
+"""The rig's motion: exact derivatives, the plan's pose at the ends, limits and deviations."""
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ def drive(route: Route, plan: DrivePlan, seed: int = 0) -> Trajectory:
 
 
 def times(trajectory: Trajectory) -> FloatArray:
-    """All along, and 0.1 s beyond both ends."""
+    """Return times all along a drive, and 0.1 s beyond both ends."""
     return np.linspace(-0.1, trajectory.duration_s + 0.1, 5000)
 
 
@@ -61,9 +60,8 @@ def test_angular_rate_is_the_derivative_of_the_rotation(trajectory: Trajectory) 
 @every_drive
 def test_specific_force_is_acceleration_minus_gravity(trajectory: Trajectory) -> None:
     t = times(trajectory)
-    acceleration = (trajectory.velocity(t + STEP_S) - trajectory.velocity(t - STEP_S)) / (
-        2 * STEP_S
-    )
+    velocity_change = trajectory.velocity(t + STEP_S) - trajectory.velocity(t - STEP_S)
+    acceleration = velocity_change / (2 * STEP_S)
     force = trajectory.T_world_cam(t)[:, :3, :3] @ trajectory.specific_force(t)[..., None]
     assert np.abs(force[..., 0] - [0.0, 0.0, 9.81] - acceleration).max() < 1e-5
 
@@ -103,8 +101,7 @@ def test_ends_at_rest_are_at_the_plans_pose() -> None:
 
 
 def test_camera_looks_where_it_goes() -> None:
-    """Without suspension the motion is along the optical axis, the wander's and the curves'
-    included."""
+    """Without suspension the motion is along the optical axis, also in curves and deviations."""
     trajectory = drive(ROAD, DrivePlan(5.0, 250.0, 10.0, lateral_m=-1.8, shake=0.0))
     t = times(trajectory)
     in_camera = (trajectory.velocity(t)[:, None] @ trajectory.T_world_cam(t)[:, :3, :3])[:, 0]
@@ -132,15 +129,14 @@ def test_suspension_has_its_size() -> None:
     """Over 100 s at 15 m/s: 0.15° of pitch, 0.1° of roll and 1 cm of height, times 15/17."""
     trajectory = drive(STRAIGHT, DrivePlan(0.0, 1500.0, 15.0))
     _, _, height, _, pitch, roll = np.std(trajectory.coordinates(times(trajectory)), axis=0)
-    expected = 15.0 / 17.0 * np.array([np.deg2rad(0.15), np.deg2rad(0.1), 0.01])
-    np.testing.assert_allclose([pitch, roll, height], expected, rtol=0.1)
+    rms = 15.0 / 17.0 * np.array([np.deg2rad(0.15), np.deg2rad(0.1), 0.01])
+    np.testing.assert_allclose([pitch, roll, height], rms, rtol=0.1)
 
 
-def test_wander_has_its_size() -> None:
+def test_lateral_deviation_has_its_size() -> None:
     trajectory = drive(STRAIGHT, DrivePlan(0.0, 1500.0, 15.0))
-    assert np.sqrt(np.mean(trajectory.coordinates(times(trajectory))[:, 1] ** 2)) == pytest.approx(
-        0.1, rel=0.1
-    )
+    lateral_m = trajectory.coordinates(times(trajectory))[:, 1]
+    assert np.sqrt(np.mean(lateral_m**2)) == pytest.approx(0.1, rel=0.1)
 
 
 def test_same_seed_drives_the_same() -> None:
@@ -152,11 +148,10 @@ def test_same_seed_drives_the_same() -> None:
 def test_another_seed_drives_differently_from_and_to_the_same_place() -> None:
     first = drive(LOOP, ROUND_TRIP, 3)
     second = drive(LOOP, ROUND_TRIP, 4)
-    poses = [
-        trajectory.T_world_cam([0.0, 25.0, trajectory.duration_s]) for trajectory in (first, second)
-    ]
-    np.testing.assert_allclose(poses[0][[0, 2]], poses[1][[0, 2]], atol=1e-9)
-    assert np.linalg.norm((poses[0] - poses[1])[1, :2, 3]) > 0.01
+    one = first.T_world_cam([0.0, 25.0, first.duration_s])
+    other = second.T_world_cam([0.0, 25.0, second.duration_s])
+    np.testing.assert_allclose(one[[0, 2]], other[[0, 2]], atol=1e-9)
+    assert np.linalg.norm((one - other)[1, :2, 3]) > 0.01
 
 
 @pytest.mark.parametrize(

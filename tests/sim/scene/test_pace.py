@@ -20,12 +20,10 @@ def uneven(distance_m: FloatArray) -> FloatArray:
 
 
 def test_duration_has_the_closed_form() -> None:
-    """D/v, v/a more for speeding up and slowing down, and at both ends the rest and half a kernel
-    of 1 s."""
+    """D/v, v/a more for acceleration and deceleration, and at both ends rest and half a window."""
     pace = Pace.within(steady(9.0), 200.0, (), from_rest=True, to_rest=True)
-    assert pace.duration_s == pytest.approx(
-        200.0 / 9.0 + 9.0 / MAX_ACCELERATION_M_S2 + 2 * (REST_S + 0.5), rel=1e-3
-    )
+    duration_s = 200.0 / 9.0 + 9.0 / MAX_ACCELERATION_M_S2 + 2 * (REST_S + 0.5)
+    assert pace.duration_s == pytest.approx(duration_s, rel=1e-3)
 
 
 @pytest.mark.parametrize("rest", [True, False])
@@ -41,20 +39,20 @@ def test_speed_is_the_derivative_of_the_distance() -> None:
     np.testing.assert_allclose(pace.speed(t_s), numeric, atol=1e-4)
 
 
-def test_speed_changes_no_faster_than_it_may() -> None:
+def test_acceleration_is_bounded() -> None:
     pace = Pace.within(uneven, 200.0, (40.0, 90.0), from_rest=True, to_rest=True)
     speed = pace.speed(np.arange(-0.5, pace.duration_s + 0.5, STEP_S))
     assert np.abs(np.diff(speed)).max() < 1.01 * MAX_ACCELERATION_M_S2 * STEP_S
     assert speed.min() > -1e-9
 
 
-def test_limit_is_kept_but_for_the_smoothing() -> None:
+def test_speed_limit_is_kept_up_to_the_smoothing() -> None:
     pace = Pace.within(uneven, 200.0, (), from_rest=False, to_rest=False)
     t_s = np.linspace(0.0, pace.duration_s, 2000)
     assert np.max(pace.speed(t_s) - uneven(pace.distance(t_s))) < 0.15
 
 
-def test_halts_last_as_long_as_they_should() -> None:
+def test_halts_have_their_duration() -> None:
     pace = Pace.within(steady(5.0), 100.0, (30.0, 60.0, 130.0), from_rest=False, to_rest=False)
     t_s = np.arange(0.0, pace.duration_s, STEP_S)
     for stop_m in (30.0, 60.0):

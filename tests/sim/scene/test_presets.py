@@ -1,5 +1,4 @@
-"""Each place: its road is free, its seed decides it, effects do what they say, its pictures are
-well exposed."""
+"""The presets: a free road, determined by the seed, with their effects, and well exposed."""
 
 from dataclasses import fields
 from functools import cache
@@ -38,7 +37,7 @@ def place(
 
 
 SHORT_M = 60.0
-"""Where what is said of a place has nothing to do with its length."""
+"""Length of places whose length does not matter."""
 
 
 @cache
@@ -47,7 +46,7 @@ def built(config: str) -> Place:
 
 
 def rebuilt(config: SceneConfig) -> Place:
-    """Where ``place`` remembers what it has built."""
+    """Build a place anew, where ``place`` would return the one that it has built before."""
     return PRESETS[config.preset](config)
 
 
@@ -61,12 +60,13 @@ def driven(preset: PresetName, **effects: float) -> Trajectory:
 
 
 def intrusions(solids: Solids, path_m: np.ndarray, above_m: float = 0.02) -> np.ndarray:
-    """Solids with a point between this height and 2.5 m within 1.2 m of the path; points about 0.4
-    m apart."""
+    """Return the solids that reach within 1.2 m of a path, from ``above_m`` to 2.5 m high.
+
+    Their surfaces are sampled at points about 0.4 m apart.
+    """
     path = KDTree(path_m)
-    near = path.query(solids.T_object_solid[:, :2, 3])[0] < 1.2 + np.linalg.norm(
-        solids.half_size_m, axis=1
-    )
+    radius_m = np.linalg.norm(solids.half_size_m, axis=1)
+    near = path.query(solids.T_object_solid[:, :2, 3])[0] < 1.2 + radius_m
     hits = []
     for k in np.flatnonzero(near):
         T = solids.T_object_solid[k]
@@ -93,7 +93,7 @@ def test_nothing_stands_on_the_driven_road(preset: PresetName, strength: float) 
 
 
 def test_an_obstacle_on_the_road_would_be_found() -> None:
-    """The check above is not blind."""
+    """The check above finds what it looks for."""
     obstacle = solid(BOX, (0.4, 0.4, 1.0), (5.0, 1.0, 0.5), texture=Texture.PLAIN, tile_m=1.0)
     path_m = np.column_stack([np.arange(0.0, 10.0, 0.5), np.zeros(20)])
     assert intrusions(obstacle, path_m).tolist() == [0]
@@ -153,13 +153,11 @@ def test_foliage_adds_leaves_that_repeat(preset: PresetName) -> None:
 
 def test_the_strength_of_foliage_is_the_share_of_the_road_with_hedges() -> None:
     route = Route.from_turns([(2000.0, 0.0)])
-    half, full = (
-        sum(
-            len(thing) == 1 for thing in foliage(route, strength, 6.0, rng=np.random.default_rng(0))
-        )
-        for strength in (0.5, 1.0)
-    )
-    assert half / full == pytest.approx(0.5, abs=0.05)
+    hedges = {}
+    for strength in (0.5, 1.0):
+        plants = foliage(route, strength, 6.0, rng=np.random.default_rng(0))
+        hedges[strength] = sum(len(plant) == 1 for plant in plants)
+    assert hedges[0.5] / hedges[1.0] == pytest.approx(0.5, abs=0.05)
 
 
 @every_preset
@@ -175,7 +173,7 @@ def test_traffic_moves_and_leaves_the_rest_as_it_is(preset: PresetName) -> None:
 
 
 @every_preset
-def test_shadows_bring_the_own_vehicle_unseen(preset: PresetName) -> None:
+def test_shadows_add_the_own_vehicle_unseen(preset: PresetName) -> None:
     world = place(preset, traffic=0.5, shadows=1.0, distance_m=SHORT_M).world
     unseen = ~world.solids.seen
     assert unseen.any()
@@ -214,7 +212,7 @@ def test_a_picture_is_well_exposed(preset: PresetName, shadows: float) -> None:
     assert 60.0 < expose(left, 1.0, 0.0, rng=np.random.default_rng(0)).mean() < 170.0
 
 
-def test_what_reaches_into_the_road_is_taken_away_whole() -> None:
+def test_an_object_that_reaches_into_the_road_is_removed_whole() -> None:
     route = Route.from_turns([(50.0, 0.0)])
     wall = solid(BOX, (4.0, 1.0, 2.0), (20.0, 6.0, 1.0), texture=Texture.PLAIN, tile_m=1.0)
     beam = solid(BOX, (1.0, 8.0, 1.0), (20.0, 4.0, 1.0), texture=Texture.PLAIN, tile_m=1.0)
@@ -229,7 +227,7 @@ def test_what_hangs_above_the_road_may_stay(height_m: float, stays: int) -> None
     assert len(clear_of_road([branch], Route.from_turns([(50.0, 0.0)]), 3.0)) == stays
 
 
-def test_stations_are_evenly_spaced_where_things_stand() -> None:
+def test_stations_are_evenly_spaced_beside_the_road() -> None:
     """On the outer side of a bend of 90°, 20 m from the centre line."""
     route = Route.from_turns([(30.0, 0.0), (60.0, -0.5 * np.pi), (30.0, 0.0)])
     s = stations(route, 20.0, 0.0, end_m=120.0, spacing_m=5.0)

@@ -1,4 +1,4 @@
-"""Depth, disparity, flow and what moves are exact, and the images agree with them."""
+"""Depth, disparity, flow and the moving mask are exact, and the images agree with them."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,16 +7,6 @@ from typing import get_args
 import cv2
 import numpy as np
 import pytest
-from sim.scene.small_world import (
-    CAMERA,
-    HEIGHT_M,
-    SPEED_M_S,
-    WALL_M,
-    renderer,
-    things,
-    trajectory,
-    world,
-)
 
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.geometry import se3
@@ -27,6 +17,16 @@ from probevo_sim.scene.sensor import expose
 from probevo_sim.scene.solids import BOX, join, solid
 from probevo_sim.scene.textures import Texture
 from probevo_sim.scene.world import Movers
+from sim.scene.small_world import (
+    CAMERA,
+    HEIGHT_M,
+    SPEED_M_S,
+    WALL_M,
+    renderer,
+    things,
+    trajectory,
+    world,
+)
 
 STEP_S = 0.1
 
@@ -46,7 +46,7 @@ def test_depth_of_ground_and_wall_is_that_of_the_plane() -> None:
     np.testing.assert_allclose(truth.depth_m[40 : int(below) - 2, middle], WALL_M, rtol=1e-9)
 
 
-def test_depth_of_a_ball_is_that_of_the_sphere() -> None:
+def test_depth_of_a_sphere_is_exact() -> None:
     """Its nearest point along the ray to its centre lies one radius before it."""
     center = np.array([3.0, HEIGHT_M - 1.0, 10.0])  # in the camera at t = 0: right, down, forward
     u, v = np.round(CAMERA.project(center)[:2]).astype(int)
@@ -72,9 +72,9 @@ def test_the_sky_is_at_infinity() -> None:
             np.ones(320),
         ]
     )
-    turned = T_next_curr[:3, :3] @ ray
-    expected = CAMERA.fu_px * turned[0] / turned[2] + CAMERA.cu_px - u
-    np.testing.assert_allclose(truth.flow_px[0, :, 0], expected, atol=1e-9)
+    rotated = T_next_curr[:3, :3] @ ray
+    flow_px = CAMERA.fu_px * rotated[0] / rotated[2] + CAMERA.cu_px - u
+    np.testing.assert_allclose(truth.flow_px[0, :, 0], flow_px, atol=1e-9)
 
 
 def test_flow_of_what_stands_still_follows_from_depth_and_motion() -> None:
@@ -88,7 +88,7 @@ def test_flow_of_what_stands_still_follows_from_depth_and_motion() -> None:
 
 
 def moving_box(speed_m_s: float) -> Renderer:
-    """A box that drives ahead of the camera, in the middle of the road."""
+    """Render a box that drives ahead of the camera, in the middle of the road."""
     box = solid(
         BOX, (3.0, 1.8, 1.4), (0.0, 0.0, 0.7), texture=Texture.CAR_FRONT, tile_m=1.8
     ).of_object(1)
@@ -110,15 +110,14 @@ def test_what_moves_is_marked_and_keeps_its_place_if_it_moves_with_the_camera() 
     assert truth.moving[v, u]
     assert 0.01 < truth.moving.mean() < 0.2
     T_next_curr = se3.inverse(trajectory().T_world_cam(STEP_S)) @ trajectory().T_world_cam(0.0)
-    only_turn = (
-        CAMERA.fu_px * T_next_curr[0, 2]
-    )  # the box keeps its distance; the camera's turn moves it
-    assert truth.flow_px[v, u, 0] == pytest.approx(only_turn, abs=0.3)
+    # The box keeps its distance, so only the camera's rotation moves it in the image.
+    rotation_px = CAMERA.fu_px * T_next_curr[0, 2]
+    assert truth.flow_px[v, u, 0] == pytest.approx(rotation_px, abs=0.3)
     assert not renderer().pixel_truth(0.0, STEP_S).moving.any()
 
 
 def textured_points(image: Image, disparity_px: FloatArray, count: int) -> FloatArray:
-    """Corners whose window lies on one surface: disparities there are a plane's, to 0.05 px."""
+    """Find corners whose window lies on one surface: its disparities fit a plane to 0.05 px."""
     corners = cv2.goodFeaturesToTrack(image, count, 0.01, 4)[:, 0]
     half = 7
     kept = []
@@ -136,7 +135,7 @@ def textured_points(image: Image, disparity_px: FloatArray, count: int) -> Float
 def feature_errors(
     first: Image, second: Image, flow_px: FloatArray, points: FloatArray
 ) -> FloatArray:
-    """By how much points of two images differ after the true flow has been taken out, [N, 2], px.
+    """Return the displacement of points between two images beyond the true flow, [N, 2], px.
 
     The second image is warped back by the true flow of each pixel, so that perspective is no part
     of the error.
@@ -158,10 +157,10 @@ def feature_errors(
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", get_args(PresetName))
 def test_correlated_images_agree_with_the_truth_at_a_thousand_points(preset: PresetName) -> None:
-    """Median error of flow and disparity below 0.05 px, of rows below 0.02 px, in no direction more
-    than 0.01 px.
+    """Median errors of flow and disparity are below 0.05 px, of rows below 0.02 px.
 
-    In stretches of two steps, all over the drive, of which each image is rendered once.
+    In no direction is the median more than 0.01 px. The points come from pairs of frames all along
+    the drive, each image of which is rendered once.
     """
     recording = open_scene(SceneConfig(preset=preset))
     flow_error = [np.zeros((0, 2))]
@@ -171,7 +170,8 @@ def test_correlated_images_agree_with_the_truth_at_a_thousand_points(preset: Pre
     frames = iter((first[:, None] + np.arange(2)).ravel().tolist())
     while min(len(np.concatenate(errors)) for errors in (flow_error, stereo_error)) < 1000:
         index = next(frames)
-        (left, right), (following, _) = images(index), images(index + 1)
+        left, right = images(index)
+        following, _ = images(index + 1)
         truth = recording.pixel_truth(index)
         points = textured_points(left, truth.disparity_px, 600)
         flow_error.append(feature_errors(left, following, truth.flow_px, points))
@@ -190,12 +190,13 @@ def test_correlated_images_agree_with_the_truth_at_a_thousand_points(preset: Pre
 
 @pytest.mark.parametrize("strength", [0.3, 0.8])
 def test_blur_is_the_mean_over_the_time_that_the_shutter_is_open(strength: float) -> None:
-    """Nearer to the mean of the sharp images over that time than to that over half or twice of it.
+    """It is nearer to the mean of sharp images over that time than over half or twice that time.
 
-    Of 32 over twice the time, the middle half and the middle quarter are those over that time and
-    over half of it.
+    Of 32 images over twice the time, the middle half covers that time, and the middle quarter half
+    of it.
     """
-    (blurred, _), sharp = renderer(blur=strength).pair(1.0), renderer()
+    blurred, _ = renderer(blur=strength).pair(1.0)
+    sharp = renderer()
     times_s = 1.0 + 2.0 * FULL_SHUTTER_S * strength * ((np.arange(32) + 0.5) / 32 - 0.5)
     images = np.array([sharp.pair(t_s)[0] for t_s in times_s])
     middles = [images[12:20], images[8:24], images]

@@ -1,5 +1,4 @@
-"""The road's centre line: its heading, position and curvature agree, loops close, and places come
-back."""
+"""The road's centre line: heading, position and curvature agree, and loops close."""
 
 import numpy as np
 import pytest
@@ -44,7 +43,7 @@ def test_curvature_is_continuous(route: Route) -> None:
     assert np.abs(np.diff(route.curvature(along(route)))).max() < 0.002
 
 
-def test_turns_add_up() -> None:
+def test_changes_of_heading_add_up() -> None:
     np.testing.assert_allclose(
         TURNS.heading([0.0, 50.0, 70.0, 100.0, 140.0]), 0.4 + np.array([0, 0, 1.5, 0.8, 0.8])
     )
@@ -61,7 +60,7 @@ def test_straight_road_is_straight() -> None:
     )
 
 
-def test_open_road_goes_straight_on_beyond_its_ends() -> None:
+def test_open_road_continues_straight_beyond_its_ends() -> None:
     road = Route.from_turns([(10.0, 1.0)])
     end, beyond = road.place([10.0, 25.0], [2.0, 2.0])
     np.testing.assert_allclose(
@@ -94,7 +93,7 @@ def test_loop_does_not_cross_itself() -> None:
     assert distance[apart_m > 25.0].min() > 20.0
 
 
-def test_things_stand_to_the_left_and_face_along_the_road() -> None:
+def test_objects_stand_to_the_left_and_face_along_the_road() -> None:
     T_world_object = Route.from_turns([(10.0, 0.0)], start_heading_rad=np.pi / 2).place(4.0, 3.0)
     np.testing.assert_allclose(
         T_world_object @ [0.0, 0.0, 0.0, 1.0], [-3.0, 4.0, 0.0, 1.0], atol=1e-12
@@ -108,7 +107,7 @@ def test_things_stand_to_the_left_and_face_along_the_road() -> None:
 
 
 @every_route
-def test_nearest_undoes_place(route: Route) -> None:
+def test_nearest_is_the_inverse_of_place(route: Route) -> None:
     rng = np.random.default_rng(0)
     margin_m = 0.0 if route.closed else 60.0
     s = rng.uniform(-margin_m, route.length_m + margin_m, (100, 50))

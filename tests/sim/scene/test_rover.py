@@ -1,5 +1,4 @@
-"""The rover's loop: five runs of one place that end where they began, by other ways; truth withheld
-at will."""
+"""The rover's loop: five runs through one place, on different paths, that end where they began."""
 
 from __future__ import annotations
 
@@ -22,8 +21,8 @@ def opened(run: int) -> SceneRecording:
     return open_scene(SceneConfig(preset="rover", drive=run))
 
 
-def way(run: int) -> FloatArray:
-    """Camera poses of all runs at the same times, [K, 4, 4]."""
+def path(run: int) -> FloatArray:
+    """Return camera poses at equally spaced times of a run, [K, 4, 4], m."""
     trajectory = opened(run).renderer.trajectory
     return trajectory.T_world_cam(np.linspace(0.0, trajectory.duration_s, 1000))
 
@@ -33,20 +32,19 @@ def test_last_frame_has_the_pose_of_the_first(run: int) -> None:
     truth = opened(run).truth
     assert truth is not None
     np.testing.assert_allclose(truth.T_world_cam[-1], np.eye(4), atol=1e-9)
-    np.testing.assert_allclose(way(run)[-1], way(0)[0], atol=1e-9)
+    np.testing.assert_allclose(path(run)[-1], path(0)[0], atol=1e-9)
 
 
 @every_run
 def test_loop_is_250_m_long(run: int) -> None:
-    """The wander adds a little, and cuts corners or makes them wider."""
-    assert np.linalg.norm(np.diff(way(run)[:, :3, 3], axis=0), axis=1).sum() == pytest.approx(
-        250.0, rel=0.01
-    )
+    """The lateral deviation from the planned path changes the length a little."""
+    length_m = np.linalg.norm(np.diff(path(run)[:, :3, 3], axis=0), axis=1).sum()
+    assert length_m == pytest.approx(250.0, rel=0.01)
 
 
 @pytest.mark.parametrize("run", RUNS[1:])
-def test_another_run_goes_another_way(run: int) -> None:
-    assert np.linalg.norm(way(run)[:, :3, 3] - way(0)[:, :3, 3], axis=1).max() > 0.05
+def test_another_run_takes_another_path(run: int) -> None:
+    assert np.linalg.norm(path(run)[:, :3, 3] - path(0)[:, :3, 3], axis=1).max() > 0.05
 
 
 def test_place_is_the_same_for_every_run() -> None:
@@ -68,7 +66,7 @@ def test_truth_can_be_withheld() -> None:
 
 
 def test_nothing_stands_in_the_way() -> None:
-    """Along the loop no surface is nearer ahead than 1 m, so the way leads through no rock."""
+    """Along the loop no surface is nearer ahead than 1 m, so the path leads through no rock."""
     rig = RigConfig(width_px=64, height_px=48, focal_px=60.0)
     recording = open_scene(SceneConfig(preset="rover", seed=2, rig=rig))
     for index in np.linspace(0, len(recording) - 2, 60).astype(int):

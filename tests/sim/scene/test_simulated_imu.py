@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from intervals import chi2_interval
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import FloatArray
 from probevo.geometry import se3, so3
 from probevo.measurements.gyro import integrate_gyro
 from probevo.sequences.frame import ImuSamples
@@ -29,17 +29,17 @@ QUIET = {
 }
 
 
-def simulated(seed: int = 0, **rig: float) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Samples of an IMU without noise, but for what is given."""
+def simulated(seed: int = 0, **rig: float) -> ImuSamples:
+    """Simulate an IMU without any noise except what is given."""
     return simulate_imu(
         DRIVE, STAMPS_NS, RigConfig(**{**QUIET, **rig}), rng=np.random.default_rng(seed)
     )
 
 
 def gyro_errors(rig: RigConfig, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-    """Error of the integrated gyro over each frame interval, [K, 3], rad, and its covariance, [K,
-    3, 3]."""
-    imu = ImuSamples(*simulate_imu(DRIVE, STAMPS_NS, rig, rng=np.random.default_rng(seed)))
+    """Return the error of the integrated gyro over each frame interval, [K, 3], rad, and its
+    covariance, [K, 3, 3]."""
+    imu = simulate_imu(DRIVE, STAMPS_NS, rig, rng=np.random.default_rng(seed))
     T_cam_imu = se3.from_parts(C_CAM_IMU, np.zeros(3))
     calibration = ImuCalibration(T_cam_imu, rig.gyro_noise_rad_s_sqrt_hz, 0.0)
     C_world_cam = DRIVE.T_world_cam(1e-9 * (STAMPS_NS - STAMPS_NS[0]))[:, :3, :3]
@@ -68,58 +68,59 @@ def test_gyro_at_its_rate_is_off_by_its_noise() -> None:
     assert low < np.mean(nees) < high
 
 
-def test_at_rest_it_feels_gravity_upwards() -> None:
+def test_specific_force_at_rest_points_upwards() -> None:
     """The drive starts with half a second at rest."""
-    stamps_ns, gyro, accel = simulated()
-    at_rest = stamps_ns < START_NS + 500_000_000
-    np.testing.assert_allclose(
-        accel[at_rest], np.broadcast_to([0.0, 0.0, 9.81], (at_rest.sum(), 3)), atol=1e-5
-    )
-    np.testing.assert_allclose(gyro[at_rest], 0.0, atol=1e-5)
+    imu = simulated()
+    at_rest = imu.stamps_ns < START_NS + 500_000_000
+    gravity = np.broadcast_to([0.0, 0.0, 9.81], (at_rest.sum(), 3))
+    np.testing.assert_allclose(imu.accel_m_s2[at_rest], gravity, atol=1e-5)
+    np.testing.assert_allclose(imu.gyro_rad_s[at_rest], 0.0, atol=1e-5)
 
 
 def test_speeding_up_is_forward_and_a_left_turn_pushes_left() -> None:
-    stamps_ns, gyro, accel = simulated()
-    t_s = 1e-9 * (stamps_ns - START_NS)
-    assert accel[(t_s > 1.5) & (t_s < 3.0), 0].mean() > 1.0
-    left = gyro[:, 2] > 0.15
-    assert accel[left, 1].min() > 0.5
+    imu = simulated()
+    t_s = 1e-9 * (imu.stamps_ns - START_NS)
+    assert imu.accel_m_s2[(t_s > 1.5) & (t_s < 3.0), 0].mean() > 1.0
+    left = imu.gyro_rad_s[:, 2] > 0.15
+    assert imu.accel_m_s2[left, 1].min() > 0.5
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 100.0, 200.0, 333.0])
 def test_samples_cover_the_frames_with_one_to_spare(rate_hz: float) -> None:
-    stamps_ns, gyro, accel = simulated(imu_rate_hz=rate_hz)
-    assert stamps_ns.dtype == np.int64
-    assert gyro.shape == accel.shape == (len(stamps_ns), 3)
-    assert np.unique(np.diff(stamps_ns)) == [round(1e9 / rate_hz)]
-    assert np.sum(stamps_ns <= STAMPS_NS[0]) == 2
-    assert np.sum(stamps_ns >= STAMPS_NS[-1]) == 2
+    imu = simulated(imu_rate_hz=rate_hz)
+    assert imu.stamps_ns.dtype == np.int64
+    assert imu.gyro_rad_s.shape == imu.accel_m_s2.shape == (len(imu.stamps_ns), 3)
+    assert np.unique(np.diff(imu.stamps_ns)) == [round(1e9 / rate_hz)]
+    assert np.sum(imu.stamps_ns <= STAMPS_NS[0]) == 2
+    assert np.sum(imu.stamps_ns >= STAMPS_NS[-1]) == 2
 
 
 @pytest.mark.parametrize(
     ("sensor", "density"),
-    [(1, {"gyro_noise_rad_s_sqrt_hz": 0.02}), (2, {"accel_noise_m_s2_sqrt_hz": 0.3})],
+    [
+        ("gyro_rad_s", {"gyro_noise_rad_s_sqrt_hz": 0.02}),
+        ("accel_m_s2", {"accel_noise_m_s2_sqrt_hz": 0.3}),
+    ],
 )
-def test_white_noise_has_its_density(sensor: int, density: dict[str, float]) -> None:
-    noise = simulated(**density)[sensor] - simulated()[sensor]
-    expected = next(iter(density.values())) * np.sqrt(200.0)
+def test_white_noise_has_its_density(sensor: str, density: dict[str, float]) -> None:
+    noise = getattr(simulated(**density), sensor) - getattr(simulated(), sensor)
+    sigma = next(iter(density.values())) * np.sqrt(200.0)
     low, high = chi2.ppf([0.0005, 0.9995], df=noise.size) / noise.size
-    assert low < np.mean((noise / expected) ** 2) < high
+    assert low < np.mean((noise / sigma) ** 2) < high
 
 
 @pytest.mark.parametrize(
     ("sensor", "sigma", "walk"),
     [
-        (1, "gyro_bias_sigma_rad_s", "gyro_bias_walk_rad_s2_sqrt_hz"),
-        (2, "accel_bias_sigma_m_s2", "accel_bias_walk_m_s3_sqrt_hz"),
+        ("gyro_rad_s", "gyro_bias_sigma_rad_s", "gyro_bias_walk_rad_s2_sqrt_hz"),
+        ("accel_m_s2", "accel_bias_sigma_m_s2", "accel_bias_walk_m_s3_sqrt_hz"),
     ],
 )
-def test_bias_starts_and_walks_as_told(sensor: int, sigma: str, walk: str) -> None:
+def test_bias_has_its_initial_variance_and_random_walk(sensor: str, sigma: str, walk: str) -> None:
     """Variance of the first bias and of the way from the first to the last one, over 200 drives."""
-    truth = simulated()[sensor]
-    bias = np.array(
-        [simulated(seed, **{sigma: 0.05, walk: 0.01})[sensor] - truth for seed in range(200)]
-    )
+    truth = getattr(simulated(), sensor)
+    settings = {sigma: 0.05, walk: 0.01}
+    bias = np.array([getattr(simulated(seed, **settings), sensor) - truth for seed in range(200)])
     walked = (bias[:, -1] - bias[:, 0]) / (0.01 * np.sqrt((len(truth) - 1) / 200.0))
     low, high = chi2.ppf([0.0005, 0.9995], df=600) / 600
     assert low < np.mean((bias[:, 0] / 0.05) ** 2) < high
@@ -131,4 +132,6 @@ def test_same_seed_gives_the_same_bytes() -> None:
     first, second = (
         simulate_imu(DRIVE, STAMPS_NS, rig, rng=np.random.default_rng(5)) for _ in range(2)
     )
-    assert all(a.tobytes() == b.tobytes() for a, b in zip(first, second, strict=True))
+    assert first.stamps_ns.tobytes() == second.stamps_ns.tobytes()
+    assert first.gyro_rad_s.tobytes() == second.gyro_rad_s.tobytes()
+    assert first.accel_m_s2.tobytes() == second.accel_m_s2.tobytes()

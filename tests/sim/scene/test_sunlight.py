@@ -2,20 +2,19 @@
 
 import numpy as np
 import pytest
-from sim.scene.small_world import CAMERA, HEIGHT_M, renderer, world
 
 from probevo.arrays import FloatArray
 from probevo_sim.scene.solids import BOX, Solids, join, solid
-from probevo_sim.scene.sunlight import LEAVES_DARKNESS
+from probevo_sim.scene.sunlight_numba import LEAVES_DARKNESS
 from probevo_sim.scene.textures import Texture
+from sim.scene.small_world import CAMERA, HEIGHT_M, renderer, world
 
 SUN = np.array([0.0, 0.6, 0.8])
 """In the north, that is on the left of the camera."""
 
 
 def roof() -> Solids:
-    """A slab of 4 m × 4 m, 4 m up, out of the camera's sight: its shadow lies 3 m to the right of
-    it."""
+    """Return an unseen slab of 4 m × 4 m, 4 m up, whose shadow lies 3 m to the right of it."""
     slab = solid(
         BOX, (4.0, 4.0, 0.01), (12.0, 3.0, 4.0), texture=Texture.PLAIN, tile_m=1.0, seen=False
     )
@@ -25,24 +24,26 @@ def roof() -> Solids:
 
 
 def ground_place(image: FloatArray, east_m: float, right_m: float) -> float:
-    """Radiance of the ground at a place before the camera, which stands at the origin and looks
-    east."""
+    """Return the radiance of the ground at a place before the camera.
+
+    The camera stands at the origin and looks east.
+    """
     u, v = CAMERA.project(np.array([right_m, HEIGHT_M, east_m]))[:2]
     return float(image[round(v), round(u)])
 
 
 def lit_and_shaded(east_m: float, right_m: float) -> tuple[float, float]:
     place = world(roof(), sun=SUN)
-    return tuple(
-        ground_place(renderer(place, shadows=s).pair(0.0)[0], east_m, right_m) for s in (0.0, 1.0)
-    )  # type: ignore[return-value]
+    lit, _ = renderer(place, shadows=0.0).pair(0.0)
+    shaded, _ = renderer(place, shadows=1.0).pair(0.0)
+    return ground_place(lit, east_m, right_m), ground_place(shaded, east_m, right_m)
 
 
 @pytest.mark.parametrize(("east_m", "right_m"), [(12.0, 0.0), (11.0, 1.5), (13.5, -1.5)])
 def test_under_the_roofs_shadow_only_the_sky_gives_light(east_m: float, right_m: float) -> None:
     lit, shaded = lit_and_shaded(east_m, right_m)
     place = world()
-    sky_share = place.sky / (place.sky + place.sun * SUN[2])
+    sky_share = place.sky_irradiance / (place.sky_irradiance + place.sun_irradiance * SUN[2])
     assert shaded / lit == pytest.approx(sky_share, abs=0.02)
 
 
@@ -52,16 +53,18 @@ def test_under_the_roofs_shadow_only_the_sky_gives_light(east_m: float, right_m:
 def test_beside_it_there_is_sun_but_for_the_leaves(east_m: float, right_m: float) -> None:
     lit, shaded = lit_and_shaded(east_m, right_m)
     place = world()
-    sun_share = place.sun * SUN[2] / (place.sky + place.sun * SUN[2])
+    sun_share = (
+        place.sun_irradiance * SUN[2] / (place.sky_irradiance + place.sun_irradiance * SUN[2])
+    )
     assert 1.0 - LEAVES_DARKNESS * sun_share - 0.02 <= shaded / lit <= 1.0
 
 
 def test_leaves_shade_some_of_the_ground_and_wander_with_the_wind() -> None:
     place = world(sun=SUN)
     rows = slice(90, 128)  # ground
-    lit, first, later = (
-        renderer(place, shadows=s).pair(t)[0][rows] for s, t in ((0.0, 0.0), (1.0, 0.0), (1.0, 0.5))
-    )
+    lit = renderer(place, shadows=0.0).pair(0.0)[0][rows]
+    first = renderer(place, shadows=1.0).pair(0.0)[0][rows]
+    later = renderer(place, shadows=1.0).pair(0.5)[0][rows]
     assert 0.05 < np.mean(first < 0.9 * lit) < 0.95
     assert not np.allclose(first, later, atol=0.02)
 

@@ -1,3 +1,5 @@
+"""Textures: their mip levels, that they wrap around, and the tools that draw them."""
+
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -10,11 +12,11 @@ from probevo_sim.scene.texture_patterns.canvas import (
     SIDE,
     Tile,
     blank,
-    box,
+    downsampled,
+    ellipse,
     noise,
-    oval,
     polygon,
-    reduced,
+    rectangle,
     stroke,
 )
 from probevo_sim.scene.textures import SIZE, Texture, make_textures
@@ -28,21 +30,21 @@ FACADES = [Texture.FACADE_OFFICE, Texture.FACADE_FLATS, Texture.FACADE_OLD, Text
 
 
 def level_of(texture: Texture, level: int = 0) -> FloatArray:
-    """One level of a texture as an array, 0 … 255."""
-    pyramid = make_textures()
+    """Return one mip level of a texture, 0 … 255."""
+    mipmaps = make_textures()
     side = SIZE >> level
-    start = pyramid.level_start[level]
-    return pyramid.texels[texture, start : start + side**2].reshape(side, side).astype(np.float64)
+    start = mipmaps.level_start[level]
+    return mipmaps.texels[texture, start : start + side**2].reshape(side, side).astype(np.float64)
 
 
 def test_levels_lie_one_after_another_down_to_one_texel() -> None:
-    pyramid = make_textures()
+    mipmaps = make_textures()
     assert SIZE == 512
     np.testing.assert_array_equal(
-        pyramid.level_start, [sum((SIZE >> k) ** 2 for k in range(n)) for n in range(LEVELS)]
+        mipmaps.level_start, [sum((SIZE >> k) ** 2 for k in range(n)) for n in range(LEVELS)]
     )
-    assert pyramid.texels.shape == (len(Texture), pyramid.level_start[-1] + 1)
-    assert pyramid.texels.dtype == np.uint8
+    assert mipmaps.texels.shape == (len(Texture), mipmaps.level_start[-1] + 1)
+    assert mipmaps.texels.dtype == np.uint8
 
 
 def test_layers_are_numbered_without_a_gap() -> None:
@@ -110,7 +112,7 @@ def test_hedge_repeats_itself_every_32_texels_and_no_sooner() -> None:
 
 @pytest.mark.parametrize("texture", FACADES)
 def test_no_quarter_of_a_facade_is_like_another(texture: Texture) -> None:
-    """A facade that repeated itself within a tile would be a trap that the scene did not ask for."""
+    """Ambiguous matches are an effect of their own, and facades must not cause them."""
     half = SIZE // 2
     quarters = level_of(texture).reshape(2, half, 2, half).swapaxes(1, 2).reshape(4, half, half)
     for i in range(4):
@@ -124,7 +126,7 @@ def test_first_row_is_the_foot() -> None:
     assert car[10:60].mean() < 60 < 120 < car[-30:-10].mean()
 
 
-def test_textures_are_the_same_on_each_call_and_shared() -> None:
+def test_textures_are_the_same_on_each_call_and_read_only() -> None:
     again = make_textures.__wrapped__()
     np.testing.assert_array_equal(again.texels, make_textures().texels)
     with pytest.raises(ValueError, match="read-only"):
@@ -132,19 +134,19 @@ def test_textures_are_the_same_on_each_call_and_shared() -> None:
 
 
 def draw_polygon(canvas: Tile, x: float, y: float) -> None:
-    polygon(canvas, oval(x, y, 40, radius_y=20, angle_rad=0.7), 1.0)
+    polygon(canvas, ellipse(x, y, 40, radius_y=20, angle_rad=0.7), 1.0)
 
 
 def draw_stroke(canvas: Tile, x: float, y: float) -> None:
     stroke(canvas, [(x - 30, y - 10), (x, y + 25), (x + 35, y)], 5, value=1.0)
 
 
-def draw_box(canvas: Tile, x: float, y: float) -> None:
-    box(canvas, x - 30, y - 20, right=x + 25, top=y + 15, value=np.arange(70.0)[:, None])
+def draw_rectangle(canvas: Tile, x: float, y: float) -> None:
+    rectangle(canvas, x - 30, y - 20, right=x + 25, top=y + 15, value=np.arange(70.0)[:, None])
 
 
 @pytest.mark.parametrize("corner", [(0, 0), (SIDE, 0), (3, SIDE - 8), (-SIDE - 20, 2 * SIDE + 9)])
-@pytest.mark.parametrize("draw", [draw_polygon, draw_stroke, draw_box])
+@pytest.mark.parametrize("draw", [draw_polygon, draw_stroke, draw_rectangle])
 def test_what_is_drawn_over_the_edge_comes_in_at_the_other_side(
     draw: Callable[[Tile, float, float], None], corner: tuple[int, int]
 ) -> None:
@@ -155,14 +157,14 @@ def test_what_is_drawn_over_the_edge_comes_in_at_the_other_side(
     draw(inside, SIDE // 2, SIDE // 2)
     draw(over, *corner)
     shift_x, shift_y = (at - SIDE // 2 for at in corner)
-    shifted = np.roll(reduced(inside), (shift_y, shift_x), axis=(0, 1))
-    assert np.abs(reduced(over) - shifted).sum() <= 0.01 * shifted.sum()
+    shifted = np.roll(downsampled(inside), (shift_y, shift_x), axis=(0, 1))
+    assert np.abs(downsampled(over) - shifted).sum() <= 0.01 * shifted.sum()
 
 
 def test_area_of_a_disc() -> None:
     canvas = blank(0.0)
-    polygon(canvas, oval(100.3, 200.6, 50, radius_y=50, corners=200), 1.0)
-    assert reduced(canvas).sum() == pytest.approx(np.pi * 50**2, rel=0.03)
+    polygon(canvas, ellipse(100.3, 200.6, 50, radius_y=50, corners=200), 1.0)
+    assert downsampled(canvas).sum() == pytest.approx(np.pi * 50**2, rel=0.03)
 
 
 def test_noise_has_the_spectrum_asked_for() -> None:

@@ -1,5 +1,4 @@
-"""Traffic: nobody is run over, objects and movers agree, more strength is the same street with more
-in it."""
+"""Traffic: a free lane around the camera, objects that agree with movers, and nested strengths."""
 
 from __future__ import annotations
 
@@ -51,7 +50,7 @@ def busy(kind: PresetName, strength: float = 1.0, seed: int = 0) -> tuple[Solids
 
 
 def states(movers: Movers) -> FloatArray:
-    """[G, 5]."""
+    """Return all fields of the movers, [G, 5]."""
     return np.stack([getattr(movers, f.name) for f in fields(Movers)], axis=1)
 
 
@@ -64,8 +63,10 @@ def test_objects_are_those_of_the_movers(kind: PresetName) -> None:
 @every_kind
 @pytest.mark.parametrize("seed", [0, 1])
 def test_nothing_enters_the_lane_around_the_camera(kind: PresetName, seed: int) -> None:
-    """No solid reaches within 1.2 m to the side and, at the same time, 5 m ahead or 3 m behind:
-    whatever the drive."""
+    """No solid reaches within 1.2 m to the side while it is within 5 m ahead or 3 m behind.
+
+    This holds for every drive through the place.
+    """
     route, plan = DRIVES[kind]
     solids, movers = busy(kind, seed=seed)
     corners = np.einsum(
@@ -82,16 +83,14 @@ def test_nothing_enters_the_lane_around_the_camera(kind: PresetName, seed: int) 
     for t_s in np.arange(0.0, trajectory.duration_s, 0.23):
         T_world_cam = trajectory.T_world_cam(t_s)
         forward = T_world_cam[:2, 2] / np.linalg.norm(T_world_cam[:2, 2])
-        T_world_object = movers.poses(route, t_s, route.nearest(T_world_cam[:2, 3])[0])[
-            solids.object_index - 1
-        ]
+        camera_s_m, _ = route.nearest(T_world_cam[:2, 3])
+        T_world_object = movers.poses(route, t_s, camera_s_m)[solids.object_index - 1]
         away = np.einsum("nij,nkj->nki", T_world_object, corners)[..., :2] - T_world_cam[:2, 3]
         ahead = away @ forward
         left = away @ [-forward[1], forward[0]]
         in_lane = (left.min(axis=1) < HALF_WIDTH_M) & (left.max(axis=1) > -HALF_WIDTH_M)
-        assert not np.any(
-            in_lane & (ahead.min(axis=1) < AHEAD_M) & (ahead.max(axis=1) > -BEHIND_M)
-        ), t_s
+        is_near = (ahead.min(axis=1) < AHEAD_M) & (ahead.max(axis=1) > -BEHIND_M)
+        assert not np.any(in_lane & is_near), t_s
 
 
 @every_kind
@@ -120,9 +119,11 @@ def moving_share(kind: PresetName, strength: float, seed: int) -> float:
     solids, movers = traffic(route, plan, strength, rng=np.random.default_rng(seed), kind=kind)
     ground = Ground(
         route,
-        np.array([np.inf]),
-        np.array([int(Texture.ASPHALT)]),
-        *np.array([[4.0], [0.3], [0.5]]),
+        edge_m=np.array([np.inf]),
+        texture=np.array([int(Texture.ASPHALT)]),
+        tile_m=np.array([4.0]),
+        albedo=np.array([0.3]),
+        contrast=np.array([0.5]),
     )
     world = World(solids, movers, ground, to_sun=np.array([0.6, 0.0, 0.8]))
     camera = StereoCamera(60.0, 60.0, 51.0, cv_px=15.5, baseline_m=0.5, size_px=(103, 32))

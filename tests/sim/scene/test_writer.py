@@ -24,13 +24,13 @@ def rendered() -> SceneRecording:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The whole scene; to be looked at only."""
+    """Write the whole scene once; tests must not change it."""
     return write_scene(CONFIG, tmp_path_factory.mktemp("written") / "scene")
 
 
 @pytest.fixture
 def scene(written: Path, tmp_path: Path) -> Path:
-    """One to do with as one likes."""
+    """Copy the scene for a test that changes it."""
     return Path(shutil.copytree(written, tmp_path / "scene"))
 
 
@@ -63,10 +63,10 @@ def test_pixel_truth_on_request(tmp_path: Path, rendered: SceneRecording) -> Non
     files = sorted((tmp_path / "scene" / "pixel_truth").iterdir())
     assert len(files) == len(rendered)
     with np.load(files[2]) as arrays:
-        expected = rendered.pixel_truth(2)
-        np.testing.assert_allclose(arrays["flow_px"], expected.flow_px, rtol=1e-6)
-        np.testing.assert_allclose(arrays["disparity_px"], expected.disparity_px, rtol=1e-6)
-        np.testing.assert_array_equal(arrays["moving"], expected.moving)
+        truth = rendered.pixel_truth(2)
+        np.testing.assert_allclose(arrays["flow_px"], truth.flow_px, rtol=1e-6)
+        np.testing.assert_allclose(arrays["disparity_px"], truth.disparity_px, rtol=1e-6)
+        np.testing.assert_array_equal(arrays["moving"], truth.moving)
 
 
 def test_a_stopped_call_is_resumed_and_ends_in_the_same_bytes(

@@ -1,4 +1,4 @@
-"""Motions from features and truth together."""
+"""Fusion of motions with the truth: Gaussian closed forms, limits, Monte Carlo, gating."""
 
 import numpy as np
 import pytest
@@ -13,31 +13,32 @@ EXACT = np.zeros(6)
 
 
 def motions(count: int = STEPS, seed: int = 0) -> FloatArray:
-    """Of a car that turns, T_curr_prev, [K − 1, 4, 4]."""
+    """Return the T_curr_prev of a car that turns, [K − 1, 4, 4]."""
     xi = np.array([0.02, 0.01, -0.3, 0.003, 0.05, -0.002])
     return se3.exp(xi + 0.2 * np.abs(xi) * np.random.default_rng([seed, 0]).normal(size=(count, 6)))
 
 
 def covariances(count: int = STEPS, sigma: float = 1e-3, seed: int = 0) -> FloatArray:
-    """Full ones, of σ each, [K − 1, 6, 6]."""
+    """Return full covariances of about σ², [K − 1, 6, 6]."""
     factor = np.random.default_rng([seed, 1]).normal(size=(count, 6, 6)) / np.sqrt(6.0)
-    return sigma**2 * (factor @ factor.mT + 0.1 * np.eye(6))
+    cov: FloatArray = sigma**2 * (factor @ factor.mT + 0.1 * np.eye(6))
+    return cov
 
 
 def disturbed(T: FloatArray, cov: FloatArray, seed: int = 0) -> FloatArray:
-    """Each by a perturbation of its covariance, on the left."""
+    """Perturb each motion on the left by noise of its covariance."""
     white = np.random.default_rng([seed, 2]).normal(size=(len(T), 6, 1))
     return se3.exp((np.linalg.cholesky(cov) @ white)[..., 0]) @ T
 
 
 def truth(T: FloatArray, every: int = 1, kind: str = "gt") -> Supervision:
-    """The path of these motions, known at each so many frames."""
+    """Return the path of these motions as truth, known at every so many frames."""
     frames = np.arange(0, len(T) + 1, every)
     return Supervision(kind, frames, se3.chain_motions(T)[frames])  # type: ignore[arg-type]
 
 
 def over(T: FloatArray, first: int, last: int) -> FloatArray:
-    """The motion from one frame to another, [4, 4]."""
+    """Return the motion from one frame to another, [4, 4]."""
     total = np.eye(4)
     for step in T[first:last]:
         total = step @ total
@@ -78,7 +79,7 @@ def test_exact_truth_decides(every: int) -> None:
         assert np.abs(left).max() < 1e-4
 
 
-def test_exact_truth_of_each_step_leaves_no_doubt() -> None:
+def test_exact_truth_of_each_step_leaves_no_uncertainty() -> None:
     _, posterior = conditioned(motions(), covariances(), truth(motions()), truth_sigma=EXACT)
     assert np.trace(posterior, axis1=1, axis2=2).max() < 1e-7
 
@@ -96,7 +97,7 @@ def test_truth_that_is_not_known_at_all_says_nothing(every: int) -> None:
 
 
 @pytest.mark.parametrize("every", [1, 4])
-def test_what_is_conditioned_is_surer_and_still_a_covariance(every: int) -> None:
+def test_the_posterior_covariance_is_smaller_and_positive_definite(every: int) -> None:
     cov = covariances()
     _, posterior = conditioned(
         motions(), cov, truth(motions(), every, "sparse"), truth_sigma=np.full(6, 1e-3)
@@ -105,7 +106,7 @@ def test_what_is_conditioned_is_surer_and_still_a_covariance(every: int) -> None
     assert np.linalg.eigvalsh(cov - posterior).min() > -1e-15
 
 
-def test_the_posterior_is_as_wide_as_it_says() -> None:
+def test_the_posterior_is_consistent() -> None:
     """Of 2,000 drives of three steps whose both ends are known within σ: the squared distance of
     each step from the truth, in units of its covariance, is 6 on average."""
     true = motions(3)
@@ -140,7 +141,7 @@ LOOP = 40
 
 
 def circle() -> FloatArray:
-    """Once around in 40 steps."""
+    """Return the motions once around a circle in 40 steps."""
     return np.tile(se3.exp(np.array([0.0, 0.0, -0.3, 0.0, 2.0 * np.pi / LOOP, 0.0])), (LOOP, 1, 1))
 
 
@@ -210,9 +211,8 @@ def test_exact_truth_is_found_to_be_so() -> None:
     assert after < 0.4 * before
 
 
-def test_where_the_sigma_of_truth_is_estimated_a_true_pose_that_is_far_off_is_left_aside() -> None:
-    """Else both steps that meet in it go with it, by half a metre and more, as they do with a σ
-    that is given."""
+def test_where_the_sigma_of_truth_is_estimated_a_true_pose_that_is_far_off_is_gated_out() -> None:
+    """Otherwise both steps that meet in it follow it by half a metre or more, as with given σ."""
     true = motions(60)
     cov = covariances(60)
     seen = disturbed(true, cov)

@@ -4,17 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from training.supervised_drives import drive_of, known, point_world, true_motions
 
 from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
 from probevo.geometry import se3
 from probevo.noise import StereoNoise, StudentT
+from probevo.noise.base import RefersTo
 from probevo.training.drive import Drive
-from probevo.training.gk.expectation import UNSOLVED_SIGMA, Expectation, expect, solve_drive
+from probevo.training.gk.expectation import (
+    UNSOLVED_SIGMA,
+    Expectation,
+    MotionPosterior,
+    expect,
+    solve_drive,
+)
 from probevo.training.supervised_drive import DriveInMemory
 from probevo.training.supervision import Supervision
 from probevo_sim.point_world import PointWorld
+from training.supervised_drives import drive_of, in_memory, known, point_world, true_motions
 
 EXACT = np.zeros(6)
 
@@ -35,7 +42,7 @@ R = SIGMA**2 * np.eye(4)
 
 
 def right_noise(
-    drive: Drive, refers_to: str = "observation", bias: FloatArray | None = None
+    drive: Drive, refers_to: RefersTo = "observation", bias: FloatArray | None = None
 ) -> StereoNoise:
     """What the features truly have."""
     count = len(drive.phi)
@@ -45,32 +52,31 @@ def right_noise(
         np.full(count, np.inf),
         np.tile(bias, (count, 1)),
         refers_to=refers_to,
-    )  # type: ignore[arg-type]
+    )
 
 
 def expected(world: PointWorld, drive: Drive, noise: StereoNoise, kind: str = "gt") -> Expectation:
-    nothing = Supervision("none", np.arange(len(world)), np.full((len(world), 4, 4), np.nan))
-    supervision = nothing if kind == "none" else known(world, kind)
-    return expect(
-        DriveInMemory(drive, world.camera, supervision),
-        lambda _: noise,
-        SolverConfig(),
-        truth_sigma=EXACT,
-    )
+    """Do the E-step under this noise, with exact truth of this kind."""
+    return expect(in_memory(drive, world, kind), lambda _: noise, SolverConfig(), truth_sigma=EXACT)
+
+
+def solved(world: PointWorld, drive: Drive, noise: StereoNoise) -> MotionPosterior:
+    """Solve the drive under this noise without truth."""
+    return solve_drive(in_memory(drive, world), lambda _: noise, SolverConfig())
 
 
 def test_motions_without_truth_are_those_of_the_solver(world: PointWorld, drive: Drive) -> None:
     noise = right_noise(drive)
-    alone, _ = solve_drive([drive], lambda _: noise, world.camera, solver=SolverConfig())
+    features_only = solved(world, drive, noise).T_curr_prev
     found = expected(world, drive, noise, "none")
-    np.testing.assert_array_equal(found.T_curr_prev, alone)
-    np.testing.assert_array_equal(found.T_alone, alone)
+    np.testing.assert_array_equal(found.T_curr_prev, features_only)
+    np.testing.assert_array_equal(found.T_features_only, features_only)
 
 
 def test_with_exact_truth_the_motions_are_true(world: PointWorld, drive: Drive) -> None:
     found = expected(world, drive, right_noise(drive))
     assert np.abs(se3.log(true_motions(world) @ se3.inverse(found.T_curr_prev))).max() < 2e-4
-    assert np.abs(se3.log(true_motions(world) @ se3.inverse(found.T_alone))).max() > 2e-3
+    assert np.abs(se3.log(true_motions(world) @ se3.inverse(found.T_features_only))).max() > 2e-3
 
 
 def test_truth_that_is_given_as_exact_may_be_wrong(world: PointWorld, drive: Drive) -> None:
@@ -116,8 +122,8 @@ def test_residuals_are_larger_than_errors_of_observations(world: PointWorld, dri
 
 
 @pytest.mark.parametrize(("refers_to", "off"), [("observation", 0.08), ("residual", 0.02)])
-def test_the_spread_is_what_the_doubt_about_the_motion_makes_of_the_errors(
-    world: PointWorld, drive: Drive, refers_to: str, off: float
+def test_the_spread_is_the_covariance_of_the_errors_that_the_motion_causes(
+    world: PointWorld, drive: Drive, refers_to: RefersTo, off: float
 ) -> None:
     """J C Jᵀ, J by central differences of the errors by the motion, and C the covariance of the
     step. Errors of observations hang on the motion by the Σ that they are scaled with, too, by some
@@ -126,17 +132,18 @@ def test_the_spread_is_what_the_doubt_about_the_motion_makes_of_the_errors(
     step = 5
     h = 1e-6
     found = expected(world, drive, noise, "none")
-    _, cov = solve_drive([drive], lambda _: noise, world.camera, solver=SolverConfig())
+    cov = solved(world, drive, noise).cov
 
     def errors_at(T: FloatArray) -> FloatArray:
-        """With the motion given, as if it were the exact truth."""
+        """Return the errors of the step with its motion given as exact truth."""
         poses = se3.chain_motions(T[None])
         frames = np.array([step, step + 1])
         supervised = DriveInMemory(drive, world.camera, Supervision("sparse", frames, poses))
-        given = expect(supervised, lambda _: noise, SolverConfig(), truth_sigma=EXACT)
-        return given.feature_errors.errors[
-            drive.step_of_feature[given.feature_errors.features] == step
-        ]
+        given = expect(
+            supervised, lambda _: noise, SolverConfig(), truth_sigma=EXACT
+        ).feature_errors
+        errors: FloatArray = given.errors[drive.step_of_feature[given.features] == step]
+        return errors
 
     at = drive.step_of_feature[found.feature_errors.features] == step
     T = found.T_curr_prev[step]
@@ -176,7 +183,7 @@ def test_errors_and_spread_together_scatter_as_the_noise_does(
 
 @pytest.mark.parametrize("refers_to", ["observation", "residual"])
 def test_errors_hold_the_bias_that_the_noise_takes_off(
-    world: PointWorld, drive: Drive, refers_to: str
+    world: PointWorld, drive: Drive, refers_to: RefersTo
 ) -> None:
     """So that what is learned is the bias, and not what is left of it: here of an image that is off
     by a pixel."""
@@ -213,7 +220,7 @@ def test_a_step_of_too_few_features_keeps_its_motion_and_teaches_nothing(
     used[drive.rows(4).start : drive.rows(4).start + 2] = True
     few = replace(drive, used=used)
     noise = right_noise(drive)
-    T, cov = solve_drive([few], lambda _: noise, world.camera, solver=SolverConfig())
+    T, cov = solved(world, few, noise)
     np.testing.assert_array_equal(T[4], drive.T_curr_prev[4])
     np.testing.assert_array_equal(cov[4], np.diag(UNSOLVED_SIGMA**2))
     found = expected(world, few, noise)

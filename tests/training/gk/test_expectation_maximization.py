@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from training.supervised_drives import drive_of, known, point_world, rmse_m, true_motions
 
 import probevo as pv
 from probevo.arrays import FloatArray
@@ -22,34 +21,34 @@ from probevo.sequences.base import Sequence
 from probevo.training.drive import Drive
 from probevo.training.gk.expectation import solve_drive
 from probevo.training.gk.expectation_maximization import (
-    STATIC_TURNS,
-    Course,
+    STATIC_ITERATIONS,
     learn_kernel,
     learn_student_t,
-    num_turns,
 )
+from probevo.training.progress import TrainingProgress
 from probevo.training.settings import KernelSettings, TrainSettings
 from probevo.training.supervised_drive import DriveInMemory
-from probevo.training.supervision import Supervision
+from probevo.training.trainer import TrainingContext, trainer_of
 from probevo_sim.point_config import PointConfig
 from probevo_sim.point_world import PointWorld, simulate_points, write_points
+from training.supervised_drives import drive_of, in_memory, known, point_world, rmse_m, true_motions
 
 FRAMES = 64
 RECORDINGS = [{"name": "circle", "frames": FRAMES}]
-GIVEN: dict[str, Any] = {"neighbors": 150, "prior_counts": 8.0, "turns": 2, "centers": 300}
+GIVEN: dict[str, Any] = {"neighbors": 150, "prior_counts": 8.0, "iterations": 2, "centers": 300}
 """Weights and the dof are searched for."""
 
 
 @dataclass(frozen=True)
-class Taught:
-    """What was learned, and how."""
+class Learned:
+    """A learned model, and the settings of its training."""
 
     model: GeneralizedKernel
     settings: TrainSettings
 
     @property
     def likelihoods(self) -> list[float]:
-        return [turn["log_likelihood"] for turn in self.model.training["turns"]]
+        return [iteration["log_likelihood"] for iteration in self.model.training["iterations"]]
 
 
 @cache
@@ -65,10 +64,8 @@ def drive(seed: int = 0, frames: int = FRAMES) -> Drive:
 
 
 def supervised_drive(kind: str = "none", seed: int = 0, frames: int = FRAMES) -> DriveInMemory:
-    there = world(seed, frames)
-    nothing = Supervision("none", np.arange(frames), np.full((frames, 4, 4), np.nan))
-    supervision = nothing if kind == "none" else known(there, kind, 10 if kind == "sparse" else 1)
-    return DriveInMemory(drive(seed, frames), there.camera, supervision)
+    every = 10 if kind == "sparse" else 1
+    return in_memory(drive(seed, frames), world(seed, frames), kind, every)
 
 
 def settings_of(**gk: Any) -> TrainSettings:
@@ -79,92 +76,104 @@ def metric() -> Metric:
     return Metric.fitted(drive().phi, ("ln_sigma", "random"))
 
 
-def learn(drives: list[DriveInMemory], **gk: Any) -> Taught:
+def context_of(
+    drives: list[DriveInMemory], settings: TrainSettings, progress: TrainingProgress | None = None
+) -> TrainingContext:
+    return TrainingContext(
+        drives=drives,
+        metric=metric(),
+        settings=settings,
+        recordings=RECORDINGS,
+        progress=progress or TrainingProgress(),
+    )
+
+
+def learn(drives: list[DriveInMemory], **gk: Any) -> Learned:
     settings = settings_of(**gk)
-    return Taught(learn_kernel(drives, metric(), settings, recordings=RECORDINGS), settings)
+    return Learned(learn_kernel(context_of(drives, settings)), settings)
 
 
 @cache
-def taught(kind: str = "none") -> Taught:
+def learned(kind: str = "none") -> Learned:
     return learn([supervised_drive(kind)])
 
 
 @cache
 def static() -> StudentT:
-    return learn_student_t([supervised_drive()], settings_of(), RECORDINGS)
+    return learn_student_t(context_of([supervised_drive()], settings_of()))
 
 
 def error_m(model: NoiseModel) -> float:
-    """RMS of the steps of another drive, through a world of its own."""
-    motions, _ = solve_drive([drive(1)], model.predict, world(1).camera, solver=SolverConfig())
+    """Return the RMS error of the steps of another drive, through a world of its own, m."""
+    other = in_memory(drive(1), world(1))
+    motions = solve_drive(other, model.predict, SolverConfig()).T_curr_prev
     return rmse_m(motions, true_motions(world(1)))
 
 
 def log_ratio(model: GeneralizedKernel) -> FloatArray:
-    """Of the σ that is predicted over the true one, ln, of the features of another drive."""
+    """Return ln(predicted σ / true σ) of the features of another drive."""
     scale = model.predict(drive(1).phi).scale
     found: FloatArray = 0.5 * np.log(np.trace(scale, axis1=1, axis2=2) / 4.0) - drive(1).phi[:, 0]
     return found
 
 
 @pytest.mark.parametrize("kind", ["none", "gt"])
-def test_each_turn_makes_the_residuals_likelier(kind: str) -> None:
+def test_each_iteration_makes_the_residuals_likelier(kind: str) -> None:
     """Until it no longer matters: within 0.002 nats a feature of the best before; and the first by
     more than 0.1."""
-    likelihoods = taught(kind).likelihoods
-    assert len(likelihoods) == GIVEN["turns"] + 1
+    likelihoods = learned(kind).likelihoods
+    assert len(likelihoods) == GIVEN["iterations"] + 1
     assert likelihoods[1] > likelihoods[0] + 0.1
     assert (np.diff(likelihoods) > -2e-3).all()
 
 
 def test_the_static_fit_gets_likelier_too() -> None:
-    likelihoods = [turn["log_likelihood"] for turn in static().training["turns"]]
-    assert (
-        len(likelihoods) == STATIC_TURNS + 1
-    )  # the last, with and without what lasts, is judged too
+    likelihoods = [iteration["log_likelihood"] for iteration in static().training["iterations"]]
+    # One more than the iterations without time correlation, which is rejected here.
+    assert len(likelihoods) == STATIC_ITERATIONS + 1
     assert (np.diff(likelihoods) > -2e-3).all()
     assert likelihoods[-1] > likelihoods[0] + 0.1
 
 
 def test_without_any_truth_the_motions_of_another_drive_get_better() -> None:
     """GK-EM against one Student-t for all features, fitted to the same drive; by more than 5 %."""
-    assert error_m(taught("none").model) < 0.95 * error_m(static())
+    assert error_m(learned("none").model) < 0.95 * error_m(static())
 
 
 @pytest.mark.parametrize("kind", ["gt", "sparse", "loop", "none"])
 def test_whatever_is_known_the_noise_comes_out_as_it_is(kind: str) -> None:
     """σ, which ranges over a factor of 20, within 15 % for nine of ten features, and 5 % on
     average."""
-    left = log_ratio(taught(kind).model)
+    left = log_ratio(learned(kind).model)
     assert np.quantile(np.abs(left), 0.9) < 0.15
     assert abs(np.mean(left)) < 0.05
 
 
 @pytest.mark.parametrize("kind", ["gt", "sparse", "loop"])
 def test_with_truth_the_motions_get_better_too(kind: str) -> None:
-    assert error_m(taught(kind).model) < 0.95 * error_m(static())
+    assert error_m(learned(kind).model) < 0.95 * error_m(static())
 
 
 def test_the_random_column_gets_no_weight() -> None:
-    np.testing.assert_array_equal(taught("none").model.weights_ > 0.0, [True, False])
+    np.testing.assert_array_equal(learned("none").model.weights_ > 0.0, [True, False])
 
 
 def test_truth_that_is_exact_is_found_to_be_so() -> None:
     """With its σ estimated, all is as if the motions were known (PROBE-GK Alg. 1): σ of each
     feature within 1 %."""
     exact = learn([supervised_drive("gt")], truth_sigma_m=0.0, truth_sigma_deg=0.0)
-    np.testing.assert_allclose(log_ratio(taught("gt").model), log_ratio(exact.model), atol=0.01)
+    np.testing.assert_allclose(log_ratio(learned("gt").model), log_ratio(exact.model), atol=0.01)
 
 
-def test_with_exact_truth_one_turn_does() -> None:
+def test_with_exact_truth_one_iteration_suffices() -> None:
     """More hardly change it: σ of a feature by 2 % in the mean."""
-    once = learn([supervised_drive("gt")], truth_sigma_m=0.0, truth_sigma_deg=0.0, turns=1)
-    assert np.mean(np.abs(log_ratio(once.model) - log_ratio(taught("gt").model))) < 0.02
+    once = learn([supervised_drive("gt")], truth_sigma_m=0.0, truth_sigma_deg=0.0, iterations=1)
+    assert np.mean(np.abs(log_ratio(once.model) - log_ratio(learned("gt").model))) < 0.02
 
 
 def test_truth_that_is_far_off_does_no_harm() -> None:
-    """By 5 cm and 0.5° from frame to frame, ten times what the features are: it is hardly listened
-    to."""
+    """By 5 cm and 0.5° from frame to frame, ten times what the features are: it hardly
+    counts."""
     right = supervised_drive("gt", frames=30)
     off = (
         np.random.default_rng(4).normal(size=(30, 6))
@@ -172,15 +181,17 @@ def test_truth_that_is_far_off_does_no_harm() -> None:
     )
     poses = right.supervision.T_world_cam @ pv.geometry.se3.exp(off)
     wrong = replace(right, supervision=replace(right.supervision, T_world_cam=poses))
-    left = log_ratio(learn([wrong], turns=1).model)
+    left = log_ratio(learn([wrong], iterations=1).model)
     assert abs(np.mean(left)) < 0.1
-    believed = log_ratio(learn([wrong], truth_sigma_m=0.0, truth_sigma_deg=0.0, turns=1).model)
-    assert np.mean(believed) > 0.5
+    taken_as_exact = log_ratio(
+        learn([wrong], truth_sigma_m=0.0, truth_sigma_deg=0.0, iterations=1).model
+    )
+    assert np.mean(taken_as_exact) > 0.5
 
 
 def test_by_least_squares_it_works_too() -> None:
     """As PROBE-GK derives it. Of fewer frames, to save time."""
-    model = learn([supervised_drive(frames=30)], quadratic=True, turns=1).model
+    model = learn([supervised_drive(frames=30)], quadratic=True, iterations=1).model
     assert error_m(model) < 0.97 * error_m(static())
 
 
@@ -191,7 +202,7 @@ def test_the_published_variant_tells_good_features_from_bad() -> None:
         variant="published",
         neighbors=None,
         reach=1.0,
-        turns=1,
+        iterations=1,
         centers=2000,
     ).model
     home = ~np.asarray(model.predict(drive(1).phi).out_of_domain)
@@ -202,9 +213,9 @@ def test_the_published_variant_tells_good_features_from_bad() -> None:
 
 def test_of_residuals_it_learns_more_noise_than_of_observations() -> None:
     """They hold that of the point, too; and each says what it refers to."""
-    residual = learn([supervised_drive(frames=30)], refers_to="residual", turns=1).model
-    assert (residual.refers_to, taught().model.refers_to) == ("residual", "observation")
-    assert np.mean(log_ratio(residual)) > np.mean(log_ratio(taught().model)) + 0.1
+    residual = learn([supervised_drive(frames=30)], refers_to="residual", iterations=1).model
+    assert (residual.refers_to, learned().model.refers_to) == ("residual", "observation")
+    assert np.mean(log_ratio(residual)) > np.mean(log_ratio(learned().model)) + 0.1
 
 
 def test_a_bias_is_left_out_unless_it_is_asked_for() -> None:
@@ -214,7 +225,7 @@ def test_a_bias_is_left_out_unless_it_is_asked_for() -> None:
     shifted = right.drive.curr_px + np.array([0.4, 0.0, 0.4, 0.0])
     off = replace(right, drive=replace(right.drive, curr_px=shifted))
     without, with_bias = (
-        learn([off], bias=bias, turns=2, truth_sigma_m=0.0, truth_sigma_deg=0.0)
+        learn([off], bias=bias, iterations=2, truth_sigma_m=0.0, truth_sigma_deg=0.0)
         .model.predict(drive(1).phi)
         .bias
         for bias in (False, True)
@@ -249,7 +260,7 @@ def correlated(rho: float) -> DriveInMemory:
 def test_the_static_fit_finds_how_left_and_right_go_together(rho: float) -> None:
     """Only the static Student-t knows of correlations among the four numbers; within 0.08, and its
     σ within 10 %."""
-    model = learn_student_t([correlated(rho)], TrainSettings(kind="student-t"), RECORDINGS)
+    model = learn_student_t(context_of([correlated(rho)], TrainSettings(kind="student-t")))
     sigma = np.sqrt(np.diag(model.scale_))
     correlation = model.scale_ / np.outer(sigma, sigma)
     np.testing.assert_allclose([correlation[0, 2], correlation[1, 3]], [rho, rho], atol=0.08)
@@ -259,13 +270,13 @@ def test_the_static_fit_finds_how_left_and_right_go_together(rho: float) -> None
 def test_of_two_drives_both_are_learned_from() -> None:
     """One with truth, one without; their blocks of time are told apart."""
     drives = [supervised_drive("gt", 0, 20), supervised_drive("none", 2, 20)]
-    model = learn(drives, turns=1).model
+    model = learn(drives, iterations=1).model
     assert model.samples_ == sum(len(each.drive.phi) for each in drives)
     assert np.mean(np.abs(log_ratio(model))) < 0.1
 
 
-def test_the_shape_is_chosen_at_the_first_turn_and_kept() -> None:
-    model = taught().model
+def test_the_hyperparameters_are_chosen_in_the_first_iteration_and_kept() -> None:
+    model = learned().model
     searches = model.training["searches"]
     assert set(searches) == {"weights", "dof", "dof_counts"}
     assert list(searches["weights"]["chosen"].values()) == model.weights_.tolist()
@@ -275,30 +286,38 @@ def test_the_shape_is_chosen_at_the_first_turn_and_kept() -> None:
 
 def test_what_the_model_tells_of_its_training_is_json() -> None:
     """No infinity, and nothing of NumPy's."""
-    for model in (taught("none").model, taught("loop").model, static()):
+    for model in (learned("none").model, learned("loop").model, static()):
         assert json.loads(json.dumps(model.training, allow_nan=False)) == model.training
-    assert pv.TrainSettings.model_validate(taught().model.training["settings"]) == taught().settings
+    assert (
+        pv.TrainSettings.model_validate(learned().model.training["settings"]) == learned().settings
+    )
 
 
 def test_how_far_a_loop_is_from_closing_is_told_where_it_is_known() -> None:
-    assert all("loop_error_m" in turn for turn in taught("gt").model.training["turns"])
-    assert not any("loop_error_m" in turn for turn in taught("none").model.training["turns"])
-
-
-def test_every_turn_is_told() -> None:
-    turns = []
-    within = []
-    settings = settings_of(turns=2)
-    course = Course(on_turn=lambda: turns.append(1), on_part=within.append)
-    learn_kernel(
-        [supervised_drive(frames=20)], metric(), settings, recordings=RECORDINGS, course=course
+    assert all(
+        "loop_error_m" in iteration for iteration in learned("gt").model.training["iterations"]
     )
-    assert len(turns) == num_turns(settings) == 2 * STATIC_TURNS + 2
-    assert within
+    assert not any(
+        "loop_error_m" in iteration for iteration in learned("none").model.training["iterations"]
+    )
+
+
+def test_every_iteration_is_reported() -> None:
+    settings = settings_of(iterations=2)
+    num_iterations = trainer_of("gk").num_iterations(settings)
+    done: list[int] = []
+    progress = TrainingProgress(20, num_iterations, lambda frames, total: done.append(frames))
+    learn_kernel(context_of([supervised_drive(frames=20)], settings, progress))
+    assert progress.iterations_done == num_iterations == 2 * STATIC_ITERATIONS + 2
+    assert done == sorted(done)
+    assert done[-1] == progress.total
+    assert len(set(done)) > num_iterations
 
 
 def test_the_same_drives_give_the_same_model() -> None:
-    one, other = (learn([supervised_drive(frames=20)], turns=2).model.to_file() for _ in range(2))
+    one, other = (
+        learn([supervised_drive(frames=20)], iterations=2).model.to_file() for _ in range(2)
+    )
     assert one.facts == other.facts
     for name, array in one.arrays.items():
         assert np.asarray(array).tobytes() == np.asarray(other.arrays[name]).tobytes()
@@ -307,13 +326,13 @@ def test_the_same_drives_give_the_same_model() -> None:
 def test_a_drive_that_shows_too_little_is_refused() -> None:
     blind = replace(supervised_drive(), drive=replace(drive(), used=np.zeros_like(drive().used)))
     with pytest.raises(InputError, match="no step has"):
-        learn_kernel([blind], metric(), settings_of(), recordings=RECORDINGS)
+        learn_kernel(context_of([blind], settings_of()))
 
 
 def test_a_drive_of_a_single_step_will_do() -> None:
     there = world(0, 2)
     single = DriveInMemory(drive(0, 2), there.camera, known(there))
-    noise = learn([single], turns=1).model.predict(drive(1).phi)
+    noise = learn([single], iterations=1).model.predict(drive(1).phi)
     assert (np.linalg.eigvalsh(noise.scale) > 0.0).all()
 
 
@@ -325,7 +344,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Sequence]:
     return [pv.open_sequence(path)]
 
 
-SMALL = {"neighbors": 50, "prior_counts": 8.0, "turns": 2, "centers": 100}
+SMALL = {"neighbors": 50, "prior_counts": 8.0, "iterations": 2, "centers": 100}
 
 
 @pytest.mark.parametrize("kind", ["gk", "student-t"])
@@ -333,7 +352,7 @@ SMALL = {"neighbors": 50, "prior_counts": 8.0, "turns": 2, "centers": 100}
 def test_a_recording_gives_the_same_bytes_whenever(
     recordings: list[Sequence], tmp_path: Path, kind: Any, supervision: Any
 ) -> None:
-    """By ``train_model``, as ``probevo train`` does; and the model takes the odometry's predictors."""
+    """Train by ``train_model``, as ``probevo train`` does, and run the odometry with the model."""
     settings = TrainSettings(
         kind=kind,
         supervision=supervision,
@@ -356,30 +375,29 @@ def test_a_recording_gives_the_same_bytes_whenever(
 
 
 @pytest.mark.parametrize("kind", ["gk", "student-t"])
-def test_stopped_after_any_turn_and_resumed_it_gives_the_same_bytes(
+def test_stopped_after_any_iteration_and_resumed_it_gives_the_same_bytes(
     recordings: list[Sequence], tmp_path: Path, kind: Any
 ) -> None:
-    """Once in the second turn; or in each turn but the first, again and again, each time with that
-    one alone left."""
+    """Stop once in the second iteration; or in each but the first, one after another."""
     gk = KernelSettings(**SMALL) if kind == "gk" else KernelSettings()
     settings = TrainSettings(
         kind=kind, supervision="none", predictors=("place",) if kind == "gk" else None, gk=gk
     )
     whole = tmp_path / "whole.safetensors"
-    turns = num_turns(settings)
+    num_iterations = trainer_of(kind).num_iterations(settings)
     pv.train_model(recordings, settings, whole)
     out = tmp_path / "again.safetensors"
     work = tmp_path / "again.safetensors.work"
-    for stop in range(1, turns):
+    for stop in range(1, num_iterations):
 
         def show(done: int, total: int, after: int = stop) -> None:
-            if done > total * (1 + after) / (1 + turns):
+            if done > total * (1 + after) / (1 + num_iterations):
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
             pv.train_model(recordings, settings, out, show)
-        assert {path.name for path in work.glob("turn-*")} == {
-            f"turn-{number}.safetensors" for number in range(stop)
+        assert {path.name for path in work.glob("em-iteration-*")} == {
+            f"em-iteration-{number}.safetensors" for number in range(stop)
         }
         if stop == 1:
             shutil.copytree(work, tmp_path / "once.safetensors.work")

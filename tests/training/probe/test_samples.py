@@ -1,8 +1,7 @@
-"""All iterations together: which feature each α belongs to, what it is relative to, and the folds."""
+"""Samples of all iterations: the feature of each α, what α is relative to, and the folds."""
 
 import numpy as np
 import pytest
-from training.supervised_drives import drive_of, known, learner_of, point_world
 
 from probevo.arrays import IntArray
 from probevo.errors import InputError
@@ -13,29 +12,30 @@ from probevo.training.probe.samples import (
     FOLDS,
     fold_of_step,
     folds_of_steps,
-    gather,
+    gather_samples,
 )
-from probevo.training.probe.subsets import Learner
+from probevo.training.probe.subsets import SubsetSampler
 from probevo.training.settings import TrainSettings
+from training.supervised_drives import drive_of, known, point_world, sampler_of
 
 WORLDS = [point_world(seed=seed, frames=21) for seed in (0, 1)]
-LEARNERS = [
-    learner_of(drive_of(world), known(world, every=4), world.camera, seed=(0, k))
+SAMPLERS = [
+    sampler_of(drive_of(world), known(world, every=4), world.camera, seed=(0, k))
     for k, world in enumerate(WORLDS)
 ]
-ITERATIONS: list[Iteration] = [[learner.iterate(k) for learner in LEARNERS] for k in range(6)]
+ITERATIONS: list[Iteration] = [[sampler.iterate(k) for sampler in SAMPLERS] for k in range(6)]
 
 
-def owners(learner: Learner) -> IntArray:
-    """The stretch of each feature of a drive."""
-    drive = learner.drive
-    return learner.supervision.stretch_of_step(len(drive.T_curr_prev))[drive.step_of_feature]
+def owners(sampler: SubsetSampler) -> IntArray:
+    """Return the stretch of each feature of a drive."""
+    drive = sampler.drive
+    return sampler.supervision.stretch_of_step(len(drive.T_curr_prev))[drive.step_of_feature]
 
 
 def test_every_alpha_stays_with_its_feature() -> None:
     """Features of the second drive are counted on from those of the first."""
-    samples = gather(ITERATIONS, LEARNERS, TrainSettings(relative=False))
-    before = len(LEARNERS[0].drive.used)
+    samples = gather_samples(ITERATIONS, SAMPLERS, TrainSettings(relative=False))
+    before = len(SAMPLERS[0].drive.used)
     expected = [
         (before * number + feature, alpha)
         for number in range(2)
@@ -50,8 +50,8 @@ def test_every_alpha_stays_with_its_feature() -> None:
 def test_relative_alphas_have_a_mean_of_one_over_each_stretch(average: Average) -> None:
     """In the sense of the average that the model takes: a hard stretch does not count as one of bad
     features."""
-    samples = gather(ITERATIONS, LEARNERS, TrainSettings(average=average))
-    stretch = np.concatenate([owners(LEARNERS[0]), owners(LEARNERS[1]) + 100])[samples.features]
+    samples = gather_samples(ITERATIONS, SAMPLERS, TrainSettings(average=average))
+    stretch = np.concatenate([owners(SAMPLERS[0]), owners(SAMPLERS[1]) + 100])[samples.features]
     assert len(np.unique(stretch)) == 10
     values = np.log(samples.alphas) if average == "geometric" else samples.alphas - 1.0
     for each in np.unique(stretch):
@@ -61,9 +61,9 @@ def test_relative_alphas_have_a_mean_of_one_over_each_stretch(average: Average) 
 
 def test_within_a_stretch_relative_alphas_keep_their_ratios() -> None:
     plain, relative = (
-        gather(ITERATIONS, LEARNERS, TrainSettings(relative=flag)) for flag in (False, True)
+        gather_samples(ITERATIONS, SAMPLERS, TrainSettings(relative=flag)) for flag in (False, True)
     )
-    stretch = owners(LEARNERS[0])[plain.features[plain.features < len(LEARNERS[0].drive.used)]]
+    stretch = owners(SAMPLERS[0])[plain.features[plain.features < len(SAMPLERS[0].drive.used)]]
     ratio = (relative.alphas / plain.alphas)[: len(stretch)]
     for each in np.unique(stretch):
         np.testing.assert_allclose(ratio[stretch == each], ratio[stretch == each][0])
@@ -72,8 +72,7 @@ def test_within_a_stretch_relative_alphas_keep_their_ratios() -> None:
 @pytest.mark.parametrize("num_steps", [10, 11, 47, 100, 1100])
 @pytest.mark.parametrize("drive", [0, 3])
 def test_folds_never_split_a_block_of_time(num_steps: int, drive: int) -> None:
-    """Ten blocks of nearly equal length take turns, so that each fold has two of them, far from
-    each other."""
+    """Ten blocks of nearly equal length alternate: each fold has two, far from each other."""
     folds = fold_of_step(np.arange(num_steps), num_steps, drive)
     starts = np.flatnonzero(np.diff(folds)) + 1
     lengths = np.diff([0, *starts, num_steps])
@@ -83,8 +82,8 @@ def test_folds_never_split_a_block_of_time(num_steps: int, drive: int) -> None:
 
 
 def test_a_step_is_in_the_same_fold_in_every_iteration() -> None:
-    samples = gather(ITERATIONS, LEARNERS, TrainSettings())
-    drives = [learner.drive for learner in LEARNERS]
+    samples = gather_samples(ITERATIONS, SAMPLERS, TrainSettings())
+    drives = [sampler.drive for sampler in SAMPLERS]
     step = np.concatenate([drives[0].step_of_feature, drives[1].step_of_feature + 1000])[
         samples.features
     ]
@@ -94,12 +93,12 @@ def test_a_step_is_in_the_same_fold_in_every_iteration() -> None:
 
 
 @pytest.mark.parametrize("every", [2, 3, 4, 7])
-def test_folds_part_no_stretch(every: int) -> None:
-    """Else one and the same α would be on both sides."""
+def test_folds_divide_no_stretch(every: int) -> None:
+    """Otherwise one and the same α would be on both sides."""
     world = WORLDS[0]
-    learner = learner_of(drive_of(world), known(world, every=every), world.camera)
-    folds = folds_of_steps(learner, 0)
-    owner = learner.supervision.stretch_of_step(20)
+    sampler = sampler_of(drive_of(world), known(world, every=every), world.camera)
+    folds = folds_of_steps(sampler, 0)
+    owner = sampler.supervision.stretch_of_step(20)
     for each in np.unique(owner[owner >= 0]):
         assert len(np.unique(folds[owner == each])) == 1
     assert len(np.unique(folds)) > 1
@@ -108,11 +107,11 @@ def test_folds_part_no_stretch(every: int) -> None:
 @pytest.mark.parametrize("kind", ["gt", "loop"])
 @pytest.mark.parametrize("every", [1, 4])
 def test_no_alpha_is_on_both_sides_when_samples_are_left_out(kind: str, every: int) -> None:
-    """With one α for a whole drive, iterations take turns; else it is the division by time."""
+    """With one α for a whole drive, the folds are those of the iterations; else those of time."""
     world = WORLDS[0]
-    learner = learner_of(drive_of(world), known(world, kind, every), world.camera)
-    samples = gather(
-        [[learner.iterate(k)] for k in range(6)], [learner], TrainSettings(relative=False)
+    sampler = sampler_of(drive_of(world), known(world, kind, every), world.camera)
+    samples = gather_samples(
+        [[sampler.iterate(k)] for k in range(6)], [sampler], TrainSettings(relative=False)
     )
     for alpha in np.unique(samples.alphas):
         assert len(np.unique(samples.left_out[samples.alphas == alpha])) == 1
@@ -126,18 +125,18 @@ def test_the_features_of_a_short_drive_are_in_some_fold() -> None:
         assert ((folds >= 0) & (folds < FOLDS)).all()
 
 
-def test_a_drive_without_a_sample_is_no_trouble() -> None:
+def test_a_drive_without_samples_is_allowed() -> None:
     nothing = (np.zeros(0, np.int64), np.zeros(0))
-    samples = gather(
-        [[nothing, iteration[1]] for iteration in ITERATIONS], LEARNERS, TrainSettings()
+    samples = gather_samples(
+        [[nothing, iteration[1]] for iteration in ITERATIONS], SAMPLERS, TrainSettings()
     )
-    assert samples.features.min() >= len(LEARNERS[0].drive.used)
+    assert samples.features.min() >= len(SAMPLERS[0].drive.used)
 
 
 def test_no_sample_at_all_is_refused() -> None:
     nothing = (np.zeros(0, np.int64), np.zeros(0))
     with pytest.raises(InputError) as caught:
-        gather([[nothing, nothing]] * 3, LEARNERS, TrainSettings(subset=9))
+        gather_samples([[nothing, nothing]] * 3, SAMPLERS, TrainSettings(subset=9))
     assert "training data: no step has 9 features to learn from and a true motion." in str(
         caught.value
     )

@@ -1,17 +1,9 @@
-"""K and γ: what they come to where the answer is known, and that they make a second drive better."""
+"""K and γ: their values where the answer is known, and that they improve a second drive."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from training.supervised_drives import (
-    drive_of,
-    known,
-    learner_of,
-    point_world,
-    rmse_m,
-    true_motions,
-)
 
 from probevo.arrays import IntArray
 from probevo.noise import Fixed, NoiseModel, StudentT
@@ -19,7 +11,7 @@ from probevo.noise.metric import Metric
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.training.checkpoint import Iteration
 from probevo.training.drive import Drive
-from probevo.training.probe.samples import folds_of_steps, gather
+from probevo.training.probe.samples import folds_of_steps, gather_samples
 from probevo.training.probe.selection import (
     EXPONENTS,
     NEIGHBORS,
@@ -28,10 +20,18 @@ from probevo.training.probe.selection import (
     out_of_fold,
     weighted_motions,
 )
-from probevo.training.probe.subsets import Learner
+from probevo.training.probe.subsets import SubsetSampler
 from probevo.training.settings import TrainSettings
 from probevo.training.supervision import from_step_to_step
 from probevo_sim.point_world import PointWorld
+from training.supervised_drives import (
+    drive_of,
+    known,
+    point_world,
+    rmse_m,
+    sampler_of,
+    true_motions,
+)
 
 
 def blocks(count: int) -> IntArray:
@@ -85,23 +85,27 @@ def test_samples_of_one_fold_alone_still_give_some_k() -> None:
 
 
 def test_neighbours_come_from_other_folds() -> None:
-    """α says which fold it is from; a place never hears of its own."""
+    """α says which fold it is from; no query gets a value of its own fold."""
     rng = np.random.default_rng(4)
     coordinates = rng.normal(size=(500, 2))
     fold = blocks(500)
     for k in range(5):
-        asked = np.full(40, k)
         means = out_of_fold(
             coordinates,
             (fold == k).astype(float),
             fold,
             neighbors=10,
-            asked=coordinates[fold == k][:40],
-            fold_asked=asked,
+            queries=coordinates[fold == k][:40],
+            fold_of_query=np.full(40, k),
         )
         np.testing.assert_array_equal(means, 0.0)
     everywhere = out_of_fold(
-        coordinates, fold.astype(float), fold, neighbors=10, asked=coordinates, fold_asked=fold
+        coordinates,
+        fold.astype(float),
+        fold,
+        neighbors=10,
+        queries=coordinates,
+        fold_of_query=fold,
     )
     assert np.isfinite(everywhere).all()
 
@@ -112,8 +116,8 @@ def test_k_is_no_larger_than_what_other_folds_hold() -> None:
         np.arange(4.0),
         np.array([0, 0, 0, 1]),
         neighbors=10,
-        asked=np.zeros((2, 1)),
-        fold_asked=np.array([1, 0]),
+        queries=np.zeros((2, 1)),
+        fold_of_query=np.array([1, 0]),
     )
     np.testing.assert_allclose(means, [1.0, 3.0])
 
@@ -123,85 +127,87 @@ def test_one_alpha_for_a_whole_drive_is_no_structure_of_its_features() -> None:
     features nearby, which are of the same iteration too, and folds by iteration do not."""
     world = point_world(seed=0)
     drive = drive_of(world)
-    learner = learner_of(drive, known(world, "loop"), world.camera)
+    sampler = sampler_of(drive, known(world, "loop"), world.camera)
     rng = np.random.default_rng(6)
     iterations: list[Iteration] = []
     for _ in range(60):
-        near = np.argsort(np.abs(learner.coordinates[:, 1] - rng.normal()))[:500]
+        near = np.argsort(np.abs(sampler.coordinates[:, 1] - rng.normal()))[:500]
         iterations.append([(np.sort(near), np.full(500, np.exp(rng.normal())))])
-    samples = gather(iterations, [learner], TrainSettings(relative=False))
-    coordinates = learner.coordinates[samples.features, 1:]
+    samples = gather_samples(iterations, [sampler], TrainSettings(relative=False))
+    coordinates = sampler.coordinates[samples.features, 1:]
     values = np.log(samples.alphas)
     assert choose_neighbors(coordinates, values, samples.left_out).chosen == NEIGHBORS[-1]
     assert choose_neighbors(coordinates, values, samples.fold).chosen < NEIGHBORS[-1]
 
 
 @dataclass(frozen=True)
-class SupervisedDrive:
+class SampledDrive:
+    """A drive, the world that it goes through, and its sampler."""
+
     world: PointWorld
     drive: Drive
-    learner: Learner
+    sampler: SubsetSampler
 
 
-def supervised_drive(
+def sampled_drive(
     kind: str = "gt", *, seed: int = 0, every: int = 1, base: NoiseModel | None = None
-) -> SupervisedDrive:
+) -> SampledDrive:
     """σ from 0.05 px to 1 px from the left to the right of the image."""
     base = base or Fixed()
     world = point_world("column", seed=seed)
     drive = drive_of(world, base=base, seed=seed)
     supervision = known(world, kind, every).completed(drive.T_curr_prev)
-    return SupervisedDrive(
-        world, drive, learner_of(drive, supervision, world.camera, base=base, relative=True)
+    return SampledDrive(
+        world, drive, sampler_of(drive, supervision, world.camera, base=base, relative=True)
     )
 
 
 @pytest.fixture(scope="module")
-def taught() -> SupervisedDrive:
-    return supervised_drive()
+def sampled() -> SampledDrive:
+    return sampled_drive()
 
 
-def test_where_phi_says_nothing_gamma_is_0(taught: SupervisedDrive) -> None:
+def test_where_phi_says_nothing_gamma_is_0(sampled: SampledDrive) -> None:
     """ln of the mean α of K random neighbours is a random number, of whatever size."""
     for scale in (0.0, 0.05, 0.5):
-        noise = scale * np.random.default_rng(5).normal(size=len(taught.drive.used))
-        search = choose_exponent([taught.learner], [noise])
+        noise = scale * np.random.default_rng(5).normal(size=len(sampled.drive.used))
+        search = choose_exponent([sampled.sampler], [noise])
         assert search.chosen == 0.0
         assert search.candidates == EXPONENTS
 
 
-def test_where_phi_is_the_noise_gamma_is_that_of_variances(taught: SupervisedDrive) -> None:
+def test_where_phi_is_the_noise_gamma_is_that_of_variances(sampled: SampledDrive) -> None:
     """With ln(σ/σ̄) in place of ln(α/ᾱ), the weight that minimises the variance is β = (σ/σ̄)²."""
-    log_sigma = taught.drive.phi[:, 0] - taught.drive.phi[:, 0].mean()
-    search = choose_exponent([taught.learner], [log_sigma])
+    log_sigma = sampled.drive.phi[:, 0] - sampled.drive.phi[:, 0].mean()
+    search = choose_exponent([sampled.sampler], [log_sigma])
     assert search.chosen in (2.0, 3.0)
     errors = dict(zip(search.candidates, search.errors, strict=True))
     assert errors[search.chosen] < 0.8 * errors[0.0]
     assert errors[32.0] > errors[0.0]
 
 
-def test_where_phi_says_the_contrary_gamma_is_0(taught: SupervisedDrive) -> None:
-    log_sigma = taught.drive.phi[:, 0] - taught.drive.phi[:, 0].mean()
-    assert choose_exponent([taught.learner], [-log_sigma]).chosen == 0.0
+def test_where_phi_says_the_contrary_gamma_is_0(sampled: SampledDrive) -> None:
+    log_sigma = sampled.drive.phi[:, 0] - sampled.drive.phi[:, 0].mean()
+    assert choose_exponent([sampled.sampler], [-log_sigma]).chosen == 0.0
 
 
-def test_equal_weights_give_the_motions_back(taught: SupervisedDrive) -> None:
+def test_equal_weights_give_the_motions_back(sampled: SampledDrive) -> None:
     """Noise of another size all over does not move the optimum; a step with too few features keeps
     its motion."""
-    ones = np.ones(len(taught.drive.used))
-    used = taught.drive.used.copy()
+    ones = np.ones(len(sampled.drive.used))
+    used = sampled.drive.used.copy()
     for factor in (1.0, 4.0):
-        motions = weighted_motions(taught.learner, factor * ones, used)
-        np.testing.assert_allclose(motions, taught.drive.T_curr_prev, atol=3e-4)
-    used[taught.drive.rows(5)] = False
-    motions = weighted_motions(taught.learner, 4.0 * ones, used)
-    np.testing.assert_array_equal(motions[5], taught.drive.T_curr_prev[5])
+        motions = weighted_motions(sampled.sampler, factor * ones, used)
+        np.testing.assert_allclose(motions, sampled.drive.T_curr_prev, atol=3e-4)
+    used[sampled.drive.rows(5)] = False
+    motions = weighted_motions(sampled.sampler, 4.0 * ones, used)
+    np.testing.assert_array_equal(motions[5], sampled.drive.T_curr_prev[5])
 
 
 def test_steps_that_no_half_can_solve_have_no_say() -> None:
     """Both halves keep the motion of all features there and agree: γ and errors are those of the
     drive without them."""
-    whole = supervised_drive("none")
+    whole = sampled_drive("none")
     end = 40
     first = whole.drive.first_of_step[end]
     lost = replace(whole.drive, used=np.arange(len(whole.drive.used)) < first)
@@ -217,40 +223,40 @@ def test_steps_that_no_half_can_solve_have_no_say() -> None:
     log_sigma = whole.drive.phi[:, 0] - whole.drive.phi[:, 0].mean()
     searches = []
     for drive in (lost, short):
-        learner = learner_of(
+        sampler = sampler_of(
             drive, from_step_to_step(drive.T_curr_prev), whole.world.camera, base=Fixed()
         )
-        searches.append(choose_exponent([learner], [log_sigma[: len(drive.used)]]))
+        searches.append(choose_exponent([sampler], [log_sigma[: len(drive.used)]]))
     np.testing.assert_allclose(searches[0].errors, searches[1].errors, rtol=1e-9)
     assert searches[0].chosen == searches[1].chosen > 0.0
-    alone = [
-        learner_of(
-            replace(lost, used=lost.used & False), whole.learner.supervision, whole.world.camera
+    blind = [
+        sampler_of(
+            replace(lost, used=lost.used & False), whole.sampler.supervision, whole.world.camera
         )
     ]
-    assert choose_exponent(alone, [log_sigma]).chosen == 0.0  # no step at all
+    assert choose_exponent(blind, [log_sigma]).chosen == 0.0  # no step at all
 
 
-def learned(supervised: SupervisedDrive, settings: TrainSettings) -> NearestNeighbors:
+def learned(sampled: SampledDrive, settings: TrainSettings) -> NearestNeighbors:
     """A model of one drive, with K and γ chosen, as ``probevo train`` does it."""
-    learner = supervised.learner
-    drive = supervised.drive
-    samples = gather(
-        [[learner.iterate(k)] for k in range(settings.iterations)], [learner], settings
+    sampler = sampled.sampler
+    drive = sampled.drive
+    samples = gather_samples(
+        [[sampler.iterate(k)] for k in range(settings.iterations)], [sampler], settings
     )
     values = np.log(samples.alphas)
-    coordinates = learner.coordinates[samples.features]
+    coordinates = sampler.coordinates[samples.features]
     neighbors = int(choose_neighbors(coordinates, values, samples.left_out).chosen)
-    own = folds_of_steps(learner, 0)[drive.step_of_feature]
+    own = folds_of_steps(sampler, 0)[drive.step_of_feature]
     means = out_of_fold(
         coordinates,
         values,
         samples.fold,
         neighbors=neighbors,
-        asked=learner.coordinates,
-        fold_asked=own,
+        queries=sampler.coordinates,
+        fold_of_query=own,
     )
-    exponent = choose_exponent([learner], [means - values.mean()]).chosen
+    exponent = choose_exponent([sampler], [means - values.mean()]).chosen
     metric = Metric.fitted(drive.phi, ("log_sigma", "chance"))
     return NearestNeighbors(neighbors, exponent).fit(
         drive.phi[samples.features], samples.alphas, metric=metric
@@ -276,13 +282,13 @@ def test_a_model_learned_on_one_drive_makes_another_one_better(
 
     β follows the noise, and not the column of chance.
     """
-    train = supervised_drive(kind, every=every, base=base)
-    test = supervised_drive(seed=1, base=base)
+    train = sampled_drive(kind, every=every, base=base)
+    test = sampled_drive(seed=1, base=base)
     model = learned(train, TrainSettings(iterations=30))
     beta = model.weights(test.drive.phi)
     truth = true_motions(test.world)
     weighted, static = (
-        rmse_m(weighted_motions(test.learner, weights, test.drive.used), truth)
+        rmse_m(weighted_motions(test.sampler, weights, test.drive.used), truth)
         for weights in (beta, np.ones_like(beta))
     )
     assert weighted < better * static

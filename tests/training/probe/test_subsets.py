@@ -1,30 +1,30 @@
-"""Random subsets: who is drawn and how often, what one seed gives, and the α of their motions."""
+"""Random subsets: which features are drawn and how often, seeds, and the α of their motions."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from training.supervised_drives import drive_of, known, learner_of, point_world
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.estimation.two_frame import solve
+from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.noise import Fixed
 from probevo.training.drive import Drive
-from probevo.training.probe.subsets import Learner
+from probevo.training.probe.subsets import SubsetSampler
 from probevo.training.supervision import Supervision
+from training.supervised_drives import drive_of, known, point_world, sampler_of
 
 WORLD = point_world("constant", frames=13, sigma_px=(0.2, 0.2))
 DRIVE = drive_of(WORLD)
 SUBSET = 8
 
 
-def learner(drive: Drive = DRIVE, kind: str = "gt", **options: object) -> Learner:
-    return learner_of(drive, known(WORLD, kind), WORLD.camera, **{"subset": SUBSET} | options)  # type: ignore[arg-type]
+def sampler(drive: Drive = DRIVE, kind: str = "gt", **options: object) -> SubsetSampler:
+    return sampler_of(drive, known(WORLD, kind), WORLD.camera, **{"subset": SUBSET} | options)  # type: ignore[arg-type]
 
 
 def shortened(count: int) -> Drive:
-    """The first two steps with their first features."""
+    """Return the first two steps with their first features."""
     rows = np.concatenate([np.arange(count) + first for first in DRIVE.first_of_step[:2]])
     arrays = {
         name: getattr(DRIVE, name)[rows] for name in ("prev_px", "curr_px", "ids", "phi", "used")
@@ -45,7 +45,7 @@ def by_step(drive: Drive, features: IntArray) -> list[IntArray]:
 @pytest.mark.parametrize("contrast", [0.0, 3.0, 100.0])
 @pytest.mark.parametrize("kind", ["gt", "loop"])
 def test_a_draw_has_one_subset_of_each_step_without_repetition(kind: str, contrast: float) -> None:
-    features, alphas = learner(kind=kind, contrast=contrast).iterate(0)
+    features, alphas = sampler(kind=kind, contrast=contrast).iterate(0)
     assert len(features) == len(alphas) == SUBSET * len(DRIVE.T_curr_prev)
     for chosen, alpha in zip(
         by_step(DRIVE, features), np.split(alphas, len(DRIVE.T_curr_prev)), strict=True
@@ -56,7 +56,7 @@ def test_a_draw_has_one_subset_of_each_step_without_repetition(kind: str, contra
 
 def test_only_features_that_were_used_are_drawn() -> None:
     used = np.random.default_rng(0).random(len(DRIVE.used)) < 0.3
-    one = learner(replace(DRIVE, used=used))
+    one = sampler(replace(DRIVE, used=used))
     for iteration in range(5):
         features, _ = one.iterate(iteration)
         assert used[features].all()
@@ -64,8 +64,8 @@ def test_only_features_that_were_used_are_drawn() -> None:
 
 def test_the_same_seed_draws_the_same() -> None:
     """Whatever was drawn before: an iteration does not depend on others."""
-    one = learner()
-    other = learner()
+    one = sampler()
+    other = sampler()
     one.iterate(0)
     for first, second in zip(one.iterate(4), other.iterate(4), strict=True):
         assert first.tobytes() == second.tobytes()
@@ -73,7 +73,7 @@ def test_the_same_seed_draws_the_same() -> None:
 
 def test_iterations_steps_drives_and_seeds_draw_differently() -> None:
     draws = [
-        learner(seed=seed).iterate(iteration)[0]
+        sampler(seed=seed).iterate(iteration)[0]
         for seed in ((0, 0), (0, 1), (1, 0))
         for iteration in range(3)
     ]
@@ -91,7 +91,7 @@ def test_without_contrast_every_feature_is_drawn_as_often() -> None:
     n = 40
     draws = 400
     p = SUBSET / 40
-    one = learner(shortened(n), contrast=0.0)
+    one = sampler(shortened(n), contrast=0.0)
     one = replace(one, supervision=Supervision("gt", np.arange(3), WORLD.T_world_cam[:3]))
     counts = np.bincount(
         np.concatenate([one.iterate(k)[0] for k in range(draws)]), minlength=2 * n
@@ -101,9 +101,8 @@ def test_without_contrast_every_feature_is_drawn_as_often() -> None:
     assert (statistic < chi2.ppf(0.9995, df=n - 1)).all()
 
 
-def lean(one: Learner, iteration: int) -> FloatArray:
-    """How far the subset's mean is from that of all features of its step, [steps whose subset fixes
-    a motion, M]."""
+def lean(one: SubsetSampler, iteration: int) -> FloatArray:
+    """Return the subset's mean minus that of all features of its step, [solved steps, M]."""
     features, _ = one.iterate(iteration)
     drive = one.drive
     return np.array(
@@ -117,14 +116,14 @@ def lean(one: Learner, iteration: int) -> FloatArray:
 
 @pytest.fixture(scope="module")
 def two_dimensional() -> Drive:
-    """With two columns that both vary: in a world of constant noise ln σ does not."""
+    """Return a drive whose two columns both vary; in a world of constant noise ln σ does not."""
     return replace(DRIVE, phi=np.random.default_rng(1).normal(size=(len(DRIVE.used), 2)))
 
 
 def test_with_contrast_the_features_of_a_subset_are_alike(two_dimensional: Drive) -> None:
-    """Their mean is farther out than that of random ones, about 1/√8, and their scatter is smaller."""
+    """Their mean is farther out than that of random subsets, which is about 1/√8."""
     plain, leaning = (
-        np.concatenate([lean(learner(two_dimensional, contrast=contrast), k) for k in range(10)])
+        np.concatenate([lean(sampler(two_dimensional, contrast=contrast), k) for k in range(10)])
         for contrast in (0.0, 3.0)
     )
     assert np.linalg.norm(plain, axis=1).mean() < 0.6
@@ -136,7 +135,7 @@ def test_subsets_of_a_stretch_lean_in_one_direction(two_dimensional: Drive) -> N
     each its own way."""
     cosines = {}
     for kind in ("loop", "gt"):
-        leans = [lean(learner(two_dimensional, kind, contrast=3.0), k) for k in range(20)]
+        leans = [lean(sampler(two_dimensional, kind, contrast=3.0), k) for k in range(20)]
         unit = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in leans]
         cosines[kind] = np.mean(np.concatenate([each[:-1] @ each[-1] for each in unit]))
     assert cosines["loop"] > 0.8
@@ -144,9 +143,8 @@ def test_subsets_of_a_stretch_lean_in_one_direction(two_dimensional: Drive) -> N
 
 
 def test_over_many_draws_every_direction_comes_up(two_dimensional: Drive) -> None:
-    """Draws lean to no side in the end, and features in the middle of the space have their turn
-    too."""
-    one = learner(two_dimensional, contrast=3.0)
+    """On average draws lean to no side, and features in the middle of the space are drawn too."""
+    one = sampler(two_dimensional, contrast=3.0)
     leans = np.concatenate([lean(one, k) for k in range(80)])
     assert np.linalg.norm(leans.mean(axis=0)) < 0.3
     drawn = one.coordinates[np.unique(np.concatenate([one.iterate(k)[0] for k in range(80)]))]
@@ -159,39 +157,33 @@ def test_steps_with_too_few_features_are_skipped() -> None:
     used = DRIVE.used.copy()
     used[DRIVE.rows(3)] = np.arange(len(used[DRIVE.rows(3)])) < SUBSET - 1
     for kind in ("gt", "loop"):
-        features, alphas = learner(replace(DRIVE, used=used), kind).iterate(0)
+        features, alphas = sampler(replace(DRIVE, used=used), kind).iterate(0)
         counts = [len(chosen) for chosen in by_step(DRIVE, features)]
         assert counts == [0 if k == 3 else SUBSET for k in range(len(DRIVE.T_curr_prev))]
         assert np.isfinite(alphas).all()
 
 
 def test_where_no_step_has_enough_there_is_no_sample() -> None:
-    features, alphas = learner(subset=10_000).iterate(0)
+    features, alphas = sampler(subset=10_000).iterate(0)
     assert (features.shape, alphas.shape) == ((0,), (0,))
     assert features.dtype == np.int64
 
 
 def test_steps_without_truth_are_skipped() -> None:
     frames = np.array([2, 3, 7, 8])
-    one = replace(learner(), supervision=Supervision("sparse", frames, WORLD.T_world_cam[frames]))
+    one = replace(sampler(), supervision=Supervision("sparse", frames, WORLD.T_world_cam[frames]))
     features, _ = one.iterate(0)
     np.testing.assert_array_equal(np.unique(DRIVE.step_of_feature[features]), range(2, 8))
 
 
 def test_alpha_is_the_error_of_the_subset_s_motion() -> None:
     """Solved by hand from the features that were drawn: √(‖Δr‖²/3)."""
-    features, alphas = learner(contrast=0.0).iterate(2)
-    noise = learner().base.predict(np.zeros((SUBSET, 0)))
+    features, alphas = sampler(contrast=0.0).iterate(2)
+    noise = sampler().base.predict(np.zeros((SUBSET, 0)))
     for k, chosen in enumerate(by_step(DRIVE, features)):
         tracks = DRIVE.tracks(k).kept(chosen - DRIVE.first_of_step[k])
-        motion = solve(
-            tracks,
-            noise,
-            DRIVE.T_curr_prev[k],
-            camera=WORLD.camera,
-            prior=None,
-            config=learner().solver,
-        ).T_curr_prev
+        estimator = TwoFrameEstimator(WORLD.camera, sampler().solver)
+        motion = estimator.solve(tracks, noise, guess=DRIVE.T_curr_prev[k]).T_curr_prev
         T_true = np.linalg.inv(WORLD.T_world_cam[k + 1]) @ WORLD.T_world_cam[k]
         error_m = np.linalg.norm((np.linalg.inv(motion) - np.linalg.inv(T_true))[:3, 3])
         np.testing.assert_allclose(
@@ -204,7 +196,7 @@ def test_relative_alphas_are_one_if_the_noise_is_as_expected(contrast: float) ->
     """In RMS, whatever the geometry of the subset; in metres they differ by its width."""
     world = point_world("constant", frames=25, sigma_px=(0.2, 0.2), seed=1)
     drive = drive_of(world, base=Fixed())
-    one = learner_of(
+    one = sampler_of(
         drive, known(world), world.camera, base=Fixed(), subset=20, contrast=contrast, relative=True
     )
     alphas = np.concatenate([one.iterate(k)[1] for k in range(20)])

@@ -1,1 +1,1 @@
-"""PROBE-GK learned from drives: motions given the noise, and the noise given the motions, in turns."""
+"""PROBE-GK from drives: the motions given the noise, then the noise given the motions, iterated."""

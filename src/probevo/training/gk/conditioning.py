@@ -1,19 +1,40 @@
-"""The motions of a drive as the features and the truth together give them."""
+"""Fusion of the motions of a drive with its truth: both are Gaussian."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.estimation.two_frame import BY_CHANCE
+from probevo.estimation.visual_motion import MOTIONS_DIFFER_FROM
 from probevo.geometry import se3
 from probevo.training.supervision import Supervision
 
 LEAST_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
-"""No truth is better than that, m and rad."""
+"""Least standard deviation of the truth, m and rad: no truth is more accurate."""
 FEW_STRETCHES = 20
+"""Fewer stretches do not tell how accurate the truth is."""
 LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
-"""How well a loop closes whose ends nobody has measured, m and rad: it is parked by hand."""
+"""Standard deviation with which a loop closes whose ends nobody has measured, m and rad: the
+vehicle is parked by hand."""
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """The m steps of a stretch, and the distance of its motion from the truth."""
+
+    first: int
+    """First step."""
+    last: int
+    """The step after the last one."""
+    to_end: FloatArray
+    """Adjoint Ad_k that maps a perturbation of each step to one of the whole motion, [m, 6, 6]."""
+    cov: FloatArray
+    """Covariance M of the whole motion, [6, 6]."""
+    distance: FloatArray
+    """ξ = Log(T_true T⁻¹), [6], m and rad."""
 
 
 def conditioned(
@@ -22,69 +43,93 @@ def conditioned(
     supervision: Supervision,
     truth_sigma: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Motions [K − 1, 4, 4] and covariances [K − 1, 6, 6], given the true motion over each stretch.
+    """Condition the motions of K − 1 steps on the true motion over each stretch.
 
-    The motion over a stretch is T = T_m … T_1, and perturbations ξ_k of its steps move it by Σ Ad_k
-    ξ_k with Ad_k = Ad(T_m … T_{k+1}). With M = Σ Ad_k C_k Ad_kᵀ, the covariance P of the truth and
-    its distance ξ = Log(T_true T⁻¹), each step moves by C_k Ad_kᵀ (M + P)⁻¹ ξ. Of stretches of one
-    step this is the fusion of two Gaussians.
+    The motion over a stretch is T = T_m … T_1, and perturbations ξ_k of its steps move it by
+    Σ Ad_k ξ_k with Ad_k = Ad(T_m … T_{k+1}). With M = Σ Ad_k C_k Ad_kᵀ, the covariance P of the
+    truth and its distance ξ = Log(T_true T⁻¹), each step moves by C_k Ad_kᵀ (M + P)⁻¹ ξ. For
+    stretches of one step this is the fusion of two Gaussians.
 
-    Unless given, P is estimated from the distances of all stretches, but not for a loop that is
-    only assumed to close. Truth that is then farther off than chance explains, ξᵀ(M + P)⁻¹ξ >
-    BY_CHANCE, is left aside.
+    P is estimated from the distances of all stretches unless it is given, or the loop is only
+    assumed to close. Truth that fails the gate ξᵀ(M + P)⁻¹ξ ≤ MOTIONS_DIFFER_FROM is then not used.
+
+    Args:
+        T_curr_prev: motion of each step, [K − 1, 4, 4].
+        cov: covariance of each motion, [K − 1, 6, 6].
+        supervision: true motions over the stretches.
+        truth_sigma: standard deviation of the truth over a stretch, m and rad, [6]; None to
+            estimate it.
+
+    Returns:
+        motions [K − 1, 4, 4] and covariances [K − 1, 6, 6] given the truth.
     """
+    # The distance of each stretch from the truth.
     motions = T_curr_prev.copy()
     posterior = cov.copy()
-    chains = [
-        (
-            first,
-            last,
-            *_chain(T_curr_prev[first:last], cov[first:last], supervision.T_world_cam[[i, i + 1]]),
-        )
-        for i, (first, last) in enumerate(supervision.stretches.tolist())
-    ]
-    estimated = truth_sigma is None and not supervision.is_assumed
+    stretches = []
+    for i, (first, last) in enumerate(supervision.stretches.tolist()):
+        ends = supervision.T_world_cam[[i, i + 1]]
+        stretches.append(_stretch(T_curr_prev, cov, first, last, ends=ends))
+
+    # The covariance P of the truth.
+    is_estimated = truth_sigma is None and not supervision.is_assumed
     if truth_sigma is None:
-        truth_sigma = _sigma_of_truth(chains) if estimated else LOOP_SIGMA
+        truth_sigma = _estimated_truth_sigma(stretches) if is_estimated else LOOP_SIGMA
     P = np.diag(np.maximum(truth_sigma, LEAST_TRUTH_SIGMA) ** 2)
-    for first, last, to_end, M, distance in chains:
-        information = np.linalg.inv(M + P)
-        if estimated and distance @ information @ distance > BY_CHANCE:
+
+    for stretch in stretches:
+        # Gate the truth.
+        information = np.linalg.inv(stretch.cov + P)
+        distance = stretch.distance
+        if is_estimated and distance @ information @ distance > MOTIONS_DIFFER_FROM:
             continue
-        gain = cov[first:last] @ np.swapaxes(to_end, 1, 2) @ information
-        motions[first:last] = se3.exp(gain @ distance) @ T_curr_prev[first:last]
-        posterior[first:last] -= gain @ to_end @ cov[first:last]
+        # Kalman update of all steps of the stretch.
+        steps = slice(stretch.first, stretch.last)
+        gain = cov[steps] @ np.swapaxes(stretch.to_end, 1, 2) @ information
+        motions[steps] = se3.exp(gain @ distance) @ T_curr_prev[steps]
+        posterior[steps] -= gain @ stretch.to_end @ cov[steps]
     return motions, posterior
 
 
-def _chain(
-    T_curr_prev: FloatArray, cov: FloatArray, T_world_cam: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ad_k of each step, [m, 6, 6], their M, [6, 6], and how far the truth of both ends is, [6]."""
-    rest = np.eye(4)
-    to_end = np.empty((len(T_curr_prev), 6, 6))
-    for k in range(len(T_curr_prev) - 1, -1, -1):
-        to_end[k] = se3.adjoint(rest)
-        rest = rest @ T_curr_prev[k]
-    M: FloatArray = np.sum(to_end @ cov @ np.swapaxes(to_end, 1, 2), axis=0)
-    true = se3.inverse(T_world_cam[1]) @ T_world_cam[0]
-    return to_end, M, se3.log(true @ se3.inverse(rest))
+def _stretch(
+    T_curr_prev: FloatArray, cov: FloatArray, first: int, last: int, *, ends: FloatArray
+) -> _Stretch:
+    """Compound the motions of a stretch and compare them with the truth.
 
-
-def _sigma_of_truth(
-    chains: list[tuple[int, int, FloatArray, FloatArray, FloatArray]],
-) -> FloatArray:
-    """What the scatter of the truth around the features' motions is, beyond what these are off by,
-    [6], by medians.
-
-    Few stretches may scatter little by chance: then the truth is taken to be no better than the
-    features.
+    Args:
+        T_curr_prev: motion of each step of the drive, [K − 1, 4, 4].
+        cov: covariance of each, [K − 1, 6, 6].
+        first: first step of the stretch.
+        last: the step after the last one.
+        ends: true poses T_world_cam at both ends, [2, 4, 4].
     """
-    distances = np.abs([chain[4] for chain in chains]).reshape(-1, 2, 3)  # translations, rotations
+    # From the last step backwards, so that each adjoint is that of the steps after it.
+    motions = T_curr_prev[first:last]
+    T_last_k = np.eye(4)
+    to_end = np.empty((len(motions), 6, 6))
+    for k in range(len(motions) - 1, -1, -1):
+        to_end[k] = se3.adjoint(T_last_k)
+        T_last_k = T_last_k @ motions[k]
+    # The motion of the whole stretch, its covariance, and the distance in the tangent space.
+    M: FloatArray = np.sum(to_end @ cov[first:last] @ np.swapaxes(to_end, 1, 2), axis=0)
+    T_true = se3.inverse(ends[1]) @ ends[0]
+    distance = se3.log(T_true @ se3.inverse(T_last_k))
+    return _Stretch(first=first, last=last, to_end=to_end, cov=M, distance=distance)
+
+
+def _estimated_truth_sigma(stretches: Sequence[_Stretch]) -> FloatArray:
+    """Estimate the standard deviation of the truth, m and rad, [6].
+
+    It is the scatter of the truth around the features' motions beyond their own uncertainty, by
+    medians. Few stretches may scatter little by chance: then the truth is taken to be no better
+    than the features.
+    """
+    # Translations and rotations apart, [U, 2, 3].
+    distances = np.abs([stretch.distance for stretch in stretches]).reshape(-1, 2, 3)
+    variances = np.reshape([np.diagonal(stretch.cov) for stretch in stretches], (-1, 2, 3))
+    # 1.4826 times the median of absolute values is the σ of a Gaussian.
     scatter = (1.4826 * np.median(distances, axis=(0, 2))) ** 2
-    own = np.median(
-        np.reshape([np.diagonal(chain[3]) for chain in chains], (-1, 2, 3)), axis=(0, 2)
-    )
-    least = own if len(chains) < FEW_STRETCHES else np.zeros(2)
+    own = np.median(variances, axis=(0, 2))
+    least = own if len(stretches) < FEW_STRETCHES else np.zeros(2)
     sigma: FloatArray = np.repeat(np.sqrt(np.maximum(scatter - own, least)), 3)
     return sigma

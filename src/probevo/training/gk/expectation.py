@@ -1,89 +1,69 @@
-"""The E-step: what the motions of a drive were, given a noise model, and what errors its features
-then have."""
+"""The E-step: the motions of a drive given a noise model, and the errors its features then have."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
-from probevo.estimation.disparity_filter import DisparityMemory, carried_on, remember
-from probevo.estimation.feature_weights import TRUSTED, weights_of
-from probevo.estimation.reprojection import solve_reprojection
-from probevo.estimation.two_frame import solve
-from probevo.measurements.robust_loss import RobustLoss
+from probevo.estimation.disparity_filter import DisparityFilter
+from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
 from probevo.noise.base import StereoNoise
-from probevo.tracking.tracks import Tracks
-from probevo.training.drive import Drive
 from probevo.training.gk.conditioning import conditioned
 from probevo.training.gk.feature_errors import FeatureErrors, errors_of
 from probevo.training.gk.time_correlation import time_correlation_profile
 from probevo.training.supervised_drive import SupervisedDrive
 
 UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
-"""Of a step whose features fix no motion, m and rad."""
+"""Standard deviation of the motion of a step whose features do not fix it, m and rad."""
+UNKNOWN_VARIANCE_M2 = UNSOLVED_SIGMA[0] ** 2 / 4.0
+"""Variance in x, m², above which a motion is known neither from the features nor from the truth."""
 
 
 Predict = Callable[[FloatArray], StereoNoise]
 """Noise of n features from their predictors, [n, M]."""
 
 
-@dataclass(frozen=True)
-class Expectation:
-    """The motions of a drive's K − 1 steps, and what errors they leave."""
+class MotionPosterior(NamedTuple):
+    """Gaussians over the motions of a drive's K − 1 steps."""
 
     T_curr_prev: FloatArray
-    """[K − 1, 4, 4]."""
-    T_alone: FloatArray
-    """The same from the features alone, without any truth."""
+    """Mean of each motion, [K − 1, 4, 4]."""
+    cov: FloatArray
+    """Covariance of each left perturbation ξ = [ρ; φ], [K − 1, 6, 6]."""
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """The motions of a drive's K − 1 steps, and the errors of its features at these motions."""
+
+    T_curr_prev: FloatArray
+    """Motions given the features and the truth, [K − 1, 4, 4]."""
+    T_features_only: FloatArray
+    """Motions given the features without any truth, [K − 1, 4, 4]."""
     feature_errors: FeatureErrors
 
 
-def solve_drive(
-    parts: Iterable[Drive], predict: Predict, camera: StereoCamera, solver: SolverConfig
-) -> tuple[FloatArray, FloatArray]:
-    """Motions T_curr_prev [K − 1, 4, 4] of a drive under the predicted noise, and their covariances
-    [K − 1, 6, 6].
+@dataclass(frozen=True)
+class SolvedStep:
+    """A step of a drive, and its features at its motion."""
 
-    A step that cannot be solved keeps the drive's own motion, with UNSOLVED_SIGMA.
-    """
-    memory = DisparityMemory.none()
-    last = -1
-    motions = [np.zeros((0, 4, 4))]
-    cov = [np.zeros((0, 6, 6))]
-    for part in parts:
-        noise = predict(part.phi)
-        motions.append(part.T_curr_prev.copy())
-        cov.append(np.tile(np.diag(UNSOLVED_SIGMA**2), (len(part.T_curr_prev), 1, 1)))
-        for step, chosen, tracks in _steps(part):
-            before = memory.of(tracks) if part.numbers[step] == last + 1 else DisparityMemory.none()
-            memory = DisparityMemory.none()
-            last = int(part.numbers[step])
-            if len(chosen) < solver.min_tracks:
-                continue
-            own = noise.subset(chosen)
-            solution = solve(
-                tracks,
-                own,
-                part.T_curr_prev[step],
-                camera=camera,
-                prior=None,
-                config=solver,
-                known=before.known,
-            )
-            if solution.converged and np.isfinite(solution.cov).all():
-                if solver.method == "reprojection":
-                    trusted = weights_of(solution, own.dof, solver.loss) >= TRUSTED
-                    solution, memory = remember(
-                        tracks, own, solution, camera=camera, trusted=trusted, before=before
-                    )
-                motions[-1][step] = solution.T_curr_prev
-                cov[-1][step] = solution.cov
-    return np.concatenate(motions), np.concatenate(cov)
+    index: int
+    """Index of the step among the K − 1 steps of the drive."""
+    T_curr_prev: FloatArray
+    """Motion as the drive records it, [4, 4]."""
+    phi: FloatArray
+    """Place of all features of the step in the prediction space, used or not, [n, M]."""
+    used: IntArray
+    """Indices of the N features that may be used, among the n features of the step."""
+    noise: StereoNoise
+    """Predicted noise of the N features."""
+    estimate: Estimate | None
+    """The motion and the residuals of the N features; None if the step cannot be solved."""
 
 
 def expect(
@@ -92,123 +72,169 @@ def expect(
     solver: SolverConfig,
     truth_sigma: FloatArray | None,
     share: float = 1.0,
+    *,
     seed: tuple[int, ...] = (),
 ) -> Expectation:
-    """Motions as the features and the truth together give them, and the errors that are left.
+    """Compute the motions given features and truth, and the errors of the features.
 
-    The truth is a Gaussian prior on the motion over each stretch of the supervision: known exactly
-    it decides (GK-GT),
-    unknown it says nothing (GK-EM), and KITTI's, off by more than the features are, lies between.
-    Stretches may be as long as the drive, but between features and motions nothing is held of it
-    but motions and covariances.
+    The truth is a Gaussian prior on the motion over each stretch of the supervision. Exact truth
+    decides (GK-GT), no truth says nothing (GK-EM), and KITTI's truth, whose errors are larger
+    than those of the features, lies between. Stretches may be as long as the drive, but between
+    solving the motions and computing the errors only motions and covariances are kept in memory.
 
     Args:
-        drive: the drive, which is read twice, and what is known of it; nothing, if its kind is
-            ``none``.
+        drive: the drive, which is read twice, and its supervision.
         predict: the noise of n features from their predictors [n, M].
-        solver: settings of the solve.
+        solver: settings of the solver.
         truth_sigma: standard deviation of the truth over a stretch, m and rad, [6]; None to
-            estimate it from how far it is from what the features say.
-        share: of the features, how many are to be given errors; they are drawn.
-        seed: of the draw: the same ones, however the drive is cut into parts.
+            estimate it from the distance between truth and features.
+        share: share of the features, 0 … 1, whose errors are computed; they are drawn.
+        seed: seed of the draw, which does not depend on how the drive is cut into parts.
     """
-    camera = drive.camera
-    supervision = drive.supervision
-    alone, cov = solve_drive(drive.parts(), predict, camera, solver=solver)
-    motions = alone
-    if supervision.kind != "none":
-        motions, cov = conditioned(alone, cov, supervision, truth_sigma=truth_sigma)
+    # First pass: the motions given the features, and then also given the truth.
+    solved = solve_drive(drive, predict, solver)
+    posterior = solved
+    if drive.supervision.kind != "none":
+        T_curr_prev, cov = conditioned(
+            solved.T_curr_prev, solved.cov, drive.supervision, truth_sigma=truth_sigma
+        )
+        posterior = MotionPosterior(T_curr_prev, cov)
+    # Second pass: the errors of the features at these motions.
     rng = np.random.default_rng([*seed])
     return Expectation(
-        motions,
-        alone,
-        feature_errors(
-            drive.parts(),
-            motions,
-            cov,
-            predict=predict,
-            camera=camera,
-            solver=solver,
-            share=share,
-            rng=rng,
-        ),
+        T_curr_prev=posterior.T_curr_prev,
+        T_features_only=solved.T_curr_prev,
+        feature_errors=feature_errors(drive, posterior, predict, solver, share=share, rng=rng),
     )
 
 
-def _steps(drive: Drive) -> Iterator[tuple[int, IntArray, Tracks]]:
-    """Each step, which of the drive's features may be used in it, and their tracks."""
-    for step in range(len(drive.T_curr_prev)):
-        rows = drive.rows(step)
-        own = np.flatnonzero(drive.used[rows])
-        yield step, rows.start + own, drive.tracks(step).kept(own)
+def solve_drive(drive: SupervisedDrive, predict: Predict, solver: SolverConfig) -> MotionPosterior:
+    """Solve for the motions of a drive under the predicted noise.
+
+    A step that cannot be solved keeps the drive's own motion, with UNSOLVED_SIGMA.
+    """
+    motions = []
+    covariances = []
+    for step in solved_steps(drive, predict, solver):
+        if step.estimate is None:
+            motions.append(step.T_curr_prev)
+            covariances.append(np.diag(UNSOLVED_SIGMA**2))
+        else:
+            motions.append(step.estimate.solution.T_curr_prev)
+            covariances.append(step.estimate.solution.cov)
+    return MotionPosterior(
+        T_curr_prev=np.reshape(motions, (-1, 4, 4)), cov=np.reshape(covariances, (-1, 6, 6))
+    )
 
 
 def feature_errors(
-    parts: Iterable[Drive],
-    T_curr_prev: FloatArray,
-    cov: FloatArray,
+    drive: SupervisedDrive,
+    posterior: MotionPosterior,
     predict: Predict,
-    camera: StereoCamera,
     solver: SolverConfig,
+    *,
     share: float,
     rng: np.random.Generator,
 ) -> FeatureErrors:
-    """Of a share of a drive's features, drawn, at these motions [K − 1, 4, 4] with covariances [K −
-    1, 6, 6]."""
-    memory = DisparityMemory.none()
-    last = -1
+    """Compute the errors of a drawn share of a drive's features at given motions."""
     found = []
-    first_step = 0
     first_feature = 0
-    loss = RobustLoss.named(solver.loss)
-    for part in parts:
-        noise = predict(part.phi)
-        wanted = part.used & (rng.random(len(part.used)) < share)
-        found.append(FeatureErrors.none(part.phi.shape[1]))
-        for step, chosen, tracks in _steps(part):
-            before = memory.of(tracks) if part.numbers[step] == last + 1 else DisparityMemory.none()
-            memory = DisparityMemory.none()
-            last = int(part.numbers[step])
-            at = first_step + step
-            if len(chosen) < solver.min_tracks or cov[at, 0, 0] > UNSOLVED_SIGMA[0] ** 2 / 4.0:
-                continue  # neither solved nor known: its residuals say nothing
-            own = noise.subset(chosen)
-            solution = solve_reprojection(
-                tracks.prev_px,
-                tracks.curr_px,
-                own,
-                guess=T_curr_prev[at],
-                camera=camera,
-                loss=loss,
-                max_iterations=0,
-                known=before.known,
-            )
-            if solver.method == "reprojection":
-                trusted = weights_of(solution, own.dof, solver.loss) >= TRUSTED
-                memory = carried_on(
-                    tracks, own, solution, camera=camera, trusted=trusted, before=before
-                )
-            kept = np.flatnonzero(
-                (solution.information[:, 0, 0] > 0.0) & wanted[chosen]
-            )  # those in front
-            error, spread, likelihood = errors_of(solution, own, cov[at], chosen=kept)
-            profile = time_correlation_profile(solution, own, kept)
-            has_past = np.zeros(len(chosen), bool)
-            has_past[before.known.rows] = True
-            profile[has_past[kept], 1:3] = 0.0  # there κ has no form as simple
-            features = first_feature + chosen[kept]
-            steps = np.full(len(kept), at)
+    for step in solved_steps(drive, predict, solver, posterior):
+        # Draw for all features of the step, so that the draw does not depend on the noise model.
+        is_drawn = rng.random(len(step.phi)) < share
+        if step.estimate is not None:
+            solution = step.estimate.solution
+            # Features behind the camera have no information.
+            is_in_front = solution.information[:, 0, 0] > 0.0
+            kept = np.flatnonzero(is_in_front & is_drawn[step.used])
+            cov = posterior.cov[step.index]
+            errors, spread, log_likelihood = errors_of(solution, step.noise, cov, chosen=kept)
+
+            # The profile in closed form holds only for tracks without a known past.
+            profile = time_correlation_profile(solution, step.noise, kept)
+            profile[step.estimate.has_history[kept], 1:3] = 0.0
             found.append(
                 FeatureErrors(
-                    steps,
-                    features,
-                    part.phi[chosen[kept]],
-                    errors=error,
+                    steps=np.full(len(kept), step.index),
+                    features=first_feature + step.used[kept],
+                    phi=step.phi[step.used[kept]],
+                    errors=errors,
                     spread=spread,
-                    log_likelihood=likelihood,
+                    log_likelihood=log_likelihood,
                     profile=profile,
                 )
             )
-        first_step = first_step + len(part.T_curr_prev)
-        first_feature = first_feature + len(part.phi)
+        first_feature += len(step.phi)
+    if not found:
+        return FeatureErrors.none(len(drive.facts.moments.mean))
     return FeatureErrors.joined(found)
+
+
+def solved_steps(
+    drive: SupervisedDrive,
+    predict: Predict,
+    solver: SolverConfig,
+    given: MotionPosterior | None = None,
+) -> Iterator[SolvedStep]:
+    """Solve the steps of a drive in their order, with the estimator of the odometry.
+
+    Args:
+        drive: the drive, which is read part by part.
+        predict: the noise of n features from their predictors [n, M].
+        solver: settings of the solver.
+        given: motions at which the residuals are evaluated instead of solving for the motions.
+
+    Yields:
+        each step; without a solution if it has too few features, if these do not fix the motion, or
+        if the given motion is not known.
+    """
+    estimator: Estimator = TwoFrameEstimator(drive.camera, solver)
+    disparities = DisparityFilter.none()
+    previous_number = -1
+    index = 0
+    for part in drive.parts():
+        # The noise of all features of the part at once is faster than step by step.
+        noise_of_part = predict(part.phi)
+        for step in range(len(part.T_curr_prev)):
+            rows = part.rows(step)
+            used = np.flatnonzero(part.used[rows])
+            noise = noise_of_part.subset(rows.start + used)
+            tracks = part.tracks(step).kept(used)
+
+            # The disparity filter goes from one step of the recording to the next, not across a gap.
+            number = int(part.numbers[step])
+            if number != previous_number + 1:
+                disparities = DisparityFilter.none()
+            previous_number = number
+
+            # Solve for the motion, or evaluate at the given one.
+            estimate = None
+            if len(used) >= solver.min_tracks:
+                if given is None:
+                    guess = part.T_curr_prev[step]
+                    estimate = _determined(
+                        estimator.estimate(tracks, noise, disparities, guess=guess)
+                    )
+                elif not given.cov[index, 0, 0] > UNKNOWN_VARIANCE_M2:
+                    T_curr_prev = given.T_curr_prev[index]
+                    estimate = estimator.evaluate(
+                        tracks, noise, disparities, T_curr_prev=T_curr_prev
+                    )
+            disparities = DisparityFilter.none() if estimate is None else estimate.disparities
+
+            yield SolvedStep(
+                index=index,
+                T_curr_prev=part.T_curr_prev[step],
+                phi=part.phi[rows],
+                used=used,
+                noise=noise,
+                estimate=estimate,
+            )
+            index += 1
+
+
+def _determined(estimate: Estimate) -> Estimate | None:
+    """Return the estimate if the features fix the motion, and the solve has converged."""
+    solution = estimate.solution
+    is_determined = solution.converged and bool(np.isfinite(solution.cov).all())
+    return estimate if is_determined else None

@@ -1,251 +1,193 @@
-"""PROBE-GK from drives: motions given the noise, the noise given their residuals, in turns
-(PROBE-GK Alg. 3).
+"""Expectation maximisation of noise models over drives (PROBE-GK Alg. 3).
 
-With truth that is exact one turn would do (Alg. 1): the motions are known. Without, the noise
-starts as the static Student-t, itself fitted so. A turn is EM in spirit: motions enter as Gaussians
-around the solve, residuals of observation noise by a fixed point (``expectation``), and the gyro
-does not contribute. The likelihood of a turn is that of the residuals at its motions.
+Each iteration has two steps:
+
+- E-step: the motions of all drives given the noise model, fused with whatever truth is known, and
+  the errors of the features at these motions (``expectation``).
+- M-step: the noise model that is fitted to these errors.
+
+If the truth is exact, the motions are known, and one iteration suffices (PROBE-GK Alg. 1). The
+noise starts as the static Student-t, which is itself fitted by EM. This is EM in spirit: motions
+enter as Gaussians around the solve, errors of single observations by a fixed point, and the gyro
+does not contribute. The likelihood of an iteration is that of the residuals at its motions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
-from probevo.noise.metric import Metric
 from probevo.noise.student_t import StudentT
-from probevo.training.gk.evidence import Evidence, gather_evidence
+from probevo.training.gk.error_samples import ErrorSamples, gather_error_samples
 from probevo.training.gk.time_correlation import smallest_likely_ratio
-from probevo.training.settings import KernelSettings, TrainSettings
-from probevo.training.supervised_drive import SupervisedDrive
-from probevo.training.workers import Workers
+from probevo.training.settings import TrainSettings
+from probevo.training.trainer import TrainingContext
 
-STATIC_TURNS = 5
+STATIC_ITERATIONS = 5
+"""Iterations of the static Student-t without time correlation; as many follow with it."""
 TIME_CORRELATION_GAIN = 0.03
-"""Nats a feature that errors that last must gain. Where there are none, but noise that differs from
-place to place, they seem to gain up to 0.02 (point world, six laws); on KITTI it is 0.15 to 0.65.
-"""
+"""Least gain in likelihood, nats a feature, for which time-correlated errors are accepted. Where
+errors are new in each frame, but their noise differs from place to place, time correlation seems to
+gain up to 0.02 (point world, six laws); on KITTI it gains 0.15 to 0.65."""
+TIME_CORRELATION_STEP = 0.5
+"""Share of the way to the likeliest time correlation taken in each iteration: it explains the same
+residuals as the scale, and both together would overshoot."""
 Model = StudentT | GeneralizedKernel
 
 
-class Memory(Protocol):
-    """Where models are kept from turn to turn; a ``Checkpoint`` is one."""
+def learn_student_t(context: TrainingContext) -> StudentT:
+    """Learn the one Student-t, with its full scale matrix, under which the drives are likeliest.
 
-    def turn(self, number: int) -> LearnedNoiseModel | None:
-        """The model after that turn, if it is kept."""
-
-    def keep_turn(self, number: int, model: Model) -> None:
-        """Keep it."""
-
-
-class NoMemory:
-    """A memory that keeps no turn."""
-
-    def turn(self, number: int) -> LearnedNoiseModel | None:
-        """None."""
-
-    def keep_turn(self, number: int, model: Model) -> None:
-        """Forget it."""
-
-
-HERE = Workers()
-NOWHERE = NoMemory()
-
-
-@dataclass(frozen=True)
-class Course:
-    """What goes on around the turns of EM."""
-
-    workers: Workers = HERE
-    """Who goes through the drives; the fit to what they find is this process's."""
-    memory: Memory = NOWHERE
-    """Turns that are there need not be done."""
-    on_turn: Callable[[], None] = lambda: None
-    """Called after each turn."""
-    on_part: Callable[[float], None] = lambda share: None
-    """Called within a turn with the share of it that is done."""
-
-
-ALONE = Course()
-
-
-def learn_student_t(
-    drives: Sequence[SupervisedDrive],
-    settings: TrainSettings,
-    recordings: Sequence[Mapping[str, Any]],
-    course: Course = ALONE,
-) -> StudentT:
-    """The one Student-t, with its full scale matrix, that the drives are most likely under.
-    Arguments as below.
-
-    What lasts comes last, and only stays if it makes the residuals likelier by a margin: where
-    noise differs from place
-    to place, a model that is the same everywhere may take that for errors that last.
+    The time correlation is learned in a second half of the iterations, and kept only if it makes
+    the residuals likelier by a margin: where noise differs from place to place, a model that is
+    the same everywhere may mistake this for time correlation.
     """
-    gk = settings.gk
+    settings = context.settings.gk
     model = StudentT(
-        refers_to=gk.refers_to,
-        camera=drives[0].camera,
-        training={"turns": []},
+        refers_to=settings.refers_to,
+        camera=context.drives[0].camera,
+        training={"iterations": []},
         time_correlation_ratio=0.0,
     )
-    fresh = model
-    for number in range(_static_turns(gk)):
-        if number == STATIC_TURNS:
-            fresh = model
+    uncorrelated = model
+    for number in range(num_static_iterations(context.settings)):
+        if number == STATIC_ITERATIONS:
+            uncorrelated = model
             model = copy(model)
-        kept = course.memory.turn(number)
-        if isinstance(kept, StudentT):
-            model = kept
+        stored = context.checkpoint.em_model(number)
+        if isinstance(stored, StudentT):
+            model = stored
         else:
-            evidence = gather_evidence(
-                drives, model, settings, workers=course.workers, on_part=course.on_part
-            )
-            model.fit(evidence.phi, evidence.errors, error_cov=evidence.spread)
-            model.time_correlation_ratio = (
-                0.0 if number < STATIC_TURNS else _lasting(evidence, model)
-            )
-            model.training = {"turns": [*model.training["turns"], evidence.progress]}
-            course.memory.keep_turn(number, model)
-        course.on_turn()
-    turns = model.training["turns"]
-    if (
-        gk.learns_time_correlation
-        and turns[-1]["log_likelihood"]
-        < turns[STATIC_TURNS]["log_likelihood"] + TIME_CORRELATION_GAIN
-    ):
-        model = fresh
-        turns = turns[: STATIC_TURNS + 1]
-    model.training = _training(settings, recordings, turns, searches={})
+            # E-step: motions given the noise, and the errors of the features at these motions.
+            samples = gather_error_samples(context, model, context.progress.within_iteration)
+            # M-step: the Student-t of these errors, whose uncertainty is their spread.
+            model.fit(samples.phi, samples.errors, error_cov=samples.spread)
+            if number >= STATIC_ITERATIONS:
+                model.time_correlation_ratio = updated_time_correlation(
+                    model.time_correlation_ratio, samples
+                )
+            model.training = {"iterations": [*model.training["iterations"], samples.progress]}
+            context.checkpoint.keep_em_model(number, model)
+        context.progress.iteration_done()
+
+    # Decide between the models with and without time correlation.
+    iterations = model.training["iterations"]
+    if settings.learns_time_correlation:
+        likelihood = iterations[-1]["log_likelihood"]
+        likelihood_without = iterations[STATIC_ITERATIONS]["log_likelihood"]
+        if likelihood < likelihood_without + TIME_CORRELATION_GAIN:
+            model = uncorrelated
+            iterations = iterations[: STATIC_ITERATIONS + 1]
+    model.training = training_facts(context, iterations, searches={})
     return model
 
 
-def learn_kernel(
-    drives: Sequence[SupervisedDrive],
-    metric: Metric,
-    settings: TrainSettings,
-    recordings: Sequence[Mapping[str, Any]],
-    course: Course = ALONE,
-) -> GeneralizedKernel:
-    """The generalized kernel of the drives. Its shape is chosen at the first turn.
+def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
+    """Learn the generalized kernel of the drives (PROBE-GK Alg. 3).
 
-    Args:
-        drives: the drives, and what is known of them.
-        metric: of the prediction space.
-        settings: all settings.
-        recordings: what the model should remember of each recording.
-        course: who does it, who hears of it, and what is done already.
+    Hyperparameters that are not given are chosen in the first iteration and then kept.
     """
-    static = learn_student_t(drives, settings, recordings, course=course)
-    model = GeneralizedKernel(training={"turns": [], "searches": {}})
-    given = settings.gk.given()
-    first = _static_turns(settings.gk)
-    for number in range(first, num_turns(settings)):
-        kept = course.memory.turn(number)
-        if isinstance(kept, GeneralizedKernel):
-            model = kept
+    settings = context.settings.gk
+    # The noise model of the first E-step is static.
+    static = learn_student_t(context)
+    previous: Model = static
+    model = GeneralizedKernel()
+    hyperparameters = settings.given()
+    training: Mapping[str, Any] = {"iterations": [], "searches": {}}
+    first = num_static_iterations(context.settings)
+    for number in range(first, num_iterations(context.settings)):
+        stored = context.checkpoint.em_model(number)
+        if isinstance(stored, GeneralizedKernel):
+            model = stored
         else:
-            before = model if number > first else static
-            model = _turn(
-                drives,
-                before,
-                model.training,
-                metric=metric,
-                settings=settings,
-                given=given,
-                course=course,
+            # E-step: motions given the noise, and the errors of the features at these motions.
+            samples = gather_error_samples(
+                context, previous, lambda share: context.progress.within_iteration(0.5 * share)
             )
-            course.memory.keep_turn(number, model)
-        given = _restored(model.training["given"])
-        model.weights_ = given["weights"]
-        course.on_turn()
-    last = gather_evidence(
-        drives, model, settings, workers=course.workers, on_part=lambda share: None
-    ).progress
-    model.camera = drives[0].camera
-    turns = [*model.training["turns"], last]
-    model.training = _training(settings, recordings, turns, searches=model.training["searches"])
+            # M-step: the kernel over these errors.
+            model = GeneralizedKernel(
+                settings.variant,
+                **hyperparameters,
+                centers=settings.centers,
+                refers_to=settings.refers_to,
+            )
+            model.fit(
+                samples.phi,
+                samples.errors,
+                samples.groups,
+                error_cov=samples.spread,
+                metric=context.metric,
+                on_progress=lambda done, total: context.progress.within_iteration(
+                    0.5 + 0.5 * done / max(total, 1)
+                ),
+            )
+            if previous.time_correlation_ratio:
+                model.time_correlation_ratio = updated_time_correlation(
+                    previous.time_correlation_ratio, samples
+                )
+            chosen = model.shape_.as_given() | {"weights": model.weights_.tolist()}
+            model.training = {
+                "iterations": [*training["iterations"], samples.progress],
+                "searches": training["searches"] or model.search_,
+                "given": json_without_infinity(chosen),
+            }
+            model = model.without_samples()
+            context.checkpoint.keep_em_model(number, model)
+        # The hyperparameters come from the metadata, so that a resumed training has the same bits.
+        training = model.training
+        hyperparameters = restored_infinity(training["given"])
+        hyperparameters["weights"] = np.array(hyperparameters["weights"])
+        model.weights_ = hyperparameters["weights"]
+        previous = model
+        context.progress.iteration_done()
+
+    # One more E-step measures how well the last model explains the residuals.
+    last = gather_error_samples(context, model, lambda share: None).progress
+    model.camera = context.drives[0].camera
+    model.training = training_facts(
+        context, [*training["iterations"], last], searches=training["searches"]
+    )
     return model
 
 
-def _turn(
-    drives: Sequence[SupervisedDrive],
-    before: Model,
-    training: Mapping[str, Any],
-    metric: Metric,
-    settings: TrainSettings,
-    given: Mapping[str, Any],
-    course: Course,
-) -> GeneralizedKernel:
-    """The next model, without its samples; ``training`` tells of the turns so far, and then of this
-    one too."""
-    evidence = gather_evidence(
-        drives,
-        before,
-        settings,
-        workers=course.workers,
-        on_part=lambda share: course.on_part(0.5 * share),
-    )
-    gk = settings.gk
-    model = GeneralizedKernel(gk.variant, **given, centers=gk.centers, refers_to=gk.refers_to).fit(
-        evidence.phi,
-        evidence.errors,
-        evidence.groups,
-        error_cov=evidence.spread,
-        metric=metric,
-        on_progress=lambda done, total: course.on_part(0.5 + 0.5 * done / max(total, 1)),
-    )
-    model.time_correlation_ratio = (
-        _lasting(evidence, before) if before.time_correlation_ratio else 0.0
-    )
-    model.training = {
-        "turns": [*training["turns"], evidence.progress],
-        "searches": training["searches"] or model.search_,
-        "given": _plain(model.shape_.as_given() | {"weights": model.weights_.tolist()}),
-    }
-    return model.without_samples()
+def updated_time_correlation(previous: float, samples: ErrorSamples) -> float:
+    """Return the time correlation κ, half the way from the previous one to the likeliest."""
+    return TIME_CORRELATION_STEP * (previous + smallest_likely_ratio(samples.profile))
 
 
-def _lasting(evidence: Evidence, before: Model) -> float:
-    """Half the way from what the last turn held to what is most likely: scale and κ explain the
-    same residuals, and would overshoot together."""
-    return 0.5 * (before.time_correlation_ratio + smallest_likely_ratio(evidence.profile))
+def num_static_iterations(settings: TrainSettings) -> int:
+    """Return how many EM iterations the static Student-t takes."""
+    return STATIC_ITERATIONS * (2 if settings.gk.learns_time_correlation else 1)
 
 
-def _plain(given: Mapping[str, Any]) -> dict[str, Any]:
-    """For JSON, which knows no infinity."""
-    return {name: None if value == np.inf else value for name, value in given.items()}
+def num_iterations(settings: TrainSettings) -> int:
+    """Return how many EM iterations the generalized kernel takes, the static ones included."""
+    return num_static_iterations(settings) + settings.gk.iterations
 
 
-def _restored(plain: Mapping[str, Any]) -> dict[str, Any]:
-    given = {name: np.inf if value is None else value for name, value in plain.items()}
-    return given | {"weights": np.array(given["weights"])}
+def json_without_infinity(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Replace infinity, which JSON does not know, by None."""
+    return {name: None if value == np.inf else value for name, value in values.items()}
 
 
-def num_turns(settings: TrainSettings) -> int:
-    """How many turns there are."""
-    return _static_turns(settings.gk) + (settings.gk.turns if settings.kind == "gk" else 0)
+def restored_infinity(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Undo ``json_without_infinity``."""
+    return {name: np.inf if value is None else value for name, value in values.items()}
 
 
-def _static_turns(settings: KernelSettings) -> int:
-    return STATIC_TURNS * (2 if settings.learns_time_correlation else 1)
-
-
-def _training(
-    settings: TrainSettings,
-    recordings: Sequence[Mapping[str, Any]],
-    turns: Sequence[Mapping[str, float]],
+def training_facts(
+    context: TrainingContext,
+    iterations: Sequence[Mapping[str, float]],
     searches: Mapping[str, Any],
 ) -> dict[str, Any]:
+    """Return the metadata that a model keeps of its training, in plain values."""
     return {
-        "settings": settings.model_dump(mode="json"),
-        "recordings": [dict(recording) for recording in recordings],
-        "turns": [dict(turn) for turn in turns],
+        "settings": context.settings.model_dump(mode="json"),
+        "recordings": [dict(recording) for recording in context.recordings],
+        "iterations": [dict(iteration) for iteration in iterations],
         "searches": dict(searches),
     }

@@ -1,4 +1,4 @@
-"""Of more drives than EM can make use of, some of the steps: what the rest cost is to record them."""
+"""Thinning: of more drives than EM can use, only some steps take part in its iterations."""
 
 from __future__ import annotations
 
@@ -9,52 +9,57 @@ import numpy as np
 
 from probevo.arrays import BoolArray
 from probevo.training.drive import Drive
-from probevo.training.gk.evidence import MOST_FEATURES
+from probevo.training.gk.error_samples import MOST_FEATURES
 from probevo.training.supervised_drive import DriveOnDisk
 from probevo.training.supervision import Supervision
 from probevo.training.workers import Workers
 
 STEPS_PER_FEATURE = 4
-"""Steps are kept with so many times the features that a model is fitted to, of which ``evidence``
-then draws: features of one step have much in common, so that some of many steps tell more than all
-of a few."""
+"""The steps that are kept have so many times the features that a model is fitted to, of which
+``error_samples`` then draws: features of one step have much in common, so that some features of
+many steps are worth more than all features of a few."""
 STRETCH = 20
-"""Steps are kept in stretches of so many, as what tracks remember goes on from step to step."""
+"""Steps are kept in stretches of so many, since the memory of tracks goes on from step to step."""
 
 
 @dataclass(frozen=True)
 class _Task:
     drive: DriveOnDisk
     steps: BoolArray
-    """Which to keep, [K − 1]."""
+    """Which steps to keep, [K − 1]."""
 
 
 def thinned(drives: Sequence[DriveOnDisk], seed: int, workers: Workers) -> list[DriveOnDisk]:
-    """Drives of which nothing is known but the drive, so that no truth links its steps, with fewer
-    steps each.
+    """Return the drives with fewer steps each, if they have more features than EM can use.
 
     Args:
-        drives: the drives.
-        seed: of the draw, which is the same however the drives are cut into parts.
-        workers: who does it.
+        drives: drives without supervision, so that no truth links their steps.
+        seed: seed of the draw, which does not depend on how the drives are cut into parts.
+        workers: processes that read and write the drives.
     """
-    used = sum(drive.facts.used for drive in drives)
-    share = STEPS_PER_FEATURE * MOST_FEATURES / max(used, 1)
+    # Thin only where more features would be left than EM draws from.
+    num_used = sum(drive.facts.used for drive in drives)
+    share = STEPS_PER_FEATURE * MOST_FEATURES / max(num_used, 1)
     if share >= 1.0:
         return list(drives)
-    tasks = [
-        _Task(drive, _drawn(drive.facts.steps, share, np.random.default_rng((seed, number, 1))))
-        for number, drive in enumerate(drives)
-    ]
-    return workers.map(_thin, tasks, [f"recording {number + 1}" for number in range(len(tasks))])
+
+    # Each drive has its own stream of random numbers, and so the same steps by any worker.
+    tasks = []
+    for number, drive in enumerate(drives):
+        rng = np.random.default_rng((seed, number, 1))
+        tasks.append(_Task(drive, _drawn_steps(drive.facts.steps, share, rng)))
+    names = [f"recording {number + 1}" for number in range(len(tasks))]
+    return workers.map(_thin, tasks, names)
 
 
-def _drawn(steps: int, share: float, rng: np.random.Generator) -> BoolArray:
-    """Stretches of all these steps, whole ones, about as many as make this share."""
-    return np.repeat(rng.random(steps // STRETCH + 1) < share, STRETCH)[:steps]
+def _drawn_steps(num_steps: int, share: float, rng: np.random.Generator) -> BoolArray:
+    """Draw whole stretches, about as many as make this share of the steps: [num_steps]."""
+    is_drawn = rng.random(num_steps // STRETCH + 1) < share
+    return np.repeat(is_drawn, STRETCH)[:num_steps]
 
 
 def _thin(task: _Task) -> DriveOnDisk:
+    """Write the thinned drive beside the whole one, unless it is there."""
     thin = replace(task.drive, name="thin")
     if not thin.is_complete:
         facts = task.drive.facts
@@ -64,6 +69,7 @@ def _thin(task: _Task) -> DriveOnDisk:
                 yield part.kept(task.steps[part.numbers])
 
         thin.keep_drive(parts(), lambda: facts.digest, len(facts.moments.mean))
-        nothing = np.full((2, 4, 4), np.nan)
-        thin.keep_supervision(Supervision("none", np.zeros(2, np.int64), nothing))
+        # Without truth, the stretches of the supervision are never used.
+        unknown = np.full((2, 4, 4), np.nan)
+        thin.keep_supervision(Supervision("none", np.zeros(2, np.int64), unknown))
     return thin

@@ -1,1 +1,1 @@
-"""PROBE learned from drives: random subsets of their features, and the errors of their motions."""
+"""PROBE from drives: random subsets of their features, and the errors of the motions they give."""

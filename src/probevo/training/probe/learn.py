@@ -1,29 +1,30 @@
-"""PROBE from drives: motions of random subsets of their features, iteration after iteration, then K
-and γ."""
+"""The trainer of PROBE (PROBE Fig. 2): motions of random subsets of features, and their errors.
+
+In each iteration, every step of every drive is solved with a random subset of its features. The
+error α of that motion becomes a sample at the place of each feature of the subset. A model predicts
+the mean α of the nearest neighbours in the prediction space.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.noise.metric import Metric
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.noise.registry import untrained_model
-from probevo.training.checkpoint import Checkpoint
 from probevo.training.drive import joined
 from probevo.training.probe.fitting import fit_model
-from probevo.training.probe.samples import gather
-from probevo.training.probe.subsets import Learner
-from probevo.training.settings import TrainSettings
+from probevo.training.probe.samples import gather_samples
+from probevo.training.probe.subsets import SubsetSampler
+from probevo.training.settings import DEFAULT, KernelSettings, TrainSettings
 from probevo.training.supervised_drive import SupervisedDrive
-from probevo.training.workers import Workers
+from probevo.training.trainer import Trainer, TrainingContext
 
 
 @dataclass(frozen=True)
 class _Task:
-    """A drive in an iteration."""
+    """One iteration over one drive."""
 
     number: int
     drive: SupervisedDrive
@@ -32,61 +33,54 @@ class _Task:
     iteration: int
 
 
-def learn_neighbors(
-    drives: Sequence[SupervisedDrive],
-    metric: Metric,
-    settings: TrainSettings,
-    recordings: Sequence[Mapping[str, Any]],
-    work: Checkpoint,
-    on_turn: Callable[[], None],
-    workers: Workers,
-) -> NearestNeighbors:
-    """The model of the drives.
+def learn_nearest_neighbors(context: TrainingContext) -> NearestNeighbors:
+    """Learn the model of PROBE (PROBE Fig. 2, ``TrainPROBEModel``).
 
-    Args:
-        drives: the drives, and what is known of them. In the end all are held in memory: the model
-            is made of them.
-        metric: of the prediction space.
-        settings: all settings.
-        recordings: what the model should remember of each recording.
-        work: what is done so far.
-        on_turn: called after each iteration.
-        workers: who goes through the drives.
+    In the end all drives are held in memory: the model consists of their features.
     """
-    names = [recording["name"] for recording in recordings]
+    names = [recording["name"] for recording in context.recordings]
     iterations = []
-    for iteration in range(settings.iterations):
-        done = work.iteration(iteration)
-        if done is None:
+    for iteration in range(context.settings.iterations):
+        # Solve each step with a random subset of its features, unless this iteration is stored.
+        subsets = context.checkpoint.iteration(iteration)
+        if subsets is None:
             tasks = [
-                _Task(n, drive, metric, settings=settings, iteration=iteration)
-                for n, drive in enumerate(drives)
+                _Task(
+                    number=number,
+                    drive=drive,
+                    metric=context.metric,
+                    settings=context.settings,
+                    iteration=iteration,
+                )
+                for number, drive in enumerate(context.drives)
             ]
-            done = workers.map(_iterate, tasks, names)
-            work.keep_iteration(iteration, done)
-        iterations.append(done)
-        on_turn()
-    learners = [_learner(n, drive, metric, settings=settings) for n, drive in enumerate(drives)]
-    return fit_model(
-        gather(iterations, learners, settings),
-        learners,
-        metric,
-        settings=settings,
-        recordings=recordings,
-    )
+            subsets = context.workers.map(_iterate, tasks, names)
+            context.checkpoint.keep_iteration(iteration, subsets)
+        iterations.append(subsets)
+        context.progress.iteration_done()
+
+    # Pair the errors α with the places φ of the features, and fit K and γ.
+    samplers = [
+        _sampler(number, drive, context.metric, context.settings)
+        for number, drive in enumerate(context.drives)
+    ]
+    samples = gather_samples(iterations, samplers, context.settings)
+    return fit_model(samples, samplers, context)
 
 
 def _iterate(task: _Task) -> tuple[IntArray, FloatArray]:
-    return _learner(task.number, task.drive, task.metric, settings=task.settings).iterate(
-        task.iteration
-    )
+    """Do one iteration over one drive."""
+    sampler = _sampler(task.number, task.drive, task.metric, task.settings)
+    return sampler.iterate(task.iteration)
 
 
-def _learner(
+def _sampler(
     number: int, supervised: SupervisedDrive, metric: Metric, settings: TrainSettings
-) -> Learner:
+) -> SubsetSampler:
+    """Read a drive into memory and prepare its iterations."""
+    # Subsets lean in directions of the whole prediction space, so that the drive is read whole.
     drive = joined(supervised.parts())
-    return Learner(
+    return SubsetSampler(
         drive=drive,
         coordinates=metric.coordinates(drive.phi),
         supervision=supervised.supervision.completed(drive.T_curr_prev),
@@ -98,3 +92,20 @@ def _learner(
         relative=settings.relative,
         seed=(settings.odometry.seed, number),
     )
+
+
+def num_iterations(settings: TrainSettings) -> int:
+    """Return how often each step is solved with a random subset."""
+    return settings.iterations
+
+
+train_knn = Trainer(
+    learn=learn_nearest_neighbors,
+    num_iterations=num_iterations,
+    default_predictors=DEFAULT,
+    learns_from_positions=True,
+    unused_settings={
+        f"gk.{name}": "Leave it out, or choose another --kind."
+        for name in KernelSettings.model_fields
+    },
+)

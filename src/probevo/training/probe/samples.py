@@ -1,4 +1,4 @@
-"""All iterations together, as samples: which feature took part in a motion, and how wrong that was."""
+"""Samples of PROBE: which feature took part in a motion, and how wrong that motion was."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.training.checkpoint import Iteration
-from probevo.training.probe.subsets import Learner
+from probevo.training.probe.subsets import SubsetSampler
 from probevo.training.settings import TrainSettings
 
 FOLDS = 5
@@ -19,24 +19,24 @@ BLOCKS_A_DRIVE = 10
 
 @dataclass(frozen=True)
 class Samples:
-    """N samples of all drives."""
+    """The N samples of all drives."""
 
     features: IntArray
     """Index of the feature among those of all drives, one drive after another, [N]."""
     alphas: FloatArray
-    """Error α, [N]: in metres, or relative to what other subsets reached over the same stretch."""
+    """Error α of each sample, [N]: in metres, or relative to the mean over the same stretch."""
     fold: IntArray
-    """Fold of each sample, 0 … FOLDS − 1, [N]: blocks of time take turns, so that neighbours in
-    time stay together."""
+    """Fold of each sample, 0 … FOLDS − 1, [N]: blocks of time alternate, so that samples that are
+    close in time share a fold."""
     left_out: IntArray
-    """Another division, in which no two folds hold samples of one and the same α, [N]: that by
-    time, or, of a drive with one α for all of its steps, that by iterations."""
+    """Folds of which no two hold samples of one and the same α, [N]: those by time, or, of a drive
+    with one α for all its steps, those by iteration."""
 
 
-def gather(
-    iterations: Sequence[Iteration], learners: Sequence[Learner], settings: TrainSettings
+def gather_samples(
+    iterations: Sequence[Iteration], samplers: Sequence[SubsetSampler], settings: TrainSettings
 ) -> Samples:
-    """The samples of all iterations, [iteration][drive].
+    """Gather the samples of all iterations, [iteration][drive].
 
     Raises:
         InputError: no subset of any step has a known error.
@@ -45,54 +45,68 @@ def gather(
     alphas = []
     folds = []
     left_out = []
-    before = 0
-    for number, learner in enumerate(learners):
-        taken = np.concatenate([iteration[number][0] for iteration in iterations])
+    first_feature = 0
+    for number, sampler in enumerate(samplers):
+        # All iterations over this drive, one after another.
+        sampled = np.concatenate([iteration[number][0] for iteration in iterations])
         alpha = np.concatenate([iteration[number][1] for iteration in iterations])
-        step = learner.drive.step_of_feature[taken]
+        step = sampler.drive.step_of_feature[sampled]
         if settings.relative and len(alpha):
-            stretch = learner.supervision.stretch_of_step(len(learner.drive.T_curr_prev))[step]
-            alpha = _relative(alpha, stretch, logarithmic=settings.average == "geometric")
-        features.append(before + taken)
+            stretch = sampler.supervision.stretch_of_step(len(sampler.drive.T_curr_prev))[step]
+            alpha = _relative(alpha, stretch, is_logarithmic=settings.average == "geometric")
+        features.append(first_feature + sampled)
         alphas.append(alpha)
-        folds.append(folds_of_steps(learner, number)[step])
-        turn = np.repeat(
-            np.arange(len(iterations)), [len(iteration[number][0]) for iteration in iterations]
-        )
-        left_out.append(turn % FOLDS if len(learner.supervision.stretches) == 1 else folds[-1])
-        before += len(learner.drive.phi)
+
+        # Folds by time; samples of one α that covers the whole drive are divided by iterations.
+        fold = folds_of_steps(sampler, number)[step]
+        folds.append(fold)
+        if len(sampler.supervision.stretches) == 1:
+            counts = [len(iteration[number][0]) for iteration in iterations]
+            left_out.append(np.repeat(np.arange(len(iterations)), counts) % FOLDS)
+        else:
+            left_out.append(fold)
+        first_feature += len(sampler.drive.phi)
     if not sum(map(len, alphas)):
-        what = f"no step has {settings.subset} features to learn from and a true motion."
-        raise InputError("training data", what, "Give other recordings, or a smaller --subset.")
+        raise InputError(
+            "training data",
+            f"no step has {settings.subset} features to learn from and a true motion.",
+            "Give other recordings, or a smaller --subset.",
+        )
     return Samples(
-        np.concatenate(features),
-        np.concatenate(alphas),
-        np.concatenate(folds),
+        features=np.concatenate(features),
+        alphas=np.concatenate(alphas),
+        fold=np.concatenate(folds),
         left_out=np.concatenate(left_out),
     )
 
 
-def folds_of_steps(learner: Learner, number: int) -> IntArray:
-    """Fold of each of the K − 1 steps of the drive of that number: blocks of time, which part no
-    stretch."""
-    num_steps = len(learner.drive.T_curr_prev)
-    stretches = learner.supervision.stretches
+def folds_of_steps(sampler: SubsetSampler, number: int) -> IntArray:
+    """Return the fold of each of the K − 1 steps of a drive, given its number.
+
+    Folds are blocks of time, and no stretch of the supervision is divided between two.
+    """
+    num_steps = len(sampler.drive.T_curr_prev)
+    stretches = sampler.supervision.stretches
+    # A step belongs to the fold of the first step of its stretch.
     start = np.arange(num_steps)
     if len(stretches) > 1:
-        owner = learner.supervision.stretch_of_step(num_steps)
-        start = np.where(owner >= 0, stretches[owner, 0], start)
+        stretch = sampler.supervision.stretch_of_step(num_steps)
+        start = np.where(stretch >= 0, stretches[stretch, 0], start)
     return fold_of_step(start, num_steps, number)
 
 
 def fold_of_step(step: IntArray, num_steps: int, drive: int) -> IntArray:
-    """Fold of each of some steps of a drive, given its number: [n] to [n]."""
+    """Return the fold of each of some steps of a drive, given its number: [n] to [n]."""
     fold: IntArray = (step * BLOCKS_A_DRIVE // num_steps + drive) % FOLDS
     return fold
 
 
-def _relative(alpha: FloatArray, stretch: IntArray, *, logarithmic: bool) -> FloatArray:
-    """α over the mean of all α of the same stretch, [N]."""
-    values = np.log(alpha) if logarithmic else alpha
+def _relative(alpha: FloatArray, stretch: IntArray, *, is_logarithmic: bool) -> FloatArray:
+    """Divide each α by the mean of all α of the same stretch, [N]."""
+    # The mean of the same kind as that over neighbours.
+    values = np.log(alpha) if is_logarithmic else alpha
     mean = np.bincount(stretch, values) / np.maximum(np.bincount(stretch), 1)
-    relative: FloatArray = np.exp(values - mean[stretch]) if logarithmic else values / mean[stretch]
+    relative: FloatArray = (
+        np.exp(values - mean[stretch]) if is_logarithmic else values / mean[stretch]
+    )
     return relative

@@ -1,166 +1,196 @@
-"""K by cross-validation over blocks of time, γ by the error of the training drives (PROBE IV-B),
-both automatic."""
+"""Choice of the hyperparameters of PROBE (PROBE IV-B).
+
+K is chosen by cross-validation over blocks of time, γ by the error of the training drives.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray, evenly
-from probevo.estimation.two_frame import solve
+from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.noise.probe.nearest_neighbors import LARGEST_WEIGHT
 from probevo.noise.probe.neighbor_index import NeighborIndex
-from probevo.training.probe.subsets import Learner, Stream
+from probevo.training.probe.subsets import Stream, SubsetSampler
 from probevo.training.supervision import LEAST_ALPHA_M, from_step_to_step
 
 NEIGHBORS = (10, 25, 50, 100, 200, 400, 800)
+"""Candidates for K."""
 EXPONENTS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
+"""Candidates for γ."""
 MOST_QUERIES = 20_000
-"""Of all drives together, to compare values of K with; more would not change which is the best."""
+"""Samples of all drives together on which values of K are compared; more would not change which is
+best."""
+LARGEST_LOG_WEIGHT = np.log(LARGEST_WEIGHT)
 
 
 @dataclass(frozen=True)
 class Search:
-    """Candidates for a hyperparameter, the error of each, and which was taken."""
+    """Candidates for a hyperparameter, the error of each, and the one that was chosen."""
 
     candidates: tuple[float, ...]
     errors: tuple[float, ...]
     chosen: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return the search in plain values."""
         return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in asdict(self).items()
+            "candidates": list(self.candidates),
+            "errors": list(self.errors),
+            "chosen": self.chosen,
         }
 
 
 def choose_neighbors(coordinates: FloatArray, values: FloatArray, fold: IntArray) -> Search:
-    """The K whose mean over neighbours from other blocks of time is nearest to the values, in
-    squared error.
+    """Choose K by cross-validation: the mean of the K nearest from other folds predicts best.
 
     Args:
         coordinates: places of N samples, [N, M].
         values: α of each, or its logarithm, [N].
         fold: fold of each, [N].
     """
-    fewest = min(int((fold != k).sum()) for k in np.unique(fold))
+    # No candidate may exceed the samples that any cross-validation step has.
+    folds = np.unique(fold)
+    fewest = min(int((fold != k).sum()) for k in folds)
     candidates = np.array([k for k in NEIGHBORS if k <= fewest] or [max(1, fewest)])
+
+    # Sum the squared error of each candidate, predicting each fold from the others.
     queries = evenly(len(values), MOST_QUERIES)
-    squared = np.zeros(len(candidates))
-    for k in np.unique(fold):
-        other = fold != k
-        asked = queries[fold[queries] == k]
-        if other.any() and len(asked):
-            means = NeighborIndex.build(coordinates[other], values[other]).mean_of_nearest(
-                coordinates[asked], candidates
-            )
-            squared += np.sum((means - values[asked, None]) ** 2, axis=0)
-    errors = squared / max(len(queries), 1)
-    return Search(_plain(candidates), _plain(errors), float(candidates[np.argmin(errors)]))
+    squared_error = np.zeros(len(candidates))
+    for k in folds:
+        is_other = fold != k
+        queries_in_fold = queries[fold[queries] == k]
+        if is_other.any() and len(queries_in_fold):
+            index = NeighborIndex.build(coordinates[is_other], values[is_other])
+            means = index.mean_of_nearest(coordinates[queries_in_fold], candidates)
+            squared_error += np.sum((means - values[queries_in_fold, None]) ** 2, axis=0)
+    errors = squared_error / max(len(queries), 1)
+    return Search(
+        candidates=_plain(candidates),
+        errors=_plain(errors),
+        chosen=float(candidates[np.argmin(errors)]),
+    )
 
 
 def out_of_fold(
     coordinates: FloatArray,
     values: FloatArray,
     fold: IntArray,
+    *,
     neighbors: int,
-    asked: FloatArray,
-    fold_asked: IntArray,
+    queries: FloatArray,
+    fold_of_query: IntArray,
 ) -> FloatArray:
-    """Mean of the K nearest values from other folds than a place's own, [n].
+    """Predict the value at each query from the K nearest samples of other folds, [n].
 
     Args:
-        coordinates, values, fold: the N samples, [N, M], [N], [N].
+        coordinates: places of N samples, [N, M].
+        values: value of each sample, [N].
+        fold: fold of each sample, [N].
         neighbors: K.
-        asked: places, [n, M].
-        fold_asked: the fold of each, [n].
+        queries: places at which to predict, [n, M].
+        fold_of_query: fold of each, whose samples are left out, [n].
     """
-    means = np.empty(len(asked))
-    for k in np.unique(fold_asked):
-        other = fold != k
-        index = NeighborIndex.build(coordinates[other], values[other])
-        own = fold_asked == k
-        means[own] = index.mean_of_nearest(
-            asked[own], np.array([min(neighbors, int(other.sum()))])
-        )[:, 0]
+    means = np.empty(len(queries))
+    for k in np.unique(fold_of_query):
+        is_other = fold != k
+        index = NeighborIndex.build(coordinates[is_other], values[is_other])
+        in_fold = fold_of_query == k
+        num_neighbors = min(neighbors, int(is_other.sum()))
+        nearest = index.mean_of_nearest(queries[in_fold], np.array([num_neighbors]))
+        means[in_fold] = nearest[:, 0]
     return means
 
 
 def choose_exponent(
-    learners: Sequence[Learner], log_relative_alphas: Sequence[FloatArray]
+    samplers: Sequence[SubsetSampler], log_relative_alphas: Sequence[FloatArray]
 ) -> Search:
-    """The least γ whose mean α over the training drives is no worse than the best one's, within its
-    standard error.
+    """Choose the least γ whose mean α over the drives is within a standard error of the best.
 
-    Where a drive shows no error, or one alone, as a closed loop does, what counts is by how much
-    the motions of two random halves of its features disagree, step by step: one loop that closes
-    better by chance must not decide.
+    Where a drive has no known error, or a single one, as a closed loop has, the disagreement
+    between the motions of two random halves of its features counts instead, step by step: one loop
+    that by chance closes better must not decide.
 
     Args:
-        learners: the drives.
+        samplers: one for each drive.
         log_relative_alphas: ln(mean of the K nearest α / ᾱ) of every feature of each drive, [n]
-            each, as learned from other blocks of time than its own.
+            each, learned from other folds than the feature's own.
     """
-    alphas = np.array(
-        [
-            np.concatenate(
-                [
-                    _alphas(learner, np.exp(np.clip(gamma * log_alpha, -LIMIT, LIMIT)))
-                    for learner, log_alpha in zip(learners, log_relative_alphas, strict=True)
-                ]
-            )
-            for gamma in EXPONENTS
-        ]
-    )
-    moved = (alphas > LEAST_ALPHA_M).all(axis=0)  # no half of such a step could be solved otherwise
-    alphas = alphas[:, moved] if moved.any() else alphas
+    # α of every stretch or step of all drives, for each candidate.
+    rows = []
+    for gamma in EXPONENTS:
+        alphas_of_drives = []
+        for sampler, log_alpha in zip(samplers, log_relative_alphas, strict=True):
+            beta = np.exp(np.clip(gamma * log_alpha, -LARGEST_LOG_WEIGHT, LARGEST_LOG_WEIGHT))
+            alphas_of_drives.append(_alphas(sampler, beta))
+        rows.append(np.concatenate(alphas_of_drives))
+    alphas = np.array(rows)
+
+    # Where no half of a step can be solved, both keep the same motion: this says nothing of γ.
+    is_solved = (alphas > LEAST_ALPHA_M).all(axis=0)
+    if is_solved.any():
+        alphas = alphas[:, is_solved]
+
+    # The one-standard-error rule.
     errors = alphas.mean(axis=1)
     excess = alphas - alphas[np.argmin(errors)]
     standard_error = excess.std(axis=1) / np.sqrt(alphas.shape[1])
     chosen = np.argmax(excess.mean(axis=1) <= standard_error)
-    return Search(EXPONENTS, _plain(errors), EXPONENTS[chosen])
+    return Search(candidates=EXPONENTS, errors=_plain(errors), chosen=EXPONENTS[chosen])
 
 
-LIMIT = np.log(LARGEST_WEIGHT)
+def _alphas(sampler: SubsetSampler, beta: FloatArray) -> FloatArray:
+    """Return the errors α of a drive that is solved with these β, [n].
 
-
-def _alphas(learner: Learner, beta: FloatArray) -> FloatArray:
-    """Errors α of a drive solved with these β, [n]: one a stretch; one a step where halves have to
-    do."""
-    used = learner.drive.used
-    supervision = learner.supervision
+    There is one a stretch, or one a step where two halves of the features are compared.
+    """
+    used = sampler.drive.used
+    supervision = sampler.supervision
     if supervision.kind != "none" and len(supervision.stretches) > 1:
-        return supervision.errors(weighted_motions(learner, beta, used))
-    half = np.random.default_rng([*learner.seed, Stream.HALVES]).random(len(beta)) < 0.5
-    one, other = (weighted_motions(learner, beta, used & part) for part in (half, ~half))
+        return supervision.errors(weighted_motions(sampler, beta, used))
+    # Compare two random halves, the same for all candidates.
+    rng = np.random.default_rng([*sampler.seed, Stream.HALVES])
+    half = rng.random(len(beta)) < 0.5
+    one = weighted_motions(sampler, beta, used & half)
+    other = weighted_motions(sampler, beta, used & ~half)
     return from_step_to_step(other).errors(one)
 
 
-def weighted_motions(learner: Learner, beta: FloatArray, used: BoolArray) -> FloatArray:
-    """T_curr_prev of each step, [K − 1, 4, 4], with the noise of the features scaled by β, [n]."""
-    drive, motions = learner.drive, learner.drive.T_curr_prev.copy()
+def weighted_motions(sampler: SubsetSampler, beta: FloatArray, used: BoolArray) -> FloatArray:
+    """Solve all steps with the noise of the features scaled by β.
+
+    Args:
+        sampler: the drive of K − 1 steps and n features.
+        beta: factor of the noise of each feature, [n].
+        used: which features to solve with, [n].
+
+    Returns:
+        T_curr_prev of each step, [K − 1, 4, 4]; a step that cannot be solved keeps its motion.
+    """
+    drive = sampler.drive
+    motions = drive.T_curr_prev.copy()
+    estimator = TwoFrameEstimator(sampler.camera, sampler.solver)
     for step in range(len(motions)):
         rows = drive.rows(step)
         chosen = np.flatnonzero(used[rows])
-        if len(chosen) >= learner.solver.min_tracks:
-            noise = learner.base.predict(np.zeros((len(chosen), 0))).scaled(beta[rows][chosen])
-            tracks = drive.tracks(step).kept(chosen)
-            solution = solve(
-                tracks,
-                noise,
-                drive.T_curr_prev[step],
-                camera=learner.camera,
-                prior=None,
-                config=learner.solver,
-            )
-            if solution.converged and np.isfinite(solution.cov).all():
-                motions[step] = solution.T_curr_prev
+        if len(chosen) < sampler.solver.min_tracks:
+            continue
+        # The covariance of each feature is that of the static model times β.
+        base = sampler.base.predict(np.zeros((len(chosen), 0)))
+        solution = estimator.solve(
+            drive.tracks(step).kept(chosen),
+            base.scaled(beta[rows][chosen]),
+            guess=drive.T_curr_prev[step],
+        )
+        if solution.converged and np.isfinite(solution.cov).all():
+            motions[step] = solution.T_curr_prev
     return motions
 
 
 def _plain(values: FloatArray | IntArray) -> tuple[float, ...]:
+    """Return the values as Python floats."""
     return tuple(float(value) for value in values)

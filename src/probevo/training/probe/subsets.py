@@ -1,5 +1,4 @@
-"""Motions of random subsets of a drive's features, and the error α of each: one iteration of PROBE
-Fig. 2."""
+"""One iteration of PROBE (Fig. 2): motions of random subsets of features, and their errors α."""
 
 from __future__ import annotations
 
@@ -12,14 +11,14 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import SolverConfig
 from probevo.estimation.reprojection import ReprojectionSolution, sum_products
-from probevo.estimation.two_frame import solve
+from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.noise import NoiseModel
 from probevo.training.drive import Drive
 from probevo.training.supervision import Supervision
 
 
 class Stream(IntEnum):
-    """What a random number is for: each use has a stream of its own."""
+    """Purpose of a random number; each purpose has its own stream of numbers."""
 
     DIRECTION = 0
     SUBSET = 1
@@ -27,8 +26,8 @@ class Stream(IntEnum):
 
 
 @dataclass(frozen=True)
-class Learner:
-    """All that an iteration over a drive needs."""
+class SubsetSampler:
+    """A drive, and all that an iteration of PROBE over it needs."""
 
     drive: Drive
     coordinates: FloatArray
@@ -36,82 +35,108 @@ class Learner:
     supervision: Supervision
     camera: StereoCamera
     base: NoiseModel
-    """Noise of all features alike."""
+    """Static noise model of all features."""
     solver: SolverConfig
     subset: int
-    """Features in a subset."""
+    """Number of features in a subset."""
     contrast: float
-    """How much alike they are; 0 is not at all."""
+    """How similar the features of a subset are; 0 draws them uniformly."""
     relative: bool
-    """Whether α counts relative to what the geometry of the features lets expect."""
+    """Whether α is divided by the error that the geometry of the features predicts."""
     seed: tuple[int, ...]
-    """Of this drive."""
+    """Seed of this drive."""
 
     def iterate(self, iteration: int) -> tuple[IntArray, FloatArray]:
-        """Features that took part in a motion whose error is known, [m], and that error α, [m], m.
+        """Solve each step with a random subset of its features.
 
-        One subset a step; with ``contrast``, those of one stretch of the supervision lean in the
-        same direction. A step with too few features, or whose subset fixes no motion, keeps the
-        motion of all its features.
+        There is one subset a step. With ``contrast``, the subsets of one stretch of the supervision
+        lean in the same direction. A step with too few features, or whose subset fixes no motion,
+        keeps the motion of all its features.
+
+        Args:
+            iteration: number of the iteration, on which the draw depends.
+
+        Returns:
+            indices of the features that took part in a motion whose error is known, [m]; the error
+            α of that motion, [m], m or relative.
         """
-        drive, T_curr_prev = self.drive, self.drive.T_curr_prev.copy()
+        drive = self.drive
+        T_curr_prev = drive.T_curr_prev.copy()
         cov = np.zeros((len(T_curr_prev), 6, 6))
-        owner = self.supervision.stretch_of_step(len(T_curr_prev))
+        stretch_of_step = self.supervision.stretch_of_step(len(T_curr_prev))
         directions = self._directions(len(self.supervision.stretches), iteration)
+        estimator = TwoFrameEstimator(self.camera, self.solver)
         features = []
         steps = []
-        for step in np.flatnonzero(owner >= 0).tolist():
+        for step in np.flatnonzero(stretch_of_step >= 0).tolist():
+            # Draw a subset of the step's features.
             rows = drive.rows(step)
             chosen = self._choose(
                 np.flatnonzero(drive.used[rows]),
                 rows,
-                directions[owner[step]],
+                directions[stretch_of_step[step]],
                 key=(iteration, step),
             )
             if len(chosen) < self.subset:
                 continue
-            tracks = drive.tracks(step).kept(chosen)
-            guess = drive.T_curr_prev[step]
-            noise = self.base.predict(np.zeros((self.subset, 0)))
-            solution = solve(
-                tracks, noise, guess, camera=self.camera, prior=None, config=self.solver
+
+            # Solve for the motion with this subset only.
+            solution = estimator.solve(
+                drive.tracks(step).kept(chosen),
+                self.base.predict(np.zeros((self.subset, 0))),
+                guess=drive.T_curr_prev[step],
             )
-            if np.isfinite(
-                solution.cov
-            ).all():  # converged or not: what fails most is what the worst features do
+            # Converged or not: solves fail most often where the features are worst.
+            if np.isfinite(solution.cov).all():
                 T_curr_prev[step] = solution.T_curr_prev
-                cov[step] = _expected_cov(solution)
+                cov[step] = _predicted_cov(solution)
                 features.append(rows.start + chosen)
                 steps.append(step)
         if not steps:
             return np.zeros(0, np.int64), np.zeros(0)
+
+        # The error over a stretch counts for each feature that took part in it.
         alphas = self.supervision.errors(T_curr_prev)
         if self.relative:
-            alphas = alphas / self.supervision.expected_errors(T_curr_prev, cov)
-        return np.concatenate(features), np.repeat(alphas[owner[steps]], self.subset)
+            alphas = alphas / self.supervision.predicted_errors(T_curr_prev, cov)
+        return np.concatenate(features), np.repeat(alphas[stretch_of_step[steps]], self.subset)
 
     def _directions(self, count: int, iteration: int) -> FloatArray:
-        """A random direction of the prediction space for each stretch, as long as the contrast,
-        [count, M]."""
-        arrows = np.random.default_rng([*self.seed, Stream.DIRECTION, iteration]).normal(
-            size=(count, self.coordinates.shape[1])
-        )
-        scaled: FloatArray = self.contrast * arrows / np.linalg.norm(arrows, axis=1, keepdims=True)
+        """Draw a random direction of the prediction space for each of ``count`` stretches.
+
+        Returns:
+            vectors whose length is the contrast, [count, M].
+        """
+        rng = np.random.default_rng([*self.seed, Stream.DIRECTION, iteration])
+        normal = rng.normal(size=(count, self.coordinates.shape[1]))
+        scaled: FloatArray = self.contrast * normal / np.linalg.norm(normal, axis=1, keepdims=True)
         return scaled
 
     def _choose(
         self, used: IntArray, rows: slice, direction: FloatArray, key: tuple[int, int]
     ) -> IntArray:
-        """A subset without repetition, drawn with probabilities ∝ exp(direction · coordinates)
-        (Gumbel's trick)."""
+        """Draw a subset without repetition, with probabilities ∝ exp(direction · coordinates).
+
+        This is Gumbel's trick: the largest of log probability plus Gumbel noise are drawn.
+
+        Args:
+            used: features of the step to draw from, counted from its first, [n].
+            rows: the step's features among those of the drive.
+            direction: direction in the prediction space in which the subset leans, [M].
+            key: numbers of iteration and step.
+        """
         gumbel = np.random.default_rng([*self.seed, Stream.SUBSET, *key]).gumbel(size=len(used))
-        defined = np.isfinite(self.drive.phi[rows][used])  # an undefined value leans nowhere
-        score = gumbel + np.where(defined, self.coordinates[rows][used], 0.0) @ direction
+        # An undefined value leans nowhere.
+        is_defined = np.isfinite(self.drive.phi[rows][used])
+        coordinates = np.where(is_defined, self.coordinates[rows][used], 0.0)
+        score = gumbel + coordinates @ direction
         return used[np.sort(np.argsort(-score, kind="stable")[: self.subset])]
 
 
-def _expected_cov(solution: ReprojectionSolution) -> FloatArray:
-    """Covariance of a motion if all its features had the noise of the base, whatever their
-    residuals say, [6, 6]."""
+def _predicted_cov(solution: ReprojectionSolution) -> FloatArray:
+    """Return the covariance of a motion whose features all have the noise of the base, [6, 6].
+
+    It depends on the geometry of the features but not on their residuals.
+    """
     information = sum_products(solution.jacobian, solution.information @ solution.jacobian)
     return np.asarray(np.linalg.pinv(information, hermitian=True), dtype=np.float64)

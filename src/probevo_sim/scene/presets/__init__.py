@@ -1,4 +1,10 @@
-"""The places that can be driven through."""
+"""The presets: places that can be driven through, each built from a seed.
+
+``city``, ``residential``, ``road`` and ``rover`` each lay out a route, bands of ground, solids that
+stand beside it and marks on the road. ``place.compose`` makes a ``Place`` of these parts and adds
+the effects, ``foliage`` and ``traffic`` among them. ``furniture`` and ``vehicles`` build single
+objects.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""A dense street of town houses with parked cars, two bends at right angles and a halt at traffic
-lights."""
+"""The preset ``city``: a dense street of town houses, with bends and a halt at traffic lights."""
 
 from __future__ import annotations
 
@@ -28,23 +27,29 @@ DISTANCE_M = 220.0
 SPEED_M_S = 8.0
 LANE_M = 1.7
 PIECES = ((66.0, 0.0), (26.0, -0.5 * np.pi), (52.0, 0.0), (26.0, 0.5 * np.pi), (50.0, 0.0))
-"""Length, m, and turn, rad, of the pieces of the street; a long drive has them again and again."""
+"""Length, m, and change of heading, rad, of the pieces of the street; a long drive repeats them."""
 HALT_M = 112.0
+"""Distance of the first halt from the start."""
 REPEAT_M = 220.0
-"""The first halt, and the distance from one to the next."""
+"""Distance from one halt to the next."""
 LEAD_M = 120.0
+"""Length of straight street beyond both ends."""
 BEHIND_M = 16.0
+"""Part of it before the start that is lined."""
 AHEAD_M = 90.0
-"""Of street beyond its ends: how much there is, and how much of that is lined."""
+"""Part of it after the end that is lined."""
 KERB_M = 5.3
+"""Distance of the kerb from the centre line; so the next four."""
 PARKED_M = 4.3
+"""Parked cars."""
 POSTS_M = 7.6
+"""Posts and trees."""
 FRONT_M = 9.8
+"""Fronts of the houses."""
 BACK_M = 34.0
-"""Distances from the centre line: kerb, parked cars, posts and trees, house fronts, the houses
-behind."""
+"""The houses behind them."""
 DEPTH_M = 12.0
-"""Of the houses in front."""
+"""Depth of the houses in front."""
 BANDS = (
     Band(KERB_M, Texture.ASPHALT, 5.0, albedo=0.27, contrast=0.8, is_road=True),
     Band(FRONT_M + 1.0, Texture.PAVING, 3.2, albedo=0.38, contrast=0.8),
@@ -53,20 +58,25 @@ BANDS = (
 
 
 def city(config: SceneConfig) -> Place:
-    """The street and a drive along it, 220 m unless told."""
+    """Build the street and a drive along it, 220 m long by default."""
+    # The street, its halts, and the drive.
     rng = place_rng(config)
     distance_m = config.distance_m or DISTANCE_M
     route = Route.from_turns(repeated(PIECES, distance_m), lead_m=LEAD_M)
     stops_m = tuple(float(s) for s in np.arange(HALT_M, distance_m - 20.0, REPEAT_M))
-    plan = DrivePlan(0.0, distance_m, SPEED_M_S, lateral_m=-LANE_M, stops_m=stops_m)
+    plan = DrivePlan(
+        start_m=0.0, distance_m=distance_m, speed_m_s=SPEED_M_S, lateral_m=-LANE_M, stops_m=stops_m
+    )
+
+    # What stands beside it, and what lies on it.
     houses = clear_of_road(_houses(route, rng), route, FRONT_M - 0.5)
-    things = [
+    objects = [
         *_kerbs(route),
         *_parked(route, stops_m, rng),
         *_pavement(route, rng),
         *_lights(route, stops_m),
     ]
-    standing = [*houses, *clear_of_road(things, route, LANE_M + HALF_LANE_M)]
+    standing = [*houses, *clear_of_road(objects, route, LANE_M + HALF_LANE_M)]
     return compose(
         config,
         route,
@@ -79,14 +89,17 @@ def city(config: SceneConfig) -> Place:
 
 
 def _houses(route: Route, rng: np.random.Generator) -> list[Solids]:
-    """Fronts on both sides, now and then a gap with trees; houses behind, and some across each end
-    of the street."""
+    """Build the houses: fronts on both sides with occasional gaps, and houses behind them.
+
+    A row of houses stands across each end of the street. In the gaps grow trees.
+    """
     houses: list[Solids] = []
     end_m = route.length_m + AHEAD_M
     for side in (-1.0, 1.0):
         lateral_m = side * (FRONT_M + 0.5 * DEPTH_M)
         was_gap = True
         for s in stations(route, lateral_m, -BEHIND_M, end_m=end_m, spacing_m=15.0):
+            # No two gaps follow each other.
             is_gap = not was_gap and rng.random() < 0.15
             if is_gap:
                 trees = [(furniture.tree(rng, rng.uniform(6, 9)), along) for along in (-4.0, 3.5)]
@@ -94,14 +107,13 @@ def _houses(route: Route, rng: np.random.Generator) -> list[Solids]:
                     tree.at(route.place(s + along, side * (FRONT_M + 4.0))) for tree, along in trees
                 )
             else:
-                houses.append(
-                    furniture.block(rng, 15.4, DEPTH_M).at(
-                        route.place(s, lateral_m + rng.uniform(-0.3, 0.3))
-                    )
-                )
+                house = furniture.block(rng, 15.4, DEPTH_M)
+                houses.append(house.at(route.place(s, lateral_m + rng.uniform(-0.3, 0.3))))
             was_gap = is_gap
         behind = stations(route, side * BACK_M, -BEHIND_M, end_m=end_m, spacing_m=20.0)
         houses.extend(_tower(rng).at(route.place(s, side * BACK_M)) for s in behind)
+
+    # A row of houses across each end.
     for s in (-BEHIND_M - 14.0, end_m + 14.0):
         houses.extend(
             furniture.block(rng, 15.4, DEPTH_M).at(crosswise(route, s, y))
@@ -111,14 +123,14 @@ def _houses(route: Route, rng: np.random.Generator) -> list[Solids]:
 
 
 def _tower(rng: np.random.Generator) -> Solids:
-    """A tall house of which one sees only the upper floors."""
-    high = rng.integers(6, 10) * 3.0
+    """Build a tall house of which one sees only the upper floors."""
+    height = rng.integers(6, 10) * 3.0
     front = Texture(rng.choice([Texture.FACADE_FLATS, Texture.FACADE_OFFICE]))
     albedo = rng.uniform(0.35, 0.55)
     return solid(
         BOX,
-        (18.0, 12.0, high),
-        (0, 0, 0.5 * high),
+        (18.0, 12.0, height),
+        (0, 0, 0.5 * height),
         texture=front,
         tile_m=12.0,
         albedo=albedo,
@@ -127,6 +139,7 @@ def _tower(rng: np.random.Generator) -> Solids:
 
 
 def _kerbs(route: Route) -> list[Solids]:
+    """Build the kerbs on both sides."""
     return [
         furniture.kerb(4.1).at(route.place(s, side * (KERB_M + 0.1)))
         for side in (-1.0, 1.0)
@@ -137,7 +150,7 @@ def _kerbs(route: Route) -> list[Solids]:
 
 
 def _parked(route: Route, stops_m: tuple[float, ...], rng: np.random.Generator) -> list[Solids]:
-    """Cars along both kerbs, heading with the traffic; none in the bends or at a crosswalk."""
+    """Build the cars along both kerbs, heading with the traffic; none in bends or at crosswalks."""
     cars = []
     for side in (-1.0, 1.0):
         for s in stations(
@@ -145,56 +158,58 @@ def _parked(route: Route, stops_m: tuple[float, ...], rng: np.random.Generator) 
         ):
             vehicle = furniture.van(rng) if rng.random() < 0.12 else furniture.car(rng)
             across = float(rng.uniform(-0.05, 0.05))
-            in_way = abs(route.curvature(s)) > 0.02 or any(
+            is_in_way = abs(route.curvature(s)) > 0.02 or any(
                 -6.0 < s - stop < 16.0 for stop in stops_m
             )
-            if rng.random() < 0.65 and not in_way:
+            if rng.random() < 0.65 and not is_in_way:
                 pose = route.place(s, side * PARKED_M + across)
                 cars.append(vehicle.at(pose @ HALF_TURN if side > 0.0 else pose))
     return cars
 
 
 def _pavement(route: Route, rng: np.random.Generator) -> list[Solids]:
-    """Lamp posts, trees, signs near the kerb; boxes, bins, benches near the fronts."""
-    things = []
+    """Build lamp posts, trees and signs near the kerb; boxes, bins and benches near the fronts."""
+    objects = []
     end_m = route.length_m + AHEAD_M
     for side in (-1.0, 1.0):
         to_road = np.eye(4) if side < 0.0 else HALF_TURN
         for s in stations(
             route, side * POSTS_M, -BEHIND_M + 6.0 * side, end_m=end_m, spacing_m=24.0
         ):
-            things.append(furniture.lamp_post().at(route.place(s, side * POSTS_M) @ to_road))
+            objects.append(furniture.lamp_post().at(route.place(s, side * POSTS_M) @ to_road))
             for along in (7.0, 16.0):
                 tree = furniture.tree(rng, rng.uniform(5.0, 7.5))
                 if rng.random() < 0.55:
-                    things.append(tree.at(route.place(s + along, side * POSTS_M)))
+                    objects.append(tree.at(route.place(s + along, side * POSTS_M)))
+
+        # One object every 9 m, of a kind drawn at random, or none.
         for s in stations(route, side * FRONT_M, -BEHIND_M, end_m=end_m, spacing_m=9.0):
             kind = rng.random()
             along = float(rng.uniform(-3.0, 3.0))
             near_front = side * (FRONT_M - 0.8)
             near_kerb = side * (KERB_M + 0.6)
             if kind < 0.25:
-                things.append(
+                objects.append(
                     furniture.road_sign(rng).at(route.place(s + along, near_kerb) @ to_road)
                 )
             elif kind < 0.4:
-                things.append(furniture.box(rng).at(route.place(s + along, near_front)))
+                objects.append(furniture.box(rng).at(route.place(s + along, near_front)))
             elif kind < 0.6:
-                things.extend(
+                objects.extend(
                     furniture.litter_bin(rng).at(route.place(s + along + x, near_front))
                     for x in (0.0, 0.8)
                 )
             elif kind < 0.7:
-                things.append(
+                objects.append(
                     furniture.bench().at(route.place(s + along, near_front) @ to_road @ HALF_TURN)
                 )
             elif kind < 0.8:
-                things.append(furniture.bush(rng).at(route.place(s + along, near_front)))
-    return things
+                objects.append(furniture.bush(rng).at(route.place(s + along, near_front)))
+    return objects
 
 
 def _lights(route: Route, stops_m: tuple[float, ...]) -> list[Solids]:
-    """A pair at each halt, one for either direction."""
+    """Build a pair of traffic lights at each halt, one for either direction."""
     return [
         light
         for stop in stops_m
@@ -206,7 +221,7 @@ def _lights(route: Route, stops_m: tuple[float, ...]) -> list[Solids]:
 
 
 def _marks(route: Route, stops_m: tuple[float, ...], rng: np.random.Generator) -> list[Solids]:
-    """Dashes in the middle, a crosswalk, a line and an arrow at each halt, lids and mended pieces."""
+    """Build the marks: dashes in the middle, crosswalks, halt lines, arrows, lids and patches."""
     end_m = route.length_m + AHEAD_M
     dashes = stations(route, 0.0, -BEHIND_M, end_m=end_m, spacing_m=7.5)
     marks = [furniture.lane_dash().at(route.place(s, 0.0)) for s in dashes]

@@ -1,5 +1,7 @@
-"""A field like another planet's: dirt, rocks of all sizes, a few crates and markers, hills and
-buildings around it."""
+"""The preset ``rover``: a field like another planet's, of dirt and rocks of all sizes.
+
+A few crates and markers stand beside the track, and hills and buildings around the field.
+"""
 
 from __future__ import annotations
 
@@ -20,38 +22,40 @@ from probevo_sim.scene.textures import Texture
 LOOP_M = 250.0
 SPEED_M_S = 2.0
 _TRACK_M = 1.4
-"""Half the width of the way that is free of rocks."""
+"""Half the width of the track that is free of rocks."""
 _BANDS = (Band(np.inf, Texture.DIRT, 3.0, albedo=0.29, contrast=0.9, is_road=True),)
 
 
 def rover(config: SceneConfig) -> Place:
-    """A closed loop, 250 m unless told, driven at 2 m/s from rest to rest: it ends exactly where it
-    began.
+    """Build a closed loop, 250 m by default, and a drive at 2 m/s that ends exactly where it began.
 
-    The camera is 0.9 m above the ground and looks down by 8°. Another ``config.drive`` wanders
-    sideways differently.
+    The drive begins and ends at rest. The camera is 0.9 m above the ground and looks down by 8°.
+    Another ``config.drive`` deviates sideways differently.
     """
+    # The loop, and the drive once around it.
     rng = place_rng(config)
     length_m = config.distance_m or LOOP_M
     route = Route.loop(length_m)
     plan = DrivePlan(
-        0.0,
-        length_m,
-        SPEED_M_S,
+        start_m=0.0,
+        distance_m=length_m,
+        speed_m_s=SPEED_M_S,
         height_m=0.9,
         pitch_down_rad=np.deg2rad(8.0),
         from_rest=True,
         to_rest=True,
     )
+
+    # Only the pebbles, over which the rover drives, may lie on the track.
     near = [*_stones(route, rng), *_markers(route, rng), *_camp(route, rng)]
     standing = [*clear_of_road(near, route, _TRACK_M), *_pebbles(route, rng), *_horizon(route, rng)]
     return compose(config, route, plan, bands=_BANDS, standing=standing, foliage_m=3.5)
 
 
 def _stones(route: Route, rng: np.random.Generator) -> list[Solids]:
-    """Rocks all over the field, many small ones and few large ones, the more so the nearer to the
-    track."""
-    things = []
+    """Build rocks all over the field: many small ones, few large ones, most near the track."""
+    # From the track outwards: mean distance along it from rock to rock, reach, range of sizes.
+    objects = []
     for pitch_m, reach_m, sizes_m in (
         (0.4, 6.0, (0.12, 0.5)),
         (0.8, 14.0, (0.3, 1.0)),
@@ -60,17 +64,15 @@ def _stones(route: Route, rng: np.random.Generator) -> list[Solids]:
         count = int(route.length_m / pitch_m)
         size_m = sizes_m[0] * (sizes_m[1] / sizes_m[0]) ** (rng.random(count) ** 1.5)
         lateral_m = rng.uniform(-reach_m, reach_m, count)
-        for s, lateral, size in zip(
-            rng.uniform(0.0, route.length_m, count), lateral_m, size_m, strict=True
-        ):
+        s_m = rng.uniform(0.0, route.length_m, count)
+        for s, lateral, size in zip(s_m, lateral_m, size_m, strict=True):
             stone = _slab(size, rng) if rng.random() < 0.3 else furniture.rock(rng, size)
-            things.append(stone.at(_turned(route, s, lateral, rng=rng)))
-    return things
+            objects.append(stone.at(_beside_track(route, s, lateral, rng=rng)))
+    return objects
 
 
 def _pebbles(route: Route, rng: np.random.Generator) -> list[Solids]:
-    """Stones that stand out of the dust by 1 to 2 cm, three on each metre of the track: the rover
-    drives over them."""
+    """Build stones that the rover drives over: 1 to 2 cm high, three on each metre of the track."""
     return [
         solid(
             ELLIPSOID,
@@ -80,7 +82,7 @@ def _pebbles(route: Route, rng: np.random.Generator) -> list[Solids]:
             tile_m=0.5,
             albedo=rng.uniform(0.2, 0.5),
             shift_m=rng.uniform(0.0, 1.0, 2),
-        ).at(_turned(route, s, lateral_m, rng=rng))
+        ).at(_beside_track(route, s, lateral_m, rng=rng))
         for s, lateral_m in rng.uniform(
             [0.0, -2.0], [route.length_m, 2.0], (int(3 * route.length_m), 2)
         )
@@ -88,7 +90,7 @@ def _pebbles(route: Route, rng: np.random.Generator) -> list[Solids]:
 
 
 def _markers(route: Route, rng: np.random.Generator) -> list[Solids]:
-    """Crates, poles with signs, and boards with a pattern beside the track."""
+    """Build crates, poles, signs and boards with a pattern beside the track."""
     makers: tuple[Callable[[np.random.Generator], Solids], ...] = (
         _crate,
         _crate,
@@ -96,24 +98,21 @@ def _markers(route: Route, rng: np.random.Generator) -> list[Solids]:
         furniture.road_sign,
         _target,
     )
-    places = np.arange(4.0, route.length_m, 9.0)
-    return [
-        makers[rng.integers(len(makers))](rng).at(
-            _turned(
-                route,
-                s + rng.uniform(-3.0, 3.0),
-                rng.choice([-1.0, 1.0]) * rng.uniform(2.6, 9.0),
-                rng=rng,
-            )
-        )
-        for s in places
-    ]
+    markers = []
+    for s in np.arange(4.0, route.length_m, 9.0):
+        marker = makers[rng.integers(len(makers))](rng)
+        along_m = s + rng.uniform(-3.0, 3.0)
+        lateral_m = rng.choice([-1.0, 1.0]) * rng.uniform(2.6, 9.0)
+        markers.append(marker.at(_beside_track(route, along_m, lateral_m, rng=rng)))
+    return markers
 
 
 def _camp(route: Route, rng: np.random.Generator) -> list[Solids]:
-    """In the middle of the loop: containers, a mast, and crates around them."""
+    """Build a camp in the middle of the loop: containers, a mast, and crates around them."""
     middle = route.position(np.linspace(0.0, route.length_m, 100)).mean(axis=0)
-    things = []
+    objects = []
+
+    # Containers, crates around them, and the mast in the centre.
     for _ in range(4):
         size_m = (6.0, 2.4, 2.5)
         box = solid(
@@ -128,25 +127,27 @@ def _camp(route: Route, rng: np.random.Generator) -> list[Solids]:
         door = solid(
             BOX, (6.02, 1.6, 1.9), (0, 0, 1.0), texture=Texture.SIGN, tile_m=1.6, albedo=0.45
         )
-        things.append(join([box, door]).at(_standing(middle + rng.uniform(-12.0, 12.0, 2), rng)))
-    things += [
+        objects.append(join([box, door]).at(_standing(middle + rng.uniform(-12.0, 12.0, 2), rng)))
+    objects += [
         _crate(rng).at(_standing(middle + rng.uniform(-15.0, 15.0, 2), rng)) for _ in range(12)
     ]
-    return [*things, furniture.lamp_post(9.0).at(_standing(middle, rng))]
+    return [*objects, furniture.lamp_post(9.0).at(_standing(middle, rng))]
 
 
 def _horizon(route: Route, rng: np.random.Generator) -> list[Solids]:
-    """A ring of hills, and before them trees and a few buildings."""
+    """Build a ring of hills, and before them trees and a few buildings."""
     line = route.position(np.linspace(0.0, route.length_m, 200))
     middle = line.mean(axis=0)
     radius_m = float(np.linalg.norm(line - middle, axis=1).max())
-    things = []
+    objects = []
 
     def around(count: int, low_m: float, high_m: float) -> list[FloatArray]:
+        """Return places in all directions, from ``low_m`` to ``high_m`` outside of the loop."""
         bearing = 2.0 * np.pi * (np.arange(count) + rng.random(count)) / count
         away_m = radius_m + rng.uniform(low_m, high_m, count)
         return list(middle + away_m[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1))
 
+    # Hills behind, trees and buildings in front.
     for place in around(40, 110.0, 240.0):
         size_m = rng.uniform([50.0, 40.0, 14.0], [120.0, 90.0, 44.0])
         texture = Texture(rng.choice([Texture.ROCK, Texture.DIRT, Texture.FOLIAGE]))
@@ -159,17 +160,18 @@ def _horizon(route: Route, rng: np.random.Generator) -> list[Solids]:
             albedo=rng.uniform(0.25, 0.4),
             contrast=0.9,
         )
-        things.append(hill.at(_standing(place, rng)))
-    things += [furniture.tree(rng).at(_standing(place, rng)) for place in around(45, 28.0, 80.0)]
-    things += [
+        objects.append(hill.at(_standing(place, rng)))
+    objects += [furniture.tree(rng).at(_standing(place, rng)) for place in around(45, 28.0, 80.0)]
+    objects += [
         furniture.block(rng, floors=2).at(_standing(place, rng)) for place in around(5, 50.0, 80.0)
     ]
-    return things
+    return objects
 
 
 def _slab(size: float, rng: np.random.Generator) -> Solids:
-    """A broken piece of rock, tilted."""
+    """Build a broken piece of rock, tilted."""
     size_m = size * rng.uniform([0.8, 0.5, 0.4], [1.2, 0.9, 0.8])
+    # Tilted about x and y, and raised so that about a quarter of it is in the ground.
     T = se3.exp(np.r_[0.0, 0.0, 0.0, rng.uniform(-0.35, 0.35, 2), 0.0])
     T[2, 3] = 0.25 * size_m[2]
     shift_m = rng.uniform(0.0, 2.0, 2)
@@ -185,7 +187,7 @@ def _slab(size: float, rng: np.random.Generator) -> Solids:
 
 
 def _crate(rng: np.random.Generator) -> Solids:
-    """A box of wood or metal, with a sign on it."""
+    """Build a crate of wood or metal, with a sign on it."""
     size_m = rng.uniform([0.6, 0.5, 0.4], [1.2, 0.9, 1.0])
     texture = Texture(rng.choice([Texture.FENCE, Texture.METAL, Texture.PLASTER]))
     box = solid(
@@ -204,7 +206,7 @@ def _crate(rng: np.random.Generator) -> Solids:
 
 
 def _pole(rng: np.random.Generator) -> Solids:
-    """A pole in black and white, 2 m high."""
+    """Build a pole in black and white, 2 m high."""
     return solid(
         BOX,
         (0.08, 0.08, rng.uniform(1.6, 2.4)),
@@ -216,7 +218,7 @@ def _pole(rng: np.random.Generator) -> Solids:
 
 
 def _target(rng: np.random.Generator) -> Solids:
-    """A chequered board on a foot."""
+    """Build a chequered board on a foot."""
     board = solid(
         BOX,
         (0.04, 0.8, 0.8),
@@ -240,13 +242,15 @@ def _target(rng: np.random.Generator) -> Solids:
     )
 
 
-def _turned(route: Route, s_m: float, lateral_m: float, rng: np.random.Generator) -> FloatArray:
-    """T_world_object of a place beside the track, facing anywhere."""
+def _beside_track(
+    route: Route, s_m: float, lateral_m: float, rng: np.random.Generator
+) -> FloatArray:
+    """Return T_world_object, [4, 4], m, of a place beside the track, facing anywhere."""
     return _standing(route.place(s_m, lateral_m)[:2, 3], rng)
 
 
 def _standing(place_m: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """T_world_object of a place on the ground, [2], m, facing anywhere."""
+    """Return T_world_object, [4, 4], m, of a place on the ground, [2], m, facing anywhere."""
     T_world_object = se3.exp(np.r_[np.zeros(5), rng.uniform(-np.pi, np.pi)])
     T_world_object[:2, 3] = place_m
     return T_world_object

@@ -1,4 +1,4 @@
-"""Vehicles that are no passenger cars, each in its own frame, and the one that carries the cameras."""
+"""Vehicles other than passenger cars and vans, and the one that carries the cameras."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _COACHWORK = (Texture.CAR_FRONT, Texture.CAR_SIDE, Texture.CAR_TOP)
 
 
 def lorry(rng: np.random.Generator) -> Solids:
-    """A lorry, 10 m long, 2.5 m wide and 3.6 m high."""
+    """Build a lorry, 10 m long, 2.5 m wide and 3.6 m high."""
     size_m = (2.1, 2.45, 2.7)
     cab = solid(
         BOX,
@@ -35,8 +35,7 @@ def lorry(rng: np.random.Generator) -> Solids:
 
 
 def bus(rng: np.random.Generator) -> Solids:
-    """A town bus, 11 m long, 2.5 m wide and 3.1 m high: a body, a band of windows around it,
-    advertisements."""
+    """Build a town bus, 11 m long, 2.5 m wide and 3.1 m high, with windows and advertisements."""
     paint = rng.uniform(0.3, 0.65)
     shift_m = rng.uniform(0.0, 10.0, 2)
     body = solid(
@@ -69,8 +68,10 @@ def bus(rng: np.random.Generator) -> Solids:
 
 
 def field_rover(rng: np.random.Generator) -> Solids:
-    """A planetary rover: a box on six wheels with a solar panel and a mast, 1.7 m long and 1.6 m
-    high."""
+    """Build a planetary rover, 1.7 m long and 1.6 m high.
+
+    It is a box on six wheels with a solar panel and a mast.
+    """
     body = solid(
         BOX,
         (1.3, 0.8, 0.4),
@@ -97,10 +98,10 @@ def field_rover(rng: np.random.Generator) -> Solids:
 
 
 def own_vehicle() -> Solids:
-    """What casts the shadow around the camera: a van with a rack, a mast and antennas on its roof;
-    never seen itself.
+    """Build the vehicle that carries the cameras, which is not seen but casts a shadow.
 
-    Its origin lies on the ground under the camera, which looks out above the windscreen.
+    It is a van with a rack, a mast and antennas on its roof. Its origin lies on the ground under
+    the camera, which looks out above the windscreen.
     """
     boxes = [
         ((4.6, 1.9, 1.1), (-1.3, 0.0, 0.75)),
@@ -121,7 +122,7 @@ def _load(
     center_m: tuple[float, float, float],
     rng: np.random.Generator,
 ) -> Solids:
-    """The box behind a cab, with a firm's board on its sides."""
+    """Build the box behind a cab, with a firm's board on its sides."""
     texture = Texture(rng.choice([Texture.METAL, Texture.FENCE, Texture.CLOTH]))
     box = solid(
         BOX,
@@ -141,7 +142,13 @@ def _load(
 
 
 def _wheels(axles_m: tuple[float, ...], track_m: float, diameter_m: float) -> list[Solids]:
-    """Wheels with bright rims, a pair for each axle; ``track_m`` is the width over the tyres."""
+    """Build a pair of wheels with bright rims for each axle.
+
+    Args:
+        axles_m: place of each axle along x.
+        track_m: width over the tyres.
+        diameter_m: of the tyres.
+    """
     wheels = []
     for x in axles_m:
         for side in (-0.5, 0.5):

@@ -1,2 +1,5 @@
-"""How each texture is drawn: one function a tile, from a seeded generator to grey values of any
-mean."""
+"""The drawings of all textures: one function for each, from a random generator to grey values.
+
+``textures`` normalises their mean and standard deviation afterwards. ``canvas`` holds the tools
+that all of them draw with.
+"""

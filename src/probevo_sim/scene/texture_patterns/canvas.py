@@ -1,8 +1,8 @@
-"""Drawing on a tile that wraps around: noise of a given spectrum, boxes, polygons and strokes.
+"""Drawing on a tile that wraps around: noise of a given spectrum, polygons and strokes.
 
-Lengths are in texels; x is the column, y the row, which grows upward on a wall. Shapes are drawn at
-twice the tile's resolution, and ``reduced`` takes the mean of 2×2, so that edges are smooth. Grey
-values are around 0 … 1.
+Lengths are in texels; x is the column, y the row, which grows upwards on a wall. Shapes are drawn
+on a canvas of twice the tile's resolution, and ``downsampled`` takes the mean of 2×2, so that edges
+are smooth (supersampling). Grey values are around 0 … 1.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 from probevo.arrays import FloatArray
 
 SIDE = 512
-"""Texels a side of a tile."""
+"""Texels along one side of a tile."""
 FINE = 2
-"""Canvas pixels a texel."""
+"""Canvas pixels along one side of a texel."""
 
 Tile = FloatArray
 """Grey values: [SIDE, SIDE] of a tile, [FINE · SIDE, FINE · SIDE] of a canvas."""
 
 _SUBPIXEL_BITS = 4
+"""Fractional bits of the coordinates that OpenCV gets."""
 
 
 def noise(
@@ -33,20 +34,23 @@ def noise(
     *,
     stretch: tuple[float, float] = (1.0, 1.0),
 ) -> Tile:
-    """Gaussian noise of zero mean and unit variance, periodic since it is made in the frequency
-    domain: [SIDE, SIDE].
+    """Draw Gaussian noise of zero mean, unit variance and a power-law spectrum, [SIDE, SIDE].
+
+    The noise is periodic, because it is made in the frequency domain.
 
     Args:
         rng: source of the noise.
         slope: the amplitude falls with frequency to the power −slope: 0 is white, 1 looks like
             soil, 2 like clouds.
-        low: below this frequency, in cycles a tile, nothing.
-        high: nor above this one.
+        low: lowest frequency, in cycles per tile.
+        high: highest frequency, in cycles per tile.
         stretch: how many times longer features are along x and y.
     """
     f_x = scipy.fft.rfftfreq(SIDE, 1 / SIDE).astype(np.float32) * stretch[0]
     f_y = scipy.fft.fftfreq(SIDE, 1 / SIDE).astype(np.float32)[:, None] * stretch[1]
     frequency = np.hypot(f_x, f_y)
+
+    # Shape a white spectrum by the power law within the band; the mean is left out.
     frequency[0, 0] = np.inf
     kept = (frequency >= low) & (frequency <= high)
     gain = np.where(kept, np.maximum(frequency, 0.5) ** np.float32(-slope), np.float32(0))
@@ -56,23 +60,23 @@ def noise(
 
 
 def blank(value: float, side: int = SIDE) -> Tile:
-    """Canvas of one grey for a tile of so many texels."""
+    """Return a canvas of one grey for a tile of ``side`` × ``side`` texels."""
     return np.full((FINE * side, FINE * side), value)
 
 
-def reduced(canvas: Tile) -> Tile:
-    """Tile from a canvas or the next level of a pyramid: the mean of each 2×2."""
+def downsampled(canvas: Tile) -> Tile:
+    """Return the mean of each 2×2: the tile of a canvas, or the next mip level of a tile."""
     rows = canvas[::2] + canvas[1::2]
     return 0.25 * (rows[:, ::2] + rows[:, 1::2])
 
 
-def enlarged(tile: Tile) -> Tile:
-    """Canvas from a tile: each value four times."""
+def upsampled(tile: Tile) -> Tile:
+    """Return the canvas of a tile: each value 2×2 times."""
     return tile.repeat(FINE, axis=0).repeat(FINE, axis=1)
 
 
-def box(
-    canvas: Tile, left: float, bottom: float, right: float, top: float, value: ArrayLike
+def rectangle(
+    canvas: Tile, left: float, bottom: float, *, right: float, top: float, value: ArrayLike
 ) -> None:
     """Fill a rectangle with a grey or with what broadcasts to its canvas pixels."""
     rows = np.arange(round(FINE * bottom), round(FINE * top)) % len(canvas)
@@ -81,7 +85,7 @@ def box(
 
 
 def polygon(canvas: Tile, points: ArrayLike, value: float) -> None:
-    """Fill a polygon, points [K, 2] as (x, y)."""
+    """Fill a polygon with corners (x, y), [K, 2]."""
     for copy in _wrapped_copies(canvas, points, 0.0):
         cv2.fillPoly(canvas, [copy], value, shift=_SUBPIXEL_BITS)
 
@@ -89,7 +93,7 @@ def polygon(canvas: Tile, points: ArrayLike, value: float) -> None:
 def stroke(
     canvas: Tile, points: ArrayLike, width: float, value: float, *, closed: bool = False
 ) -> None:
-    """Draw a line through points [K, 2] as (x, y), ``width`` texels thick."""
+    """Draw a line ``width`` texels thick through points (x, y), [K, 2]."""
     for copy in _wrapped_copies(canvas, points, width):
         cv2.polylines(
             canvas,
@@ -102,15 +106,18 @@ def stroke(
 
 
 def _wrapped_copies(canvas: Tile, points: ArrayLike, width: float) -> list[NDArray[np.int32]]:
-    """The points in OpenCV's fixed point, repeated wherever the shape crosses the tile's edge."""
+    """Return the points in OpenCV's fixed-point numbers, and copies where they cross the edge.
+
+    A shape that crosses an edge of the tile comes in again at the opposite side.
+    """
     unit = 2**_SUBPIXEL_BITS
     fixed = np.rint((FINE * np.asarray(points, dtype=np.float64) - 0.5) * unit).astype(np.int32)
     side = unit * len(canvas)
     margin = int(unit * FINE * width)
-    (left, bottom), (right, top) = (
-        (fixed.min(axis=0) - margin).tolist(),
-        (fixed.max(axis=0) + margin).tolist(),
-    )
+    left, bottom = (fixed.min(axis=0) - margin).tolist()
+    right, top = (fixed.max(axis=0) + margin).tolist()
+
+    # Shifts by whole tiles that move some part of the shape onto the canvas.
     along_x = range(-(right // side), 1 - left // side)
     along_y = range(-(top // side), 1 - bottom // side)
     return [
@@ -118,10 +125,16 @@ def _wrapped_copies(canvas: Tile, points: ArrayLike, width: float) -> list[NDArr
     ]
 
 
-def oval(
-    x: float, y: float, radius_x: float, radius_y: float, angle_rad: float = 0.0, corners: int = 24
+def ellipse(
+    x: float,
+    y: float,
+    radius_x: float,
+    *,
+    radius_y: float,
+    angle_rad: float = 0.0,
+    corners: int = 24,
 ) -> FloatArray:
-    """Outline of an ellipse, turned counter-clockwise: [corners, 2]."""
+    """Return the outline of an ellipse around (x, y), rotated counter-clockwise: [corners, 2]."""
     around = np.linspace(0, 2 * np.pi, corners, endpoint=False)
     along = radius_x * np.cos(around)
     across = radius_y * np.sin(around)
@@ -132,16 +145,20 @@ def oval(
     )
 
 
-def wander(rng: np.random.Generator, steps: int, *, step: float, bend_rad: float) -> FloatArray:
-    """A crack's course: so many steps of one length from a random place, each turned at random:
-    [steps, 2]."""
+def random_walk(
+    rng: np.random.Generator, steps: int, *, step: float, bend_rad: float
+) -> FloatArray:
+    """Return a path of steps of one length, each rotated at random, like a crack: [steps, 2].
+
+    It starts at a random place.
+    """
     heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(scale=bend_rad, size=steps))
     moves = step * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     return rng.uniform(0, SIDE, size=2) + np.cumsum(moves, axis=0)
 
 
 def relief(height: Tile) -> Tile:
-    """How brightly a surface of this height is lit from the upper left: its slope towards there."""
+    """Return the shading of a surface of this height lit from the upper left: its slope there."""
     return (np.roll(height, -1, 1) - np.roll(height, 1, 1)) - (
         np.roll(height, -1, 0) - np.roll(height, 1, 0)
     )

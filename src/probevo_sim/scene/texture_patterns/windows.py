@@ -1,43 +1,48 @@
-"""Windows: what glass mirrors, what hangs behind it, the frame around it."""
+"""Windows: glass with reflections, curtains and blinds behind it, the frame around it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from probevo_sim.scene.texture_patterns.canvas import FINE, Tile, box
+from probevo_sim.scene.texture_patterns.canvas import FINE, Tile, rectangle
+
+FRAME_WIDTH = 3.0
+"""Width of a window's frame, texels; its bars are two thirds of that."""
 
 Pane = Callable[[np.random.Generator, int, int], Tile]
+"""A function that draws a pane of [height, width] canvas pixels."""
 
 
 def glass(rng: np.random.Generator, height: int, width: int) -> Tile:
-    """A dark room that mirrors the sky above a skyline of its own: [height, width] canvas pixels."""
+    """Draw the glass before a dark room, which reflects the sky above a random skyline."""
     up = np.linspace(0, 1, height)[:, None]
     across = np.linspace(0, 1, width)
     skyline = rng.uniform(-0.1, 0.9) + rng.uniform(-0.5, 0.5) * across
     skyline += rng.uniform(-0.4, 0.4) * (across > rng.uniform(0.2, 0.8))
     room = rng.uniform(0.05, 0.22)
     sky = rng.uniform(0.3, 0.75)
-    mirrored = np.clip(12 * (up - skyline), 0, 1)
-    pane = room + (sky - room) * mirrored * (0.75 + 0.25 * up) + 0.08 * across
+    reflection = np.clip(12 * (up - skyline), 0, 1)
+    pane = room + (sky - room) * reflection * (0.75 + 0.25 * up) + 0.08 * across
     return pane
 
 
 def curtained(rng: np.random.Generator, height: int, width: int) -> Tile:
-    """Glass before two curtains in folds, drawn together by chance."""
+    """Draw glass before two curtains in folds, each drawn to a random width."""
     pane = glass(rng, height, width)
     across = np.linspace(0, 1, width)
     cloth = rng.uniform(0.45, 0.9) + 0.1 * np.sin(across * rng.uniform(40, 70) + rng.uniform(0, 6))
     left = rng.uniform(0.0, 0.5)
     right = rng.uniform(0.5, 1.0)
-    drawn = (across < left) | (across > right)
-    pane[:, drawn] = 0.25 * pane[:, drawn] + 0.75 * cloth[drawn]
+    is_covered = (across < left) | (across > right)
+    pane[:, is_covered] = 0.25 * pane[:, is_covered] + 0.75 * cloth[is_covered]
     return pane
 
 
 def blinded(rng: np.random.Generator, height: int, width: int) -> Tile:
-    """Glass behind a slatted blind that is let down by chance."""
+    """Draw glass before a slatted blind, lowered to a random height."""
     pane = glass(rng, height, width)
     slats = rng.uniform(0.5, 0.8) - 0.2 * (np.arange(height) % 10 < 3)
     down = np.arange(height) > rng.uniform(0.0, 0.9) * height
@@ -46,53 +51,63 @@ def blinded(rng: np.random.Generator, height: int, width: int) -> Tile:
 
 
 def any_pane(rng: np.random.Generator, height: int, width: int) -> Tile:
-    """Bare, curtained or blinded."""
+    """Draw a pane that is bare, curtained or blinded."""
     kinds: list[Pane] = [glass, curtained, blinded]
     return kinds[rng.choice(3, p=[0.35, 0.4, 0.25])](rng, height, width)
+
+
+@dataclass(frozen=True)
+class WindowStyle:
+    """The parts that windows differ in."""
+
+    pane: Pane = any_pane
+    """Draws the glass and what is behind it."""
+    frame: float = 0.9
+    """Grey of the frame and its bars."""
+    columns: int = 2
+    """Casements side by side."""
+    transom: float | None = 0.7
+    """Place of a cross bar, as a share of the height; None for none."""
 
 
 def window(
     canvas: Tile,
     rng: np.random.Generator,
     left: float,
+    *,
     bottom: float,
     right: float,
     top: float,
-    *,
-    pane: Pane = any_pane,
-    frame: float = 0.9,
-    frame_width: float = 3.0,
-    columns: int = 2,
-    transom: float | None = 0.7,
+    style: WindowStyle,
 ) -> None:
-    """Draw a window into a rectangle, in texels.
+    """Draw a window into a rectangle.
 
     Args:
         canvas: where to draw.
         rng: source of what differs from window to window.
-        left: edge of the frame.
+        left: edge of the frame, texels; so the next three.
         bottom: edge of the frame.
         right: edge of the frame.
         top: edge of the frame.
-        pane: draws glass and what is behind it.
-        frame: grey of frame and bars.
-        frame_width: texels; bars are two thirds of that.
-        columns: casements beside each other.
-        transom: where a cross bar lies, as a part of the height; None for none.
+        style: how the window looks.
     """
-    box(canvas, left, bottom, right=right, top=top, value=frame)
-    left = left + frame_width
-    bottom = bottom + frame_width
-    right = right - frame_width
-    top = top - frame_width
+    # The frame, and the glass within it.
+    rectangle(canvas, left, bottom, right=right, top=top, value=style.frame)
+    left = left + FRAME_WIDTH
+    bottom = bottom + FRAME_WIDTH
+    right = right - FRAME_WIDTH
+    top = top - FRAME_WIDTH
     height = round(FINE * top) - round(FINE * bottom)
     width = round(FINE * right) - round(FINE * left)
-    box(canvas, left, bottom, right=right, top=top, value=pane(rng, height, width))
-    box(canvas, left, top - 3, right=right, top=top, value=0.08)  # the lintel's shadow
-    bar = frame_width / 3
-    for column in range(1, columns):
-        x = left + (right - left) * column / columns
-        box(canvas, x - bar, bottom, right=x + bar, top=top, value=frame)
-    if transom is not None:
-        y = bottom + (top - bottom) * transom
-        box(canvas, left, y - bar, right=right, top=y + bar, value=frame)
+    pane = style.pane(rng, height, width)
+    rectangle(canvas, left, bottom, right=right, top=top, value=pane)
+
+    # The shadow of the lintel, and the bars.
+    rectangle(canvas, left, top - 3, right=right, top=top, value=0.08)
+    bar = FRAME_WIDTH / 3
+    for column in range(1, style.columns):
+        x = left + (right - left) * column / style.columns
+        rectangle(canvas, x - bar, bottom, right=x + bar, top=top, value=style.frame)
+    if style.transom is not None:
+        y = bottom + (top - bottom) * style.transom
+        rectangle(canvas, left, y - bar, right=right, top=y + bar, value=style.frame)

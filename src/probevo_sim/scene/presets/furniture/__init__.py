@@ -1,7 +1,7 @@
-"""What stands in a street and lies on it.
+"""Objects that stand in a street or lie on it.
 
-Each function returns ``Solids`` in the object's own frame: x forward, y left, z up, the origin on
-the ground below its middle. Lengths in m.
+Each function builds one object as ``Solids`` in the object's own frame: x forward, y left, z up,
+with the origin on the ground below its middle. All lengths are in m, also those without a suffix.
 """
 
 from probevo_sim.scene.presets.furniture.buildings import block, house

@@ -1,6 +1,8 @@
-"""Houses."""
+"""Houses: gabled ones in gardens, and blocks in town."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,17 +10,29 @@ from probevo_sim.scene.presets.furniture.parts import sloping
 from probevo_sim.scene.solids import BOX, Solids, join, solid
 from probevo_sim.scene.textures import Texture
 
-_FRONTS = {
-    Texture.FACADE_OFFICE: (4, 3.4, 13.0),
-    Texture.FACADE_FLATS: (4, 3.0, 12.0),
-    Texture.FACADE_OLD: (3, 3.8, 11.0),
+
+class _Facade(NamedTuple):
+    """The dimensions of a facade's texture."""
+
+    floors: int
+    """Floors of a tile."""
+    floor_height: float
+    tile_width: float
+    """Width of a tile, which has four windows side by side."""
+
+
+_FACADES = {
+    Texture.FACADE_OFFICE: _Facade(4, 3.4, 13.0),
+    Texture.FACADE_FLATS: _Facade(4, 3.0, 12.0),
+    Texture.FACADE_OLD: _Facade(3, 3.8, 11.0),
 }
-"""Floors of a tile, height of a floor, width of a tile, which has four windows."""
 _GROUND_FLOOR = 3.6
+"""Height of the ground floor."""
 
 
 def house(rng: np.random.Generator) -> Solids:
-    """A gabled house of two floors, ridge and front along x, about 10 × 8 × 9."""
+    """Build a gabled house of two floors, ridge and front along x, about 10 × 8 × 9."""
+    # The walls below the eaves.
     length, depth, eaves = rng.uniform([9.0, 7.0, 5.0], [12.0, 9.0, 6.0])
     slope = rng.uniform(0.55, 0.76)
     wall = rng.uniform(0.35, 0.52)
@@ -32,14 +46,16 @@ def house(rng: np.random.Generator) -> Solids:
         albedo=wall,
         shift_m=(rng.integers(3) / 3.0 * length, 0.0),
     )
+
+    # The roof and the gable under it: two sloping halves each.
     half = 0.5 * depth
     rise = 0.5 * depth * np.tan(slope)
     run = 0.5 * depth / np.cos(slope)
     gable = Texture(rng.choice([Texture.BRICK, Texture.PLASTER, Texture.FENCE]))
     parts = [walls]
     for side in (-1, 1):
-        # So thick, and no steeper than 45°, the two halves fill the gable and do not show beyond
-        # each other's slope.
+        # With this thickness, and slopes of at most 45°, the two halves fill the gable without
+        # showing beyond each other's slope.
         middle = (0.0, 0.5 * side * half, eaves + 0.5 * rise)
         roll = -side * slope
         parts.append(
@@ -68,26 +84,39 @@ def house(rng: np.random.Generator) -> Solids:
 def block(
     rng: np.random.Generator, length: float = 16.0, depth: float = 12.0, floors: int | None = None
 ) -> Solids:
-    """A town house along x: ground floor, 3 to 6 floors above unless told, ledges, and what stands
-    on the roof."""
-    front = Texture(rng.choice(np.array(list(_FRONTS), dtype=np.int64)))
-    floors_of_tile, floor, width_of_tile = _FRONTS[front]
+    """Build a town house along x: ground floor, floors above it, ledges, and boxes on the roof.
+
+    Args:
+        rng: source of what differs from house to house.
+        length: extent along x.
+        depth: extent along y.
+        floors: floors above the ground floor; by default 3 to 6.
+    """
+    # Upper floors, with a facade whose windows are whole.
+    front = Texture(rng.choice(np.array(list(_FACADES), dtype=np.int64)))
+    facade = _FACADES[front]
     count = int(rng.integers(3, 7)) if floors is None else floors
-    width = 4.0 * length / max(1, round(4.0 * length / width_of_tile))  # so that windows are whole
+    height = count * facade.floor_height
+    width = 4.0 * length / max(1, round(4.0 * length / facade.tile_width))
     above = solid(
         BOX,
-        (length, depth - 0.2, count * floor),
-        (0, 0, _GROUND_FLOOR + 0.5 * count * floor),
+        (length, depth - 0.2, height),
+        (0, 0, _GROUND_FLOOR + 0.5 * count * facade.floor_height),
         texture=front,
-        tile_m=(width, floor * floors_of_tile),
+        tile_m=(width, facade.floor_height * facade.floors),
         albedo=rng.uniform(0.35, 0.55),
-        shift_m=(0.25 * width * rng.integers(4), floor * rng.integers(floors_of_tile)),
+        shift_m=(
+            0.25 * width * rng.integers(4),
+            facade.floor_height * rng.integers(facade.floors),
+        ),
     )
     parts = [
         _ground_floor(rng, length, depth, width_of_tile=width),
         above,
         *_doors(rng, length, depth),
     ]
+
+    # Ledges above the ground floor and at the top.
     top = _GROUND_FLOOR
     for thick, out in ((0.3, 0.25), (0.5, 0.4)):
         ledge = (length, depth + 2 * out, thick)
@@ -101,7 +130,9 @@ def block(
                 albedo=rng.uniform(0.35, 0.55),
             )
         )
-        top = _GROUND_FLOOR + count * floor
+        top = _GROUND_FLOOR + height
+
+    # Boxes on the roof.
     for x in rng.uniform(-0.4, 0.4, 2) * length:
         size = rng.uniform([1.5, 1.5, 1.2], [4.0, 4.0, 2.6])
         texture = Texture(rng.choice([Texture.BRICK, Texture.METAL]))
@@ -114,21 +145,23 @@ def block(
 def _ground_floor(
     rng: np.random.Generator, length: float, depth: float, width_of_tile: float
 ) -> Solids:
-    """Shop windows or a plain wall."""
+    """Build the ground floor: shop windows or a plain wall."""
     texture = Texture(
         rng.choice([Texture.BRICK, Texture.CONCRETE, Texture.FACADE_OFFICE, Texture.FACADE_OLD])
     )
-    tile = (
-        (width_of_tile, _GROUND_FLOOR * _FRONTS[texture][0]) if texture in _FRONTS else (4.0, 4.0)
-    )
+    tile = (4.0, 4.0)
+    if texture in _FACADES:
+        tile = (width_of_tile, _GROUND_FLOOR * _FACADES[texture].floors)
     size = (length, depth, _GROUND_FLOOR)
     middle = (0, 0, 0.5 * _GROUND_FLOOR)
     return solid(BOX, size, middle, texture=texture, tile_m=tile, albedo=rng.uniform(0.3, 0.45))
 
 
 def _doors(rng: np.random.Generator, length: float, depth: float) -> list[Solids]:
-    """Shop window, door and name board; each goes right through the house, so that both its fronts
-    have them."""
+    """Build shop window, door and name board.
+
+    Each passes through the whole house, so that both fronts show it.
+    """
     shop = (0.3 * length, depth + 0.16, 2.2)
     board = (rng.uniform(1.5, 4.0), depth + 0.5, 0.6)
     at_shop = rng.uniform(-0.32, -0.2) * length

@@ -1,4 +1,4 @@
-"""Vehicles that may stand or drive in a street."""
+"""Cars and vans, which stand or drive in a street."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ GLASS = 0.1
 
 
 def car(rng: np.random.Generator) -> Solids:
-    """A passenger car, about 4.3 × 1.75 × 1.45: body, cabin between sloping windows, four wheels."""
+    """Build a passenger car, about 4.3 × 1.75 × 1.45."""
+    # The drawn views span the whole car, so each part shows its share of them.
     length, width, height = rng.uniform([3.9, 1.7, 1.4], [4.7, 1.82, 1.55])
     tile = np.array([[width, height], [length, height], [length, width]])
     views = (Texture.CAR_FRONT, Texture.CAR_SIDE, Texture.CAR_TOP)
     paint = float(rng.choice([0.1, 0.16, 0.24, 0.34, 0.46]))
+
+    # The body below the windows, and the cabin; the drawn windows end where the roof does.
     waist = 0.64 * height
     foot = 0.15 * height
     rear = 0.13 * length
-    front = 0.57 * length  # ends of the roof; the drawn windows end there as well
+    front = 0.57 * length
     body = solid(
         BOX,
         (length, width, waist - foot),
@@ -40,6 +43,8 @@ def car(rng: np.random.Generator) -> Solids:
         albedo=paint,
         shift_m=(rear, waist),
     )
+
+    # Windscreen and rear window slope from the roof down to the body.
     screens = []
     for roof, bonnet in ((front, 0.77 * length), (rear, 0.05 * length)):
         run = bonnet - roof
@@ -62,7 +67,7 @@ def car(rng: np.random.Generator) -> Solids:
 
 
 def van(rng: np.random.Generator) -> Solids:
-    """A delivery van, about 5.6 × 2 × 2.5: a windowless box behind a short cab."""
+    """Build a delivery van, about 5.6 × 2 × 2.5: a windowless box behind a short cab."""
     length, width, height = rng.uniform([5.2, 1.95, 2.3], [6.0, 2.1, 2.7])
     nose = 0.75 * height
     paint = rng.uniform(0.25, 0.45)
@@ -93,6 +98,8 @@ def van(rng: np.random.Generator) -> Solids:
         albedo=paint,
         contrast=0.5,
     )
+
+    # The windows slope from the roof down to the nose.
     waist = 0.35 + 0.5 * nose
     run = 0.6 * (length - cargo_length)
     drop = height - 0.1 - waist
@@ -112,9 +119,10 @@ def van(rng: np.random.Generator) -> Solids:
 
 
 def _wheel(x: float, y: float, diameter: float) -> Solids:
-    """A flat ball that shows the drawn wheel on its sides."""
+    """Build a wheel: a flat ellipsoid that shows the drawn wheel on its sides."""
+    # Dimensions of the car in whose side view the wheel has this size.
     length = diameter / 0.145
-    height = diameter / 0.43  # of the car in whose side view the wheel has this size
+    height = diameter / 0.43
     return solid(
         ELLIPSOID,
         (diameter, 0.24, diameter),

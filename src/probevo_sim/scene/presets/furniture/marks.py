@@ -1,4 +1,4 @@
-"""What lies flat on the road."""
+"""Marks that lie flat on the road."""
 
 from __future__ import annotations
 
@@ -9,24 +9,23 @@ from probevo_sim.scene.solids import BOX, ELLIPSOID, Solids, join, solid
 from probevo_sim.scene.textures import Texture
 
 MARK_HEIGHT = 0.003
-"""What lies on the ground is so thin."""
+"""Thickness of a mark."""
 
 
 def lane_dash(length: float = 3.0, width: float = 0.14) -> Solids:
-    """One painted dash along x, worn."""
+    """Build one painted dash along x, worn."""
     return _mark((length, width), Texture.ASPHALT, 1.5, albedo=0.62, contrast=0.6)
 
 
 def crosswalk(width: float, length: float = 3.5) -> Solids:
-    """White stripes along x, side by side across a road of this width, each 0.5 wide."""
-    tile = np.array(
-        [[1.0, 1.0], [1.0, 1.0], [8.0 * length, 4.0]]
-    )  # the checkerboard's squares: as long as a stripe
+    """Build white stripes along x, each 0.5 wide, side by side across a road of this width."""
+    # The squares of the checkerboard are stretched to the length of a stripe.
+    tile = np.array([[1.0, 1.0], [1.0, 1.0], [8.0 * length, 4.0]])
     return _mark((length, width), Texture.CHECKERBOARD, tile, albedo=0.44, contrast=0.4)
 
 
 def manhole() -> Solids:
-    """An iron lid, round."""
+    """Build a round iron lid."""
     return solid(
         ELLIPSOID,
         (0.75, 0.75, 2 * MARK_HEIGHT),
@@ -39,7 +38,7 @@ def manhole() -> Solids:
 
 
 def patch(rng: np.random.Generator) -> Solids:
-    """A mended piece of road, a little darker or brighter."""
+    """Build a repaired patch of road, a little darker or brighter."""
     albedo = rng.choice([0.19, 0.36])
     texture = rng.choice([int(Texture.ASPHALT), int(Texture.CONCRETE)])
     return _mark(
@@ -48,7 +47,7 @@ def patch(rng: np.random.Generator) -> Solids:
 
 
 def arrow() -> Solids:
-    """A painted arrow along x, 3 long."""
+    """Build a painted arrow along x, 3 long."""
     shaft = _mark((2.0, 0.15), Texture.ASPHALT, 1.5, albedo=0.62, contrast=0.6)
     barb = (0.9, 0.18, MARK_HEIGHT)
     barbs = [
@@ -69,7 +68,7 @@ def arrow() -> Solids:
 def _mark(
     size: ArrayLike, texture: Texture, tile: ArrayLike, albedo: float, contrast: float
 ) -> Solids:
-    """Something flat on the ground, [2] as length and width."""
+    """Build a flat mark of this size, (length, width)."""
     extent = np.r_[np.asarray(size, float), MARK_HEIGHT]
     return solid(
         BOX,

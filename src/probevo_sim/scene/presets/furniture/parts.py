@@ -1,4 +1,4 @@
-"""Solids that the furniture is put together from."""
+"""A part that several objects of furniture are made of."""
 
 from __future__ import annotations
 
@@ -21,8 +21,18 @@ def sloping(
     albedo: float = 0.4,
     contrast: float = 0.8,
 ) -> Solids:
-    """A box whose upper face is tilted about its own middle: roll lifts the left side, pitch lowers
-    the front."""
+    """Build a box whose upper face is tilted about its own middle.
+
+    Args:
+        size: extent along x, y and z, [3].
+        top_middle: middle of the upper face, [3].
+        texture: of all faces, or of front, sides and top.
+        roll: angle about x, rad; lifts the left side.
+        pitch: angle about y, rad; lowers the front.
+        tile: side of one tile of the texture.
+        albedo: mean reflectance.
+        contrast: how far the texture varies the reflectance.
+    """
     depth = np.asarray(size, float)[2]
     slab = solid(
         BOX,

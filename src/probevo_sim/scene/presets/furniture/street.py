@@ -1,4 +1,4 @@
-"""What stands on a pavement or along a road, and who walks there."""
+"""Objects that stand on a pavement or along a road, and people who walk there."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from probevo_sim.scene.textures import Texture
 
 
 def person(rng: np.random.Generator) -> Solids:
-    """Somebody on the way along x, 1.6 to 1.9 tall."""
+    """Build a person who walks along x, 1.6 to 1.9 tall."""
     tall = rng.uniform(1.6, 1.9)
     trousers = rng.choice([0.08, 0.15, 0.25])
     coat = rng.choice([0.1, 0.25, 0.45, 0.6])
     stride = rng.uniform(0.15, 0.35)
     cloth = Texture.CLOTH
+    # Legs and arms swing against each other.
     legs = [
         sloping(
             (0.17, 0.15, 0.5 * tall),
@@ -58,7 +59,7 @@ def person(rng: np.random.Generator) -> Solids:
 
 
 def lamp_post(height: float = 6.5) -> Solids:
-    """A pole with an arm to the left and a lamp at its end."""
+    """Build a pole with an arm to the left and a lamp at its end."""
     pole = solid(
         BOX,
         (0.14, 0.14, height),
@@ -85,7 +86,7 @@ def lamp_post(height: float = 6.5) -> Solids:
 
 
 def traffic_light() -> Solids:
-    """A pole with a dark box of three lamps that looks back along x."""
+    """Build a pole with a dark case of three lamps that faces back along x."""
     pole = solid(
         BOX, (0.12, 0.12, 3.0), (0, 0, 1.5), texture=Texture.METAL, tile_m=1.0, albedo=0.35
     )
@@ -102,7 +103,7 @@ def traffic_light() -> Solids:
 
 
 def road_sign(rng: np.random.Generator) -> Solids:
-    """A board on a pole that looks back along x."""
+    """Build a board on a pole that faces back along x."""
     high = rng.uniform(2.2, 2.6)
     wide = rng.uniform(0.55, 0.8)
     pole = solid(
@@ -119,7 +120,7 @@ def road_sign(rng: np.random.Generator) -> Solids:
 
 
 def bench() -> Solids:
-    """Slats on two feet, 1.8 along x, its back to the left."""
+    """Build a bench of slats on two feet, 1.8 along x, its back to the left."""
     seat = solid(
         BOX, (1.8, 0.45, 0.06), (0, 0, 0.45), texture=Texture.FENCE, tile_m=(0.9, 0.45), albedo=0.3
     )
@@ -141,7 +142,7 @@ def bench() -> Solids:
 
 
 def litter_bin(rng: np.random.Generator) -> Solids:
-    """A wheeled rubbish bin."""
+    """Build a wheeled rubbish bin."""
     grey = rng.choice([0.1, 0.2, 0.35])
     body = solid(
         BOX,
@@ -159,7 +160,7 @@ def litter_bin(rng: np.random.Generator) -> Solids:
 
 
 def box(rng: np.random.Generator) -> Solids:
-    """A cabinet of the telephone company, with posters."""
+    """Build a cabinet of the telephone company, with posters."""
     size = rng.uniform([0.8, 0.4, 1.1], [1.3, 0.5, 1.4])
     case = solid(
         BOX,
@@ -170,16 +171,14 @@ def box(rng: np.random.Generator) -> Solids:
         albedo=rng.uniform(0.3, 0.5),
     )
     poster = (0.6 * size[0], size[1] + 0.01, 0.5 * size[2])
-    return join(
-        [
-            case,
-            solid(BOX, poster, (0, 0, 0.6 * size[2]), texture=Texture.SIGN, tile_m=0.5, albedo=0.5),
-        ]
+    posters = solid(
+        BOX, poster, (0, 0, 0.6 * size[2]), texture=Texture.SIGN, tile_m=0.5, albedo=0.5
     )
+    return join([case, posters])
 
 
 def fence(length: float, height: float = 1.1) -> Solids:
-    """Wooden slats along x."""
+    """Build a fence of wooden slats along x."""
     return solid(
         BOX,
         (length, 0.06, height),
@@ -191,7 +190,7 @@ def fence(length: float, height: float = 1.1) -> Solids:
 
 
 def guard_rail(length: float) -> Solids:
-    """A rail along x on posts 4 apart."""
+    """Build a rail along x on posts 4 apart."""
     rail = solid(
         BOX,
         (length, 0.08, 0.32),
@@ -209,7 +208,7 @@ def guard_rail(length: float) -> Solids:
 
 
 def kerb(length: float) -> Solids:
-    """A kerbstone along x, 0.12 high."""
+    """Build a kerbstone along x, 0.12 high."""
     return solid(
         BOX,
         (length, 0.18, 0.12),

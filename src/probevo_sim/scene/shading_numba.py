@@ -1,5 +1,9 @@
-"""How bright a hit is: texture, filtered over the footprint of the ray, in the light of sky and
-sun."""
+"""Shading: the radiance of each hit in the light of sky and sun, as compiled loops.
+
+All surfaces are Lambertian. Their reflectance is an albedo times a texture that is filtered over
+the footprint of the ray. Haze mixes in the radiance of the sky with distance. The part that comes
+from the sun is kept apart, because it still depends on what occludes the sun.
+"""
 
 from __future__ import annotations
 
@@ -10,70 +14,76 @@ from numpy.typing import NDArray
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled
-from probevo_sim.scene.intersection import Rays
-from probevo_sim.scene.scene_arrays import BLOCK_CELLS, BLOCK_M, GROUND, SKY, Posed, SceneArrays
+from probevo_sim.scene.intersection_numba import Rays, Vector
+from probevo_sim.scene.scene_arrays import (
+    BLOCK_CELLS,
+    BLOCK_M,
+    GROUND,
+    SKY,
+    SceneArrays,
+    View,
+)
 from probevo_sim.scene.solids import BOX
-from probevo_sim.scene.texture_filter import Texels, sample, sample_square
+from probevo_sim.scene.texture_filter_numba import Footprint, sample, sample_square
 from probevo_sim.scene.textures import SIZE
 
 BLOTCH_TEXELS_PER_M = SIZE / 29.0
+"""Scale of the texture of weathering, which makes the tiles of all that stands still differ."""
 BLOTCH_CONTRAST = 0.35
-"""Weathering is laid over all that stands still, so that no two tiles look the same."""
+"""How far weathering varies the reflectance."""
 CLOUD_HEIGHT_TEXELS = 150.0
+"""Height of the plane of clouds above the camera, in texels of their texture."""
 CLOUD_CONTRAST = 0.35
 SKY_RADIANCE = 0.85
 SWAY_M = 0.12
+"""Amplitude with which leaves that repeat sway in the wind."""
 SWAY_RAD_S = 4.5
-"""Of leaves that repeat: they go to and fro, each hedge and each crown by itself."""
+"""Angular frequency of that; each hedge and each crown has its own phase."""
 HAZE_M = 1500.0
-"""Distance at which half of what is seen is haze."""
-
-Vector = tuple[float, float, float]
+"""Distance at which half of the radiance is that of haze."""
 
 
 @compiled
-def shade_sky(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Rays) -> None:
-    """Radiance of the rays that hit nothing: clouds at infinity."""
-    C = posed.C_world_cam
-    texels = scene.texels
-    level_start = scene.level_start
-    step = footprint_px / posed.focal_px
+def shade_sky(scene: SceneArrays, view: View, footprint_px: float, rays: Rays) -> None:
+    """Set the radiance of the rays that hit nothing: clouds on a plane at infinity."""
+    C = view.C_world_cam
+    mipmaps = scene.mipmaps
+    step = footprint_px / view.focal_px
     hits = rays.hit
     xs = rays.x
     ys = rays.y
     radiance = rays.radiance
-    sunlit = rays.sunlit
+    sun_radiance = rays.sun_radiance
     for k in range(len(xs)):
         if hits[k] != SKY:
             continue
+        # Where the ray meets a plane at height 1 above the camera, and its footprint there.
         x = xs[k]
         y = ys[k]
         up = max(C[2, 0] * x + C[2, 1] * y + C[2, 2], 1e-3)
         east = (C[0, 0] * x + C[0, 1] * y + C[0, 2]) / up
         north = (C[1, 0] * x + C[1, 1] * y + C[1, 2]) / up
         scale = CLOUD_HEIGHT_TEXELS * step / up
-        clouds = sample(
-            texels,
-            scene.clouds,
-            level_start,
+        footprint = Footprint(
             a=CLOUD_HEIGHT_TEXELS * east,
             b=CLOUD_HEIGHT_TEXELS * north,
-            au=scale * (C[0, 0] - east * C[2, 0]),
-            av=scale * (C[0, 1] - east * C[2, 1]),
-            bu=scale * (C[1, 0] - north * C[2, 0]),
-            bv=scale * (C[1, 1] - north * C[2, 1]),
+            a_by_u=scale * (C[0, 0] - east * C[2, 0]),
+            a_by_v=scale * (C[0, 1] - east * C[2, 1]),
+            b_by_u=scale * (C[1, 0] - north * C[2, 0]),
+            b_by_v=scale * (C[1, 1] - north * C[2, 1]),
         )
+        clouds = sample(mipmaps, scene.clouds, footprint)
+        # Clouds fade towards the horizon.
         radiance[k] = SKY_RADIANCE * (1.0 + CLOUD_CONTRAST * up / (up + 0.15) * clouds)
-        sunlit[k] = 0.0
+        sun_radiance[k] = 0.0
 
 
 @compiled
-def shade_ground(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Rays) -> None:
-    """Radiance of the rays that hit the ground."""
-    C = posed.C_world_cam
-    center = posed.center_m
-    texels = scene.texels
-    level_start = scene.level_start
+def shade_ground(scene: SceneArrays, view: View, footprint_px: float, rays: Rays) -> None:
+    """Set the radiance of the rays that hit the ground, apart from the sun's, and the sun's."""
+    C = view.C_world_cam
+    center = view.center_m
+    mipmaps = scene.mipmaps
     edge_m = scene.band_edge_m
     blocks = scene.map_blocks
     distance_m = scene.road_distance_m
@@ -83,18 +93,19 @@ def shade_ground(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Ra
     contrast = scene.band_contrast
     corner_x = scene.map_corner_m[0]
     corner_y = scene.map_corner_m[1]
-    sunlight = scene.sun * scene.to_sun[2]
+    sun_irradiance = scene.sun_irradiance * scene.to_sun[2]
     hits = rays.hit
     xs = rays.x
     ys = rays.y
     depths_m = rays.depth_m
     radiance = rays.radiance
-    sunlit = rays.sunlit
+    sun_radiance = rays.sun_radiance
     place_m = rays.place_m
-    sizes_m = rays.size_m
+    footprints_m = rays.footprint_m
     for k in range(len(xs)):
         if hits[k] != GROUND:
             continue
+        # The hit in the world.
         x = xs[k]
         y = ys[k]
         depth_m = depths_m[k]
@@ -103,11 +114,15 @@ def shade_ground(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Ra
         dz = C[2, 0] * x + C[2, 1] * y + C[2, 2]
         east = center[0] + depth_m * dx
         north = center[1] + depth_m * dy
-        step = footprint_px * depth_m / posed.focal_px
+
+        # Derivatives of (east, north) by the image coordinates, times the size of the ray.
+        step = footprint_px * depth_m / view.focal_px
         au = step * (C[0, 0] - dx / dz * C[2, 0])
         av = step * (C[0, 1] - dx / dz * C[2, 1])
         bu = step * (C[1, 0] - dy / dz * C[2, 0])
         bv = step * (C[1, 1] - dy / dz * C[2, 1])
+
+        # Reflectance: the texture of the band of the ground, weathered.
         band = _band(
             edge_m,
             blocks,
@@ -116,37 +131,47 @@ def shade_ground(scene: SceneArrays, posed: Posed, footprint_px: float, rays: Ra
             row=(north - corner_y) / BLOCK_M,
         )
         scale = texels_per_m[band]
-        detail = sample(
-            texels,
-            texture[band],
-            level_start,
+        footprint = Footprint(
             a=east * scale,
             b=north * scale,
-            au=au * scale,
-            av=av * scale,
-            bu=bu * scale,
-            bv=bv * scale,
+            a_by_u=au * scale,
+            a_by_v=av * scale,
+            b_by_u=bu * scale,
+            b_by_v=bv * scale,
         )
-        size_m = math.sqrt(max(au * au + bu * bu, av * av + bv * bv))
+        detail = sample(mipmaps, texture[band], footprint)
+        footprint_m = math.sqrt(max(au * au + bu * bu, av * av + bv * bv))
         reflectance = albedo[band] * (1.0 + contrast[band] * detail)
         reflectance *= 1.0 + contrast[band] * _weathering(
-            texels, scene.blotches, level_start, a=east, b=north, size_m=size_m
+            scene, east, north, footprint_m=footprint_m
         )
-        clear = HAZE_M / (HAZE_M + depth_m)
-        radiance[k] = clear * reflectance * scene.sky + (1.0 - clear) * SKY_RADIANCE
-        sunlit[k] = clear * reflectance * sunlight
+
+        # Light of the sky and haze; light of the sun apart.
+        transmittance = HAZE_M / (HAZE_M + depth_m)
+        radiance[k] = (
+            transmittance * reflectance * scene.sky_irradiance
+            + (1.0 - transmittance) * SKY_RADIANCE
+        )
+        sun_radiance[k] = transmittance * reflectance * sun_irradiance
         place_m[0, k] = east
         place_m[1, k] = north
         place_m[2, k] = 0.0
-        sizes_m[k] = size_m
+        footprints_m[k] = footprint_m
 
 
 @compiled
 def _band(
     edge_m: FloatArray, blocks: IntArray, distance_m: NDArray[np.float32], column: float, row: float
 ) -> int:
-    """The band of the ground at a place of the map, in blocks, by its distance from the road's
-    centre line."""
+    """Return the band of the ground at a place, by its distance from the road's centre line.
+
+    Args:
+        edge_m: outer edges of the bands; see ``SceneArrays`` for this and the next two.
+        blocks: the map's blocks.
+        distance_m: distances at the nodes of each block.
+        column: place on the map along x, in blocks.
+        row: place on the map along y, in blocks.
+    """
     last = len(edge_m) - 1
     j = math.floor(column)
     i = math.floor(row)
@@ -155,6 +180,8 @@ def _band(
     block = blocks[i, j]
     if block < 0:
         return last
+
+    # Bilinear interpolation between the four nodes of the cell.
     column = BLOCK_CELLS * (column - j)
     row = BLOCK_CELLS * (row - i)
     j = int(column)
@@ -172,36 +199,36 @@ def _band(
 
 @compiled
 def shade_solid(
-    scene: SceneArrays, posed: Posed, time_s: float, footprint_px: float, i: int, rays: Rays
+    scene: SceneArrays, view: View, time_s: float, footprint_px: float, i: int, rays: Rays
 ) -> None:
-    """Radiance of the rays that hit solid ``i``."""
-    C = posed.C_solid_cam[i]
-    center = posed.center_in_solid_m[i]
+    """Set the radiance of the rays that hit solid ``i``, apart from the sun's, and the sun's."""
+    C = view.C_solid_cam[i]
+    center = view.center_in_solid_m[i]
     half = scene.half_size_m[i]
-    C_solid_world = posed.C_solid_world[i]
-    origin = posed.world_in_solid_m[i]
-    texels = scene.texels
-    level_start = scene.level_start
+    C_solid_world = view.C_solid_world[i]
+    world_in_solid_m = view.world_in_solid_m[i]
+    mipmaps = scene.mipmaps
     shift_m = scene.shift_m[i]
     texels_per_m = scene.texels_per_m[i]
     texture = scene.texture[i]
     albedo = scene.albedo[i]
     contrast = scene.contrast[i]
-    sun = _to_solid(C_solid_world, scene.to_sun)
+    to_sun = _to_solid(C_solid_world, scene.to_sun)
     sway_m = SWAY_M * math.sin(SWAY_RAD_S * time_s + i) if texture[1] == scene.repeated else 0.0
-    box = scene.shape[i] == BOX
-    still = scene.object_index[i] == 0
+    is_box = scene.shape[i] == BOX
+    is_at_rest = scene.object_index[i] == 0
     hits = rays.hit
     xs = rays.x
     ys = rays.y
     depths_m = rays.depth_m
     radiance = rays.radiance
-    sunlit = rays.sunlit
+    sun_radiance = rays.sun_radiance
     place_m = rays.place_m
-    sizes_m = rays.size_m
+    footprints_m = rays.footprint_m
     for k in range(len(xs)):
         if hits[k] != i:
             continue
+        # The ray, its hit and the surface normal in the solid's own axes.
         depth_m = depths_m[k]
         x = xs[k]
         y = ys[k]
@@ -215,55 +242,66 @@ def shade_solid(
             center[1] + depth_m * ray[1],
             center[2] + depth_m * ray[2],
         )
-        face, normal = _face_of_box(own, half, ray) if box else _face_of_ellipsoid(own, half)
+        face, normal = _face_of_box(own, half, ray) if is_box else _face_of_ellipsoid(own, half)
+
+        # Derivatives of the hit by the image coordinates (u, v): the tangent plane is where
+        # normal · derivative = 0. The two axes that are not the face's are texture coordinates.
         slope = 1.0 / min(normal[0] * ray[0] + normal[1] * ray[1] + normal[2] * ray[2], -1e-4)
         over_u = slope * (normal[0] * C[0, 0] + normal[1] * C[1, 0] + normal[2] * C[2, 0])
         over_v = slope * (normal[0] * C[0, 1] + normal[1] * C[1, 1] + normal[2] * C[2, 1])
         first = 1 if face == 0 else 0
         second = 1 if face == 2 else 2
-        step = footprint_px * depth_m / posed.focal_px
+        step = footprint_px * depth_m / view.focal_px
         au = step * (C[first, 0] - over_u * ray[first])
         av = step * (C[first, 1] - over_v * ray[first])
         bu = step * (C[second, 0] - over_u * ray[second])
         bv = step * (C[second, 1] - over_v * ray[second])
+
+        # Reflectance: the texture of the face, weathered if the solid is at rest.
         a = own[first] + half[first] + shift_m[0] + sway_m
         b = own[second] + half[second] + shift_m[1]
         scale_a = texels_per_m[face, 0]
         scale_b = texels_per_m[face, 1]
-        detail = sample(
-            texels,
-            texture[face],
-            level_start,
+        footprint = Footprint(
             a=a * scale_a,
             b=b * scale_b,
-            au=au * scale_a,
-            av=av * scale_a,
-            bu=bu * scale_b,
-            bv=bv * scale_b,
+            a_by_u=au * scale_a,
+            a_by_v=av * scale_a,
+            b_by_u=bu * scale_b,
+            b_by_v=bv * scale_b,
         )
-        size_m = math.sqrt(max(au * au + bu * bu, av * av + bv * bv))
+        detail = sample(mipmaps, texture[face], footprint)
+        footprint_m = math.sqrt(max(au * au + bu * bu, av * av + bv * bv))
         reflectance = albedo * (1.0 + contrast * detail)
-        if still:
+        if is_at_rest:
             reflectance *= 1.0 + contrast * _weathering(
-                texels, scene.blotches, level_start, a=a + 7.0 * i, b=b + 3.0 * i, size_m=size_m
+                scene, a + 7.0 * i, b + 3.0 * i, footprint_m=footprint_m
             )
+
+        # Irradiance of the sky, of which a face sees the more the more it looks up.
         up = (
             C_solid_world[0, 2] * normal[0]
             + C_solid_world[1, 2] * normal[1]
             + C_solid_world[2, 2] * normal[2]
         )
-        clear = HAZE_M / (HAZE_M + depth_m)
-        light = scene.sky * (0.65 + 0.35 * up)
-        radiance[k] = clear * reflectance * light + (1.0 - clear) * SKY_RADIANCE
-        facing = max(normal[0] * sun[0] + normal[1] * sun[1] + normal[2] * sun[2], 0.0)
-        sunlit[k] = clear * reflectance * scene.sun * facing
-        place_m[0, k], place_m[1, k], place_m[2, k] = _to_world(C_solid_world, origin, own)
-        sizes_m[k] = size_m
+        transmittance = HAZE_M / (HAZE_M + depth_m)
+        irradiance = scene.sky_irradiance * (0.65 + 0.35 * up)
+        radiance[k] = (
+            transmittance * reflectance * irradiance + (1.0 - transmittance) * SKY_RADIANCE
+        )
+
+        # Irradiance of the sun by Lambert's cosine law.
+        cosine = max(normal[0] * to_sun[0] + normal[1] * to_sun[1] + normal[2] * to_sun[2], 0.0)
+        sun_radiance[k] = transmittance * reflectance * scene.sun_irradiance * cosine
+        place_m[0, k], place_m[1, k], place_m[2, k] = _to_world(
+            C_solid_world, world_in_solid_m, own
+        )
+        footprints_m[k] = footprint_m
 
 
 @compiled
 def _face_of_box(own: Vector, half: FloatArray, ray: Vector) -> tuple[int, Vector]:
-    """Through which face a ray came to a place on a box, and the normal there."""
+    """Return the face through which a ray came to a place on a box, and the outward normal."""
     x = abs(own[0]) / half[0] if own[0] * ray[0] < 0.0 else -1.0
     y = abs(own[1]) / half[1] if own[1] * ray[1] < 0.0 else -1.0
     z = abs(own[2]) / half[2] if own[2] * ray[2] < 0.0 else -1.0
@@ -276,7 +314,7 @@ def _face_of_box(own: Vector, half: FloatArray, ray: Vector) -> tuple[int, Vecto
 
 @compiled
 def _face_of_ellipsoid(own: Vector, half: FloatArray) -> tuple[int, Vector]:
-    """The face that a box would have at a place on an ellipsoid, and the normal there."""
+    """Return the face that a box would have at a place on an ellipsoid, and the outward normal."""
     x = own[0] / half[0]
     y = own[1] / half[1]
     z = own[2] / half[2]
@@ -290,7 +328,7 @@ def _face_of_ellipsoid(own: Vector, half: FloatArray) -> tuple[int, Vector]:
 
 @compiled
 def _to_solid(C_solid_world: FloatArray, vector: FloatArray) -> Vector:
-    """A direction of the world in a solid's axes."""
+    """Rotate a direction of the world into a solid's axes."""
     return (
         C_solid_world[0, 0] * vector[0]
         + C_solid_world[0, 1] * vector[1]
@@ -305,11 +343,11 @@ def _to_solid(C_solid_world: FloatArray, vector: FloatArray) -> Vector:
 
 
 @compiled
-def _to_world(C_solid_world: FloatArray, origin: FloatArray, own: Vector) -> Vector:
-    """A place in a solid's axes, in the world; ``origin`` is the world's in the solid's."""
-    x = own[0] - origin[0]
-    y = own[1] - origin[1]
-    z = own[2] - origin[2]
+def _to_world(C_solid_world: FloatArray, world_in_solid_m: FloatArray, own: Vector) -> Vector:
+    """Transform a place from a solid's axes, in which the world's origin is given, to the world."""
+    x = own[0] - world_in_solid_m[0]
+    y = own[1] - world_in_solid_m[1]
+    z = own[2] - world_in_solid_m[2]
     return (
         C_solid_world[0, 0] * x + C_solid_world[1, 0] * y + C_solid_world[2, 0] * z,
         C_solid_world[0, 1] * x + C_solid_world[1, 1] * y + C_solid_world[2, 1] * z,
@@ -318,11 +356,9 @@ def _to_world(C_solid_world: FloatArray, origin: FloatArray, own: Vector) -> Vec
 
 
 @compiled
-def _weathering(
-    texels: Texels, blotches: int, level_start: IntArray, a: float, b: float, size_m: float
-) -> float:
-    """Slow changes of the reflectance over metres, around 0; ``size_m`` is the footprint's."""
-    step = size_m * BLOTCH_TEXELS_PER_M
-    a = a * BLOTCH_TEXELS_PER_M
-    b = b * BLOTCH_TEXELS_PER_M
-    return BLOTCH_CONTRAST * sample_square(texels, blotches, level_start, a=a, b=b, side=step)
+def _weathering(scene: SceneArrays, a_m: float, b_m: float, footprint_m: float) -> float:
+    """Return the slow variation of the reflectance over metres at surface coordinates, around 0."""
+    side = footprint_m * BLOTCH_TEXELS_PER_M
+    a = a_m * BLOTCH_TEXELS_PER_M
+    b = b_m * BLOTCH_TEXELS_PER_M
+    return BLOTCH_CONTRAST * sample_square(scene.mipmaps, scene.blotches, a, b=b, side=side)

@@ -1,14 +1,19 @@
-"""What the E-step over all drives hands to the fit: above all, which errors are left out together."""
+"""The E-step over all drives: how drives are cut into blocks that are left out together."""
 
 import numpy as np
 import pytest
-from training.supervised_drives import drive_of, known, point_world
 
 from probevo.noise import StudentT
-from probevo.training.gk.evidence import BLOCKS_A_DRIVE, STEPS_A_BLOCK, blocks_of, gather_evidence
+from probevo.noise.metric import Metric
+from probevo.training.gk.error_samples import (
+    BLOCKS_A_DRIVE,
+    STEPS_A_BLOCK,
+    blocks_of,
+    gather_error_samples,
+)
 from probevo.training.settings import TrainSettings
-from probevo.training.supervised_drive import DriveInMemory
-from probevo.training.workers import Workers
+from probevo.training.trainer import TrainingContext
+from training.supervised_drives import drive_of, in_memory, point_world
 
 N = STEPS_A_BLOCK
 
@@ -30,19 +35,20 @@ def test_no_block_is_short_but_where_a_single_drive_is(steps: list[int], blocks:
 
 
 def groups_of(*frames: int) -> list[int]:
-    """How many there are of each of these drives."""
+    """Return how many blocks there are of each drive with so many frames."""
     worlds = [point_world(frames=count, landmarks=200) for count in frames]
-    drives = [DriveInMemory(drive_of(world), world.camera, known(world)) for world in worlds]
+    drives = [in_memory(drive_of(world), world, "gt") for world in worlds]
     settings = TrainSettings(kind="gk", supervision="gt", predictors=("place",))
-    groups = gather_evidence(
-        drives, StudentT(), settings, workers=Workers(), on_part=lambda _: None
-    ).groups
+    metric = Metric.fitted(drives[0].drive.phi)
+    context = TrainingContext(drives=drives, metric=metric, settings=settings)
+    groups = gather_error_samples(context, StudentT(), lambda share: None).groups
     assert (np.diff(groups) >= 0).all()
-    return np.bincount(np.unique(groups) // BLOCKS_A_DRIVE).tolist()
+    counts: list[int] = np.bincount(np.unique(groups) // BLOCKS_A_DRIVE).tolist()
+    return counts
 
 
 def test_short_drives_are_left_out_as_a_whole() -> None:
-    """Else the tracks of a block that is left out go on in the next."""
+    """Otherwise the tracks of a block that is left out would go on in the next."""
     assert groups_of(10, N, 2 * N + 1) == [1, 1, 2]
 
 

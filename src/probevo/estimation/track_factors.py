@@ -1,0 +1,160 @@
+"""The tracks of a step as factors of a factor graph, for a back end other than probevo's own solve.
+
+A factor joins the pose of the previous frame, that of the current frame, a point, and the
+common-mode errors of the disparity filter. Its residual has seven rows: the error of the point
+s = (u, v, d) against what the previous frames say of it, and that of the current observation y'.
+Both contain the time-correlated error δ of the disparity, so that their covariance is one matrix.
+The derivation is in docs/other-back-ends.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.camera.transfer_numba import NEAREST, Intrinsics
+from probevo.estimation.disparity_filter import DisparityFilter
+from probevo.estimation.disparity_filter_numba import COMMON
+from probevo.estimation.reprojection import MOTION
+from probevo.measurements.stereo_observations import StereoObservations
+from probevo.noise.base import StereoNoise
+from probevo.tracking.tracks import Tracks
+
+EXACT_PX = 1e-3
+"""Standard deviation of a point that is held where the previous camera saw it: small against any
+noise of a pixel, and large enough that the covariance of the factor can be inverted."""
+BEHIND_PX = 1e3
+"""Error of the current observation of a point that is behind the camera."""
+
+
+class FactorLinearization(NamedTuple):
+    """The residual of one factor and its derivatives."""
+
+    residual: FloatArray
+    """(s, f(T s)) − what was measured of both, [7], px."""
+    motion: FloatArray
+    """By a left perturbation ξ = [ρ; φ] of T_curr_prev, [7, 6], px/m and px/rad."""
+    point: FloatArray
+    """By s, [7, 3]."""
+    common: FloatArray
+    """By the common-mode errors, [7, 6], px."""
+
+
+@dataclass(frozen=True)
+class TrackFactors:
+    """N tracks, each as a factor between two poses, a point and the common-mode errors.
+
+    The loss of a factor is the Student-t's, ½ (ν + 4) log(1 + rᵀ cov⁻¹ r/ν). Minimised over the
+    point, it is the cost of the same track in ``solve_reprojection``.
+    """
+
+    point: FloatArray
+    """s = (u, v, d) as the previous frames say, [N, 3], px: where to start."""
+    curr: FloatArray
+    """y' less the bias and the estimate of δ, [N, 4], px."""
+    cov: FloatArray
+    """Scale matrix of the residual, [N, 7, 7], px²."""
+    dof: FloatArray
+    """ν of each track, [N]; np.inf is Gaussian."""
+    common: FloatArray
+    """How the common-mode errors c ~ N(0, I) move (d, δ), [N, 2, 6], px; 0 without a history."""
+    camera: Intrinsics
+
+    @staticmethod
+    def of(
+        tracks: Tracks,
+        noise: StereoNoise,
+        camera: StereoCamera,
+        disparities: DisparityFilter | None = None,
+    ) -> TrackFactors:
+        """Build the factors of N tracks.
+
+        Args:
+            tracks: those that the solve used, corrected by the rig's calibration.
+            noise: of each of them.
+            camera: the rectified camera.
+            disparities: what earlier frames say of the disparities, ``state.disparities`` of the
+                odometry *before* the step. None where the graph contains those frames itself.
+        """
+        history = (disparities or DisparityFilter.none()).of_tracks(tracks)
+        observations = StereoObservations.of(
+            tracks.prev_px,
+            tracks.curr_px,
+            noise,
+            camera=camera,
+            curr=MOTION,
+            disparity_prior=history.states,
+        )
+        pairs = observations.pairs
+        point_cov = pairs.point_cov[:, :3, :3].copy()
+        if noise.refers_to == "residual":
+            point_cov += EXACT_PX**2 * np.eye(3)
+        # δ enters the row of u_r: its variance adds to that of y', and its covariance with the
+        # point is that of the two parts.
+        cov = np.zeros((len(tracks), 7, 7))
+        cov[:, :3, :3] = point_cov
+        cov[:, 3:, 3:] = pairs.curr_scale
+        cov[:, 5, 5] += pairs.point_cov[:, 3, 3]
+        cov[:, :3, 5] = pairs.point_cov[:, :3, 3]
+        cov[:, 5, :3] = pairs.point_cov[:, :3, 3]
+        common = np.zeros((len(tracks), 2, COMMON))
+        common[history.states.rows] = history.common
+        return TrackFactors(
+            point=pairs.point,
+            curr=pairs.curr,
+            cov=cov,
+            dof=observations.noise.dof,
+            common=common,
+            camera=observations.camera,
+        )
+
+    def __len__(self) -> int:
+        """Return the number of factors, N."""
+        return len(self.point)
+
+    def linearize(
+        self, track: int, T_curr_prev: FloatArray, point: FloatArray, common: FloatArray
+    ) -> FactorLinearization:
+        """Evaluate one factor.
+
+        Args:
+            track: which, 0 to N − 1.
+            T_curr_prev: the motion, [4, 4].
+            point: s = (u, v, d), [3], px; the disparity may be zero or negative.
+            common: the common-mode errors c, [6].
+        """
+        fu, fv, cu, cv, fb = self.camera
+        C = T_curr_prev[:3, :3]
+        t = T_curr_prev[:3, 3]
+        of_disparity, of_delta = self.common[track]
+        residual = np.empty(7)
+        by_motion = np.zeros((7, 6))
+        by_point = np.zeros((7, 3))
+        by_common = np.zeros((7, COMMON))
+        residual[:3] = point - self.point[track]
+        residual[2] -= of_disparity @ common
+        by_point[:3] = np.eye(3)
+        by_common[2] = -of_disparity
+        # The point in the current frame over its depth in the previous one: q = C m + ρ t.
+        rho = point[2] / fb
+        x, y, z = C @ [(point[0] - cu) / fu, (point[1] - cv) / fv, 1.0] + rho * t
+        if z < NEAREST:
+            residual[3:] = BEHIND_PX
+            return FactorLinearization(residual, by_motion, by_point, by_common)
+        u = fu * x / z
+        v = fv * y / z
+        d = point[2] / z
+        residual[3:] = np.array([u + cu, v + cv, u - d + cu, v + cv]) - self.curr[track]
+        residual[5] -= of_delta @ common
+        by_common[5] = -of_delta
+        # ∂y'/∂q, and q under ξ and s; d itself is in u_r as well.
+        by_q = np.array([[fu, 0.0, -u], [0.0, fv, -v], [fu, 0.0, d - u], [0.0, fv, -v]]) / z
+        by_motion[3:, :3] = rho * by_q
+        by_motion[3:, 3:] = by_q @ [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        by_point[3:] = by_q @ np.column_stack([C[:, 0] / fu, C[:, 1] / fv, t / fb])
+        by_point[5, 2] -= 1.0 / z
+        return FactorLinearization(residual, by_motion, by_point, by_common)

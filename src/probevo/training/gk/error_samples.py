@@ -1,0 +1,195 @@
+"""The E-step over all drives: each drive is one worker's task and yields a sample of its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.config import SolverConfig
+from probevo.errors import InputError
+from probevo.geometry import se3
+from probevo.noise.base import NoiseModel
+from probevo.training.gk.expectation import expect
+from probevo.training.settings import KernelSettings, TrainSettings
+from probevo.training.supervised_drive import SupervisedDrive
+from probevo.training.supervision import Supervision
+from probevo.training.trainer import TrainingContext
+
+BLOCKS_A_DRIVE = 10
+"""A drive is cut into at most so many blocks of time for cross-validation."""
+STEPS_A_BLOCK = 20
+"""A block has at least so many steps: a shorter one shares its tracks with the next block."""
+MOST_FEATURES = 500_000
+"""A model is fitted to at most about so many features; of more, a random share is drawn, evenly
+from all drives and times."""
+
+
+@dataclass(frozen=True)
+class ErrorSamples:
+    """Errors of N features to learn from, and how well the model explained them."""
+
+    phi: FloatArray
+    """Place of each feature in the prediction space, [N, M]."""
+    errors: FloatArray
+    """Error of each feature, [N, 4], px."""
+    spread: FloatArray
+    """Covariance of each error that the uncertainty of the motion causes, [N, 4, 4], px²."""
+    groups: IntArray
+    """Block of time of each feature, [N]; the blocks of one drive follow those of another."""
+    log_likelihood: FloatArray
+    """Log density of each residual under the model, [N], nats."""
+    profile: FloatArray
+    """Likelihood of each residual as a function of the time correlation, [N, 4], see
+    ``time_correlation_profile``."""
+    gaps_m: FloatArray
+    """Distance between the estimated and the true end of each drive whose ends are known."""
+
+    @property
+    def progress(self) -> dict[str, float]:
+        """Likelihood a feature and loop closure error, by which an iteration is judged (PROBE-GK
+        Fig. 8)."""
+        progress = {"log_likelihood": float(np.mean(self.log_likelihood))}
+        if len(self.gaps_m):
+            progress["loop_error_m"] = float(np.mean(self.gaps_m))
+        return progress
+
+
+@dataclass(frozen=True)
+class _Task:
+    number: int
+    drive: SupervisedDrive
+    model: NoiseModel
+    settings: TrainSettings
+    share: float
+    """Share of the features to draw."""
+    blocks: int
+    """Number of blocks of time."""
+
+
+def gather_error_samples(
+    context: TrainingContext, model: NoiseModel, on_part: Callable[[float], None]
+) -> ErrorSamples:
+    """Compute the errors of the features of all drives under a noise model.
+
+    Args:
+        context: the drives, the settings and the workers.
+        model: the noise model of the E-step.
+        on_part: called with the share of the work that is done, 0 … 1.
+
+    Raises:
+        InputError: there is nothing to learn from, or what ``Workers.map`` raises.
+    """
+    drives = context.drives
+    # Draw a share of the features, the same of each drive.
+    num_used = sum(drive.facts.used for drive in drives)
+    share = min(1.0, MOST_FEATURES / max(num_used, 1))
+
+    # The errors of each drive are one task.
+    blocks = blocks_of([drive.facts.steps for drive in drives])
+    tasks = [
+        _Task(
+            number=number,
+            drive=drive,
+            model=model,
+            settings=context.settings,
+            share=share,
+            blocks=blocks[number],
+        )
+        for number, drive in enumerate(drives)
+    ]
+    done: set[int] = set()
+
+    def on_done(number: int) -> None:
+        # A task that was lost with its worker may be reported twice.
+        done.add(number)
+        on_part(len(done) / len(tasks))
+
+    # Concatenate the samples in the order of the drives, whoever was done first.
+    names = [f"recording {number + 1}" for number in range(len(tasks))]
+    parts = context.workers.map(_samples_of_drive, tasks, names, on_done)
+    samples = ErrorSamples(
+        phi=np.concatenate([part.phi for part in parts]),
+        errors=np.concatenate([part.errors for part in parts]),
+        spread=np.concatenate([part.spread for part in parts]),
+        groups=np.concatenate([part.groups for part in parts]),
+        log_likelihood=np.concatenate([part.log_likelihood for part in parts]),
+        profile=np.concatenate([part.profile for part in parts]),
+        gaps_m=np.concatenate([part.gaps_m for part in parts]),
+    )
+    if not len(samples.errors):
+        fewest = context.settings.odometry.solver.min_tracks
+        raise InputError(
+            "training data",
+            f"no step has {fewest} features to learn from.",
+            "Give other recordings.",
+        )
+    return samples
+
+
+def blocks_of(steps: Sequence[int]) -> list[int]:
+    """Return into how many blocks of time to cut drives of so many steps; at least two in all."""
+    blocks = [min(BLOCKS_A_DRIVE, max(1, count // STEPS_A_BLOCK)) for count in steps]
+    return blocks if sum(blocks) > 1 else [2] * len(blocks)
+
+
+def _samples_of_drive(task: _Task) -> ErrorSamples:
+    """Compute the errors of one drive."""
+    expectation = expect(
+        task.drive,
+        task.model.predict,
+        _solver(task.settings),
+        truth_sigma=_truth_sigma(task.settings.gk),
+        share=task.share,
+        seed=(task.settings.odometry.seed, task.number),
+    )
+    found = expectation.feature_errors
+    num_steps = len(expectation.T_features_only)
+    # Samples of one block of time are left out together in cross-validation.
+    block = found.steps * task.blocks // max(num_steps, 1)
+    gap_m = _loop_error_m(task.drive.supervision, expectation.T_features_only)
+    return ErrorSamples(
+        phi=found.phi,
+        errors=found.errors,
+        spread=found.spread,
+        groups=task.number * BLOCKS_A_DRIVE + block,
+        log_likelihood=found.log_likelihood,
+        profile=found.profile,
+        gaps_m=np.array([gap_m] if np.isfinite(gap_m) else []),
+    )
+
+
+def _solver(settings: TrainSettings) -> SolverConfig:
+    """Return the settings of the solver: with a quadratic loss if least squares is asked for."""
+    solver = settings.odometry.solver
+    return solver.model_copy(update={"loss": "l2"}) if settings.gk.quadratic else solver
+
+
+def _truth_sigma(given: KernelSettings) -> FloatArray | None:
+    """Return the standard deviation of the truth over a stretch, m and rad, [6].
+
+    None means that it is to be estimated.
+    """
+    if given.truth_sigma_m is None or given.truth_sigma_deg is None:
+        return None
+    return np.repeat([given.truth_sigma_m, np.deg2rad(given.truth_sigma_deg)], 3)
+
+
+def _loop_error_m(supervision: Supervision, T_curr_prev: FloatArray) -> float:
+    """Return the distance between the estimated and the true end of the path, seen from its start.
+
+    Args:
+        supervision: the known poses.
+        T_curr_prev: estimated motion of each step, [K − 1, 4, 4].
+
+    Returns:
+        distance, m; NaN if a pose at one end is unknown.
+    """
+    first, last = supervision.frames[[0, -1]]
+    # The end seen from the start, so that the world of the truth does not matter.
+    T_world_cam = se3.chain_motions(T_curr_prev)
+    estimated = se3.inverse(T_world_cam[first]) @ T_world_cam[last]
+    true = se3.inverse(supervision.T_world_cam[0]) @ supervision.T_world_cam[-1]
+    return float(np.linalg.norm((estimated - true)[:3, 3]))

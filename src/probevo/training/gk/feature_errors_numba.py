@@ -1,0 +1,106 @@
+"""Compiled loop: the residuals of features in the terms that a noise model is fitted to."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.compiled import compiled, copy_into, factor, invert_symmetric_4
+from probevo.noise.student_t_numba import regularize
+
+
+class ResidualArrays(NamedTuple):
+    """Residuals of m features at a motion, and their predicted noise."""
+
+    information: FloatArray
+    """Inverse scale Σ⁻¹ of each residual, [m, 4, 4], px⁻²."""
+    residuals: FloatArray
+    """Residual e of each feature, bias removed, [m, 4], px."""
+    jacobian: FloatArray
+    """Derivative J of the prediction by the motion, [m, 4, 6], px/m and px/rad."""
+    scale: FloatArray
+    """Predicted scale R, [m, 4, 4], px²."""
+
+
+class ErrorArrays(NamedTuple):
+    """Space for the results."""
+
+    errors: FloatArray
+    """Error of each feature, bias removed, [m, 4], px."""
+    spread: FloatArray
+    """Covariance of each error that the uncertainty of the motion causes, [m, 4, 4], px²."""
+    squared: FloatArray
+    """Squared Mahalanobis distance eᵀ Σ⁻¹ e, [m]."""
+    log_det: FloatArray
+    """Log determinant ln |Σ|, [m]."""
+
+
+@compiled
+def rescale_errors(
+    features: ResidualArrays, cov: FloatArray, is_of_observation: bool, out: ErrorArrays
+) -> None:
+    """Fill in the errors of all features, cov [6, 6] being the covariance of the motion.
+
+    Where Σ⁻¹ is singular, Σ is taken to be R. A singular scale is made regular.
+    """
+    information = features.information
+    residuals = features.residuals
+    jacobian = features.jacobian
+    scale = features.scale
+    errors = out.errors
+    spread = out.spread
+    sigma = np.empty((4, 4))
+    lower = np.zeros((4, 4))
+    root = np.zeros((4, 4))
+    white = np.empty((4, 7))  # Σ^-½ e and Σ^-½ J, side by side
+    back = np.empty((4, 7))  # the same in the size of an error
+    times_cov = np.empty((4, 6))  # the part of J times the covariance of the motion
+    for n in range(len(residuals)):
+        # Cholesky factors of Σ and R.
+        if not invert_symmetric_4(information[n], sigma, lower):
+            copy_into(sigma, scale[n])
+        regularize(sigma)
+        factor(sigma, 4, lower)
+        if not factor(scale[n], 4, root):
+            regularize(scale[n])
+            factor(scale[n], 4, root)
+        # Whiten e and J by forward substitution.
+        squares = 0.0
+        determinant = 1.0
+        for i in range(4):
+            white[i, 0] = residuals[n, i]
+            for j in range(6):
+                white[i, 1 + j] = jacobian[n, i, j]
+            for k in range(7):
+                for j in range(i):
+                    white[i, k] -= lower[i, j] * white[j, k]
+                white[i, k] /= lower[i, i]
+            squares += white[i, 0] * white[i, 0]
+            determinant *= lower[i, i]
+        out.squared[n] = squares
+        out.log_det[n] = 2.0 * math.log(determinant)
+        # Colour them by R^½ if the noise is that of observations, and propagate the covariance.
+        for i in range(4):
+            for k in range(7):
+                back[i, k] = (
+                    0.0
+                    if is_of_observation
+                    else residuals[n, i]
+                    if k == 0
+                    else jacobian[n, i, k - 1]
+                )
+                for j in range(i + 1 if is_of_observation else 0):
+                    back[i, k] += root[i, j] * white[j, k]
+            errors[n, i] = back[i, 0]
+            for k in range(6):
+                times_cov[i, k] = 0.0
+                for j in range(6):
+                    times_cov[i, k] += back[i, 1 + j] * cov[j, k]
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(6):
+                    total += times_cov[i, k] * back[j, 1 + k]
+                spread[n, i, j] = spread[n, j, i] = total

@@ -1,0 +1,423 @@
+"""Tracks to motion: how each status comes about, and that only a status of OK is accepted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from probevo.arrays import FloatArray
+from probevo.config import GyroConfig, OdometryConfig, RansacConfig, SolverConfig
+from probevo.estimation.disparity_filter import DisparityFilter
+from probevo.estimation.motion_estimate import Status
+from probevo.estimation.motion_model import MotionModel, MotionPrediction
+from probevo.estimation.reprojection import MOTION, ReprojectionSolution, solve_reprojection
+from probevo.estimation.two_frame import Estimate, TwoFrameEstimator
+from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion, judge
+from probevo.geometry import se3, so3
+from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.noise import NoiseModel, StereoNoise, StudentT
+from probevo.stage_clock import StageClock
+from probevo.tracking.tracks import Tracks
+from worlds import CAMERA, FORWARD, Homesick, at_infinity, both, motion_error, seen_twice, tracks_of
+
+CONFIG = OdometryConfig()
+UNKNOWN = MotionModel.at_start(CONFIG.motion_model).predict(0.1, None)
+"""The prediction of the first step: any motion of a car."""
+SLOW = np.diag(np.repeat([0.05, 0.01], 3))
+STANDSTILL = MotionPrediction(np.eye(4), SLOW**2, velocity_sensitivity=SLOW)
+NEAR_M = (3.0, 10.0)
+"""Here the noise of triangulated points is nearly Gaussian, as alignment assumes."""
+
+
+def priors_of(
+    prediction: MotionPrediction = UNKNOWN,
+    gyro: RelativeRotation | None = None,
+    config: OdometryConfig = CONFIG,
+) -> MotionPriors:
+    """As the odometry gives them: the gyro enters the solve where the settings say so."""
+    return MotionPriors(
+        prediction=prediction,
+        gyro=gyro,
+        disparities=DisparityFilter.none(),
+        measurements=[gyro] if gyro is not None and config.gyro.prior else [],
+    )
+
+
+def estimate(
+    tracks: Tracks,
+    prediction: MotionPrediction = UNKNOWN,
+    *,
+    gyro: RelativeRotation | None = None,
+    config: OdometryConfig = CONFIG,
+    clock: StageClock | None = None,
+    noise: NoiseModel | None = None,
+    predicts_from_motion: bool = False,
+) -> VisualMotion:
+    estimator = VisualEstimator(
+        CAMERA, noise or StudentT(), config, predicts_from_motion=predicts_from_motion
+    )
+    return estimator.estimate(
+        tracks,
+        np.zeros((len(tracks), 0)),
+        priors_of(prediction, gyro, config),
+        rng=np.random.default_rng(0),
+        clock=clock or StageClock(),
+    )
+
+
+def test_good_tracks_give_the_motion() -> None:
+    visual = estimate(seen_twice(np.random.default_rng(0), 200, sigma_px=0.2))
+    assert visual.status is Status.OK
+    assert visual.solution is not None
+    assert visual.accepted_solution is visual.solution
+    error = motion_error(visual.solution.T_curr_prev)
+    assert error @ np.linalg.solve(visual.solution.cov, error) < 22.5  # 99.9 % of χ²(6)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 5])
+def test_fewer_tracks_than_wanted_are_too_few(count: int) -> None:
+    visual = estimate(seen_twice(np.random.default_rng(1), count))
+    assert visual.status is Status.TOO_FEW_TRACKS
+    assert visual.solution is None
+    np.testing.assert_array_equal(visual.weights, np.zeros(count))
+    with pytest.raises(ValueError, match="TOO_FEW_TRACKS"):
+        _ = visual.accepted_solution
+
+
+def test_as_many_tracks_as_wanted_are_enough() -> None:
+    tracks = seen_twice(np.random.default_rng(2), CONFIG.solver.min_tracks)
+    assert estimate(tracks).status is Status.OK
+
+
+def test_tracks_that_agree_on_nothing_are_too_few() -> None:
+    """Twenty points that jump about at random: less than six agree on any motion."""
+    tracks = seen_twice(np.random.default_rng(3), 20)
+    tracks.curr_px[:] += np.random.default_rng(4).uniform(-200.0, 200.0, (20, 4))
+    assert estimate(tracks).status is Status.TOO_FEW_TRACKS
+
+
+def test_points_at_infinity_only_are_degenerate() -> None:
+    """They fix the rotation, but no translation."""
+    visual = estimate(at_infinity(np.random.default_rng(5), 60))
+    assert visual.status is Status.DEGENERATE
+    assert visual.solution is None
+
+
+def test_far_points_are_degenerate_though_all_is_finite() -> None:
+    """Points at 3 to 6 km, a tenth of a pixel of disparity: the translation is known to metres
+    only."""
+    tracks = seen_twice(np.random.default_rng(6), 100, sigma_px=0.2, depth_m=(3000.0, 6000.0))
+    assert estimate(tracks).status is Status.DEGENERATE
+
+
+def test_points_all_in_one_place_are_degenerate() -> None:
+    """They agree with the predicted motion, but do not fix it."""
+    tracks = seen_twice(np.random.default_rng(7), 1)
+    same = tracks.kept(np.zeros(30, np.int64))
+    assert estimate(same, replace(UNKNOWN, T_curr_prev=FORWARD)).status is Status.DEGENERATE
+
+
+def test_few_near_points_rescue_those_at_infinity() -> None:
+    rng = np.random.default_rng(8)
+    far = at_infinity(rng, 60)
+    near = seen_twice(rng, 15, sigma_px=0.2, depth_m=(5.0, 15.0))
+    assert estimate(both(far, near)).status is Status.OK
+
+
+def test_a_motion_that_fails_the_gate_is_not_accepted() -> None:
+    """All tracks agree on 1.2 m ahead where 5 cm is the standard deviation of what is possible."""
+    visual = estimate(seen_twice(np.random.default_rng(9), 200, sigma_px=0.2), STANDSTILL)
+    assert visual.status is Status.NOT_CONVERGED
+    assert visual.solution is not None
+    assert not len(visual.disparities.ids)
+
+
+def test_a_solve_that_is_cut_short_is_not_accepted() -> None:
+    config = OdometryConfig(solver=SolverConfig(max_iterations=1))
+    visual = estimate(seen_twice(np.random.default_rng(10), 200, sigma_px=0.2), config=config)
+    assert visual.status is Status.NOT_CONVERGED
+
+
+def with_mismatches(seed: int) -> Tracks:
+    """A hundred tracks, of which the first thirty are off by 40 px along the columns."""
+    tracks = seen_twice(np.random.default_rng(seed), 100, sigma_px=0.2)
+    tracks.curr_px[:30, 1::2] += 40.0
+    return tracks
+
+
+def test_outliers_of_the_consensus_have_no_weight_and_no_part_in_the_solve() -> None:
+    visual = estimate(with_mismatches(11))
+    assert (visual.weights[:30] == 0.0).all()
+    assert visual.outliers[:30].all()
+    assert visual.weights[30:].mean() > 0.5
+    assert not visual.used[:30].any()
+    assert visual.solution is not None
+    assert len(visual.solution.weight) == visual.used.sum()
+
+
+def test_features_out_of_domain_are_counted_among_those_used() -> None:
+    tracks = with_mismatches(11)
+    visual = estimate(tracks, noise=Homesick())
+    plain = estimate(tracks)
+    assert visual.noise is not None
+    np.testing.assert_array_equal(visual.noise.out_of_domain, np.arange(visual.num_used) % 3 == 0)
+    assert visual.num_out_of_domain == -(-visual.num_used // 3)
+    assert visual.num_used == plain.num_used == visual.used.sum() > 60
+    assert plain.noise is not None
+    assert plain.noise.out_of_domain is None
+    assert plain.num_out_of_domain is None
+
+
+def test_where_nothing_is_solved_nothing_is_used_and_nothing_out_of_domain() -> None:
+    visual = estimate(seen_twice(np.random.default_rng(1), 5), noise=Homesick())
+    assert visual.status is Status.TOO_FEW_TRACKS
+    assert visual.num_used == 0
+    assert visual.num_out_of_domain is None
+    assert visual.noise is None
+
+
+def test_without_rejection_the_robust_loss_sees_all() -> None:
+    config = OdometryConfig(ransac=RansacConfig(mode="guess"))
+    visual = estimate(with_mismatches(12), config=config)
+    assert visual.used.sum() == 100
+    assert (visual.weights[:30] < 0.05).all()
+    assert visual.status is Status.OK
+
+
+def test_noisy_tracks_widen_the_threshold() -> None:
+    """At 3 px hardly any of them agree on a motion; at 12 px enough do, none as well as the model
+    wants."""
+    tracks = seen_twice(np.random.default_rng(13), 100, sigma_px=4.0, depth_m=(4.0, 10.0))
+    visual = estimate(tracks)
+    assert visual.used.sum() >= 25
+    assert visual.status is Status.TOO_FEW_TRACKS
+
+
+def test_tracks_of_nothing_are_not_accepted() -> None:
+    """Points matched at random agree on some motion, but too few, or not well enough."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        prev, curr = (seen_twice(rng, 150) for _ in range(2))
+        visual = estimate(Tracks(prev.prev_px, curr.curr_px, prev.ids, age=prev.age))
+        assert visual.status is not Status.OK
+
+
+def test_the_gyro_s_rotation_may_start_the_consensus() -> None:
+    """One point and a gyro that is off by 0.1°: the solve corrects it."""
+    config = OdometryConfig(ransac=RansacConfig(rotation_from="gyro"))
+    C_gyro = so3.exp(np.radians([0.1, 0.0, 0.0])) @ FORWARD[:3, :3]
+    tracks = seen_twice(np.random.default_rng(14), 200, sigma_px=0.2, depth_m=(5.0, 15.0))
+    gyro = RelativeRotation(C_gyro, 1e-6 * np.eye(3), curr=MOTION)
+    visual = estimate(tracks, gyro=gyro, config=config)
+    assert visual.solution is not None
+    assert np.linalg.norm(motion_error(visual.solution.T_curr_prev)[3:]) < 3e-4
+
+
+@pytest.mark.parametrize("prior", [False, True])
+def test_the_gyro_enters_the_solve_only_as_a_measurement(prior: bool) -> None:
+    """A gyro that is far too certain of a wrong rotation, by 0.1°, prevails only as a prior."""
+    C_gyro = so3.exp(np.radians([0.0, 0.1, 0.0])) @ FORWARD[:3, :3]
+    tracks = seen_twice(np.random.default_rng(15), 200, sigma_px=0.2)
+    config = OdometryConfig(gyro=GyroConfig(prior=prior))
+    gyro = RelativeRotation(C_gyro, 1e-14 * np.eye(3), curr=MOTION)
+    visual = estimate(tracks, gyro=gyro, config=config)
+    solution = visual.solution
+    assert solution is not None
+    off_deg = np.degrees(np.linalg.norm(so3.log(solution.T_curr_prev[:3, :3] @ C_gyro.T)))
+    assert bool(off_deg < 1e-3) is prior
+
+
+def test_what_two_frames_say_leaves_out_the_gyro() -> None:
+    """The rig's calibration learns from the features of two frames, at the motion of the solve."""
+    C_gyro = so3.exp(np.radians([0.0, 0.1, 0.0])) @ FORWARD[:3, :3]
+    tracks = seen_twice(np.random.default_rng(15), 200, sigma_px=0.2)
+    config = OdometryConfig(gyro=GyroConfig(prior=True))
+    gyro = RelativeRotation(C_gyro, 1e-10 * np.eye(3), curr=MOTION)
+    visual = estimate(tracks, gyro=gyro, config=config)
+    with_gyro = visual.solution
+    without = visual.two_frames_only
+    assert with_gyro is not None
+    assert without is not None
+    np.testing.assert_array_equal(without.T_curr_prev, with_gyro.T_curr_prev)
+    inliers = tracks.kept(visual.used)
+    evaluated = solve_reprojection(
+        inliers.prev_px,
+        inliers.curr_px,
+        StudentT().predict(np.zeros((visual.num_used, 0))),
+        guess=with_gyro.T_curr_prev,
+        camera=CAMERA,
+        max_iterations=0,
+    )
+    np.testing.assert_array_equal(without.hessian, evaluated.hessian)
+    np.testing.assert_array_equal(without.residuals, evaluated.residuals)
+    sigma_rad = np.sqrt(np.diagonal(with_gyro.cov)[3:])
+    assert (sigma_rad < 0.5 * np.sqrt(np.diagonal(without.cov)[3:])).all()
+    plain = estimate(tracks, gyro=gyro)
+    assert plain.two_frames_only is plain.solution
+
+
+def test_times_of_the_stages_are_taken() -> None:
+    clock = StageClock()
+    estimate(seen_twice(np.random.default_rng(16), 50), clock=clock)
+    assert set(clock.times_ms) == {"consensus", "solve"}
+
+
+def test_the_motion_does_not_depend_on_the_prediction() -> None:
+    tracks = seen_twice(np.random.default_rng(17), 200, sigma_px=0.2)
+    near = replace(UNKNOWN, T_curr_prev=se3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])))
+    solutions = [estimate(tracks, prediction).solution for prediction in (UNKNOWN, near)]
+    assert solutions[0] is not None
+    assert solutions[1] is not None
+    assert np.abs(motion_error(solutions[0].T_curr_prev, solutions[1].T_curr_prev)).max() < 2e-3
+
+
+def test_the_covariance_of_an_alignment_is_consistent_under_heavy_tails() -> None:
+    """The scale of the shipped Student-t is no covariance: of its tails, the consensus leaves a
+    part."""
+    rng = np.random.default_rng(22)
+    config = OdometryConfig(solver=SolverConfig(method="alignment"))
+    errors = []
+    for _ in range(150):
+        clean = seen_twice(rng, 100, depth_m=NEAR_M)
+        sigma_px = 0.17 / np.sqrt(rng.chisquare(2.5, 100) / 2.5)
+        white = sigma_px[:, None] * rng.normal(size=(2, 100, 4))
+        tracks = tracks_of(clean.prev_px + white[0], clean.curr_px + white[1])
+        visual = estimate(tracks, config=config, noise=StudentT(time_correlation_ratio=0.0))
+        solution = visual.solution
+        assert solution is not None
+        errors.append(normalized_error_squared(FORWARD, solution.T_curr_prev, solution.cov))
+    assert 4.0 < np.mean(errors) < 7.5
+
+
+def test_alignment_serves_the_whole_flow() -> None:
+    config = OdometryConfig(solver=SolverConfig(method="alignment"))
+    tracks = seen_twice(np.random.default_rng(22), 200, sigma_px=0.2, depth_m=NEAR_M)
+    tracks.curr_px[:40, 1::2] += 40.0
+    visual = estimate(tracks, config=config)
+    assert visual.status is Status.OK
+    assert visual.solution is not None
+    assert np.linalg.norm(motion_error(visual.solution.T_curr_prev)) < 0.02
+
+
+SIDEWAYS = se3.exp(np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])) @ FORWARD
+
+
+class KnownNoise(StudentT):
+    """The noise of 120 features of a street and 30 of a car, each group with its own σ, px."""
+
+    def __init__(self, street_px: float, car_px: float) -> None:
+        super().__init__()
+        self.sigma_px = np.repeat([street_px, car_px], [120, 30])
+
+    def predict(self, predictors: FloatArray) -> StereoNoise:
+        return StereoNoise(
+            scale=self.sigma_px[:, None, None] ** 2 * np.eye(4),
+            dof=np.full(150, 20.0),
+            bias=np.zeros((150, 4)),
+            refers_to="observation",
+        )
+
+
+def street_and_car(sigma_px: tuple[float, float], T_car: FloatArray) -> Tracks:
+    """120 features of a street and 30 of a car, with their noise; T_car is the camera's motion
+    relative to the car."""
+    rng = np.random.default_rng(30)
+    return both(
+        seen_twice(rng, 120, sigma_px=sigma_px[0]),
+        seen_twice(rng, 30, T_car, sigma_px=sigma_px[1], depth_m=(5.0, 15.0)),
+    )
+
+
+def reference_of(
+    tracks: Tracks, noise: KnownNoise, contradicting: Tracks | None = None
+) -> tuple[ReprojectionSolution, FloatArray]:
+    """The solve under the learned noise, and the motion by which the next step judges features.
+
+    ``contradicting`` takes the place of the tracks in the second solve, which trusts all alike.
+    """
+    predicted = noise.predict(np.zeros((len(tracks), 0)))
+    two_frame = TwoFrameEstimator(CAMERA, CONFIG.solver)
+    solution = two_frame.solve(tracks, predicted, guess=FORWARD)
+    of_all = Estimate(solution, np.ones(len(tracks)), DisparityFilter.none())
+    visual = VisualEstimator(CAMERA, noise, CONFIG, predicts_from_motion=True)
+    tracks = tracks if contradicting is None else contradicting
+    return solution, visual._confirmed(of_all, tracks, FORWARD, priors_of())
+
+
+def test_a_noise_that_follows_a_car_is_contradicted_by_the_street() -> None:
+    tracks = street_and_car((0.2, 0.2), SIDEWAYS)
+    solution, T_reference = reference_of(tracks, KnownNoise(3.0, 0.1))
+    assert np.linalg.norm(motion_error(solution.T_curr_prev, SIDEWAYS)[:3]) < 0.1
+    assert np.linalg.norm(motion_error(T_reference)[:3]) < 0.05
+
+
+def test_a_noise_that_is_right_is_not_contradicted() -> None:
+    tracks = street_and_car((0.6, 0.1), FORWARD)
+    solution, T_reference = reference_of(tracks, KnownNoise(0.6, 0.1))
+    np.testing.assert_array_equal(T_reference, solution.T_curr_prev)
+
+
+def test_a_motion_that_cannot_be_contradicted_stands() -> None:
+    """Two tracks do not fix a motion of their own."""
+    tracks = street_and_car((0.2, 0.2), SIDEWAYS)
+    two = tracks.kept(np.arange(2))
+    solution, T_reference = reference_of(tracks, KnownNoise(3.0, 0.1), contradicting=two)
+    np.testing.assert_array_equal(T_reference, solution.T_curr_prev)
+
+
+@pytest.mark.parametrize("predicts_from_motion", [False, True])
+def test_only_a_noise_that_depends_on_earlier_motions_needs_another_reference(
+    predicts_from_motion: bool,
+) -> None:
+    """The whole flow without RANSAC, started beside the car's motion."""
+    config = OdometryConfig(ransac=RansacConfig(mode="off"))
+    visual = estimate(
+        street_and_car((0.2, 0.2), SIDEWAYS),
+        replace(UNKNOWN, T_curr_prev=FORWARD),
+        config=config,
+        noise=KnownNoise(3.0, 0.1),
+        predicts_from_motion=predicts_from_motion,
+    )
+    assert visual.solution is not None
+    T_expected = FORWARD if predicts_from_motion else SIDEWAYS
+    assert np.linalg.norm(motion_error(visual.solution.T_curr_prev, SIDEWAYS)[:3]) < 0.1
+    assert np.linalg.norm(motion_error(visual.T_reference, T_expected)[:3]) < 0.1
+
+
+@pytest.fixture(scope="module")
+def solution() -> ReprojectionSolution:
+    """An accepted solve."""
+    visual = estimate(seen_twice(np.random.default_rng(0), 200, sigma_px=0.2))
+    return visual.accepted_solution
+
+
+def status_of(
+    solution: ReprojectionSolution, num_inliers: int = 200, prediction: MotionPrediction = UNKNOWN
+) -> Status:
+    weights = (np.arange(200) < num_inliers).astype(float)
+    return judge(solution, weights, prediction, config=CONFIG)
+
+
+def test_judge_accepts_a_determined_converged_solve(solution: ReprojectionSolution) -> None:
+    assert status_of(solution) is Status.OK
+    assert status_of(solution, CONFIG.solver.min_tracks) is Status.OK
+    assert status_of(solution, CONFIG.solver.min_tracks - 1) is Status.TOO_FEW_TRACKS
+    assert status_of(replace(solution, converged=False)) is Status.NOT_CONVERGED
+    assert status_of(solution, prediction=STANDSTILL) is Status.NOT_CONVERGED
+    nowhere = replace(solution, cov=np.full((6, 6), np.nan))
+    assert status_of(nowhere) is Status.DEGENERATE
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_judge_calls_a_large_standard_deviation_degenerate(
+    solution: ReprojectionSolution, axis: int
+) -> None:
+    """In any direction, just beyond the limits of the settings and just within."""
+    limits = np.repeat(
+        [CONFIG.solver.max_translation_sigma_m, CONFIG.solver.max_rotation_sigma_rad], 3
+    )
+    for factor, status in ((1.01, Status.DEGENERATE), (0.99, Status.OK)):
+        sigma = np.full(6, 1e-4)
+        sigma[axis] = factor * limits[axis]
+        assert status_of(replace(solution, cov=np.diag(sigma**2))) is status
