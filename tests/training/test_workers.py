@@ -154,13 +154,14 @@ def scheduler_without_workers() -> Iterator[Any]:
 
 
 @contextmanager
-def unattended_worker(address: str) -> Iterator[None]:
+def unattended_worker(cluster: Any) -> Iterator[None]:
     """Start a worker process that nobody restarts once it is killed."""
-    command = [sys.executable, "-m", "distributed.cli.dask_worker", address]
+    command = [sys.executable, "-m", "distributed.cli.dask_worker", cluster.scheduler_address]
     options = ["--no-nanny", "--nthreads", "1", "--no-dashboard"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     worker = subprocess.Popen([*command, *options], env=environment, stderr=subprocess.DEVNULL)
     try:
+        cluster.wait_for_workers(1, timeout=60)
         yield
     finally:
         worker.kill()
@@ -175,7 +176,7 @@ def test_a_cluster_whose_workers_do_not_come_back_is_given_up(
     monkeypatch.setattr(workers_module, "WATCH_S", 0.1)
     tasks = [(number, tmp_path) for number in range(3)]
     done: list[int] = []
-    with scheduler_without_workers() as found, unattended_worker(found.scheduler_address):
+    with scheduler_without_workers() as found, unattended_worker(found):
         workers = Workers(cluster=found.scheduler_address)
         with pytest.raises(InputError) as caught:
             workers.map(die_always, tasks, list("abc"), done.append)
@@ -185,6 +186,20 @@ def test_a_cluster_whose_workers_do_not_come_back_is_given_up(
     assert "none has come back within 0.5 s" in caught.value.what
     assert "the same command goes on from what is done" in caught.value.cure
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_cluster_whose_only_worker_is_gone_before_anybody_looks_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It dies of the only task, and the client does not see it meanwhile, as under load."""
+    monkeypatch.setattr(workers_module, "NO_WORKER_S", 0.2)
+    monkeypatch.setattr(workers_module, "WATCH_S", 0.1)
+    monkeypatch.setattr(workers_module._WorkerWatch, "_has_worker", lambda watch: False)
+    with scheduler_without_workers() as found, unattended_worker(found):
+        workers = Workers(cluster=found.scheduler_address)
+        with pytest.raises(InputError, match="none has come back within") as caught:
+            workers.map(die_always, [(1, tmp_path)], ["b"])
+    assert caught.value.where == "b"
 
 
 def test_a_cluster_that_never_had_a_worker_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

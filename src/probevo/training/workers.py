@@ -244,9 +244,12 @@ class _WorkerWatch:
     def __init__(self, client: Any) -> None:
         self.client = client
         self.had_worker = False
+        """Whether there was a worker since the connection to the scheduler."""
         self.absent_since_s: float | None = None
         """Since when no worker is left; None if there is one."""
         self.next_look_s = 0.0
+        # A worker may come and be killed between two looks, which the scheduler's events show.
+        client.subscribe_topic("all", self._on_event)
 
     def worker_seen(self) -> None:
         """Note that there is a worker."""
@@ -271,6 +274,12 @@ class _WorkerWatch:
             if now_s - self.absent_since_s > NO_WORKER_S:
                 raise NoWorkerError
         self.next_look_s = time.monotonic() + WATCH_S
+
+    def _on_event(self, event: tuple[float, Any]) -> None:
+        """Note the arrival or the loss of a worker; called by the client's own thread."""
+        _, message = event
+        if isinstance(message, dict) and message.get("action") in ("add-worker", "remove-worker"):
+            self.had_worker = True
 
     def _has_worker(self) -> bool:
         try:
