@@ -222,6 +222,13 @@ FIGURES = (
         "python benchmarks/training_scale.py --workers",
         minutes=3,
     ),
+    Figure(  # last, since it needs an extra: pip install '.[gtsam]'
+        "gtsam-agreement",
+        ("docs/other-back-ends.md",),
+        "python benchmarks/gtsam_agreement.py",
+        minutes=15,
+        needs_data=True,
+    ),
 )
 
 

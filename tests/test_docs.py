@@ -1,5 +1,8 @@
-"""The documents: what they link to and name is there — pages, sections, files, names to import,
-commands, flags."""
+"""The documents: what they link to and name exists, they begin with a summary, and use the field's
+words.
+
+Links lead to pages and sections; names are those of files, of the package, of commands and flags.
+"""
 
 import io
 import re
@@ -12,36 +15,49 @@ from pathlib import Path
 import pytest
 
 from probevo.cli.main import COMMANDS, HELP, main
+from probevo.noise import registry as noise_models
+from probevo.predictors import registry as predictors
+from probevo.sequences import registry as formats
+from test_style import WORDS
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")),
+    ROOT / "benchmarks" / "README.md",
+    *DOCS,
+]
 SOURCES = [
     path
-    for folder in ("src", "tests", "benchmarks", "examples")
+    for folder in ("src", "tests", "benchmarks", "examples", "tools", "docs")
     for path in (ROOT / folder).rglob("*.py")
 ]
+ENTRY_POINTS = {kind.ENTRY_POINTS for kind in (formats, noise_models, predictors)}
+"""Groups of entry points, whose dotted names are no modules."""
 BLOCK = re.compile(r"^ *(```|~~~).*?\n(.*?)^ *\1 *$", re.DOTALL | re.MULTILINE)
 SPAN = re.compile(r"(`+)(.+?)\1", re.DOTALL)
 HAVE_PARTS = ("simulate", "paper")
 """Commands whose second word has flags of its own."""
 
-every_page = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+every_page = pytest.mark.parametrize(
+    "path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix()
+)
 
 
 def prose(text: str) -> str:
-    """Without any code."""
+    """The text without any code."""
     return SPAN.sub("", BLOCK.sub("", text))
 
 
 def code(text: str) -> list[str]:
-    """Code blocks, and what stands in backticks."""
+    """Code blocks, and spans of code."""
     return [match[2] for match in BLOCK.finditer(text)] + [
         match[2] for match in SPAN.finditer(BLOCK.sub("", text))
     ]
 
 
 def anchors(text: str) -> set[str]:
-    """Of its headings, as GitHub makes them."""
+    """The anchors of its headings, as GitHub makes them."""
     found: set[str] = set()
     for heading in re.findall(r"^#+ +(.+?)[ #]*$", BLOCK.sub("", text), re.MULTILINE):
         words = re.sub(r"\[(.*?)\]\(.*?\)", r"\1", heading)
@@ -55,7 +71,7 @@ def anchors(text: str) -> set[str]:
 
 
 def broken_links(text: str, page: Path) -> list[str]:
-    """Relative ones that lead to no file, or to no section of it."""
+    """Relative links that lead to no file, or to no section of it."""
     broken = []
     for link in re.findall(r"\]\(([^)\s]+)[^)]*\)|(?:src|href)=\"([^\"]+)\"", prose(text)):
         target, _, section = "".join(link).partition("#")
@@ -72,7 +88,7 @@ def broken_links(text: str, page: Path) -> list[str]:
 
 
 def missing_files(text: str) -> list[str]:
-    """Python files that the repository has none of, by name or by the end of a path."""
+    """Python files that the repository does not have, by name or by the end of a path."""
     known = ["/" + path.relative_to(ROOT).as_posix() for path in SOURCES]
     named = {
         name
@@ -109,7 +125,7 @@ def unknown_names(text: str) -> list[str]:
     return sorted(
         name
         for name in {name for piece in code(text) for name in re.findall(pattern, piece)}
-        if not is_there(name)
+        if name not in ENTRY_POINTS and not is_there(name)
     )
 
 
@@ -124,7 +140,7 @@ def commands(text: str) -> Iterator[list[str]]:
 
 @cache
 def flags(*command: str) -> frozenset[str]:
-    """Those that its help lists."""
+    """The flags that its help lists."""
     with redirect_stdout(io.StringIO()) as shown, pytest.raises(SystemExit) as caught:
         main([*command, "--help"])
     assert caught.value.code == 0
@@ -135,7 +151,7 @@ def flags(*command: str) -> frozenset[str]:
 
 
 def unknown_flags(text: str) -> list[str]:
-    """Commands that there are not, and flags that their commands do not have."""
+    """Commands that do not exist, and flags that their commands do not have."""
     unknown = []
     for first, *rest in commands(text):
         if first.startswith("-"):
@@ -173,12 +189,42 @@ def test_each_command_has_the_flags_that_are_given(path: Path) -> None:
     assert unknown_flags(path.read_text("utf-8")) == []
 
 
+def private_words(text: str) -> list[str]:
+    """Words that only this project uses, with the field's word for each."""
+    words = prose(text)
+    return [
+        f"{match[0]!r}: say {field}"
+        for pattern, field in WORDS.items()
+        for match in re.finditer(rf"(?<![a-z])(?:{pattern})(?![a-z])", words, re.IGNORECASE)
+    ]
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in PAGES if path.name != "CHANGELOG.md"], ids=lambda path: path.name
+)
+def test_each_page_uses_the_words_of_the_field(path: Path) -> None:
+    """The changelog has the table from the old words to the new ones."""
+    assert private_words(path.read_text("utf-8")) == []
+
+
+@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.name)
+def test_each_page_begins_with_a_summary_of_three_lines(path: Path) -> None:
+    title, blank, *summary, after = path.read_text("utf-8").splitlines()[:6]
+    assert title.startswith("# ")
+    assert blank == after == ""
+    assert all(re.match(r"[^\W_]|`", line) for line in summary), summary
+    assert summary[-1].endswith(".")
+
+
 WRONG = """\
 # A title, with `code`
 
-[Here](#a-title-with-code), [there](#elsewhere), [a page](docs/none.md), [a section](docs/probe.md#none).
-`odometry.py`, `motion/odometry.py`, `benchmarks/none.py`, `pv.OdometryConfig.seed`, `pv.StereoOdometry.leap`.
-`probevo.geometry.se3.exp`, `probevo.geometry.none`, `probevo simulate point --preset city`, `probevo fly`.
+[Here](#a-title-with-code), [there](#elsewhere), [a page](docs/none.md),
+[a section](docs/probe.md#none).
+`odometry.py`, `motion/odometry.py`, `benchmarks/none.py`,
+`pv.OdometryConfig.seed`, `pv.StereoOdometry.leap`, `probevo.noise`,
+`probevo.geometry.se3.exp`, `probevo.geometry.none`,
+`probevo simulate point --preset city`, `probevo fly`.
 
 ```sh
 probevo run DRIVE --noise fixed \\
@@ -189,7 +235,7 @@ probevo simulate scene --preset city --effects.blur 0.5 --out out && probevo tra
 
 
 def test_what_is_wrong_is_found() -> None:
-    """And nothing else."""
+    """Each fault is found, and nothing else."""
     assert broken_links(WRONG, ROOT / "README.md") == [
         "#elsewhere",
         "docs/none.md",
@@ -197,4 +243,8 @@ def test_what_is_wrong_is_found() -> None:
     ]
     assert missing_files(WRONG) == ["benchmarks/none.py", "motion/odometry.py"]
     assert unknown_names(WRONG) == ["probevo.geometry.none", "pv.StereoOdometry.leap"]
+    assert private_words("It was carried on, as `shared` is. A surprise.") == [
+        "'carried on': say dead reckoning, propagate",
+        "'surprise': say innovation",
+    ]
     assert unknown_flags(WRONG) == ["run --noises", "train --kinds", "simulate --preset", "fly"]

@@ -1,21 +1,17 @@
 """The example of "Add a recording format" in CONTRIBUTING.md runs as it is written there."""
 
-import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from contributing import example as example_of
+from contributing import section
 from probevo.errors import InputError
 from probevo.sequences import format_names, open_sequence, registry
 from sequences.recordings import HEIGHT_PX, WIDTH_PX, image, stamps_ns, write_image, write_lines
 
-CONTRIBUTING = Path(__file__).parents[2] / "CONTRIBUTING.md"
-
-
-def section(title: str) -> str:
-    """The text below a heading of the second level, up to the next one."""
-    return CONTRIBUTING.read_text("utf-8").partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+TITLE = "Add a recording format"
 
 
 def write_rover(root: Path) -> Path:
@@ -32,7 +28,7 @@ def example(
 ) -> tuple[dict[str, Any], str]:
     """What the example defines, and what it prints; its format is registered for this test."""
     monkeypatch.setattr(registry, "_registered", dict(registry._registered))
-    (code,) = re.findall(r"^```python\n(.*?)^```$", section("Add a recording format"), re.M | re.S)
+    code = example_of(TITLE)
     defined: dict[str, Any] = {"__name__": "example"}
     path = write_rover(tmp_path)
     exec(
@@ -62,6 +58,4 @@ def test_the_format_of_the_example_is_registered(
 
 
 def test_the_entry_point_names_the_format() -> None:
-    assert f'[project.entry-points."{registry.ENTRY_POINTS}"]\nrover = ' in section(
-        "Add a recording format"
-    )
+    assert f'[project.entry-points."{registry.ENTRY_POINTS}"]\nrover = ' in section(TITLE)

@@ -1,6 +1,5 @@
-"""The example of "Add a noise model" in the contributor's guide works as it is printed."""
+"""The example of "Add a noise model" in the CONTRIBUTING.md works as it is printed."""
 
-import re
 import runpy
 import sys
 from importlib.metadata import EntryPoint
@@ -11,25 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from contributing import example as example_of
 from probevo.noise import registry
 from probevo.noise.named import noise_model
 from probevo.noise.registry import kind_of
 from worlds import CAMERA
 
-ROOT = Path(__file__).parents[2]
-GUIDES = ("CONTRIBUTING-noise.md", "CONTRIBUTING.md")
-SECTION = "## Add a noise model"
-
 
 @pytest.fixture
 def example(tmp_path: Path) -> dict[str, Any]:
-    """The names that the first Python block of the section defines."""
-    texts = [(ROOT / name).read_text("utf-8") for name in GUIDES if (ROOT / name).exists()]
-    section = next(text.split(SECTION)[1] for text in texts if SECTION in text)
-    block = re.search(r"```python\n(.*?)```", section, re.DOTALL)
-    assert block is not None
+    """The names that the Python block of the section defines."""
     path = tmp_path / "example.py"
-    path.write_text(block[1], "utf-8")
+    path.write_text(example_of("Add a noise model"), "utf-8")
     return runpy.run_path(str(path))
 
 
