@@ -29,6 +29,7 @@ import probevo as pv
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.evaluation.consistency import feature_coverage
 from probevo.evaluation.metrics import Metrics, evaluate
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.output.run_result import RunRecorder
 from probevo.training.settings import KernelSettings, SupervisionName, TrainSettings
 from probevo_sim.point_config import PointConfig
@@ -120,11 +121,8 @@ def coverage(world: PointWorld, model: pv.noise.NoiseModel) -> list[float]:
         tracks = odometry.tracks.kept(odometry.used)
         # No iteration is taken, so that residuals and their information are those at the truth.
         at_truth = solve_reprojection(
-            tracks.prev_px,
-            tracks.curr_px,
-            noise,
+            StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=world.camera),
             guess=step.T_curr_prev,
-            camera=world.camera,
             max_iterations=0,
         )
         scale = np.linalg.inv(at_truth.information)

@@ -113,7 +113,9 @@ def print_row(path: Path, scores: dict[str, Scores], own_nats: float) -> None:
 def main() -> None:
     """Print the table of docs/probe-gk.md, and the means over the drives."""
     iterations = int(sys.argv[1]) if len(sys.argv) > 1 else 5
-    settings = TrainSettings(kind="gk", supervision="none", gk=KernelSettings(iterations=iterations))
+    settings = TrainSettings(
+        kind="gk", supervision="none", gk=KernelSettings(iterations=iterations)
+    )
     uncorrelated = settings.model_copy(
         update={"gk": KernelSettings(iterations=iterations, time_correlation=False)}
     )

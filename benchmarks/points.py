@@ -16,6 +16,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import StereoNoise
 from probevo.predictors import prediction_space
 from probevo_sim.noise_laws import NoiseLaw
@@ -50,7 +51,8 @@ def oracle(world: PointWorld) -> Metrics:
         tracks = step.tracks.kept(inlier)
         solutions.append(
             solve_reprojection(
-                tracks.prev_px, tracks.curr_px, noise, guess=step.T_curr_prev, camera=world.camera
+                StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=world.camera),
+                guess=step.T_curr_prev,
             )
         )
     T_curr_prev = np.array([solution.T_curr_prev for solution in solutions])

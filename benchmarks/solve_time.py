@@ -16,7 +16,9 @@ from probevo.estimation import gauss_newton
 from probevo.estimation.ransac import find_consensus
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.geometry import se3
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import StudentT
+from probevo.tracking.tracks import Tracks
 
 CAMERA = StereoCamera(fu_px=707.0, fv_px=707.0, cu_px=601.0, cv_px=183.0, baseline_m=0.537)
 T_CURR_PREV = se3.exp(np.array([0.02, 0.01, -1.2, 0.003, 0.01, -0.002]))
@@ -51,6 +53,7 @@ def main() -> None:
     """Print the times of the iterations alone, of the whole solve, and of RANSAC."""
     rng = np.random.default_rng(0)
     prev, curr = noisy_features(rng)
+    tracks = Tracks(prev, curr, np.arange(COUNT), age=np.full(COUNT, 2))
     noise = StudentT().predict(np.zeros((COUNT, 0)))
 
     # This tolerance is never reached, so that all ten iterations are taken.
@@ -67,14 +70,16 @@ def main() -> None:
         return result
 
     gauss_newton.minimize = timed
-    guess = find_consensus(prev, curr, CAMERA, rng=rng, guess=np.eye(4)).T_curr_prev
+    guess = find_consensus(tracks, CAMERA, rng=rng, guess=np.eye(4)).T_curr_prev
     whole_ms = median_ms(
-        lambda: solve_reprojection(prev, curr, noise, guess=guess, camera=CAMERA, max_iterations=10)
+        lambda: solve_reprojection(
+            StereoObservations.of(prev, curr, noise, camera=CAMERA), guess=guess, max_iterations=10
+        )
     )
     print(f"ten iterations over {COUNT} features: {np.median(iterations_ms):.2f} ms")
     print(f"  with set-up, weights and covariance: {whole_ms:.2f} ms")
     ransac_ms = median_ms(
-        lambda: find_consensus(prev, curr, CAMERA, rng=np.random.default_rng(0), guess=guess)
+        lambda: find_consensus(tracks, CAMERA, rng=np.random.default_rng(0), guess=guess)
     )
     print(f"RANSAC, 35 samples of three points, {COUNT} features: {ransac_ms:.2f} ms")
 

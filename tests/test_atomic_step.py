@@ -248,7 +248,7 @@ STAGES = {
     "disparity filter": Stage("probevo.estimation.two_frame", "update_with_common_mode"),
     "weights": Stage("probevo.estimation.two_frame", "feature_weights"),
     "solve from two frames": Stage("probevo.estimation.visual_motion", "solve_reprojection"),
-    "gate": Stage("probevo.estimation.visual_motion", "judge"),
+    "gate": Stage("probevo.estimation.visual_motion", "evaluate_status"),
     "rig update": Stage("probevo.odometry", "update_rig"),
     "gyro bias update": Stage("probevo.measurements.gyro:GyroBias", "updated"),
     "motion model": Stage("probevo.estimation.motion_model:MotionModel", "after_solve"),

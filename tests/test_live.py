@@ -296,9 +296,9 @@ def test_a_refused_frame_leaves_its_imu_samples_to_the_next() -> None:
     with pv.LiveOdometry(odometry, waiting=9) as live:
         live.push(frames[0])
         live.push(frames[1])
+        doubled = replace(frames[2], features=StereoFeatures(np.array([1, 1]), np.zeros((2, 4))))
         with pytest.raises(InputError, match="same identity"):
-            doubled = StereoFeatures(np.array([1, 1]), np.zeros((2, 4)))
-            live.push(replace(frames[2], features=doubled))
+            live.push(doubled)
         live.push(frames[3])
     assert live.num_refused == 1
     reference = pv.StereoOdometry(CAMERA, imu=GYRO)

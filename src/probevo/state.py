@@ -48,7 +48,7 @@ class StepFeatures:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is known of the coming step before its images are looked at."""
+    """Prior knowledge of the coming step, before its images are looked at."""
 
     duration_s: float
     motion: MotionPrediction
@@ -57,7 +57,7 @@ class Prediction:
     rotation: RelativeRotation | None
     """The same as a measurement, with the covariance of its noise and its bias."""
     gyro_bias: GyroBias | None
-    """Belief about the gyro's bias at the current frame."""
+    """Estimate of the gyro's bias at the current frame."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class OdometryState:
     rig: RigCalibration | None
     """What is left of the rectification's errors; None without self-calibration."""
     gyro_bias: GyroBias | None
-    """Belief about the gyro's bias; None without an IMU."""
+    """Estimate of the gyro's bias; None without an IMU."""
     motion_model: MotionModel
     disparities: DisparityFilter
     residuals: LastResiduals

@@ -38,7 +38,13 @@ def test_exact_pixels_give_the_exact_motion() -> None:
         se3.exp(np.array([0, 0, 0, 0, 0, np.pi / 2]))[:3, :3], np.array([0.1, 0.2, 0.3])
     )
     for motion in (MOTION, turned):
-        result = solve_alignment(*observe(points, motion), COV_PX, COV_PX, CAMERA, np.eye(4))
+        result = solve_alignment(
+            *observe(points, motion),
+            COV_PX,
+            cov_curr_px=COV_PX,
+            camera=CAMERA,
+            guess=np.eye(4),
+        )
         np.testing.assert_allclose(result.T_curr_prev, motion, atol=1e-9)
         assert result.converged
 

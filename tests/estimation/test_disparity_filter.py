@@ -21,6 +21,7 @@ from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.point_priors import DisparityPrior
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import StudentT
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA
@@ -57,13 +58,15 @@ def evaluate_at(
 ) -> ReprojectionSolution:
     """The features at a known motion, by default the true one."""
     return solve_reprojection(
-        tracks.prev_px,
-        tracks.curr_px,
-        model.predict(np.zeros((len(tracks), 0))),
+        StereoObservations.of(
+            tracks.prev_px,
+            tracks.curr_px,
+            model.predict(np.zeros((len(tracks), 0))),
+            camera=CAMERA,
+            disparity_prior=disparities.of_tracks(tracks).states,
+        ),
         guess=T_curr_prev,
-        camera=CAMERA,
         max_iterations=0,
-        disparity_prior=disparities.of_tracks(tracks).states,
     )
 
 
@@ -102,7 +105,9 @@ def test_a_prior_that_says_what_the_observation_says_changes_nothing() -> None:
         px + rng.normal(scale=0.2, size=px.shape) for px in views(points_m(rng, 40), 1)
     )
     noise = model.predict(np.zeros((40, 0)))
-    without = solve_reprojection(prev_px, curr_px, noise, guess=STEP, camera=CAMERA)
+    without = solve_reprojection(
+        StereoObservations.of(prev_px, curr_px, noise, camera=CAMERA), guess=STEP
+    )
     variance = scale[0, 0] + scale[2, 2]
     tau_squared = noise.time_correlated
     assert tau_squared is not None
@@ -115,7 +120,8 @@ def test_a_prior_that_says_what_the_observation_says_changes_nothing() -> None:
         cov=new + correlated,
     )
     with_prior = solve_reprojection(
-        prev_px, curr_px, noise, guess=STEP, camera=CAMERA, disparity_prior=prior
+        StereoObservations.of(prev_px, curr_px, noise, camera=CAMERA, disparity_prior=prior),
+        guess=STEP,
     )
     np.testing.assert_allclose(with_prior.T_curr_prev, without.T_curr_prev, atol=1e-7)
     np.testing.assert_allclose(with_prior.cov, without.cov, rtol=1e-3)
@@ -225,12 +231,14 @@ class SolvedDrive:
             noise = SLIPPING.predict(np.zeros((len(tracks), 0)))
             prior = disparities.of_tracks(tracks)
             solution = solve_reprojection(
-                tracks.prev_px,
-                tracks.curr_px,
-                noise,
+                StereoObservations.of(
+                    tracks.prev_px,
+                    tracks.curr_px,
+                    noise,
+                    camera=CAMERA,
+                    disparity_prior=prior.states,
+                ),
                 guess=STEP,
-                camera=CAMERA,
-                disparity_prior=prior.states,
             )
             if filters:
                 solution, disparities = update_with_common_mode(
@@ -346,12 +354,10 @@ def test_without_inliers_nothing_is_kept() -> None:
         tracks = tracks_of(*seen[:2]) if are_inliers else tracks_of(*seen[1:])
         prior = disparities.of_tracks(tracks)
         solution = solve_reprojection(
-            tracks.prev_px,
-            tracks.curr_px,
-            noise,
+            StereoObservations.of(
+                tracks.prev_px, tracks.curr_px, noise, camera=CAMERA, disparity_prior=prior.states
+            ),
             guess=STEP,
-            camera=CAMERA,
-            disparity_prior=prior.states,
         )
         solution, disparities = update_with_common_mode(
             prior,
@@ -370,7 +376,9 @@ def test_a_step_that_fixes_no_motion_stays_as_it_is_and_empties_the_filter() -> 
         np.tile([300.0, 150.0, 300.0, 150.0], (9, 1)), np.tile([301.0, 150.0, 301.0, 150.0], (9, 1))
     )
     noise = NOISE.predict(np.zeros((9, 0)))
-    solution = solve_reprojection(far.prev_px, far.curr_px, noise, guess=np.eye(4), camera=CAMERA)
+    solution = solve_reprojection(
+        StereoObservations.of(far.prev_px, far.curr_px, noise, camera=CAMERA), guess=np.eye(4)
+    )
     same, disparities = update_with_common_mode(
         DisparityFilter.none().of_tracks(far),
         far,

@@ -6,11 +6,13 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.config import MotionModelConfig
 from probevo.estimation.motion_model import MotionModel
-from probevo.estimation.reprojection import MOTION, ReprojectionSolution, solve_reprojection
+from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.measurements.base import MOTION
 from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import StudentT
 from worlds import CAMERA, seen_twice
 
@@ -105,7 +107,9 @@ def solved(T_curr_prev: FloatArray) -> ReprojectionSolution:
     tracks = seen_twice(np.random.default_rng(0), 30)
     noise = StudentT().predict(np.zeros((30, 0)))
     return solve_reprojection(
-        tracks.prev_px, tracks.curr_px, noise, guess=T_curr_prev, camera=CAMERA, max_iterations=0
+        StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=CAMERA),
+        guess=T_curr_prev,
+        max_iterations=0,
     )
 
 

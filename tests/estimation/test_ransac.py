@@ -29,9 +29,7 @@ def with_outliers(rng: np.random.Generator, sigma_px: float = 0.2) -> Tracks:
 def consensus(tracks: Tracks, seed: int = 0, C_curr_prev: FloatArray | None = None) -> Consensus:
     """From the identity as guess."""
     rng = np.random.default_rng(seed)
-    return find_consensus(
-        tracks.prev_px, tracks.curr_px, CAMERA, rng=rng, guess=np.eye(4), C_curr_prev=C_curr_prev
-    )
+    return find_consensus(tracks, CAMERA, rng=rng, guess=np.eye(4), C_curr_prev=C_curr_prev)
 
 
 @pytest.mark.parametrize("rotation", [None, C_GYRO], ids=["three points", "one point and gyro"])
@@ -104,7 +102,7 @@ def test_the_same_seed_gives_the_same_result() -> None:
 def test_too_few_features_leave_the_guess(count: int) -> None:
     tracks = seen_twice(np.random.default_rng(5), count)
     rng = np.random.default_rng(0)
-    found = find_consensus(tracks.prev_px, tracks.curr_px, CAMERA, rng=rng, guess=FORWARD)
+    found = find_consensus(tracks, CAMERA, rng=rng, guess=FORWARD)
     np.testing.assert_array_equal(found.T_curr_prev, FORWARD)
     np.testing.assert_array_equal(found.inliers, np.ones(count, np.bool_))
 
@@ -142,6 +140,6 @@ def test_the_guess_is_kept_where_no_sample_beats_it() -> None:
     is right."""
     tracks = at_infinity(np.random.default_rng(11), 60)
     rng = np.random.default_rng(0)
-    found = find_consensus(tracks.prev_px, tracks.curr_px, CAMERA, rng=rng, guess=FORWARD)
+    found = find_consensus(tracks, CAMERA, rng=rng, guess=FORWARD)
     assert found.inliers.all()
     assert np.linalg.norm(so3.log(found.T_curr_prev[:3, :3] @ C_GYRO.T)) < 1e-9

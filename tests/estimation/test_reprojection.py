@@ -12,13 +12,13 @@ from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.estimation.reprojection import (
-    MOTION,
     ReprojectionSolution,
     inverse_or_nan,
     solve_reprojection,
 )
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.measurements.base import MOTION
 from probevo.measurements.point_priors import observation_to_point
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
@@ -29,6 +29,7 @@ from probevo.measurements.stereo_numba import (
     sum_information,
     weigh,
 )
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import Fixed, NoiseModel, StereoNoise, StudentT
 from worlds import seen_twice
 
@@ -73,7 +74,9 @@ def with_noise(rng: np.random.Generator, clean: Scene, scale: FloatArray, dof: f
 def solve(seen: Scene, model: NoiseModel, **options: object) -> ReprojectionSolution:
     noise = model.predict(NO_PREDICTORS[: len(seen.prev_px)])
     return solve_reprojection(
-        seen.prev_px, seen.curr_px, noise, guess=GUESS, camera=CAMERA, **options
+        StereoObservations.of(seen.prev_px, seen.curr_px, noise, camera=CAMERA),
+        guess=GUESS,
+        **options,
     )
 
 
@@ -98,9 +101,12 @@ def test_converged_solves_are_at_the_optimum(off_m: float) -> None:
         off = rng.normal(size=3)
         guess = se3.exp(np.r_[off_m * off / np.linalg.norm(off), 0.01 * off_m * off]) @ T_CURR_PREV
         near = solve_reprojection(
-            seen.prev_px, seen.curr_px, noise, guess=T_CURR_PREV, camera=CAMERA
+            StereoObservations.of(seen.prev_px, seen.curr_px, noise, camera=CAMERA),
+            guess=T_CURR_PREV,
         )
-        far = solve_reprojection(seen.prev_px, seen.curr_px, noise, guess=guess, camera=CAMERA)
+        far = solve_reprojection(
+            StereoObservations.of(seen.prev_px, seen.curr_px, noise, camera=CAMERA), guess=guess
+        )
         if far.converged:
             squared = normalized_error_squared(near.T_curr_prev, far.T_curr_prev, near.cov)
             assert np.sqrt(squared) < 0.05
@@ -110,11 +116,10 @@ def test_motion_is_found_from_afar() -> None:
     """From the identity, 1.2 m off."""
     clean = scene(np.random.default_rng(0), 50)
     solution = solve_reprojection(
-        clean.prev_px,
-        clean.curr_px,
-        StudentT().predict(NO_PREDICTORS[:50]),
+        StereoObservations.of(
+            clean.prev_px, clean.curr_px, StudentT().predict(NO_PREDICTORS[:50]), camera=CAMERA
+        ),
         guess=np.eye(4),
-        camera=CAMERA,
     )
     assert solution.converged
     assert np.abs(error_of(solution.T_curr_prev)).max() < 1e-4
@@ -211,7 +216,8 @@ def test_residual_noise_is_taken_as_it_is() -> None:
         bias=np.tile(bias, (200, 1)),
     )
     solution = solve_reprojection(
-        clean.prev_px, clean.curr_px + bias, noise, guess=GUESS, camera=CAMERA
+        StereoObservations.of(clean.prev_px, clean.curr_px + bias, noise, camera=CAMERA),
+        guess=GUESS,
     )
     assert np.abs(error_of(solution.T_curr_prev)).max() < 1e-6
     assert np.allclose(solution.information, 25.0 * np.eye(4))
@@ -227,7 +233,8 @@ def test_every_loss_is_consistent_under_gaussian_noise(name: str) -> None:
     for _ in range(150):
         seen = with_noise(rng, scene(rng, 150), scale, np.inf)
         solution = solve_reprojection(
-            seen.prev_px, seen.curr_px, noise, guess=T_CURR_PREV, camera=CAMERA, loss=loss
+            StereoObservations.of(seen.prev_px, seen.curr_px, noise, camera=CAMERA, loss=loss),
+            guess=T_CURR_PREV,
         )
         nees.append(normalized_error_squared(T_CURR_PREV, solution.T_curr_prev, solution.cov))
     low, high = chi2_interval(6, len(nees))
@@ -348,7 +355,8 @@ def test_every_noise_model_uses_the_same_compiled_loops() -> None:
                     prev_scale=prev_scale,
                 )
                 solve_reprojection(
-                    tracks.prev_px, tracks.curr_px, noise, guess=np.eye(4), camera=CAMERA
+                    StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=CAMERA),
+                    guess=np.eye(4),
                 )
                 compiled.add(tuple(len(loop.signatures) for loop in COMPILED_LOOPS))
     assert len(compiled) == 1

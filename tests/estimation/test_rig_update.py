@@ -16,6 +16,7 @@ from probevo.camera.rig_calibration import (
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.rig_update import disparity_sensitivity, update_rig
 from probevo.geometry import se3
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import Fixed, StudentT
 from probevo.tracking.tracks import Tracks
 from worlds import (
@@ -52,7 +53,9 @@ def solve(
     tracks: Tracks, noise: Fixed | StudentT, guess: FloatArray = FORWARD
 ) -> ReprojectionSolution:
     predicted = noise.predict(np.zeros((len(tracks), 0)))
-    return solve_reprojection(tracks.prev_px, tracks.curr_px, predicted, guess=guess, camera=CAMERA)
+    return solve_reprojection(
+        StereoObservations.of(tracks.prev_px, tracks.curr_px, predicted, camera=CAMERA), guess=guess
+    )
 
 
 def learn(
@@ -153,7 +156,9 @@ def test_what_is_learned_does_not_depend_on_the_motion_that_it_is_seen_from() ->
     beside = se3.exp(0.5 * np.linalg.cholesky(best.cov) @ rng.normal(size=6)) @ best.T_curr_prev
     noise = Fixed().predict(np.zeros((300, 0)))
     there = solve_reprojection(
-        tracks.prev_px, tracks.curr_px, noise, guess=beside, camera=CAMERA, max_iterations=0
+        StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=CAMERA),
+        guess=beside,
+        max_iterations=0,
     )
     learned = [
         update_rig(RigCalibration.initial(), tracks, each, CAMERA)[0].disparity

@@ -12,6 +12,7 @@ from probevo.estimation.reprojection import solve_reprojection
 from probevo.estimation.track_factors import FactorLinearization, TrackFactors
 from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.geometry import se3
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import StereoNoise, StudentT
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, seen_twice, tracks_of
@@ -65,12 +66,14 @@ def test_cost_is_that_of_the_solve(refers_to: str, with_history: bool) -> None:
     history = disparities if with_history else DisparityFilter.none()
     factors = TrackFactors.of(tracks, noise, CAMERA, history)
     solution = solve_reprojection(
-        tracks.prev_px,
-        tracks.curr_px,
-        noise,
+        StereoObservations.of(
+            tracks.prev_px,
+            tracks.curr_px,
+            noise,
+            camera=CAMERA,
+            disparity_prior=history.of_tracks(tracks).states,
+        ),
         guess=FORWARD,
-        camera=CAMERA,
-        disparity_prior=history.of_tracks(tracks).states,
     )
     assert (len(history.ids) > COUNT / 2) == with_history
     squared = [

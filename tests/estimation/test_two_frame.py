@@ -19,6 +19,7 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import pose_of
 from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import Fixed, StereoNoise, StudentT
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, motion_error, moved, random_pixels, seen_twice, tracks_of
@@ -87,11 +88,8 @@ def test_alignment_says_what_the_reprojection_says_of_each_feature() -> None:
     noise = StudentT().predict(np.zeros((80, 0)))
     aligned = solved(tracks, "alignment", noise)
     there = solve_reprojection(
-        tracks.prev_px,
-        tracks.curr_px,
-        noise,
+        StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=CAMERA),
         guess=aligned.T_curr_prev,
-        camera=CAMERA,
         max_iterations=0,
     )
     np.testing.assert_array_equal(aligned.residuals, there.residuals)
@@ -123,7 +121,9 @@ def test_without_iterations_the_guess_is_kept() -> None:
     guess = se3.exp(np.array([0.01, 0.0, 0.02, 0.0, 0.001, 0.0])) @ FORWARD
     noise = Fixed().predict(np.zeros((40, 0)))
     there = solve_reprojection(
-        tracks.prev_px, tracks.curr_px, noise, guess=guess, camera=CAMERA, max_iterations=0
+        StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=CAMERA),
+        guess=guess,
+        max_iterations=0,
     )
     np.testing.assert_array_equal(there.T_curr_prev, guess)
     assert there.iterations == 0
@@ -154,7 +154,7 @@ def test_estimate_without_history_is_the_solve(method: Method) -> None:
     np.testing.assert_allclose(estimate.solution.T_curr_prev, solution.T_curr_prev, atol=1e-12)
     np.testing.assert_allclose(estimate.solution.cov, solution.cov, rtol=1e-9)
     np.testing.assert_array_equal(estimate.weights, feature_weights(solution, noise.dof, "noise"))
-    assert not estimate.used_history
+    assert not estimate.has_history.any()
     inliers = tracks.ids[estimate.weights >= INLIER_FROM] if method == "reprojection" else []
     np.testing.assert_array_equal(estimate.disparities.ids, inliers)
 
@@ -168,18 +168,16 @@ def test_estimate_with_history_is_a_solve_with_a_disparity_prior() -> None:
     estimate = estimator.estimate(second, noise, before, guess=FORWARD)
     prior = before.of_tracks(second)
     solution = solve_reprojection(
-        second.prev_px,
-        second.curr_px,
-        noise,
+        StereoObservations.of(
+            second.prev_px, second.curr_px, noise, camera=CAMERA, disparity_prior=prior.states
+        ),
         guess=FORWARD,
-        camera=CAMERA,
-        disparity_prior=prior.states,
     )
     weights = feature_weights(solution, noise.dof, "noise")
     expected, after = update_with_common_mode(
         prior, second, noise, solution=solution, camera=CAMERA, inliers=weights >= INLIER_FROM
     )
-    assert estimate.used_history
+    assert estimate.has_history.any()
     np.testing.assert_array_equal(estimate.weights, weights)
     np.testing.assert_array_equal(estimate.solution.T_curr_prev, expected.T_curr_prev)
     np.testing.assert_array_equal(estimate.solution.cov, expected.cov)
@@ -196,13 +194,15 @@ def test_evaluate_keeps_the_given_motion_and_filters_the_disparities() -> None:
     before = estimator.evaluate(first, noise, DisparityFilter.none(), T_curr_prev=FORWARD)
     estimate = estimator.evaluate(second, noise, before.disparities, T_curr_prev=FORWARD)
     there = solve_reprojection(
-        second.prev_px,
-        second.curr_px,
-        noise,
+        StereoObservations.of(
+            second.prev_px,
+            second.curr_px,
+            noise,
+            camera=CAMERA,
+            disparity_prior=before.disparities.of_tracks(second).states,
+        ),
         guess=FORWARD,
-        camera=CAMERA,
         max_iterations=0,
-        disparity_prior=before.disparities.of_tracks(second).states,
     )
     np.testing.assert_array_equal(estimate.solution.T_curr_prev, FORWARD)
     np.testing.assert_array_equal(estimate.solution.residuals, there.residuals)

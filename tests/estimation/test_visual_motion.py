@@ -10,12 +10,19 @@ from probevo.config import GyroConfig, OdometryConfig, RansacConfig, SolverConfi
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
-from probevo.estimation.reprojection import MOTION, ReprojectionSolution, solve_reprojection
+from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.two_frame import Estimate, TwoFrameEstimator
-from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion, judge
+from probevo.estimation.visual_motion import (
+    MotionPriors,
+    VisualEstimator,
+    VisualMotion,
+    evaluate_status,
+)
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.measurements.base import MOTION
 from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise, StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
@@ -242,11 +249,13 @@ def test_what_two_frames_say_leaves_out_the_gyro() -> None:
     np.testing.assert_array_equal(without.T_curr_prev, with_gyro.T_curr_prev)
     inliers = tracks.kept(visual.used)
     evaluated = solve_reprojection(
-        inliers.prev_px,
-        inliers.curr_px,
-        StudentT().predict(np.zeros((visual.num_used, 0))),
+        StereoObservations.of(
+            inliers.prev_px,
+            inliers.curr_px,
+            StudentT().predict(np.zeros((visual.num_used, 0))),
+            camera=CAMERA,
+        ),
         guess=with_gyro.T_curr_prev,
-        camera=CAMERA,
         max_iterations=0,
     )
     np.testing.assert_array_equal(without.hessian, evaluated.hessian)
@@ -339,7 +348,12 @@ def reference_of(
     predicted = noise.predict(np.zeros((len(tracks), 0)))
     two_frame = TwoFrameEstimator(CAMERA, CONFIG.solver)
     solution = two_frame.solve(tracks, predicted, guess=FORWARD)
-    of_all = Estimate(solution, np.ones(len(tracks)), DisparityFilter.none())
+    of_all = Estimate(
+        solution=solution,
+        weights=np.ones(len(tracks)),
+        disparities=DisparityFilter.none(),
+        has_history=np.zeros(len(tracks), np.bool_),
+    )
     visual = VisualEstimator(CAMERA, noise, CONFIG, predicts_from_motion=True)
     tracks = tracks if contradicting is None else contradicting
     return solution, visual._confirmed(of_all, tracks, FORWARD, priors_of())
@@ -396,7 +410,7 @@ def status_of(
     solution: ReprojectionSolution, num_inliers: int = 200, prediction: MotionPrediction = UNKNOWN
 ) -> Status:
     weights = (np.arange(200) < num_inliers).astype(float)
-    return judge(solution, weights, prediction, config=CONFIG)
+    return evaluate_status(solution, weights, prediction, config=CONFIG)
 
 
 def test_judge_accepts_a_determined_converged_solve(solution: ReprojectionSolution) -> None:

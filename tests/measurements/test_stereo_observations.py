@@ -5,7 +5,7 @@ import pytest
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.measurements.base import Values, pose_of, retract
+from probevo.measurements.base import PosePair, Values, pose_of, retract
 from probevo.measurements.robust_loss import LossName, RobustLoss
 from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
@@ -35,8 +35,7 @@ def observations_and_poses(
         tracks.curr_px,
         StudentT(5.0).predict(np.zeros((COUNT, 0))),
         camera=CAMERA,
-        curr=CURR,
-        prev=PREV if has_prev else None,
+        poses=PosePair(CURR, PREV if has_prev else None),
         loss=RobustLoss.named(loss),
     )
     return observations.propagated(values), values
@@ -121,7 +120,7 @@ def test_noise_of_the_earlier_observation_enters_with_its_own_scale() -> None:
             prev_scale=prev_scale,
         ),
         camera=CAMERA,
-        curr=CURR,
+        poses=PosePair(CURR),
     )
     H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     weights = np.linalg.inv(prev_scale)
@@ -156,7 +155,7 @@ def test_an_equal_earlier_scale_is_the_same_as_none() -> None:
             prev_scale=prev_scale,
         )
         observations = StereoObservations.of(
-            tracks.prev_px, tracks.curr_px, noise, camera=CAMERA, curr=CURR
+            tracks.prev_px, tracks.curr_px, noise, camera=CAMERA, poses=PosePair(CURR)
         )
         informations.append(observations.propagated({CURR: FORWARD}).information({CURR: FORWARD}))
     np.testing.assert_array_equal(informations[0], informations[1])
@@ -182,7 +181,7 @@ def test_outcome_says_which_points_are_behind_the_camera() -> None:
         np.vstack([tracks.curr_px, passed]),
         StudentT(5.0).predict(np.zeros((6, 0))),
         camera=CAMERA,
-        curr=CURR,
+        poses=PosePair(CURR),
     )
     assert len(observations) == 6
     outcome = observations.propagated({CURR: FORWARD}).outcome({CURR: FORWARD})

@@ -25,7 +25,7 @@ ITERATIONS = [
 def stand_ins(iterations: list[dict[str, float]] | None = None) -> Iterator[SimpleNamespace]:
     """Replace scenes by walls and models by Student-t; record what was to be rendered and trained.
 
-    ``iterations`` is what the models say of the iterations of EM, ``ITERATIONS`` if it is not given.
+    ``iterations`` is what the models say of EM, ``ITERATIONS`` if it is not given.
     """
     calls = SimpleNamespace(scenes=[], trainings=[])
 
@@ -36,7 +36,10 @@ def stand_ins(iterations: list[dict[str, float]] | None = None) -> Iterator[Simp
     def train(recordings: tuple[Path, ...], settings: Any, out: Path) -> None:
         calls.trainings.append(SimpleNamespace(recordings=recordings, settings=settings, out=out))
         save_model(
-            StudentT(dof=4.0, training={"iterations": ITERATIONS if iterations is None else iterations}), out
+            StudentT(
+                dof=4.0, training={"iterations": ITERATIONS if iterations is None else iterations}
+            ),
+            out,
         )
 
     with pytest.MonkeyPatch.context() as patch:

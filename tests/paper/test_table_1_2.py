@@ -178,7 +178,16 @@ def test_mistakes_are_named_before_anything_is_rendered(
 def test_in_the_point_world_the_whole_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is replaced, except that the reports of single runs are left out."""
     monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
-    words = ["--rows", "synthetic", "--max-frames", "8", "--gk.iterations", "1", "--gk.centers", "100"]
+    words = [
+        "--rows",
+        "synthetic",
+        "--max-frames",
+        "8",
+        "--gk.iterations",
+        "1",
+        "--gk.centers",
+        "100",
+    ]
     words += ["--gk.neighbors", "100", "--gk.prior-counts", "10", "--gk.reach", "1"]
     assert run_table(tmp_path, *words) == 0
     runs = json.loads((tmp_path / "table_1_2.json").read_text())["runs"]

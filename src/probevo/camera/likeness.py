@@ -1,4 +1,4 @@
-"""Comparison of two cameras: does a noise model learned with one hold for the other?"""
+"""Comparison of two cameras: whether a noise model learned with one holds for the other."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ far ones, which mimics b₀ (regression dilution), so that an estimated b₀ run
 The place in the image is known without noise, so b₁ and b₂ do not suffer from that. The uncertainty
 of all three enters the covariance of the motion as a common-mode error.
 
-Both are Gaussian beliefs that start at zero with the prior below and are updated by recursive
+Both are Gaussian estimates that start at zero with the prior below and are updated by recursive
 robust least squares.
 """
 
@@ -47,7 +47,7 @@ ROW_ITERATIONS = 3
 
 @dataclass(frozen=True)
 class RigCalibration:
-    """A Gaussian belief about the row and disparity errors of a rectified pair."""
+    """A Gaussian estimate of the row and disparity errors of a rectified pair."""
 
     rows: FloatArray
     """a₀ … a₅, [6], px."""

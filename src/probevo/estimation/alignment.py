@@ -42,10 +42,10 @@ def solve_alignment(
     prev_px: FloatArray,
     curr_px: FloatArray,
     cov_prev_px: FloatArray,
+    *,
     cov_curr_px: FloatArray,
     camera: StereoCamera,
     guess: FloatArray,
-    *,
     max_iterations: int = 30,
 ) -> Alignment:
     """Minimise ½ Σ eᵀ Γ e with e = p_curr − T_curr_prev p_prev and p = g(y) (PROBE eq. 7),

@@ -46,9 +46,9 @@ from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
 RANDOM_WALK = 0.02
-"""Variance of the random walk of δ from frame to frame, in units of τ². By likelihood on KITTI: half
-as much costs 0.03 nats a feature, three times as much 0.04, and to pull the errors towards zero as
-well 0.01."""
+"""Variance of the random walk of δ from frame to frame, in units of τ². By likelihood on KITTI:
+half as much costs 0.03 nats a feature, three times as much 0.04, and to pull the errors towards
+zero as well 0.01."""
 LEAST_DISPARITY_PX = 0.1
 """Below it, a disparity is no measure of another."""
 

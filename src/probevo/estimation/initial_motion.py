@@ -59,8 +59,7 @@ def initial_motion(
     # Where hardly anything agrees, the tracks are noisier than the threshold assumes: widen it.
     for widening in WIDENINGS:
         consensus = find_consensus(
-            tracks.prev_px[plausible],
-            tracks.curr_px[plausible],
+            tracks.kept(plausible),
             camera,
             rng=rng,
             guess=prediction.T_curr_prev,

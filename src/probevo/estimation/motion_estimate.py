@@ -59,8 +59,8 @@ class MotionEstimate:
     """Those of them that lie where the noise model has seen no training data; None where there was
     no solve, or for models that have seen none at all."""
     T_world_cam: FloatArray = field(default_factory=lambda: np.eye(4))
-    """Pose of the current camera in the world, the frame of the first camera, [4, 4], m: the motions
-    so far compounded, and corrected by measurements of the pose where there were any."""
+    """Pose of the current camera in the world, the frame of the first camera, [4, 4], m: the
+    motions so far compounded, and corrected by measurements of the pose where there were any."""
     pose_cov: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     """Covariance of the left perturbation of T_cam_world = T_world_cam⁻¹, [6, 6], m and rad."""
     missing: tuple[str, ...] = ()

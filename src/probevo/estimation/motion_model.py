@@ -40,8 +40,8 @@ class MotionPrediction:
     T_curr_prev: FloatArray
     """[4, 4]."""
     cov: FloatArray
-    """Covariance of its left perturbation, [6, 6]. It is more than a gyro's own noise: no solve must
-    be refused for the gyro's scale, its clock or how it is mounted."""
+    """Covariance of its left perturbation, [6, 6]. It is more than a gyro's own noise: no solve
+    must be refused for the gyro's scale, its clock or how it is mounted."""
     velocity_sensitivity: FloatArray
     """How the velocity's error, [6], in standard deviations, moves it, [6, 6]; a gyro's rotation
     does not depend on it."""

@@ -21,7 +21,7 @@ definition, but a prior needs a covariance that can be inverted."""
 
 @dataclass(frozen=True)
 class PoseFilter:
-    """A Gaussian belief about the pose of the current camera; the world is the first camera."""
+    """A Gaussian estimate of the pose of the current camera; the world is the first camera."""
 
     T_world_cam: FloatArray
     """[4, 4], m."""

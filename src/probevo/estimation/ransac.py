@@ -21,6 +21,7 @@ from probevo.measurements.stereo_numba import (
     PropagatedNoise,
     normal_equations,
 )
+from probevo.tracking.tracks import Tracks
 
 INLIER_RATIO = 0.5
 """Share of inliers that is assumed, as in PROBE."""
@@ -37,14 +38,15 @@ class Consensus:
 
 
 def num_hypotheses(confidence: float) -> int:
-    """Samples of three points needed for one without outliers (Fischler & Bolles 1981): 35 at 99 %,
-    69 at 99.99 %."""
+    """Return the number of samples of three points that hold one without outliers.
+
+    It is 35 at a confidence of 99 %, 69 at 99.99 % (Fischler & Bolles 1981).
+    """
     return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - INLIER_RATIO**3))
 
 
 def find_consensus(
-    prev_px: FloatArray,
-    curr_px: FloatArray,
+    tracks: Tracks,
     camera: StereoCamera,
     rng: np.random.Generator,
     *,
@@ -53,18 +55,19 @@ def find_consensus(
     threshold_px: float = 2.0,
     confidence: float = 0.99,
 ) -> Consensus:
-    """The best of the motions of random minimal samples, by the truncated squared reprojection
-    error of all features.
+    """Find the best of the motions of random minimal samples.
+
+    The best has the least sum of truncated squared reprojection errors over all features.
 
     The minimal motions minimise the reprojection error in (u_l, v_l, u_r) by Gauss–Newton from the
     guess, which, other than aligning triangulated points, does not suffer from the depth noise of
     far ones. The guess itself competes too.
 
     Args:
-        prev_px, curr_px: observations of N features, [N, 4], px.
+        tracks: the N features.
         camera: the rectified camera.
         rng: source of the samples.
-        guess: expected T_curr_prev, [4, 4].
+        guess: predicted T_curr_prev, [4, 4].
         C_curr_prev: rotation from a gyro, [3, 3]; a sample is then a single point.
         threshold_px: largest error of an inlier in any of u_l, v_l, u_r.
         confidence: probability that at least one sample of three is free of outliers. As many
@@ -72,27 +75,28 @@ def find_consensus(
             of its point, and needs the choice.
     """
     sample_size = 3 if C_curr_prev is None else 1
-    count = len(prev_px)
+    count = len(tracks)
     start = np.array(guess)
     if C_curr_prev is not None:
         start[:3, :3] = C_curr_prev
     samples = np.zeros((0, sample_size), dtype=np.int64)
     if count >= sample_size:
         samples = rng.integers(count, size=(num_hypotheses(confidence), sample_size))
-    points = np.column_stack([prev_px[:, :2], prev_px[:, 0] - prev_px[:, 2]])
+    disparity = tracks.prev_px[:, 0] - tracks.prev_px[:, 2]
+    points = np.column_stack([tracks.prev_px[:, :2], disparity])
     T_curr_prev = np.ascontiguousarray(start)
     inliers = np.zeros(count, np.bool_)
     problem = _Problem(
         points=points,
-        curr=np.ascontiguousarray(curr_px),
+        curr=np.ascontiguousarray(tracks.curr_px),
         camera=Intrinsics.of(camera),
         threshold_px=threshold_px,
+        free=6 if sample_size == 3 else 3,
     )
     _best_sample(
         problem,
         samples,
         LossParameters(int(LossKind.L2), np.ones(sample_size)),
-        free=6 if sample_size == 3 else 3,
         T_best=T_curr_prev,
         inliers=inliers,
     )
@@ -100,7 +104,7 @@ def find_consensus(
 
 
 class _Problem(NamedTuple):
-    """What every sample is judged by."""
+    """What every sample is tested against."""
 
     points: FloatArray
     """(u, v, d) of N features in the previous frame, [N, 3], px."""
@@ -108,6 +112,8 @@ class _Problem(NamedTuple):
     """Their observations in the current frame, [N, 4], px."""
     camera: Intrinsics
     threshold_px: float
+    free: int
+    """Of ξ = [ρ; φ] the first so many entries are solved for: 6, or 3 to keep the rotation."""
 
 
 @compiled
@@ -115,14 +121,12 @@ def _best_sample(
     problem: _Problem,
     samples: IntArray,
     loss: LossParameters,
-    free: int,
     T_best: FloatArray,
     inliers: BoolArray,
 ) -> None:
     """Replace the guess T_best [4, 4] by the best motion of all samples, and mark its inliers.
 
-    Of ξ = [ρ; φ] the first ``free`` entries are solved for: 6, or 3 to keep the rotation. The
-    residuals of a sample have unit information on (u_l, v_l, u_r) and none on v_r.
+    The residuals of a sample have unit information on (u_l, v_l, u_r) and none on v_r.
     """
     size = samples.shape[1]
     T_start = T_best.copy()
@@ -148,7 +152,7 @@ def _best_sample(
         for _ in range(6):
             normal_equations(T, problem.camera, curr, sample, loss, newton, system)
             solvable = solve_positive_definite(
-                system.hessian, system.gradient[:free], lower, solution=step
+                system.hessian, system.gradient[: problem.free], lower, solution=step
             )
             if not solvable:
                 break

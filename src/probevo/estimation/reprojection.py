@@ -1,4 +1,4 @@
-"""The motion between two frames by its reprojection errors (PROBE-GK eq. 14), and its covariance."""
+"""Motion between two frames by its reprojection errors, with covariance (PROBE-GK eq. 14)."""
 
 from __future__ import annotations
 
@@ -9,18 +9,11 @@ from typing import cast
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.stereo import StereoCamera
 from probevo.compiled import invert_positive_definite
 from probevo.estimation import gauss_newton
-from probevo.measurements.base import Measurement, Variable, pose_of
-from probevo.measurements.point_priors import DisparityPrior, PointPrior
-from probevo.measurements.robust_loss import RobustLoss
+from probevo.measurements.base import Measurement
+from probevo.measurements.point_priors import PointPrior
 from probevo.measurements.stereo_observations import StereoObservations
-from probevo.noise.base import StereoNoise
-
-MOTION = pose_of(0)
-"""The one variable of a two-frame solve, unless it is named: the pose of the current camera in the
-world of the previous one, T_curr_prev."""
 
 
 @dataclass(frozen=True)
@@ -67,17 +60,11 @@ class ReprojectionSolution:
 
 
 def solve_reprojection(
-    prev_px: FloatArray,
-    curr_px: FloatArray,
-    noise: StereoNoise,
+    observations: StereoObservations,
     *,
     guess: FloatArray,
-    camera: StereoCamera,
-    loss: RobustLoss | None = None,
     others: Sequence[Measurement] = (),
     max_iterations: int = 20,
-    disparity_prior: DisparityPrior | None = None,
-    curr: Variable = MOTION,
 ) -> ReprojectionSolution:
     """Find the most likely motion T_curr_prev given N features in two frames.
 
@@ -87,28 +74,13 @@ def solve_reprojection(
     (``stereo_numba.propagate_noise``); if it refers to the residual, Σ is the scale itself.
 
     Args:
-        prev_px: observations y in the previous frame, [N, 4], px. The disparity may be zero or
-            slightly negative: a point at infinity still contributes to rotation.
-        curr_px: the same points in the current frame, y', [N, 4], px.
-        noise: noise of the N features.
+        observations: the N features, with the previous camera as the world.
         guess: where to start, T_curr_prev, [4, 4]; within the basin of convergence, e.g. from
             RANSAC.
-        camera: the rectified camera.
-        loss: robust loss; by default that of the noise's own Student-t.
-        others: further measurements of ``curr``, such as a gyro's rotation.
+        others: further measurements of the same pose, such as a gyro's rotation.
         max_iterations: of Levenberg–Marquardt; 0 evaluates the features at the guess.
-        disparity_prior: what earlier frames say of some of the disparities.
-        curr: the variable that T_curr_prev is called in ``others``.
     """
-    observations = StereoObservations.of(
-        prev_px,
-        curr_px,
-        noise,
-        camera=camera,
-        curr=curr,
-        loss=loss,
-        disparity_prior=disparity_prior,
-    )
+    curr = observations.poses.curr
     # The world is the previous camera, so that the pose of any other frame than the current one,
     # which can only be the previous, is the identity and is held.
     held = {variable for other in others for variable in other.variables} - {curr}
@@ -118,8 +90,8 @@ def solve_reprojection(
         [observations, *others], values, [curr], max_iterations=max_iterations
     )
     T_curr_prev = optimum.values[curr]
-    observations = cast(StereoObservations, optimum.measurements[0])
-    features = observations.at(T_curr_prev)
+    propagated = cast(StereoObservations, optimum.measurements[0])
+    features = propagated.at(T_curr_prev)
     of_others = gauss_newton.information(others, optimum.values, [curr])
     return ReprojectionSolution(
         T_curr_prev=T_curr_prev,
@@ -127,14 +99,14 @@ def solve_reprojection(
         squared=features.squared,
         weight=features.weights.relative,
         irls_weight=features.weights.weight,
-        points=observations.points,
-        refined=observations.propagated_noise.refined,
+        points=propagated.points,
+        refined=propagated.propagated_noise.refined,
         residuals=features.jacobians.residual,
         jacobian=features.jacobians.motion,
         disparity_jacobian=features.jacobians.disparity,
         hessian=features.hessian + of_others,
-        information=observations.propagated_noise.information,
-        cross_cov=observations.propagated_noise.cross_cov,
+        information=propagated.propagated_noise.information,
+        cross_cov=propagated.propagated_noise.cross_cov,
         iterations=optimum.iterations,
         converged=optimum.converged,
     )

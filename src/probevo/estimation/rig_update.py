@@ -17,19 +17,19 @@ def update_rig(
 ) -> tuple[RigCalibration, FloatArray]:
     """Update the rig's disparity errors, and say how their uncertainty moves the motion.
 
-    With D = ∂e/∂b and J = −∂e/∂ξ, the belief takes in the part of the residuals that a change of b
-    explains, the motion being eliminated from the joint normal equations (Schur complement). The
+    With D = ∂e/∂b and J = −∂e/∂ξ, the estimate takes in the part of the residuals that a change of
+    b explains, the motion being eliminated from the joint normal equations (Schur complement). The
     solution need not be at the optimum, but must use only what these two frames show: the disparity
     filter was fed with the calibration of its time, and would confirm it.
 
     Args:
-        rig: the belief before this step.
+        rig: the estimate before this step.
         tracks: the N tracks of the solution, corrected by ``rig``.
         solution: the motion from these two frames alone.
         camera: the rectified camera.
 
     Returns:
-        The belief after the step, and the root of Schmidt's consider term, [6, 3]: columns along
+        The estimate after the step, and the root of Schmidt's consider term, [6, 3]: columns along
         which errors of the calibration before the step move the motion, for errors of unit
         variance. Such an error is common to all features, so that no number of them averages it
         out, and to all steps, so that it adds up along the path. Features that do not fix the

@@ -80,8 +80,7 @@ def track_from_best_start(
     for start in starts:
         tracked = tracker.track(state, frame, start)
         consensus = find_consensus(
-            tracked.tracks.prev_px,
-            tracked.tracks.curr_px,
+            tracked.tracks,
             camera,
             rng=np.random.default_rng([config.seed, frame.index]),
             guess=start,

@@ -19,7 +19,6 @@ from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import NEAREST, Intrinsics
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.disparity_filter_numba import COMMON
-from probevo.estimation.reprojection import MOTION
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -86,7 +85,6 @@ class TrackFactors:
             tracks.curr_px,
             noise,
             camera=camera,
-            curr=MOTION,
             disparity_prior=history.states,
         )
         pairs = observations.pairs

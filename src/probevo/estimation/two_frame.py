@@ -1,4 +1,4 @@
-"""The two-frame estimator: the motion of a frame's tracks, given what earlier frames taught of them.
+"""The two-frame estimator: the motion of a frame's tracks, given their earlier frames.
 
 Training and odometry use the same one, behind the ``Estimator`` protocol.
 """
@@ -22,10 +22,11 @@ from probevo.estimation.disparity_filter import (
     update_with_common_mode,
 )
 from probevo.estimation.feature_weights import INLIER_FROM, feature_weights
-from probevo.estimation.reprojection import MOTION, ReprojectionSolution, solve_reprojection
-from probevo.measurements.base import Measurement, Variable
+from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
+from probevo.measurements.base import MOTION, Measurement, PosePair, Variable
 from probevo.measurements.point_priors import DisparityPrior
 from probevo.measurements.robust_loss import RobustLoss
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
@@ -124,15 +125,14 @@ class TwoFrameEstimator:
         curr: Variable = MOTION,
     ) -> ReprojectionSolution:
         """Solve for the motion by the method of the settings."""
+        observations = self._observations(tracks, noise, DisparityPrior.none(), curr=curr)
         return self._method.solve(
             tracks,
-            noise,
-            DisparityPrior.none(),
+            observations,
             guess=guess,
             camera=self.camera,
             config=self.config,
             others=others,
-            curr=curr,
         )
 
     def estimate(
@@ -149,30 +149,23 @@ class TwoFrameEstimator:
         prior = disparities.of_tracks(tracks)
         solution = self._method.solve(
             tracks,
-            noise,
-            prior.states,
+            self._observations(tracks, noise, prior.states, curr=curr),
             guess=guess,
             camera=self.camera,
             config=self.config,
             others=others,
-            curr=curr,
         )
         weights = feature_weights(solution, noise.dof, self.config.loss)
-        if not self._method.filters_disparities:
-            return Estimate(
+        after = DisparityFilter.none()
+        if self._method.filters_disparities:
+            solution, after = update_with_common_mode(
+                prior,
+                tracks,
+                noise,
                 solution=solution,
-                weights=weights,
-                disparities=DisparityFilter.none(),
-                has_history=_has_history(prior, tracks),
+                camera=self.camera,
+                inliers=weights >= INLIER_FROM,
             )
-        solution, after = update_with_common_mode(
-            prior,
-            tracks,
-            noise,
-            solution=solution,
-            camera=self.camera,
-            inliers=weights >= INLIER_FROM,
-        )
         return Estimate(
             solution=solution,
             weights=weights,
@@ -190,37 +183,42 @@ class TwoFrameEstimator:
     ) -> Estimate:
         """Evaluate the features at the motion, then update the disparities of the inliers."""
         prior = disparities.of_tracks(tracks)
-        solution = solve_reprojection(
-            tracks.prev_px,
-            tracks.curr_px,
-            noise,
-            guess=T_curr_prev,
-            camera=self.camera,
-            loss=RobustLoss.named(self.config.loss),
-            max_iterations=0,
-            disparity_prior=prior.states,
-        )
+        observations = self._observations(tracks, noise, prior.states)
+        solution = solve_reprojection(observations, guess=T_curr_prev, max_iterations=0)
         weights = feature_weights(solution, noise.dof, self.config.loss)
-        if not self._method.filters_disparities:
-            return Estimate(
+        after = DisparityFilter.none()
+        if self._method.filters_disparities:
+            after = update_at_known_motion(
+                prior,
+                tracks,
+                noise,
                 solution=solution,
-                weights=weights,
-                disparities=DisparityFilter.none(),
-                has_history=_has_history(prior, tracks),
+                camera=self.camera,
+                inliers=weights >= INLIER_FROM,
             )
-        after = update_at_known_motion(
-            prior,
-            tracks,
-            noise,
-            solution=solution,
-            camera=self.camera,
-            inliers=weights >= INLIER_FROM,
-        )
         return Estimate(
             solution=solution,
             weights=weights,
             disparities=after,
             has_history=_has_history(prior, tracks),
+        )
+
+    def _observations(
+        self,
+        tracks: Tracks,
+        noise: StereoNoise,
+        disparity_prior: DisparityPrior,
+        *,
+        curr: Variable = MOTION,
+    ) -> StereoObservations:
+        return StereoObservations.of(
+            tracks.prev_px,
+            tracks.curr_px,
+            noise,
+            camera=self.camera,
+            poses=PosePair(curr),
+            loss=RobustLoss.named(self.config.loss),
+            disparity_prior=disparity_prior,
         )
 
 
@@ -231,7 +229,7 @@ def _has_history(prior: DisparityFilter, tracks: Tracks) -> BoolArray:
 
 
 class SolveMethod(Protocol):
-    """One of the ways to find a motion from tracks."""
+    """One of the ways to find a motion from the stereo observations of a frame."""
 
     filters_disparities: bool
     """Whether the disparity filter goes with it."""
@@ -239,16 +237,14 @@ class SolveMethod(Protocol):
     def solve(
         self,
         tracks: Tracks,
-        noise: StereoNoise,
-        disparity_prior: DisparityPrior,
+        observations: StereoObservations,
         *,
         guess: FloatArray,
         camera: StereoCamera,
         config: SolverConfig,
-        others: Sequence[Measurement] = (),
-        curr: Variable = MOTION,
+        others: Sequence[Measurement],
     ) -> ReprojectionSolution:
-        """Find the motion of N tracks from a guess T_curr_prev, [4, 4]."""
+        """Find the motion of N tracks, which are the observations, from a guess T_curr_prev."""
 
 
 class _Reprojection:
@@ -259,27 +255,16 @@ class _Reprojection:
     def solve(
         self,
         tracks: Tracks,
-        noise: StereoNoise,
-        disparity_prior: DisparityPrior,
+        observations: StereoObservations,
         *,
         guess: FloatArray,
         camera: StereoCamera,
         config: SolverConfig,
-        others: Sequence[Measurement] = (),
-        curr: Variable = MOTION,
+        others: Sequence[Measurement],
     ) -> ReprojectionSolution:
         """Minimise the reprojection errors of all tracks, and those of other measurements."""
         return solve_reprojection(
-            tracks.prev_px,
-            tracks.curr_px,
-            noise,
-            guess=guess,
-            camera=camera,
-            loss=RobustLoss.named(config.loss),
-            others=others,
-            curr=curr,
-            max_iterations=config.max_iterations,
-            disparity_prior=disparity_prior,
+            observations, guess=guess, others=others, max_iterations=config.max_iterations
         )
 
 
@@ -291,14 +276,12 @@ class _Alignment:
     def solve(
         self,
         tracks: Tracks,
-        noise: StereoNoise,
-        disparity_prior: DisparityPrior,
+        observations: StereoObservations,
         *,
         guess: FloatArray,
         camera: StereoCamera,
         config: SolverConfig,
-        others: Sequence[Measurement] = (),
-        curr: Variable = MOTION,
+        others: Sequence[Measurement],
     ) -> ReprojectionSolution:
         """Align the points; all but the motion and its covariance is what the reprojection has to
         say at that motion.
@@ -306,6 +289,7 @@ class _Alignment:
         Raises:
             InputError: the noise does not refer to single observations.
         """
+        noise = observations.noise
         if noise.refers_to != "observation":
             raise InputError(
                 "--solver.method",
@@ -313,7 +297,7 @@ class _Alignment:
                 " the residual.",
                 "Take reprojection, or another noise model.",
             )
-        dof = np.maximum(np.broadcast_to(noise.dof, len(tracks)), LEAST_ALIGNMENT_DOF)
+        dof = np.maximum(noise.dof, LEAST_ALIGNMENT_DOF)
         cov = noise.scale / (1.0 - 2.0 / dof)[:, None, None]
         aligned = solve_alignment(
             tracks.prev_px,
@@ -325,16 +309,7 @@ class _Alignment:
             max_iterations=config.max_iterations,
         )
         solution = solve_reprojection(
-            tracks.prev_px,
-            tracks.curr_px,
-            noise,
-            guess=aligned.T_curr_prev,
-            camera=camera,
-            loss=RobustLoss.named(config.loss),
-            others=others,
-            curr=curr,
-            max_iterations=0,
-            disparity_prior=disparity_prior,
+            observations, guess=aligned.T_curr_prev, others=others, max_iterations=0
         )
         return replace(
             solution,

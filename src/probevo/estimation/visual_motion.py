@@ -15,12 +15,13 @@ from probevo.estimation.feature_weights import INLIER_FROM, OUTLIER_BELOW
 from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionPrediction
-from probevo.estimation.reprojection import MOTION, ReprojectionSolution, solve_reprojection
+from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import Measurement, Variable
+from probevo.measurements.base import MOTION, Measurement, Variable
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.student_t import StudentT
 from probevo.stage_clock import StageClock
@@ -47,7 +48,7 @@ class VisualMotion:
     two_frames_only: ReprojectionSolution | None = None
     """The same features at that motion, without what earlier frames and the gyro say of them."""
     T_reference: FloatArray | None = None
-    """The motion by which features are judged in the next step, [4, 4]; None without a solve."""
+    """The motion by which features are evaluated in the next step, [4, 4]; None without a solve."""
     noise: StereoNoise | None = None
     """Predicted noise of the tracks used; None without a solve."""
     disparities: DisparityFilter = field(default_factory=DisparityFilter.none)
@@ -90,7 +91,7 @@ class VisualMotion:
 
 @dataclass(frozen=True)
 class MotionPriors:
-    """What is known of a step before its tracks are looked at."""
+    """Knowledge of a step before its tracks are looked at."""
 
     prediction: MotionPrediction
     gyro: RelativeRotation | None
@@ -136,12 +137,12 @@ class VisualEstimator:
         rng: np.random.Generator,
         clock: StageClock,
     ) -> VisualMotion:
-        """Estimate the motion of N tracks, and judge it.
+        """Estimate the motion of N tracks, and test it.
 
         Args:
             tracks: the N tracks, corrected by the rig's calibration.
             phi: their places in the prediction space, [N, M].
-            priors: what is known of the step.
+            priors: knowledge of the step before its tracks.
             rng: source of RANSAC's samples.
             clock: takes the times of the stages ``consensus`` and ``solve``.
         """
@@ -174,18 +175,19 @@ class VisualEstimator:
         solution = estimate.solution
         two_frames_only = solution
         if estimate.has_history.any() or priors.measurements:
-            two_frames_only = solve_reprojection(
+            observations = StereoObservations.of(
                 inliers.prev_px,
                 inliers.curr_px,
                 noise,
-                guess=solution.T_curr_prev,
                 camera=self._camera,
                 loss=RobustLoss.named(self._config.solver.loss),
-                max_iterations=0,
+            )
+            two_frames_only = solve_reprojection(
+                observations, guess=solution.T_curr_prev, max_iterations=0
             )
         clock.lap("solve")
         # Whether to accept it.
-        status = judge(solution, estimate.weights, priors.prediction, config=self._config)
+        status = evaluate_status(solution, estimate.weights, priors.prediction, config=self._config)
         T_reference = solution.T_curr_prev
         if self._predicts_from_motion:
             T_reference = self._confirmed(estimate, inliers, consensus.T_curr_prev, priors)
@@ -205,8 +207,9 @@ class VisualEstimator:
     def _confirmed(
         self, estimate: Estimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
     ) -> FloatArray:
-        """Return the motion under the learned noise, unless the tracks, all trusted alike, contradict
-        it: then the motion that these say, [4, 4].
+        """Return the motion by which features are tested next, [4, 4].
+
+        It is that under the learned noise, unless the tracks with equal noise contradict it.
 
         A model that trusts those features that agreed with the last motion confirms that motion:
         once it has gone with a car, it is the street that seems to be wrong. The reference must be
@@ -230,7 +233,7 @@ class VisualEstimator:
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
 
 
-def judge(
+def evaluate_status(
     solution: ReprojectionSolution,
     weights: FloatArray,
     prediction: MotionPrediction,

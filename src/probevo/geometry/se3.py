@@ -76,11 +76,11 @@ def adjoint(T: FloatArray) -> FloatArray:
     """Return Ad(T) = [[C, t^ C], [0, C]], [..., 6, 6], with Exp(Ad(T) ξ) = T Exp(ξ) T⁻¹."""
     C = T[..., :3, :3]
     t = T[..., :3, 3]
-    Ad = np.zeros((*C.shape[:-2], 6, 6))
-    Ad[..., :3, :3] = C
-    Ad[..., 3:, 3:] = C
-    Ad[..., :3, 3:] = so3.wedge(t) @ C
-    return Ad
+    matrix = np.zeros((*C.shape[:-2], 6, 6))
+    matrix[..., :3, :3] = C
+    matrix[..., 3:, 3:] = C
+    matrix[..., :3, 3:] = so3.wedge(t) @ C
+    return matrix
 
 
 def check_transform(T: FloatArray, where: str | Path) -> FloatArray:

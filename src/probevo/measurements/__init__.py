@@ -1,4 +1,4 @@
-"""Whatever constrains the state: each measurement has a residual, Jacobians, a covariance, a loss."""
+"""Whatever constrains the state, each with a residual, Jacobians, a covariance and a loss."""
 
 from probevo.measurements.base import (
     Linearization,

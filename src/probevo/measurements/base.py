@@ -1,8 +1,8 @@
 """What a measurement is: a constraint on some variables, with its own covariance and robust loss.
 
-This is the seam through which every sensor enters. The solver (``estimation.gauss_newton``) knows no
-sensor by name: it adds up the normal equations of whatever measurements it is given. A new sensor
-is one class; most need only a residual and its Jacobians (``VectorMeasurement``).
+This is the seam through which every sensor enters. The solver (``estimation.gauss_newton``) knows
+no sensor by name: it adds up the normal equations of whatever measurements it is given. A new
+sensor is one class; most need only a residual and its Jacobians (``VectorMeasurement``).
 """
 
 from __future__ import annotations
@@ -32,6 +32,22 @@ def pose_of(frame: int) -> Variable:
     """Return the variable T_cam_world of a frame, [4, 4], perturbed from the left by ξ, [6]."""
     return Variable(kind="pose", frame=frame)
 
+
+class PosePair(NamedTuple):
+    """The poses of two frames, between which a relative measurement holds."""
+
+    curr: Variable
+    """Pose of the current frame."""
+    prev: Variable | None = None
+    """Pose of the previous frame; None if the world of the poses is the previous camera."""
+
+
+MOTION = pose_of(0)
+"""The one variable of a two-frame solve, unless it is named: the pose of the current camera in the
+world of the previous one, T_curr_prev."""
+
+TWO_FRAMES = PosePair(MOTION)
+"""The poses of a two-frame solve."""
 
 Values = Mapping[Variable, FloatArray]
 """A value for each variable: poses T_cam_world [4, 4], anything else a vector [n]."""

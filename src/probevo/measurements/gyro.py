@@ -1,5 +1,4 @@
-"""How the camera turned between two frames, from the gyro (PROBE eqs. 3-4), and what the solves
-tell of its bias."""
+"""The rotation between two frames from the gyro (PROBE eqs. 3-4), and the estimate of its bias."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ _NO_BIAS = np.zeros(3)
 
 @dataclass(frozen=True)
 class GyroRotation:
-    """Rotation of the camera over one interval as its gyro felt it, for one assumed bias."""
+    """Rotation of the camera over one interval as its gyro measured it, for one assumed bias."""
 
     C_curr_prev: FloatArray
     """p_curr = C_curr_prev p_prev in the camera's frames, [3, 3]."""
@@ -35,8 +34,7 @@ class GyroRotation:
 
 
 def covers(imu: ImuSamples, start_ns: int, end_ns: int) -> bool:
-    """Whether the samples tell of the whole interval: those of frames that were skipped may be
-    missing."""
+    """Return whether the samples cover the interval; those of skipped frames may be missing."""
     if not len(imu.stamps_ns):
         return False
     ends_ns = max(int(imu.stamps_ns[0]) - start_ns, 0) + max(end_ns - int(imu.stamps_ns[-1]), 0)
@@ -88,7 +86,7 @@ def integrate_gyro(
 
 
 def _mean_rates(imu: ImuSamples, start_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray]:
-    """Length of each sub-interval between samples, [J], s, and the mean rate in it, [J, 3], rad/s."""
+    """Return each sub-interval's length, [J], s, and its mean rate, [J, 3], rad/s."""
     is_inside = (imu.stamps_ns > start_ns) & (imu.stamps_ns < end_ns)
     knots_ns = (
         np.concatenate([[start_ns], imu.stamps_ns[is_inside], [end_ns]]) - start_ns
@@ -109,11 +107,11 @@ def _products_from(Psi: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class GyroBias:
-    """What is known of the gyro's bias: Gaussian, in the IMU's frame.
+    """A Gaussian estimate of the gyro's bias, in the IMU's frame.
 
     One step is: ``predicted`` over the interval, ``integrate_gyro`` with ``mean``, a solve with
-    ``prior`` as the
-    covariance of the gyro's rotation, ``updated`` with the rotation that came out.
+    ``prior`` as the covariance of the gyro's rotation, ``updated`` with the rotation that came
+    out.
     """
 
     mean: FloatArray
@@ -143,8 +141,7 @@ class GyroBias:
     def updated(
         self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation_posterior: FloatArray
     ) -> GyroBias:
-        """The bias after a solve that had the gyro's rotation, with covariance ``prior``, among its
-        data.
+        """Update the bias with a solve that had the gyro's rotation among its measurements.
 
         The true rotation is Exp(r) C_gyro with r = J δb + n, δb ~ N(0, P), n ~ N(0, Q). Given r,
         nothing else that was measured tells of the bias: δb | r ~ N(K r, (1 − K J) P), where K = P
@@ -167,8 +164,9 @@ class GyroBias:
     def compared(
         self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation: FloatArray
     ) -> GyroBias:
-        """The bias after a solve that did without the gyro: a Kalman update with r ~ N(J δb, Q +
-        Σ).
+        """Update the bias with a solve that did without the gyro.
+
+        It is a Kalman update with r ~ N(J δb, Q + Σ).
 
         The arguments are those of ``updated``; Σ is now independent of the gyro.
         """

@@ -102,7 +102,7 @@ def observation_to_point(
     point: FloatArray,
     point_cov: FloatArray,
 ) -> None:
-    """The point s = (u, v, d) behind each stereo observation y, and its scale matrix S.
+    """Compute the point s = (u, v, d) behind each stereo observation y, and its scale matrix S.
 
     With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale
     R: the two rows are averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the

@@ -1,4 +1,4 @@
-"""A Gaussian belief about a pose, as an earlier estimate or another sensor gives it."""
+"""A Gaussian prior on a pose, as an earlier estimate or another sensor gives it."""
 
 from __future__ import annotations
 

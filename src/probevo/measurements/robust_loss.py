@@ -74,8 +74,10 @@ class RobustLoss:
 
     @staticmethod
     def named(name: LossName) -> RobustLoss:
-        """The loss of that name, its parameter the default; ``noise`` is the likelihood of the
-        noise model itself."""
+        """Return the loss of that name, with its default parameter.
+
+        ``noise`` is the likelihood of the noise model itself.
+        """
         if name == "noise":
             return RobustLoss.student_t()
         losses = {
@@ -113,8 +115,9 @@ class RobustLoss:
         return weights
 
     def moments(self, dof: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """a and b, [...] each, with which cov = (Σ a_n H_n)⁻¹ (Σ b_n H_n) (Σ a_n H_n)⁻¹, H_n = Jᵀ
-        Σ⁻¹ J of a feature.
+        """Compute the moments a and b of the loss, [...] each.
+
+        With them cov = (Σ a_n H_n)⁻¹ (Σ b_n H_n) (Σ a_n H_n)⁻¹, where H_n = Jᵀ Σ⁻¹ J of a feature.
 
         The M-estimate makes Σ_n Jᵀ Σ^-½ ψ(x) zero, where ψ(x) = w(s) x and the white residual x =
         Σ^-½ e is spherical, s = xᵀx. With a 1 = E[∂ψ/∂x] and b 1 = E[ψ ψᵀ], the sandwich above is
@@ -144,7 +147,7 @@ class RobustLoss:
 
 @lru_cache(maxsize=1024)
 def _moments(loss: RobustLoss, dof: float) -> tuple[float, float]:
-    """a and b by Gauss–Legendre quadrature over log s, to 1e-8."""
+    """Compute a and b by Gauss–Legendre quadrature over log s, to 1e-8."""
     nodes, node_weights = np.polynomial.legendre.leggauss(16)
     # Panels of length one, with an edge where Huber and Tukey have their kink, s = parameter².
     kink = 2.0 * np.log(loss.parameter or 1.0)

@@ -132,7 +132,7 @@ def propagate_noise(
     cross_cov = propagated.cross_cov
     A = np.empty((3, 3))
     HP = np.empty((3, 4))
-    HPH = np.empty((3, 3))  # rows u_l, v, u_r: v_l and v_r are alike
+    projected = np.empty((3, 3))  # rows u_l, v, u_r: v_l and v_r are alike
     sigma = np.empty((4, 4))
     lower = np.zeros((4, 4))
     e = np.empty(4)
@@ -169,12 +169,12 @@ def propagate_noise(
         for i in range(3):
             for j in range(i + 1):
                 product = HP[i, 0] * A[j, 0] + HP[i, 1] * A[j, 1] + HP[i, 2] * A[j, 2]
-                HPH[i, j] = HPH[j, i] = product - HP[i, 3] if j == 2 else product
+                projected[i, j] = projected[j, i] = product - HP[i, 3] if j == 2 else product
         for i in range(4):
             cross_cov[n, i, 0] = HP[i if i < 3 else 1, 2]
             cross_cov[n, i, 1] = HP[i if i < 3 else 1, 3]
             for j in range(i + 1):
-                sigma[i, j] = scale[n, i, j] + HPH[i if i < 3 else 1, j if j < 3 else 1]
+                sigma[i, j] = scale[n, i, j] + projected[i if i < 3 else 1, j if j < 3 else 1]
         _set_offset(A, point[n], refined[n], offset[n])
         if not invert_symmetric_4(sigma, information[n], lower):
             information[n] = 0.0

@@ -15,7 +15,14 @@ from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
 from probevo.geometry import se3
-from probevo.measurements.base import Linearization, Outcome, Values, Variable
+from probevo.measurements.base import (
+    TWO_FRAMES,
+    Linearization,
+    Outcome,
+    PosePair,
+    Values,
+    Variable,
+)
 from probevo.measurements.point_priors import DisparityPrior, PointPrior
 from probevo.measurements.relative_rotation import relative_motion
 from probevo.measurements.robust_loss import RobustLoss
@@ -52,10 +59,7 @@ class StereoObservations:
     loss: RobustLoss
     loss_parameters: LossParameters
     camera: Intrinsics
-    curr: Variable
-    """Pose of the current frame."""
-    prev: Variable | None
-    """Pose of the previous frame; None if the world of the poses is the previous camera."""
+    poses: PosePair
     propagated_noise: PropagatedNoise
     """Σ⁻¹ and the points of linearisation, at the motion that ``propagated`` was last given."""
 
@@ -66,8 +70,7 @@ class StereoObservations:
         noise: StereoNoise,
         *,
         camera: StereoCamera,
-        curr: Variable,
-        prev: Variable | None = None,
+        poses: PosePair = TWO_FRAMES,
         loss: RobustLoss | None = None,
         disparity_prior: DisparityPrior | None = None,
     ) -> StereoObservations:
@@ -79,8 +82,7 @@ class StereoObservations:
             curr_px: the same points in the current frame, y', [N, 4], px.
             noise: of the N features.
             camera: the rectified camera.
-            curr: pose of the current frame.
-            prev: pose of the previous frame; None if the world is the previous camera.
+            poses: the poses of both frames; by default, the world is the previous camera.
             loss: robust loss; by default that of the noise's own Student-t.
             disparity_prior: what earlier frames say of some of the disparities.
         """
@@ -111,8 +113,7 @@ class StereoObservations:
             loss=loss,
             loss_parameters=LossParameters(int(loss.kind), loss.parameters(dof)),
             camera=Intrinsics.of(camera),
-            curr=curr,
-            prev=prev,
+            poses=poses,
             propagated_noise=_not_yet_propagated(points.point),
         )
 
@@ -123,11 +124,12 @@ class StereoObservations:
     @property
     def variables(self) -> tuple[Variable, ...]:
         """The poses of both frames, or only the current one."""
-        return (self.curr,) if self.prev is None else (self.prev, self.curr)
+        curr, prev = self.poses
+        return (curr,) if prev is None else (prev, curr)
 
     def propagated(self, values: Values) -> StereoObservations:
         """Return the same observations with Σ and the refined points at these poses."""
-        T_curr_prev = relative_motion(values, self.curr, self.prev)
+        T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
         # The refined points are where the loop linearises, so that it begins with the last ones.
         noise = _not_yet_propagated(self.propagated_noise.refined)
         propagate_noise(T_curr_prev, self.camera, self.pairs, noise)
@@ -135,20 +137,20 @@ class StereoObservations:
 
     def linearize(self, values: Values, *, newton: bool = False) -> Linearization:
         """Return cost and normal equations in one compiled pass."""
-        T_curr_prev = relative_motion(values, self.curr, self.prev)
+        T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
         cost, system = self._normal_equations(T_curr_prev, newton=newton)
         motion = Linearization(cost=cost, hessian=system.hessian, gradient=system.gradient)
-        return motion if self.prev is None else of_both_poses(motion, T_curr_prev)
+        return motion if self.poses.prev is None else of_both_poses(motion, T_curr_prev)
 
     def information(self, values: Values) -> FloatArray:
         """Return the Fisher information on the poses, [6, 6] or [12, 12]."""
-        T_curr_prev = relative_motion(values, self.curr, self.prev)
+        T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
         motion = Linearization(0.0, self.at(T_curr_prev).information, np.zeros(6))
-        return (motion if self.prev is None else of_both_poses(motion, T_curr_prev)).hessian
+        return (motion if self.poses.prev is None else of_both_poses(motion, T_curr_prev)).hessian
 
     def outcome(self, values: Values) -> Outcome:
         """Return what became of the N residuals."""
-        at = self.at(relative_motion(values, self.curr, self.prev))
+        at = self.at(relative_motion(values, self.poses.curr, self.poses.prev))
         return Outcome(
             squared=at.squared,
             weight=at.weights.relative,

@@ -48,7 +48,8 @@ def validated(
         has_accel: BoolArray = np.asarray(np.isfinite(imu.accel_m_s2).all(axis=1))
         if has_accel.any() and not has_accel.all():
             missing.append(
-                f"{_samples(int((~has_accel).sum()), len(has_accel))} without a finite specific force"
+                f"{_samples(int((~has_accel).sum()), len(has_accel))} without a finite"
+                " specific force"
             )
     check_frame(frame, camera)
     if prev_frame is not None:
@@ -57,7 +58,7 @@ def validated(
 
 
 def usable_imu(frame: Frame) -> ImuSamples | None:
-    """Return the IMU samples of a frame that is refused, for the next one; None if they are faulty."""
+    """Return the usable IMU samples of a refused frame, for the next one; None if faulty."""
     imu = frame.imu
     if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) > 0).all():
         return None

@@ -1,4 +1,4 @@
-"""What the features of a step left of its motion, remembered for one step."""
+"""Residuals of the features of one step, kept for the next."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ LAST_RESIDUAL = "last_residual"
 
 @dataclass(frozen=True)
 class LastResiduals:
-    """How large the residuals of n features were in the step before, at the motion that was to
-    judge them then."""
+    """Size of the residuals of n features in the previous step, at its reference motion."""
 
     ids: IntArray
     """Identity of each feature, [n]; no two are the same."""
@@ -28,21 +27,23 @@ class LastResiduals:
 
     @staticmethod
     def none() -> LastResiduals:
-        """Of no feature at all: there was no step, or its motion was not solved."""
+        """Return the residuals of no feature: there was no step, or its motion was not solved."""
         return LastResiduals(np.zeros(0, np.int64), np.zeros(0))
 
     @staticmethod
     def left_by(
         tracks: Tracks, T_curr_prev: FloatArray | None, camera: StereoCamera
     ) -> LastResiduals:
-        """Of all tracks of a step, those too that its motion T_curr_prev, [4, 4], was not solved
-        with; none without."""
+        """Compute the residuals of all tracks of a step at T_curr_prev, [4, 4]; none without it.
+
+        Those of tracks that the solve did not use are included.
+        """
         if T_curr_prev is None:
             return LastResiduals.none()
         return LastResiduals(tracks.ids, _residual_sizes(tracks, T_curr_prev, camera))
 
     def of(self, ids: IntArray) -> FloatArray:
-        """Those of the features with these identities, [N], px; NaN where nothing is known of one."""
+        """Return the residuals of features by identity, [N], px; NaN where unknown."""
         if not len(self.ids):
             return np.full(len(ids), np.nan)
         order = np.argsort(self.ids)

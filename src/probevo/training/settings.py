@@ -89,8 +89,8 @@ class KernelSettings(Settings):
         False,
         description=(
             "Learn the mean of errors too, not only their scatter. It makes residuals more likely,"
-            " but without truth a bias cannot be told from a motion, and each EM iteration moves"
-            " both a little further."
+            " but without truth a bias cannot be separated from a motion, and each EM iteration"
+            " moves both a little further."
         ),
     )
     centers: int = Field(
@@ -191,7 +191,7 @@ class TrainSettings(Settings):
     supervision: SupervisionName = Field(
         "gt",
         description=(
-            "What is known of the drives: the pose at every frame (gt), or at some (sparse), only"
+            "The truth about the drives: the pose at every frame (gt), or at some (sparse), only"
             " positions (position), only that each ends where it began (loop; or where the truth"
             " says, if it knows both ends), or nothing (none): then the motion of all features"
             " replaces the truth for a few, which is better than a truth that is off by centimetres"

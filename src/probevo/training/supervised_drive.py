@@ -1,4 +1,4 @@
-"""A drive together with what is known of its true motion, in memory or part by part on disk."""
+"""A drive together with the truth about its motion, in memory or part by part on disk."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class DriveFacts:
 
 
 class SupervisedDrive(Protocol):
-    """A drive, and what is known of its true motion."""
+    """A drive, and the truth about its motion, as far as it is known."""
 
     @property
     def camera(self) -> StereoCamera:

@@ -1,4 +1,4 @@
-"""What is known of the true motion of a drive, and the error α of PROBE."""
+"""The supervision of a drive, its true motion as far as it is known, and the error α of PROBE."""
 
 from __future__ import annotations
 

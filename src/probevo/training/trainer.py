@@ -27,7 +27,7 @@ class TrainingContext:
     """What a trainer learns from, and who does the work."""
 
     drives: Sequence[SupervisedDrive]
-    """The recorded drives, each with what is known of its true motion."""
+    """The recorded drives, each with the truth about its motion."""
     metric: Metric
     """Standardisation of the prediction space over all drives."""
     settings: TrainSettings

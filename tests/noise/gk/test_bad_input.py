@@ -137,7 +137,7 @@ def test_poor_data_give_something_sound(name: str, variant: str) -> None:
     ],
 )
 def test_extreme_hyperparameters_are_accepted(options: dict[str, Any], variant: str) -> None:
-    """K larger than N, a reach that nothing is within, …"""
+    """As K larger than N, or a reach that nothing is within."""
     check(places(), errors(), variant=variant, **options)
 
 

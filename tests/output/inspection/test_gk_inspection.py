@@ -38,7 +38,7 @@ SEARCHES: dict[str, Any] = {
     "neighbors": {"candidates": [50, 100], "gains": [0.55, 0.52], "chosen": 50},
 }
 TRAINING: dict[str, Any] = {
-    "turns": [
+    "iterations": [
         {"log_likelihood": -1.0, "loop_error_m": 2.5},
         {"log_likelihood": 0.25, "loop_error_m": 1.5},
     ],
@@ -149,7 +149,7 @@ def test_the_gain_is_that_of_the_last_search() -> None:
 
 
 def test_em_iterations_are_rows_and_the_end_error_has_a_column_where_it_is_known() -> None:
-    table = em_table([*TRAINING["turns"], {"log_likelihood": 0.5}], "the static model")
+    table = em_table([*TRAINING["iterations"], {"log_likelihood": 0.5}], "the static model")
     assert table.text_rows()[1:] == [
         ("0: the static model", "-1.0000", "2.500"),
         ("1", "0.2500", "1.500"),

@@ -6,6 +6,7 @@ import pytest
 from probevo.arrays import FloatArray
 from probevo.estimation.reprojection import solve_reprojection
 from probevo.geometry import se3
+from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import StereoNoise, StudentT
 from probevo.training.gk.time_correlation import (
     log_likelihood,
@@ -48,7 +49,9 @@ def profile_of(
     count = len(prev_px)
     noise = model.predict(np.zeros((count, 0)))
     solution = solve_reprojection(
-        prev_px, curr_px, noise, guess=T_CURR_PREV, camera=CAMERA, max_iterations=0
+        StereoObservations.of(prev_px, curr_px, noise, camera=CAMERA),
+        guess=T_CURR_PREV,
+        max_iterations=0,
     )
     scale: FloatArray = np.linalg.inv(solution.information).astype(np.float64)
     residual_noise = StereoNoise(scale, noise.dof, np.zeros((count, 4)))
@@ -64,7 +67,9 @@ def test_the_profile_tells_the_likelihood_of_every_other_model(dof: float) -> No
     """
     seen = observations(np.random.default_rng(0), 400, 1.0, np.inf)
     scale = SIGMA_PX**2 * np.eye(4)
-    models = {ratio: StudentT(dof, scale, time_correlation_ratio=ratio) for ratio in (0.0, 0.5, 2.0)}
+    models = {
+        ratio: StudentT(dof, scale, time_correlation_ratio=ratio) for ratio in (0.0, 0.5, 2.0)
+    }
     profiles = {}
     likelihoods = {}
     for ratio, model in models.items():

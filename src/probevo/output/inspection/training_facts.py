@@ -33,7 +33,7 @@ def em_table(iterations: Sequence[Mapping[str, float]], initial: str) -> Table:
     """Make a table with a row for each EM iteration.
 
     Args:
-        iterations: what each found, given the noise of the one before; ``iterations`` of a model file.
+        iterations: the results of each EM iteration; ``iterations`` of a model file.
         initial: the noise that the first was given.
     """
     has_end_error = any("loop_error_m" in iteration for iteration in iterations)

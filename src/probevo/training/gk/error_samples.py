@@ -49,7 +49,7 @@ class ErrorSamples:
 
     @property
     def progress(self) -> dict[str, float]:
-        """Likelihood a feature and loop closure error, by which an iteration is judged (PROBE-GK
+        """Likelihood a feature and loop closure error, by which an iteration is evaluated (PROBE-GK
         Fig. 8)."""
         progress = {"log_likelihood": float(np.mean(self.log_likelihood))}
         if len(self.gaps_m):

@@ -201,7 +201,7 @@ def solved_steps(
             noise = noise_of_part.subset(rows.start + used)
             tracks = part.tracks(step).kept(used)
 
-            # The disparity filter goes from one step of the recording to the next, not across a gap.
+            # The disparity filter goes from step to step of the recording, not across a gap.
             number = int(part.numbers[step])
             if number != previous_number + 1:
                 disparities = DisparityFilter.none()
