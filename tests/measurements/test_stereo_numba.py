@@ -188,6 +188,7 @@ def test_residuals_and_jacobians_of_all_features(scenes: list[Scene]) -> None:
             motion=np.empty((NUM_POINTS, 4, 6)),
             white=np.empty((NUM_POINTS, 4, 6)),
             disparity=np.empty((NUM_POINTS, 4)),
+            squared=np.empty(len(scene.seen)),
         )
         residual_jacobians(
             np.ascontiguousarray(scene.T),

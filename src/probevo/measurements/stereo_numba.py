@@ -78,7 +78,7 @@ class NormalEquations(NamedTuple):
 
 
 class StereoJacobians(NamedTuple):
-    """Residuals and how they move, all zero behind the camera."""
+    """Residuals and how they move; zero behind the camera, but for their squared lengths."""
 
     residual: FloatArray
     """e, [N, 4], px."""
@@ -88,6 +88,8 @@ class StereoJacobians(NamedTuple):
     """Σ⁻¹ J, [N, 4, 6]."""
     disparity: FloatArray
     """∂h/∂d, how the disparity in the previous frame moves the prediction, [N, 4]."""
+    squared: FloatArray
+    """s = eᵀ Σ⁻¹ e, [N]; ``BEHIND`` for a point that does not contribute."""
 
 
 class FeatureWeights(NamedTuple):
@@ -402,6 +404,7 @@ def residual_jacobians(
             motion[n] = 0.0
             white[n] = 0.0
             disparity[n] = 0.0
+            out.squared[n] = BEHIND
             continue
         u = fu * X / Z
         v = fv * Y / Z
@@ -410,6 +413,13 @@ def residual_jacobians(
         residual[n, 1] = curr[n, 1] - (v + cv) - offset[n, 1]
         residual[n, 2] = curr[n, 2] - (u - d + cu) - offset[n, 2]
         residual[n, 3] = curr[n, 3] - (v + cv) - offset[n, 3]
+        squared = 0.0
+        for i in range(4):
+            total = 0.0
+            for k in range(4):
+                total += information[n, i, k] * residual[n, k]
+            squared += residual[n, i] * total
+        out.squared[n] = squared if information[n, 0, 0] > 0.0 else BEHIND
         F[0, 0] = F[2, 0] = fu / Z
         F[1, 1] = F[3, 1] = fv / Z
         F[0, 2] = -u / Z

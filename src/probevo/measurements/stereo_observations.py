@@ -160,12 +160,12 @@ class StereoObservations:
     def at(self, T_curr_prev: FloatArray) -> StereoResult:
         """Evaluate everything about the features at a motion, [4, 4]."""
         count = len(self)
-        _, system = self._normal_equations(T_curr_prev, newton=False)
         jacobians = StereoJacobians(
             residual=np.empty((count, 4)),
             motion=np.empty((count, 4, 6)),
             white=np.empty((count, 4, 6)),
             disparity=np.empty((count, 4)),
+            squared=np.empty(count),
         )
         residual_jacobians(
             T_curr_prev,
@@ -177,10 +177,10 @@ class StereoObservations:
         weights = FeatureWeights(
             weight=np.empty(count), curvature=np.empty(count), relative=np.empty(count)
         )
-        scatter, curved = weigh(self.loss_parameters, system.squared, weights)
+        scatter, curved = weigh(self.loss_parameters, jacobians.squared, weights)
         hessian, information = self._information(jacobians, weights)
         return StereoResult(
-            squared=system.squared,
+            squared=jacobians.squared,
             weights=weights,
             jacobians=jacobians,
             hessian=hessian,
