@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from probevo.errors import InputError
-from probevo.sequences.format_options import FolderOptions
+from probevo.sequences.format_options import FolderOptions, RosbagOptions
 from probevo.settings import Settings
 
 if TYPE_CHECKING:
@@ -131,6 +131,12 @@ def _open_tracks(path: Path) -> Sequence:
     return open_tracks(path)
 
 
+def _open_rosbag(path: Path, **options: Any) -> Sequence:
+    from probevo.sequences.rosbag import open_rosbag
+
+    return open_rosbag(path, RosbagOptions(**options))
+
+
 _BUILT_IN = (
     SequenceFormat(
         name="kitti-raw",
@@ -162,6 +168,14 @@ _BUILT_IN = (
         summary="features tracked by another front end, in one .npz file without images",
         file_suffixes=(".npz",),
         open=_open_tracks,
+    ),
+    SequenceFormat(
+        name="rosbag",
+        summary="a bag of ROS 1 or ROS 2 with stereo images, read without ROS",
+        folder_signs=("metadata.yaml",),
+        file_suffixes=(".bag", ".mcap", ".db3"),
+        open=_open_rosbag,
+        options=RosbagOptions,
     ),
 )
 _registered = {known.name: known for known in _BUILT_IN}
