@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,7 @@ from sequences.recordings import (
     image,
     write_folder_sequence,
 )
+from sequences.test_calibration_files import kalibr, write_raw_pair, write_yaml
 
 CAMERA = StereoCamera(
     FU_PX, FU_PX, CU_PX, cv_px=CV_PX, baseline_m=BASELINE_M, size_px=(WIDTH_PX, HEIGHT_PX)
@@ -381,3 +383,88 @@ def test_real_bags_say_what_they_lack(
     assert main(["info", str(data_root / "bags" / name)]) == 2
     error = capsys.readouterr().err
     assert all(words in error for words in LACKS[name])
+
+
+# --- calibration files ---------------------------------------------------------------------------
+
+
+def test_a_calibration_file_rectifies_a_bag_as_it_does_a_folder(tmp_path: Path) -> None:
+    root = write_raw_pair(tmp_path / "raw", frames=3)
+    file = write_yaml(tmp_path / "camchain.yaml", kalibr())
+    folder = open_sequence(root, calibration=file)
+    start_ns = int(folder.stamps_ns[0])
+    messages = [
+        images_message(topic, start_ns + index * 50_000_000, raw_image(image(index, right)))
+        for index in range(3)
+        for topic, right in (("/cam0/image_raw", False), ("/cam1/image_raw", True))
+    ]
+    gyro = np.array([0.0, 0.0, 0.1])
+    messages += [
+        imu_message(start_ns + k * 5_000_000, gyro, np.array([0.0, 0.0, 9.81]))
+        for k in range(-20, 40)
+    ]
+    messages.sort(key=lambda message: message.stamp_ns)
+    bag = open_sequence(write_messages(tmp_path / "recorded", "mcap", messages), calibration=file)
+    assert bag.camera == folder.camera
+    for mine, theirs in zip(bag, folder, strict=True):
+        np.testing.assert_array_equal(mine.left, theirs.left)
+        np.testing.assert_array_equal(mine.right, theirs.right)
+    # The pose of the IMU is that of the file, and so is the offset of its clock.
+    assert bag.imu is not None
+    assert bag.imu.time_offset_s == -0.03
+    np.testing.assert_allclose(np.linalg.norm(bag.imu.T_cam_imu[:3, 3]), 0.0547722557505, atol=1e-9)
+
+
+@pytest.mark.data
+def test_tumvi_as_a_bag_of_sixteen_bits(data_root: Path, tmp_path: Path) -> None:
+    tumvi = data_root / "tumvi_micro"
+    (tmp_path / "left").symlink_to(tumvi / "cam0" / "images")
+    (tmp_path / "right").symlink_to(tumvi / "cam1" / "images")
+    folder = open_sequence(tmp_path, calibration=tumvi / "camchain.yaml")
+    messages = []
+    for camera in ("cam0", "cam1"):
+        for file in sorted((tumvi / camera / "images").iterdir()):
+            fields = raw_image(cv2.imread(str(file), cv2.IMREAD_UNCHANGED), "mono16")
+            messages.append(images_message(f"/{camera}/image_raw", int(file.stem), fields))
+    path = write_messages(tmp_path / "recorded", "bag", messages)
+    bag = open_sequence(path, calibration=tumvi / "camchain.yaml")
+    for mine, theirs in zip(bag, folder, strict=True):
+        assert mine.stamp_ns == theirs.stamp_ns
+        np.testing.assert_array_equal(mine.left, theirs.left)
+        np.testing.assert_array_equal(mine.right, theirs.right)
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_kitti_as_bags_runs_to_the_same_bytes(data_root: Path, tmp_path: Path) -> None:
+    kitti = data_root / "kitti_odometry" / "sequences" / "06"
+    sequence = open_sequence(kitti)
+    first = [each for each in messages_of(sequence) if each.stamp_ns <= sequence.stamps_ns[5]]
+    packed = [
+        each
+        for each in messages_of(sequence, compressed_image)
+        if each.stamp_ns <= sequence.stamps_ns[5]
+    ]
+    paths = {
+        "ros1": write_messages(tmp_path / "ros1", "bag", first),
+        "db3": write_messages(tmp_path / "db3", "db3", first),
+        "mcap": write_messages(tmp_path / "mcap", "mcap", first),
+        "packed": write_messages(tmp_path / "packed", "mcap zstd", packed),
+    }
+    for name, path in {"pictures": kitti, **paths}.items():
+        out = tmp_path / f"out_{name}"
+        assert main(["run", str(path), "--out", str(out), "--max-frames", "6"]) == 0
+        trajectory = (out / "trajectory.tum").read_bytes()
+        assert trajectory == (tmp_path / "out_pictures" / "trajectory.tum").read_bytes()
+
+
+# --- without the extra ---------------------------------------------------------------------------
+
+
+def test_without_the_extra_the_message_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "some.bag").write_bytes(b"")
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(InputError, match=r"pip install 'probevo\[bag\]'"):
+        open_sequence(tmp_path / "some.bag")
