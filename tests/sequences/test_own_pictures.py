@@ -8,9 +8,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import yaml
 
+from cli.rendering import write_wall
 from probevo.cli.main import main
 from probevo.errors import InputError
+from probevo.run_config import read_config
 from probevo.sequences import open_sequence
 from probevo.sequences.gray_range import GrayRange
 from probevo.sequences.images import read_gray
@@ -181,3 +184,33 @@ def test_sixteen_bits_among_eight_are_refused(tmp_path: Path) -> None:
     write_image(path / "left" / "000003.png", image(3).astype(np.uint16))
     with pytest.raises(InputError, match="uint16; expected 8 bits"):
         list(open_sequence(path))
+
+
+# --- a run ---------------------------------------------------------------------------------------
+
+
+def test_a_run_can_be_repeated_from_its_settings(tmp_path: Path, monkeypatch: Any) -> None:
+    """The settings have the calibration by its absolute path, and the rate."""
+    write_wall(tmp_path / "wall", 4)
+    (tmp_path / "wall" / "times.txt").unlink()
+    camera = {
+        "camera_model": "pinhole",
+        "intrinsics": [200.0, 200.0, 159.5, 79.5],
+        "distortion_model": "none",
+        "resolution": [320, 160],
+    }
+    T_right_left = np.eye(4)
+    T_right_left[0, 3] = -0.3
+    chain = {"cam0": camera, "cam1": camera | {"T_cn_cnm1": T_right_left.tolist()}}
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump(chain))
+    monkeypatch.chdir(tmp_path)
+    flags = ["--calibration", "chain.yaml", "--rate-hz", "10"]
+    assert main(["run", "wall", "--out", "first", *flags]) == 0
+    config = read_config(tmp_path / "first" / "config.yaml")
+    assert config.calibration == tmp_path / "chain.yaml"
+    assert config.rate_hz == 10.0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert main(["run", "--config", "../first/config.yaml", "--out", "second"]) == 0
+    first = (tmp_path / "first" / "trajectory.tum").read_bytes()
+    assert first == (tmp_path / "elsewhere" / "second" / "trajectory.tum").read_bytes()
