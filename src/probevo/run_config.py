@@ -48,6 +48,9 @@ class ReadSettings(Settings):
             " a file of Kalibr, OpenCV or VINS-Fusion. The images are rectified by it."
         ),
     )
+    imu_noise: Path | None = Field(
+        None, description="Noise of the IMU, for folders and bags: Kalibr's imu.yaml."
+    )
     rate_hz: float | None = Field(
         None, description="Frames a second of a folder without any times."
     )
@@ -65,7 +68,11 @@ class ReadSettings(Settings):
 
         An option that the format of the recording does not have is refused there.
         """
-        own = {"calibration": self.calibration, "rate_hz": self.rate_hz}
+        own = {
+            "calibration": self.calibration,
+            "imu_noise": self.imu_noise,
+            "rate_hz": self.rate_hz,
+        }
         topics = {
             name if name == "pair_tolerance_ms" else f"topics_{name}": value
             for name, value in self.topics
@@ -113,6 +120,7 @@ OWN_KEYS = (
     "max_frames",
     "imu",
     "calibration",
+    "imu_noise",
     "rate_hz",
     "topics",
 )

@@ -20,7 +20,7 @@ from probevo.sequences.euroc import CameraFile
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stereo_calibration import StereoCalibration
 from probevo.sequences.yaml_file import read_yaml
-from sequences.recordings import image, write_image, write_lines
+from sequences.recordings import image, write_folder_sequence, write_image, write_lines
 
 SIZE_PX = (64, 48)
 T_RIGHT_LEFT = se3.from_parts(
@@ -304,9 +304,62 @@ def test_a_folder_with_a_kalibr_file_and_samples_of_the_imu(tmp_path: Path) -> N
     assert sequence.stamps_ns[0] in sequence.imu_stream.stamps_ns
 
 
+NOISE = {
+    "gyroscope_noise_density": 1e-4,
+    "gyroscope_random_walk": 2e-5,
+    "accelerometer_noise_density": 3e-3,
+    "accelerometer_random_walk": 4e-4,
+    "update_rate": 200.0,
+    "rostopic": "/imu0",
+}
+
+
+@pytest.mark.parametrize("content", [NOISE, {"imu0": NOISE}], ids=["input", "result"])
+def test_the_noise_of_the_imu_by_kalibr(content: dict[str, Any], tmp_path: Path) -> None:
+    folder = write_folder_sequence(tmp_path / "folder")
+    own = open_sequence(folder).imu
+    by_file = open_sequence(folder, imu_noise=write_yaml(tmp_path / "imu.yaml", content)).imu
+    assert own is not None
+    assert by_file is not None
+    np.testing.assert_array_equal(by_file.T_cam_imu, own.T_cam_imu)
+    assert by_file.gyro_noise_rad_s_sqrt_hz == 1e-4
+    assert by_file.gyro_bias_walk_rad_s2_sqrt_hz == 2e-5
+    assert by_file.accel_noise_m_s2_sqrt_hz == 3e-3
+    assert by_file.accel_bias_walk_m_s3_sqrt_hz == 4e-4
+    assert by_file.gyro_bias_sigma_rad_s == own.gyro_bias_sigma_rad_s
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"gyroscope_random_walk": 0.0}, "gyroscope_random_walk: is 0"),
+        ({"accelerometer_noise_density": "low"}, "expected a finite number"),
+    ],
+)
+def test_faulty_noise_is_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    file = write_yaml(tmp_path / "imu.yaml", NOISE | change)
+    with pytest.raises(InputError, match=words):
+        open_sequence(write_folder_sequence(tmp_path / "folder"), imu_noise=file)
+
+
+def test_noise_without_an_imu_is_refused(tmp_path: Path) -> None:
+    file = write_yaml(tmp_path / "imu.yaml", NOISE)
+    with pytest.raises(InputError, match="no IMU"):
+        open_sequence(write_folder_sequence(tmp_path / "folder", imu=False), imu_noise=file)
+
+
+@pytest.mark.data
+def test_the_noise_of_tumvi(data_root: Path, tmp_path: Path) -> None:
+    file = data_root / "tumvi_micro" / "imu_config.yaml"
+    imu = open_sequence(write_folder_sequence(tmp_path), imu_noise=file).imu
+    assert imu is not None
+    assert imu.gyro_noise_rad_s_sqrt_hz == 0.00016
+    assert imu.accel_bias_walk_m_s3_sqrt_hz == 0.00086
+
+
 def row_offsets_px(left: Any, right: Any) -> FloatArray:
     """Row of the right minus that of the left image, [N], of SIFT's unambiguous matches."""
-    sift = cv2.SIFT_create(2000)
+    sift: Any = cv2.SIFT_create(2000)  # type: ignore[attr-defined]
     left_points, left_words = sift.detectAndCompute(left, None)
     right_points, right_words = sift.detectAndCompute(right, None)
     matches = cv2.BFMatcher().knnMatch(left_words, right_words, k=2)

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from cli.rendering import write_wall
+from probevo.arrays import AnyArray
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.run_config import read_config
@@ -143,7 +144,7 @@ def test_colour_becomes_its_luma(suffix: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".pgm", ".ppm", ".tif", ".webp", ".bmp"])
 def test_a_picture_that_was_cut_off_is_refused(suffix: str, tmp_path: Path) -> None:
-    pixels = image(0)
+    pixels: AnyArray = image(0)
     if suffix == ".ppm":
         pixels = cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)
     file = tmp_path / f"picture{suffix}"

@@ -34,6 +34,7 @@ from probevo.sequences.imu_calibration import (
     ACCEL_NOISE_M_S2_SQRT_HZ,
     ImuCalibration,
 )
+from probevo.sequences.imu_noise_file import with_noise_of
 from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamp_pairs import pair_stamps
@@ -149,6 +150,7 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
     num_first = min(len(stamps_ns), NUM_FIRST_FRAMES)
     first_files = [*pictures.left_files[:num_first], *pictures.right_files[:num_first]]
     cameras = _cameras(path, options.calibration, pictures.left_files[0])
+    imu = with_noise_of(cameras.imu, options.imu_noise)
     imu_stream = _read_imu(path, cameras, stamps_ns)
     poses = path / "poses.txt"
     return StereoRecording(
@@ -158,7 +160,7 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
         stamps_ns=stamps_ns,
         left_files=pictures.left_files,
         right_files=pictures.right_files,
-        imu=cameras.imu if imu_stream is not None else None,
+        imu=imu if imu_stream is not None else None,
         imu_stream=imu_stream,
         truth=read_kitti_truth(poses, stamps_ns) if poses.exists() else None,
         rectification=cameras.rectification,

@@ -32,6 +32,7 @@ class RosbagOptions(Settings):
     calibration: Path | None = Field(
         None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
     )
+    imu_noise: Path | None = Field(None, description="Name a file such as Kalibr's imu.yaml.")
 
 
 class FolderOptions(Settings):
@@ -40,6 +41,7 @@ class FolderOptions(Settings):
     calibration: Path | None = Field(
         None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
     )
+    imu_noise: Path | None = Field(None, description="Name a file such as Kalibr's imu.yaml.")
     rate_hz: float | None = Field(
         None, gt=0.0, description="Frames a second of a folder without any times: positive."
     )

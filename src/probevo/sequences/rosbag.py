@@ -22,6 +22,7 @@ from probevo.sequences.frame import Frame
 from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.sequences.imu_noise_file import with_noise_of
 from probevo.sequences.read_ahead import read_ahead
 from probevo.sequences.recording import ImageRecording
 from probevo.sequences.ros_camera_info import CameraInfo, rectification_of, stereo_camera
@@ -210,6 +211,7 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
         )
         rectification = None if is_rectified else rectification_of(left_info, right_info)
         imu = _imu_of_transforms(content, topics, left_info)
+    imu = with_noise_of(imu, options.imu_noise)
     imu_stream = None if imu is None else _imu_stream(content, topics, imu, stamps_ns, path)
     return BagRecording(
         path=path,
