@@ -170,6 +170,12 @@ def test_cameras_that_are_not_triggered_together_are_refused(tmp_path: Path) -> 
     assert len(open_sequence(path, pair_tolerance_ms=25.0)) == 5
 
 
+def test_headers_without_stamps_are_refused(tmp_path: Path) -> None:
+    path = write_messages(tmp_path / "recorded", "db3", stereo_messages([0, 0, 0], [0, 0, 0]))
+    with pytest.raises(InputError, match="have one stamp"):
+        open_sequence(path)
+
+
 # --- encodings -----------------------------------------------------------------------------------
 
 PIXELS = np.random.default_rng(3).integers(0, 256, (6, 8), dtype=np.uint8)
@@ -257,6 +263,13 @@ def test_raw_images_are_rectified_by_the_camera_info(tmp_path: Path) -> None:
     frame = next(iter(bag))
     assert frame.left is not None
     np.testing.assert_array_equal(frame.left[:, 3:], image(0)[:, :-3])
+
+
+def test_images_of_another_size_than_the_camera_info_are_refused(tmp_path: Path) -> None:
+    fields = raw_image(np.zeros((24, 32), np.uint8))
+    messages = stereo_messages([0, FRAME_NS], [0, FRAME_NS], fields)
+    with pytest.raises(InputError, match=r"have 32×24 px, but the CameraInfo is for 64×48 px"):
+        open_sequence(write_messages(tmp_path / "small", "mcap", messages))
 
 
 def test_without_camera_info_a_calibration_is_asked_for(tmp_path: Path) -> None:

@@ -190,7 +190,7 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
     # The first images show their size and depth.
     left_images = _first_images(content, topics.left, path)
     right_images = _first_images(content, topics.right, path)
-    is_deep = left_images[0].dtype == np.uint16
+    is_deep = all(image.dtype == np.uint16 for image in [*left_images, *right_images])
     gray_range = GrayRange.of([*left_images, *right_images]) if is_deep else None
     size_px = (left_images[0].shape[1], left_images[0].shape[0])
 
@@ -211,6 +211,14 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
         )
         rectification = None if is_rectified else rectification_of(left_info, right_info)
         imu = _imu_of_transforms(content, topics, left_info)
+    if camera.size_px != size_px:
+        width_px, height_px = camera.size_px or (0, 0)
+        what = (
+            f"its images have {size_px[0]}×{size_px[1]} px, but the CameraInfo is for"
+            f" {width_px}×{height_px} px."
+        )
+        cure = "Give the calibration of these images with --calibration FILE."
+        raise InputError(f"{path}: {topics.left}", what, cure)
     imu = with_noise_of(imu, options.imu_noise)
     imu_stream = None if imu is None else _imu_stream(content, topics, imu, stamps_ns, path)
     return BagRecording(
@@ -285,8 +293,11 @@ def _check_pairs(
     """
     num_left = len(content.left_ns)
     num_right = len(content.right_ns)
-    if 2 * len(pairs) >= max(num_left, num_right):
+    if len(pairs) and 2 * len(pairs) >= max(num_left, num_right):
         return
+    if min(num_left, num_right) > 1 and len(set(content.left_ns + content.right_ns)) == 1:
+        what = f"the headers of all images have one stamp, {content.left_ns[0]} ns."
+        raise InputError(path, what, "The driver has to fill in the stamps of the headers.")
     what = (
         f"only {len(pairs)} of {num_left} left and {num_right} right images have a partner within"
         f" {pair_tolerance_ms:g} ms."
