@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +23,13 @@ IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 IMU_TYPE = "sensor_msgs/msg/Imu"
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+STORAGE_ERRORS = (
+    ("apsw", "Error"),
+    ("sqlite3", "Error"),
+    ("backports.zstd", "ZstdError"),
+    ("compression.zstd", "ZstdError"),
+)
+"""Module and name of the errors of the libraries below rosbags."""
 STORAGE_SUFFIXES = (".bag", ".mcap", ".db3")
 
 
@@ -174,18 +180,19 @@ def _full_name(type_name: str) -> str:
 
 def _bag_errors() -> tuple[type[Exception], ...]:
     """Return what reading a damaged bag raises; rosbags passes on much of what it meets inside."""
-    from apsw import Error as SqliteError  # rosbags depends on it, as on the next
     from rosbags.highlevel import AnyReaderError
     from rosbags.rosbag1 import ReaderError as Ros1Error
     from rosbags.rosbag2 import ReaderError as Ros2Error
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
 
-    zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
     own = (AnyReaderError, Ros1Error, Ros2Error, SerdeError, TypesysError)
-    storage = (OSError, EOFError, struct.error, zlib.error, SqliteError, zstd.ZstdError)
+    storage = (OSError, EOFError, struct.error, zlib.error)
     content = (ValueError, KeyError, IndexError, TypeError, AssertionError, RuntimeError)
-    return (*own, *storage, *content)
+    # What rosbags reads databases and compressed chunks with differs between its versions.
+    loaded = [(sys.modules.get(module), name) for module, name in STORAGE_ERRORS]
+    libraries = [getattr(module, name) for module, name in loaded if module is not None]
+    return (*own, *storage, *content, *libraries)
 
 
 def _damaged(path: Path, error: Exception) -> InputError:
