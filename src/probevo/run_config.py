@@ -45,7 +45,7 @@ class ReadSettings(Settings):
         None,
         description=(
             "Calibration of the cameras, instead of the recording's own, for folders and bags:"
-            " a file of Kalibr, OpenCV or VINS-Fusion. The images are rectified by it."
+            " a file of Kalibr, OpenCV, ROS, VINS-Fusion or ORB-SLAM3. It rectifies the images."
         ),
     )
     imu_noise: Path | None = Field(

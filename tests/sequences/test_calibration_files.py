@@ -173,6 +173,43 @@ def test_orb_slam3(tmp_path: Path) -> None:
     np.testing.assert_allclose(calibration.T_left_imu, T_LEFT_IMU, atol=1e-12)
 
 
+def write_ros(folder: Path) -> None:
+    """Write left.yaml and right.yaml of a rectification that OpenCV has computed."""
+    R_left, R_right, P_left, P_right, *_ = cv2.stereoRectify(
+        camera_matrix(LEFT_K),
+        np.array(RADTAN),
+        camera_matrix(RIGHT_K),
+        np.array(RADTAN),
+        SIZE_PX,
+        T_RIGHT_LEFT[:3, :3].copy(),
+        T_RIGHT_LEFT[:3, 3:].copy(),
+    )
+    for side, K, R, P in (("left", LEFT_K, R_left, P_left), ("right", RIGHT_K, R_right, P_right)):
+        matrices = {
+            "camera_matrix": camera_matrix(K),
+            "distortion_coefficients": np.array([RADTAN]),
+            "rectification_matrix": R,
+            "projection_matrix": P,
+        }
+        content: dict[str, Any] = {
+            key: {"rows": len(matrix), "cols": matrix.shape[1], "data": matrix.ravel().tolist()}
+            for key, matrix in matrices.items()
+        }
+        content |= {"image_width": 64, "image_height": 48, "distortion_model": "plumb_bob"}
+        write_yaml(folder / f"{side}.yaml", content)
+
+
+def test_ros(tmp_path: Path) -> None:
+    write_ros(tmp_path)
+    for side in ("left", "right"):
+        assert_as_written(read_stereo_calibration(tmp_path / f"{side}.yaml", SIZE_PX))
+    (tmp_path / "left.yaml").rename(tmp_path / "front.yaml")
+    with pytest.raises(InputError, match=r"left\.yaml: this file is missing"):
+        read_stereo_calibration(tmp_path / "right.yaml")
+    with pytest.raises(InputError, match="does not tell which"):
+        read_stereo_calibration(tmp_path / "front.yaml")
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [

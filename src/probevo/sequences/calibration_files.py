@@ -13,6 +13,7 @@ from probevo.errors import InputError
 from probevo.sequences.calibration_content import CalibrationContent, load_calibration
 from probevo.sequences.kalibr_calibration import is_kalibr, read_kalibr
 from probevo.sequences.opencv_calibration import is_opencv, read_opencv
+from probevo.sequences.ros_calibration import is_ros, read_ros
 from probevo.sequences.slam_settings import (
     is_orb_slam,
     is_vins_fusion,
@@ -37,6 +38,7 @@ READERS = (
     CalibrationReader("Kalibr's camchain", is_kalibr, read_kalibr),
     CalibrationReader("settings of VINS-Fusion", is_vins_fusion, read_vins_fusion),
     CalibrationReader("settings of ORB-SLAM3", is_orb_slam, read_orb_slam),
+    CalibrationReader("left.yaml and right.yaml of ROS", is_ros, read_ros),
     CalibrationReader("OpenCV's stereo calibration", is_opencv, read_opencv),
 )
 
