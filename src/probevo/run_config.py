@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import yaml
 from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
@@ -17,21 +17,44 @@ from pydantic_core import ErrorDetails
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.sequences.registry import format_names
+from probevo.settings import Settings
 
 FORMAT_HELP = (
     f"Layout of the recording: {', '.join(format_names())}; recognised if it is not named."
 )
 
 
-class CommonRunSettings(OdometryConfig):
-    """The settings that all runs of a comparison have in common.
+class TopicSettings(Settings):
+    """Which topics of a bag are read; those that are unique need not be named."""
 
-    Each run adds its recording and its noise model, see ``RunConfig``.
-    """
+    left: str | None = Field(None, description="Images of the left camera.")
+    right: str | None = Field(None, description="Images of the right camera.")
+    left_info: str | None = Field(None, description="CameraInfo of the left camera.")
+    right_info: str | None = Field(None, description="CameraInfo of the right camera.")
+    imu: str | None = Field(None, description="Samples of the IMU.")
+    pair_tolerance_ms: float | None = Field(
+        None, description="Largest time between the two images of a pair; 2 ms by default."
+    )
+
+
+class ReadSettings(Settings):
+    """How a recording is opened: its format, and the options of that format."""
 
     format: str | None = Field(None, description=FORMAT_HELP)
-    max_frames: int | None = Field(None, ge=2, description="Stop after this many frames.")
-    imu: bool = Field(True, description="Use the recording's IMU, if it has one.")
+    calibration: Path | None = Field(
+        None,
+        description=(
+            "Calibration of the cameras, instead of the recording's own, for folders and bags:"
+            " a file of Kalibr, OpenCV, ROS, VINS-Fusion or ORB-SLAM3. It rectifies the images."
+        ),
+    )
+    imu_noise: Path | None = Field(
+        None, description="Noise of the IMU, for folders and bags: Kalibr's imu.yaml."
+    )
+    rate_hz: float | None = Field(
+        None, description="Frames a second of a folder without any times."
+    )
+    topics: TopicSettings = Field(TopicSettings(), description="Topics of a bag.")
 
     @field_validator("format")
     @classmethod
@@ -39,6 +62,32 @@ class CommonRunSettings(OdometryConfig):
         if name is not None and name not in format_names():
             raise ValueError("it should be the name of a format")
         return name
+
+    def format_options(self) -> dict[str, Any]:
+        """Return the options for ``open_sequence``: those that the user gave, by name.
+
+        An option that the format of the recording does not have is refused there.
+        """
+        own = {
+            "calibration": self.calibration,
+            "imu_noise": self.imu_noise,
+            "rate_hz": self.rate_hz,
+        }
+        topics = {
+            name if name == "pair_tolerance_ms" else f"topics_{name}": value
+            for name, value in self.topics
+        }
+        return {name: value for name, value in (own | topics).items() if value is not None}
+
+
+class CommonRunSettings(ReadSettings, OdometryConfig):
+    """The settings that all runs of a comparison have in common.
+
+    Each run adds its recording and its noise model, see ``RunConfig``.
+    """
+
+    max_frames: int | None = Field(None, ge=2, description="Stop after this many frames.")
+    imu: bool = Field(True, description="Use the recording's IMU, if it has one.")
 
     @model_validator(mode="after")
     def _check_imu(self) -> Self:
@@ -64,7 +113,17 @@ class RunConfig(CommonRunSettings):
     )
 
 
-OWN_KEYS = ("sequence", "format", "noise", "max_frames", "imu")
+OWN_KEYS = (
+    "sequence",
+    "format",
+    "noise",
+    "max_frames",
+    "imu",
+    "calibration",
+    "imu_noise",
+    "rate_hz",
+    "topics",
+)
 """The settings of a run that ``OdometryConfig`` does not have."""
 
 

@@ -147,6 +147,8 @@ def _write_results(
     absolute = {
         "sequence": (config.sequence or sequence.path).resolve(),
         "noise": portable(config.noise),
+        "calibration": config.calibration and config.calibration.resolve(),
+        "imu_noise": config.imu_noise and config.imu_noise.resolve(),
     }
     settings = config_text(config.model_copy(update=absolute))
     write_atomically(out / "config.yaml", f"# by probevo {__version__}\n{settings}")

@@ -86,7 +86,7 @@ def _simulated_recordings(name: RowName, settings: Table12Config, out: Path) -> 
 
 def _own_recordings(own: tuple[Path, Path], settings: Table12Config) -> TrialRecordings:
     """Open the user's recordings."""
-    train, test = (recording.sequence for recording in compare.open_recordings(own, None))
+    train, test = (recording.sequence for recording in compare.open_recordings(own))
     refuse_other_camera([train, test], "--test")
     return TrialRecordings(OWN, train, test, runs=run_settings(OWN, settings))
 

@@ -95,7 +95,7 @@ def _own_loops(paths: tuple[Path, ...]) -> dict[str, Sequence]:
             "Give one to train on, and others to test on.",
         )
     recordings = {
-        recording.name: recording.sequence for recording in compare.open_recordings(paths, None)
+        recording.name: recording.sequence for recording in compare.open_recordings(paths)
     }
     refuse_other_camera(list(recordings.values()), "--loops")
     return recordings

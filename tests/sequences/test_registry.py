@@ -22,7 +22,7 @@ from probevo.sequences import (
 )
 from probevo.settings import Settings
 from sequences.damage import assert_refused
-from sequences.recordings import write_folder_sequence, write_tracks
+from sequences.recordings import write_folder_sequence, write_kitti_odometry, write_tracks
 
 
 def test_path_that_does_not_exist(tmp_path: Path) -> None:
@@ -146,8 +146,10 @@ def test_faulty_options_are_named(
 
 
 def test_a_format_without_options_takes_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"option camera of the format folder(.|\n)*has no option"):
-        open_sequence(write_folder_sequence(tmp_path), camera="front")
+    with pytest.raises(
+        InputError, match=r"option camera of the format kitti-odo(.|\n)*has no option"
+    ):
+        open_sequence(write_kitti_odometry(tmp_path), camera="front")
 
 
 @pytest.mark.parametrize("name", ["folder", "drone"])

@@ -30,7 +30,7 @@ class PinholeCamera:
     distortion_model: DistortionModel
     """Either "radtan" (Brown-Conrady) or "equidistant" (Kannala-Brandt, for fisheye lenses)."""
     distortion: tuple[float, ...]
-    """Coefficients of that model: k1, k2, p1, p2 and perhaps k3, or k1 … k4."""
+    """Coefficients of that model: k1, k2, p1, p2 and perhaps k3, or k3 … k6; or k1 … k4."""
     size_px: tuple[int, int]
     """(width, height)."""
 
@@ -104,6 +104,48 @@ class Rectification:
             C_rect_left=C_rect_left,
             left_maps=_pixel_maps(left, C_rect_left, P_left),
             right_maps=_pixel_maps(right, C_rect_right, P_right),
+        )
+
+    @classmethod
+    def from_projections(
+        cls,
+        left: PinholeCamera,
+        right: PinholeCamera,
+        camera: StereoCamera,
+        *,
+        C_rect_left: FloatArray,
+        C_rect_right: FloatArray,
+        where: str | Path = "calibration",
+    ) -> Rectification:
+        """Rectify by rotations and a rectified camera that are known, as ROS's CameraInfo has them.
+
+        Args:
+            left: calibration of the left camera.
+            right: calibration of the right camera.
+            camera: the rectified stereo camera.
+            C_rect_left: rotation from the raw to the rectified left camera, [3, 3].
+            C_rect_right: the same of the right camera.
+            where: file that the calibration comes from, for messages.
+
+        Raises:
+            InputError: a camera or a rotation is impossible.
+        """
+        _check_pinhole(left, f"{where}: left camera")
+        _check_pinhole(right, f"{where}: right camera")
+        P_rect = np.array(
+            [
+                [camera.fu_px, 0.0, camera.cu_px, 0.0],
+                [0.0, camera.fv_px, camera.cv_px, 0.0],
+                [0.0, 0.0, 1.0, 0.0],
+            ]
+        )
+        C_rect_left = so3.check_rotation(C_rect_left, f"{where}: R of the left camera")
+        C_rect_right = so3.check_rotation(C_rect_right, f"{where}: R of the right camera")
+        return cls(
+            camera=camera,
+            C_rect_left=C_rect_left,
+            left_maps=_pixel_maps(left, C_rect_left, P_rect),
+            right_maps=_pixel_maps(right, C_rect_right, P_rect),
         )
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
@@ -189,7 +231,7 @@ def _check_pinhole(camera: PinholeCamera, where: str) -> None:
         size_px=camera.size_px,
         where=where,
     )
-    allowed = (4, 5) if camera.distortion_model == "radtan" else (4,)
+    allowed = (4, 5, 8) if camera.distortion_model == "radtan" else (4,)
     if len(camera.distortion) not in allowed or not np.isfinite(camera.distortion).all():
         cure = (
             f"{camera.distortion_model} takes {' or '.join(map(str, allowed))} finite coefficients."

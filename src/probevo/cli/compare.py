@@ -14,7 +14,7 @@ from probevo.cli.run import default_settings
 from probevo.cli.text import table
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.run_config import CommonRunSettings, RunConfig, run_config
+from probevo.run_config import CommonRunSettings, ReadSettings, RunConfig, run_config
 
 if TYPE_CHECKING:
     from probevo import sequences
@@ -103,7 +103,7 @@ def main(words: list[str]) -> None:
     from probevo.files import check_folder
 
     check_folder(arguments.out, "--out")
-    recordings = open_recordings(arguments.sequences, settings.format)
+    recordings = open_recordings(arguments.sequences, settings)
     jobs = plan(recordings, estimators_of(arguments.noise, settings), arguments.out)
     comparison = run_all(
         jobs, arguments.threads, lambda done: _write(arguments.out, done), out=arguments.out
@@ -111,7 +111,7 @@ def main(words: list[str]) -> None:
     print("\n".join(_summary(comparison, arguments.out)))
 
 
-def open_recordings(paths: Sequence[Path], layout: str | None) -> list[Recording]:
+def open_recordings(paths: Sequence[Path], settings: ReadSettings | None = None) -> list[Recording]:
     """Open the recordings and give each a unique name.
 
     Raises:
@@ -127,7 +127,8 @@ def open_recordings(paths: Sequence[Path], layout: str | None) -> list[Recording
             "no recording is named.",
             "Give one or more: `probevo compare SEQUENCE --out DIR`.",
         )
-    opened = [open_sequence(path, layout) for path in paths]
+    settings = settings or ReadSettings()
+    opened = [open_sequence(path, settings.format, **settings.format_options()) for path in paths]
     for sequence in opened:
         if len(sequence) < 2:
             what = "has only one frame, and so no motion to compare."

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from probevo.cli.arguments import parse
+from probevo.cli.arguments import checked, parse
 from probevo.cli.text import columns
-from probevo.run_config import FORMAT_HELP, RunConfig
+from probevo.run_config import ReadSettings, RunConfig
 
 if TYPE_CHECKING:
     from probevo.camera.stereo import StereoCamera
@@ -50,16 +50,17 @@ class InfoArguments:
     """
 
     sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
-    """Folder of the recording, or a tracks file (.npz)."""
-    format: Annotated[str | None, tyro.conf.arg(help=FORMAT_HELP, help_behavior_hint="")] = None
+    """Folder of the recording, a bag, or a tracks file (.npz)."""
+    settings: Annotated[ReadSettings, tyro.conf.arg(name="")] = field(default_factory=ReadSettings)
 
 
 def main(words: list[str]) -> None:
     """Parse the arguments, open the recording, and print what it is."""
     arguments = parse(InfoArguments, words, "info")
+    settings = checked(arguments.settings)
     from probevo.sequences import open_sequence
 
-    sequence = open_sequence(arguments.sequence, arguments.format)
+    sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
     rows = describe(sequence)
     try:
         rows += examine(sequence)
@@ -71,10 +72,10 @@ def main(words: list[str]) -> None:
 def describe(sequence: Sequence) -> Rows:
     """Describe what the files say, without looking at the images."""
     from probevo.output.run_facts import camera_text, frames_text, imu_use_text, truth_text
-    from probevo.sequences.recording import StereoRecording
+    from probevo.sequences.recording import ImageRecording
     from probevo.sequences.tracks_file import TracksRecording
 
-    is_rectified = isinstance(sequence, StereoRecording) and sequence.rectification is not None
+    is_rectified = isinstance(sequence, ImageRecording) and sequence.rectification is not None
     camera = camera_text(sequence.camera)
     if is_rectified:
         camera += ", rectified on the fly"
@@ -87,7 +88,9 @@ def describe(sequence: Sequence) -> Rows:
         ("camera", camera),
         *_camera_warnings(sequence.camera),
     ]
-    if isinstance(sequence, StereoRecording | TracksRecording) and sequence.imu_stream is not None:
+    if isinstance(sequence, ImageRecording):
+        rows += sequence.notes
+    if isinstance(sequence, ImageRecording | TracksRecording) and sequence.imu_stream is not None:
         rows += _imu(sequence, sequence.imu_stream)
     rows.append(("truth", truth_text(sequence.truth)))
     rows.append(("IMU is used", imu_use_text(sequence, RunConfig())))
@@ -194,10 +197,10 @@ def _noise_text(sequence: Sequence) -> str:
 def _imu_warnings(sequence: Sequence) -> Rows:
     """Compare the gyro with the images; there are no rows if they agree."""
     from probevo.cli.info_imu import ImageRotations, imu_warning
-    from probevo.sequences.recording import StereoRecording
+    from probevo.sequences.recording import ImageRecording
     from probevo.sequences.tracks_file import TracksRecording
 
-    if not isinstance(sequence, StereoRecording | TracksRecording):
+    if not isinstance(sequence, ImageRecording | TracksRecording):
         return []
     if sequence.imu is None or sequence.imu_stream is None:
         return []

@@ -33,7 +33,7 @@ class RunArguments:
     sequence: Annotated[
         tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="SEQUENCE", help_behavior_hint="")
     ]
-    """Folder of the recording, or a tracks file (.npz). Optional if --config names it."""
+    """Folder of the recording, a bag, or a tracks file (.npz). Optional if --config names it."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results. Those of an earlier run are replaced."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
@@ -61,7 +61,7 @@ def main(words: list[str]) -> None:
     from probevo.output.run_warnings import status_warning
     from probevo.sequences import open_sequence
 
-    sequence = open_sequence(arguments.sequence, settings.format)
+    sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
     run = run_with_progress(sequence, settings, arguments.out, threads=arguments.threads)
     print("\n".join(summary(run, arguments.out)), flush=True)
     if warning := status_warning(run.result.status):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -18,10 +19,14 @@ from pydantic import (
 )
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.camera.rectification import Rectification
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.sequences.images import list_pairs
+from probevo.sequences.calibration_files import is_stereo_calibration, read_stereo_calibration
+from probevo.sequences.format_options import PAIR_TOLERANCE_MS, FolderOptions
+from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
+from probevo.sequences.images import list_images, list_pairs, read_gray_of_any_depth
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import (
     ACCEL_BIAS_SIGMA_M_S2,
@@ -29,9 +34,11 @@ from probevo.sequences.imu_calibration import (
     ACCEL_NOISE_M_S2_SQRT_HZ,
     ImuCalibration,
 )
+from probevo.sequences.imu_noise_file import with_noise_of
 from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
-from probevo.sequences.stamps import read_times
+from probevo.sequences.stamp_pairs import pair_stamps
+from probevo.sequences.stamps import check_stamps, read_times, stamps_of_names
 from probevo.sequences.text import read_stamped_csv
 from probevo.sequences.yaml_file import load_yaml, validated
 
@@ -98,51 +105,185 @@ class FolderCalibration(BaseModel):
     imu: ImuSection | None = None
 
 
-def open_folder(path: Path) -> StereoRecording:
+@dataclass(frozen=True)
+class _Cameras:
+    """The cameras of a folder, and what their file says of the IMU."""
+
+    camera: StereoCamera
+    rectification: Rectification | None
+    imu: ImuCalibration | None
+    where: Path
+    """The file."""
+
+
+def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecording:
     """Open a folder in probevo's own layout.
 
     It holds::
 
-        left/ right/   rectified images (PNG, JPEG), paired by name, in the natural order of names
+        left/ right/   images (PNG, JPEG, PGM, TIFF, WebP, BMP; gray or colour, 8 or 16 bits),
+                       paired by name, in the natural order of names; rectified, unless the
+                       calibration is that of raw images
         calib.yaml     fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px, and with an IMU
                        the section imu: T_cam_imu, gyro_noise_rad_s_sqrt_hz, gyro_bias_sigma_rad_s
                        [, gyro_bias_walk_rad_s2_sqrt_hz] [, accel_noise_m_s2_sqrt_hz]
-                       [, accel_bias_sigma_m_s2] [, accel_bias_walk_m_s3_sqrt_hz] [, time_offset_s]
-        times.txt      time of each frame, one a line: seconds, or whole nanoseconds
+                       [, accel_bias_sigma_m_s2] [, accel_bias_walk_m_s3_sqrt_hz] [, time_offset_s];
+                       or a calibration of raw images, see ``calibration_files``
+        times.txt      time of each frame, one a line: seconds, or whole nanoseconds. Not needed
+                       where file names are stamps (then these pair the images), or with rate_hz
         imu.csv        (optional) header stamp_ns,wx,wy,wz,ax,ay,az: rad/s and m/s² in the IMU frame
         poses.txt      (optional) ground truth T_world_cam: the 12 numbers of KITTI a line, nan
                        where unknown
 
+    Args:
+        path: the folder.
+        options: a calibration file instead of ``calib.yaml``, and frames a second.
+
     Raises:
         InputError: a file or key is missing, unknown or wrong, or counts differ.
     """
-    calibration_file = path / "calib.yaml"
-    calibration = _read_calibration(calibration_file)
-    camera = StereoCamera(
-        fu_px=calibration.fu_px,
-        fv_px=calibration.fv_px,
-        cu_px=calibration.cu_px,
-        cv_px=calibration.cv_px,
-        baseline_m=calibration.baseline_m,
-        size_px=(calibration.width_px, calibration.height_px),
-    )
-    check_camera(camera, calibration_file)
-    left_files, right_files = list_pairs(path / "left", path / "right")
-    stamps_ns = read_times(path / "times.txt", len(left_files))
-    imu, imu_stream = _read_imu(path, calibration.imu, stamps_ns)
+    options = options or FolderOptions()
+    pictures = _list_pictures(path, options.rate_hz)
+    stamps_ns = pictures.stamps_ns
+
+    # The first images show their depth, and their size for calibrations that do not have it.
+    num_first = min(len(stamps_ns), NUM_FIRST_FRAMES)
+    first_files = [*pictures.left_files[:num_first], *pictures.right_files[:num_first]]
+    cameras = _cameras(path, options.calibration, pictures.left_files[0])
+    imu = with_noise_of(cameras.imu, options.imu_noise)
+    imu_stream = _read_imu(path, cameras, stamps_ns)
     poses = path / "poses.txt"
-    truth = read_kitti_truth(poses, stamps_ns) if poses.exists() else None
     return StereoRecording(
         path=path,
         format="folder",
-        camera=camera,
+        camera=cameras.camera,
         stamps_ns=stamps_ns,
-        left_files=left_files,
-        right_files=right_files,
-        imu=imu,
+        left_files=pictures.left_files,
+        right_files=pictures.right_files,
+        imu=imu if imu_stream is not None else None,
         imu_stream=imu_stream,
-        truth=truth,
+        truth=read_kitti_truth(poses, stamps_ns) if poses.exists() else None,
+        rectification=cameras.rectification,
+        gray_range=_gray_range(first_files),
+        notes=pictures.notes,
     )
+
+
+@dataclass(frozen=True)
+class _Pictures:
+    """The image files of a folder, and their times."""
+
+    stamps_ns: IntArray
+    left_files: list[Path]
+    right_files: list[Path]
+    notes: tuple[tuple[str, str], ...] = ()
+
+
+def _list_pictures(path: Path, rate_hz: float | None) -> _Pictures:
+    """Return the pairs with their times: of ``times.txt``, at a rate, or of the file names.
+
+    Raises:
+        InputError: an image lacks its partner, or nothing tells the times.
+    """
+    times = path / "times.txt"
+    if times.exists() and rate_hz is not None:
+        what = f"the rate of {rate_hz:g} Hz contradicts times.txt."
+        raise InputError(times, what, "Remove the file, or leave out --rate-hz.")
+    if not times.exists() and rate_hz is None:
+        return _pictures_by_stamps(path)
+    left_files, right_files = list_pairs(path / "left", path / "right")
+    if rate_hz is None:
+        stamps_ns = read_times(times, len(left_files))
+    else:
+        stamps_ns = np.round(np.arange(len(left_files)) * (1e9 / rate_hz)).astype(np.int64)
+    return _Pictures(stamps_ns, left_files, right_files)
+
+
+def _pictures_by_stamps(path: Path) -> _Pictures:
+    """Return the pairs by the stamps in their names, which may differ from left to right.
+
+    Raises:
+        InputError: the names are no stamps, or few images have a partner.
+    """
+    left_files = list_images(path / "left")
+    right_files = list_images(path / "right")
+    left_ns = stamps_of_names(left_files)
+    right_ns = stamps_of_names(right_files)
+    if left_ns is None or right_ns is None:
+        cure = (
+            "It gives the time of each frame, in seconds, one a line. Without it, name the images"
+            " by their stamps (as 1520530308199447626.png), or give --rate-hz."
+        )
+        raise InputError(path / "times.txt", "this file is missing.", cure)
+    pairs = pair_stamps(left_ns, right_ns, round(1e6 * PAIR_TOLERANCE_MS))
+    num_left = len(left_files) - len(pairs)
+    num_right = len(right_files) - len(pairs)
+    if len(pairs) < max(num_left, num_right):
+        what = (
+            f"only {len(pairs)} of {len(left_files)} left and {len(right_files)} right images have"
+            f" a partner within {PAIR_TOLERANCE_MS:g} ms by the stamps in their names."
+        )
+        raise InputError(path, what, "Are the cameras triggered together?")
+    text = (
+        f"{len(pairs)}, by the stamps in the file names, at most"
+        f" {1e-6 * float(np.abs(pairs.offsets_ns).max()):.3f} ms apart; without a partner:"
+        f" {num_left} left, {num_right} right"
+    )
+    return _Pictures(
+        stamps_ns=check_stamps(left_ns[pairs.left], path / "left"),
+        left_files=[left_files[index] for index in pairs.left],
+        right_files=[right_files[index] for index in pairs.right],
+        notes=(("pairs" if num_left + num_right == 0 else "! pairs", text),),
+    )
+
+
+def _gray_range(files: list[Path]) -> GrayRange | None:
+    """Return the range of the first images if they have 16 bits; None if they have 8.
+
+    An image that is missing or damaged is left to the reading of its frame.
+    """
+    images = []
+    for file in files:
+        try:
+            images.append(read_gray_of_any_depth(file))
+        except InputError:
+            continue
+    if not images or any(image.dtype != np.uint16 for image in images):
+        return None
+    return GrayRange.of(images)
+
+
+def _cameras(path: Path, calibration: Path | None, first_image: Path) -> _Cameras:
+    """Read the calibration of the cameras: probevo's own, or one of raw images.
+
+    Raises:
+        InputError: the file is missing or faulty.
+    """
+    own_file = path / "calib.yaml"
+    if calibration is None and own_file.exists() and is_stereo_calibration(own_file):
+        calibration = own_file
+    if calibration is not None:
+        height, width = read_gray_of_any_depth(first_image).shape
+        raw = read_stereo_calibration(calibration, (width, height))
+        rectification = raw.rectification()
+        return _Cameras(
+            camera=rectification.camera,
+            rectification=rectification,
+            imu=raw.imu(rectification.C_rect_left),
+            where=calibration,
+        )
+    own = _read_calibration(own_file)
+    camera = StereoCamera(
+        fu_px=own.fu_px,
+        fv_px=own.fv_px,
+        cu_px=own.cu_px,
+        cv_px=own.cv_px,
+        baseline_m=own.baseline_m,
+        size_px=(own.width_px, own.height_px),
+    )
+    check_camera(camera, own_file)
+    imu = own.imu.calibration(str(own_file)) if own.imu is not None else None
+    return _Cameras(camera=camera, rectification=None, imu=imu, where=own_file)
 
 
 def _read_calibration(path: Path) -> FolderCalibration:
@@ -171,29 +312,28 @@ def _read_calibration(path: Path) -> FolderCalibration:
     return validated(content, FolderCalibration, path, cure)
 
 
-def _read_imu(
-    path: Path, section: ImuSection | None, frames_ns: IntArray
-) -> tuple[ImuCalibration | None, ImuStream | None]:
-    """Read the IMU's calibration and its samples; None for both without an IMU.
+def _read_imu(path: Path, cameras: _Cameras, frames_ns: IntArray) -> ImuStream | None:
+    """Read the IMU's samples; None without an IMU.
 
     Raises:
-        InputError: one of the two is missing, or holds a value that cannot be right.
+        InputError: samples or calibration are missing, or hold a value that cannot be right.
     """
     samples = path / "imu.csv"
-    if section is None:
-        if samples.exists():
+    is_own = cameras.where.name == "calib.yaml" and cameras.rectification is None
+    if cameras.imu is None:
+        if samples.exists() and is_own:
             what = "the section imu is missing, but there is an imu.csv."
             cure = "Give at least T_cam_imu and the two gyro noise figures."
-            raise InputError(path / "calib.yaml", what, cure)
-        return None, None
+            raise InputError(cameras.where, what, cure)
+        return None
+    if not samples.exists() and not is_own:
+        return None  # a calibration of cameras and IMU, of a recording of the cameras
     cure = "Without an IMU, leave out the section imu of calib.yaml."
     stamps_ns, values = read_stamped_csv(samples, 6, header=IMU_HEADER, cure=cure)
-    calibration = section.calibration(str(path / "calib.yaml"))
-    stream = ImuStream.checked(
-        calibration.on_image_clock(stamps_ns),
+    return ImuStream.checked(
+        cameras.imu.on_image_clock(stamps_ns),
         gyro_rad_s=values[:, :3],
         accel_m_s2=values[:, 3:],
         frames_ns=frames_ns,
         where=samples,
     )
-    return calibration, stream

@@ -1,6 +1,6 @@
 """Image files: lists of stereo pairs, and a decoder that refuses damaged files.
 
-PNG files have checksums; of a JPEG file, only the end can be checked.
+PNG files have checksums; of other files, only length or end can be checked.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 
 from probevo.arrays import AnyArray, Image
 from probevo.errors import InputError
+from probevo.sequences.gray_range import GrayRange
+from probevo.sequences.image_files import check_complete
 from probevo.sequences.png import PNG_MAGIC, DamagedError, chunks_of, plain_grey
 
-SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
-JPEG_MAGIC = b"\xff\xd8"
-JPEG_END = b"\xff\xd9"
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".webp", ".bmp"})
 
 
 def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
@@ -27,8 +27,8 @@ def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
     Raises:
         InputError: a folder is missing or holds no image, or an image lacks its partner.
     """
-    left_files = _list_images(left)
-    right_files = _list_images(right)
+    left_files = {file.name: file for file in list_images(left)}
+    right_files = {file.name: file for file in list_images(right)}
     unpaired = sorted(left_files.keys() ^ right_files.keys(), key=natural_order)
     if unpaired:
         name = unpaired[0]
@@ -42,8 +42,8 @@ def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
     return list(left_files.values()), list(right_files.values())
 
 
-def _list_images(folder: Path) -> dict[str, Path]:
-    """Return the image files of a folder by name, in the natural order of their names.
+def list_images(folder: Path) -> list[Path]:
+    """Return the image files of a folder, in the natural order of their names.
 
     Raises:
         InputError: the folder is missing, or holds no image.
@@ -57,7 +57,7 @@ def _list_images(folder: Path) -> dict[str, Path]:
         raise InputError(
             folder, "this folder holds no image.", f"Looked for {', '.join(sorted(SUFFIXES))}."
         )
-    return {name: files[name] for name in sorted(files, key=natural_order)}
+    return [files[name] for name in sorted(files, key=natural_order)]
 
 
 def natural_order(name: str) -> tuple[tuple[str | int, ...], str]:
@@ -67,49 +67,78 @@ def natural_order(name: str) -> tuple[tuple[str | int, ...], str]:
     return tuple(int(part) if index % 2 else part for index, part in enumerate(parts)), name
 
 
-def read_gray(path: Path, size_px: tuple[int, int] | None = None) -> Image:
-    """Decode one image to grayscale, [height, width], uint8.
+def read_gray(
+    path: Path, size_px: tuple[int, int] | None = None, gray_range: GrayRange | None = None
+) -> Image:
+    """Decode one image file to grayscale, [height, width], uint8.
 
     Colour is converted to gray (Rec. 601 luma, as OpenCV does), since everything downstream uses
-    gray values only. Images of 16 bits are refused: how they are reduced to 8 decides which
-    features appear.
+    gray values only. Images of 16 bits are refused without a range: how they are reduced to 8
+    decides which features appear.
 
     Args:
-        path: PNG or JPEG file.
+        path: an image file.
         size_px: (width, height) that the image must have; None to accept any size.
+        gray_range: the range of 16-bit values that becomes 0 to 255; None to refuse such images.
 
     Raises:
-        InputError: missing, damaged, not 8 bits, or of another size.
+        InputError: missing, damaged, of 16 bits without a range, or of another size.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"this image cannot be read ({error.strerror}).") from error
-    try:
-        image = _decoded(data)
-        if image is None:
-            raise DamagedError("it cannot be decoded")
-    except DamagedError as damage:
-        raise InputError(path, f"this image is damaged: {damage}.", "Copy the file anew.") from None
-    if image.dtype != np.uint8:
+    gray = read_gray_of_any_depth(path)
+    if gray.dtype == np.uint16 and gray_range is not None:
+        gray = gray_range.to_8_bits(gray)
+    if gray.dtype != np.uint8:
         raise InputError(
-            path, f"this image is {image.dtype}; expected 8 bits.", "Convert the images to 8 bits."
+            path, f"this image is {gray.dtype}; expected 8 bits.", "Convert the images to 8 bits."
         )
-    if image.ndim == 3:
-        image = cv2.cvtColor(
-            image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
-        )
-    height, width = image.shape
+    height, width = gray.shape
     if size_px is not None and (width, height) != size_px:
         what = f"this image has {width}×{height} px; expected {size_px[0]}×{size_px[1]} px."
         raise InputError(
             path, what, "All images must have the size that the calibration was made for."
         )
-    return np.asarray(image, dtype=np.uint8)
+    return np.asarray(gray, dtype=np.uint8)
+
+
+def read_gray_of_any_depth(path: Path) -> AnyArray:
+    """Decode one image file to grayscale, [height, width], of the type that it is stored in.
+
+    Raises:
+        InputError: the image is missing or damaged.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"this image cannot be read ({error.strerror}).") from error
+    return decode_gray(data, path)
+
+
+def decode_gray(data: bytes, where: str | Path) -> AnyArray:
+    """Decode the bytes of an image file to grayscale, [height, width], of the type stored.
+
+    Args:
+        data: the bytes.
+        where: the file or message that holds them, for messages.
+
+    Raises:
+        InputError: the image is damaged.
+    """
+    try:
+        image = _decoded(data)
+        if image is None:
+            raise DamagedError("it cannot be decoded")
+    except DamagedError as damage:
+        raise InputError(
+            where, f"this image is damaged: {damage}.", "Copy the file anew."
+        ) from None
+    if image.ndim == 3 and image.dtype in (np.uint8, np.uint16):
+        code = cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+        return np.asarray(cv2.cvtColor(image, code))
+    return image
 
 
 def _decoded(data: bytes) -> AnyArray | None:
-    """Decode a PNG or JPEG file to [height, width] or [height, width, channels].
+    """Decode an image file to [height, width] or [height, width, channels].
 
     OpenCV may return the undamaged part of a damaged file, so that damage is looked for first.
 
@@ -117,18 +146,15 @@ def _decoded(data: bytes) -> AnyArray | None:
         The image; None if it cannot be decoded.
 
     Raises:
-        DamagedError: the file is incomplete, or neither PNG nor JPEG.
+        DamagedError: the file is incomplete, or of an unknown kind.
     """
     if data.startswith(PNG_MAGIC):
         # chunks_of verifies the checksums; OpenCV decodes what is not plain grey.
         image = plain_grey(chunks_of(data))
         if image is not None:
             return image
-    elif data.startswith(JPEG_MAGIC):
-        if not data.rstrip(b"\0").endswith(JPEG_END):
-            raise DamagedError("its end is missing")
     else:
-        raise DamagedError("it is neither PNG nor JPEG" if data else "it is empty")
+        check_complete(data)
     with suppress(cv2.error):  # raised for images that are too large
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     return None

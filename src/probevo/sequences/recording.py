@@ -1,4 +1,4 @@
-"""A recording of stereo image files, as every image format opens it."""
+"""Recordings of stereo images: what all have in common, and the one that reads image files."""
 
 from __future__ import annotations
 
@@ -10,32 +10,49 @@ from pathlib import Path
 from probevo.arrays import IntArray
 from probevo.camera.rectification import Rectification
 from probevo.camera.stereo import StereoCamera
-from probevo.sequences.frame import Frame, GroundTruth
+from probevo.sequences.frame import Frame, GroundTruth, ImuSamples
+from probevo.sequences.gray_range import GrayRange
 from probevo.sequences.images import read_gray
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.read_ahead import read_ahead
 
 
-@dataclass(frozen=True, eq=False)
-class StereoRecording:
-    """A ``Sequence`` of stereo image files, which are read while it is iterated over."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ImageRecording:
+    """What all recordings of stereo images have in common, wherever their images come from."""
 
     path: Path
     format: str
     camera: StereoCamera
     stamps_ns: IntArray
-    left_files: list[Path]
-    right_files: list[Path]
     imu: ImuCalibration | None = None
     imu_stream: ImuStream | None = None
     truth: GroundTruth | None = None
     rectification: Rectification | None = None
-    """None where the files hold rectified images."""
+    """None where the images are already rectified."""
+    gray_range: GrayRange | None = None
+    """How images of 16 bits are reduced to 8; None to refuse them."""
+    notes: tuple[tuple[str, str], ...] = ()
+    """Name and text of what the reader has to report, such as unpaired images."""
 
     def __len__(self) -> int:
         """Return the number of frames, K."""
         return len(self.stamps_ns)
+
+    def imu_before(self, index: int) -> ImuSamples | None:
+        """Return the IMU samples from the previous frame to this one; None if there are none."""
+        if self.imu_stream is None or index == 0:
+            return None
+        return self.imu_stream.between(int(self.stamps_ns[index - 1]), int(self.stamps_ns[index]))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StereoRecording(ImageRecording):
+    """A ``Sequence`` of stereo image files, which are read while it is iterated over."""
+
+    left_files: list[Path]
+    right_files: list[Path]
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames from the first; raise InputError at a faulty image."""
@@ -48,15 +65,11 @@ class StereoRecording:
             InputError: an image is missing or damaged.
         """
         start = time.perf_counter()
-        left = read_gray(self.left_files[index], self.camera.size_px)
-        right = read_gray(self.right_files[index], self.camera.size_px)
+        left = read_gray(self.left_files[index], self.camera.size_px, self.gray_range)
+        right = read_gray(self.right_files[index], self.camera.size_px, self.gray_range)
         if self.rectification is not None:
             left, right = self.rectification.rectify(left, right)
-        imu = None
-        if self.imu_stream is not None and index > 0:
-            imu = self.imu_stream.between(
-                int(self.stamps_ns[index - 1]), int(self.stamps_ns[index])
-            )
+        imu = self.imu_before(index)
         elapsed_ms = 1e3 * (time.perf_counter() - start)
         return Frame(
             index=index,

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from probevo.errors import InputError
+from probevo.sequences.format_options import FolderOptions, RosbagOptions
 from probevo.settings import Settings
 
 if TYPE_CHECKING:
@@ -118,16 +119,22 @@ def _open_euroc(path: Path) -> Sequence:
     return open_euroc(path)
 
 
-def _open_folder(path: Path) -> Sequence:
+def _open_folder(path: Path, **options: Any) -> Sequence:
     from probevo.sequences.folder import open_folder
 
-    return open_folder(path)
+    return open_folder(path, FolderOptions(**options))
 
 
 def _open_tracks(path: Path) -> Sequence:
     from probevo.sequences.tracks_file import open_tracks
 
     return open_tracks(path)
+
+
+def _open_rosbag(path: Path, **options: Any) -> Sequence:
+    from probevo.sequences.rosbag import open_rosbag
+
+    return open_rosbag(path, RosbagOptions(**options))
 
 
 _BUILT_IN = (
@@ -151,15 +158,24 @@ _BUILT_IN = (
     ),
     SequenceFormat(
         name="folder",
-        summary="probevo's own layout for rectified images from any source",
+        summary="probevo's own layout for images from any source",
         folder_signs=("calib.yaml", "left"),
         open=_open_folder,
+        options=FolderOptions,
     ),
     SequenceFormat(
         name="tracks",
         summary="features tracked by another front end, in one .npz file without images",
         file_suffixes=(".npz",),
         open=_open_tracks,
+    ),
+    SequenceFormat(
+        name="rosbag",
+        summary="a bag of ROS 1 or ROS 2 with stereo images, read without ROS",
+        folder_signs=("metadata.yaml",),
+        file_suffixes=(".bag", ".mcap", ".db3"),
+        open=_open_rosbag,
+        options=RosbagOptions,
     ),
 )
 _registered = {known.name: known for known in _BUILT_IN}
@@ -278,12 +294,13 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
         if known.recognises(path):
             return known
     if path.is_file():
-        suffixes = [suffix for known in formats.values() for suffix in known.file_suffixes]
-        raise InputError(
-            path,
-            "this file is no recording.",
-            f"Give a folder, or an {' or '.join(suffixes)} file.",
-        )
+        kinds = [
+            f"an {' or '.join(known.file_suffixes)} file ({known.name})"
+            for known in formats.values()
+            if known.file_suffixes
+        ]
+        cure = f"Give a folder, or {', or '.join(kinds)}."
+        raise InputError(path, "this file is no recording.", cure)
     found = sorted(entry.name for entry in path.iterdir())[:MOST_NAMES]
     looked_for = [
         f"{' or '.join(known.folder_signs)} ({known.name})"

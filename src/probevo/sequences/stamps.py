@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from probevo.errors import InputError
 from probevo.sequences.text import INT64_LIMIT, parse_stamp_ns, read_lines
 
 NS_PER_S = 1_000_000_000
+NAME_STAMP = re.compile(r"(?P<whole>[0-9]+)(?:\.(?P<decimals>[0-9]+))?$")
+NS_OF_DIGITS = {13: 1_000_000, 16: 1_000, 19: 1}
+"""Unit of a whole Unix time by its number of digits, which holds from 2001 to 2286."""
 
 
 def read_times(path: Path, count: int) -> IntArray:
@@ -53,6 +57,28 @@ def read_datetimes(path: Path, count: int) -> IntArray:
     lines = read_lines(path, "It gives the time of each frame.")
     stamps_ns = np.array([_datetime_to_ns(line, where) for where, line in lines])
     return check_stamps(stamps_ns, path, count)
+
+
+def stamps_of_names(files: list[Path]) -> IntArray | None:
+    """Return the times that the names of files are, [K], ns; None if they are no stamps.
+
+    A stamp is the number at the end of the name: Unix time in seconds with decimals, or as a whole
+    number of 13 (ms), 16 (µs) or 19 digits (ns), the same for all files.
+    """
+    numbers = [NAME_STAMP.search(file.stem) for file in files]
+    found = [number for number in numbers if number is not None]
+    if not found or len(found) < len(files):
+        return None
+    num_digits = {len(number["whole"]) for number in found}
+    has_decimals = {number["decimals"] is not None for number in found}
+    if len(num_digits) > 1 or len(has_decimals) > 1:
+        return None
+    if has_decimals == {True}:
+        return np.array([round(Decimal(number[0]) * NS_PER_S) for number in found], dtype=np.int64)
+    unit_ns = NS_OF_DIGITS.get(num_digits.pop())
+    if unit_ns is None:
+        return None
+    return np.array([int(number["whole"]) * unit_ns for number in found], dtype=np.int64)
 
 
 def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = None) -> IntArray:

@@ -41,8 +41,13 @@ def validated(content: object, model: type[Model], path: Path, cure: str = "") -
         raise InputError(path, "; ".join(faults) + ".", cure) from error
 
 
-def load_yaml(path: Path, cure: str = "") -> Any:
+def load_yaml(path: Path, cure: str = "", *, loader: type[yaml.SafeLoader] | None = None) -> Any:
     """Read a YAML file: mappings, lists and scalars.
+
+    Args:
+        path: the file.
+        cure: how to mend that the file is missing or no YAML.
+        loader: of other tags than YAML's own; by default ``NoKeyTwice``.
 
     Raises:
         InputError: the file is missing, not text, or not YAML; a key is given twice, or a value is
@@ -53,17 +58,18 @@ def load_yaml(path: Path, cure: str = "") -> Any:
     if text.startswith("%YAML:"):
         text = text.partition("\n")[2]
     try:
-        return yaml.load(text, _NoKeyTwice)
+        return yaml.load(text, loader or NoKeyTwice)
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(
             path, f"this is not YAML: {' '.join(str(error).split())}.", cure
         ) from error
 
 
-class _NoKeyTwice(yaml.SafeLoader):
+class NoKeyTwice(yaml.SafeLoader):
     """A loader that refuses a key given twice; YAML's own would silently take the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """Return the mapping of a node; refuse a key given twice."""
         seen: set[tuple[str, str]] = set()
         for key, _ in node.value:
             name = (key.tag, str(key.value))

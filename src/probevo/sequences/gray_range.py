@@ -1,0 +1,48 @@
+"""The range of gray values of a 16-bit recording, and its reduction to 8 bits.
+
+Everything downstream works on 8 bits. The range is taken from the first frames and then fixed: a
+range of each frame would change the brightness of a point from frame to frame, which the tracker
+assumes to be constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from probevo.arrays import AnyArray, Image
+
+NUM_FIRST_FRAMES = 5
+"""Frames whose gray values set the range."""
+LOW_PERCENT = 0.5
+HIGH_PERCENT = 99.5
+"""Percentiles of the gray values that become 0 and 255: hot pixels and the sun are left out."""
+
+
+@dataclass(frozen=True)
+class GrayRange:
+    """The 16-bit values that become 0 and 255 in 8 bits."""
+
+    low: int
+    high: int
+    """More than ``low``."""
+
+    @staticmethod
+    def of(images: Sequence[AnyArray]) -> GrayRange:
+        """Return the range of some 16-bit images, left and right together.
+
+        Both cameras get the same range, so that a point keeps its brightness from left to right.
+        """
+        values = np.concatenate([np.ravel(image) for image in images])
+        low, high = np.percentile(values, [LOW_PERCENT, HIGH_PERCENT])
+        # An 8-bit range at least: a wall of one colour must not become amplified noise.
+        return GrayRange(low=int(low), high=max(int(np.ceil(high)), int(low) + 255))
+
+    def to_8_bits(self, image: AnyArray) -> Image:
+        """Return a 16-bit image, [height, width], with values outside the range clipped."""
+        above_low = cv2.subtract(image, np.full_like(image, self.low))  # clips at zero
+        scaled = cv2.convertScaleAbs(above_low, alpha=255.0 / (self.high - self.low))
+        return np.asarray(scaled, dtype=np.uint8)

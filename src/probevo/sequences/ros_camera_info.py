@@ -1,0 +1,113 @@
+"""CameraInfo of ROS: the rectified stereo camera, and the maps that rectify raw images."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.rectification import DistortionModel, PinholeCamera, Rectification
+from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.errors import InputError
+
+MODELS: dict[str, DistortionModel] = {
+    "": "radtan",
+    "plumb_bob": "radtan",
+    "rational_polynomial": "radtan",
+    "equidistant": "equidistant",
+    "fisheye": "equidistant",
+}
+"""Names of distortion models in ROS."""
+
+
+class CameraInfo:
+    """The fields of a sensor_msgs/CameraInfo; ROS 1 names them K, D, R, P, ROS 2 k, d, r, p."""
+
+    def __init__(self, message: Any, where: str) -> None:
+        self.where = where
+        self.size_px = (int(message.width), int(message.height))
+        self.K: FloatArray = _field(message, "K").reshape(3, 3)
+        self.D: FloatArray = _field(message, "D").ravel()
+        self.R: FloatArray = _field(message, "R").reshape(3, 3)
+        self.P: FloatArray = _field(message, "P").reshape(3, 4)
+        self.model: str = message.distortion_model
+        if not self.R.any():  # what drivers send that do not know it
+            self.R = np.eye(3)
+
+    @property
+    def is_rectified(self) -> bool:
+        """Whether the raw images of this camera are rectified already."""
+        is_same = np.allclose(self.K, self.P[:, :3], rtol=0.0, atol=1e-6)
+        return not self.D.any() and np.allclose(self.R, np.eye(3), atol=1e-9) and is_same
+
+    def pinhole(self) -> PinholeCamera:
+        """Return the camera before rectification.
+
+        Raises:
+            InputError: its distortion model is not supported.
+        """
+        if self.model not in MODELS:
+            known = ", ".join(name for name in MODELS if name)
+            what = f"the distortion model {self.model!r} is not supported."
+            raise InputError(self.where, what, f"Supported are {known}.")
+        model = MODELS[self.model]
+        return PinholeCamera(
+            fu_px=float(self.K[0, 0]),
+            fv_px=float(self.K[1, 1]),
+            cu_px=float(self.K[0, 2]),
+            cv_px=float(self.K[1, 2]),
+            distortion_model=model,
+            distortion=tuple(self.D.tolist()) if len(self.D) else (0.0,) * 4,
+            size_px=self.size_px,
+        )
+
+
+def stereo_camera(left: CameraInfo, right: CameraInfo) -> StereoCamera:
+    """Return the rectified camera: P_left = K [1 | 0], and P_right = K [1 | −b e_x].
+
+    Raises:
+        InputError: the pair is not calibrated, is vertical, or has two focal lengths.
+    """
+    cure = "Give the calibration of the pair with --calibration FILE."
+    if not left.P[0, 0] or not right.P[0, 0]:
+        raise InputError(left.where, "P is zero: the camera is not calibrated.", cure)
+    if not np.allclose(left.P[:, :3], right.P[:, :3], rtol=1e-6, atol=1e-3):
+        what = f"P differs from that of {right.where} in more than the baseline."
+        raise InputError(left.where, what, cure)
+    if right.P[0, 3] == left.P[0, 3]:
+        what = "P has no baseline: its fourth number, −fx·b, is that of the left camera."
+        raise InputError(right.where, what, cure)
+    fu_px = float(left.P[0, 0])
+    camera = StereoCamera(
+        fu_px=fu_px,
+        fv_px=float(left.P[1, 1]),
+        cu_px=float(left.P[0, 2]),
+        cv_px=float(left.P[1, 2]),
+        baseline_m=float(left.P[0, 3] - right.P[0, 3]) / fu_px,
+        size_px=left.size_px,
+    )
+    check_camera(camera, right.where)
+    return camera
+
+
+def rectification_of(left: CameraInfo, right: CameraInfo) -> Rectification:
+    """Return the maps from raw images to those of ``stereo_camera``.
+
+    Raises:
+        InputError: a distortion model is not supported, or a value is impossible.
+    """
+    return Rectification.from_projections(
+        left.pinhole(),
+        right.pinhole(),
+        stereo_camera(left, right),
+        C_rect_left=left.R,
+        C_rect_right=right.R,
+        where=left.where,
+    )
+
+
+def _field(message: Any, name: str) -> FloatArray:
+    """Return a field of numbers by the name that it has in ROS 1."""
+    values = getattr(message, name) if hasattr(message, name) else getattr(message, name.lower())
+    return np.array(values, dtype=float)

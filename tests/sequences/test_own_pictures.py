@@ -1,0 +1,217 @@
+"""Folders as people have them: times in file names or at a rate, 16 bits, colour, other formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from cli.rendering import write_wall
+from probevo.arrays import AnyArray
+from probevo.cli.main import main
+from probevo.errors import InputError
+from probevo.run_config import read_config
+from probevo.sequences import open_sequence
+from probevo.sequences.gray_range import GrayRange
+from probevo.sequences.images import read_gray
+from probevo.sequences.recording import StereoRecording
+from probevo.sequences.stamps import stamps_of_names
+from sequences.recordings import HEIGHT_PX, WIDTH_PX, image, write_folder_sequence, write_image
+
+
+def without_times(root: Path) -> Path:
+    path = write_folder_sequence(root, imu=False, truth=False)
+    (path / "times.txt").unlink()
+    return path
+
+
+def rename(path: Path, side: str, names: list[str]) -> None:
+    for old, new in zip(sorted((path / side).iterdir()), names, strict=True):
+        old.rename(old.with_name(f"{new}.png"))
+
+
+# --- times ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "stamps_ns"),
+    [
+        (
+            ["1520530308199447626", "1520530308249448626"],
+            [1520530308199447626, 1520530308249448626],
+        ),
+        (
+            ["left_1520530308199447", "left_1520530308249448"],
+            [1520530308199447000, 1520530308249448000],
+        ),
+        (["1520530308199", "1520530308249"], [1520530308199000000, 1520530308249000000]),
+        (["1520530308.199447626", "1520530308.25"], [1520530308199447626, 1520530308250000000]),
+        (["000000", "000001"], None),
+        (["1520530308199447626", "7"], None),
+        (["1520530308199447626", "last"], None),
+        ([], None),
+    ],
+)
+def test_stamps_in_file_names(names: list[str], stamps_ns: list[int] | None) -> None:
+    found = stamps_of_names([Path(f"{name}.png") for name in names])
+    assert (None if found is None else found.tolist()) == stamps_ns
+
+
+def test_a_folder_with_stamps_as_names(tmp_path: Path) -> None:
+    path = without_times(tmp_path)
+    names = [str(1520530308199447626 + k * 50_000_000) for k in range(4)]
+    rename(path, "left", names)
+    rename(path, "right", names)
+    assert open_sequence(path).stamps_ns.tolist() == [int(name) for name in names]
+
+
+def test_stamps_as_names_pair_the_images(tmp_path: Path) -> None:
+    """The names differ by some microseconds, and one right image is missing."""
+    path = without_times(tmp_path)
+    start_ns = 1520530308199447626
+    rename(path, "left", [str(start_ns + k * 50_000_000) for k in range(4)])
+    rename(path, "right", [str(start_ns + k * 50_000_000 + 3_000) for k in range(4)])
+    sorted((path / "right").iterdir())[1].unlink()
+    sequence = open_sequence(path)
+    assert isinstance(sequence, StereoRecording)
+    assert ((sequence.stamps_ns - start_ns) // 50_000_000).tolist() == [0, 2, 3]
+    np.testing.assert_array_equal(list(sequence)[1].right, image(2, right=True))
+    assert "1 left, 0 right" in dict(sequence.notes)["! pairs"]
+
+
+def test_a_rate_gives_the_times(tmp_path: Path) -> None:
+    path = without_times(tmp_path)
+    with pytest.raises(InputError, match=r"times\.txt: this file is missing(?s:.*)--rate-hz"):
+        open_sequence(path)
+    stamps_ns = open_sequence(path, rate_hz=30.0).stamps_ns
+    assert stamps_ns.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
+
+
+def test_a_rate_beside_times_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="contradicts"):
+        open_sequence(write_folder_sequence(tmp_path), rate_hz=10.0)
+    with pytest.raises(InputError, match="rate_hz"):
+        open_sequence(tmp_path, rate_hz=-1.0)
+
+
+def test_the_command_line_gives_rate_and_calibration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = without_times(tmp_path)
+    assert main(["info", str(path), "--rate-hz", "20"]) == 0
+    assert "20.00 Hz" in capsys.readouterr().out
+    assert main(["info", str(path), "--rate-hz", "20", "--calibration", str(path / "none")]) == 2
+    assert "none: this file is missing" in capsys.readouterr().err
+
+
+# --- pictures ------------------------------------------------------------------------------------
+
+
+def convert(path: Path, suffix: str, change: Any = lambda pixels: pixels) -> None:
+    for file in [*(path / "left").iterdir(), *(path / "right").iterdir()]:
+        pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        file.unlink()
+        write_image(file.with_suffix(suffix), change(pixels))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pgm", ".tif", ".tiff", ".bmp"])
+def test_lossless_formats(suffix: str, tmp_path: Path) -> None:
+    path = write_folder_sequence(tmp_path, imu=False)
+    convert(path, suffix)
+    for frame in open_sequence(path):
+        np.testing.assert_array_equal(frame.left, image(frame.index))
+        np.testing.assert_array_equal(frame.right, image(frame.index, right=True))
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".webp"])
+def test_lossy_formats(suffix: str, tmp_path: Path) -> None:
+    smooth = cv2.GaussianBlur(image(0), (0, 0), 4.0)
+    write_image(tmp_path / f"picture{suffix}", smooth)
+    np.testing.assert_allclose(read_gray(tmp_path / f"picture{suffix}"), smooth, atol=6)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".ppm", ".tif", ".bmp"])
+def test_colour_becomes_its_luma(suffix: str, tmp_path: Path) -> None:
+    colour = np.random.default_rng(1).integers(0, 256, (HEIGHT_PX, WIDTH_PX, 3), dtype=np.uint8)
+    write_image(tmp_path / f"picture{suffix}", colour)
+    expected = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
+    np.testing.assert_array_equal(read_gray(tmp_path / f"picture{suffix}"), expected)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".pgm", ".ppm", ".tif", ".webp", ".bmp"])
+def test_a_picture_that_was_cut_off_is_refused(suffix: str, tmp_path: Path) -> None:
+    pixels: AnyArray = image(0)
+    if suffix == ".ppm":
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)
+    file = tmp_path / f"picture{suffix}"
+    write_image(file, pixels)
+    whole = file.read_bytes()
+    for share in (0.02, 0.5, 0.97):
+        file.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(InputError, match="damaged"):
+            read_gray(file)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pgm", ".tif"])
+def test_sixteen_bits_are_scaled_by_the_first_frames(suffix: str, tmp_path: Path) -> None:
+    path = write_folder_sequence(tmp_path, imu=False)
+    convert(path, suffix, lambda pixels: 2000 + 8 * pixels.astype(np.uint16))
+    for frame in open_sequence(path):
+        np.testing.assert_allclose(frame.left, image(frame.index), atol=3)
+        np.testing.assert_allclose(frame.right, image(frame.index, right=True), atol=3)
+
+
+def test_the_range_is_that_of_percentiles() -> None:
+    values = np.arange(10_000, dtype=np.uint16).reshape(100, 100)
+    gray_range = GrayRange.of([values, values])
+    assert (gray_range.low, gray_range.high) == (49, 9950)
+    scaled = gray_range.to_8_bits(values)
+    exact = np.clip((values.astype(float) - 49) * 255 / (9950 - 49), 0, 255)
+    np.testing.assert_allclose(scaled, exact, atol=0.51)
+
+
+def test_a_dull_picture_is_not_amplified() -> None:
+    dull = np.full((10, 10), 500, np.uint16)
+    dull[0, 0] = 503
+    assert GrayRange.of([dull]).to_8_bits(dull)[0, 0] <= 3
+
+
+def test_sixteen_bits_among_eight_are_refused(tmp_path: Path) -> None:
+    path = write_folder_sequence(tmp_path, imu=False)
+    write_image(path / "left" / "000003.png", image(3).astype(np.uint16))
+    with pytest.raises(InputError, match="uint16; expected 8 bits"):
+        list(open_sequence(path))
+
+
+# --- a run ---------------------------------------------------------------------------------------
+
+
+def test_a_run_can_be_repeated_from_its_settings(tmp_path: Path, monkeypatch: Any) -> None:
+    """The settings have the calibration by its absolute path, and the rate."""
+    write_wall(tmp_path / "wall", 4)
+    (tmp_path / "wall" / "times.txt").unlink()
+    camera = {
+        "camera_model": "pinhole",
+        "intrinsics": [200.0, 200.0, 159.5, 79.5],
+        "distortion_model": "none",
+        "resolution": [320, 160],
+    }
+    T_right_left = np.eye(4)
+    T_right_left[0, 3] = -0.3
+    chain = {"cam0": camera, "cam1": camera | {"T_cn_cnm1": T_right_left.tolist()}}
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump(chain))
+    monkeypatch.chdir(tmp_path)
+    flags = ["--calibration", "chain.yaml", "--rate-hz", "10"]
+    assert main(["run", "wall", "--out", "first", *flags]) == 0
+    config = read_config(tmp_path / "first" / "config.yaml")
+    assert config.calibration == tmp_path / "chain.yaml"
+    assert config.rate_hz == 10.0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert main(["run", "--config", "../first/config.yaml", "--out", "second"]) == 0
+    first = (tmp_path / "first" / "trajectory.tum").read_bytes()
+    assert first == (tmp_path / "elsewhere" / "second" / "trajectory.tum").read_bytes()
