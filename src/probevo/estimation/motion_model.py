@@ -11,6 +11,7 @@ from probevo.arrays import FloatArray
 from probevo.config import MotionModelConfig
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.geometry import se3, so3
+from probevo.geometry.se3_numba import perturb
 from probevo.measurements.relative_rotation import RelativeRotation
 
 INNOVATION_GATE = 60.0
@@ -98,7 +99,8 @@ class MotionModel:
 
     def predict(self, duration_s: float, gyro: RelativeRotation | None) -> MotionPrediction:
         """Predict the motion of the coming step; the rotation is the gyro's where there is one."""
-        T_curr_prev = se3.exp(self.twist_s * duration_s)
+        T_curr_prev = np.empty((4, 4))
+        perturb(self.twist_s * duration_s, np.eye(4), T_curr_prev)  # Exp(ξ), compiled
         velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
         stamp_variance = 2.0 * self.config.stamp_sigma_s**2
         cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist_s, self.twist_s)
