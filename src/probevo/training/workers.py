@@ -3,6 +3,7 @@ same."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing, contextmanager
@@ -131,6 +132,7 @@ def _on_this_machine(
 ) -> Generator[tuple[int, Any], None, None]:
     import joblib
 
+    os.environ["PYTHONSAFEPATH"] = "1"  # no module of the working directory is imported
     with joblib.parallel_config("loky", inner_max_num_threads=1):
         calls = (joblib.delayed(_numbered)(work, *numbered) for numbered in tasks)
         results = joblib.Parallel(jobs, return_as="generator_unordered", batch_size=1)(calls)
