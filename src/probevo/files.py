@@ -1,8 +1,12 @@
-"""Writing of files: each appears whole or not at all, and bad output folders are refused early."""
+"""Reading of regular files only, and writing of files that appear whole or not at all.
+
+Bad output folders are refused early.
+"""
 
 from __future__ import annotations
 
 import os
+import stat
 import zlib
 from contextlib import suppress
 from pathlib import Path
@@ -23,6 +27,29 @@ NO_ARCHIVE = (
     TokenError,
 )
 """The exceptions that NumPy raises for an .npz file that is damaged or of another kind."""
+
+
+def check_regular(path: Path, most_bytes: int) -> None:
+    """Refuse a file that cannot be read to its end: a pipe, a device, or one of endless size.
+
+    A file that is missing or a folder is left to whoever opens it.
+
+    Args:
+        path: the file.
+        most_bytes: the largest plausible size.
+
+    Raises:
+        InputError: says which.
+    """
+    try:
+        found = path.stat()
+    except OSError:
+        return
+    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+        raise InputError(path, "this is a pipe or a device, not a file.", "Copy it to a file.")
+    if found.st_size > most_bytes:
+        what = f"this file has {found.st_size:,} bytes; expected at most {most_bytes:,}."
+        raise InputError(path, what, "Is it the right file?")
 
 
 def check_folder(folder: Path, option: str) -> None:

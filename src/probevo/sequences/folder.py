@@ -7,7 +7,6 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import (
-    BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
@@ -33,7 +32,7 @@ from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import read_times
 from probevo.sequences.text import read_stamped_csv
-from probevo.sequences.yaml_file import load_yaml, validated
+from probevo.sequences.yaml_file import CalibrationModel, load_yaml, validated
 
 IMU_HEADER = "stamp_ns,wx,wy,wz,ax,ay,az"
 
@@ -45,7 +44,7 @@ def _join_rows(value: object) -> object:
     return value
 
 
-class ImuSection(BaseModel):
+class ImuSection(CalibrationModel):
     """The section ``imu`` of ``calib.yaml``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -83,7 +82,7 @@ class ImuSection(BaseModel):
         )
 
 
-class FolderCalibration(BaseModel):
+class FolderCalibration(CalibrationModel):
     """The content of ``calib.yaml``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import IntArray
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.sequences.text import INT64_LIMIT, parse_stamp_ns, read_lines
 
 NS_PER_S = 1_000_000_000
@@ -97,9 +97,9 @@ def _finite(text: str, where: str) -> Decimal:
     try:
         number = Decimal(text)
     except InvalidOperation:
-        raise InputError(where, f"the time {text!r} is not a number of seconds.") from None
+        raise InputError(where, f"the time {brief(text)} is not a number of seconds.") from None
     if not number.is_finite():
-        raise InputError(where, f"the time {text!r} is not a finite number of seconds.")
+        raise InputError(where, f"the time {brief(text)} is not a finite number of seconds.")
     return number
 
 
@@ -111,7 +111,9 @@ def _to_ns(seconds: Decimal, where: str, text: str, *, cure: str) -> int:
     """
     stamp = seconds * NS_PER_S
     if abs(stamp) >= INT64_LIMIT:
-        raise InputError(where, f"the time {text!r} is too large for a number of seconds.", cure)
+        raise InputError(
+            where, f"the time {brief(text)} is too large for a number of seconds.", cure
+        )
     return round(stamp)
 
 
@@ -128,7 +130,7 @@ def _datetime_to_ns(text: str, where: str) -> int:
     if np.isnat(moment):
         raise InputError(
             where,
-            f"the time {text!r} is not a date and time.",
+            f"the time {brief(text)} is not a date and time.",
             "Expected YYYY-MM-DD hh:mm:ss.nnnnnnnnn.",
         )
     return int(moment.astype(np.int64))
