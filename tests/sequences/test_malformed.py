@@ -264,6 +264,10 @@ KITTI_ODOMETRY: dict[str, tuple[Edit, list[str]]] = {
         ["07.txt", "3 poses", "4 frames"],
     ),
     "first image cut": (cut("image_0/000000.png", 0.5), ["image_0/000000.png", "damaged"]),
+    "first image of another size": (
+        write("image_0/000000.png", image(0)[:1, :1]),
+        ["image_0/000000.png", "1×1 px, its partner 64×48 px"],
+    ),
     "right image renamed": (
         lambda path: (path / "image_1/000001.png").rename(path / "image_1/1.png"),
         ["image_1/000001.png", "missing"],
