@@ -211,6 +211,37 @@ def test_swapped_images_are_refused(
     assert not (tmp_path / "out").exists()
 
 
+def test_sigterm_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
+    steps: list[None] = []
+
+    def kill(_: object) -> None:
+        steps.append(None)
+        if len(steps) == 4:
+            raise KeyboardInterrupt("SIGTERM")  # as the command line does
+
+    with pytest.raises(KeyboardInterrupt):
+        run_sequence(open_sequence(wall), RunConfig(), tmp_path, on_step=kill)
+    assert "After 4 frames: stopped by SIGTERM." in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt(), InputError("report.html", "disk full")])
+def test_where_not_all_files_can_be_written_older_results_stay(
+    stop: BaseException,
+    wall: Path,
+    wall_run: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def failing(*_: object, **__: object) -> None:
+        raise stop
+
+    out = shutil.copytree(wall_run, tmp_path / "out")
+    monkeypatch.setattr("probevo.output.report.write_report", failing)
+    with pytest.raises(type(stop)):
+        run_sequence(open_sequence(wall), RunConfig(noise="fixed"), out)
+    assert unchanged(out, wall_run)
+
+
 def test_where_the_first_frame_fails_older_results_stay(
     wall: Path, wall_run: Path, tmp_path: Path
 ) -> None:
