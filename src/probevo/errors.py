@@ -7,6 +7,15 @@ with code 2.
 from __future__ import annotations
 
 from pathlib import Path
+from reprlib import Repr
+
+LONGEST_VALUE = 80
+"""Characters of a value that a message quotes."""
+_SHORT = Repr()
+_SHORT.maxlevel = 2
+_SHORT.maxstring = LONGEST_VALUE
+_SHORT.maxother = LONGEST_VALUE
+_SHORT.maxlong = LONGEST_VALUE
 
 
 class ProbevoError(Exception):
@@ -31,3 +40,12 @@ class InputError(ProbevoError):
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
         """Pickle the parts: an error raised in a worker process arrives as the same error."""
         return type(self), (self.where, self.what, self.cure)
+
+
+def brief(value: object) -> str:
+    """Return the repr of a value for a message, shortened in its middle where it is long.
+
+    A value of many nested lists is not written out first, which could take all memory.
+    """
+    text = _SHORT.repr(value)
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 1]}…"

@@ -1,10 +1,19 @@
-"""Writing of files: each appears whole or not at all, and bad output folders are refused early."""
+"""Reading of regular files only, and writing of files that appear whole or not at all.
+
+Bad output folders are refused early.
+"""
 
 from __future__ import annotations
 
 import os
+import re
+import secrets
+import shutil
+import socket
+import stat
 import zlib
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tokenize import TokenError
 from zipfile import BadZipFile
@@ -23,6 +32,29 @@ NO_ARCHIVE = (
     TokenError,
 )
 """The exceptions that NumPy raises for an .npz file that is damaged or of another kind."""
+
+
+def check_regular(path: Path, most_bytes: int) -> None:
+    """Refuse a file that cannot be read to its end: a pipe, a device, or one of endless size.
+
+    A file that is missing or a folder is left to whoever opens it.
+
+    Args:
+        path: the file.
+        most_bytes: the largest plausible size.
+
+    Raises:
+        InputError: says which.
+    """
+    try:
+        found = path.stat()
+    except OSError:
+        return
+    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+        raise InputError(path, "this is a pipe or a device, not a file.", "Copy it to a file.")
+    if found.st_size > most_bytes:
+        what = f"this file has {found.st_size:,} bytes; expected at most {most_bytes:,}."
+        raise InputError(path, what, "Is it the right file?")
 
 
 def check_folder(folder: Path, option: str) -> None:
@@ -47,26 +79,101 @@ def check_folder(folder: Path, option: str) -> None:
 def write_atomically(path: Path, content: bytes | str, writer: str = "") -> None:
     """Write a file so that an interruption leaves the old content or the new one, never a part.
 
-    The content goes to a temporary file beside ``path``, which then replaces it.
+    The content goes to a temporary file beside ``path``, which then replaces it. Its name is of
+    this call alone, so that of several writers at once one wins, with the whole of its content.
 
     Args:
         path: the file; missing folders are created.
         content: text is encoded as UTF-8.
-        writer: name of this process, if several may write the same file at once.
+        writer: a further mark in the name of the temporary file.
 
     Raises:
         InputError: the place is not writable.
     """
     data = content.encode() if isinstance(content, str) else content
-    partial = path.with_name(f"{path.name}{writer}.part")
+    partial = _partial(path.with_name(path.name + writer))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(data)
+        _remove_abandoned(path)
+        with partial.open("xb") as file:  # x: follows no link, and opens no file of others
+            file.write(data)
         partial.replace(path)
     except OSError as error:
-        with suppress(OSError):
-            partial.unlink()
         raise InputError(path, f"cannot be written: {error.strerror}", CHOOSE_ANOTHER) from error
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def written_together(folder: Path) -> Iterator[Path]:
+    """Give a temporary folder, and move its files into ``folder`` when all of them are written.
+
+    If anything is raised meanwhile, ``folder`` keeps the files that it had.
+
+    Args:
+        folder: where the files shall be; created if it is missing.
+
+    Raises:
+        InputError: the place is not writable.
+    """
+    place = folder / "results"
+    partial = _partial(place)
+    target = folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _remove_abandoned(place)
+        partial.mkdir()
+    except OSError as error:
+        raise InputError(folder, f"cannot be written: {error.strerror}", CHOOSE_ANOTHER) from error
+    try:
+        yield partial
+        for path in sorted(partial.iterdir()):
+            target = folder / path.name
+            path.replace(target)
+    except OSError as error:
+        raise InputError(target, f"cannot be written: {error.strerror}", CHOOSE_ANOTHER) from error
+    except InputError as error:
+        # A message names the file where it shall be.
+        where = error.where.replace(str(partial), str(folder))
+        raise InputError(where, error.what, error.cure) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _partial(path: Path) -> Path:
+    """Return a name beside ``path`` that no other call has: it tells host, process and call."""
+    return path.with_name(f"{path.name}.{_host()}-{os.getpid()}-{secrets.token_hex(4)}.part")
+
+
+def _host() -> str:
+    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove the temporary files of ``path`` whose process on this host was killed."""
+    if os.name != "posix":  # elsewhere, there is no harmless way to ask for a process
+        return
+    pattern = re.compile(rf"{re.escape(path.name)}\.{_host()}-(\d{{1,9}})-[0-9a-f]{{8}}\.part")
+    for other in path.parent.iterdir():
+        match = pattern.fullmatch(other.name)
+        if match is None or _is_running(int(match[1])):
+            continue
+        if other.is_dir() and not other.is_symlink():
+            shutil.rmtree(other, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                other.unlink()
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)  # sends no signal
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True  # that of another user
+    return True
 
 
 def remove_stale(path: Path) -> None:

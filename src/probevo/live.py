@@ -14,7 +14,7 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.odometry import StereoOdometry
 from probevo.sequences.frame import Frame, ImuSamples
-from probevo.sequences.validation import usable_imu, validated
+from probevo.sequences.validation import usable_imu, validated, with_plain_arrays
 
 MOST_UNREAD = 16
 """Estimates that may wait for ``estimates()``; the next step begins only when there is room."""
@@ -181,6 +181,7 @@ class LiveOdometry:
             if self._closed:
                 raise RuntimeError("pushed a frame after close()")
             try:
+                frame = with_plain_arrays(frame)
                 validated(frame, self._odometry.camera, prev_frame=self._newest)
             except InputError:
                 self._num_refused += 1

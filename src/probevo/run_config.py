@@ -15,13 +15,16 @@ from pydantic import BaseModel, Field, ValidationError, field_validator, model_v
 from pydantic_core import ErrorDetails
 
 from probevo.config import OdometryConfig
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.sequences.registry import format_names
 from probevo.settings import Settings
 
 FORMAT_HELP = (
     f"Layout of the recording: {', '.join(format_names())}; recognised if it is not named."
 )
+
+MOST_FAULTS = 8
+"""Wrong settings that a message names."""
 
 
 class TopicSettings(Settings):
@@ -181,7 +184,9 @@ def setting_error(
     """
     unknown_first = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
     faults = [(".".join(map(str, fault["loc"])), fault) for fault in unknown_first]
-    texts = [_fault_text(spelled(key) if key else "", fault) for key, fault in faults]
+    texts = [_fault_text(spelled(key) if key else "", fault) for key, fault in faults[:MOST_FAULTS]]
+    if len(faults) > MOST_FAULTS:
+        texts.append(f"and {len(faults) - MOST_FAULTS} more")
 
     known = dict(_known_keys(model))
     first_key, first_fault = faults[0]
@@ -195,9 +200,9 @@ def setting_error(
 def _fault_text(key: str, fault: ErrorDetails) -> str:
     """Return one fault in words; it has no key if several settings contradict each other."""
     if fault["type"] == "extra_forbidden":
-        return f"the key {key} is not known"
+        return f"the key {brief(key)[1:-1]} is not known"
     message = fault["msg"].removeprefix("Value error, ").replace("Input should", "it should")
-    return f"{key} is {fault['input']!r}; {message}" if key else message
+    return f"{key} is {brief(fault['input'])}; {message}" if key else message
 
 
 def _nearest_keys(key: str, known: Collection[str]) -> str:

@@ -18,7 +18,7 @@ from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.evaluation.metrics import Metrics, evaluate
-from probevo.files import check_folder, remove_stale, write_atomically
+from probevo.files import check_folder, remove_stale, write_atomically, written_together
 from probevo.noise.named import noise_model, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
@@ -130,7 +130,7 @@ def run_sequence(
 def _reason(stop: BaseException) -> str:
     """Return what stopped a run, in words."""
     if isinstance(stop, KeyboardInterrupt):
-        return "stopped by Ctrl-C."
+        return f"stopped by {str(stop) or 'Ctrl-C'}."  # or the name of another signal
     if isinstance(stop, InputError):
         return f"{stop.where}: {stop.what}"
     return f"{type(stop).__name__}: {stop}"
@@ -151,35 +151,37 @@ def _write_results(
         "imu_noise": config.imu_noise and config.imu_noise.resolve(),
     }
     settings = config_text(config.model_copy(update=absolute))
-    write_atomically(out / "config.yaml", f"# by probevo {__version__}\n{settings}")
-    write_tum(out / "trajectory.tum", result.stamps_ns, result.T_world_cam)
-    write_kitti_poses(out / "trajectory.kitti.txt", result.T_world_cam)
-    write_motions(out / "motions.npz", result)
-
     truth = None
     metrics = None
     if sequence.truth is not None:
         truth = sequence.truth.T_world_cam[: len(result)]
         metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, cov=result.cov)
         metrics = replace(metrics, out_of_domain=result.out_of_domain, stopped=result.stopped)
-        write_json(out / "metrics.json", metrics.as_dict())
-    else:
-        remove_stale(out / "metrics.json")
 
-    if len(result) >= 2:
-        write_report(
-            out / "report.html",
-            result,
-            RunDescription(
-                title=sequence.path.resolve().name,
-                facts=run_facts(sequence, config, result),
-                config=settings,
-            ),
-            truth=truth,
-            metrics=metrics,
-            thumbnails=pictures.drawn,
-        )
-    else:
+    # All files or none: part of them beside those of an earlier run would pass for one run.
+    with written_together(out) as folder:
+        write_atomically(folder / "config.yaml", f"# by probevo {__version__}\n{settings}")
+        write_tum(folder / "trajectory.tum", result.stamps_ns, result.T_world_cam)
+        write_kitti_poses(folder / "trajectory.kitti.txt", result.T_world_cam)
+        write_motions(folder / "motions.npz", result)
+        if metrics is not None:
+            write_json(folder / "metrics.json", metrics.as_dict())
+        if len(result) >= 2:
+            write_report(
+                folder / "report.html",
+                result,
+                RunDescription(
+                    title=sequence.path.resolve().name,
+                    facts=run_facts(sequence, config, result),
+                    config=settings,
+                ),
+                truth=truth,
+                metrics=metrics,
+                thumbnails=pictures.drawn,
+            )
+    if metrics is None:
+        remove_stale(out / "metrics.json")
+    if len(result) < 2:
         remove_stale(out / "report.html")
     return Run(result, metrics, truth, pictures=tuple(pictures.drawn))
 

@@ -128,3 +128,13 @@ def test_a_damaged_image_does_not_hide_the_calibration(
     shown = capsys.readouterr()
     assert "320×160 px" in shown.out
     assert "left/000000.png: this image is damaged" in shown.err
+
+
+@pytest.mark.parametrize("rate", ["1e300", "1e18", "-1e5"])
+def test_an_implausible_angular_rate_is_marked(
+    rate: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = write_folder_sequence(tmp_path)
+    replace("imu.csv", ",0.1,", f",{rate},")(recording)
+    rows = info(recording, capsys)
+    assert "1 of 41 have an angular rate over 2000 rad/s" in rows["! IMU samples"]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probevo.cli.info_imu import ImageRotations, imu_warning
+from probevo.cli.info_imu import ImageRotations, imu_warning, sample_warnings
 from probevo.geometry import se3, so3
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -78,3 +78,33 @@ def test_with_little_rotation_or_few_steps_there_is_no_warning() -> None:
     assert imu_warning(images, replace(stream, gyro_rad_s=-stream.gyro_rad_s), CALIBRATION) == ""
     few = ImageRotations(images.between_ns[:5], images.rotation_rad[:5])
     assert imu_warning(few, stream, CALIBRATION) == ""
+
+
+@pytest.mark.parametrize(
+    ("rate", "text"),
+    [
+        (1e300, "have an angular rate over 2000 rad/s; they are left out"),
+        (1e18, "have an angular rate over 2000 rad/s; they are left out"),
+        (40.0, "are spikes of the gyro, 10 rad/s or more from both neighbours"),
+    ],
+)
+def test_implausible_rates_and_spikes_are_counted(rate: float, text: str) -> None:
+    _, stream = drive()
+    gyro = stream.gyro_rad_s.copy()
+    gyro[[100, 200, 400], [0, 1, 2]] = [rate, -rate, rate]
+    gyro[700:, 0] += 12.0  # the vehicle turns faster from here on, which is no spike
+    assert sample_warnings(replace(stream, gyro_rad_s=gyro)) == [f"3 of 1,240 {text}"]
+
+
+def test_implausible_forces_are_counted() -> None:
+    _, stream = drive()
+    accel = np.full_like(stream.gyro_rad_s, 9.81)
+    accel[7] = 1e18
+    assert sample_warnings(replace(stream, accel_m_s2=accel)) == [
+        "1 of 1,240 have a specific force over 1e+06 m/s²; it is left out"
+    ]
+
+
+def test_plausible_samples_raise_no_warning() -> None:
+    _, stream = drive()
+    assert sample_warnings(stream) == []

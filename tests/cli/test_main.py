@@ -1,8 +1,11 @@
 """The dispatcher: what it imports, and how it turns errors into messages."""
 
 import os
+import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from types import SimpleNamespace
 
 import pytest
@@ -111,3 +114,62 @@ def test_ctrl_c_gives_130_and_says_where_the_results_are(
         capsys.readouterr().err
         == "probevo: stopped.\n         The results of the first 7 frames are in out.\n"
     )
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_a_command_like_an_interrupt(
+    number: signal.Signals,
+    code: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def killed(words: list[str]) -> None:
+        try:
+            os.kill(os.getpid(), number)
+        except KeyboardInterrupt as stop:
+            stop.add_note("The results are in out.")
+            raise
+
+    monkeypatch.setattr(cli, "import_module", lambda name: SimpleNamespace(main=killed))
+    before = signal.getsignal(number)
+    assert cli.main(["run"]) == code
+    assert signal.getsignal(number) == before
+    assert capsys.readouterr().err == "probevo: stopped.\n         The results are in out.\n"
+
+
+@pytest.mark.parametrize("during", ["import", "command"])
+def test_an_interrupt_that_an_import_swallows_is_none_the_less_one(
+    during: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def swallowing(*_: object) -> SimpleNamespace:
+        with suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+        return command
+
+    command = SimpleNamespace(main=swallowing if during == "command" else calls.append)
+    find = swallowing if during == "import" else lambda name: command
+    monkeypatch.setattr(cli, "import_module", find)
+    assert cli.main(["run"]) == 130
+    assert not calls
+    monkeypatch.setattr(cli, "import_module", lambda name: SimpleNamespace(main=calls.append))
+    assert cli.main(["run"]) == 0  # the next call knows nothing of it
+
+
+def test_handlers_of_the_caller_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, frame: seen.append(number))
+    try:
+        kill = SimpleNamespace(main=lambda words: os.kill(os.getpid(), signal.SIGTERM))
+        monkeypatch.setattr(cli, "import_module", lambda name: kill)
+        assert cli.main(["run"]) == 0
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert seen == [signal.SIGTERM]
+
+
+def test_it_runs_in_another_thread_too() -> None:
+    """Where no handler of a signal can be set."""
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(cli.main, ["--version"]).result() == 0

@@ -22,7 +22,7 @@ from probevo.runner import run_sequence
 from probevo.sequences import open_sequence
 from probevo.sequences.pose_files import read_kitti_poses, read_tum
 from probevo.sequences.without_imu import WithoutImu
-from sequences.damage import cut
+from sequences.damage import cut, replace
 from sequences.recordings import write_folder_sequence, write_tracks
 from worlds import Homesick
 
@@ -209,6 +209,59 @@ def test_swapped_images_are_refused(
     assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 2
     assert "negative disparity.\n         Are left and right swapped?" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_sigterm_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:
+    steps: list[None] = []
+
+    def kill(_: object) -> None:
+        steps.append(None)
+        if len(steps) == 4:
+            raise KeyboardInterrupt("SIGTERM")  # as the command line does
+
+    with pytest.raises(KeyboardInterrupt):
+        run_sequence(open_sequence(wall), RunConfig(), tmp_path, on_step=kill)
+    assert "After 4 frames: stopped by SIGTERM." in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt(), InputError("report.html", "disk full")])
+def test_where_not_all_files_can_be_written_older_results_stay(
+    stop: BaseException,
+    wall: Path,
+    wall_run: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def failing(*_: object, **__: object) -> None:
+        raise stop
+
+    out = shutil.copytree(wall_run, tmp_path / "out")
+    monkeypatch.setattr("probevo.output.report.write_report", failing)
+    with pytest.raises(type(stop)):
+        run_sequence(open_sequence(wall), RunConfig(noise="fixed"), out)
+    assert unchanged(out, wall_run)
+
+
+@pytest.mark.parametrize(
+    ("baseline", "text"), [(1.0, None), (1.02, None), (1.06, "1.06"), (2.0, "2"), (0.001, "0.001")]
+)
+def test_a_baseline_that_contradicts_the_truth_is_warned_of(
+    baseline: float,
+    text: str | None,
+    wall: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    right = open_sequence(wall).camera.baseline_m
+    replace("calib.yaml", f"baseline_m: {right}", f"baseline_m: {baseline * right}")(recording)
+    assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 0
+    warned = capsys.readouterr().err
+    expected = f"The steps are {text} times as long as the true ones." if text else ""
+    assert expected in warned
+    assert ("times as long" in warned) is (text is not None)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert ("times as long as the true ones" in page) is (text is not None)
 
 
 def test_where_the_first_frame_fails_older_results_stay(

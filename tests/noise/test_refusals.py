@@ -16,6 +16,7 @@ import pytest
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
+from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.noise import GeneralizedKernel, NearestNeighbors, StudentT
 from probevo.noise.base import LearnedNoiseModel
@@ -423,3 +424,99 @@ def test_an_error_cov_that_is_none_is_refused(kind: str, error_cov: FloatArray) 
     """The compiled loop would read beyond its end."""
     with pytest.raises(InputError, match="error_cov"):
         KINDS[kind].fit(np.nan_to_num(places()), error_cov=error_cov)
+
+
+ACCOUNT: dict[str, Any] = {
+    "recordings": [{"name": "06", "frames": 1101, "sha256": "0" * 64}],
+    "settings": {"seed": 0, "supervision": "gt"},
+    "turns": [{"log_likelihood": 1.0, "loop_error_m": 2.0}],
+}
+"""What a training says of itself, as far as it is shown."""
+SEARCHES: dict[str, dict[str, Any]] = {
+    "knn": {"neighbors": {"candidates": [1.0, 2.0], "errors": [1.0, 2.0], "chosen": 1.0}},
+    "gk": {
+        "weights": {
+            "candidates": ["place", "gone"],
+            "gains": [0.1, 0.2],
+            "chosen": {"place": 1.0, "gone": 0.0},
+        },
+        "neighbors": {"candidates": [10, 20], "gains": [1.0, 2.0], "chosen": 10},
+    },
+    "student-t": {},
+}
+NONSENSE: list[tuple[tuple[str | int, ...], Any]] = [
+    *((("recordings",), value) for value in (7, "06", [None], [[]], [{}], {"a": 1})),
+    *((("recordings", 0, "frames"), value) for value in ("x", None, -1, 10**400, [])),
+    *((("recordings", 0, key), None) for key in ("name", "sha256")),
+    *((("turns",), value) for value in (7, [[]], [None], [{}], [{"a": 1}])),
+    *((("turns", 0, "log_likelihood"), value) for value in (None, "x", [], 10**400)),
+    *((("turns", 0, "loop_error_m"), value) for value in ("x", [[]])),
+    *((("settings",), value) for value in (None, "x", [])),
+    *((("searches",), value) for value in (None, "x", {"neighbors": 0}, {"neighbors": {}})),
+]
+SEARCH_NONSENSE: list[tuple[str, Any]] = [
+    ("candidates", None),
+    ("candidates", [1.0]),
+    ("candidates", [None, 2.0]),
+    ("chosen", 3.0),
+    ("chosen", {"a": 1.0}),
+    ("chosen", None),
+]
+
+
+def with_training(kind: str, place: tuple[str | int, ...], value: Any) -> ModelFile:
+    """Return a model file with a value at a place of the account of its training."""
+    training = copy.deepcopy(ACCOUNT | {"searches": SEARCHES[kind]})
+    part: Any = training
+    for key in place[:-1]:
+        part = part[key]
+    part[place[-1]] = value
+    file = file_of(kind)
+    return replace(file, facts={**file.facts, "training": training})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("place", "value"), NONSENSE, ids=lambda value: str(value)[:30])
+def test_nonsense_about_the_training_is_refused(
+    kind: str, place: tuple[str | int, ...], value: Any, path: Path
+) -> None:
+    """The pages would stumble over it."""
+    refuse(path, with_training(kind, place, value))
+
+
+@pytest.mark.parametrize("kind", ["knn", "gk"])
+@pytest.mark.parametrize(("key", "value"), SEARCH_NONSENSE)
+def test_nonsense_about_a_search_is_refused(kind: str, key: str, value: Any, path: Path) -> None:
+    refuse(path, with_training(kind, ("searches", "neighbors", key), value))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_page_shows_what_is_accepted(kind: str, path: Path, tmp_path: Path) -> None:
+    write_model_file(path, with_training(kind, ("settings", "seed"), 1))
+    assert main(["inspect", "--model", str(path), "--out", str(tmp_path / "page")]) == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("depth", [190, 900, 20_000])
+def test_metadata_without_end_are_refused(kind: str, depth: int, path: Path) -> None:
+    """Written by hand: they are too deep for the writer, too."""
+    write_model_file(path, file_of(kind))
+    deep = "[" * depth + "]" * depth
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    header = data[8 : 8 + size].rstrip().replace(b'\\"seed\\":0', f'\\"seed\\":{deep}'.encode())
+    assert deep.encode() in header
+    path.write_bytes(len(header).to_bytes(8, "little") + header + data[8 + size :])
+    with pytest.raises(InputError):
+        load_model(path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value"),
+    [("knn", "log_mean_alpha", -1e308), ("gk", "domain_radius", 1e308), ("gk", "reach", 1e308)],
+)
+def test_facts_that_would_overflow_are_refused(
+    kind: str, name: str, value: float, path: Path
+) -> None:
+    file = file_of(kind)
+    refuse(path, replace(file, facts={**file.facts, name: value}))

@@ -165,6 +165,22 @@ FOLDER: dict[str, tuple[Edit, list[str]]] = {
     ),
     "times counted": (write("times.txt", b"0\n1\n2\n3\n"), ["times.txt", "decimal point"]),
     "times too large": (write("times.txt", b"1e30\n2e30\n3e30\n4e30\n"), ["times.txt:1", "1e30"]),
+    "times of a huge exponent": (
+        replace("times.txt", T0, "1e999999999"),
+        ["times.txt:1", "'1e999999999'", "too large for a number of seconds"],
+    ),
+    "times of a tiny exponent": (
+        replace("times.txt", T0, "1e-999999999"),
+        ["times.txt:1", "'1e-999999999'", "too small for a number of seconds"],
+    ),
+    "times of many digits": (
+        replace("times.txt", T0, "9" * 100_000 + ".0"),
+        ["times.txt:1", "999...999", "too large for a number of seconds"],
+    ),
+    "times of many digits, whole": (
+        write("times.txt", b"\n".join([b"9" * 100_000] * 4)),
+        ["times.txt:1", "999...999", "not a whole number of nanoseconds"],
+    ),
     "poses too few": (drop_line("poses.txt", 0), ["poses.txt", "3 poses", "4 frames"]),
     "poses of wrong width": (
         replace("poses.txt", "1.0 0.0 ", ""),
@@ -234,6 +250,14 @@ KITTI_RAW: dict[str, tuple[Edit, list[str]]] = {
         append("image_00/timestamps.txt", "NaT"),
         ["image_00/timestamps.txt:5", "NaT"],
     ),
+    "timestamp in the year 9999": (
+        replace("image_00/timestamps.txt", "2014-", "9999-"),
+        ["image_00/timestamps.txt:1", "'9999-05", "year from 1678 to 2261"],
+    ),
+    "timestamp before Christ": (
+        replace("image_00/timestamps.txt", "2014-", "-5000-"),
+        ["image_00/timestamps.txt:1", "'-5000-05", "year from 1678 to 2261"],
+    ),
     "packet missing": (
         remove("oxts/data/0000000001.txt"),
         ["oxts/timestamps.txt", "4 stamps", "3 files"],
@@ -264,6 +288,10 @@ KITTI_ODOMETRY: dict[str, tuple[Edit, list[str]]] = {
         ["07.txt", "3 poses", "4 frames"],
     ),
     "first image cut": (cut("image_0/000000.png", 0.5), ["image_0/000000.png", "damaged"]),
+    "first image of another size": (
+        write("image_0/000000.png", image(0)[:1, :1]),
+        ["image_0/000000.png", "1×1 px, its partner 64×48 px"],
+    ),
     "right image renamed": (
         lambda path: (path / "image_1/000001.png").rename(path / "image_1/1.png"),
         ["image_1/000001.png", "missing"],

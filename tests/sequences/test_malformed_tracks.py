@@ -1,5 +1,7 @@
 """Malformed tracks files: each is refused with the array and what is wrong with it."""
 
+import io
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -78,3 +80,83 @@ def test_a_recording_without_a_single_feature_opens(tmp_path: Path) -> None:
     frames = list(open_sequence(write_tracks(tmp_path, **nothing)))
     assert len(frames) == 4
     assert all(frame.features is not None and len(frame.features.ids) == 0 for frame in frames)
+
+
+def npy_claiming(shape: tuple[int, ...], type_: str = "<f8", more: str = "") -> bytes:
+    """Return the header of an array of that shape, without any of its values."""
+    header = f"{{'descr': '{type_}', 'fortran_order': False, 'shape': {shape}{more}}}".encode()
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+
+
+MEMBERS: dict[str, tuple[str, bytes]] = {
+    "text": ("uv", b"1 2 3 4"),
+    "empty": ("uv.npy", b""),
+    "no array": ("uv.npy", b"1 2 3 4"),
+    "huge": ("uv.npy", npy_claiming((10**12, 4))),
+    "overflowing": ("uv.npy", npy_claiming((2**62, 2**62))),
+    "negative": ("uv.npy", npy_claiming((-1, 4))),
+    "no type": ("uv.npy", npy_claiming((24, 4), "nonsense")),
+    "nested": ("uv.npy", npy_claiming((24, 4), more=", 'x': " + "[" * 3_000 + "]" * 3_000)),
+    "huge stamps": ("t.npy", npy_claiming((10**12,))),
+    "too small": ("t.npy", npy_claiming((1,)) + bytes(16)),
+    "complex": ("t.npy", npy_claiming((2,), "<c16") + bytes(31)),
+    "version": ("t.npy", b"\x93NUMPY\x09\x00" + bytes(80)),
+}
+
+
+@pytest.mark.parametrize("case", MEMBERS)
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_a_member_that_claims_what_it_does_not_hold(case: str, method: int, tmp_path: Path) -> None:
+    name, content = MEMBERS[case]
+    path = tmp_path / "tracks.npz"
+    with zipfile.ZipFile(write_tracks(tmp_path)) as archive:
+        members = {each.filename: archive.read(each) for each in archive.infolist()}
+    members.pop(name.removesuffix(".npy") + ".npy")
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for other, data in (members | {name: content}).items():
+            archive.writestr(other, data)
+    assert_refused(path, ["tracks.npz", "not a readable .npz"])
+
+
+def test_a_bomb_is_refused_before_it_is_inflated(tmp_path: Path) -> None:
+    """An array of zeros takes a thousandth of its size."""
+    path = tmp_path / "tracks.npz"
+    rows = 500_000_000
+    header = npy_claiming((rows,))
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("frame.npy", header)
+    # The directory at the end, and the member itself, say how large the member is.
+    data = bytearray(path.read_bytes())
+    for signature, offset in ((b"PK\x03\x04", 22), (b"PK\x01\x02", 24)):
+        start = data.index(signature) + offset
+        data[start : start + 4] = (len(header) + 8 * rows).to_bytes(4, "little")
+    path.write_bytes(data)
+    assert_refused(path, ["not a readable .npz"])
+
+
+def test_an_encrypted_member_is_refused(tmp_path: Path) -> None:
+    path = write_tracks(tmp_path)
+    data = bytearray(path.read_bytes())
+    for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        start = data.find(signature)
+        while start >= 0:
+            data[start + offset] |= 1
+            start = data.find(signature, start + 1)
+    path.write_bytes(data)
+    assert_refused(path, ["not a readable .npz"])
+
+
+@pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_all_versions_of_arrays_are_read(
+    version: tuple[int, int], order: str, tmp_path: Path
+) -> None:
+    pixels = tracks_arrays()["uv"]
+    buffer = io.BytesIO()
+    np.lib.format.write_array(buffer, np.asarray(pixels, order=order), version=version)
+    path = write_tracks(tmp_path, uv=None)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("uv.npy", buffer.getvalue())
+    frames = list(open_sequence(path))
+    assert frames[1].features is not None
+    np.testing.assert_array_equal(frames[1].features.pixels, pixels[6:12])

@@ -195,8 +195,8 @@ def _noise_text(sequence: Sequence) -> str:
 
 
 def _imu_warnings(sequence: Sequence) -> Rows:
-    """Compare the gyro with the images; there are no rows if they agree."""
-    from probevo.cli.info_imu import ImageRotations, imu_warning
+    """Look for implausible samples, and compare the gyro with the images."""
+    from probevo.cli.info_imu import ImageRotations, imu_warning, sample_warnings
     from probevo.sequences.recording import ImageRecording
     from probevo.sequences.tracks_file import TracksRecording
 
@@ -204,8 +204,9 @@ def _imu_warnings(sequence: Sequence) -> Rows:
         return []
     if sequence.imu is None or sequence.imu_stream is None:
         return []
+    rows = [("! IMU samples", text) for text in sample_warnings(sequence.imu_stream)]
     warning = imu_warning(ImageRotations.of(sequence), sequence.imu_stream, sequence.imu)
-    return [("! gyro", warning)] if warning else []
+    return [*rows, ("! gyro", warning)] if warning else rows
 
 
 def examine(sequence: Sequence) -> Rows:

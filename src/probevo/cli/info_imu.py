@@ -6,7 +6,7 @@ the sign and the mounting.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from probevo.estimation.motion_estimate import Status
 from probevo.geometry import so3
 from probevo.measurements.gyro import integrate_gyro
 from probevo.odometry import StereoOdometry
+from probevo.sequences.validation import LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S
 
 if TYPE_CHECKING:
     from probevo.sequences import Sequence
@@ -34,6 +35,10 @@ MIN_ROTATION_RAD = 5e-3
 """Least rotation of a step that the difference is compared with."""
 LAGS_S = np.arange(-0.2, 0.2001, 0.01)
 """Time offsets that are tried."""
+SPIKE_RAD_S = 10.0
+"""Least difference of an angular rate from the mean of its neighbours that makes it a spike."""
+SPIKE_FACTOR = 20.0
+"""The same as a multiple of the median of these differences."""
 DEGREES_PER_RADIAN = np.rad2deg(1.0)
 
 
@@ -94,12 +99,66 @@ class ImageRotations:
         return np.asarray(rotation_rad - share * bias_rad_s * duration_s)
 
 
+def sample_warnings(stream: ImuStream) -> list[str]:
+    """Describe the samples that no sensor measures, and single samples far from their neighbours.
+
+    Returns:
+        The warnings; none if all samples are plausible.
+    """
+    # A mean over an interval is stored as two samples, 1 ns after its start and at its end; and
+    # the first and the last sample are repeated. Each is looked at once.
+    recorded = np.r_[np.diff(stream.stamps_ns[1:-1]) > 1_000, True]
+    rates_rad_s = stream.gyro_rad_s[1:-1][recorded]
+    forces_m_s2 = stream.accel_m_s2[1:-1][recorded]
+    is_implausible = (np.abs(rates_rad_s) > LARGEST_RATE_RAD_S).any(axis=1)
+    num_forces = int((np.abs(forces_m_s2) > LARGEST_FORCE_M_S2).any(axis=1).sum())
+    num_spikes = _count_spikes(rates_rad_s[~is_implausible])
+    of_all = f"of {len(rates_rad_s):,}"
+    warnings = {
+        f"{of_all} have an angular rate over {LARGEST_RATE_RAD_S:g} rad/s; they are left out": int(
+            is_implausible.sum()
+        ),
+        f"{of_all} have a specific force over {LARGEST_FORCE_M_S2:g} m/s²; it is left out": (
+            num_forces
+        ),
+        f"{of_all} are spikes of the gyro, {SPIKE_RAD_S:g} rad/s or more from both neighbours": (
+            num_spikes
+        ),
+    }
+    return [f"{count:,} {text}" for text, count in warnings.items() if count]
+
+
+def _without_implausible_rates(stream: ImuStream) -> ImuStream:
+    """Return the samples that the odometry would use."""
+    rows = (np.abs(stream.gyro_rad_s) <= LARGEST_RATE_RAD_S).all(axis=1)
+    return replace(
+        stream,
+        stamps_ns=stream.stamps_ns[rows],
+        gyro_rad_s=stream.gyro_rad_s[rows],
+        accel_m_s2=stream.accel_m_s2[rows],
+    )
+
+
+def _count_spikes(rates_rad_s: FloatArray) -> int:
+    """Return how many of the angular rates, [J, 3], are far from the mean of their neighbours."""
+    if len(rates_rad_s) < 3:
+        return 0
+    between_rad_s = 0.5 * (rates_rad_s[:-2] + rates_rad_s[2:])
+    difference_rad_s = np.abs(rates_rad_s[1:-1] - between_rad_s).max(axis=1)
+    # The neighbours of a spike differ by half as much, and do not count.
+    nearby_rad_s = np.r_[0.0, difference_rad_s, 0.0]
+    is_peak = (difference_rad_s > nearby_rad_s[:-2]) & (difference_rad_s >= nearby_rad_s[2:])
+    is_large = difference_rad_s > max(SPIKE_RAD_S, SPIKE_FACTOR * np.median(difference_rad_s))
+    return int((is_peak & is_large).sum())
+
+
 def imu_warning(images: ImageRotations, stream: ImuStream, calibration: ImuCalibration) -> str:
     """Describe how the gyro disagrees with the images, and the likely cause.
 
     Returns:
         The warning; empty if the two agree, or if there are too few steps to say.
     """
+    stream = _without_implausible_rates(stream)
     gyro_rad = images.by_gyro(stream, calibration)
     disagreement = _disagreement(images.rotation_rad, gyro_rad)
     covered = np.isfinite(gyro_rad).all(axis=1)

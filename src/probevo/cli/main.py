@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from importlib import import_module
+from threading import current_thread, main_thread
+from types import FrameType
 
 from probevo import __version__
 from probevo.errors import InputError, ProbevoError
@@ -48,26 +52,65 @@ and estimates the covariance of each step.
       compare all noise models on two simulated drives, on one page
 
 `probevo COMMAND --help` shows the options of a command, `probevo --version` the version."""
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as a shell has it: 128 + SIGINT."""
+_received: list[int] = []
+"""Numbers of the signals that asked this call to stop."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return the exit code: 0, 2 for bad input, or 130 for Ctrl-C."""
+    """Run one command and return the exit code.
+
+    It is 0, or 2 for bad input, or as a shell has it after a signal, 128 + its number: 130 for
+    Ctrl-C, 143 for SIGTERM. Both signals end a command in the same way.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    with _stopped_by_signals():
+        try:
+            code = _dispatch(words)
+            # Code that an import or a callback runs may have swallowed the interrupt.
+            return _stop_code() if _received else code
+        except ProbevoError as error:
+            _print_error(str(error), error)
+            return 2
+        except KeyboardInterrupt as stop:
+            _print_error("stopped.", stop)
+            return _stop_code()
+        except BrokenPipeError:
+            # The reader of our output, such as `head`, has closed the pipe. Python flushes stdout
+            # at exit, and must not fail again.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Raise KeyboardInterrupt at Ctrl-C and at SIGTERM, and keep in mind that they came.
+
+    Only the main thread of a process may set this; and what its caller has set is left alone.
+    """
+    _received.clear()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    is_allowed = current_thread() is main_thread()
+    replaced = {
+        number: handler
+        for number, handler in before.items()
+        if is_allowed and handler in (signal.default_int_handler, signal.SIG_DFL)
+    }
+    for number in replaced:
+        signal.signal(number, _interrupt)
     try:
-        return _dispatch(words)
-    except ProbevoError as error:
-        _print_error(str(error), error)
-        return 2
-    except KeyboardInterrupt as stop:
-        _print_error("stopped.", stop)
-        return INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output, such as `head`, has closed the pipe. Python flushes stdout at
-        # exit, and must not fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        yield
+    finally:
+        for number, handler in replaced.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    _received.append(number)
+    raise KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name]))
+
+
+def _stop_code() -> int:
+    return 128 + (_received[-1] if _received else signal.SIGINT)
 
 
 def _dispatch(words: list[str]) -> int:
@@ -92,7 +135,10 @@ def _dispatch(words: list[str]) -> int:
     # OpenBLAS would start a thread for each core of the host, but no matrix of a step is so large
     # that more than one thread helps.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    import_module(COMMANDS[first]).main(words[1:])
+    command = import_module(COMMANDS[first])
+    if _received:
+        raise KeyboardInterrupt
+    command.main(words[1:])
     return 0
 
 

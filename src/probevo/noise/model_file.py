@@ -105,7 +105,7 @@ def read_model_file(path: Path) -> ModelFile:
     try:
         arrays = dict(sorted(load(content).items()))
         checksum = _checksum(envelope, arrays)
-    except (SafetensorError, KeyError, ValueError, OverflowError) as error:
+    except (SafetensorError, KeyError, ValueError, OverflowError, RecursionError) as error:
         # A KeyError means an array type that NumPy does not have.
         raise InputError(path, f"damaged or cut short: {error}.", CURE) from error
     if checksum != claimed:

@@ -39,7 +39,7 @@ def load_model(path: Path | str) -> LearnedNoiseModel:
     # Each kind checks its own content; here the file and the remedy are added to what it reports.
     try:
         return readers[file.kind](file)
-    except (KeyError, ValueError, InputError) as error:
+    except (KeyError, ValueError, OverflowError, RecursionError, InputError) as error:
         raise InputError(
             path, f"it is no whole {file.kind} model ({error}).", "Train it again."
         ) from error

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Self
 
-from pydantic import ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from probevo.camera.likeness import difference
 from probevo.camera.stereo import StereoCamera, check_camera
@@ -25,6 +25,57 @@ def origin_facts(camera: StereoCamera | None, training: Mapping[str, Any]) -> di
     }
 
 
+class _TrainingPart(BaseModel):
+    """A part of the account of a training; what else it holds is not shown anywhere."""
+
+    model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
+
+
+class _Recording(_TrainingPart):
+    """A recording that a model was learned from."""
+
+    name: str
+    frames: int = Field(ge=0, le=10**12)
+    sha256: str
+
+
+class _Iteration(_TrainingPart):
+    """What an EM iteration found."""
+
+    log_likelihood: float
+    loop_error_m: float | None = None
+
+
+class _Search(_TrainingPart):
+    """The search for a hyperparameter: the candidates, and the gain or the error of each."""
+
+    candidates: list[float | str]
+    gains: list[float] | None = None
+    errors: list[float] | None = None
+    chosen: float | str | dict[str, float] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        figures = self.gains if self.errors is None else self.errors
+        if figures is None or len(figures) != len(self.candidates):
+            raise ValueError("a search has another number of candidates than of gains or errors")
+        if not isinstance(self.chosen, dict | None) and self.chosen not in self.candidates:
+            raise ValueError("what a search has chosen is none of its candidates")
+        if self.errors is not None and any(isinstance(each, str) for each in self.candidates):
+            raise ValueError("a candidate is no number")
+        return self
+
+
+class _TrainingFacts(_TrainingPart):
+    """The account of a training, as far as pages and tables show it; each part may be missing."""
+
+    recordings: list[_Recording] = []
+    turns: list[_Iteration] = []
+    iterations: list[_Iteration] = []
+    searches: dict[str, _Search] = {}
+    settings: dict[str, Any] = {}
+
+
 class OriginFacts(Settings):
     """The facts that the file of every learned model states beside its arrays.
 
@@ -34,6 +85,12 @@ class OriginFacts(Settings):
     model_config = ConfigDict(strict=True)
     camera: StereoCamera | None
     training: dict[str, Any]
+
+    @field_validator("training")
+    @classmethod
+    def _check_training(cls, training: dict[str, Any]) -> dict[str, Any]:
+        _TrainingFacts.model_validate(training)
+        return training
 
     @classmethod
     def of(cls, file: ModelFile) -> Self:

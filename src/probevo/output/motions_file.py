@@ -6,15 +6,15 @@ Its trajectory, evaluation and report all follow from this file.
 from __future__ import annotations
 
 import io
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import AnyArray
 from probevo.errors import InputError
-from probevo.files import NO_ARCHIVE, write_atomically
+from probevo.files import write_atomically
 from probevo.geometry import se3
+from probevo.npz import NO_NPZ, read_npz
 from probevo.output.run_result import RunResult
 
 _STAGE = "ms_"
@@ -64,9 +64,8 @@ def read_motions(path: Path) -> RunResult:
             number of stamps.
     """
     try:
-        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except NO_ARCHIVE as error:
+        arrays = read_npz(path)
+    except NO_NPZ as error:
         raise InputError(path, f"cannot be read: {error}", _CURE) from error
     # The number of stamps says which shapes all other arrays have.
     n = len(_take(path, arrays, "stamps_ns", shape=None))

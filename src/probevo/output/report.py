@@ -106,7 +106,8 @@ def write_report(
     with figure_style():
         figures = _figures(result, drift, consistency)
     warnings = [
-        body_panel(name, [], text, style="warning") for name, text in run_warnings(result).items()
+        body_panel(name, [], text, style="warning")
+        for name, text in run_warnings(result, truth).items()
     ]
     against_truth = Markup("")
     if metrics is not None:

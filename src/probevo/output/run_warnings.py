@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from probevo.arrays import IntArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.motion_estimate import Status
+from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
 
 FEWEST_OK = 0.5
 """Share of steps that have to be OK for a run to be usable."""
+MAX_SCALE_ERROR = 0.04
+"""Largest plausible error of the scale; a calibrated baseline is good to 1 %."""
+FEWEST_FOR_SCALE = 5
+"""Steps that the scale needs."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
@@ -23,14 +28,15 @@ _CAUSES = {
 }
 
 
-def run_warnings(result: RunResult) -> dict[str, str]:
-    """Return heading and text of each warning."""
+def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str, str]:
+    """Return heading and text of each warning; ``truth`` is as in ``scale_warning``."""
     stopped = None
     if result.stopped:
         stopped = f"After {len(result):,} frames: {result.stopped}"
     warnings = {
         "Stopped before the end": stopped,
         "Hardly a step is OK": status_warning(result.status),
+        "Scale": scale_warning(result, truth),
         "Out of domain": domain_warning(result.out_of_domain),
     }
     return {heading: text for heading, text in warnings.items() if text}
@@ -48,4 +54,33 @@ def status_warning(status: IntArray) -> str | None:
         f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not reliable. Most"
         f" others are {name}, which usually comes of {_CAUSES[prevailing]}: see `probevo info"
         " SEQUENCE`."
+    )
+
+
+def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
+    """Warn if the steps are longer or shorter than the true ones as a whole; else None.
+
+    A wrong baseline does that, and the covariances know nothing of it.
+
+    Args:
+        result: a run over N frames.
+        truth: true poses T_world_cam of the frames, [N, 4, 4], m; NaN where unknown.
+    """
+    if truth is None or len(result) < 2:
+        return None
+    true_m = relative_motions(truth)[:, :3, 3]
+    steps_m = result.T_curr_prev[:, :3, 3]
+    length_m = np.linalg.norm(true_m, axis=1)
+    is_known = np.isfinite(length_m) & (length_m > 0.0) & (result.status == Status.OK)
+    if is_known.sum() < FEWEST_FOR_SCALE:
+        return None
+    # The longer half of the steps, each projected on the true one, so that noise does not add up.
+    is_known &= length_m >= np.median(length_m[is_known])
+    along_m = np.sum(steps_m[is_known] * true_m[is_known], axis=1) / length_m[is_known]
+    scale = float(np.median(along_m / length_m[is_known]))
+    if abs(scale - 1.0) <= MAX_SCALE_ERROR:
+        return None
+    return (
+        f"The steps are {scale:.3g} times as long as the true ones. Are the baseline and the truth"
+        " in metres, and of this camera?"
     )

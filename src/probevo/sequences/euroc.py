@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, PositiveInt
+from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
 from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray, IntArray
@@ -27,7 +27,7 @@ from probevo.sequences.poses import ground_truth, interpolate_poses
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamps import check_stamps
 from probevo.sequences.text import parse_stamp_ns, read_lines, read_stamped_csv
-from probevo.sequences.yaml_file import read_yaml
+from probevo.sequences.yaml_file import CalibrationModel, read_yaml
 
 GYRO_BIAS_SIGMA_RAD_S = 0.1
 """Bias of a MEMS gyro at power-up, which sensor.yaml does not give. On the z axis of V1_01 it is
@@ -42,18 +42,14 @@ DISTORTION_MODELS: dict[str, Literal["radtan", "equidistant"]] = {
 }
 
 
-class Extrinsics(BaseModel):
+class Extrinsics(CalibrationModel):
     """The matrix T_BS from sensor to body: 16 numbers, row by row."""
-
-    model_config = ConfigDict(frozen=True)
 
     data: Annotated[tuple[FiniteFloat, ...], Field(min_length=16, max_length=16)]
 
 
-class SensorFile(BaseModel):
+class SensorFile(CalibrationModel):
     """The part that all ``sensor.yaml`` have in common; comments and rates are ignored."""
-
-    model_config = ConfigDict(frozen=True)
 
     T_BS: Extrinsics
 

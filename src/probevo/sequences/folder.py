@@ -8,7 +8,6 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import (
-    BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
@@ -40,7 +39,7 @@ from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamp_pairs import pair_stamps
 from probevo.sequences.stamps import check_stamps, read_times, stamps_of_names
 from probevo.sequences.text import read_stamped_csv
-from probevo.sequences.yaml_file import load_yaml, validated
+from probevo.sequences.yaml_file import CalibrationModel, load_yaml, validated
 
 IMU_HEADER = "stamp_ns,wx,wy,wz,ax,ay,az"
 
@@ -52,7 +51,7 @@ def _join_rows(value: object) -> object:
     return value
 
 
-class ImuSection(BaseModel):
+class ImuSection(CalibrationModel):
     """The section ``imu`` of ``calib.yaml``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -90,7 +89,7 @@ class ImuSection(BaseModel):
         )
 
 
-class FolderCalibration(BaseModel):
+class FolderCalibration(CalibrationModel):
     """The content of ``calib.yaml``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -8,8 +8,9 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, Image, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.sequences.prepared_images import PreparedImages
+from probevo.sequences.text import INT64_LIMIT
 
 SHORTEST_STEP_NS = 1_000
 """Shortest plausible time between two frames. Stamps that are closer have another unit."""
@@ -79,16 +80,20 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
     """Refuse a frame that is not usable by itself.
 
     Raises:
-        InputError: the stamp is no whole number; an image is missing, is not grey with 8 bits, or
-            has another size than the camera or the other image; an identity appears twice, or the
-            counts of identities and pixels differ; IMU samples are out of order, or an angular
-            rate is missing or not finite; the index is negative.
+        InputError: index or stamp is no whole number of 64 bits; an image is missing, is not grey
+            with 8 bits, or has another size than the camera or the other image; an identity appears
+            twice, or the counts of identities and pixels differ; IMU samples are out of order, or
+            an angular rate is missing or not finite; the index is negative.
     """
     where = f"frame {frame.index}"
+    if not isinstance(frame.index, int | np.integer):
+        raise InputError(where, f"its index is {brief(frame.index)}.", "Give an int.")
     if not isinstance(frame.stamp_ns, int | np.integer):
-        raise InputError(
-            where, f"its stamp_ns is {frame.stamp_ns!r}.", "Give whole nanoseconds, as an int."
-        )
+        what = f"its stamp_ns is {brief(frame.stamp_ns)}."
+        raise InputError(where, what, "Give whole nanoseconds, as an int.")
+    if not -INT64_LIMIT <= frame.stamp_ns < INT64_LIMIT:
+        what = f"its stamp, {brief(int(frame.stamp_ns))} ns, does not fit in 64 bits."
+        raise InputError(where, what, "Stamps are nanoseconds, mostly since 1970.")
     if frame.index < 0:
         raise InputError(where, "its index is negative.", "Count from 0.")
     _check_images(frame, camera, where)
@@ -152,9 +157,10 @@ def _check_imu_samples(imu: ImuSamples, where: str) -> None:
         raise InputError(
             where, "its IMU samples are not in the order of their times.", "Sort them."
         )
-    if imu.gyro_rad_s.shape != (len(imu.stamps_ns), 3):
-        what = f"{len(imu.stamps_ns)} IMU samples have turn rates of shape {imu.gyro_rad_s.shape}."
-        raise InputError(where, what, "Give [N] and [N, 3].")
+    for name, array in (("turn rates", imu.gyro_rad_s), ("specific forces", imu.accel_m_s2)):
+        if np.shape(array) != (len(imu.stamps_ns), 3):
+            what = f"{len(imu.stamps_ns)} IMU samples have {name} of shape {np.shape(array)}."
+            raise InputError(where, what, "Give [N] and [N, 3], NaN where not recorded.")
     if not np.isfinite(imu.gyro_rad_s).all():
         raise InputError(
             where, "an IMU sample of it has no finite turn rate.", "Leave that sample out."

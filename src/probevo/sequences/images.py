@@ -14,11 +14,22 @@ import numpy as np
 
 from probevo.arrays import AnyArray, Image
 from probevo.errors import InputError
+from probevo.files import check_regular
 from probevo.sequences.gray_range import GrayRange
 from probevo.sequences.image_files import check_complete
 from probevo.sequences.png import PNG_MAGIC, DamagedError, chunks_of, plain_grey
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".webp", ".bmp"})
+JPEG_MAGIC = b"\xff\xd8"
+JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Markers of the segments (SOF) that give the size of an image; the three others are tables."""
+JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD9)})
+"""Markers without a segment behind them."""
+JPEG_PIXELS = 0xDA
+"""Marker (SOS) of the segment that the pixels follow."""
+LARGEST_FILE_BYTES = 500_000_000
+LARGEST_PX = 100_000_000
+"""Pixels of the largest image that is decoded where its size is not known beforehand."""
 
 
 def list_pairs(left: Path, right: Path) -> tuple[list[Path], list[Path]]:
@@ -74,17 +85,18 @@ def read_gray(
 
     Colour is converted to gray (Rec. 601 luma, as OpenCV does), since everything downstream uses
     gray values only. Images of 16 bits are refused without a range: how they are reduced to 8
-    decides which features appear.
+    decides which features appear. The size that the file claims is checked before decoding.
 
     Args:
         path: an image file.
-        size_px: (width, height) that the image must have; None to accept any size.
+        size_px: (width, height) that the image must have; None to accept any size up to LARGEST_PX.
         gray_range: the range of 16-bit values that becomes 0 to 255; None to refuse such images.
 
     Raises:
-        InputError: missing, damaged, of 16 bits without a range, or of another size.
+        InputError: missing, not a regular file, damaged, of 16 bits without a range, or of another
+            size.
     """
-    gray = read_gray_of_any_depth(path)
+    gray = decode_gray(_read_bytes(path), path, size_px)
     if gray.dtype == np.uint16 and gray_range is not None:
         gray = gray_range.to_8_bits(gray)
     if gray.dtype != np.uint8:
@@ -92,11 +104,7 @@ def read_gray(
             path, f"this image is {gray.dtype}; expected 8 bits.", "Convert the images to 8 bits."
         )
     height, width = gray.shape
-    if size_px is not None and (width, height) != size_px:
-        what = f"this image has {width}×{height} px; expected {size_px[0]}×{size_px[1]} px."
-        raise InputError(
-            path, what, "All images must have the size that the calibration was made for."
-        )
+    _check_size((width, height), size_px, path)
     return np.asarray(gray, dtype=np.uint8)
 
 
@@ -104,26 +112,25 @@ def read_gray_of_any_depth(path: Path) -> AnyArray:
     """Decode one image file to grayscale, [height, width], of the type that it is stored in.
 
     Raises:
-        InputError: the image is missing or damaged.
+        InputError: the image is missing, not a regular file, or damaged.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"this image cannot be read ({error.strerror}).") from error
-    return decode_gray(data, path)
+    return decode_gray(_read_bytes(path), path)
 
 
-def decode_gray(data: bytes, where: str | Path) -> AnyArray:
+def decode_gray(data: bytes, where: str | Path, size_px: tuple[int, int] | None = None) -> AnyArray:
     """Decode the bytes of an image file to grayscale, [height, width], of the type stored.
 
     Args:
         data: the bytes.
         where: the file or message that holds them, for messages.
+        size_px: (width, height) that the image must have; None to accept any size up to LARGEST_PX.
 
     Raises:
-        InputError: the image is damaged.
+        InputError: the image is damaged, or claims another size.
     """
     try:
+        _check_whole(data)
+        _check_size(_claimed_size_px(data), size_px, where)
         image = _decoded(data)
         if image is None:
             raise DamagedError("it cannot be decoded")
@@ -137,24 +144,112 @@ def decode_gray(data: bytes, where: str | Path) -> AnyArray:
     return image
 
 
-def _decoded(data: bytes) -> AnyArray | None:
-    """Decode an image file to [height, width] or [height, width, channels].
+def read_size_px(path: Path) -> tuple[int, int] | None:
+    """Return the (width, height) that an image file claims; None if it claims none.
 
-    OpenCV may return the undamaged part of a damaged file, so that damage is looked for first.
+    Raises:
+        InputError: the file is missing, or not a regular file.
+    """
+    return _claimed_size_px(_read_bytes(path))
 
-    Returns:
-        The image; None if it cannot be decoded.
+
+def _read_bytes(path: Path) -> bytes:
+    """Return the content of an image file.
+
+    Raises:
+        InputError: it is missing, too large, or not a regular file.
+    """
+    check_regular(path, LARGEST_FILE_BYTES)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"this image cannot be read ({error.strerror}).") from error
+
+
+def _check_size(
+    claimed_px: tuple[int, int] | None, size_px: tuple[int, int] | None, where: str | Path
+) -> None:
+    """Refuse an image of another size than expected, or of an implausible one.
+
+    A file that claims no size is left to the decoder.
+
+    Raises:
+        InputError: gives both sizes.
+    """
+    if claimed_px is None or claimed_px == size_px:
+        return
+    width, height = claimed_px
+    if size_px is not None:
+        what = f"this image has {width}×{height} px; expected {size_px[0]}×{size_px[1]} px."
+        cure = "All images must have the size that the calibration was made for."
+        raise InputError(where, what, cure)
+    if width * height > LARGEST_PX:
+        what = f"this image has {width}×{height} px; at most {LARGEST_PX:,} px are decoded."
+        raise InputError(where, what)
+
+
+def _claimed_size_px(data: bytes) -> tuple[int, int] | None:
+    """Return the (width, height) in the header of a PNG or JPEG file; None without such a header.
+
+    None is decoded either: both decoders need the header.
+    """
+    if data.startswith(PNG_MAGIC):
+        # The first chunk is the header: its length, its type, width and height, 4 bytes each.
+        header = data[len(PNG_MAGIC) : len(PNG_MAGIC) + 16]
+        if len(header) < 16 or header[4:8] != b"IHDR":
+            return None
+        return int.from_bytes(header[8:12], "big"), int.from_bytes(header[12:16], "big")
+    if data.startswith(JPEG_MAGIC):
+        return _jpeg_size_px(data)
+    return None
+
+
+def _jpeg_size_px(data: bytes) -> tuple[int, int] | None:
+    """Return the (width, height) in the frame header (SOF) of a JPEG file; None without one."""
+    position = len(JPEG_MAGIC)
+    while True:
+        # A marker is 0xFF, any number of times, and a byte that is neither 0xFF nor 0.
+        position = data.find(b"\xff", position)
+        while 0 <= position < len(data) and data[position] == 0xFF:
+            position += 1
+        if not 0 <= position < len(data) - 8:
+            return None
+        marker = data[position]
+        position += 1
+        if marker in JPEG_SIZES:
+            # Length of the segment (2 bytes), bits of a sample (1), height (2), width (2).
+            height = int.from_bytes(data[position + 3 : position + 5], "big")
+            return int.from_bytes(data[position + 5 : position + 7], "big"), height
+        if marker == JPEG_PIXELS:
+            return None
+        if marker not in JPEG_BARE and marker != 0:
+            position += int.from_bytes(data[position : position + 2], "big")
+
+
+def _check_whole(data: bytes) -> None:
+    """Refuse a damaged image file, as far as it shows without decoding.
+
+    OpenCV may return the undamaged part of a damaged file.
 
     Raises:
         DamagedError: the file is incomplete, or of an unknown kind.
     """
     if data.startswith(PNG_MAGIC):
-        # chunks_of verifies the checksums; OpenCV decodes what is not plain grey.
-        image = plain_grey(chunks_of(data))
-        if image is not None:
-            return image
+        chunks_of(data)  # verifies the checksums
     else:
         check_complete(data)
+
+
+def _decoded(data: bytes) -> AnyArray | None:
+    """Decode an image file to [height, width] or [height, width, channels].
+
+    Returns:
+        The image; None if it cannot be decoded.
+    """
+    # OpenCV decodes what is not plain grey.
+    image = plain_grey(chunks_of(data)) if data.startswith(PNG_MAGIC) else None
+    if image is not None:
+        return image
     with suppress(cv2.error):  # raised for images that are too large
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     return None

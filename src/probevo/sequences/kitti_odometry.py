@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from probevo.sequences.images import list_pairs, read_gray
+from probevo.errors import InputError
+from probevo.sequences.images import list_pairs, read_gray, read_size_px
 from probevo.sequences.kitti_calibration import KittiCalibration
 from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
@@ -26,6 +27,10 @@ def open_kitti_odometry(path: Path) -> StereoRecording:
     """
     left_files, right_files = list_pairs(path / "image_0", path / "image_1")
     height, width = read_gray(left_files[0]).shape
+    right_px = read_size_px(right_files[0])
+    if right_px is not None and right_px != (width, height):
+        what = f"this image has {width}×{height} px, its partner {right_px[0]}×{right_px[1]} px."
+        raise InputError(left_files[0], what, "Both must have the size of the calibration.")
     calibration = KittiCalibration(path / "calib.txt", "It holds the projections P0 and P1.")
     camera = calibration.stereo_camera("P0", "P1", (width, height))
     stamps_ns = read_times(path / "times.txt", len(left_files))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.sequences.format_options import FolderOptions, RosbagOptions
 from probevo.settings import Settings
 
@@ -94,7 +94,7 @@ class SequenceFormat:
                 raise InputError(where, "there is no such option.", cure) from error
             field = self.options.model_fields.get(str(fault["loc"][0])) if fault["loc"] else None
             cure = (field.description or "") if field else ""
-            raise InputError(where, f"is {fault['input']!r}; {fault['msg']}.", cure) from error
+            raise InputError(where, f"is {brief(fault['input'])}; {fault['msg']}.", cure) from error
         return {name: getattr(values, name) for name in self.options.model_fields}
 
 
@@ -293,7 +293,7 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
     for known in formats.values():
         if known.recognises(path):
             return known
-    if path.is_file():
+    if not path.is_dir():
         kinds = [
             f"an {' or '.join(known.file_suffixes)} file ({known.name})"
             for known in formats.values()

@@ -9,13 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import IntArray
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.sequences.text import INT64_LIMIT, parse_stamp_ns, read_lines
 
 NS_PER_S = 1_000_000_000
 NAME_STAMP = re.compile(r"(?P<whole>[0-9]+)(?:\.(?P<decimals>[0-9]+))?$")
 NS_OF_DIGITS = {13: 1_000_000, 16: 1_000, 19: 1}
 """Unit of a whole Unix time by its number of digits, which holds from 2001 to 2286."""
+SMALLEST_EXPONENT = -100
+LARGEST_EXPONENT = 9
+"""Powers of ten of the smallest plausible time other than 0, s, and of the largest that int64 ns
+hold, 9.2e9 s."""
 
 
 def read_times(path: Path, count: int) -> IntArray:
@@ -123,9 +127,13 @@ def _finite(text: str, where: str) -> Decimal:
     try:
         number = Decimal(text)
     except InvalidOperation:
-        raise InputError(where, f"the time {text!r} is not a number of seconds.") from None
+        raise InputError(where, f"the time {brief(text)} is not a number of seconds.") from None
     if not number.is_finite():
-        raise InputError(where, f"the time {text!r} is not a finite number of seconds.")
+        raise InputError(where, f"the time {brief(text)} is not a finite number of seconds.")
+    if not number:
+        return Decimal(0)  # whatever its exponent is
+    if number.adjusted() < SMALLEST_EXPONENT:
+        raise InputError(where, f"the time {brief(text)} is too small for a number of seconds.")
     return number
 
 
@@ -135,10 +143,12 @@ def _to_ns(seconds: Decimal, where: str, text: str, *, cure: str) -> int:
     Raises:
         InputError: the result does not fit in 64 bits.
     """
-    stamp = seconds * NS_PER_S
-    if abs(stamp) >= INT64_LIMIT:
-        raise InputError(where, f"the time {text!r} is too large for a number of seconds.", cure)
-    return round(stamp)
+    # The exponent first: the product of a huge Decimal overflows, too.
+    if seconds.adjusted() > LARGEST_EXPONENT or abs(seconds * NS_PER_S) >= INT64_LIMIT:
+        raise InputError(
+            where, f"the time {brief(text)} is too large for a number of seconds.", cure
+        )
+    return round(seconds * NS_PER_S)
 
 
 def _datetime_to_ns(text: str, where: str) -> int:
@@ -151,10 +161,11 @@ def _datetime_to_ns(text: str, where: str) -> int:
         moment: np.datetime64 = np.datetime64(text, "ns")
     except ValueError:
         moment = np.datetime64("NaT", "ns")
-    if np.isnat(moment):
+    # A year that 64 bits of nanoseconds cannot hold, such as 9999, becomes another one.
+    if np.isnat(moment) or str(moment).partition("-")[0] != text.partition("-")[0]:
         raise InputError(
             where,
-            f"the time {text!r} is not a date and time.",
-            "Expected YYYY-MM-DD hh:mm:ss.nnnnnnnnn.",
+            f"the time {brief(text)} is not a date and time.",
+            "Expected YYYY-MM-DD hh:mm:ss.nnnnnnnnn, and a year from 1678 to 2261.",
         )
     return int(moment.astype(np.int64))

@@ -8,21 +8,26 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
+from probevo.files import check_regular
 
 INT64_LIMIT = 2**63
+LARGEST_TEXT_BYTES = 1_000_000_000
+"""Ten hours of an IMU at 200 Hz take 0.7 GB."""
 
 
-def read_text(path: Path, cure: str = "") -> str:
+def read_text(path: Path, cure: str = "", *, most_bytes: int = LARGEST_TEXT_BYTES) -> str:
     """Read a UTF-8 text file.
 
     Args:
         path: the file.
         cure: how to mend that the file is missing.
+        most_bytes: the largest plausible size.
 
     Raises:
-        InputError: the file is missing, or not text.
+        InputError: the file is missing, too large, not a regular file, or not text.
     """
+    check_regular(path, most_bytes)
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -64,9 +69,9 @@ def parse_floats(texts: list[str], where: str, *, nan_allowed: bool = False) -> 
         try:
             number = float(text)
         except ValueError:
-            raise InputError(where, f"{text.strip()!r} is not a number.") from None
+            raise InputError(where, f"{brief(text.strip())} is not a number.") from None
         if not (math.isfinite(number) or (nan_allowed and math.isnan(number))):
-            raise InputError(where, f"the value {text.strip()!r} is not finite.")
+            raise InputError(where, f"the value {brief(text.strip())} is not finite.")
         numbers.append(number)
     return numbers
 
@@ -81,11 +86,11 @@ def parse_stamp_ns(text: str, where: str) -> int:
         stamp = int(text)
     except ValueError:
         raise InputError(
-            where, f"the stamp {text.strip()!r} is not a whole number of nanoseconds."
+            where, f"the stamp {brief(text.strip())} is not a whole number of nanoseconds."
         ) from None
     if not -INT64_LIMIT <= stamp < INT64_LIMIT:
         raise InputError(
-            where, f"the stamp {stamp} does not fit in 64 bits.", "Stamps are nanoseconds."
+            where, f"the stamp {brief(stamp)} does not fit in 64 bits.", "Stamps are nanoseconds."
         )
     return stamp
 

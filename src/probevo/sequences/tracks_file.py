@@ -11,8 +11,8 @@ import numpy as np
 from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
-from probevo.files import NO_ARCHIVE
 from probevo.geometry import se3, so3
+from probevo.npz import NO_NPZ, read_npz
 from probevo.sequences.frame import Frame, GroundTruth, StereoFeatures
 from probevo.sequences.imu import ImuStream, hold_over_interval
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -134,9 +134,8 @@ def _load(path: Path) -> dict[str, AnyArray]:
         InputError: the file is no readable archive of plain arrays.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in SHAPES if name in archive}
-    except NO_ARCHIVE as error:
+        return read_npz(path, SHAPES)
+    except NO_NPZ as error:
         if str(error).startswith("Object arrays"):
             what = "one of its arrays is pickled; expected plain arrays."
             cure = "Save it as whole numbers or floats, not as objects."

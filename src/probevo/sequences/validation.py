@@ -1,4 +1,4 @@
-"""What a frame must be before a step uses it: refused, or with its unusable samples left out."""
+"""What a frame must be before a step uses it: refused, or with its unusable parts left out."""
 
 from __future__ import annotations
 
@@ -6,19 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from probevo.arrays import BoolArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.sequences.frame import Frame, ImuSamples, check_frame, check_order
+from probevo.errors import InputError
+from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures, check_frame, check_order
+from probevo.sequences.text import INT64_LIMIT
+
+LARGEST_RATE_RAD_S = 2e3
+"""Largest plausible angular rate: 30 times the range of the fastest MEMS gyros, 4000 °/s."""
+LARGEST_FORCE_M_S2 = 1e6
+"""Largest plausible specific force: ten times the range of accelerometers for shocks, 10⁴ g."""
+LARGEST_PIXEL_PX = 1e6
+"""Largest plausible coordinate of a feature: ten times the width of the largest images."""
 
 
 def validated(
     frame: Frame, camera: StereoCamera, prev_frame: Frame | None
 ) -> tuple[Frame, tuple[str, ...]]:
-    """Check a frame, and treat its unusable IMU samples as missing.
+    """Check a frame, and leave out its unusable features and IMU samples.
 
-    A sample without a finite angular rate is left out; whether the rest still covers the interval
-    is for the gyro's integration to say. A sample without a finite specific force keeps its angular
-    rate.
+    A feature or an angular rate that is not finite, or implausibly large, is left out; whether the
+    rest of the samples still covers the interval is for the gyro's integration to say. A sample
+    whose specific force is unusable keeps its angular rate.
 
     Args:
         frame: as it was handed in.
@@ -29,44 +38,138 @@ def validated(
         The frame to work with, and what is missing from it, in words.
 
     Raises:
-        InputError: the frame cannot be used at all; see ``check_frame`` and ``check_order``.
+        InputError: the frame cannot be used at all; see ``with_plain_arrays``, ``check_frame`` and
+            ``check_order``.
     """
+    frame = with_plain_arrays(frame)
     missing: list[str] = []
     imu = frame.imu
     if imu is not None and _has_rows(imu):
-        has_gyro: BoolArray = np.asarray(np.isfinite(imu.gyro_rad_s).all(axis=1))
-        if not has_gyro.all():
-            missing.append(
-                f"{_samples(int((~has_gyro).sum()), len(has_gyro))} without a finite angular rate"
+        has_gyro = _are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
+        missing += _reasons(
+            imu.gyro_rad_s,
+            not_finite="IMU samples without a finite angular rate",
+            too_large=f"IMU samples with an angular rate over {LARGEST_RATE_RAD_S:g} rad/s",
+            usable=has_gyro,
+        )
+        imu = _kept(imu, has_gyro)
+        has_force = _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
+        # An IMU without an accelerometer has no force at all, which is not worth a word.
+        if np.isfinite(imu.accel_m_s2).all(axis=1).any():
+            missing += _reasons(
+                imu.accel_m_s2,
+                not_finite="IMU samples without a finite specific force",
+                too_large=f"IMU samples with a specific force over {LARGEST_FORCE_M_S2:g} m/s²",
+                usable=has_force,
             )
-            imu = ImuSamples(
-                stamps_ns=imu.stamps_ns[has_gyro],
-                gyro_rad_s=imu.gyro_rad_s[has_gyro],
-                accel_m_s2=imu.accel_m_s2[has_gyro],
+        accel_m_s2 = np.where(has_force[:, None], imu.accel_m_s2, np.nan)
+        frame = replace(frame, imu=replace(imu, accel_m_s2=accel_m_s2))
+    features = frame.features
+    if features is not None and features.pixels.shape == (len(features.ids), 4):
+        is_plausible = _are_within(features.pixels, LARGEST_PIXEL_PX)
+        if not is_plausible.all():
+            missing += _reasons(
+                features.pixels,
+                not_finite="features whose pixels are not finite",
+                too_large=f"features with pixels beyond {LARGEST_PIXEL_PX:g}",
+                usable=is_plausible,
             )
-            frame = replace(frame, imu=imu)
-        has_accel: BoolArray = np.asarray(np.isfinite(imu.accel_m_s2).all(axis=1))
-        if has_accel.any() and not has_accel.all():
-            missing.append(
-                f"{_samples(int((~has_accel).sum()), len(has_accel))} without a finite"
-                " specific force"
-            )
+            features = StereoFeatures(features.ids[is_plausible], features.pixels[is_plausible])
+            frame = replace(frame, features=features)
     check_frame(frame, camera)
     if prev_frame is not None:
         check_order(prev_frame, frame)
     return frame, tuple(missing)
 
 
-def usable_imu(frame: Frame) -> ImuSamples | None:
-    """Return the usable IMU samples of a refused frame, for the next one; None if faulty."""
+def with_plain_arrays(frame: Frame) -> Frame:
+    """Return the frame with features and IMU samples of the types that the odometry computes with.
+
+    These are float64 for pixels, rates and forces, and int64 for identities and stamps.
+
+    Raises:
+        InputError: an array holds something else than numbers, or whole numbers where they are
+            needed, or some that do not fit in 64 bits.
+    """
+    where = f"frame {frame.index}"
+    features = frame.features
+    if features is not None:
+        features = StereoFeatures(
+            ids=_whole_numbers(features.ids, where, "feature ids"),
+            pixels=_numbers(features.pixels, where, "feature pixels"),
+        )
     imu = frame.imu
+    if imu is not None:
+        imu = ImuSamples(
+            stamps_ns=_whole_numbers(imu.stamps_ns, where, "IMU stamps_ns"),
+            gyro_rad_s=_numbers(imu.gyro_rad_s, where, "IMU gyro_rad_s"),
+            accel_m_s2=_numbers(imu.accel_m_s2, where, "IMU accel_m_s2"),
+        )
+    return replace(frame, features=features, imu=imu)
+
+
+def usable_imu(frame: Frame) -> ImuSamples | None:
+    """Return the IMU samples of a refused frame, for the next one; None if they are faulty."""
+    try:
+        imu = with_plain_arrays(frame).imu
+    except InputError:
+        return None
     if imu is None or not _has_rows(imu) or not (np.diff(imu.stamps_ns) > 0).all():
         return None
-    has_gyro: BoolArray = np.asarray(np.isfinite(imu.gyro_rad_s).all(axis=1))
+    return _kept(imu, _are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S))
+
+
+def _numbers(values: object, where: str, name: str) -> FloatArray:
+    """Return an array as float64.
+
+    Raises:
+        InputError: it holds no numbers.
+    """
+    array = _array_of(values, "iuf", where, name)
+    with np.errstate(over="ignore"):  # what is larger than a float64 can be becomes infinite
+        return np.asarray(array, dtype=np.float64)
+
+
+def _whole_numbers(values: object, where: str, name: str) -> AnyArray:
+    """Return an array as int64.
+
+    Raises:
+        InputError: it holds no whole numbers, or one that does not fit.
+    """
+    array = _array_of(values, "iu", where, name)
+    if array.dtype.kind == "u" and int(array.max(initial=0)) >= INT64_LIMIT:
+        raise InputError(where, f"of its {name}, one does not fit in 64 bits.", "Use int64.")
+    return np.asarray(array, dtype=np.int64)
+
+
+def _array_of(values: object, kinds: str, where: str, name: str) -> AnyArray:
+    """Return an array of one of the kinds of ``numpy.dtype.kind``, or an empty one of any kind.
+
+    Raises:
+        InputError: it is of another kind.
+    """
+    needed = "an array of numbers" if "f" in kinds else "an array of whole numbers"
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise InputError(where, f"its {name} are no array ({error}).", f"Give {needed}.") from None
+    if array.dtype.kind not in kinds and (array.size > 0 or array.dtype.kind == "O"):
+        found = "missing" if values is None else f"of type {array.dtype}"
+        raise InputError(where, f"its {name} are {found}.", f"Give {needed}.")
+    return array
+
+
+def _are_within(values: FloatArray, largest: float) -> BoolArray:
+    """Return which rows, [N], of an array are finite and at most that large."""
+    return np.asarray((np.abs(values) <= largest).all(axis=1))
+
+
+def _kept(imu: ImuSamples, rows: BoolArray) -> ImuSamples:
+    """Return the samples that are marked."""
     return ImuSamples(
-        stamps_ns=imu.stamps_ns[has_gyro],
-        gyro_rad_s=imu.gyro_rad_s[has_gyro],
-        accel_m_s2=imu.accel_m_s2[has_gyro],
+        stamps_ns=imu.stamps_ns[rows],
+        gyro_rad_s=imu.gyro_rad_s[rows],
+        accel_m_s2=imu.accel_m_s2[rows],
     )
 
 
@@ -76,5 +179,10 @@ def _has_rows(imu: ImuSamples) -> bool:
     return np.shape(imu.gyro_rad_s) == shape and np.shape(imu.accel_m_s2) == shape
 
 
-def _samples(count: int, total: int) -> str:
-    return f"{count} of {total} IMU samples"
+def _reasons(
+    values: FloatArray, *, not_finite: str, too_large: str, usable: BoolArray
+) -> list[str]:
+    """Return in words how many of the rows, [N], are not usable, and why."""
+    is_finite = np.isfinite(values).all(axis=1)
+    counts = {not_finite: int((~is_finite).sum()), too_large: int((is_finite & ~usable).sum())}
+    return [f"{count} of {len(values)} {what}" for what, count in counts.items() if count]

@@ -2,18 +2,43 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.sequences.text import read_text
 
 Model = TypeVar("Model", bound=BaseModel)
 MERGE = "tag:yaml.org,2002:merge"
+LARGEST_BYTES = 64_000
+"""Ten times the largest file that probevo writes; PyYAML needs more than a second to read it."""
+LARGEST_CONTENT = 100_000
+"""Values of a file, where an alias counts as often as it is used: nine lists of nine aliases each,
+one in the other, would be 387 million."""
+MOST_FAULTS = 8
+"""Wrong keys that a message names."""
+
+
+class CalibrationModel(BaseModel):
+    """A part of a calibration file: numbers, words and lists of them, but no switches."""
+
+    model_config = ConfigDict(frozen=True)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _refuse_switch(cls, value: object) -> object:
+        """Refuse ``true``, which pydantic would take for 1."""
+        if isinstance(value, bool) or (
+            isinstance(value, list) and any(isinstance(item, bool) for item in value)
+        ):
+            raise ValueError(f"{brief(value)} is a switch; expected a number")
+        return value
 
 
 def read_yaml(path: Path, model: type[Model], cure: str = "") -> Model:
@@ -35,9 +60,11 @@ def validated(content: object, model: type[Model], path: Path, cure: str = "") -
         return model.model_validate(content)
     except ValidationError as error:
         faults = [
-            f"{'.'.join(map(str, fault['loc'])) or 'content'}: {fault['msg']}"
+            f"{brief('.'.join(map(str, fault['loc'])) or 'content')[1:-1]}: {fault['msg']}"
             for fault in error.errors()
         ]
+        if len(faults) > MOST_FAULTS:
+            faults[MOST_FAULTS:] = [f"and {len(faults) - MOST_FAULTS} more"]
         raise InputError(path, "; ".join(faults) + ".", cure) from error
 
 
@@ -50,10 +77,10 @@ def load_yaml(path: Path, cure: str = "", *, loader: type[yaml.SafeLoader] | Non
         loader: of other tags than YAML's own; by default ``NoKeyTwice``.
 
     Raises:
-        InputError: the file is missing, not text, or not YAML; a key is given twice, or a value is
-            invalid (such as a 99th of May).
+        InputError: the file is missing, too large, not text, or not YAML; a key is given twice, or
+            a value is invalid (such as a 99th of May); or its aliases expand without end.
     """
-    text = read_text(path, cure)
+    text = read_text(path, cure, most_bytes=LARGEST_BYTES)
     # OpenCV's header, which EuRoC's files have, is not valid YAML.
     if text.startswith("%YAML:"):
         text = text.partition("\n")[2]
@@ -66,7 +93,18 @@ def load_yaml(path: Path, cure: str = "", *, loader: type[yaml.SafeLoader] | Non
 
 
 class NoKeyTwice(yaml.SafeLoader):
-    """A loader that refuses a key given twice; YAML's own would silently take the last."""
+    """A loader that refuses a key given twice, and aliases that expand to a huge content.
+
+    YAML itself would silently take the last of two values. Only ``true`` and ``false`` are
+    switches, as in YAML 1.2: ``on`` is a word here, and no number.
+    """
+
+    def get_single_node(self) -> yaml.Node | None:
+        """Return the document, before any of its values is made."""
+        root = super().get_single_node()
+        if root is not None:
+            _expanded_size(root, {})
+        return root
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """Return the mapping of a node; refuse a key given twice."""
@@ -75,7 +113,42 @@ class NoKeyTwice(yaml.SafeLoader):
             name = (key.tag, str(key.value))
             if name in seen and key.tag != MERGE:
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key.value} is given twice", key.start_mark
+                    None, None, f"the key {brief(key.value)[1:-1]} is given twice", key.start_mark
                 )
             seen.add(name)
         return super().construct_mapping(node, deep)
+
+
+BOOL = "tag:yaml.org,2002:bool"
+NoKeyTwice.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag != BOOL]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+NoKeyTwice.add_implicit_resolver(
+    BOOL, re.compile("^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
+
+
+def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, int]) -> int:
+    """Return the number of values of a node if each alias were written out.
+
+    Args:
+        node: the node.
+        sizes: sizes of nodes that are known already; receives this one.
+
+    Raises:
+        yaml.YAMLError: there are more than LARGEST_CONTENT, or the node contains itself.
+    """
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if node not in sizes:
+        sizes[node] = LARGEST_CONTENT  # for a node that contains itself
+        parts = (
+            chain.from_iterable(node.value) if isinstance(node, yaml.MappingNode) else node.value
+        )
+        sizes[node] = 1 + sum(_expanded_size(part, sizes) for part in parts)
+    if sizes[node] > LARGEST_CONTENT:
+        raise yaml.constructor.ConstructorError(
+            None, None, f"it expands to more than {LARGEST_CONTENT:,} values", node.start_mark
+        )
+    return sizes[node]

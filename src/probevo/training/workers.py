@@ -5,6 +5,7 @@ The results are the same.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
@@ -165,6 +166,7 @@ def _on_this_machine(
     """Do the tasks in other processes of this machine."""
     import joblib
 
+    os.environ["PYTHONSAFEPATH"] = "1"  # no module of the working directory is imported
     # One thread each: there are as many processes as cores.
     with joblib.parallel_config("loky", inner_max_num_threads=1):
         calls = (joblib.delayed(_numbered)(work, number, task) for number, task in tasks)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from probevo.arrays import AnyArray
 from probevo.noise.base import RefersTo
@@ -16,6 +16,8 @@ from probevo.noise.origin import OriginFacts
 from probevo.noise.student_t_arrays import DIM, NUM_PARAMETERS, StudentTs
 
 Variant = Literal["robust", "published"]
+MOST = 1e100
+"""Squares of larger numbers would overflow."""
 
 
 class KernelFacts(OriginFacts):
@@ -25,12 +27,22 @@ class KernelFacts(OriginFacts):
     may_be_undefined: tuple[bool, ...]
     variant: Variant
     neighbors: int = Field(ge=1)
-    reach: float = Field(gt=0)
-    domain_radius: float = Field(gt=0)
-    prior_counts: float = Field(gt=0)
+    reach: float = Field(gt=0, le=MOST)
+    domain_radius: float = Field(gt=0, le=MOST)
+    prior_counts: float = Field(gt=0, le=MOST)
     refers_to: RefersTo
     time_correlation_ratio: float = Field(0.0, ge=0)
     samples: int = Field(ge=1)
+
+    @field_validator("training")
+    @classmethod
+    def _check_searches(cls, training: dict[str, Any]) -> dict[str, Any]:
+        for name, search in training.get("searches", {}).items():
+            if "gains" not in search:
+                raise ValueError("a search lacks gains")
+            if name != "weights" and not isinstance(search.get("chosen"), float | int | str):
+                raise ValueError("a search lacks what was chosen")
+        return training
 
 
 def check_arrays(metric: Metric, centers: Centers, prior: StudentTs) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
@@ -281,6 +281,10 @@ class _Base(Settings):
     name: Literal["fixed", "student-t"]
 
 
+MAX_LOG_ALPHA = 700.0
+"""The exponential of a larger number would overflow."""
+
+
 class _Facts(OriginFacts):
     """The facts that a file states beside its arrays."""
 
@@ -289,8 +293,23 @@ class _Facts(OriginFacts):
     neighbors: int = Field(ge=1)
     exponent: float = Field(ge=0)
     average: Average
-    log_mean_alpha: float
+    log_mean_alpha: float = Field(ge=-MAX_LOG_ALPHA, le=MAX_LOG_ALPHA)
     base: _Base
+
+    @field_validator("training")
+    @classmethod
+    def _check_searches(cls, training: dict[str, Any]) -> dict[str, Any]:
+        searches = training.get("searches", {})
+        if not searches.keys() <= {"neighbors", "exponent"}:
+            raise ValueError("a search is for neither neighbors nor exponent")
+        if any(
+            not search["candidates"]
+            or "errors" not in search
+            or not isinstance(search.get("chosen"), int | float)
+            for search in searches.values()
+        ):
+            raise ValueError("a search lacks candidates, errors or what was chosen")
+        return training
 
 
 def check_neighbors(neighbors: int, num_samples: int) -> None:

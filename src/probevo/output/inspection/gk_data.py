@@ -94,7 +94,8 @@ def used_columns(model: GeneralizedKernel) -> tuple[UsedColumn, ...]:
     weights = model.metric_.weight
     search = model.training.get("searches", {}).get("weights", {"candidates": [], "gains": []})
     steps = np.diff([0.0, *search["gains"]]).tolist()
-    gains = dict(zip(search["candidates"], steps, strict=True))
+    steps_by_name = zip(search["candidates"], steps, strict=True)
+    gains = {name: step for name, step in steps_by_name if name in model.columns}
     chosen = [model.columns.index(name) for name in gains]
     others = [m for m in np.flatnonzero(weights).tolist() if m not in chosen]
     others.sort(key=lambda m: -weights[m])

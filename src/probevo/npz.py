@@ -1,0 +1,63 @@
+"""Reading of ``.npz`` archives that may be damaged, or claim more than they hold."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+from numpy.lib import format as npy
+
+from probevo.arrays import AnyArray
+from probevo.files import NO_ARCHIVE, check_regular
+
+LARGEST_FILE_BYTES = 100_000_000_000
+LARGEST_ARRAY_BYTES = 1 << 31
+"""67 million observations, those of four hours at 10 Hz and 450 features a frame."""
+NO_NPZ = (*NO_ARCHIVE, RuntimeError)
+"""The exceptions of ``read_npz``; a RuntimeError is an encrypted member, or nested too deeply."""
+
+
+def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, AnyArray]:
+    """Read arrays of an archive, without unpickling anything.
+
+    The size that each array claims is compared with that of its member before it is allocated.
+
+    Args:
+        path: the file.
+        names: arrays to read, those of them that exist; None for all.
+
+    Raises:
+        InputError: the file is not a regular one.
+        OSError, ValueError and the others of NO_NPZ: it is no archive of plain arrays.
+    """
+    check_regular(path, LARGEST_FILE_BYTES)
+    with zipfile.ZipFile(path) as archive:
+        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        chosen = [name for name in members if names is None or name in names]
+        return {name: _read_array(archive, members[name]) for name in chosen}
+
+
+def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> AnyArray:
+    """Read one array.
+
+    Raises:
+        ValueError: it is no array, holds objects, or is larger or smaller than its member.
+    """
+    with archive.open(member) as stream:
+        version = npy.read_magic(stream)
+        if version == (1, 0):
+            shape, _, dtype = npy.read_array_header_1_0(stream)
+        else:
+            shape, _, dtype = npy.read_array_header_2_0(stream)
+        if dtype.hasobject:
+            raise ValueError(f"Object arrays, such as {member.filename}, are not read")
+        claimed = math.prod(shape) * dtype.itemsize
+        if claimed != member.file_size - stream.tell():
+            raise ValueError(f"{member.filename} is not as large as its shape {shape} says")
+        if claimed > LARGEST_ARRAY_BYTES:
+            raise ValueError(f"{member.filename} has {claimed:,} bytes")
+    with archive.open(member) as stream:
+        return np.asarray(npy.read_array(stream, allow_pickle=False))

@@ -1,0 +1,86 @@
+"""Python files that lie beside the data are never run, not even by child processes."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo_sim.point_config import PointConfig
+from probevo_sim.point_world import simulate_points, write_points
+
+NAMES = ("numba", "joblib", "numpy", "yaml", "scipy", "cv2", "pickle", "random", "sitecustomize")
+SOURCE = Path(__file__).parents[2] / "src"
+COMMAND = """\
+import sys
+from probevo.cli import first_use, main
+
+first_use.is_solver_compiled = lambda: False
+code = main.main(sys.argv[1:])
+sys.exit(code or first_use.compile_solver().wait())
+"""
+"""The entry point, as if nothing were compiled yet; it waits for the process that compiles."""
+WORKERS = """\
+import math
+from probevo.training.workers import Workers
+
+assert Workers(jobs=2).map(math.sqrt, [1.0, 4.0], ["one", "four"]) == [1.0, 2.0]
+"""
+"""What ``train --jobs 2`` does."""
+
+
+@pytest.fixture
+def hostile(tmp_path: Path) -> Path:
+    """A folder with a recording and with modules that leave a trace where they are run."""
+    folder = tmp_path / "data"
+    folder.mkdir()
+    world = simulate_points(
+        PointConfig(radius_m=3.0, landmarks=400), duration_s=1.0, rng=np.random.default_rng(0)
+    )
+    write_points(world, folder / "drive.npz")
+    for name in NAMES:
+        (folder / f"{name}.py").write_text("import os\nos.mkdir(__file__ + '.ran')\n")
+    return folder
+
+
+def call(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in a folder, with the default rules on what it imports."""
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONSAFEPATH"}
+    return subprocess.run(
+        [sys.executable, *words],
+        cwd=folder,
+        env=environment | {"PYTHONPATH": str(SOURCE)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def traces(folder: Path) -> list[str]:
+    return [path.name for path in folder.glob("*.ran")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [(COMMAND, ["run", "drive.npz", "--out", "out"]), (WORKERS, [])],
+    ids=["run", "workers"],
+)
+def test_no_module_of_the_working_directory_is_run(
+    text: str, words: list[str], hostile: Path
+) -> None:
+    script = hostile.parent / "script.py"
+    script.write_text(text)
+    done = call(hostile, str(script), *words)
+    assert traces(hostile) == []
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_the_module_run_as_a_command_runs_none_either(hostile: Path) -> None:
+    """Python puts the working directory first on the path of ``python -m probevo``."""
+    done = call(hostile, "-m", "probevo", "info", "drive.npz")
+    assert traces(hostile) == []
+    assert done.returncode == 0, done.stderr
