@@ -180,12 +180,12 @@ class TrainSettings(Settings):
     """Settings of a training."""
 
     # What is learned, and from what.
-    kind: Literal["knn", "gk", "student-t"] = Field(
+    kind: str = Field(
         "knn",
         description=(
-            "PROBE: weights from the nearest neighbours in the prediction space; gk is PROBE-GK: a"
-            " covariance and a loss of its own for each feature; student-t one for all, fitted to"
-            " the same data."
+            "Kind of noise model. knn is PROBE: weights from the nearest neighbours in the"
+            " prediction space; gk is PROBE-GK: a covariance and a loss of its own for each"
+            " feature; student-t one for all, fitted to the same data."
         ),
     )
     supervision: SupervisionName = Field(
