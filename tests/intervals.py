@@ -10,5 +10,6 @@ def chi2_interval(dof: int, count: int, confidence: float = 0.999) -> tuple[floa
     ``count`` times ``dof`` degrees of freedom.
     """
     tail = 0.5 * (1.0 - confidence)
-    low, high = chi2.ppf([tail, 1.0 - tail], df=count * dof) / count
+    low = chi2.ppf(tail, df=count * dof) / count
+    high = chi2.ppf(1.0 - tail, df=count * dof) / count
     return float(low), float(high)

@@ -270,6 +270,9 @@ class StereoOdometry:
             used = observed.tracks.kept(visual.used)
             rig, common_mode = update_rig(rig, used, visual.two_frames_only, self.camera)
         cov = solution.cov + common_mode @ common_mode.T
+        residuals = LastResiduals.none()
+        if self.predictors.depends_on_previous_motion:
+            residuals = LastResiduals.left_by(observed.tracks, visual.T_reference, self.camera)
         motion = MotionEstimate(
             T_curr_prev=T_curr_prev,
             cov=cov,
@@ -289,7 +292,7 @@ class StereoOdometry:
             gyro_bias=gyro_bias,
             motion_model=state.motion_model.after_solve(prediction.duration_s, T_curr_prev, cov),
             disparities=visual.disparities,
-            residuals=LastResiduals.left_by(observed.tracks, visual.T_reference, self.camera),
+            residuals=residuals,
         )
 
     def _dead_reckon(

@@ -205,9 +205,9 @@ def euroc_camera(folder: Path) -> tuple[PinholeCamera, FloatArray]:
     text = (folder / "sensor.yaml").read_text().removeprefix("%YAML:1.0")
     sensor = yaml.safe_load(text)
     size_px = tuple(sensor["resolution"])
-    camera = PinholeCamera(
-        *sensor["intrinsics"], "radtan", tuple(sensor["distortion_coefficients"]), size_px
-    )
+    fu_px, fv_px, cu_px, cv_px = sensor["intrinsics"]
+    coefficients = tuple(sensor["distortion_coefficients"])
+    camera = PinholeCamera(fu_px, fv_px, cu_px, cv_px, "radtan", coefficients, size_px)
     return camera, np.array(sensor["T_BS"]["data"]).reshape(4, 4)
 
 

@@ -72,6 +72,7 @@ def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(
     out = tmp_path / "m.safetensors"
     assert main(["train", str(tracks), "--out", str(out), *FLAGS]) == 0
     model = load_model(out)
+    assert isinstance(model, NearestNeighbors)
     lines = capsys.readouterr().out.splitlines()
     assert f"samples     {len(model.index_.values):,} from 16 frames of 1 recording" in lines
     assert "predictors  x, y, row_offset" in lines
@@ -130,7 +131,9 @@ def test_given_k_and_gamma_are_not_searched_for(
         )
         == 0
     )
-    assert (load_model(out).neighbors, load_model(out).exponent) == (7, 2.5)
+    model = load_model(out)
+    assert isinstance(model, NearestNeighbors)
+    assert (model.neighbors, model.exponent) == (7, 2.5)
     assert "squared error" not in capsys.readouterr().out
 
 

@@ -1,5 +1,6 @@
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -123,7 +124,7 @@ def test_agrees_with_evo(seed: int) -> None:
     true = random_walk(rng)
     est = disturbed(true, rng)
 
-    def evo(metric: object, ref: FloatArray, T: FloatArray, *, align: bool = False) -> float:
+    def evo(metric: Any, ref: FloatArray, T: FloatArray, *, align: bool = False) -> float:
         path_ref = PosePath3D(poses_se3=list(ref))
         path = PosePath3D(poses_se3=list(T))
         if align:

@@ -83,6 +83,7 @@ def test_a_model_comes_back_as_it_was(path: Path, options: dict[str, Any]) -> No
         "log_mean_alpha_",
     ):
         assert getattr(back, name) == getattr(model, name)
+    assert isinstance(back, NearestNeighbors)
     assert type(back.base) is type(model.base)
     again = path.with_name("again.safetensors")
     save_model(back, again)

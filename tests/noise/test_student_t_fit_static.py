@@ -386,7 +386,7 @@ def test_an_error_cov_that_is_none_is_refused(error_cov: FloatArray) -> None:
         fit_static(np.ones((3, 4)), error_cov)
 
 
-def test_logarithms_are_summed_to_twelve_digits():
+def test_logarithms_are_summed_to_twelve_digits() -> None:
     rng = np.random.default_rng(0)
     values = 10.0 ** rng.uniform(-300, 300, 999)
     factors = rng.uniform(size=999)

@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,8 @@ def test_the_share_out_of_domain_needs_no_truth(
 ) -> None:
     entries = [entry(make_run(9, outside=25), truth=known) for known in (True, False)]
     assert [flat_record(each)["out_of_domain"] for each in entries] == [0.25, 0.25]
-    assert [run["out_of_domain"] for run in document(entries, tmp_path)["runs"]] == [0.25, 0.25]
+    runs: Any = document(entries, tmp_path)["runs"]
+    assert [run["out_of_domain"] for run in runs] == [0.25, 0.25]
 
 
 def test_every_status_has_a_column(make_run: Callable[..., RunResult]) -> None:

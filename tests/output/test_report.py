@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.patches import StepPatch
 
 from output.pages import Balance
 from probevo.evaluation.consistency import Consistency
@@ -117,7 +118,9 @@ def test_decoding_is_no_part_of_the_stack(make_run: Callable[..., RunResult]) ->
     axes = stages_figure(slow).axes[0]
     stack = [patch for patch in axes.patches if patch.get_fill()]
     assert len(stack) == len(run.stage_ms)
-    np.testing.assert_allclose(stack[-1].get_data().values, run.total_ms)
+    top = stack[-1]
+    assert isinstance(top, StepPatch)
+    np.testing.assert_allclose(top.get_data()[0], run.total_ms)
     assert "decode 50, beside the total" in [
         text.get_text() for text in axes.get_legend().get_texts()
     ]
@@ -167,8 +170,9 @@ def test_the_share_out_of_domain_over_time(make_run: Callable[..., RunResult]) -
     used = np.tile([100, 300, 0], 400)
     outside = np.tile([10, 70, 0], 400)
     used[:3] = outside[:3] = 0
-    percent = domain_figure(used, outside, make_run(1201)).axes[0].patches[0].get_data().values
-    np.testing.assert_allclose(percent, [0.0, *[20.0] * 399])
+    patch = domain_figure(used, outside, make_run(1201)).axes[0].patches[0]
+    assert isinstance(patch, StepPatch)
+    np.testing.assert_allclose(patch.get_data()[0], [0.0, *[20.0] * 399])
 
 
 def test_the_calibration_of_an_honest_run_lies_on_the_diagonal_and_that_of_a_bold_one_below() -> (

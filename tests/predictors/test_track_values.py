@@ -21,8 +21,11 @@ TRACKS = seen_twice(np.random.default_rng(0), 50, sigma_px=0.5)
 
 def test_place_is_the_same_for_a_camera_of_twice_the_resolution() -> None:
     twice = StereoCamera(
-        *(2 * n for n in (CAMERA.fu_px, CAMERA.fv_px, CAMERA.cu_px, CAMERA.cv_px)),
-        CAMERA.baseline_m,
+        fu_px=2 * CAMERA.fu_px,
+        fv_px=2 * CAMERA.fv_px,
+        cu_px=2 * CAMERA.cu_px,
+        cv_px=2 * CAMERA.cv_px,
+        baseline_m=CAMERA.baseline_m,
     )
     uv = TRACKS.curr_px[:, :2]
     np.testing.assert_allclose(place(2 * uv, twice), place(uv, CAMERA), rtol=1e-12, atol=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -54,7 +55,7 @@ def test_every_filter_is_undone_as_opencv_undoes_it(
         )
 
 
-def test_a_written_picture_comes_back(tmp_path) -> None:
+def test_a_written_picture_comes_back(tmp_path: Path) -> None:
     picture = np.random.default_rng(0).integers(0, 256, (50, 40), np.uint8)
     cv2.imwrite(str(tmp_path / "a.png"), picture)
     assert np.array_equal(plain_grey(chunks_of((tmp_path / "a.png").read_bytes())), picture)

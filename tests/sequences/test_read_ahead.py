@@ -19,15 +19,23 @@ def test_results_keep_their_order_though_later_ones_are_ready_first() -> None:
 @pytest.mark.parametrize("count", [0, 1, 4, 5, 6])
 def test_every_item_is_read_once(count: int) -> None:
     seen: list[int] = []
-    assert list(read_ahead(lambda index: seen.append(index) or index, range(count))) == list(
-        range(count)
-    )
+
+    def read(index: int) -> int:
+        seen.append(index)
+        return index
+
+    assert list(read_ahead(read, range(count))) == list(range(count))
     assert sorted(seen) == list(range(count))
 
 
 def test_no_more_than_the_bound_is_read_ahead() -> None:
     begun: list[int] = []
-    results = read_ahead(lambda index: begun.append(index) or index, range(100), ahead=4)
+
+    def read(index: int) -> int:
+        begun.append(index)
+        return index
+
+    results = read_ahead(read, range(100), ahead=4)
     assert next(results) == 0
     time.sleep(0.05)
     assert max(begun) <= 4

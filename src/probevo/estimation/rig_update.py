@@ -39,12 +39,12 @@ def update_rig(
         return rig, np.zeros((6, 3))
     D = disparity_sensitivity(tracks, solution, camera)
     weighted_D = solution.whitened(D)
-    weighted_J = solution.whitened(solution.jacobian)
+    weighted_e = solution.whitened(solution.residuals[:, :, None])
     # Normal equations of (ξ, b): [[H, C], [Cᵀ, B]], with the gradients of both.
     C = sum_products(solution.jacobian, weighted_D)
     B = sum_products(D, weighted_D)
-    motion_gradient = np.einsum("nij,ni->j", weighted_J, solution.residuals)
-    rig_gradient = -np.einsum("nij,ni->j", weighted_D, solution.residuals)
+    motion_gradient = sum_products(solution.jacobian, weighted_e)[:, 0]
+    rig_gradient = -sum_products(D, weighted_e)[:, 0]
     # The Schur complement on b; b₀ is not estimated.
     gain = np.linalg.solve(solution.hessian, C)
     gradient = gain.T @ motion_gradient + rig_gradient

@@ -18,6 +18,9 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
 
+ASYMMETRY = 1e-8
+"""Share of its largest entry by which a covariance may differ from its transpose, for rounding."""
+
 
 class Variable(NamedTuple):
     """An unknown of the problem."""
@@ -142,11 +145,15 @@ class VectorMeasurement(ABC):
     ) -> None:
         covariance = np.asarray(covariance, dtype=np.float64)
         square = covariance.ndim == 2 and covariance.shape[0] == covariance.shape[1]
-        finite = square and bool(np.isfinite(covariance).all())
-        if not finite or not np.allclose(covariance, covariance.T):
+        if not square or not np.isfinite(covariance).all():
             raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
-        if not np.linalg.eigvalsh(covariance)[0] > 0.0:
-            raise InputError(type(self).__name__, "its covariance is not positive definite.")
+        if np.abs(covariance - covariance.T).max() > ASYMMETRY * np.abs(covariance).max():
+            raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
+        try:
+            np.linalg.cholesky(covariance)
+        except np.linalg.LinAlgError as error:
+            what = "its covariance is not positive definite."
+            raise InputError(type(self).__name__, what) from error
         self.covariance = covariance
         self.dof = dof
         self.gate = gate

@@ -46,24 +46,26 @@ def validated(
     imu = frame.imu
     if imu is not None and _has_rows(imu):
         has_gyro = _are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
-        missing += _reasons(
-            imu.gyro_rad_s,
-            not_finite="IMU samples without a finite angular rate",
-            too_large=f"IMU samples with an angular rate over {LARGEST_RATE_RAD_S:g} rad/s",
-            usable=has_gyro,
-        )
-        imu = _kept(imu, has_gyro)
-        has_force = _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
-        # An IMU without an accelerometer has no force at all, which is not worth a word.
-        if np.isfinite(imu.accel_m_s2).all(axis=1).any():
+        if not has_gyro.all():
             missing += _reasons(
-                imu.accel_m_s2,
-                not_finite="IMU samples without a finite specific force",
-                too_large=f"IMU samples with a specific force over {LARGEST_FORCE_M_S2:g} m/s²",
-                usable=has_force,
+                imu.gyro_rad_s,
+                not_finite="IMU samples without a finite angular rate",
+                too_large=f"IMU samples with an angular rate over {LARGEST_RATE_RAD_S:g} rad/s",
+                usable=has_gyro,
             )
-        accel_m_s2 = np.where(has_force[:, None], imu.accel_m_s2, np.nan)
-        frame = replace(frame, imu=replace(imu, accel_m_s2=accel_m_s2))
+            imu = _kept(imu, has_gyro)
+        has_force = _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
+        if not has_force.all():
+            # An IMU without an accelerometer has no force at all, which is not worth a word.
+            if np.isfinite(imu.accel_m_s2).all(axis=1).any():
+                missing += _reasons(
+                    imu.accel_m_s2,
+                    not_finite="IMU samples without a finite specific force",
+                    too_large=f"IMU samples with a specific force over {LARGEST_FORCE_M_S2:g} m/s²",
+                    usable=has_force,
+                )
+            imu = replace(imu, accel_m_s2=np.where(has_force[:, None], imu.accel_m_s2, np.nan))
+        frame = replace(frame, imu=imu)
     features = frame.features
     if features is not None and features.pixels.shape == (len(features.ids), 4):
         is_plausible = _are_within(features.pixels, LARGEST_PIXEL_PX)

@@ -14,7 +14,9 @@ from probevo.noise.gk.center_search_numba import LEAF, NEAREST
     seed=st.integers(0, 999),
     flat=st.booleans(),
 )
-def test_the_nearest_centers_are_those_of_an_exhaustive_search(count, width, seed, flat):
+def test_the_nearest_centers_are_those_of_an_exhaustive_search(
+    count: int, width: int, seed: int, flat: bool
+) -> None:
     rng = np.random.default_rng(seed)
     places = rng.normal(size=(count, width)) * np.where(flat & (np.arange(width) > 0), 0.0, 1.0)
     queries = 2.0 * rng.normal(size=(30, width))
@@ -29,14 +31,14 @@ def test_the_nearest_centers_are_those_of_an_exhaustive_search(count, width, see
 
 @pytest.mark.parametrize("width", [3, 12])
 @pytest.mark.parametrize("place", [0.0, 1.0])
-def test_centers_all_alike_are_all_as_near(width, place):
+def test_centers_all_alike_are_all_as_near(width: int, place: float) -> None:
     index, squared = Leaves.of(np.ones((200, width))).nearest(np.full((1, width), place))
     np.testing.assert_allclose(squared, width * (1.0 - place), rtol=1e-6)
     assert len(np.unique(index)) == NEAREST
 
 
 @pytest.mark.parametrize("far", [1e20, 1e38, 1e300])
-def test_what_is_beyond_single_precision_is_infinitely_far(far):
+def test_what_is_beyond_single_precision_is_infinitely_far(far: float) -> None:
     index, squared = Leaves.of(np.random.default_rng(0).normal(size=(70, 2))).nearest(
         np.array([[far, 0.0]])
     )
