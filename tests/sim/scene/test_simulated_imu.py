@@ -122,7 +122,7 @@ def test_bias_has_its_initial_variance_and_random_walk(sensor: str, sigma: str, 
     settings = {sigma: 0.05, walk: 0.01}
     bias = np.array([getattr(simulated(seed, **settings), sensor) - truth for seed in range(200)])
     walked = (bias[:, -1] - bias[:, 0]) / (0.01 * np.sqrt((len(truth) - 1) / 200.0))
-    low, high = chi2_interval(3, 200)
+    low, high = chi2_interval(1, 600)
     assert low < np.mean((bias[:, 0] / 0.05) ** 2) < high
     assert low < np.mean(walked**2) < high
 
