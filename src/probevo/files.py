@@ -76,7 +76,7 @@ def check_folder(folder: Path, option: str) -> None:
         raise InputError(option, f"{place} cannot be written to.", CHOOSE_ANOTHER)
 
 
-def write_atomically(path: Path, content: bytes | str, writer: str = "") -> None:
+def write_atomically(path: Path, content: bytes | str) -> None:
     """Write a file so that an interruption leaves the old content or the new one, never a part.
 
     The content goes to a temporary file beside ``path``, which then replaces it. Its name is of
@@ -85,13 +85,12 @@ def write_atomically(path: Path, content: bytes | str, writer: str = "") -> None
     Args:
         path: the file; missing folders are created.
         content: text is encoded as UTF-8.
-        writer: a further mark in the name of the temporary file.
 
     Raises:
         InputError: the place is not writable.
     """
     data = content.encode() if isinstance(content, str) else content
-    partial = _partial(path.with_name(path.name + writer))
+    partial = _partial(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(path)

@@ -18,7 +18,9 @@ from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.evaluation.metrics import Metrics, evaluate
-from probevo.files import check_folder, remove_stale, write_atomically, written_together
+from probevo.files import remove_stale, write_atomically, written_together
+from probevo.lock import locked
+from probevo.noise.base import NoiseModel
 from probevo.noise.named import noise_model, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import draw_tracks
@@ -83,15 +85,27 @@ def run_sequence(
 
     Raises:
         InputError: a file of the recording is damaged, the left and right images are swapped,
-            ``out`` is not writable, the noise model is unknown, or ``check_run`` refuses the run.
+            ``out`` is not writable or another process is writing into it, the noise model is
+            unknown, or ``check_run`` refuses the run.
     """
     # Check everything that can be checked before the first frame.
     if not config.imu:
         sequence = WithoutImu.of(sequence)
     noise = noise_model(config.noise)
     check_run(sequence, config, noise)
-    check_folder(out, "--out")
+    with locked(out):
+        return _run(sequence, config, out, noise=noise, on_step=on_step)
 
+
+def _run(
+    sequence: Sequence,
+    config: RunConfig,
+    out: Path,
+    *,
+    noise: NoiseModel,
+    on_step: Callable[[MotionEstimate], None] | None,
+) -> Run:
+    """Run the odometry and write the results, while no other process writes into the folder."""
     num_frames = min(len(sequence), config.max_frames or len(sequence))
     odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config=config)
     recorder = RunRecorder()

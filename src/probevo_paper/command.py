@@ -104,19 +104,25 @@ class PaperArguments:
 def main(words: list[str]) -> None:
     """Parse the words after ``probevo paper``, repeat the experiment, and print its results."""
     arguments = parse(PaperArguments, words, "paper").experiment
-    from probevo.files import check_folder
+    from probevo.lock import locked
 
-    check_folder(arguments.out, "--out")
+    with locked(arguments.out):
+        lines = _repeat(arguments)
+    print("\n".join(lines))
+
+
+def _repeat(
+    arguments: BlurArguments | TableIArguments | Table12Arguments | Table13Arguments,
+) -> list[str]:
+    """Repeat the experiment, and return the lines to print."""
     # The experiments are imported here, since help and mistakes should not wait for OpenCV.
     if isinstance(arguments, BlurArguments):
-        lines = _figure_5(arguments)
-    elif isinstance(arguments, TableIArguments):
-        lines = _table_i(arguments)
-    elif isinstance(arguments, Table12Arguments):
-        lines = _table_1_2(arguments)
-    else:
-        lines = _table_1_3(arguments)
-    print("\n".join(lines))
+        return _figure_5(arguments)
+    if isinstance(arguments, TableIArguments):
+        return _table_i(arguments)
+    if isinstance(arguments, Table12Arguments):
+        return _table_1_2(arguments)
+    return _table_1_3(arguments)
 
 
 def _figure_5(arguments: BlurArguments) -> list[str]:

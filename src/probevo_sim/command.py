@@ -59,10 +59,10 @@ class SimulateArguments:
 def main(words: list[str]) -> None:
     """Parse the arguments, simulate, and print what to do with the result."""
     arguments = parse(SimulateArguments, words, "simulate").world
-    from probevo.files import check_folder
+    from probevo.lock import locked
 
-    check_folder(arguments.out, "--out")
-    lines = _point(arguments) if isinstance(arguments, PointArguments) else _scene(arguments)
+    with locked(arguments.out):
+        lines = _point(arguments) if isinstance(arguments, PointArguments) else _scene(arguments)
     print("\n".join(lines))
 
 

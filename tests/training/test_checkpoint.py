@@ -9,7 +9,10 @@ import pytest
 from probevo import __version__
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
+from probevo.files import remove_stale
+from probevo.lock import LOCK
 from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.training import checkpoint
 from probevo.training.checkpoint import Checkpoint, Iteration
 from probevo.training.drive import Drive, joined
 from probevo.training.settings import TrainSettings
@@ -238,12 +241,51 @@ def test_where_nothing_was_done_yet_other_settings_are_welcome(out: Path) -> Non
         opened(out)
 
 
-def test_the_rest_of_a_removal_that_was_stopped_is_no_work(out: Path) -> None:
+class KilledError(Exception):
+    """The process was killed."""
+
+
+@pytest.mark.parametrize("num_removed", [0, 1, 3])
+def test_the_rest_of_a_removal_that_was_stopped_is_no_work(
+    out: Path, num_removed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Drives of other settings must not pass for those of these."""
     work = opened(out)
     keep(work, 0)
-    (work.folder / "plan.json").unlink()
+    waiting = [remove_stale] * num_removed
+
+    def killed(path: Path) -> None:
+        if not waiting:
+            raise KilledError
+        waiting.pop()(path)
+
+    monkeypatch.setattr(checkpoint, "remove_stale", killed)
+    with pytest.raises(KilledError):
+        work.remove()
+    monkeypatch.undo()
     assert drive_of_number(opened(out, SETTINGS.model_copy(update={"subset": 9})), 0) is None
+    assert [path.name for path in work.folder.iterdir()] == ["plan.json"]
+
+
+def test_files_of_our_names_without_a_plan_are_those_of_somebody_else(out: Path) -> None:
+    """Not every iteration-1.npz is ours."""
+    folder = out.with_name("city.safetensors.work")
+    folder.mkdir(parents=True)
+    for name in ("iteration-1.npz", "drive-1.json", "lease"):
+        (folder / name).write_text("mine")
+        with pytest.raises(InputError, match=rf"holds {name} but no plan\.json"):
+            opened(out)
+        assert [path.read_text() for path in folder.iterdir()] == ["mine"]
+        (folder / name).unlink()
+
+
+def test_what_lies_there_before_the_plan_is_no_obstacle(out: Path) -> None:
+    folder = out.with_name("city.safetensors.work")
+    folder.mkdir(parents=True)
+    for name in (LOCK, "plan.json.0123-4-56.part"):
+        (folder / name).write_text("")
+    opened(out)
+    assert sorted(path.name for path in folder.iterdir()) == [LOCK, "plan.json"]
 
 
 @pytest.mark.parametrize(
@@ -374,7 +416,7 @@ def test_removed_it_leaves_nothing(out: Path) -> None:
     keep(work, 0)
     work.keep_iteration(0, ITERATION)
     work.remove()
-    assert list(out.parent.iterdir()) == []
+    assert list(work.folder.iterdir()) == []
     work.remove()
     assert drive_of_number(opened(out), 0) is None
 

@@ -100,14 +100,14 @@ def main(words: list[str]) -> None:
     settings = checked(arguments.settings)
     if arguments.threads < 1:
         raise InputError("--threads", f"is {arguments.threads}.", "It must be at least 1.")
-    from probevo.files import check_folder
+    from probevo.lock import locked
 
-    check_folder(arguments.out, "--out")
-    recordings = open_recordings(arguments.sequences, settings)
-    jobs = plan(recordings, estimators_of(arguments.noise, settings), arguments.out)
-    comparison = run_all(
-        jobs, arguments.threads, lambda done: _write(arguments.out, done), out=arguments.out
-    )
+    with locked(arguments.out):
+        recordings = open_recordings(arguments.sequences, settings)
+        jobs = plan(recordings, estimators_of(arguments.noise, settings), arguments.out)
+        comparison = run_all(
+            jobs, arguments.threads, lambda done: _write(arguments.out, done), out=arguments.out
+        )
     print("\n".join(_summary(comparison, arguments.out)))
 
 
@@ -275,7 +275,7 @@ def _run(job: Job, threads: int, prefix: str) -> Entry:
 
 def _write(out: Path, comparison: Comparison) -> None:
     from probevo import __version__
-    from probevo.files import write_atomically
+    from probevo.files import write_atomically, written_together
     from probevo.output.comparison_files import document, flat_record, write_csv
     from probevo.output.comparison_page import write_comparison
     from probevo.output.files import write_json
@@ -285,12 +285,19 @@ def _write(out: Path, comparison: Comparison) -> None:
     noise_of = {entry.estimator: entry.config.noise for entry in comparison.entries if entry.config}
     model_files = {name: noise for name, noise in noise_of.items() if Path(noise).is_absolute()}
     facts = model_files | {"probevo": __version__}
-    write_csv(out / "comparison.csv", map(flat_record, comparison.entries))
-    write_json(out / "comparison.json", document(comparison.entries, out))
-    write_atomically(out / "table.tex", trials_latex(trials))
-    write_comparison(
-        out / "comparison.html", comparison, "Estimators side by side", facts=facts, trials=trials
-    )
+    # All files or none: part of them beside those of an earlier comparison would pass for one.
+    with written_together(out) as folder:
+        write_csv(folder / "comparison.csv", map(flat_record, comparison.entries))
+        write_json(folder / "comparison.json", document(comparison.entries, out))
+        write_atomically(folder / "table.tex", trials_latex(trials))
+        write_comparison(
+            folder / "comparison.html",
+            comparison,
+            "Estimators side by side",
+            facts=facts,
+            trials=trials,
+            links_from=out,
+        )
 
 
 def _summary(comparison: Comparison, out: Path) -> list[str]:

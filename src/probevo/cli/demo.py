@@ -45,7 +45,10 @@ class DemoArguments:
 def main(words: list[str]) -> None:
     """Parse the arguments and run the demo."""
     arguments = parse(DemoArguments, words, "demo")
-    demo(SCENES, arguments.out)
+    from probevo.lock import locked
+
+    with locked(arguments.out):
+        demo(SCENES, arguments.out)
 
 
 def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
@@ -60,13 +63,11 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     """
     from probevo import __version__
     from probevo.cli.train import train_with_progress
-    from probevo.files import check_folder
     from probevo.noise.registry import untrained_names
     from probevo.output.comparison import Comparison, comparison_rows
     from probevo.output.comparison_page import write_comparison
     from probevo_sim.command import render_with_progress
 
-    check_folder(out, "--out")
     if not (out / "scenes").exists():
         print(
             "The first time takes a minute: the code is compiled and the scenes are rendered.",

@@ -62,22 +62,22 @@ def main(words: list[str]) -> None:
     arguments = parse(InspectArguments, words, "inspect", default=default)
     settings = checked(arguments.settings)
     _check(arguments)
-    from probevo.files import check_folder
+    from probevo.lock import locked
     from probevo.noise.model_io import load_model
     from probevo.output.inspection.subject import Subject
 
-    check_folder(arguments.out, "--out")
     model = load_model(arguments.model) if arguments.model else None
     if model is not None and model.columns and arguments.predictors:
         raise InputError(
             "--predictors", "the model says which predictors it takes.", "Leave out one of the two."
         )
     frame = None
-    if arguments.sequence is not None:
-        frame = frame_view(arguments.sequence, arguments, settings, model=model)
     name = arguments.model.name if arguments.model else ""
-    subject = Subject(name=name, model=model, frame=frame, units=known_units())
-    print(write(arguments.out, subject))
+    with locked(arguments.out):
+        if arguments.sequence is not None:
+            frame = frame_view(arguments.sequence, arguments, settings, model=model)
+        subject = Subject(name=name, model=model, frame=frame, units=known_units())
+        print(write(arguments.out, subject))
 
 
 def _check(arguments: InspectArguments) -> None:

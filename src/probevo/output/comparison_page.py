@@ -24,15 +24,19 @@ def write_comparison(
     title: str,
     facts: Mapping[str, str],
     trials: TrialTable | None = None,
+    *,
+    links_from: Path | None = None,
 ) -> None:
     """Write the page. The same arguments give the same bytes.
 
     Args:
-        path: the HTML file. Links to the reports of single runs are relative to it.
+        path: the HTML file.
         comparison: runs of at least two frames each.
         title: heading of the page.
         facts: what a reader should know beforehand, by name.
         trials: a table to show besides.
+        links_from: the folder that links to the reports of single runs are relative to, by default
+            that of ``path``.
 
     Raises:
         ValueError: there is nothing to compare, or a run has fewer than two frames.
@@ -41,7 +45,7 @@ def write_comparison(
     if not comparison.entries or min(len(entry.result) for entry in comparison.entries) < 2:
         raise ValueError("a comparison needs one run at least, and each run two frames")
     colors = {name: CYCLE[k % len(CYCLE)] for k, name in enumerate(comparison.estimators)}
-    sections: list[Markup] = [_table_section(comparison, colors, path.parent)]
+    sections: list[Markup] = [_table_section(comparison, colors, links_from or path.parent)]
     if trials is not None:
         sections.append(trials_section(trials))
     for number, sequence in enumerate(comparison.sequences):

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence as Collection
+from contextlib import suppress
 from functools import reduce
 from operator import add
 from pathlib import Path
 
 from probevo.errors import InputError
 from probevo.files import check_folder
+from probevo.lock import locked
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.predictors import PredictionSpace, Predictor
-from probevo.training.checkpoint import Checkpoint
+from probevo.training.checkpoint import Checkpoint, checkpoint_folder
 from probevo.training.gk.thinning import thinned
 from probevo.training.progress import OnProgress, TrainingProgress
 from probevo.training.recording import record_all
 from probevo.training.settings import TrainSettings
 from probevo.training.settings_check import check_settings
-from probevo.training.sources import Recording, checked_sources, known_predictors
-from probevo.training.trainer import TrainingContext, trainer_of
+from probevo.training.sources import Recording, Source, checked_sources, known_predictors
+from probevo.training.trainer import Trainer, TrainingContext, trainer_of
 from probevo.training.workers import Workers
 
 HERE = Workers()
@@ -57,7 +59,7 @@ def train_model(
     Raises:
         InputError: a recording is faulty, lacks what the supervision or a predictor needs, or has
             another camera; K is larger than the data; settings do not go together; ``out`` cannot
-            be written to; or workers are lost.
+            be written to, or another process is learning it; or workers are lost.
     """
     # Refuse before the long work what would only show after it.
     if not recordings:
@@ -70,6 +72,38 @@ def train_model(
     if out.is_dir():
         raise InputError("--out", f"{out} is a folder.", "Give the model file another name.")
 
+    progress = TrainingProgress(
+        frames=sum(source.num_frames for source in sources),
+        iterations=trainer.num_iterations(settings),
+        on_progress=on_progress,
+    )
+    folder = checkpoint_folder(out)
+    with locked(folder):
+        _train(
+            sources,
+            settings,
+            out,
+            trainer=trainer,
+            space=space,
+            workers=workers,
+            progress=progress,
+        )
+    with suppress(OSError):  # it holds files of others
+        folder.rmdir()
+    return out
+
+
+def _train(
+    sources: Collection[Source],
+    settings: TrainSettings,
+    out: Path,
+    *,
+    trainer: Trainer,
+    space: PredictionSpace,
+    workers: Workers,
+    progress: TrainingProgress,
+) -> None:
+    """Learn the model, while no other process does."""
     # Take up an earlier training of the same recordings and settings, if there is one.
     checkpoint = Checkpoint.opened(
         out,
@@ -77,11 +111,6 @@ def train_model(
         [source.truth for source in sources],
         settings=settings,
         columns=space.columns,
-    )
-    progress = TrainingProgress(
-        frames=sum(source.num_frames for source in sources),
-        iterations=trainer.num_iterations(settings),
-        on_progress=on_progress,
     )
 
     # Track and solve each recording once; afterwards no image is needed.
@@ -123,4 +152,3 @@ def train_model(
     )
     save_model(trainer(context), out)
     checkpoint.remove()
-    return out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,10 @@ from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.files import remove_stale, write_atomically
+from probevo.lock import LOCK
 from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.model_io import load_model, save_model
+from probevo.npz import read_npz
 from probevo.training.lease import LEASE
 from probevo.training.settings import TrainSettings
 from probevo.training.supervised_drive import DriveOnDisk, damage_reported
@@ -41,6 +42,15 @@ MADE_OF_DRIVES = (
 KINDS = (PLAN, LEASE, *DRIVES, *MADE_OF_DRIVES)
 OWN = tuple(f"{name}{suffix}" for name in KINDS for suffix in ("", ".part", ".*.part"))
 """All files that are ever written into the folder, and so all that are ever removed from it."""
+BEFORE_PLAN = (LOCK, f"{PLAN}.*.part")
+"""Files that may lie in the folder before the plan does."""
+FINISHED = {"drives": None}
+"""The plan of a training whose other files are being removed."""
+
+
+def checkpoint_folder(out: Path) -> Path:
+    """Return the folder of the checkpoint of a model file."""
+    return out.with_name(out.name + ".work")
 
 
 @dataclass(frozen=True)
@@ -57,7 +67,7 @@ class Checkpoint:
         settings: TrainSettings,
         columns: tuple[str, ...],
     ) -> Checkpoint:
-        """Open the checkpoint of a model file, or begin a new one.
+        """Open the checkpoint of a model file, or begin a new one; the caller holds its lock.
 
         Files that were made of the drives with other settings or other truth are removed.
 
@@ -72,7 +82,7 @@ class Checkpoint:
             InputError: the folder belongs to other recordings, predictors or settings of the
                 odometry, is damaged, holds foreign files, or cannot be written to.
         """
-        checkpoint = Checkpoint(out.with_name(out.name + ".work"))
+        checkpoint = Checkpoint(checkpoint_folder(out))
         checkpoint._refuse_foreign()
 
         # What the recorded drives depend on, and what the iterations over them depend on.
@@ -89,7 +99,8 @@ class Checkpoint:
         # Refuse to mix the drives of two different trainings.
         found = checkpoint._plan()
         is_same = all(found.get(part) == plan[part] for part in ("probevo", "drives"))
-        if found and not is_same and any(checkpoint.folder.glob("drive-[0-9]*.npz")):
+        is_work = found.get("drives") and any(checkpoint.folder.glob("drive-[0-9]*.npz"))
+        if is_work and not is_same:
             differs = "recordings, predictors or odometry"
             if found.get("drives") == plan["drives"]:
                 differs = f"code, probevo {found.get('probevo')} instead of {__version__}"
@@ -99,10 +110,10 @@ class Checkpoint:
                 "Repeat those to go on with it, or delete this folder.",
             )
 
-        # Remove what cannot be used. Without the same plan no drive is begun yet, or an earlier
-        # removal was interrupted.
-        if not is_same:
-            checkpoint._remove(*OWN)
+        # Remove what cannot be used. With another plan no drive is begun yet, or an earlier removal
+        # was interrupted.
+        if found and not is_same:
+            checkpoint._remove_all()
         elif found.get("iterations") != plan["iterations"]:
             checkpoint._remove(*MADE_OF_DRIVES)
         checkpoint._remove("*.part", "*.frames")
@@ -118,8 +129,9 @@ class Checkpoint:
         path = self._iteration_path(number)
         if not path.exists():
             return None
-        with damage_reported(path), np.load(path, allow_pickle=False) as archive:
-            num_drives = len(archive.files) // 2
+        with damage_reported(path):
+            archive = read_npz(path)
+            num_drives = len(archive) // 2
             return [(archive[f"features_{k}"], archive[f"alphas_{k}"]) for k in range(num_drives)]
 
     def keep_iteration(self, number: int, iteration: Iteration) -> None:
@@ -143,10 +155,8 @@ class Checkpoint:
 
     def remove(self) -> None:
         """Remove the checkpoint, which is no longer needed once the model is written."""
-        # The plan goes first: without it, an interrupted removal does not pass for a checkpoint.
-        self._remove(*OWN)
-        with suppress(OSError):
-            self.folder.rmdir()
+        if self._plan():
+            self._remove_all()
 
     def _plan(self) -> dict[str, Any]:
         """Read the plan; empty if there is none."""
@@ -160,7 +170,7 @@ class Checkpoint:
             return plan
 
     def _refuse_foreign(self) -> None:
-        """Refuse a folder that holds files of others."""
+        """Refuse a folder that holds files of others, or files whose plan is missing."""
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(
                 self.folder,
@@ -168,15 +178,31 @@ class Checkpoint:
                 "Move it.",
             )
         found = set(self.folder.iterdir()) if self.folder.exists() else set()
-        own = {path for pattern in OWN for path in self.folder.glob(pattern)}
-        foreign = sorted(found - own)
+        foreign = sorted(found - self._matching(LOCK, *OWN))
+        without_plan = sorted(found - self._matching(*BEFORE_PLAN))
         if foreign:
-            raise InputError(
-                self.folder,
-                f"holds {foreign[0].name}, which is none of ours; the work so far is kept in a"
-                " folder of this name.",
-                "Move it, or give the model another name.",
-            )
+            what = f"holds {foreign[0].name}, which is none of ours"
+        elif without_plan and self.folder / PLAN not in found:
+            what = f"holds {without_plan[0].name} but no {PLAN}, so that it is none of ours"
+        else:
+            return
+        raise InputError(
+            self.folder,
+            f"{what}; the work so far is kept in a folder of this name.",
+            "Move it, or give the model another name.",
+        )
+
+    def _matching(self, *patterns: str) -> set[Path]:
+        return {path for pattern in patterns for path in self.folder.glob(pattern)}
+
+    def _remove_all(self) -> None:
+        """Remove all files but the lock; the plan goes last and says meanwhile that nothing counts.
+
+        So an interrupted removal does not pass for a checkpoint, nor for files of others.
+        """
+        write_atomically(self.folder / PLAN, json.dumps(FINISHED) + "\n")
+        self._remove(*(pattern for pattern in OWN if pattern != PLAN))
+        self._remove(PLAN)
 
     def _remove(self, *patterns: str) -> None:
         for pattern in patterns:

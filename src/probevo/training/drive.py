@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from probevo.npz import read_npz
 from probevo.tracking.tracks import Tracks
 
 SINGLE = ("prev_px", "curr_px", "phi")
@@ -109,9 +110,13 @@ def drive_bytes(drive: Drive) -> bytes:
 
 
 def load_drive(path: Path) -> Drive:
-    """Read a file that ``drive_bytes`` gave."""
-    with np.load(path, allow_pickle=False) as archive:
-        arrays: dict[str, AnyArray] = {field.name: archive[field.name] for field in fields(Drive)}
+    """Read a file that ``drive_bytes`` gave.
+
+    Raises:
+        KeyError, or one of ``NO_NPZ``: the file is damaged.
+    """
+    archive = read_npz(path)
+    arrays: dict[str, AnyArray] = {field.name: archive[field.name] for field in fields(Drive)}
     for name in SINGLE:
         arrays[name] = arrays[name].astype(np.float64)
     return Drive(**arrays)

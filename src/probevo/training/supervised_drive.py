@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
-from uuid import uuid4
 
 import numpy as np
 
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.files import NO_ARCHIVE, write_atomically
+from probevo.files import write_atomically
 from probevo.noise.moments import Moments
+from probevo.npz import NO_NPZ, read_npz
 from probevo.training.drive import Drive, drive_bytes, load_drive
 from probevo.training.supervision import Supervision
 
@@ -135,7 +135,7 @@ class DriveOnDisk:
 
     def report_frames(self, frames: int) -> None:
         """Write how many frames are done."""
-        self._write(self._path(self.name, ".frames"), str(frames).encode())
+        write_atomically(self._path(self.name, ".frames"), str(frames))
 
     @property
     def facts(self) -> DriveFacts:
@@ -151,7 +151,8 @@ class DriveOnDisk:
     def supervision(self) -> Supervision:
         """The part of the truth that is used."""
         path = self._path(f"{self.name}-truth", ".npz")
-        with damage_reported(path), np.load(path, allow_pickle=False) as archive:
+        with damage_reported(path):
+            archive = read_npz(path)
             return Supervision(
                 kind=str(archive["kind"]),  # type: ignore[arg-type]
                 frames=archive["frames"],
@@ -177,7 +178,7 @@ class DriveOnDisk:
 
         def written() -> Iterator[Drive]:
             for k, part in enumerate(parts):
-                self._write(self._path(self.name, f"-{k}.npz"), drive_bytes(part))
+                write_atomically(self._path(self.name, f"-{k}.npz"), drive_bytes(part))
                 yield part
 
         # The facts come last: their file marks the drive as recorded.
@@ -185,7 +186,7 @@ class DriveOnDisk:
         facts["moments"] = {
             name: np.asarray(value).tolist() for name, value in facts["moments"].items()
         }
-        self._write(self._path(self.name, ".json"), json.dumps(facts, indent=1).encode())
+        write_atomically(self._path(self.name, ".json"), json.dumps(facts, indent=1))
 
     def keep_supervision(self, supervision: Supervision) -> None:
         """Write the supervision, unless it is there."""
@@ -197,15 +198,10 @@ class DriveOnDisk:
         }
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **arrays)
-        self._write(path, buffer.getvalue())
+        write_atomically(path, buffer.getvalue())
 
     def _path(self, prefix: str, suffix: str) -> Path:
         return self.folder / f"{prefix}-{self.number}{suffix}"
-
-    def _write(self, path: Path, content: bytes) -> None:
-        # A worker that was given up as lost may still write the same file: the same bytes, but it
-        # must not write to the same temporary file.
-        write_atomically(path, content, f".{uuid4().hex}")
 
 
 @contextmanager
@@ -217,7 +213,7 @@ def damage_reported(path: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (KeyError, *NO_ARCHIVE) as error:
+    except (KeyError, *NO_NPZ) as error:
         raise InputError(
             path, f"this is damaged ({error}).", f"Delete the folder {path.parent}."
         ) from error

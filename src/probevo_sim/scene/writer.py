@@ -13,6 +13,7 @@ import yaml
 
 from probevo.errors import InputError
 from probevo.files import check_folder, remove_stale, write_atomically
+from probevo.lock import LOCK
 from probevo.sequences.folder import IMU_HEADER
 from probevo.sequences.pose_files import write_kitti_poses
 from probevo.sequences.read_ahead import read_ahead
@@ -103,7 +104,8 @@ def _check_out(settings: str, out: Path) -> None:
     """
     check_folder(out, "--out")
     try:
-        if not out.is_dir() or all(path.suffix == ".part" for path in out.iterdir()):
+        found = out.iterdir() if out.is_dir() else ()
+        if all(path.suffix == ".part" or path.name == LOCK for path in found):
             return
         there = (out / SETTINGS_FILE).read_text()
     except (OSError, UnicodeDecodeError):

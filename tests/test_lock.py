@@ -1,0 +1,171 @@
+"""A folder is written by one process at a time, and whoever comes second is told who has it."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo.cli.main import main
+from probevo.errors import InputError
+from probevo.lock import LOCK, locked
+from probevo_sim.point_config import PointConfig
+from probevo_sim.point_world import simulate_points, write_points
+
+HOLD = """
+import sys
+from pathlib import Path
+from probevo.errors import InputError
+from probevo.lock import locked
+
+try:
+    with locked(Path(sys.argv[1])):
+        print("held", flush=True)
+        sys.stdin.read(1)
+except InputError as error:
+    print(error, flush=True)
+    sys.exit(2)
+"""
+
+
+def holder(folder: Path) -> subprocess.Popen[str]:
+    """Start a process that holds the lock until its stdin ends."""
+    source = str(Path(__file__).parents[1] / "src")
+    return subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(folder)],
+        env=os.environ | {"PYTHONPATH": source},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.fixture
+def held(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another process that holds the lock of ``out``."""
+    process = holder(tmp_path / "out")
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    with process:
+        yield process
+        process.kill()
+
+
+def test_the_second_is_told_who_has_it(held: subprocess.Popen[str], tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught, locked(tmp_path / "out"):
+        pass
+    assert caught.value.where == str(tmp_path / "out")
+    pattern = rf"is in use by process {held.pid} on \S+, since 20\d\d-\d\d-\d\d .* UTC\."
+    assert re.fullmatch(pattern, caught.value.what)
+    assert (tmp_path / "out" / LOCK).exists()
+
+
+def test_another_thread_of_the_same_process_is_refused_too(tmp_path: Path) -> None:
+    with (
+        locked(tmp_path),
+        pytest.raises(InputError, match=f"process {os.getpid()} on"),
+        locked(tmp_path),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_the_lock_of_a_killed_process_is_free(held: subprocess.Popen[str], tmp_path: Path) -> None:
+    held.send_signal(signal.SIGKILL)
+    held.wait()
+    assert (tmp_path / "out" / LOCK).exists()
+    with locked(tmp_path / "out"):
+        assert f"process {os.getpid()} on" in (tmp_path / "out" / LOCK).read_text()
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [2, 8])
+def test_of_several_at_once_one_holds_it(number: int, tmp_path: Path) -> None:
+    processes = [holder(tmp_path / "out") for _ in range(number)]
+    lines = [process.stdout.readline() for process in processes if process.stdout]
+    winner = processes[lines.index("held\n")]
+    refused = [line for line in lines if line != "held\n"]
+    assert len(refused) == number - 1
+    assert all(f"is in use by process {winner.pid} on" in line for line in refused)
+    winner.communicate("")
+    for process in processes:
+        process.communicate()
+    assert sorted(process.returncode for process in processes) == [0] + [2] * (number - 1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_that_it_made_and_that_stay_empty_are_removed(tmp_path: Path) -> None:
+    with locked(tmp_path / "a" / "b"):
+        assert (tmp_path / "a" / "b" / LOCK).exists()
+    assert list(tmp_path.iterdir()) == []
+    with locked(tmp_path / "a" / "b"):
+        (tmp_path / "a" / "file").write_text("kept")
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["file"]
+    (tmp_path / "c").mkdir()
+    with locked(tmp_path / "c"):
+        pass
+    assert (tmp_path / "c").is_dir()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links and pipes of POSIX")
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
+def test_what_is_planted_in_place_of_the_lock_is_not_written_to(kind: str, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("keep me")
+    out = tmp_path / "out"
+    out.mkdir()
+    if kind == "link":
+        (out / LOCK).symlink_to(secret)
+    elif kind == "pipe":
+        os.mkfifo(out / LOCK)
+    else:
+        (out / LOCK).mkdir()
+    with pytest.raises(InputError, match="cannot be written"), locked(out):
+        pass
+    assert secret.read_text() == "keep me"
+
+
+def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"--out: .*file is a file"), locked(tmp_path / "file"):
+        pass
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tracks file."""
+    path = tmp_path_factory.mktemp("recording") / "drive.npz"
+    config = PointConfig(radius_m=3.0, landmarks=400)
+    write_points(simulate_points(config, duration_s=1.0, rng=np.random.default_rng(0)), path)
+    return path
+
+
+COMMANDS = {
+    "run": ("run", "DRIVE", "--out", "OUT"),
+    "compare": ("compare", "DRIVE", "--noise", "fixed", "--out", "OUT"),
+    "inspect": ("inspect", "DRIVE", "--out", "OUT"),
+    "simulate": ("simulate", "point", "--out", "OUT"),
+    "train": ("train", "DRIVE", "--kind", "student-t", "--out", "OUT.safetensors"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_that_finds_its_place_in_use_exits_and_says_by_whom(
+    command: str, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    words = [
+        word.replace("DRIVE", str(drive)).replace("OUT", str(out)) for word in COMMANDS[command]
+    ]
+    folder = tmp_path / "out.safetensors.work" if command == "train" else out
+    with locked(folder):
+        assert main(words) == 2
+        assert [path.name for path in folder.iterdir()] == [LOCK]
+    assert f"{folder}: is in use by process {os.getpid()} on" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
