@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from probevo.training.api import train_model as train_model
     from probevo.training.settings import TrainSettings as TrainSettings
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _MODULE_OF = {
     "Frame": "probevo.sequences.frame",
