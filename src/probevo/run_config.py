@@ -35,9 +35,64 @@ class TopicSettings(Settings):
     left_info: str | None = Field(None, description="CameraInfo of the left camera.")
     right_info: str | None = Field(None, description="CameraInfo of the right camera.")
     imu: str | None = Field(None, description="Samples of the IMU.")
+    truth: str | None = Field(
+        None,
+        description=(
+            "True poses: Odometry, PoseStamped, TransformStamped or tf; a topic called ground_truth"
+            " is taken by itself."
+        ),
+    )
     pair_tolerance_ms: float | None = Field(
         None, description="Largest time between the two images of a pair; 2 ms by default."
     )
+
+
+OPTICAL_IN_BASE = (
+    *(0.0, 0.0, 1.0, 0.0),
+    *(-1.0, 0.0, 0.0, 0.0),
+    *(0.0, -1.0, 0.0, 0.0),
+    *(0.0, 0.0, 0.0, 1.0),
+)
+"""T_base_cam of a camera that looks ahead from the origin of ``base_link``, row by row: REP-103 has
+bodies with x forward, y left, z up, and optical frames with x right, y down, z forward."""
+ROTATION_TOLERANCE = 1e-6
+"""How far the columns of a rotation may be from unit length and right angles."""
+
+
+class RosSettings(Settings):
+    """Frames of the odometry that is written as a bag (REP-103, REP-105)."""
+
+    odom_frame: str = Field("odom", description="World: base_frame at the first image.")
+    base_frame: str = Field("base_link", description="Body: x forward, y left, z up.")
+    camera_frame: str = Field(
+        "camera_left_optical", description="Rectified left camera: x right, y down, z forward."
+    )
+    T_base_cam: tuple[float, ...] = Field(
+        OPTICAL_IN_BASE,
+        min_length=16,
+        max_length=16,
+        description=(
+            "Pose of the rectified left camera in base_frame, 4×4 row by row, m; by default it"
+            " looks ahead from the origin of base_frame."
+        ),
+    )
+
+    @field_validator("T_base_cam")
+    @classmethod
+    def _check_transform(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        x, y, z = (values[4 * k : 4 * k + 3] for k in range(3))
+        # The rows of a rotation: unit length, right angles, and the third is x × y.
+        across = tuple(x[k - 2] * y[k - 1] - x[k - 1] * y[k - 2] for k in range(3))
+        lengths = [abs(_dot(row, row) - 1.0) for row in (x, y, z)]
+        differences = [abs(found - wanted) for found, wanted in zip(across, z, strict=True)]
+        error = max(*lengths, *differences, abs(_dot(x, y)))
+        if values[12:] != (0.0, 0.0, 0.0, 1.0) or not error < ROTATION_TOLERANCE:
+            raise ValueError("it should be a rigid transform: [C, t; 0 0 0 1], row by row")
+        return values
+
+
+def _dot(one: tuple[float, ...], other: tuple[float, ...]) -> float:
+    return sum(a * b for a, b in zip(one, other, strict=True))
 
 
 class ReadSettings(Settings):
@@ -53,6 +108,16 @@ class ReadSettings(Settings):
     )
     imu_noise: Path | None = Field(
         None, description="Noise of the IMU, for folders and bags: Kalibr's imu.yaml."
+    )
+    truth: Path | None = Field(
+        None, description="True poses of a folder or bag: a file in TUM's format."
+    )
+    truth_of: str | None = Field(
+        None,
+        description=(
+            "Whose poses --truth or --topics.truth gives: camera (rectified, left), imu, or a frame"
+            " of the bag's tf_static."
+        ),
     )
     rate_hz: float | None = Field(
         None, description="Frames a second of a folder without any times."
@@ -74,6 +139,8 @@ class ReadSettings(Settings):
         own = {
             "calibration": self.calibration,
             "imu_noise": self.imu_noise,
+            "truth": self.truth,
+            "truth_of": self.truth_of,
             "rate_hz": self.rate_hz,
         }
         topics = {
@@ -114,6 +181,13 @@ class RunConfig(CommonRunSettings):
             " or the path of a learned model (.safetensors)."
         ),
     )
+    write: Path | None = Field(
+        None,
+        description=(
+            "Write the odometry as a bag, too: a file .mcap or .db3 of ROS 2, or .bag of ROS 1."
+        ),
+    )
+    ros: RosSettings = Field(RosSettings(), description="Frames of that bag.")
 
 
 OWN_KEYS = (
@@ -124,8 +198,12 @@ OWN_KEYS = (
     "imu",
     "calibration",
     "imu_noise",
+    "truth",
+    "truth_of",
     "rate_hz",
     "topics",
+    "write",
+    "ros",
 )
 """The settings of a run that ``OdometryConfig`` does not have."""
 

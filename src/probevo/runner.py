@@ -23,6 +23,7 @@ from probevo.lock import locked
 from probevo.noise.base import NoiseModel
 from probevo.noise.named import noise_model, portable
 from probevo.odometry import StereoOdometry
+from probevo.output.bag_writer import check_bag_path
 from probevo.output.drawing import draw_tracks
 from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.motions_file import write_motions
@@ -66,8 +67,8 @@ def run_sequence(
     """Run the odometry over a recording and write all results into a folder.
 
     The files are ``config.yaml``, ``trajectory.tum``, ``trajectory.kitti.txt``, ``motions.npz``,
-    ``metrics.json`` (if truth is known) and ``report.html``. They are written at the end and
-    replace those of an earlier run.
+    ``metrics.json`` (if truth is known) and ``report.html``, and a bag if ``config.write`` names
+    one. They are written at the end and replace those of an earlier run.
 
     If anything stops the run early, such as a damaged image or Ctrl-C, the same files are written
     for the frames so far, and name the reason; the exception is raised again with a note that tells
@@ -93,6 +94,8 @@ def run_sequence(
         sequence = WithoutImu.of(sequence)
     noise = noise_model(config.noise)
     check_run(sequence, config, noise)
+    if config.write is not None:
+        check_bag_path(config.write, "--write")
     with locked(out):
         return _run(sequence, config, out, noise=noise, on_step=on_step)
 
@@ -155,6 +158,7 @@ def _write_results(
 ) -> Run:
     """Write all files of a run, and remove those of an earlier run that this one does not write."""
     # Only now: importing Matplotlib would delay the first frame.
+    from probevo.output.odometry_bag import write_odometry_bag
     from probevo.output.report import RunDescription, write_report
 
     # Absolute paths, so that --config finds the recording and the noise model from any directory.
@@ -163,6 +167,8 @@ def _write_results(
         "noise": portable(config.noise),
         "calibration": config.calibration and config.calibration.resolve(),
         "imu_noise": config.imu_noise and config.imu_noise.resolve(),
+        "truth": config.truth and config.truth.resolve(),
+        "write": config.write and config.write.resolve(),
     }
     settings = config_text(config.model_copy(update=absolute))
     truth = None
@@ -193,6 +199,8 @@ def _write_results(
                 metrics=metrics,
                 thumbnails=pictures.drawn,
             )
+    if config.write is not None:
+        write_odometry_bag(config.write, result, config.ros, camera=sequence.camera)
     if metrics is None:
         remove_stale(out / "metrics.json")
     if len(result) < 2:

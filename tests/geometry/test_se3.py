@@ -78,6 +78,16 @@ def test_adjoint_against_central_differences(twists: FloatArray) -> None:
     assert relative_error(se3.adjoint(T[:, 0]), differences.mT) < 1e-6
 
 
+def test_left_jacobian_against_central_differences(twists: FloatArray) -> None:
+    """Exp(ξ ± h) Exp(ξ)⁻¹ ≈ Exp(±J h); within 3 rad, where the logarithm is smooth."""
+    xi = twists[::10][:, None]
+    xi = xi[np.linalg.norm(xi[..., 3:], axis=-1)[:, 0] < 3.0]
+    back = se3.inverse(se3.exp(xi))
+    ahead = se3.log(se3.exp(xi + STEPS) @ back)
+    behind = se3.log(se3.exp(xi - STEPS) @ back)
+    assert relative_error(se3.left_jacobian(xi[:, 0]), ((ahead - behind) / 2e-6).mT) < 1e-6
+
+
 def test_batches_of_any_shape() -> None:
     xi = np.random.default_rng(2).normal(size=(2, 0, 5, 6))
     assert se3.adjoint(se3.exp(xi)).shape == (2, 0, 5, 6, 6)

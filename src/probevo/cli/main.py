@@ -22,6 +22,7 @@ COMMANDS = {
     "inspect": "probevo.cli.inspect",
     "eval": "probevo.cli.eval",
     "info": "probevo.cli.info",
+    "convert": "probevo.cli.convert",
     "simulate": "probevo_sim.command",
     "paper": "probevo_paper.command",
     "demo": "probevo.cli.demo",
@@ -44,6 +45,8 @@ and estimates the covariance of each step.
       compare a run, or a trajectory file, with true poses
   probevo info SEQUENCE
       describe a recording, check its calibration, and tell what will be used
+  probevo convert SEQUENCE --out PATH
+      write a recording as a folder of images or as a bag, or a run as a bag of its odometry
   probevo simulate WORLD --out DIR
       simulate a recording of a world, point or scene, with exact ground truth
   probevo paper EXPERIMENT --out DIR

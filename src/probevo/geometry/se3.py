@@ -83,6 +83,26 @@ def adjoint(T: FloatArray) -> FloatArray:
     return matrix
 
 
+def left_jacobian(xi: FloatArray) -> FloatArray:
+    """Return the left Jacobian of SE(3), [..., 6, 6] (Barfoot 2017 eq. 7.83).
+
+    Exp(ξ + δ) ≈ Exp(J δ) Exp(ξ), and Exp(ξ + δ) ≈ Exp(ξ) Exp(J_r δ) with J_r(ξ) = J(−ξ). It is the
+    integral of Exp(a ad(ξ)) over a from 0 to 1, which is a block of the exponential of
+    [[ad(ξ), 1], [0, 0]].
+
+    Args:
+        xi: tangent vectors [ρ; φ], [..., 6], m and rad.
+    """
+    from scipy.linalg import expm  # only now: nothing else needs it, and it takes time
+
+    block = np.zeros((*xi.shape[:-1], 12, 12))
+    block[..., :3, :3] = so3.wedge(xi[..., 3:])
+    block[..., 3:6, 3:6] = block[..., :3, :3]
+    block[..., :3, 3:6] = so3.wedge(xi[..., :3])
+    block[..., :6, 6:] = np.eye(6)
+    return np.asarray(expm(block)[..., :6, 6:])
+
+
 def check_transform(T: FloatArray, where: str | Path) -> FloatArray:
     """Return the rigid transform nearest to a matrix, [4, 4].
 

@@ -24,6 +24,8 @@ from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.sequences.calibration_files import is_stereo_calibration, read_stereo_calibration
 from probevo.sequences.format_options import PAIR_TOLERANCE_MS, FolderOptions
+from probevo.sequences.frame import GroundTruth
+from probevo.sequences.given_truth import truth_of_file
 from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
 from probevo.sequences.images import list_images, list_pairs, read_gray_of_any_depth
 from probevo.sequences.imu import ImuStream
@@ -136,7 +138,7 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
 
     Args:
         path: the folder.
-        options: a calibration file instead of ``calib.yaml``, and frames a second.
+        options: a calibration file instead of ``calib.yaml``, frames a second, true poses.
 
     Raises:
         InputError: a file or key is missing, unknown or wrong, or counts differ.
@@ -151,7 +153,6 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
     cameras = _cameras(path, options.calibration, pictures.left_files[0])
     imu = with_noise_of(cameras.imu, options.imu_noise)
     imu_stream = _read_imu(path, cameras, stamps_ns)
-    poses = path / "poses.txt"
     return StereoRecording(
         path=path,
         format="folder",
@@ -161,11 +162,25 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
         right_files=pictures.right_files,
         imu=imu if imu_stream is not None else None,
         imu_stream=imu_stream,
-        truth=read_kitti_truth(poses, stamps_ns) if poses.exists() else None,
+        truth=_read_truth(path, options, stamps_ns, imu=imu),
         rectification=cameras.rectification,
         gray_range=_gray_range(first_files),
         notes=pictures.notes,
     )
+
+
+def _read_truth(
+    path: Path, options: FolderOptions, stamps_ns: IntArray, *, imu: ImuCalibration | None
+) -> GroundTruth | None:
+    """Read the true poses: of the file that the user names, or of ``poses.txt``; None without.
+
+    Raises:
+        InputError: the file is faulty, or knows no pose of the frames.
+    """
+    if options.truth is not None:
+        return truth_of_file(options.truth, stamps_ns, truth_of=options.truth_of, imu=imu)
+    poses = path / "poses.txt"
+    return read_kitti_truth(poses, stamps_ns) if poses.exists() else None
 
 
 @dataclass(frozen=True)

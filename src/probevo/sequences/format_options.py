@@ -22,6 +22,7 @@ class RosbagOptions(Settings):
     topics_left: str | None = Field(None, description="Name a topic of images.")
     topics_right: str | None = Field(None, description="Name a topic of images.")
     topics_imu: str | None = Field(None, description="Name a topic of IMU samples.")
+    topics_truth: str | None = Field(None, description="Name a topic of poses.")
     topics_left_info: str | None = Field(None, description="Name a topic of CameraInfo.")
     topics_right_info: str | None = Field(None, description="Name a topic of CameraInfo.")
     pair_tolerance_ms: float = Field(
@@ -33,6 +34,10 @@ class RosbagOptions(Settings):
         None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
     )
     imu_noise: Path | None = Field(None, description="Name a file such as Kalibr's imu.yaml.")
+    truth: Path | None = Field(None, description="Name a file of true poses in TUM's format.")
+    truth_of: str | None = Field(
+        None, description="Name the frame of the true poses: camera, imu, or one of tf_static."
+    )
 
 
 class FolderOptions(Settings):
@@ -42,6 +47,10 @@ class FolderOptions(Settings):
         None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
     )
     imu_noise: Path | None = Field(None, description="Name a file such as Kalibr's imu.yaml.")
+    truth: Path | None = Field(None, description="Name a file of true poses in TUM's format.")
+    truth_of: str | None = Field(
+        None, description="Name the frame of the true poses: camera, imu, or one of tf_static."
+    )
     rate_hz: float | None = Field(
         None, gt=0.0, description="Frames a second of a folder without any times: positive."
     )

@@ -6,10 +6,8 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from probevo.arrays import AnyArray, FloatArray, Image, IntArray
 from probevo.camera.rectification import Rectification
@@ -18,7 +16,14 @@ from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.sequences.calibration_files import read_stereo_calibration
 from probevo.sequences.format_options import RosbagOptions
-from probevo.sequences.frame import Frame
+from probevo.sequences.frame import Frame, GroundTruth
+from probevo.sequences.given_truth import (
+    CAMERA,
+    IMU,
+    imu_from_camera,
+    truth_at,
+    truth_of_file,
+)
 from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -27,8 +32,9 @@ from probevo.sequences.read_ahead import read_ahead
 from probevo.sequences.recording import ImageRecording
 from probevo.sequences.ros_camera_info import CameraInfo, rectification_of, stereo_camera
 from probevo.sequences.ros_images import gray_of
-from probevo.sequences.rosbag_file import Decoder, RawMessage, opened_bag
+from probevo.sequences.rosbag_file import TRANSFORM_TYPES, Decoder, RawMessage, opened_bag
 from probevo.sequences.rosbag_topics import NamedTopics, StereoTopics, choose_topics
+from probevo.sequences.rosbag_truth import TruthPoses, frame_name, rigid_matrix
 from probevo.sequences.stamp_pairs import StampPairs, pair_stamps
 from probevo.sequences.stamps import check_stamps
 from probevo.sequences.stereo_calibration import mems_imu
@@ -151,6 +157,8 @@ class _Content:
     """Frame of the IMU in ROS's tree of transforms."""
     transforms: dict[str, tuple[str, FloatArray]] = field(default_factory=dict)
     """Parent and T_parent_child, [4, 4], of each child frame in ``tf_static``."""
+    truth: TruthPoses | None = None
+    """True poses, if a topic has them."""
 
 
 def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
@@ -162,7 +170,7 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
 
     Args:
         path: a .bag, .mcap or .db3 file, or the folder of a bag of ROS 2.
-        options: topics, tolerance of the pairs, and calibration file.
+        options: topics, tolerance of the pairs, calibration file, and truth.
 
     Raises:
         InputError: the bag is damaged; it has no stereo images, no calibration, or several
@@ -174,10 +182,16 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
         left_info=options.topics_left_info,
         right_info=options.topics_right_info,
         imu=options.topics_imu,
+        truth=options.topics_truth,
     )
+    if options.truth is not None and options.topics_truth is not None:
+        what = "both --truth and --topics.truth name the true poses."
+        raise InputError(path, what, "Leave out one of them.")
     with opened_bag(path) as bag:
         topics = choose_topics(path, bag.topics, named)
         content = _Content(bag.decoder, first_images={topics.left: [], topics.right: []})
+        if topics.truth is not None and options.truth is None:
+            content.truth = _empty_truth(path, topics.truth, bag.topics[topics.truth].type, options)
         for message in bag.messages(topics.all):
             _gather(content, message, topics)
     pair_tolerance_ms = options.pair_tolerance_ms
@@ -197,11 +211,13 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
     camera: StereoCamera
     rectification: Rectification | None
     imu: ImuCalibration | None
+    C_rect_left: FloatArray
     if options.calibration is not None:
         from_file = read_stereo_calibration(options.calibration, size_px)
         rectification = from_file.rectification()
         camera = rectification.camera
-        imu = from_file.imu(rectification.C_rect_left)
+        C_rect_left = rectification.C_rect_left
+        imu = from_file.imu(C_rect_left)
     else:
         left_info = _info(path, content, topics.left, topics.left_info)
         right_info = _info(path, content, topics.right, topics.right_info)
@@ -210,6 +226,7 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
             topics.right, right_info
         )
         rectification = None if is_rectified else rectification_of(left_info, right_info)
+        C_rect_left = left_info.R
         imu = _imu_of_transforms(content, topics, left_info)
     if camera.size_px != size_px:
         width_px, height_px = camera.size_px or (0, 0)
@@ -221,6 +238,14 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
         raise InputError(f"{path}: {topics.left}", what, cure)
     imu = with_noise_of(imu, options.imu_noise)
     imu_stream = None if imu is None else _imu_stream(content, topics, imu, stamps_ns, path)
+    notes = _notes(content, topics, pairs, pair_tolerance_ms, imu)
+    truth: GroundTruth | None = None
+    try:
+        truth = _truth(content, topics, options, stamps_ns, imu=imu, C_rect_left=C_rect_left)
+    except InputError as error:
+        if options.truth is not None or options.topics_truth is not None:
+            raise
+        notes = (*notes, ("! truth", f"{topics.truth} is not used: {error.what} {error.cure}"))
     return BagRecording(
         path=path,
         format="rosbag",
@@ -228,9 +253,10 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
         stamps_ns=stamps_ns,
         imu=imu if imu_stream is not None else None,
         imu_stream=imu_stream,
+        truth=truth,
         rectification=rectification,
         gray_range=gray_range,
-        notes=_notes(content, topics, pairs, pair_tolerance_ms, imu),
+        notes=notes,
         left_topic=topics.left,
         right_topic=topics.right,
         left_frames=_frames_of(pairs.left, len(content.left_ns)),
@@ -263,24 +289,17 @@ def _gather(content: _Content, message: RawMessage, topics: StereoTopics) -> Non
         content.imu_ns.append(decoder.stamp_ns(message))
         content.imu_values.append((rate.x, rate.y, rate.z, force.x, force.y, force.z))
         content.imu_frame = sample.header.frame_id
+    elif message.topic == topics.truth:
+        if content.truth is not None:
+            content.truth.add(decoder.decoded(message))
     else:
         for transform in decoder.decoded(message).transforms:
-            parent = _frame_name(transform.header.frame_id)
-            child = _frame_name(transform.child_frame_id)
-            content.transforms[child] = (parent, _matrix(transform.transform))
-
-
-def _matrix(transform: Any) -> FloatArray:
-    """Return the matrix T_parent_child, [4, 4], of a geometry_msgs/Transform."""
-    q = transform.rotation
-    t = transform.translation
-    C = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    return se3.from_parts(C, np.array([t.x, t.y, t.z]))
-
-
-def _frame_name(name: str) -> str:
-    """Return the name of a frame without the slash that early ROS put before it."""
-    return name.removeprefix("/")
+            parent = frame_name(transform.header.frame_id)
+            child = frame_name(transform.child_frame_id)
+            pose = transform.transform
+            where = f"{decoder.path}: {message.topic}"
+            T_parent_child = rigid_matrix(pose.translation, pose.rotation, where)
+            content.transforms[child] = (parent, T_parent_child)
 
 
 def _check_pairs(
@@ -372,7 +391,7 @@ def _imu_of_transforms(
 def _from_root(content: _Content, frame: str) -> tuple[FloatArray, str]:
     """Return T_root_frame, [4, 4], and the name of the root of the frame's tree."""
     T_root_frame = np.eye(4)
-    name = _frame_name(frame)
+    name = frame_name(frame)
     seen = {name}
     while name in content.transforms:
         name, T_parent_child = content.transforms[name]
@@ -381,6 +400,76 @@ def _from_root(content: _Content, frame: str) -> tuple[FloatArray, str]:
             return T_root_frame, f"{name} in a loop of {frame}"
         seen.add(name)
     return T_root_frame, name
+
+
+def _truth(
+    content: _Content,
+    topics: StereoTopics,
+    options: RosbagOptions,
+    stamps_ns: IntArray,
+    *,
+    imu: ImuCalibration | None,
+    C_rect_left: FloatArray,
+) -> GroundTruth | None:
+    """Return the truth of a file or of a topic at the frames; None without any.
+
+    Raises:
+        InputError: the poses are faulty, cover no frame, or are those of an unknown body.
+    """
+    if options.truth is not None:
+        return truth_of_file(options.truth, stamps_ns, truth_of=options.truth_of, imu=imu)
+    if content.truth is None:
+        return None
+    poses_ns, T_world_body = content.truth.arrays()
+    T_body_cam = _body_from_camera(
+        content, content.truth, topics, truth_of=options.truth_of, imu=imu, C_rect_left=C_rect_left
+    )
+    return truth_at(stamps_ns, poses_ns, T_world_body @ T_body_cam, where=content.truth.where)
+
+
+def _empty_truth(path: Path, topic: str, type_name: str, options: RosbagOptions) -> TruthPoses:
+    """Return what collects the true poses of a topic.
+
+    Raises:
+        InputError: the topic has the poses of many frames, and none is named.
+    """
+    where = f"{path}: {topic}"
+    child = None if options.truth_of in (None, CAMERA, IMU) else options.truth_of
+    if type_name in TRANSFORM_TYPES and child is None:
+        what = "it has the transforms of many frames."
+        raise InputError(where, what, "Name the frame whose poses are the truth: --truth-of.")
+    return TruthPoses(where, child=None if child is None else frame_name(child))
+
+
+def _body_from_camera(
+    content: _Content,
+    poses: TruthPoses,
+    topics: StereoTopics,
+    *,
+    truth_of: str | None,
+    imu: ImuCalibration | None,
+    C_rect_left: FloatArray,
+) -> FloatArray:
+    """Return T_body_cam, [4, 4], m, of the body whose poses are the truth; rectified left camera.
+
+    Raises:
+        InputError: neither a setting nor ``tf_static`` says how the body and the camera lie.
+    """
+    if truth_of == CAMERA:
+        return np.eye(4)
+    if truth_of == IMU:
+        return imu_from_camera(imu, poses.where)
+    body = poses.child or poses.named
+    image = content.decoder.decoded(content.first_images[topics.left][0])
+    T_root_cam, camera_root = _from_root(content, image.header.frame_id)
+    T_root_body, body_root = _from_root(content, body)
+    if not body or camera_root != body_root:
+        of = f"the frame {body}" if body else "a frame that it does not name"
+        what = f"its poses are those of {of}, and tf_static does not have the camera's pose in it."
+        cure = "Say whose poses they are: --truth-of camera, imu, or a frame of tf_static."
+        raise InputError(poses.where, what, cure)
+    T_cam_rect = se3.from_parts(C_rect_left.T, np.zeros(3))
+    return se3.inverse(T_root_body) @ T_root_cam @ T_cam_rect
 
 
 def _imu_stream(

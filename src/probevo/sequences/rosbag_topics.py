@@ -1,4 +1,4 @@
-"""The choice of a bag's topics: left and right images, their CameraInfo, and the IMU."""
+"""The choice of a bag's topics: left and right images, their CameraInfo, IMU, and true poses."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from probevo.sequences.rosbag_file import (
     IMAGE_TYPES,
     IMU_TYPE,
     INFO_TYPE,
+    POSE_TYPES,
     TRANSFORM_TYPES,
     Topic,
 )
@@ -24,6 +25,8 @@ SIDES = (
 """What a left topic is called, and what its right partner has in that place."""
 TRANSPORTS = ("compressed",)
 """Last parts of a topic's name that name how its images are sent."""
+TRUTH_NAMES = ("ground_truth", "groundtruth", "gt")
+"""Parts of the name of a topic of poses that is taken for the truth without being named."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,7 @@ class NamedTopics:
     left_info: str | None = None
     right_info: str | None = None
     imu: str | None = None
+    truth: str | None = None
 
 
 @dataclass(frozen=True)
@@ -47,13 +51,15 @@ class StereoTopics:
     """None if the bag has no CameraInfo of this camera."""
     right_info: str | None
     imu: str | None
+    truth: str | None
+    """True poses; None if no topic has them."""
     static_transforms: tuple[str, ...]
     """Topics ``tf_static``, which may have the pose of the IMU."""
 
     @property
     def all(self) -> tuple[str, ...]:
         """Names of all topics that are read."""
-        named = (self.left, self.right, self.left_info, self.right_info, self.imu)
+        named = (self.left, self.right, self.left_info, self.right_info, self.imu, self.truth)
         return (*(name for name in named if name is not None), *self.static_transforms)
 
 
@@ -76,6 +82,7 @@ def choose_topics(path: Path, topics: dict[str, Topic], named: NamedTopics) -> S
         left_info=named.left_info or _camera_info(filled, left),
         right_info=named.right_info or _camera_info(filled, right),
         imu=named.imu or _only_imu(path, filled),
+        truth=named.truth or _only_truth(filled),
         static_transforms=tuple(
             topic.name
             for topic in filled.values()
@@ -96,6 +103,8 @@ def _types_of(option: str) -> tuple[str, ...]:
     """Return the types that the topic of an option may have."""
     if option == "imu":
         return (IMU_TYPE,)
+    if option == "truth":
+        return (*POSE_TYPES, *TRANSFORM_TYPES)
     return (INFO_TYPE,) if option.endswith("info") else IMAGE_TYPES
 
 
@@ -175,3 +184,16 @@ def _only_imu(path: Path, topics: dict[str, Topic]) -> str | None:
         what = f"several topics are IMUs: {', '.join(names)}."
         raise InputError(path, what, "Name one with --topics.imu.")
     return names[0] if names else None
+
+
+def _only_truth(topics: dict[str, Topic]) -> str | None:
+    """Return the only topic of poses that is called ground truth; None if there is none.
+
+    Other poses may be those of wheels or of another odometry: these have to be named.
+    """
+    names = [
+        topic.name
+        for topic in topics.values()
+        if topic.type in POSE_TYPES and set(topic.name.lower().split("/")) & set(TRUTH_NAMES)
+    ]
+    return names[0] if len(names) == 1 else None

@@ -1,0 +1,119 @@
+"""``probevo convert``: write a recording in another format, or a run as a bag of its odometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from probevo.cli.arguments import checked, parse
+from probevo.errors import InputError
+from probevo.run_config import ReadSettings, RosSettings
+
+if TYPE_CHECKING:
+    from probevo.sequences import Sequence
+
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+MOTIONS = "motions.npz"
+"""What makes a folder that of a run."""
+
+
+@dataclass(frozen=True)
+class ConvertArguments:
+    """Writes a recording in another format: a folder of images, or a bag of ROS 1 or ROS 2.
+
+    Images are written rectified, without loss. Of the --out folder of `probevo run`, it writes a
+    bag of the odometry.
+    """
+
+    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
+    """Folder of the recording, a bag, or the folder of a run."""
+    out: Annotated[Path, tyro.conf.arg(metavar="PATH")]
+    """What to write: a file .bag (ROS 1), .mcap or .db3 (ROS 2), or else a folder of images."""
+    compressed: bool = False
+    """Write the images of a bag as PNG: half the size, slower, and nothing is lost."""
+    max_frames: int | None = None
+    """Stop after this many frames."""
+    ros: RosSettings = field(default_factory=RosSettings)
+    """Frames of the odometry of a run."""
+    settings: Annotated[ReadSettings, tyro.conf.arg(name="")] = field(default_factory=ReadSettings)
+
+
+def main(words: list[str]) -> None:
+    """Parse the arguments and convert.
+
+    Raises:
+        InputError: the source is faulty, or cannot be written in that format.
+    """
+    arguments = parse(ConvertArguments, words, "convert")
+    settings = checked(arguments.settings)
+    ros = checked(arguments.ros)
+    if arguments.max_frames is not None and arguments.max_frames < 1:
+        raise InputError("--max-frames", f"is {arguments.max_frames}.", "It must be at least 1.")
+    if (arguments.source / MOTIONS).is_file():
+        _convert_run(arguments, ros)
+        return
+    is_bag = arguments.out.suffix in BAG_SUFFIXES
+    if arguments.compressed and not is_bag:
+        cure = "Images in a folder are PNG files anyway."
+        raise InputError("--compressed", f"{arguments.out} is no bag.", cure)
+    if is_bag:
+        from probevo.output.bag_writer import check_bag_path
+
+        check_bag_path(arguments.out, "--out")
+
+    from probevo.sequences import open_sequence
+
+    sequence = open_sequence(arguments.source, settings.format, **settings.format_options())
+    num_frames = min(len(sequence), arguments.max_frames or len(sequence))
+    _write(sequence, arguments, num_frames=num_frames, is_bag=is_bag)
+    print(f"{num_frames} frames written: {arguments.out}")
+    if is_bag and sequence.imu is not None:
+        print("The noise of the IMU has no place in a bag: give it with --imu-noise.")
+
+
+def _write(
+    sequence: Sequence, arguments: ConvertArguments, *, num_frames: int, is_bag: bool
+) -> None:
+    """Write the recording with a progress bar."""
+    from probevo.cli.progress import progress_bar
+    from probevo.output.recording_bag import write_recording_bag
+    from probevo.output.recording_folder import write_recording_folder
+
+    num_done = count(1)
+    with progress_bar(sequence.path.name, "reading") as show:
+
+        def on_frame(index: int) -> None:
+            show(next(num_done), num_frames)
+
+        if is_bag:
+            write_recording_bag(
+                arguments.out,
+                sequence,
+                num_frames=num_frames,
+                is_compressed=arguments.compressed,
+                on_frame=on_frame,
+            )
+        else:
+            write_recording_folder(
+                arguments.out, sequence, num_frames=num_frames, on_frame=on_frame
+            )
+
+
+def _convert_run(arguments: ConvertArguments, ros: RosSettings) -> None:
+    """Write the odometry of a finished run as a bag.
+
+    Raises:
+        InputError: its motions are damaged, or the bag cannot be written.
+    """
+    from probevo.output.bag_writer import check_bag_path
+    from probevo.output.motions_file import read_motions
+    from probevo.output.odometry_bag import write_odometry_bag
+
+    check_bag_path(arguments.out, "--out")
+    result = read_motions(arguments.source / MOTIONS)
+    write_odometry_bag(arguments.out, result, ros)
+    print(f"odometry of {len(result)} frames written: {arguments.out}")

@@ -1,0 +1,106 @@
+"""A recording in probevo's own layout, the format ``folder``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from probevo.arrays import Image
+from probevo.errors import InputError
+from probevo.files import write_atomically
+from probevo.output.files import write_kitti_poses
+from probevo.output.recording_parts import imu_samples, stereo_pairs
+from probevo.sequences import ImuSamples, Sequence
+
+DENSITIES = (
+    "gyro_noise_rad_s_sqrt_hz",
+    "gyro_bias_sigma_rad_s",
+    "gyro_bias_walk_rad_s2_sqrt_hz",
+    "accel_noise_m_s2_sqrt_hz",
+    "accel_bias_sigma_m_s2",
+    "accel_bias_walk_m_s3_sqrt_hz",
+)
+IMU_HEADER = "stamp_ns,wx,wy,wz,ax,ay,az"
+
+
+def write_recording_folder(
+    folder: Path,
+    sequence: Sequence,
+    *,
+    num_frames: int,
+    on_frame: Callable[[int], None] = lambda index: None,
+) -> None:
+    """Write the rectified images of a recording as PNG files, with calibration, times, IMU, truth.
+
+    What is read back is the same to the last bit, except that true poses are rounded by the change
+    of their origin.
+
+    Args:
+        folder: the folder; it must be missing or empty.
+        sequence: the recording.
+        num_frames: how many frames to write, from the first.
+        on_frame: called with the index of each frame that was written.
+
+    Raises:
+        InputError: the folder holds something, the recording has no images, one of its files is
+            damaged, or a file cannot be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(folder, "this is no empty folder.", "Name a folder that is to be made.")
+    samples = imu_samples(sequence)
+    frames = islice(sequence, num_frames)
+    stamps = []
+    for pair in stereo_pairs(frames, sequence):
+        name = f"{pair.index:06d}.png"
+        write_atomically(folder / "left" / name, _png(pair.left))
+        write_atomically(folder / "right" / name, _png(pair.right))
+        stamps.append(f"{pair.stamp_ns}\n")
+        on_frame(pair.index)
+    write_atomically(folder / "times.txt", "".join(stamps))
+    if samples is not None:
+        write_atomically(folder / "imu.csv", _csv(samples))
+    if sequence.truth is not None and sequence.truth.known[:num_frames].any():
+        write_kitti_poses(folder / "poses.txt", sequence.truth.T_world_cam[:num_frames])
+    # Last, because it makes the folder a recording.
+    content = _calibration(sequence, has_imu=samples is not None)
+    write_atomically(folder / "calib.yaml", yaml.safe_dump(content, sort_keys=False))
+
+
+def _png(pixels: Image) -> bytes:
+    return bytes(cv2.imencode(".png", pixels)[1].tobytes())
+
+
+def _csv(samples: ImuSamples) -> str:
+    values = np.concatenate([samples.gyro_rad_s, samples.accel_m_s2], axis=1).tolist()
+    stamps_ns = samples.stamps_ns.tolist()
+    rows = [
+        ",".join([str(stamp_ns), *map(repr, row)])
+        for stamp_ns, row in zip(stamps_ns, values, strict=True)
+    ]
+    return "\n".join([IMU_HEADER, *rows]) + "\n"
+
+
+def _calibration(sequence: Sequence, *, has_imu: bool) -> dict[str, Any]:
+    """Return the content of ``calib.yaml``; the samples are on the clock of the images already."""
+    camera = sequence.camera
+    width_px, height_px = camera.size_px or (0, 0)
+    content: dict[str, Any] = {
+        "fu_px": float(camera.fu_px),
+        "fv_px": float(camera.fv_px),
+        "cu_px": float(camera.cu_px),
+        "cv_px": float(camera.cv_px),
+        "baseline_m": float(camera.baseline_m),
+        "width_px": int(width_px),
+        "height_px": int(height_px),
+    }
+    imu = sequence.imu
+    if imu is not None and has_imu:
+        content["imu"] = {"T_cam_imu": np.asarray(imu.T_cam_imu, float).tolist()}
+        content["imu"] |= {name: float(getattr(imu, name)) for name in DENSITIES}
+    return content
