@@ -14,9 +14,11 @@ if TYPE_CHECKING:
     from probevo.estimation.motion_estimate import Status as Status
     from probevo.live import LiveEstimate as LiveEstimate
     from probevo.live import LiveOdometry as LiveOdometry
+    from probevo.matches import estimate_motion as estimate_motion
     from probevo.noise.model_io import load_model as load_model
     from probevo.noise.model_io import save_model as save_model
     from probevo.odometry import StereoOdometry as StereoOdometry
+    from probevo.path import compound as compound
     from probevo.sequences import open_sequence as open_sequence
     from probevo.sequences.frame import Frame as Frame
     from probevo.sequences.frame import ImuSamples as ImuSamples
@@ -38,6 +40,8 @@ _MODULE_OF = {
     "StereoCamera": "probevo.camera.stereo",
     "StereoOdometry": "probevo.odometry",
     "TrainSettings": "probevo.training.settings",
+    "compound": "probevo.path",
+    "estimate_motion": "probevo.matches",
     "load_model": "probevo.noise.model_io",
     "open_sequence": "probevo.sequences",
     "save_model": "probevo.noise.model_io",

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_calibration import RigCalibration
-from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import MotionEstimate, Status
@@ -19,8 +21,9 @@ from probevo.estimation.search_starts import rotated_starts, track_from_best_sta
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion
 from probevo.measurements.base import Measurement, pose_of
 from probevo.measurements.gyro import GyroBias
-from probevo.noise import NoiseModel, StudentT
+from probevo.noise import NoiseModel
 from probevo.predictors import PredictionSpace, Step, space_for
+from probevo.python_arguments import as_camera, as_config, as_noise
 from probevo.sequences.frame import Frame, is_repeated
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
@@ -43,10 +46,10 @@ class StereoOdometry:
 
     Args:
         camera: the rectified camera, as a sequence gives it.
-        noise: noise model of the features, the static Student-t by default; one of another camera
-            is an InputError.
+        noise: noise model of the features, or its name or file; the static Student-t by default.
+            One of another camera is an InputError.
         imu: calibration of the IMU whose samples come with the frames, if they do.
-        config: all settings.
+        config: all settings, or a dictionary of those that differ from the defaults.
         predictors: the prediction space; by default that of the noise model, and any other is an
             InputError.
         sensors: further sensors, each a ``Sensor``.
@@ -55,19 +58,18 @@ class StereoOdometry:
     def __init__(
         self,
         camera: StereoCamera,
-        noise: NoiseModel | None = None,
+        noise: NoiseModel | str | Path | None = None,
         imu: ImuCalibration | None = None,
-        config: OdometryConfig | None = None,
+        config: OdometryConfig | Mapping[str, Any] | None = None,
         predictors: PredictionSpace | None = None,
         *,
         sensors: Sequence[Sensor] = (),
     ) -> None:
-        check_camera(camera, "camera")
-        self.camera = camera
-        self.noise = noise or StudentT()
+        self.camera = as_camera(camera)
+        self.noise = as_noise(noise)
         self.noise.check_camera(camera)
         self.imu = imu
-        self.config = config or OdometryConfig()
+        self.config = as_config(config)
         self.predictors = space_for(self.noise.columns, predictors)
         self.sensors = tuple(sensors)
         self._visual = VisualEstimator(

@@ -5,7 +5,7 @@ Flags of the command line override the file, and the file overrides the defaults
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Self
@@ -212,6 +212,28 @@ def run_config(settings: OdometryConfig, sequence: Path, noise: str) -> RunConfi
     """Return the settings of one run: common ones, a recording and a noise model."""
     common = {name: getattr(settings, name) for name in type(settings).model_fields}
     return RunConfig.model_validate(common | {"sequence": sequence, "noise": noise})
+
+
+def as_run_config(config: object) -> RunConfig:
+    """Return settings given as themselves, or as a dictionary of those that differ.
+
+    Args:
+        config: None for the defaults; ``{"noise": "fixed", "max_frames": 100}``.
+
+    Raises:
+        InputError: it is something else, a key is unknown, or a value is out of bounds.
+    """
+    if config is None:
+        return RunConfig()
+    if isinstance(config, RunConfig):
+        return config
+    if not isinstance(config, Mapping):
+        cure = "Give a RunConfig, or a dict such as {'noise': 'fixed'}."
+        raise InputError("config", f"is {brief(config)}.", cure)
+    try:
+        return RunConfig.model_validate(dict(config))
+    except ValidationError as error:
+        raise setting_error(error, "config") from error
 
 
 def read_config(path: Path) -> RunConfig:

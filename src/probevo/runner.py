@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -29,8 +30,9 @@ from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.motions_file import write_motions
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult
+from probevo.python_arguments import as_path
 from probevo.run_checks import check_run
-from probevo.run_config import RunConfig, config_text
+from probevo.run_config import RunConfig, as_run_config, config_text
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.without_imu import WithoutImu
 from probevo.tracking.left_right import (
@@ -60,8 +62,8 @@ class Run:
 
 def run_sequence(
     sequence: Sequence,
-    config: RunConfig,
-    out: Path,
+    config: RunConfig | Mapping[str, Any] | None,
+    out: Path | str,
     on_step: Callable[[MotionEstimate], None] | None = None,
 ) -> Run:
     """Run the odometry over a recording and write all results into a folder.
@@ -77,7 +79,7 @@ def run_sequence(
 
     Args:
         sequence: the recording.
-        config: all settings.
+        config: all settings, or a dictionary of those that differ from the defaults.
         out: folder for the files; created if it is missing.
         on_step: called with the estimate of each frame, the first one included.
 
@@ -90,6 +92,8 @@ def run_sequence(
             unknown, or ``check_run`` refuses the run.
     """
     # Check everything that can be checked before the first frame.
+    out = as_path(out, "out")
+    config = as_run_config(config)
     if not config.imu:
         sequence = WithoutImu.of(sequence)
     noise = noise_model(config.noise)

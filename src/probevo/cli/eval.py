@@ -119,7 +119,7 @@ def read_trajectory(path: Path, pose_format: PoseFormat | None = None) -> Trajec
     from probevo.sequences.text import read_lines
 
     if pose_format is None:
-        where, line = read_lines(path, "Give a file of poses, one per line.")[0]
+        where, line = read_lines(path, "Give the --out folder of a run, or a file of poses.")[0]
         if "," in line:
             what = "its numbers are separated by commas; the KITTI and TUM formats have blanks."
             cure = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -65,6 +66,18 @@ class MotionEstimate:
     """Covariance of the left perturbation of T_cam_world = T_world_cam⁻¹, [6, 6], m and rad."""
     missing: tuple[str, ...] = ()
     """What the frame lacked, in words: samples that could not be used."""
+
+    def __repr__(self) -> str:
+        """Return status, distance, angle, and the largest standard deviations, in one line."""
+        distance_m = float(np.linalg.norm(self.T_curr_prev[:3, 3]))
+        cosine = 0.5 * (float(np.trace(self.T_curr_prev[:3, :3])) - 1.0)
+        angle_deg = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+        sigma = np.sqrt(np.diagonal(self.cov))
+        return (
+            f"MotionEstimate({self.status.name}, {distance_m:.4g} ± {sigma[:3].max():.2g} m,"
+            f" {angle_deg:.4g} ± {math.degrees(sigma[3:].max()):.2g}°,"
+            f" {self.num_inliers} inliers of {self.num_tracks} tracks)"
+        )
 
     @staticmethod
     def first(missing: tuple[str, ...] = ()) -> MotionEstimate:

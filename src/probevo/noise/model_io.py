@@ -25,6 +25,8 @@ def load_model(path: Path | str) -> LearnedNoiseModel:
     Raises:
         InputError: the file is missing or damaged, or holds no noise model of a known kind.
     """
+    if not isinstance(path, str | Path):
+        raise InputError("path", f"is a {type(path).__name__}.", "Give a path, str or Path.")
     path = Path(path)
     file = read_model_file(path)
     readers = {

@@ -56,13 +56,19 @@ def write_motions(path: Path, result: RunResult) -> None:
     write_atomically(path, buffer.getvalue())
 
 
-def read_motions(path: Path) -> RunResult:
+def read_motions(path: Path | str) -> RunResult:
     """Read a run back as it was.
+
+    Args:
+        path: a ``motions.npz``, or the folder of a run.
 
     Raises:
         InputError: the file cannot be read, an array is missing, or its shape does not fit the
             number of stamps.
     """
+    if not isinstance(path, str | Path):
+        raise InputError("path", f"is a {type(path).__name__}.", "Give a path, str or Path.")
+    path = Path(path) / "motions.npz" if Path(path).is_dir() else Path(path)
     try:
         arrays = read_npz(path)
     except NO_NPZ as error:

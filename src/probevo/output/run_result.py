@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.errors import InputError
+from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.geometry import se3
+
+SIGMA_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+"""Names of the standard deviations of ξ = [ρ; φ] along the axes of the current camera."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,65 @@ class RunResult:
     def __len__(self) -> int:
         """Return the number of frames N."""
         return len(self.stamps_ns)
+
+    def __repr__(self) -> str:
+        """Return the number of frames, the duration, the path and the statuses, in one line."""
+        return f"RunResult({', '.join(f'{name} {text}' for name, text in self._facts())})"
+
+    def _repr_html_(self) -> str:
+        """Return the same as a table, for notebooks."""
+        rows = "".join(
+            f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>"
+            for name, text in self._facts()
+        )
+        return f"<table>{rows}</table>"
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas DataFrame with a row a frame: pose, motion, its σ, and its status.
+
+        Positions and distances are in m, quaternions (x, y, z, w) those of T_world_cam, standard
+        deviations those of ``cov`` in m and rad. What belongs to a motion is NaN at the first
+        frame. Its index is the stamp, ns.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            cure = "Install it: pip install pandas."
+            raise InputError("to_dataframe", "it needs the package pandas.", cure) from error
+        from scipy.spatial.transform import Rotation
+
+        sigma = np.sqrt(np.diagonal(self.cov, axis1=1, axis2=2))
+        quaternions = Rotation.from_matrix(self.T_world_cam[:, :3, :3]).as_quat(canonical=True)
+        columns: dict[str, Any] = {
+            f"{axis}_m": self.T_world_cam[:, k, 3] for k, axis in enumerate("xyz")
+        }
+        columns |= {f"q{axis}": quaternions[:, k] for k, axis in enumerate("xyzw")}
+        of_motion = {
+            "distance_m": np.linalg.norm(self.T_curr_prev[:, :3, 3], axis=1),
+            **{f"sigma_{name}": sigma[:, k] for k, name in enumerate(SIGMA_NAMES)},
+            "num_tracks": self.num_tracks,
+            "num_inliers": self.num_inliers,
+            "total_ms": self.total_ms,
+        }
+        columns |= {name: np.r_[np.nan, values] for name, values in of_motion.items()}
+        names = [Status(int(status)).name for status in self.status]
+        columns["status"] = ["FIRST", *names][: len(self)]
+        return pd.DataFrame(columns, index=pd.Index(self.stamps_ns, name="stamp_ns"))
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return name and text of what a glance should show."""
+        duration_s = 1e-9 * float(self.stamps_ns[-1] - self.stamps_ns[0]) if len(self) else 0.0
+        path_m = float(np.linalg.norm(self.T_curr_prev[:, :3, 3], axis=1).sum())
+        counts = Counter(Status(int(status)).name for status in self.status)
+        return [
+            ("frames", str(len(self))),
+            ("duration", f"{duration_s:.4g} s"),
+            ("path", f"{path_m:.4g} m"),
+            ("steps", ", ".join(f"{count} {name}" for name, count in counts.most_common())),
+        ]
 
 
 class RunRecorder:

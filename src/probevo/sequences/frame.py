@@ -75,6 +75,20 @@ class Frame:
     prepared: PreparedImages | None = field(default=None, compare=False, repr=False)
     """The images as ``tracking.preparation`` prepared them ahead of time, if it did."""
 
+    def __repr__(self) -> str:
+        """Return index, stamp and what the frame holds, in one line."""
+        parts = [f"index={self.index}", f"stamp_ns={self.stamp_ns}"]
+        parts += [
+            f"{name}: {_size(image)} px"
+            for name, image in (("left", self.left), ("right", self.right))
+            if image is not None
+        ]
+        if self.features is not None:
+            parts.append(f"{len(self.features.ids)} features")
+        if self.imu is not None:
+            parts.append(f"{len(self.imu.stamps_ns)} IMU samples")
+        return f"Frame({', '.join(parts)})"
+
 
 def check_frame(frame: Frame, camera: StereoCamera) -> None:
     """Refuse a frame that is not usable by itself.

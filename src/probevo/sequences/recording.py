@@ -40,6 +40,16 @@ class ImageRecording:
         """Return the number of frames, K."""
         return len(self.stamps_ns)
 
+    def __repr__(self) -> str:
+        """Return format, path, frames and camera in one line."""
+        extras = [name for name in ("imu", "truth") if getattr(self, name) is not None]
+        width_px, height_px = self.camera.size_px or (0, 0)
+        also = f", with {' and '.join(extras)}" if extras else ""
+        return (
+            f"<{self.format} recording {self.path}: {len(self)} frames,"
+            f" {width_px}×{height_px} px, baseline {self.camera.baseline_m:.4g} m{also}>"
+        )
+
     def imu_before(self, index: int) -> ImuSamples | None:
         """Return the IMU samples from the previous frame to this one; None if there are none."""
         if self.imu_stream is None or index == 0:
@@ -47,7 +57,7 @@ class ImageRecording:
         return self.imu_stream.between(int(self.stamps_ns[index - 1]), int(self.stamps_ns[index]))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class StereoRecording(ImageRecording):
     """A ``Sequence`` of stereo image files, which are read while it is iterated over."""
 

@@ -53,7 +53,7 @@ class _RawPair:
     decoder: Decoder
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class BagRecording(ImageRecording):
     """A ``Sequence`` of a bag, which is read once for each time that it is iterated over.
 

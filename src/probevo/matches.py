@@ -1,0 +1,137 @@
+"""The solver alone: the motion between two frames from matches of somebody else's front end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.config import OdometryConfig
+from probevo.errors import InputError, brief
+from probevo.estimation.feature_weights import INLIER_FROM
+from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.ransac import find_consensus
+from probevo.estimation.reprojection import solve_reprojection
+from probevo.measurements.stereo_observations import StereoObservations
+from probevo.noise import NoiseModel, StereoNoise
+from probevo.python_arguments import as_array, as_camera, as_noise
+from probevo.tracking.tracks import Tracks
+
+MIN_MATCHES = 3
+"""Points that fix a motion."""
+SMALLEST_VARIANCE_PX2 = 1e-12
+
+
+def estimate_motion(
+    prev_px: ArrayLike,
+    curr_px: ArrayLike,
+    noise: NoiseModel | StereoNoise | str | Path | ArrayLike,
+    camera: StereoCamera,
+    *,
+    guess: ArrayLike | None = None,
+    seed: int = 0,
+) -> MotionEstimate:
+    """Estimate the motion between two frames from N stereo matches: T_curr_prev, its covariance.
+
+    RANSAC finds the matches that agree, and the solver weighs each by its noise. Nothing is
+    remembered between calls, and no error that lasts over frames is part of the covariance.
+
+    Args:
+        prev_px: (u_l, v_l, u_r, v_r) in the previous frame, rectified, [N, 4], px.
+        curr_px: the same points in the current frame, [N, 4], px.
+        noise: covariance of an observation, [4, 4] or [N, 4, 4], px²; a ``StereoNoise`` of the N
+            matches; or a noise model without predictors, by its name or file too.
+        camera: the rectified camera.
+        guess: where to start, T_curr_prev, [4, 4]; no motion by default.
+        seed: of the samples of RANSAC; the same seed gives the same result.
+
+    Returns:
+        The estimate. Where the matches fix no motion, the status says so, T_curr_prev is the guess,
+        and the covariance is as wide as the odometry takes such a step to be degenerate.
+
+    Raises:
+        InputError: an array has a wrong shape or is not finite, a covariance is not positive
+            definite, the noise depends on predictors, or the camera is impossible.
+    """
+    camera = as_camera(camera)
+    prev = as_array(prev_px, "prev_px", (None, 4))
+    curr = as_array(curr_px, "curr_px", (len(prev), 4))
+    of_matches = _noise_of(noise, len(prev), camera)
+    start = np.eye(4) if guess is None else as_array(guess, "guess", (4, 4))
+    ids = np.arange(len(prev))
+    tracks = Tracks(prev_px=prev, curr_px=curr, ids=ids, age=np.full(len(prev), 2))
+    if len(tracks) < MIN_MATCHES:
+        return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
+
+    rng = np.random.default_rng(seed)
+    consensus = find_consensus(tracks, camera, rng, guess=start)
+    used = consensus.inliers
+    if used.sum() < MIN_MATCHES:
+        return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
+    observations = StereoObservations.of(
+        prev[used], curr[used], of_matches.subset(np.flatnonzero(used)), camera=camera
+    )
+    solution = solve_reprojection(observations, guess=consensus.T_curr_prev)
+    if not np.isfinite(solution.cov).all():
+        return _failed(Status.DEGENERATE, start, len(tracks))
+    return MotionEstimate(
+        T_curr_prev=solution.T_curr_prev,
+        cov=solution.cov,
+        status=Status.OK if solution.converged else Status.NOT_CONVERGED,
+        num_tracks=len(tracks),
+        num_inliers=int((solution.weight >= INLIER_FROM).sum()),
+        iterations=solution.iterations,
+        num_used=int(used.sum()),
+    )
+
+
+def _noise_of(noise: object, count: int, camera: StereoCamera) -> StereoNoise:
+    """Return the noise of the matches.
+
+    Raises:
+        InputError: it is none, or does not fit the matches.
+    """
+    if isinstance(noise, StereoNoise):
+        if len(noise.dof) != count:
+            raise InputError("noise", f"is that of {len(noise.dof)} features, not of {count}.")
+        return noise
+    if isinstance(noise, str | Path) or hasattr(noise, "predict"):
+        model = as_noise(noise)
+        model.check_camera(camera)
+        if model.columns:
+            what = f"depends on the predictors {', '.join(model.columns)}."
+            cure = "Give what it predicts for these matches: model.predict(phi), a StereoNoise."
+            raise InputError("noise", what, cure)
+        return model.predict(np.zeros((count, 0)))
+    return _gaussian(noise, count)
+
+
+def _gaussian(noise: object, count: int) -> StereoNoise:
+    """Return Gaussian noise with covariances of single observations.
+
+    Raises:
+        InputError: they are no covariances.
+    """
+    is_common = np.ndim(np.asarray(noise, dtype=object)) == 2
+    cov = as_array(noise, "noise", (4, 4) if is_common else (count, 4, 4))
+    if not np.allclose(cov, cov.swapaxes(-1, -2), rtol=1e-6, atol=0.0):
+        raise InputError("noise", "a covariance is not symmetric.")
+    smallest = float(np.linalg.eigvalsh(cov).min(initial=np.inf))
+    if smallest < SMALLEST_VARIANCE_PX2:
+        what = f"a covariance has the variance {brief(smallest)} px² in a direction."
+        raise InputError("noise", what, "It must be positive definite, in px².")
+    scale = np.array(np.broadcast_to(cov, (count, 4, 4)))
+    dof = np.full(count, np.inf)
+    return StereoNoise(scale, dof, bias=np.zeros((count, 4)), refers_to="observation")
+
+
+def _failed(status: Status, T_curr_prev: FloatArray, num_tracks: int) -> MotionEstimate:
+    """Return what is known where the matches fix no motion: next to nothing."""
+    limits = OdometryConfig().solver
+    sigma = np.repeat([limits.max_translation_sigma_m, limits.max_rotation_sigma_rad], 3)
+    return MotionEstimate(
+        T_curr_prev=T_curr_prev, cov=np.diag(sigma**2), status=status, num_tracks=num_tracks
+    )

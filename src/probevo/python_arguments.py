@@ -1,0 +1,111 @@
+"""Arguments of the Python interface as people write them, checked and converted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from pydantic import ValidationError
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera, check_camera
+from probevo.config import OdometryConfig
+from probevo.errors import InputError, brief
+from probevo.noise import NoiseModel, StudentT
+from probevo.noise.named import noise_model
+from probevo.run_config import setting_error
+
+
+def as_path(value: object, name: str) -> Path:
+    """Return a path given as ``str`` or ``Path``.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if not isinstance(value, str | Path):
+        raise InputError(name, f"is {brief(value)}.", "Give a path, str or Path.")
+    return Path(value)
+
+
+def as_camera(camera: object) -> StereoCamera:
+    """Return the camera if it is one that can be used.
+
+    Raises:
+        InputError: it is something else, or a value of it is impossible.
+    """
+    if not isinstance(camera, StereoCamera):
+        cure = "Give a StereoCamera, such as sequence.camera."
+        raise InputError("camera", f"is {brief(camera)}.", cure)
+    check_camera(camera, "camera")
+    return camera
+
+
+def as_noise(noise: object) -> NoiseModel:
+    """Return a noise model given as itself, by its name, or by the path of its file.
+
+    Args:
+        noise: None for the static Student-t.
+
+    Raises:
+        InputError: it is none, the name is unknown, or the file holds no model.
+    """
+    if noise is None:
+        return StudentT()
+    if isinstance(noise, str | Path):
+        return noise_model(str(noise))
+    members = ("columns", "predict", "check_camera")
+    if isinstance(noise, type) or not all(hasattr(noise, member) for member in members):
+        cure = "Give a noise model, a name such as 'student-t', or the path of a model file."
+        raise InputError("noise", f"is {brief(noise)}.", cure)
+    return cast(NoiseModel, noise)
+
+
+def as_config(config: object) -> OdometryConfig:
+    """Return settings given as themselves, or as a dictionary of those that differ.
+
+    Args:
+        config: None for the defaults; ``{"tracking": {"num_features": 800}}``.
+
+    Raises:
+        InputError: it is something else, a key is unknown, or a value is out of bounds.
+    """
+    if config is None:
+        return OdometryConfig()
+    if isinstance(config, OdometryConfig):
+        return config
+    if not isinstance(config, Mapping):
+        cure = "Give an OdometryConfig, or a dict such as {'tracking': {'num_features': 800}}."
+        raise InputError("config", f"is {brief(config)}.", cure)
+    try:
+        return OdometryConfig.model_validate(dict(config))
+    except ValidationError as error:
+        raise setting_error(error, "config", OdometryConfig) from error
+
+
+def as_array(value: object, name: str, shape: tuple[int | None, ...]) -> FloatArray:
+    """Return an array of finite numbers.
+
+    Args:
+        value: an array, or nested lists.
+        name: of the argument, for messages.
+        shape: its shape, None where any length will do.
+
+    Raises:
+        InputError: it has another shape, or an entry is no finite number.
+    """
+    given: Any = value
+    try:
+        array = np.array(given, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise InputError(name, f"is no array of numbers ({error}).") from error
+    fits = array.ndim == len(shape) and all(
+        wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("N" if length is None else str(length) for length in shape)
+        raise InputError(name, f"has shape {array.shape}.", f"Expected [{wanted}].")
+    if not np.isfinite(array).all():
+        raise InputError(name, "an entry is not finite.", "Leave out what is not known.")
+    return array
