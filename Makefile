@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check density bench docs-figures clean
+.PHONY: demo test check density bench docs-figures fuzz clean
 
 # Two simulated drives, learn from one, compare the noise models on both.
 demo: $(VENV)/.installed
@@ -27,6 +27,10 @@ bench: $(VENV)/.installed
 # Every figure of README.md and docs/ once more; takes hours, and some need the real recordings.
 docs-figures: $(VENV)/.installed
 	$(BIN)/python benchmarks/recompute.py
+
+# 10,000 damaged and hostile inputs, by class, each bounded in time and memory; minutes. Linux only.
+fuzz: $(VENV)/.installed
+	PYTHONPATH=src:tests:. $(BIN)/python -m fuzz --seed $${SEED:-0} --number $${NUMBER:-10000}
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

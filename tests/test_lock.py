@@ -169,3 +169,14 @@ def test_a_command_that_finds_its_place_in_use_exits_and_says_by_whom(
         assert [path.name for path in folder.iterdir()] == [LOCK]
     assert f"{folder}: is in use by process {os.getpid()} on" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_name_that_is_too_long_is_refused(
+    command: str, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / ("x" * 300))
+    words = [word.replace("DRIVE", str(drive)).replace("OUT", out) for word in COMMANDS[command]]
+    assert main(words) == 2
+    assert "too long" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -170,6 +170,7 @@ class MotionModelConfig(Settings):
     stamp_sigma_s: float = Field(
         0.005,
         ge=0,
+        le=1000,
         description=(
             "Standard deviation of a frame's time stamp; stamps set by the host computer are off by"
             " 5 to 20 ms."

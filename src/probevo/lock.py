@@ -46,7 +46,7 @@ def locked(folder: Path, option: str = "--out") -> Iterator[None]:
             which and since when; or the folder is not writable.
     """
     check_folder(folder, option)
-    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    missing = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
     path = folder / LOCK
     try:
         file = _taken(path)

@@ -95,6 +95,19 @@ def test_unknown_command(word: str, cure: str, capsys: pytest.CaptureFixture[str
     assert cure in shown
 
 
+@pytest.mark.parametrize(
+    "words",
+    [["run", "--config", "x" * 300, "--out", "o"], ["eval", "x" * 300, "--gt", "y"]],
+)
+def test_a_name_that_is_too_long_is_said_to_be(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    err = capsys.readouterr().err
+    assert "x" * 300 in err
+    assert "too long" in err
+
+
 def test_without_a_command_the_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([]) == 2
     assert "probevo run SEQUENCE" in capsys.readouterr().err

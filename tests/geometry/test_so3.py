@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.linalg import expm
 
 from probevo.arrays import FloatArray
@@ -84,3 +85,11 @@ def test_batches_of_any_shape() -> None:
     for function in (so3.exp, so3.wedge, so3.left_jacobian):
         assert function(phi).shape == (2, 0, 5, 3, 3)
     assert so3.log(so3.exp(phi)).shape == phi.shape
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.longdouble, np.int8, bool])
+def test_a_rotation_may_be_of_any_type_of_number(dtype: type) -> None:
+    C = np.eye(3)[[1, 2, 0]]
+    checked = so3.check_rotation(C.astype(dtype), "C")
+    assert checked.dtype == np.float64
+    np.testing.assert_array_equal(checked, C)

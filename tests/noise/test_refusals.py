@@ -340,6 +340,28 @@ def test_untrained_models_accept_any_camera() -> None:
         untrained_model(name).check_camera(type(CAMERA).centered(400.0, 0.5, (640, 480)))
 
 
+UNFIT: list[tuple[str, str, float]] = [
+    ("knn", "weight", 1e300),
+    ("knn", "weight", -1.0),
+    ("knn", "samples", 1e30),
+    ("knn", "centers", 1e30),
+    ("gk", "weight", 1e300),
+    ("gk", "prior_scale", 1e300),
+    ("student-t", "scale", np.nan),
+    ("student-t", "scale", 1e300),
+]
+"""Values that lead to a prediction that is not finite; of a matrix, in its upper triangle alone."""
+
+
+@pytest.mark.parametrize(("kind", "name", "value"), UNFIT)
+def test_an_array_with_a_value_that_no_model_has_is_refused(
+    path: Path, kind: str, name: str, value: float
+) -> None:
+    array = np.array(file_of(kind).arrays[name])
+    array.reshape(-1)[1] = value
+    refuse_array(path, kind, name, array)
+
+
 @pytest.mark.usefixtures("no_numpy_warning")
 @pytest.mark.parametrize("kind", WITH_COLUMNS)
 @pytest.mark.parametrize("shape", [(7,), (7, 1), (7, 2), (7, 4), (7, 3, 1), ()])

@@ -99,6 +99,8 @@ REFUSED: dict[str, tuple[str, str, Any, str]] = {
     "no size": ("cam0", "resolution", [64], "expected 1×2"),
     "no rotation": ("cam1", "T_cn_cnm1", np.diag([2.0, 1, 1, 1]).tolist(), "T_cn_cnm1"),
     "text": ("cam0", "intrinsics", "wide", "no list of numbers"),
+    "too many digits": ("cam1", "T_cn_cnm1", [10**400] * 16, "no list of numbers"),
+    "a single one of them": ("cam0", "timeshift_cam_imu", 10**400, "expected a finite number"),
 }
 
 

@@ -29,6 +29,11 @@ def test_path_that_does_not_exist(tmp_path: Path) -> None:
     assert_refused(tmp_path / "nowhere", ["nowhere", "nothing is there"])
 
 
+def test_path_whose_name_is_too_long(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nothing is there"):
+        open_sequence(tmp_path / ("x" * 300))
+
+
 def test_path_that_is_some_other_file(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     assert_refused(tmp_path / "notes.txt", ["notes.txt", "no recording", "an .npz file"])

@@ -13,6 +13,8 @@ import pytest
 
 pytest.importorskip("rosbags")
 
+from rosbags.highlevel import AnyReader
+
 from cli.rendering import write_wall
 from probevo.camera.stereo import StereoCamera
 from probevo.cli.main import main
@@ -481,3 +483,17 @@ def test_without_the_extra_the_message_says_what_to_install(
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(InputError, match=r"pip install 'probevo\[bag\]'"):
         open_sequence(tmp_path / "some.bag")
+
+
+@pytest.mark.parametrize("error", [MemoryError, OverflowError])
+def test_a_bag_that_claims_more_than_there_is_is_damaged(
+    error: type[Exception], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: AnyReader) -> None:
+        raise error
+
+    (tmp_path / "a.bag").write_bytes(b"")
+    monkeypatch.setattr(AnyReader, "open", fail)
+    monkeypatch.setattr(AnyReader, "__init__", lambda *_, **__: None)
+    with pytest.raises(InputError, match=r"a\.bag: this bag cannot be read"):
+        open_sequence(tmp_path / "a.bag")

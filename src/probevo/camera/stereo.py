@@ -5,14 +5,13 @@ The equations are PROBE's (2) and (9).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 
 
 @dataclass(frozen=True)
@@ -138,9 +137,9 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
         size_px=camera.size_px,
         where=where,
     )
-    if not math.isfinite(camera.baseline_m):
+    if not abs(camera.baseline_m) <= LARGEST_M:
         raise InputError(
-            where, f"baseline_m is {camera.baseline_m}.", "It must be a finite number."
+            where, f"baseline_m is {brief(camera.baseline_m)}.", "It must be a finite number."
         )
     if camera.baseline_m == 0:
         raise InputError(
@@ -152,6 +151,12 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
             f"baseline_m is {camera.baseline_m:g} m.",
             "Are the left and right cameras swapped?",
         )
+
+
+LARGEST_M = 1e9
+"""Largest baseline."""
+LARGEST_PX = 1e9
+"""Largest focal length and coordinate of a principal point; much larger ones would overflow."""
 
 
 def check_intrinsics(
@@ -170,13 +175,17 @@ def check_intrinsics(
             principal point is more than half an image outside the image.
     """
     for name, value in {"fu_px": fu_px, "fv_px": fv_px, "cu_px": cu_px, "cv_px": cv_px}.items():
-        if not math.isfinite(value):
-            raise InputError(where, f"{name} is {value}.", "It must be a finite number.")
+        if not abs(value) <= LARGEST_PX:
+            what = f"{name} is {brief(value)}."
+            raise InputError(where, what, f"It must be a finite number, at most {LARGEST_PX:g} px.")
     for name, focal_px in {"fu_px": fu_px, "fv_px": fv_px}.items():
         if focal_px <= 0:
             raise InputError(where, f"{name} is {focal_px:g} px.", "A focal length is positive.")
     if size_px is None:
         return
+    if max(size_px) > LARGEST_PX:
+        what = f"size_px is {brief(tuple(size_px))}."
+        raise InputError(where, what, f"An image has at most {LARGEST_PX:g} columns and rows.")
     size = f"{size_px[0]} × {size_px[1]}"
     if min(size_px) <= 0:
         raise InputError(where, f"size_px is {size}.", "It is (width, height), both positive.")

@@ -82,6 +82,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # at exit, and must not fail again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
+        except OSError as error:
+            # What the system refuses of a path that the user gave, such as a name that is too long.
+            if error.filename is None:
+                raise
+            _print_error(f"{os.fsdecode(error.filename)}: {error.strerror}.", error)
+            return 2
 
 
 @contextmanager

@@ -62,6 +62,7 @@ def check_rotation(C: FloatArray, where: str | Path) -> FloatArray:
     Raises:
         InputError: a matrix differs from a rotation by more than rounding.
     """
+    C = np.asarray(C, np.float64)  # not all of linear algebra knows other types
     deviation = np.abs(C @ C.mT - np.eye(3)).max(axis=(-2, -1))
     bad = np.flatnonzero(~(deviation < ROTATION_TOLERANCE) | ~(np.linalg.det(C) > 0))
     if len(bad):

@@ -25,6 +25,8 @@ CONSTANT_BELOW = 1e-9
 """Ratio of spread to mean below which a column is constant but for rounding."""
 FARTHEST = 1e3
 """Bound of the coordinates, in standard deviations, so that squared distances stay accurate."""
+MAX_WEIGHT = 1e6
+"""Bound of the weight of a column, which keeps squared distances within single precision."""
 
 
 @dataclass(frozen=True)

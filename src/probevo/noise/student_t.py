@@ -135,7 +135,9 @@ class StudentT:
         facts = _Facts.of(file)
         scale = file.arrays["scale"]
         is_matrix = scale.shape == (4, 4) and scale.dtype == np.float64
-        if not is_matrix or not np.linalg.eigvalsh(scale)[0] > 0.0:
+        # The eigenvalues are those of the lower triangle alone.
+        is_symmetric = is_matrix and np.allclose(scale, scale.T, rtol=1e-9, atol=0.0)
+        if not is_symmetric or not np.linalg.eigvalsh(scale)[0] > 0.0:
             raise ValueError("its scale is no positive definite matrix")
         return StudentT(
             dof=float(facts.dof),

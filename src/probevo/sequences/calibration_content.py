@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,12 @@ import numpy as np
 import yaml
 
 from probevo.arrays import FloatArray
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.geometry import se3
 from probevo.sequences.text import read_text
 from probevo.sequences.yaml_file import NoKeyTwice, load_yaml
 
+LARGEST_NUMBER = 1e300
 MOST_KEYS = 8
 """Keys of a file of no known kind that its message lists."""
 
@@ -81,8 +81,8 @@ class CalibrationContent:
         """
         value = self.value(key)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not math.isfinite(value):
-            raise InputError(self.where(key), f"is {value!r}; expected a finite number.")
+        if not is_number or not abs(value) <= LARGEST_NUMBER:
+            raise InputError(self.where(key), f"is {brief(value)}; expected a finite number.")
         return float(value)
 
     def numbers(self, key: str) -> FloatArray:
@@ -96,7 +96,7 @@ class CalibrationContent:
             value = value.get("data", value)
         try:
             numbers = np.array(value, dtype=float).ravel()
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(self.where(key), "is no list of numbers.") from None
         if not np.isfinite(numbers).all():
             raise InputError(self.where(key), "has a number that is not finite.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +25,11 @@ DENSITIES = (
     "accel_bias_sigma_m_s2",
     "accel_bias_walk_m_s3_sqrt_hz",
 )
-"""The noise figures among the fields: finite, and not negative."""
+"""The noise figures among the fields."""
+LARGEST_NOISE = 1e6
+"""Largest noise figure, in any of their units; it would be that of no sensor."""
+LARGEST_OFFSET_S = 4e9
+"""Largest time offset: from 1900 to now, and stamps in ns that are shifted by it fit in 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +69,13 @@ class ImuCalibration:
         se3.check_transform(self.T_cam_imu, "T_cam_imu")
         for name in DENSITIES:
             value = getattr(self, name)
-            if not (_is_number(value) and 0.0 <= value < math.inf):
-                cure = "It must be a finite number, and not negative."
+            if not (_is_number(value) and 0.0 <= value <= LARGEST_NOISE):
+                cure = f"It must be a finite number from 0 to {LARGEST_NOISE:g}."
                 raise InputError(name, f"is {value}.", cure)
-        if not (_is_number(self.time_offset_s) and math.isfinite(self.time_offset_s)):
+        if not (_is_number(self.time_offset_s) and abs(self.time_offset_s) <= LARGEST_OFFSET_S):
             what = f"is {self.time_offset_s}."
-            raise InputError("time_offset_s", what, "It must be a finite number of seconds.")
+            cure = f"It must be a finite number of seconds, at most {LARGEST_OFFSET_S:g}."
+            raise InputError("time_offset_s", what, cure)
 
     @property
     def C_cam_imu(self) -> FloatArray:

@@ -9,6 +9,7 @@ waiting for them.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -272,7 +273,7 @@ def open_sequence(path: str | Path, format: str | None = None, **options: Any) -
         raise InputError(
             "format", f"{format!r} is not known.", f"Choose one of {', '.join(formats)}."
         )
-    if not path.exists():
+    if not os.path.lexists(path) or not path.exists():  # lexists: a name may be too long
         raise InputError(
             path, "nothing is there.", "Give the folder of a recording, or a tracks file."
         )

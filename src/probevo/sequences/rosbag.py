@@ -360,6 +360,10 @@ def _info(path: Path, content: _Content, images: str, topic: str | None) -> Came
             " file with --calibration."
         )
         raise InputError(path, what, cure)
+    if topic not in content.infos:
+        what = f"the topic {topic} holds no CameraInfo that can be read."
+        cure = "Give a calibration file with --calibration."
+        raise InputError(path, what, cure)
     return content.infos[topic]
 
 

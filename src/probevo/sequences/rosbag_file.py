@@ -196,10 +196,11 @@ def _bag_errors() -> tuple[type[Exception], ...]:
     own = (AnyReaderError, Ros1Error, Ros2Error, SerdeError, TypesysError)
     storage = (OSError, EOFError, struct.error, zlib.error)
     content = (ValueError, KeyError, IndexError, TypeError, AssertionError, RuntimeError)
+    sizes = (MemoryError, OverflowError)  # from sizes that a damaged bag claims
     # What rosbags reads databases and compressed chunks with differs between its versions.
     loaded = [(sys.modules.get(module), name) for module, name in STORAGE_ERRORS]
     libraries = [getattr(module, name) for module, name in loaded if module is not None]
-    return (*own, *storage, *content, *libraries)
+    return (*own, *storage, *content, *sizes, *libraries)
 
 
 def _damaged(path: Path, error: Exception) -> InputError:

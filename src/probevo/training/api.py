@@ -69,7 +69,11 @@ def train_model(
     space = PredictionSpace((*known_predictors(settings, recordings), *own_predictors))
     sources = checked_sources(recordings, settings, space)
     check_folder(out.parent, "--out")
-    if out.is_dir():
+    try:
+        is_folder = out.is_dir()
+    except OSError as error:  # such as a name that is too long
+        raise InputError("--out", f"{error.strerror}.", "Give the model another name.") from error
+    if is_folder:
         raise InputError("--out", f"{out} is a folder.", "Give the model file another name.")
 
     progress = TrainingProgress(

@@ -20,11 +20,10 @@ from probevo.errors import InputError
 from probevo.noise.base import StereoNoise
 from probevo.noise.gk.folds import MAX_SAMPLES, Fold, folds_of
 from probevo.noise.gk.posterior import KernelPosterior, KernelSamples, KernelShape
+from probevo.noise.metric import MAX_WEIGHT
 from probevo.noise.student_t_arrays import DIM, Neighborhoods
 from probevo.noise.student_t_numba import MAX_DOF, MIN_DOF
 
-MAX_WEIGHT = 1e6
-"""Bound of the weight of a column, which keeps squared distances within single precision."""
 FACTORS = (0.5, 2.0)
 """Factors by which the weight of each column is tried, once the columns are chosen."""
 SEARCH_ITERATIONS = 6

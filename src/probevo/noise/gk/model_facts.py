@@ -10,8 +10,7 @@ from pydantic import Field, field_validator
 from probevo.arrays import AnyArray
 from probevo.noise.base import RefersTo
 from probevo.noise.gk.centers import MAX_LOG, Centers
-from probevo.noise.gk.hyperparameter_search import MAX_WEIGHT
-from probevo.noise.metric import Metric
+from probevo.noise.metric import MAX_WEIGHT, Metric
 from probevo.noise.origin import OriginFacts
 from probevo.noise.student_t_arrays import DIM, NUM_PARAMETERS, StudentTs
 
@@ -75,6 +74,7 @@ def check_arrays(metric: Metric, centers: Centers, prior: StudentTs) -> None:
         and ((metric.weight >= 0.0) & (metric.weight <= MAX_WEIGHT)).all()
         and count > 0
         and (prior.dof > 0.0).all()
+        and np.allclose(prior.scale[0], prior.scale[0].T, rtol=1e-9, atol=0.0)
         and bool(np.linalg.eigvalsh(prior.scale)[0, 0] > 0.0)
     )
     if not fits:

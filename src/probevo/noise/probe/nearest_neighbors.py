@@ -22,7 +22,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.fixed import Fixed
-from probevo.noise.metric import UNDEFINED, Metric
+from probevo.noise.metric import FARTHEST, MAX_WEIGHT, UNDEFINED, Metric
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
 from probevo.noise.probe.neighbor_index import NeighborIndex
@@ -264,6 +264,9 @@ class NearestNeighbors:
             )
             and len(set(self.columns)) == dimension == len(metric.may_be_undefined)
             and (metric.spread > 0.0).all()
+            and ((metric.weight >= 0.0) & (metric.weight <= MAX_WEIGHT)).all()
+            and (np.abs(index.samples) <= FARTHEST * MAX_WEIGHT).all()
+            and (np.abs(index.centers) <= FARTHEST * MAX_WEIGHT).all()
             and (self.average == "geometric" or (index.values > 0.0).all())
             and self.neighbors <= count
             # The cells are consecutive, in order, and cover all samples. The comparison of

@@ -95,9 +95,11 @@ def used_columns(model: GeneralizedKernel) -> tuple[UsedColumn, ...]:
     search = model.training.get("searches", {}).get("weights", {"candidates": [], "gains": []})
     steps = np.diff([0.0, *search["gains"]]).tolist()
     steps_by_name = zip(search["candidates"], steps, strict=True)
-    gains = {name: step for name, step in steps_by_name if name in model.columns}
+    used = np.flatnonzero(weights).tolist()
+    names = {model.columns[m] for m in used}
+    gains = {name: step for name, step in steps_by_name if name in names}
     chosen = [model.columns.index(name) for name in gains]
-    others = [m for m in np.flatnonzero(weights).tolist() if m not in chosen]
+    others = [m for m in used if m not in chosen]
     others.sort(key=lambda m: -weights[m])
     return tuple(
         UsedColumn(
