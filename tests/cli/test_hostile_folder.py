@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from probevo.output.files import write_tum
 from probevo_sim.point_config import PointConfig
 from probevo_sim.point_world import simulate_points, write_points
 
@@ -22,6 +23,24 @@ code = main.main(sys.argv[1:])
 sys.exit(code or first_use.compile_solver().wait())
 """
 """The entry point, as if nothing were compiled yet; it waits for the process that compiles."""
+CLUSTER = """\
+import os, sys
+from distributed import LocalCluster
+from probevo.cli import main
+
+if __name__ == "__main__":
+    data = os.getcwd()
+    os.chdir(os.path.dirname(__file__))
+    words = [os.path.join(data, word) if "." in word else word for word in sys.argv[1:]]
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        os.chdir(data)
+        sys.exit(main.main([*words, "--cluster", cluster.scheduler_address]))
+"""
+"""A cluster that was started elsewhere, and a command in the folder of the data."""
+TRAIN = [
+    *("train", "drive.npz", "other.npz", "--kind", "student-t", "--supervision", "none"),
+    *("--out", "model.safetensors"),
+]
 WORKERS = """\
 import math
 from probevo.training.workers import Workers
@@ -39,7 +58,9 @@ def hostile(tmp_path: Path) -> Path:
     world = simulate_points(
         PointConfig(radius_m=3.0, landmarks=400), duration_s=1.0, rng=np.random.default_rng(0)
     )
-    write_points(world, folder / "drive.npz")
+    for name in ("drive", "other"):
+        write_points(world, folder / f"{name}.npz")
+    write_tum(folder / "path.tum", world.stamps_ns, world.T_world_cam)
     for name in NAMES:
         (folder / f"{name}.py").write_text("import os\nos.mkdir(__file__ + '.ran')\n")
     return folder
@@ -65,12 +86,22 @@ def traces(folder: Path) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "words"),
-    [(COMMAND, ["run", "drive.npz", "--out", "out"]), (WORKERS, [])],
-    ids=["run", "workers"],
+    [
+        (COMMAND, ["run", "drive.npz", "--out", "out"]),
+        (COMMAND, [*TRAIN, "--jobs", "2"]),
+        (COMMAND, ["compare", "drive.npz", "--noise", "fixed", "--out", "out"]),
+        (COMMAND, ["inspect", "drive.npz", "--out", "out"]),
+        (COMMAND, ["eval", "path.tum", "--gt", "path.tum"]),
+        (CLUSTER, TRAIN),
+        (WORKERS, []),
+    ],
+    ids=["run", "train", "compare", "inspect", "eval", "cluster", "workers"],
 )
 def test_no_module_of_the_working_directory_is_run(
     text: str, words: list[str], hostile: Path
 ) -> None:
+    if text is CLUSTER:
+        pytest.importorskip("distributed")
     script = hostile.parent / "script.py"
     script.write_text(text)
     done = call(hostile, str(script), *words)
