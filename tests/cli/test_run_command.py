@@ -386,6 +386,20 @@ def test_frames_without_texture_or_features_end_well_but_are_warned_of(
             assert "see `probevo info SEQUENCE`." in text
 
 
+def test_strict_refuses_a_run_that_is_hardly_ok_but_keeps_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    noise = write_folder_sequence(tmp_path / "noise")
+    words = ["run", str(noise), "--out", str(tmp_path / "out"), "--strict"]
+    assert main(words) == 2
+    assert "less than half of the steps are OK, which --strict refuses" in capsys.readouterr().err
+    assert len(read_motions(tmp_path / "out" / "motions.npz")) == 4
+
+
+def test_strict_accepts_a_run_that_is_ok(wall: Path, tmp_path: Path) -> None:
+    assert main(["run", str(wall), "--out", str(tmp_path / "out"), "--strict"]) == 0
+
+
 @pytest.mark.parametrize(
     ("words", "fragments"),
     [

@@ -13,6 +13,7 @@ from matplotlib.patches import StepPatch
 from output.pages import Balance
 from probevo.evaluation.consistency import Consistency
 from probevo.evaluation.metrics import evaluate
+from probevo.output import report
 from probevo.output.drawing import draw_tracks
 from probevo.output.report import RunDescription, write_report
 from probevo.output.report_calibration import calibration_figure
@@ -224,3 +225,18 @@ def test_one_frame_is_no_run(make_run: Callable[..., RunResult], tmp_path: Path)
 )
 def test_readable_numbers(value: float, text: str) -> None:
     assert readable(value) == text
+
+
+@pytest.mark.parametrize(
+    ("anees", "truth_noise", "text"),
+    [
+        (7.0, 0.3, "6 is consistent"),
+        (7.0, None, "6 is consistent"),
+        (1885.0, 0.4, "truth or calibration may be coarser"),
+        (8200.0, 5.8, "the truth’s noise is 5.80 times the claimed σ"),
+    ],
+)
+def test_an_anees_that_is_no_test_says_so(
+    anees: float, truth_noise: float | None, text: str
+) -> None:
+    assert text in report._consistency_aside(anees, truth_noise)

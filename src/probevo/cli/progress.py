@@ -1,17 +1,23 @@
-"""A progress bar on stderr, shown only on a terminal."""
+"""Progress on stderr: a bar on a terminal, and a line every half a minute elsewhere."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from time import monotonic
 
 Show = Callable[[int, int], None]
 """A function of the number of frames done and of their total number."""
+LINE_EVERY_S = 30.0
+"""Time between two lines in a log; what ends sooner writes none."""
 
 
 @contextmanager
 def progress_bar(name: str, starting: str) -> Iterator[Show]:
     """Show a progress bar with the rate and the remaining time; it disappears at the end.
+
+    Where stderr is no terminal, it writes a line with the same every half a minute instead.
 
     Args:
         name: what is in progress.
@@ -27,6 +33,9 @@ def progress_bar(name: str, starting: str) -> Iterator[Show]:
     )
 
     console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _log_lines(name)
+        return
     progress = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -35,7 +44,6 @@ def progress_bar(name: str, starting: str) -> Iterator[Show]:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
     )
     with progress:
         task = progress.add_task(starting, total=None, rate="")
@@ -47,3 +55,22 @@ def progress_bar(name: str, starting: str) -> Iterator[Show]:
                 progress.update(task, rate=f"{speed:.1f} frames/s")
 
         yield show
+
+
+def _log_lines(name: str) -> Show:
+    """Return what writes a line to stderr every half a minute."""
+    start_s = monotonic()
+    last_s = start_s
+
+    def show(done: int, total: int) -> None:
+        nonlocal last_s
+        now_s = monotonic()
+        if now_s - last_s < LINE_EVERY_S or done == 0:
+            return
+        last_s = now_s
+        rate = done / (now_s - start_s)
+        left_s = (total - done) / rate
+        text = f"{done} of {total} frames, {rate:.1f} frames/s, {left_s:.0f} s left"
+        print(f"probevo: {name}: {text}", file=sys.stderr, flush=True)
+
+    return show

@@ -40,6 +40,8 @@ class RunArguments:
     """Settings as YAML, such as the config.yaml of an earlier run."""
     threads: int = 1
     """Threads of OpenCV. Two save a tenth of the time, more save nothing. Results do not change."""
+    strict: bool = False
+    """Exit with code 2 if less than half of the steps are OK; the results are written."""
     settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
 
@@ -67,6 +69,9 @@ def main(words: list[str]) -> None:
     for warning in (status_warning(run.result.status), scale_warning(run.result, run.truth)):
         if warning:
             print(f"probevo: warning: {warning}", file=sys.stderr)
+    if arguments.strict and status_warning(run.result.status):
+        what = "less than half of the steps are OK, which --strict refuses."
+        raise InputError(arguments.sequence, what, f"The results are in {arguments.out}.")
 
 
 def _defaults(words: list[str]) -> RunArguments:
@@ -121,6 +126,7 @@ def summary(run: Run, out: Path) -> list[str]:
 
     from probevo.estimation.motion_estimate import Status
     from probevo.output.domain import domain_text, domain_warning
+    from probevo.output.headline import headline_drift
     from probevo.output.table import readable
 
     result = run.result
@@ -136,10 +142,11 @@ def summary(run: Run, out: Path) -> list[str]:
         lines.append(f"{median_ms} ms per frame (median, without decoding)")
 
     # What the truth says, if it is known.
-    if metrics and metrics.short_t_percent is not None and metrics.short_r_deg_per_m is not None:
-        translation = readable(metrics.short_t_percent)
-        rotation = readable(metrics.short_r_deg_per_m)
-        lines.append(f"drift {translation} %, {rotation} °/m over pieces of 10 to 50 m")
+    drift = headline_drift(metrics) if metrics else None
+    if drift is not None:
+        translation = readable(drift.translation_percent)
+        rotation = readable(drift.rotation_deg_per_m)
+        lines.append(f"drift {translation} %, {rotation} °/m over pieces of {drift.segments} m")
     if metrics and metrics.final_error_m is not None and metrics.path_length_m is not None:
         error_m = readable(metrics.final_error_m)
         lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")

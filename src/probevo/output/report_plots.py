@@ -8,7 +8,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from probevo.arrays import FloatArray
+from probevo.evaluation.trajectory_errors import relative_motions
+from probevo.geometry import se3
 from probevo.output.report_data import Drift
+from probevo.output.run_result import RunResult
 from probevo.output.svg import BAND, BLUE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
 RASTER_FROM = 1500
@@ -117,6 +120,40 @@ def axes_figure(drift: Drift) -> Figure:
         axes.set_title(f"{name}, {unit}")
     for axes in grid[2]:
         axes.set_xlabel(label)
+    return figure
+
+
+def step_errors_figure(result: RunResult, truth: FloatArray) -> Figure:
+    """Draw the error of each step over time, translation above rotation, with the claimed 1σ.
+
+    Args:
+        result: a run over N frames.
+        truth: true poses T_world_cam, [N, 4, 4], m; NaN where unknown, and the curve has a gap.
+    """
+    xi = se3.log(relative_motions(truth) @ se3.inverse(result.T_curr_prev))
+    time_s = 1e-9 * (result.stamps_ns[1:] - result.stamps_ns[0])
+    figure = Figure(figsize=(WIDTH_IN, 3.4))
+    above, below = figure.subplots(2, 1, sharex=True)
+    for axes, part, factor, label in (
+        (above, slice(0, 3), 1e3, "translation, mm"),
+        (below, slice(3, 6), float(np.degrees(1e3)), "rotation, m°"),
+    ):
+        sigma = np.sqrt(np.trace(result.cov[:, part, part], axis1=1, axis2=2))
+        is_raster = len(time_s) > RASTER_FROM
+        axes.plot(
+            time_s,
+            factor * np.linalg.norm(xi[:, part], axis=1),
+            color=BLUE,
+            lw=1.0,
+            label="error",
+            rasterized=is_raster,
+        )
+        axes.plot(
+            time_s, factor * sigma, color=GREY, lw=1.4, label="claimed 1σ", rasterized=is_raster
+        )
+        axes.set(ylabel=label, ylim=(0.0, None))
+    below.set(xlabel="time, s")
+    above.legend(ncols=2, **LEGEND_ABOVE)
     return figure
 
 

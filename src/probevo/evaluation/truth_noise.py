@@ -1,0 +1,50 @@
+"""How noisy the truth is from frame to frame, against what a run claims for its own steps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.geometry import se3
+
+FEWEST_STEPS = 10
+"""Second differences that the estimate needs."""
+SECOND_DIFFERENCE_GAIN = 6.0
+"""Variance of ξ_k−1 − 2 ξ_k + ξ_k+1 against that of ξ, for white noise: 1 + 4 + 1."""
+
+
+def truth_noise_ratio(
+    T_curr_prev: FloatArray, cov: FloatArray, T_curr_prev_true: FloatArray
+) -> float | None:
+    """Estimate the noise of the true steps, in multiples of the claimed standard deviation.
+
+    A vehicle moves smoothly, and what shakes it is in the truth and in the estimate. What second
+    differences of the true motions have more than those of the estimates is therefore noise of the
+    truth. Above 1, the errors of steps measure the truth, and not the covariance: its consistency
+    cannot be tested. Truth that was smoothed shows too little.
+
+    Args:
+        T_curr_prev: estimates, [K, 4, 4], m.
+        cov: claimed covariances of their left perturbations, [K, 6, 6].
+        T_curr_prev_true: truth, [K, 4, 4], m; NaN where unknown.
+
+    Returns:
+        The larger ratio of translation and rotation; 0 where the truth is at least as smooth as the
+        estimate. None if too few successive steps have a truth.
+    """
+    of_truth = np.diff(se3.log(T_curr_prev_true), n=2, axis=0)
+    of_estimate = np.diff(se3.log(T_curr_prev), n=2, axis=0)
+    known = np.isfinite(of_truth).all(axis=1)
+    if known.sum() < FEWEST_STEPS:
+        return None
+    ratios = []
+    for part in (slice(0, 3), slice(3, 6)):
+        excess = _mean_square(of_truth[known, part]) - _mean_square(of_estimate[known, part])
+        claimed = np.median(np.trace(cov[:, part, part], axis1=1, axis2=2))
+        ratios.append(np.sqrt(max(excess, 0.0) / SECOND_DIFFERENCE_GAIN / claimed))
+    return float(max(ratios))
+
+
+def _mean_square(vectors: FloatArray) -> float:
+    """Return the mean of the squared lengths."""
+    return float(np.mean(np.sum(vectors**2, axis=1)))
