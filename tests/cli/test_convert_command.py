@@ -115,6 +115,19 @@ def test_refusals(
     assert sorted(each.name for each in tmp_path.iterdir()) == ["full", "source"]
 
 
+def test_a_file_that_exists_is_never_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not even the source itself, of which --max-frames would keep a part."""
+    source = write_folder_sequence(tmp_path / "source", imu=False)
+    bag = tmp_path / "drive.mcap"
+    assert main(["convert", str(source), "--out", str(bag)]) == 0
+    before = bag.read_bytes()
+    assert main(["convert", str(bag), "--out", str(bag), "--max-frames", "2"]) == 2
+    assert "drive.mcap exists" in capsys.readouterr().err
+    assert bag.read_bytes() == before
+
+
 def test_an_ending_of_no_bag_is_refused_before_the_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

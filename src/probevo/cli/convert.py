@@ -46,13 +46,16 @@ def main(words: list[str]) -> None:
     """Parse the arguments and convert.
 
     Raises:
-        InputError: the source is faulty, or cannot be written in that format.
+        InputError: the source is faulty, it cannot be written in that format, or the file exists.
     """
     arguments = parse(ConvertArguments, words, "convert")
     settings = checked(arguments.settings)
     ros = checked(arguments.ros)
     if arguments.max_frames is not None and arguments.max_frames < 1:
         raise InputError("--max-frames", f"is {arguments.max_frames}.", "It must be at least 1.")
+    if arguments.out.is_file():  # it may be a recording, even the source
+        what = f"{arguments.out} exists."
+        raise InputError("--out", what, "Name another file, or remove that one.")
     if (arguments.source / MOTIONS).is_file():
         _convert_run(arguments, ros)
         return
