@@ -10,7 +10,13 @@ import pytest
 from cli.rendering import write_wall
 from probevo.cli.main import main
 from sequences.damage import cut, replace
-from sequences.recordings import tracks_arrays, write_folder_sequence, write_kitti_raw, write_tracks
+from sequences.recordings import (
+    tracks_arrays,
+    write_folder_sequence,
+    write_image,
+    write_kitti_raw,
+    write_tracks,
+)
 
 
 def info(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
@@ -77,6 +83,27 @@ def test_a_calibration_of_another_resolution_is_marked(
         " Was the camera calibrated at another resolution?"
     )
     assert rows["! focal length"].startswith("fu is 200.0 px, fv 100.0 px")
+
+
+def test_few_matches_and_implausible_distances_are_marked(
+    wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without rectification, a feature is in another row of the right image."""
+    recording = shutil.copytree(wall, tmp_path / "wall")
+    replace("calib.yaml", "baseline_m: 0.3", "baseline_m: 300.0")(recording)
+    distance = info(recording, capsys)["! disparity"]
+    assert distance.endswith("and the focal length in pixels of these images?")
+    for path in (recording / "right").iterdir():
+        pixels = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        write_image(path, np.roll(pixels, 15, axis=0))
+    assert "rectified, sharp and textured?" in info(recording, capsys)["! matches"]
+
+
+def test_some_matches_are_few(
+    wall: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("probevo.cli.info.FEWEST_TRACKS", 10_000)
+    assert "These are few. Are the images rectified" in info(wall, capsys)["! matches"]
 
 
 @pytest.mark.parametrize(("step_ns", "rate"), [(100_000, "10000 Hz"), (10**11, "0.01 Hz")])

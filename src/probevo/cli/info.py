@@ -25,6 +25,11 @@ GAP_FACTOR = 1.5
 USUAL_VIEW_DEG = (20.0, 150.0)
 USUAL_BASELINE_M = (0.03, 3.0)
 USUAL_RATE_HZ = (0.5, 500.0)
+USUAL_DEPTH_M = (0.2, 300.0)
+"""Usual median distance of what a stereo camera sees."""
+FEWEST_TRACKS = 20
+"""Fewer tracks per frame leave the motion uncertain, or none; images that are not rectified have
+few, since matches are searched along a row."""
 MAX_OFF_CENTER = 0.1
 """Largest usual distance of the principal point from the image centre, as a share of the size."""
 MAX_FOCAL_DIFFERENCE = 0.1
@@ -33,7 +38,10 @@ MIN_DISPARITY_PX = 0.25
 """If nine of ten matches have less, left and right are probably the same image; the noise of
 matching is 0.1 to 0.2 px."""
 
-IMAGE_QUESTIONS = ("Are left and right the same image?", "Are the images sharp and textured?")
+IMAGE_QUESTIONS = (
+    "Are left and right the same image?",
+    "Are the images rectified, sharp and textured?",
+)
 """What to ask if there are next to no disparities, and if there are no matches."""
 FEATURE_QUESTIONS = (
     "Are columns 0 and 2 of uv the same?",
@@ -277,17 +285,23 @@ def examine(sequence: Sequence) -> Rows:
         f"{num_per_frame:.0f} tracks per frame in the first {len(frames)};"
         " left and right are not swapped"
     )
+    is_few = has_images and num_per_frame < FEWEST_TRACKS
+    if is_few:
+        matches += f". These are few. {ask_if_poor}"
+    is_near_or_far = not USUAL_DEPTH_M[0] <= depth_m <= USUAL_DEPTH_M[1]
     disparity = (
         f"{low_px:.1f} to {high_px:.1f} px (10 to 90 %), median {median_px:.1f} px, which is"
         f" {depth_m:.1f} m away"
     )
+    if is_near_or_far:
+        disparity += ". Are the baseline in metres and the focal length in pixels of these images?"
     rows = (
         f"right minus left: median {row_median_px:+.2f} px,"
         f" {row_low_px:+.2f} to {row_high_px:+.2f} px (10 to 90 %)"
     )
     is_level = max(abs(row_low_px), abs(row_high_px)) <= config.max_row_offset_px / 2
     return [
-        ("matches", matches),
-        ("disparity", disparity),
+        ("! matches" if is_few else "matches", matches),
+        ("! disparity" if is_near_or_far else "disparity", disparity),
         ("rows" if is_level else "! rows", rows),
     ]

@@ -1,0 +1,164 @@
+"""Kill commands at random moments, and run them in places where something is missing.
+
+    python benchmarks/faults.py [--kills 50] [--seed 0]
+
+After each kill -9 of train, run and compare, the results must be complete or absent. The same
+command then gives the bytes of an undisturbed one, and leaves nothing else. In each place where
+something is missing (memory, file handles, room on the disk, a terminal, ...), a command ends with
+the exit code 0, or with 2 and a message, and earlier results stay. POSIX only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from probevo_sim.point_config import PointConfig
+from probevo_sim.point_world import simulate_points, write_points
+
+PROBEVO = [sys.executable, "-m", "probevo"]
+COMMANDS = {
+    "train": "train DRIVE --kind knn --supervision none --iterations 20 --out OUT/m.safetensors",
+    "run": "run DRIVE --out OUT",
+    "compare": "compare DRIVE --noise fixed student-t --out OUT",
+}
+SAME_BYTES = ("m.safetensors", "trajectory.tum", "trajectory.kitti.txt", "config.yaml", "table.tex")
+"""Files without times in them."""
+PLACES = {
+    "no home": "env -u HOME {run}",
+    "home is not there": "HOME=/nonexistent {run}",
+    "no temporary folder": "TMPDIR=/nonexistent {run}",
+    "stdout closed": "{run} >&-",
+    "stdout and stderr closed": "{run} >&- 2>&-",
+    "stdin closed": "{run} <&-",
+    "no terminal": "setsid {run} </dev/null",
+    "64 file handles": "ulimit -n 64; {run}",
+    "2 GB of memory": "ulimit -v 2000000; {run}",
+    "one core": "taskset -c 0 {run}",
+    "locale C": "LC_ALL=C PYTHONUTF8=0 PYTHONCOERCECLOCALE=0 {run}",
+    "locale Latin-1": "LC_ALL=en_US.ISO-8859-1 PYTHONUTF8=0 PYTHONIOENCODING=latin-1 {run}",
+    "output piped into head": "{run} | head -c 1",
+    "files of 10 kB at most": "ulimit -f 10; trap '' XFSZ; {run}",
+    "stdout full": "{run} >/dev/full",
+}
+
+
+def words_of(command: str, drive: Path, out: Path) -> list[str]:
+    text = command.replace("DRIVE", shlex.quote(str(drive))).replace("OUT", shlex.quote(str(out)))
+    return [*PROBEVO, *shlex.split(text)]
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """Return all files below a folder, with the folder's own name taken out."""
+    own = str(folder).encode()
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes().replace(own, b"OUT")
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def stable(files: dict[str, bytes]) -> dict[str, bytes]:
+    return {name: data for name, data in files.items() if name.endswith(SAME_BYTES)}
+
+
+def kill(folder: Path, drive: Path, number: int, rng: np.random.Generator) -> list[str]:
+    """Kill each command some times; return what went wrong."""
+    faults = []
+    for name, command in COMMANDS.items():
+        whole = folder / f"{name}-whole"
+        start_s = time.monotonic()
+        subprocess.run(words_of(command, drive, whole), check=True, capture_output=True)
+        took_s = time.monotonic() - start_s
+        expected = content(whole)
+        stages: dict[str, int] = {"absent": 0, "complete": 0}
+        for k in range(number):
+            out = folder / f"{name}-{k}"
+            process = subprocess.Popen(
+                words_of(command, drive, out), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            )
+            time.sleep(rng.uniform(0.2, 1.1) * took_s)
+            process.send_signal(signal.SIGKILL)
+            process.communicate()
+            faults += [f"{name} {k}: {fault}" for fault in halves(name, out, expected, stages)]
+            done = subprocess.run(words_of(command, drive, out), check=False, capture_output=True)
+            if done.returncode != 0:
+                faults.append(f"{name} {k}: does not go on: {done.stderr.decode()}")
+                continue
+            found = content(out)
+            if stable(found) != stable(expected):
+                faults.append(f"{name} {k}: other bytes after the kill")
+            if found.keys() != expected.keys():
+                faults.append(f"{name} {k}: left {sorted(found.keys() ^ expected.keys())}")
+        print("\n".join(faults))
+        print(f"{name}: {number} kills within {took_s:.1f} s: {stages}", flush=True)
+    return faults
+
+
+def halves(name: str, out: Path, expected: dict[str, bytes], stages: dict[str, int]) -> list[str]:
+    """Return which result is neither absent nor complete."""
+    found = stable(content(out)) if out.exists() else {}
+    found = {key: data for key, data in found.items() if ".part/" not in key}
+    found = {key: data for key, data in found.items() if ".work/" not in key}
+    stages["complete" if found.keys() == stable(expected).keys() else "absent"] += 1
+    return [f"{key} is not whole" for key, data in found.items() if data != expected.get(key)]
+
+
+def missing(folder: Path, drive: Path) -> list[str]:
+    """Run in places where something is missing; return what went wrong."""
+    faults = []
+    strange = folder / os.fsdecode(b"dr\xe4ive \n.npz")
+    strange.write_bytes(drive.read_bytes())
+    cases = [(name, place, drive) for name, place in PLACES.items()]
+    cases.append(("name that is no UTF-8", "{run}", strange))
+    for name, place, recording in cases:
+        out = folder / "out-of-places"
+        subprocess.run(words_of(COMMANDS["run"], drive, out), check=True, capture_output=True)
+        before = content(out)
+        command = shlex.join(words_of(COMMANDS["run"], recording, out))
+        done = subprocess.run(
+            ["bash", "-c", f"set -o pipefail; {place.format(run=command)}"],
+            check=False,
+            capture_output=True,
+            timeout=300,
+        )
+        has_traceback = b"Traceback" in done.stderr
+        is_silent = done.returncode == 2 and not done.stderr.strip()
+        if has_traceback or is_silent or done.returncode not in (0, 2, 120):
+            last = done.stderr.decode("utf-8", "replace").strip()[-300:]
+            faults.append(f"{name}: exit code {done.returncode}: {last}")
+        if content(out).keys() != before.keys():
+            faults.append(f"{name}: left {sorted(content(out).keys() ^ before.keys())}")
+        print(f"{name}: exit code {done.returncode}", flush=True)
+    return faults
+
+
+def main() -> int:
+    """Print what was done, and what went wrong; the exit code is 1 if anything did."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kills", type=int, default=50, help="of all commands together")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    rng = np.random.default_rng(given.seed)
+    with tempfile.TemporaryDirectory(prefix="faults-") as name:
+        drive = Path(name) / "drive.npz"
+        config = PointConfig(radius_m=3.0, landmarks=400)
+        write_points(simulate_points(config, duration_s=4.0, rng=rng), drive)
+        faults = kill(Path(name), drive, -(-given.kills // len(COMMANDS)), rng)
+        faults += missing(Path(name), drive)
+    print("\n".join(faults))
+    print(f"{len(faults)} faults")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
