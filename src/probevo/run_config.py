@@ -188,6 +188,9 @@ class RunConfig(CommonRunSettings):
         ),
     )
     ros: RosSettings = Field(RosSettings(), description="Frames of that bag.")
+    viewer: Path | None = Field(
+        None, description="Write a file .rrd for the Rerun viewer, too (extra viewer)."
+    )
 
 
 OWN_KEYS = (
@@ -204,6 +207,7 @@ OWN_KEYS = (
     "topics",
     "write",
     "ros",
+    "viewer",
 )
 """The settings of a run that ``OdometryConfig`` does not have."""
 

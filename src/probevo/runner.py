@@ -30,6 +30,7 @@ from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.motions_file import write_motions
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult
+from probevo.output.viewer_file import check_viewer_path, write_viewer_file
 from probevo.python_arguments import as_path
 from probevo.run_checks import check_run
 from probevo.run_config import RunConfig, as_run_config, config_text
@@ -100,6 +101,8 @@ def run_sequence(
     check_run(sequence, config, noise)
     if config.write is not None:
         check_bag_path(config.write, "--write")
+    if config.viewer is not None:
+        check_viewer_path(config.viewer, "--viewer")
     with locked(out):
         return _run(sequence, config, out, noise=noise, on_step=on_step)
 
@@ -173,6 +176,7 @@ def _write_results(
         "imu_noise": config.imu_noise and config.imu_noise.resolve(),
         "truth": config.truth and config.truth.resolve(),
         "write": config.write and config.write.resolve(),
+        "viewer": config.viewer and config.viewer.resolve(),
     }
     settings = config_text(config.model_copy(update=absolute))
     truth = None
@@ -205,6 +209,8 @@ def _write_results(
             )
     if config.write is not None:
         write_odometry_bag(config.write, result, config.ros, camera=sequence.camera)
+    if config.viewer is not None:
+        write_viewer_file(config.viewer, result, truth)
     if metrics is None:
         remove_stale(out / "metrics.json")
     if len(result) < 2:
