@@ -21,6 +21,12 @@ def test_writing_replaces_whole_files_and_leaves_nothing_else(tmp_path: Path) ->
     assert [p.name for p in path.parent.iterdir()] == ["config.yaml"]
 
 
+def test_what_is_no_text_is_a_question_mark(tmp_path: Path) -> None:
+    """Names of files may hold any bytes; Python has them as lone surrogates."""
+    files.write_atomically(tmp_path / "a", "dr" + os.fsdecode(b"\xe4") + "ive")
+    assert (tmp_path / "a").read_text("utf-8") == "dr?ive"
+
+
 def test_a_place_that_is_not_writable_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):

@@ -89,7 +89,8 @@ def write_atomically(path: Path, content: bytes | str) -> None:
     Raises:
         InputError: the place is not writable.
     """
-    data = content.encode() if isinstance(content, str) else content
+    # A name of a file that is no text, but other bytes, is written with ? in their place.
+    data = content.encode("utf-8", "replace") if isinstance(content, str) else content
     partial = _partial(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

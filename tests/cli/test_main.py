@@ -108,6 +108,33 @@ def test_a_name_that_is_too_long_is_said_to_be(
     assert "too long" in err
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")  # noqa: PTH110
+def test_a_full_disk_behind_stdout_is_said_to_be() -> None:
+    script = "import sys; from probevo.cli.main import main; sys.exit(main(['--version']))"
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        done = subprocess.run(
+            [sys.executable, "-u", "-c", script], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert done.returncode == 2
+    assert b"stdout: No space left on device" in done.stderr
+    assert b"Traceback" not in done.stderr
+
+
+def test_in_a_locale_without_the_letters_of_a_result_they_are_question_marks() -> None:
+    script = (
+        "from probevo.cli import main as cli; cli._dispatch = lambda words: print('2 \\xb0/m');"
+        " cli.main([])"
+    )
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | locale | {"PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        check=False,
+    )
+    assert done.stdout.split() == [b"2", b"?/m"], done.stderr
+
+
 def test_without_a_command_the_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([]) == 2
     assert "probevo run SEQUENCE" in capsys.readouterr().err

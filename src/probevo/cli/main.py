@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -9,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from importlib import import_module
+from io import TextIOWrapper
 from threading import current_thread, main_thread
 from types import FrameType
 
@@ -66,6 +68,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Ctrl-C, 143 for SIGTERM. Both signals end a command in the same way.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if isinstance(sys.stdout, TextIOWrapper):
+        # In a locale such as C, or of a name that is no text: ? for what cannot be written.
+        sys.stdout.reconfigure(errors="replace")
     with _stopped_by_signals():
         try:
             code = _dispatch(words)
@@ -83,10 +88,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
         except OSError as error:
-            # What the system refuses of a path that the user gave, such as a name that is too long.
-            if error.filename is None:
+            # What the system refuses of a path that the user gave, such as a name that is too long;
+            # or a full disk behind stdout, where files of ours would have been named.
+            if error.filename is not None:
+                where = os.fsdecode(error.filename)
+            elif error.errno == errno.ENOSPC:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                where = "stdout"
+            else:
                 raise
-            _print_error(f"{os.fsdecode(error.filename)}: {error.strerror}.", error)
+            _print_error(f"{where}: {error.strerror}.", error)
             return 2
 
 
