@@ -132,6 +132,7 @@ KINDS = {
         fit_student_t,
         {
             "dof": [None, "5", "-inf", 0.0, -1.0, True, [5.0]],
+            "time_correlation_ratio": [None, "1", -1.0, 1e300, True, [1.0]],
             "refers_to": [None, "", "motion", 3],
         },
     ),

@@ -155,4 +155,4 @@ class _Facts(OriginFacts):
     dof: Annotated[float, Field(gt=0)] | Literal["inf"]
     """JSON has no infinity."""
     refers_to: RefersTo
-    time_correlation_ratio: float = Field(0.0, ge=0)
+    time_correlation_ratio: float = Field(0.0, ge=0, le=1e6)

@@ -30,7 +30,7 @@ class KernelFacts(OriginFacts):
     domain_radius: float = Field(gt=0, le=MOST)
     prior_counts: float = Field(gt=0, le=MOST)
     refers_to: RefersTo
-    time_correlation_ratio: float = Field(0.0, ge=0)
+    time_correlation_ratio: float = Field(0.0, ge=0, le=1e6)
     samples: int = Field(ge=1)
 
     @field_validator("training")
