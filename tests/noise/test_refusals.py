@@ -132,7 +132,6 @@ KINDS = {
         fit_student_t,
         {
             "dof": [None, "5", "-inf", 0.0, -1.0, True, [5.0]],
-            "time_correlation_ratio": [None, "1", -1.0, 1e300, True, [1.0]],
             "refers_to": [None, "", "motion", 3],
         },
     ),
@@ -352,6 +351,15 @@ UNFIT: list[tuple[str, str, float]] = [
     ("student-t", "scale", 1e300),
 ]
 """Values that lead to a prediction that is not finite; of a matrix, in its upper triangle alone."""
+
+
+@pytest.mark.parametrize("kind", OF_ERRORS)
+@pytest.mark.parametrize("value", [-1.0, 1e300, "1"])
+def test_a_time_correlation_that_no_model_has_is_refused(
+    path: Path, kind: str, value: float | str
+) -> None:
+    file = file_of(kind)
+    refuse(path, ModelFile(kind, file.arrays, {**file.facts, "time_correlation_ratio": value}))
 
 
 @pytest.mark.parametrize(("kind", "name", "value"), UNFIT)
