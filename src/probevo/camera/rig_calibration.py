@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.rig_rows_numba import add_row_equations
 from probevo.camera.stereo import StereoCamera
 
 ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0])
@@ -87,15 +88,23 @@ class RigCalibration:
         """Update the rows' coefficients with the raw stereo matches [N, 4], px, of one frame."""
         basis = row_basis(pixels, camera)
         offsets = pixels[:, 3] - pixels[:, 1]
+        prior_gradient = self.rows_information @ self.rows
         rows = self.rows
         information = self.rows_information
         # IRLS: the weights of the first frame depend on the coefficients that it teaches.
         for _ in range(ROW_ITERATIONS):
-            squared = ((offsets - basis @ rows) / ROW_SCATTER_PX) ** 2
-            weight = (ROW_DOF + 1.0) / (ROW_DOF + squared)
-            weighted = basis * (weight / (ROW_SCATTER_PX**2 * CORRELATED_FEATURES))[:, None]
-            information = self.rows_information + weighted.T @ basis
-            gradient = self.rows_information @ self.rows + weighted.T @ offsets
+            information = self.rows_information.copy()
+            gradient = prior_gradient.copy()
+            add_row_equations(
+                basis,
+                offsets,
+                rows,
+                sigma=ROW_SCATTER_PX,
+                dof=ROW_DOF,
+                correlated=CORRELATED_FEATURES,
+                information=information,
+                gradient=gradient,
+            )
             rows = np.linalg.solve(information, gradient).astype(float)
         return replace(self, rows=rows, rows_information=information)
 

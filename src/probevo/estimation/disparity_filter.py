@@ -279,7 +279,7 @@ def _update(
     path_sensitivity = np.zeros((6, COMMON))
     path_cross_cov = np.zeros((6, 6))
     if posterior is not None:
-        sensitivity = states.sensitivity @ posterior.root
+        sensitivity = _transformed(states.sensitivity, posterior.root)
         kept_common, cov, directions = _strongest_directions(sensitivity, cov)
         step = posterior.root[:6]
         common_before = posterior.root[6:]
@@ -353,5 +353,24 @@ def _strongest_directions(
     # Eigenvalues ascend: the strongest directions come last.
     _, directions = np.linalg.eigh(sum_products(white, white))
     kept = directions[:, COMMON:]
-    dropped = sensitivity @ directions[:, :COMMON]
-    return sensitivity @ kept, cov + dropped @ np.swapaxes(dropped, 1, 2), kept
+    dropped = _transformed(sensitivity, directions[:, :COMMON])
+    d = dropped[:, 0]
+    error = dropped[:, 1]
+    enlarged = cov.copy()
+    enlarged[:, 0, 0] += np.sum(d * d, axis=1)
+    enlarged[:, 1, 1] += np.sum(error * error, axis=1)
+    enlarged[:, 0, 1] += np.sum(d * error, axis=1)
+    enlarged[:, 1, 0] = enlarged[:, 0, 1]
+    return _transformed(sensitivity, kept), enlarged, kept
+
+
+def _transformed(sensitivity: FloatArray, transform: FloatArray) -> FloatArray:
+    """Return the sensitivities to other errors, [M, 2, K]: one product of all rows at once.
+
+    Args:
+        sensitivity: to L errors, [M, 2, L].
+        transform: how these follow from K others, [L, K].
+    """
+    count, rows, errors = sensitivity.shape
+    transformed: FloatArray = sensitivity.reshape(count * rows, errors) @ transform
+    return transformed.reshape(count, rows, transform.shape[1])

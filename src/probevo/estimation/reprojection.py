@@ -124,10 +124,11 @@ def inverse_or_nan(information: FloatArray) -> FloatArray:
     diagonal = np.diagonal(information)
     if not (np.isfinite(information).all() and (diagonal > 0.0).all()):
         return np.full(information.shape, np.nan)
-    scale = np.sqrt(diagonal)
+    sigma = 1.0 / np.sqrt(diagonal)
+    units = sigma[:, None] * sigma
     lower = np.zeros(information.shape)
     inverse = np.empty(information.shape)
-    if not invert_positive_definite(information / np.outer(scale, scale), lower, inverse):
+    if not invert_positive_definite(information * units, lower, inverse):
         return np.full(information.shape, np.nan)
-    covariance: FloatArray = inverse / np.outer(scale, scale)
+    covariance: FloatArray = inverse * units
     return covariance
