@@ -69,6 +69,13 @@ FIGURES = (
         minutes=3,
         needs_data=True,
     ),
+    Figure(
+        "plain-odometry",
+        ("docs/accuracy.md",),
+        "python benchmarks/plain_odometry.py",
+        minutes=2,
+        needs_data=True,
+    ),
     Figure("solve-time", ("docs/accuracy.md",), "python benchmarks/solve_time.py", minutes=1),
     Figure(
         "speed",
