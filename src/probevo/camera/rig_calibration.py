@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.rig_rows_numba import add_row_equations
+from probevo.camera.rig_rows_numba import RowOffsetNoise, add_row_equations
 from probevo.camera.stereo import StereoCamera
 
 ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0])
@@ -88,6 +88,7 @@ class RigCalibration:
         """Update the rows' coefficients with the raw stereo matches [N, 4], px, of one frame."""
         basis = row_basis(pixels, camera)
         offsets = pixels[:, 3] - pixels[:, 1]
+        noise = RowOffsetNoise(sigma_px=ROW_SCATTER_PX, dof=ROW_DOF, correlated=CORRELATED_FEATURES)
         prior_gradient = self.rows_information @ self.rows
         rows = self.rows
         information = self.rows_information
@@ -99,9 +100,7 @@ class RigCalibration:
                 basis,
                 offsets,
                 rows,
-                sigma=ROW_SCATTER_PX,
-                dof=ROW_DOF,
-                correlated=CORRELATED_FEATURES,
+                noise=noise,
                 information=information,
                 gradient=gradient,
             )

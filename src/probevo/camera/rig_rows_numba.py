@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
 
 NUM_COEFFICIENTS = 6
 """a₀ … a₅ of 1, x, y, x², x y, y²."""
+
+
+class RowOffsetNoise(NamedTuple):
+    """The Student-t noise of row offsets around their model."""
+
+    sigma_px: float
+    """Scale."""
+    dof: float
+    """Degrees of freedom ν."""
+    correlated: float
+    """How many offsets count as one."""
 
 
 @compiled
@@ -15,9 +28,7 @@ def add_row_equations(
     offsets: FloatArray,
     coefficients: FloatArray,
     *,
-    sigma: float,
-    dof: float,
-    correlated: float,
+    noise: RowOffsetNoise,
     information: FloatArray,
     gradient: FloatArray,
 ) -> None:
@@ -27,18 +38,17 @@ def add_row_equations(
         basis: (1, x, y, x², x y, y²) of each, [N, 6].
         offsets: v_r − v_l of each, [N], px.
         coefficients: a₀ … a₅ at which the weights are taken, [6], px.
-        sigma: scale of the offsets, px.
-        dof: ν of their Student-t.
-        correlated: how many of them count as one.
+        noise: of the offsets.
         information: Σ w B Bᵀ is added to it, [6, 6], px⁻².
         gradient: Σ w B (v_r − v_l) is added to it, [6], px⁻¹.
     """
+    variance = noise.sigma_px**2 * noise.correlated
     for n in range(len(offsets)):
         predicted = 0.0
         for i in range(NUM_COEFFICIENTS):
             predicted += basis[n, i] * coefficients[i]
-        squared = ((offsets[n] - predicted) / sigma) ** 2
-        weight = (dof + 1.0) / (dof + squared) / (sigma**2 * correlated)
+        squared = ((offsets[n] - predicted) / noise.sigma_px) ** 2
+        weight = (noise.dof + 1.0) / (noise.dof + squared) / variance
         for i in range(NUM_COEFFICIENTS):
             weighted = weight * basis[n, i]
             gradient[i] += weighted * offsets[n]
