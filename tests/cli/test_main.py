@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from types import SimpleNamespace
@@ -156,6 +157,18 @@ def test_ctrl_c_gives_130_and_says_where_the_results_are(
     )
 
 
+@pytest.fixture
+def default_signals() -> Iterator[None]:
+    """The handlers of a program in the foreground: a shell lets its background jobs ignore Ctrl-C,
+    and so does the command."""
+    defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in defaults.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_a_command_like_an_interrupt(
     number: signal.Signals,
@@ -177,6 +190,7 @@ def test_a_signal_ends_a_command_like_an_interrupt(
     assert capsys.readouterr().err == "probevo: stopped.\n         The results are in out.\n"
 
 
+@pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize("during", ["import", "command"])
 def test_an_interrupt_that_an_import_swallows_is_none_the_less_one(
     during: str, monkeypatch: pytest.MonkeyPatch
