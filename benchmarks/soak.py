@@ -96,6 +96,11 @@ def soak(minutes: float, of: str, seed: int) -> dict[str, Any]:
             samples.append((now_s, resident_mb(), *counts()))
             next_s += SAMPLE_S
         kind = drawn.random()
+        state = odometry.state
+        if state is not None and frame.left is not None and frame.left is state.frame.left:
+            # The recording has turned where a frame was lost or failed: an image that the odometry
+            # still holds is rightly refused.
+            continue
         if kind < SHARE:
             injected["lost frames"] += 1
             continue
