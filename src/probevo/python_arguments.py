@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from pydantic import ValidationError
 
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera, check_camera
@@ -15,7 +13,7 @@ from probevo.config import OdometryConfig
 from probevo.errors import InputError, brief
 from probevo.noise import NoiseModel, StudentT
 from probevo.noise.named import noise_model
-from probevo.run_config import setting_error
+from probevo.run_config import checked_settings
 
 
 def as_path(value: object, name: str) -> Path:
@@ -71,17 +69,8 @@ def as_config(config: object) -> OdometryConfig:
     Raises:
         InputError: it is something else, a key is unknown, or a value is out of bounds.
     """
-    if config is None:
-        return OdometryConfig()
-    if isinstance(config, OdometryConfig):
-        return config
-    if not isinstance(config, Mapping):
-        cure = "Give an OdometryConfig, or a dict such as {'tracking': {'num_features': 800}}."
-        raise InputError("config", f"is {brief(config)}.", cure)
-    try:
-        return OdometryConfig.model_validate(dict(config))
-    except ValidationError as error:
-        raise setting_error(error, "config", OdometryConfig) from error
+    example = "{'tracking': {'num_features': 800}}"
+    return checked_settings(config, OdometryConfig, example=example)
 
 
 def as_array(value: object, name: str, shape: tuple[int | None, ...]) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import yaml
 from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
@@ -22,6 +22,8 @@ from probevo.settings import Settings
 FORMAT_HELP = (
     f"Layout of the recording: {', '.join(format_names())}; recognised if it is not named."
 )
+
+SettingsType = TypeVar("SettingsType", bound=Settings)
 
 MOST_FAULTS = 8
 """Wrong settings that a message names."""
@@ -227,17 +229,32 @@ def as_run_config(config: object) -> RunConfig:
     Raises:
         InputError: it is something else, a key is unknown, or a value is out of bounds.
     """
-    if config is None:
-        return RunConfig()
-    if isinstance(config, RunConfig):
-        return config
-    if not isinstance(config, Mapping):
-        cure = "Give a RunConfig, or a dict such as {'noise': 'fixed'}."
-        raise InputError("config", f"is {brief(config)}.", cure)
+    return checked_settings(config, RunConfig, example="{'noise': 'fixed'}")
+
+
+def checked_settings(value: object, model: type[SettingsType], *, example: str) -> SettingsType:
+    """Return settings given as themselves, as a dictionary of those that differ, or as None.
+
+    Args:
+        value: the argument ``config`` of a function.
+        model: the settings that it may be.
+        example: a dictionary as the caller may write it, for messages.
+
+    Raises:
+        InputError: it is something else, a key is unknown, or a value is out of bounds.
+    """
+    if value is None:
+        return model()
+    if isinstance(value, model):
+        return value
+    if not isinstance(value, Mapping):
+        article = "an" if model.__name__[0] in "AEIOU" else "a"
+        cure = f"Give {article} {model.__name__}, or a dict such as {example}."
+        raise InputError("config", f"is {brief(value)}.", cure)
     try:
-        return RunConfig.model_validate(dict(config))
+        return model.model_validate(dict(value))
     except ValidationError as error:
-        raise setting_error(error, "config") from error
+        raise setting_error(error, "config", model) from error
 
 
 def read_config(path: Path) -> RunConfig:
