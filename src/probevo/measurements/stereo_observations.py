@@ -88,9 +88,12 @@ class StereoObservations:
         """
         count = len(prev_px)
         loss = RobustLoss.student_t() if loss is None else loss
-        # Copies: a view of broadcast_to is read-only, for which Numba would compile all again.
-        scale = np.array(np.broadcast_to(noise.scale, (count, 4, 4)), order="C")
-        dof = np.array(np.broadcast_to(noise.dof, (count,)))
+        # Copies: a model may give one scale to all features, as a read-only view without strides,
+        # for which Numba would compile everything once more.
+        scale = np.empty((count, 4, 4))
+        scale[:] = noise.scale
+        dof = np.empty(count)
+        dof[:] = noise.dof
         points = PointPrior.of(
             prev_px,
             scale=scale if noise.prev_scale is None else np.array(noise.prev_scale, order="C"),
@@ -99,7 +102,8 @@ class StereoObservations:
         )
         if disparity_prior is not None:
             points = points.given(disparity_prior)
-        curr_unbiased = np.ascontiguousarray(curr_px - np.broadcast_to(noise.bias, (count, 4)))
+        curr_unbiased = np.subtract(curr_px, noise.bias, order="C")
+        # A known error of the measured disparity d = u_l − u_r is taken out of u_r.
         curr_unbiased[:, 2] += points.error
         return StereoObservations(
             points=points,

@@ -72,7 +72,8 @@ def _strength_bound(image: Image) -> Image:
     """Compute an upper bound of the strength of each pixel REACH_PX from the border.
 
     Nine consecutive pixels of the ring of sixteen contain one of each two that face each other.
-    Computed for whole images, the bound takes 0.5 ms.
+    With every second pair, the bound lets more pixels through than with all eight, but takes half
+    the time; together that is faster.
 
     Returns:
         [height − 6, width − 6], uint8.
@@ -87,7 +88,7 @@ def _strength_bound(image: Image) -> Image:
     darker = np.zeros(center.shape, np.uint8)
     of_two = np.empty_like(brighter)
     # Of each facing pair, at least the larger (smaller) pixel must differ by the strength
-    for du, dv in HALF_RING:
+    for du, dv in HALF_RING[::2]:
         one = shifted(du, dv)
         facing = shifted(-du, -dv)
         cv2.min(brighter, cv2.max(one, facing, dst=of_two), dst=brighter)

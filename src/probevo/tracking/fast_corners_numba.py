@@ -38,6 +38,15 @@ class Strongest(NamedTuple):
     """Index of the corner in the flat image, [rows, columns, per_cell]; −1 where there is none."""
 
 
+class CellCorners(NamedTuple):
+    """The strongest corners of one cell, the strongest first; as of ``Strongest``."""
+
+    strength: IntArray
+    """[per_cell], grey levels."""
+    flat_index: IntArray
+    """[per_cell]."""
+
+
 @compiled
 def fill_strongest(
     image: FlatImage, cell_px: float, threshold: int, border_px: int, strongest: Strongest
@@ -51,36 +60,80 @@ def fill_strongest(
         border_px: least distance of a corner from the border.
         strongest: in: no corners; out: the strongest ones.
     """
-    rows, columns, per_cell = strongest.flat_index.shape
-    width = image.width
-    height = len(image.pixels) // width
+    rows, columns, _ = strongest.flat_index.shape
+    height = len(image.pixels) // image.width
     for row in range(rows):
         top, bottom = _extent(row, cell_px, height, border_px=border_px)
         for column in range(columns):
-            first, last = _extent(column, cell_px, width, border_px=border_px)
-            strengths = strongest.strength[row, column]
-            indices = strongest.flat_index[row, column]
-            # Only pixels whose bound exceeds ``least`` can be among the strongest
-            least = threshold
-            for v in range(top, bottom):
-                bounds = image.bound[v - REACH_PX, first - REACH_PX : last - REACH_PX]
-                for i in range(len(bounds)):
-                    if bounds[i] <= least:
-                        continue
-                    u = first + i
-                    strength = _strength(image, v * width + u, least)
-                    if strength <= least or not _is_local_maximum(image, u, v, strength=strength):
-                        continue
-                    # Insert it into the sorted list of this cell
-                    place = per_cell - 1
-                    while place > 0 and strengths[place - 1] < strength:
-                        strengths[place] = strengths[place - 1]
-                        indices[place] = indices[place - 1]
-                        place -= 1
-                    strengths[place] = strength
-                    indices[place] = v * width + u
-                    # From now on, a corner must be stronger than the last of a full list
-                    least = max(threshold, strengths[per_cell - 1])
+            first, last = _extent(column, cell_px, image.width, border_px=border_px)
+            bound = image.bound[
+                top - REACH_PX : bottom - REACH_PX, first - REACH_PX : last - REACH_PX
+            ]
+            corners = CellCorners(
+                strength=strongest.strength[row, column],
+                flat_index=strongest.flat_index[row, column],
+            )
+            # Most cells have corners half as strong as their bound allows, and what is weaker
+            # need not be looked at there. In the others, the search begins anew.
+            least = max(threshold, _greatest(bound) // 2)
+            if not _search_cell(image, top, first, bound=bound, least=least, corners=corners):
+                corners.strength[:] = 0
+                corners.flat_index[:] = -1
+                _search_cell(image, top, first, bound=bound, least=threshold, corners=corners)
+
+
+@compiled
+def _search_cell(
+    image: FlatImage, top: int, first: int, bound: Image, least: int, corners: CellCorners
+) -> bool:
+    """Fill in the strongest corners of one cell; False if fewer than asked for exceed ``least``.
+
+    Args:
+        image: the image.
+        top: first row of the cell, px.
+        first: its first column, px.
+        bound: upper bound of the strength of its pixels, [height, width], grey levels.
+        least: only stronger corners are looked for, grey levels.
+        corners: in: no corners; out: the strongest ones.
+    """
+    height, width = bound.shape
+    strengths = corners.strength
+    indices = corners.flat_index
+    for i in range(height):
+        for j in range(width):
+            if bound[i, j] <= least:
+                continue
+            index = (top + i) * image.width + first + j
+            strength = _strength(image, index)
+            if strength <= least:
+                continue
+            if not _is_local_maximum(image, first + j, top + i, strength=strength):
+                continue
+            # Insert it into the sorted list of this cell.
+            place = len(strengths) - 1
+            while place > 0 and strengths[place - 1] < strength:
+                strengths[place] = strengths[place - 1]
+                indices[place] = indices[place - 1]
+                place -= 1
+            strengths[place] = strength
+            indices[place] = index
+            # From now on, a corner must be stronger than the last of a full list.
+            least = max(least, strengths[-1])
+    is_full: bool = strengths[-1] > 0
+    return is_full
+
+
+@compiled
+def _greatest(bound: Image) -> int:
+    """Return the largest value of a cell, [height, width]; 0 of an empty one."""
+    greatest = 0
+    for i in range(len(bound)):
+        row = bound[i]
+        of_row = np.uint8(0)
+        for j in range(len(row)):
+            of_row = max(of_row, row[j])
+        greatest = max(greatest, int(of_row))
+    return greatest
 
 
 @compiled
@@ -101,44 +154,30 @@ def _is_local_maximum(image: FlatImage, u: int, v: int, strength: int) -> bool:
             is_center = du == 0 and dv == 0
             if is_center or image.bound[v + dv - REACH_PX, u + du - REACH_PX] < strength:
                 continue
-            if _strength(image, (v + dv) * image.width + u + du, strength - 1) >= strength:
+            if _strength(image, (v + dv) * image.width + u + du) >= strength:
                 return False
     return True
 
 
 @compiled
-def _strength(image: FlatImage, index: int, least: int) -> int:
-    """Return the strength of a pixel if it is more than ``least``, or else ``least``."""
+def _strength(image: FlatImage, index: int) -> int:
+    """Return the strength of a pixel; 0 if it is no corner at any threshold.
+
+    It is the largest minimum over nine consecutive pixels of the closed ring, of how much these are
+    brighter than the central one, or how much darker.
+    """
     ring = image.ring
-    # Which of the ring's pixels are brighter, or darker, as bits
     center = np.int32(image.pixels[np.uint64(index)])
-    brighter = 0
-    darker = 0
     for k in range(16):
         ring[k] = np.int32(image.pixels[np.uint64(index + image.ring_offsets[k])]) - center
-        brighter |= (1 << k) if ring[k] > least else 0
-        darker |= (1 << k) if ring[k] < -least else 0
-    if _nine_consecutive(darker):
-        for k in range(16):
-            ring[k] = -ring[k]
-    elif not _nine_consecutive(brighter):
-        return least
-    # The strength is the largest minimum over nine consecutive pixels of the closed ring
     for k in range(8):
         ring[16 + k] = ring[k]
-    strongest = np.int32(least)
+    strength = np.int32(0)
     for start in range(16):
-        weakest = ring[start]
+        darkest = ring[start]
+        brightest = ring[start]
         for k in range(1, 9):
-            weakest = min(weakest, ring[start + k])
-        strongest = max(strongest, weakest)
-    return int(strongest)
-
-
-@compiled
-def _nine_consecutive(ring: int) -> bool:
-    """Tell whether nine consecutive bits of a ring of sixteen are set."""
-    twice = ring | (ring << 16)
-    two = twice & (twice >> 1)
-    four = two & (two >> 2)
-    return (four & (four >> 4) & (twice >> 8) & 0xFFFF) != 0
+            darkest = min(darkest, ring[start + k])
+            brightest = max(brightest, ring[start + k])
+        strength = max(strength, max(darkest, -brightest))
+    return int(strength)
