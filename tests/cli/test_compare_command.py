@@ -153,7 +153,6 @@ def test_latex_has_a_row_a_recording(out: Path) -> None:
     assert columns == "lrrrrrrr"
     assert {width(row) for row in rows} == {8}
     assert [row[0] for row in rows[2:]] == ["a-test", "b-test"]
-    assert all(sum("textbf" in cell for cell in row) >= 2 for row in rows[2:])
 
 
 def test_the_table_is_printed(out: Path) -> None:

@@ -21,6 +21,7 @@ from probevo.output.comparison import (
     distinct_labels,
     numbered,
     truth_note,
+    verdicts,
 )
 from probevo.output.comparison_page import write_comparison
 from probevo.output.comparison_plots import errors_figure, paths_figure
@@ -180,12 +181,12 @@ def test_who_has_seen_the_recording_is_marked_and_never_the_best(
         (
             replace(entries[0], learned_from_it=True),
             entries[1],
-            replace(entries[1], estimator="third"),
+            replace(entries[0], estimator="third"),
         )
     )
     page = page_of(seen, tmp_path)
     assert "fixed †</th>" in page
-    assert [any(best for _, best in row) for row in cells_of(page)] == [False, True, True]
+    assert [any(best for _, best in row) for row in cells_of(page)] == [False, False, True]
     assert [row[0] for row in comparison_rows(seen)] == [
         "estimator",
         "hill",
@@ -208,14 +209,47 @@ def test_steps_that_were_not_solved_and_honesty_are_seen(
     assert row[-2:] == ("50.0", "7.25")
 
 
-def test_figures_that_read_the_same_are_marked_alike(
+def test_what_cannot_be_distinguished_from_the_best_is_marked_with_it(
     entries: tuple[Entry, Entry], tmp_path: Path
 ) -> None:
-    metrics = Metrics(30, armse_m=0.12341), Metrics(30, armse_m=0.12342)
-    compared = tuple(replace(e, metrics=m) for e, m in zip(entries, metrics, strict=True))
-    assert [row[0] for row in cells_of(page_of(Comparison(compared), tmp_path))] == [
-        ("0.123", True)
-    ] * 2
+    same = replace(entries[0], estimator="third")
+    comparison = Comparison((*entries, same))
+    rows = cells_of(page_of(comparison, tmp_path))
+    assert [row[0][1] for row in rows] == [True, False, True]
+    # In the form of PROBE Table I, too: ARMSE and final error of each estimator.
+    (trial,) = trial_table(comparison).as_table().rows
+    assert [cell.is_best for cell in trial.cells[2:]] == [True, True, False, False, True, True]
+
+
+def test_nothing_is_marked_and_the_verdict_says_so_where_no_difference_exceeds_noise(
+    entries: tuple[Entry, Entry], tmp_path: Path
+) -> None:
+    alike = Comparison((entries[1], replace(entries[1], estimator="third")))
+    page = page_of(alike, tmp_path)
+    assert not any(best for row in cells_of(page) for _, best in row)
+    sentence = (
+        "hill: in translation and rotation, student-t and third cannot be distinguished on this"
+        " recording."
+    )
+    assert verdicts(alike) == (sentence,)
+    assert sentence in page
+
+
+def test_the_verdict_names_the_better_one_and_by_how_much(entries: tuple[Entry, Entry]) -> None:
+    """The first run has no error, so that its drift is less by 100 %; the interval ends there."""
+    (sentence,) = verdicts(Comparison(entries))
+    number = r"\d+(\.\d)?"
+    clause = rf"fixed drifts less in {{}} than student-t by 100 % \(95 %: {number} to 100 %\)"
+    pattern = rf"hill: {clause.format('translation')}; {clause.format('rotation')}\."
+    assert re.fullmatch(pattern, sentence), sentence
+
+
+def test_a_run_that_was_stopped_takes_no_part(
+    entries: tuple[Entry, Entry], make_run: Callable[..., RunResult]
+) -> None:
+    short = make_run(20)
+    stopped = entry("student-t", short, short.T_world_cam)
+    assert Comparison((entries[0], stopped)).rankings == {"hill": {}}
 
 
 def test_one_estimator_alone_is_not_the_best(entries: tuple[Entry, Entry], tmp_path: Path) -> None:

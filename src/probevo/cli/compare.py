@@ -301,7 +301,7 @@ def _write(out: Path, comparison: Comparison) -> None:
 
 
 def _summary(comparison: Comparison, out: Path) -> list[str]:
-    from probevo.output.comparison import column_notes, comparison_rows, truth_note
+    from probevo.output.comparison import column_notes, comparison_rows, truth_note, verdicts
 
     head, *rows = comparison_rows(comparison)
     notes = [
@@ -309,7 +309,13 @@ def _summary(comparison: Comparison, out: Path) -> list[str]:
         *column_notes(comparison),
         *truth_note(comparison),
     ]
-    return [table(head, rows), "", *notes, f"comparison: {out / 'comparison.html'}"]
+    return [
+        table(head, rows),
+        "",
+        *verdicts(comparison),
+        *notes,
+        f"comparison: {out / 'comparison.html'}",
+    ]
 
 
 def _refuse_twice(option: str, given: Sequence[tuple[str, str]]) -> None:

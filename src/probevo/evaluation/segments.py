@@ -25,9 +25,10 @@ class SegmentErrors:
     length_m: FloatArray
     """Nominal length, [S]."""
     translation: FloatArray
-    """Error of the end position over the nominal length, [S], m/m."""
+    """Error of the end position over the nominal length, [..., S], m/m; the leading dimensions are
+    those of the paths."""
     rotation_rad_m: FloatArray
-    """Angle of the rotation error at the end over the nominal length, [S]."""
+    """Angle of the rotation error at the end over the nominal length, [..., S]."""
 
     @property
     def mean_translation_percent(self) -> float | None:
@@ -52,7 +53,7 @@ def segment_errors(
     by more than its length, as in the devkit.
 
     Args:
-        T_world_cam_est: estimated poses, [K, 4, 4], m.
+        T_world_cam_est: estimated poses of one path or of many, [..., K, 4, 4], m.
         T_world_cam_true: true poses, [K, 4, 4], m, all known.
         lengths_m: nominal lengths.
         starts: index of each frame at which segments start.
@@ -68,11 +69,13 @@ def segment_errors(
     length = length[fits]
     # The error is the estimated relative pose, inverted, times the true one.
     T_first_last_true = se3.inverse(T_world_cam_true[first]) @ T_world_cam_true[last]
-    T_first_last_est = se3.inverse(T_world_cam_est[first]) @ T_world_cam_est[last]
+    first_est = T_world_cam_est[..., first, :, :]
+    last_est = T_world_cam_est[..., last, :, :]
+    T_first_last_est = se3.inverse(first_est) @ last_est
     error = se3.inverse(T_first_last_est) @ T_first_last_true
     return SegmentErrors(
         first=first,
         length_m=length,
-        translation=np.linalg.norm(error[:, :3, 3], axis=1) / length,
-        rotation_rad_m=np.linalg.norm(so3.log(error[:, :3, :3]), axis=1) / length,
+        translation=np.linalg.norm(error[..., :3, 3], axis=-1) / length,
+        rotation_rad_m=np.linalg.norm(so3.log(error[..., :3, :3]), axis=-1) / length,
     )

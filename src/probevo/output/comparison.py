@@ -6,6 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from urllib.parse import quote
 
@@ -15,7 +16,8 @@ from probevo.arrays import FloatArray
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
 from probevo.output.run_result import RunResult
-from probevo.output.table import Cell, Column, Row, Table, reads_least
+from probevo.output.significance import Ranking, rank, verdict
+from probevo.output.table import Cell, Column, Row, Table
 from probevo.run_config import RunConfig
 
 FIGURES = (
@@ -26,8 +28,9 @@ FIGURES = (
     Column("ms/frame"),
 )
 """Figures of merit; less is better. Drift and rotation are those over segments of 10 to 50 m."""
-_TIME = 4
-"""Index of the one that differs from run to run: it is never marked as the best."""
+ERRORS = ("armse_m", "final_error_m", "short_t_percent", "short_r_deg_per_m")
+"""Names in ``Metrics`` of the figures of merit that are errors: all but the last, the time, which
+differs from run to run and is never marked as the best."""
 SOLVED = Column("solved", "%")
 """Share of steps that were solved, and not dead-reckoned."""
 ANEES = Column("ANEES")
@@ -117,6 +120,14 @@ class Comparison:
         ]
         return (*FIGURES, *known)
 
+    @cached_property
+    def rankings(self) -> dict[str, dict[str, Ranking]]:
+        """Of each sequence, and of each of ``ERRORS`` that is known of two runs: who is best.
+
+        Runs whose noise model has seen the recording in training do not take part.
+        """
+        return {name: _rankings(self.of(name)) for name in self.sequences}
+
     def of(self, sequence: str) -> tuple[Entry, ...]:
         """Select the entries of one sequence, in the order of the estimators."""
         chosen = [entry for entry in self.entries if entry.sequence == sequence]
@@ -130,7 +141,8 @@ def comparison_table(
 ) -> Table:
     """Make the table of a comparison: a section for each sequence, a row for each estimator.
 
-    The least of each figure of merit of a sequence is marked.
+    The least of each error of a sequence is marked where the difference exceeds the noise of
+    repetition, and with it those that cannot be distinguished from it.
 
     Args:
         comparison: the runs.
@@ -144,7 +156,8 @@ def comparison_table(
     rows = []
     for sequence in comparison.sequences:
         entries = comparison.of(sequence)
-        for entry, best in zip(entries, _best_figures(entries), strict=True):
+        for entry in entries:
+            best = (*best_errors(comparison, entry), False)
             color = colors[entry.estimator] if colors else ""
             cells = [Cell(label(entry), color=color)]
             cells += [
@@ -167,18 +180,25 @@ def comparison_rows(comparison: Comparison) -> list[tuple[str, ...]]:
     return comparison_table(comparison).text_rows()
 
 
-def _best_figures(entries: Sequence[Entry]) -> list[list[bool]]:
-    """Find which figures of merit of each entry read as the least of its sequence.
+def _rankings(entries: Sequence[Entry]) -> dict[str, Ranking]:
+    """Rank the runs over one sequence by each of their errors."""
+    taking_part = [entry for entry in entries if entry.has_truth and not entry.learned_from_it]
+    # What a run has left out, since it was stopped, nobody can compare.
+    longest = max((len(entry.result) for entry in taking_part), default=0)
+    whole = [entry for entry in taking_part if len(entry.result) == longest]
+    if len(whole) < 2 or whole[0].truth is None:
+        return {}
+    return rank(
+        {entry.estimator: entry.result.T_curr_prev for entry in whole},
+        {entry.estimator: dict(zip(ERRORS, entry.figures, strict=False)) for entry in whole},
+        whole[0].truth,
+    )
 
-    None does without a rival, of an entry that has seen the recording in training, or of the time,
-    which differs from run to run.
-    """
-    unseen = [
-        (None,) * len(FIGURES) if entry.learned_from_it else entry.figures for entry in entries
-    ]
-    columns = [reads_least(column) for column in zip(*unseen, strict=True)]
-    columns[_TIME] = [False] * len(entries)
-    return [list(row) for row in zip(*columns, strict=True)]
+
+def best_errors(comparison: Comparison, entry: Entry) -> tuple[bool, ...]:
+    """Find which of ``ERRORS`` of an entry are marked as the best of its sequence."""
+    rankings = comparison.rankings[entry.sequence]
+    return tuple(name in rankings and entry.estimator in rankings[name].leaders for name in ERRORS)
 
 
 def _report_link(entry: Entry, folder: Path) -> Cell:
@@ -193,6 +213,15 @@ def _report_link(entry: Entry, folder: Path) -> Cell:
 def label(entry: Entry) -> str:
     """Name the estimator of an entry, marked where it has seen the recording in training."""
     return f"{entry.estimator} †" if entry.learned_from_it else entry.estimator
+
+
+def verdicts(comparison: Comparison) -> tuple[str, ...]:
+    """Say for each sequence, in one sentence, who drifts less than whom, and by how much.
+
+    A sequence that is too short for drift, or without two runs to compare, has none.
+    """
+    sentences = {name: verdict(rankings) for name, rankings in comparison.rankings.items()}
+    return tuple(f"{name}: {sentence}" for name, sentence in sentences.items() if sentence)
 
 
 def truth_note(comparison: Comparison) -> tuple[str, ...]:

@@ -7,7 +7,13 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from probevo.output.comparison import Comparison, Entry, column_notes, comparison_table
+from probevo.output.comparison import (
+    Comparison,
+    Entry,
+    column_notes,
+    comparison_table,
+    verdicts,
+)
 from probevo.output.comparison_plots import errors_figure, paths_figure
 from probevo.output.page import frames_section, grid, heading, panel, table_panel, write_page
 from probevo.output.svg import CYCLE, figure_style
@@ -56,10 +62,12 @@ def write_comparison(
 def _table_section(comparison: Comparison, colors: Mapping[str, str], folder: Path) -> Markup:
     note = (
         "Position errors with the starts made equal; drift and rotation over pieces of 10 to 50 m;"
-        " median time, without decoding. Bold: the least of a sequence."
+        " median time, without decoding. Bold: the least of a sequence, and whatever cannot be"
+        " distinguished from it; nothing, if no difference exceeds the noise of repetition."
     )
     table = comparison_table(comparison, colors, folder)
-    return table_panel("Figures of merit", [" ".join([note, *column_notes(comparison)])], table)
+    notes = [*verdicts(comparison), " ".join([note, *column_notes(comparison)])]
+    return table_panel("Figures of merit", notes, table)
 
 
 def _sequence_sections(

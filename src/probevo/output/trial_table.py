@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from probevo.output.comparison import Comparison, Entry, truth_note
+from probevo.output.comparison import Comparison, Entry, best_errors, truth_note
 from probevo.output.page import table_panel
 from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, reads_least
 
@@ -30,6 +30,8 @@ class TrialRow:
     """Kind of place, e.g. City."""
     is_aside: bool = False
     """Whether it belongs to the row above, e.g. as what was published."""
+    best: tuple[tuple[bool, ...], ...] | None = None
+    """Which errors of each estimator are marked; by default those that read as the least."""
 
 
 @dataclass(frozen=True)
@@ -68,14 +70,18 @@ class TrialTable:
         if self.has_kinds:
             cells.append(Cell(row.kind))
         cells.append(Cell(row.path_length_m))
-        # The least of each measure, over the estimators.
-        least = [reads_least(values) for values in zip(*row.errors, strict=True)]
-        for errors, are_least in zip(row.errors, zip(*least, strict=True), strict=True):
+        for errors, are_best in zip(row.errors, row.best or _least(row.errors), strict=True):
             cells += [
-                Cell(error, is_best=is_least)
-                for error, is_least in zip(errors, are_least, strict=True)
+                Cell(error, is_best=is_best)
+                for error, is_best in zip(errors, are_best, strict=True)
             ]
         return Row(tuple(cells), is_aside=row.is_aside)
+
+
+def _least(errors: tuple[Errors, ...]) -> list[tuple[bool, ...]]:
+    """Find which errors of each estimator read as the least of their measure."""
+    by_measure = [reads_least(values) for values in zip(*errors, strict=True)]
+    return list(zip(*by_measure, strict=True))
 
 
 def errors_of(entry: Entry) -> Errors:
@@ -92,7 +98,15 @@ def trial_table(comparison: Comparison) -> TrialTable:
         errors = [
             errors_of(entries[key]) if key in entries else UNKNOWN for key in comparison.estimators
         ]
-        rows.append(TrialRow(name, tuple(errors), next(iter(lengths_m), None)))
+        unmarked = (False,) * len(PROBE_MEASURES)
+        best = [
+            best_errors(comparison, entries[key])[: len(PROBE_MEASURES)]
+            if key in entries
+            else unmarked
+            for key in comparison.estimators
+        ]
+        length_m = next(iter(lengths_m), None)
+        rows.append(TrialRow(name, tuple(errors), length_m, best=tuple(best)))
     notes = (*truth_note(comparison), *_seen_note(comparison))
     return TrialTable(comparison.estimators, tuple(rows), notes)
 
@@ -114,7 +128,10 @@ def trials_text(table: TrialTable) -> list[tuple[str, ...]]:
 
 def trials_section(table: TrialTable) -> Markup:
     """Show the table as a section of a page."""
-    notes = ("Bold: the least of a row.", *table.notes)
+    marks = "Bold: the least of a row."
+    if any(row.best is not None for row in table.rows):
+        marks = "Bold: the least of a row, where the difference exceeds the noise of repetition."
+    notes = (marks, *table.notes)
     return table_panel(f"In the form of {table.form}", notes, table.as_table())
 
 
