@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from probevo.arrays import AnyArray, Image, IntArray
 
@@ -196,6 +197,134 @@ def write_euroc(root: Path, frames: int = 4) -> Path:
         ["#time(ns),px,py,pz,qw,qx,qy,qz,v", *rows],
     )
     return root
+
+
+def camchain_yaml(T_left_imu: AnyArray) -> list[str]:
+    """Kalibr's file of two ideal fisheye cameras side by side, and the pose of the IMU."""
+    T_right_left = np.eye(4)
+    T_right_left[0, 3] = -BASELINE_M
+    lines = []
+    for camera, T_cam_imu in (("cam0", T_left_imu), ("cam1", T_right_left @ T_left_imu)):
+        lines += [
+            f"{camera}:",
+            "  T_cam_imu:",
+            *(f"  - [{numbers(row, ', ')}]" for row in T_cam_imu),
+            "  camera_model: pinhole",
+            "  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]",
+            "  distortion_model: equidistant",
+            f"  intrinsics: [{FU_PX}, {FU_PX}, {CU_PX}, {CV_PX}]",
+            f"  resolution: [{WIDTH_PX}, {HEIGHT_PX}]",
+        ]
+    rows = [f"  - [{numbers(row, ', ')}]" for row in T_right_left]
+    return [*lines, "  T_cn_cnm1:", *rows]
+
+
+def write_tum_vi(root: Path, frames: int = 4) -> Path:
+    """``mav0`` without any sensor.yaml, images of 16 bits, and ``dso`` with the calibration."""
+    path = root / "dataset-room9_512_16"
+    stamps = stamps_ns(frames)
+    for side, camera in enumerate(("cam0", "cam1")):
+        for index, stamp in enumerate(stamps):
+            pixels = image(index, right=bool(side)).astype(np.uint16) * 256
+            write_image(path / "mav0" / camera / "data" / f"{stamp}.png", pixels)
+        lines = ["#timestamp [ns],filename", *(f"{s},{s}.png" for s in stamps)]
+        write_lines(path / "mav0" / camera / "data.csv", lines)
+    samples = np.arange(START_NS - 5_000_000, stamps[-1] + 5_000_001, 5_000_000)
+    rows = [f"{s},0,0,0.1,0,0,9.81" for s in samples]
+    write_lines(path / "mav0" / "imu0" / "data.csv", ["#timestamp [ns],w,a", *rows])
+    write_lines(path / "dso" / "camchain.yaml", camchain_yaml(T_CAM_IMU))
+    noise = ["accelerometer_noise_density: 0.0028", "accelerometer_random_walk: 0.00086"]
+    noise += ["gyroscope_noise_density: 0.00016", "gyroscope_random_walk: 0.000022"]
+    write_lines(path / "dso" / "imu_config.yaml", ["rostopic: /imu0", *noise])
+    # Poses of the IMU: the camera drives along its own z axis, and looks along the world's.
+    rows = []
+    for stamp in np.arange(START_NS - 30_000_000, stamps[-1] + FRAME_NS, 50_000_000):
+        T_world_cam = np.eye(4)
+        T_world_cam[2, 3] = (stamp - START_NS) / FRAME_NS
+        T_world_imu = T_world_cam @ T_CAM_IMU
+        quaternion = Rotation.from_matrix(T_world_imu[:3, :3]).as_quat(scalar_first=True)
+        rows.append(f"{stamp},{numbers(T_world_imu[:3, 3], ',')},{numbers(quaternion, ',')}")
+    write_lines(path / "mav0" / "mocap0" / "data.csv", ["#timestamp [ns], p_RS_R_x [m]", *rows])
+    return path
+
+
+def write_four_seasons(root: Path, frames: int = 4) -> Path:
+    """A recording with undistorted images, and ``calibration`` beside it.
+
+    Positions of the truth are to be multiplied by the scale of 2.
+    """
+    path = root / "recording_2020-03-24_17-36-22"
+    for index, stamp in enumerate(stamps_ns(frames)):
+        for side, camera in enumerate(("cam0", "cam1")):
+            file = path / "undistorted_images" / camera / f"{stamp}.png"
+            write_image(file, image(index, right=bool(side)))
+    times = [f"{s} {s // 10**9}.{s % 10**9:09d} 1.5" for s in stamps_ns(frames)]
+    write_lines(path / "times.txt", times)
+    for side in (0, 1):
+        model = f"Pinhole {FU_PX} {FU_PX} {CU_PX} {CV_PX} 0.0 0.0 0.0 0.0"
+        size = f"{WIDTH_PX} {HEIGHT_PX}"
+        write_lines(root / "calibration" / f"undistorted_calib_{side}.txt", [model, size, "crop"])
+    stereo = np.eye(4)
+    stereo[0, 3] = -BASELINE_M
+    file = root / "calibration" / "undistorted_calib_stereo.txt"
+    write_lines(file, [numbers(row) for row in stereo])
+    quaternion = Rotation.from_matrix(C_CAM_IMU).as_quat()
+    transformations = [
+        "# transform_S_AS: translation vector, rotation quaternion",
+        "0.0,0.0,0.0,0.0,0.0,0.0,1.0",
+        "",
+        "# TS_cam_imu: translation vector, rotation quaternion",
+        f"{numbers(T_CAM_IMU[:3, 3], ',')},{numbers(quaternion, ',')}",
+        "",
+        "# GNSS scale",
+        "0.969397",
+    ]
+    write_lines(path / "Transformations.txt", transformations)
+    samples = np.arange(START_NS - 5_000_000, stamps_ns(frames)[-1] + 5_000_001, 5_000_000)
+    write_lines(path / "imu.txt", [f"{s} 0 0 0.1 0 0 9.81" for s in samples])
+    keyframes = [
+        f"{stamp},0,0,{0.5 * index},0,0,0,1,2.0,1.0,0"
+        for index, stamp in enumerate(stamps_ns(frames))
+    ]
+    write_lines(path / "GNSSPoses.txt", ["# frame_id, tx, ty, tz, qx, qy, qz, qw", *keyframes])
+    return path
+
+
+def write_tartan_air(root: Path, frames: int = 4, *, version: int = 1) -> Path:
+    """A trajectory ``P000`` of either version; the aircraft's axes are forward, right, down."""
+    path = root / "P000"
+    folders = (
+        ("image_left", "image_right") if version == 1 else ("image_lcam_front", "image_rcam_front")
+    )
+    suffixes = ("left", "right") if version == 1 else ("lcam_front", "rcam_front")
+    height = 480 if version == 1 else 640
+    for index in range(frames):
+        for side, (folder, suffix) in enumerate(zip(folders, suffixes, strict=True)):
+            rng = np.random.default_rng([index, side])
+            pixels = rng.integers(0, 256, (height, 640, 3), dtype=np.uint8)
+            write_image(path / folder / f"{index:06d}_{suffix}.png", pixels)
+    # Forward by one metre a frame, and a quaternion of no rotation: x is ahead.
+    name = "pose_left.txt" if version == 1 else "pose_lcam_front.txt"
+    write_lines(path / name, [f"{index} 0 0 0 0 0 1" for index in range(frames)])
+    return path
+
+
+def write_virtual_kitti(root: Path, frames: int = 4) -> Path:
+    """``Scene01/clone`` with colour JPEGs, and both text files."""
+    path = root / "Scene01" / "clone"
+    intrinsics = ["frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]"]
+    extrinsics = ["frame cameraID r1,1 r1,2 r1,3 t1 r2,1 r2,2 r2,3 t2 r3,1 r3,2 r3,3 t3 0 0 0 1"]
+    for index in range(frames):
+        for side in (0, 1):
+            file = path / "frames" / "rgb" / f"Camera_{side}" / f"rgb_{index:05d}.jpg"
+            write_image(file, np.repeat(image(index, right=bool(side))[..., None], 3, axis=2))
+            intrinsics.append(f"{index} {side} {FU_PX} {FU_PX} {CU_PX} {CV_PX}")
+            T_cam_world = np.eye(4)
+            T_cam_world[:3, 3] = -side * BASELINE_M, 0.0, -index
+            extrinsics.append(f"{index} {side} {numbers(T_cam_world)}")
+    write_lines(path / "intrinsic.txt", intrinsics)
+    write_lines(path / "extrinsic.txt", extrinsics)
+    return path
 
 
 def tracks_arrays(frames: int = 4, points: int = 6) -> dict[str, AnyArray]:

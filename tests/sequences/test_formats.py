@@ -22,9 +22,13 @@ from sequences.recordings import (
     stamps_ns,
     write_euroc,
     write_folder_sequence,
+    write_four_seasons,
     write_kitti_odometry,
     write_kitti_raw,
+    write_tartan_air,
     write_tracks,
+    write_tum_vi,
+    write_virtual_kitti,
 )
 
 WRITERS: dict[str, Callable[[Path], Path]] = {
@@ -33,8 +37,12 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "kitti-raw": write_kitti_raw,
     "euroc": write_euroc,
     "tracks": write_tracks,
+    "tum-vi": write_tum_vi,
+    "4seasons": write_four_seasons,
+    "tartanair": write_tartan_air,
+    "vkitti2": write_virtual_kitti,
 }
-RECTIFIED = ("folder", "kitti-odometry", "kitti-raw")
+RECTIFIED = ("folder", "kitti-odometry", "kitti-raw", "4seasons")
 
 
 @pytest.mark.parametrize("format", WRITERS)
@@ -83,7 +91,7 @@ def test_images_come_back(format: str, tmp_path: Path) -> None:
         assert frame.decode_ms > 0
 
 
-@pytest.mark.parametrize("format", ["folder", "kitti-raw", "euroc", "tracks"])
+@pytest.mark.parametrize("format", ["folder", "kitti-raw", "euroc", "tracks", "tum-vi", "4seasons"])
 def test_imu_covers_every_interval(format: str, tmp_path: Path) -> None:
     sequence = open_sequence(WRITERS[format](tmp_path))
     first, *others = sequence
@@ -108,7 +116,7 @@ def test_whole_seconds_of_any_type_are_seconds(kind: type, tmp_path: Path) -> No
     ]
 
 
-@pytest.mark.parametrize("format", ["folder", "euroc", "kitti-raw"])
+@pytest.mark.parametrize("format", ["folder", "euroc", "kitti-raw", "tum-vi", "4seasons"])
 def test_stamps_keep_their_nanoseconds(format: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(open_sequence(WRITERS[format](tmp_path)).stamps_ns, stamps_ns(4))
 

@@ -124,12 +124,12 @@ def open_euroc(path: Path) -> StereoRecording:
     )
     T_body_cam = T_body_left @ se3.from_parts(rectification.C_rect_left.T, np.zeros(3))
 
-    stamps_ns, left_files, right_files = _match_images(mav / "cam0", mav / "cam1")
+    stamps_ns, left_files, right_files = match_images(mav / "cam0", mav / "cam1")
     imu = None
     imu_stream = None
     if (mav / "imu0").is_dir():
         imu, imu_stream = _read_imu(mav / "imu0", T_body_cam, stamps_ns)
-    truth = _read_truth(mav / "state_groundtruth_estimate0", T_body_cam, stamps_ns)
+    truth = read_truth(mav / "state_groundtruth_estimate0", T_body_cam, stamps_ns)
     return StereoRecording(
         path=path,
         format="euroc",
@@ -144,7 +144,7 @@ def open_euroc(path: Path) -> StereoRecording:
     )
 
 
-def _match_images(left: Path, right: Path) -> tuple[IntArray, list[Path], list[Path]]:
+def match_images(left: Path, right: Path) -> tuple[IntArray, list[Path], list[Path]]:
     """Return the stamps, [K], ns, and the left and right files of all pairs.
 
     Raises:
@@ -223,7 +223,7 @@ def _read_imu(
     return calibration, stream
 
 
-def _read_truth(folder: Path, T_body_cam: FloatArray, at_ns: IntArray) -> GroundTruth | None:
+def read_truth(folder: Path, T_body_cam: FloatArray, at_ns: IntArray) -> GroundTruth | None:
     """Return the truth of the rectified left camera at the frames; None if there is none.
 
     The file gives position and quaternion (w, x, y, z) of the body.

@@ -26,8 +26,7 @@ from probevo.sequences.calibration_files import is_stereo_calibration, read_ster
 from probevo.sequences.format_options import PAIR_TOLERANCE_MS, FolderOptions
 from probevo.sequences.frame import GroundTruth
 from probevo.sequences.given_truth import truth_of_file
-from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
-from probevo.sequences.images import list_images, list_pairs, read_gray_of_any_depth
+from probevo.sequences.images import list_images, list_pairs, range_of_files, read_gray_of_any_depth
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import (
     ACCEL_BIAS_SIGMA_M_S2,
@@ -39,7 +38,7 @@ from probevo.sequences.imu_noise_file import with_noise_of
 from probevo.sequences.pose_files import read_kitti_truth
 from probevo.sequences.recording import StereoRecording
 from probevo.sequences.stamp_pairs import pair_stamps
-from probevo.sequences.stamps import check_stamps, read_times, stamps_of_names
+from probevo.sequences.stamps import check_stamps, evenly_spaced, read_times, stamps_of_names
 from probevo.sequences.text import read_stamped_csv
 from probevo.sequences.yaml_file import CalibrationModel, load_yaml, validated
 
@@ -147,9 +146,6 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
     pictures = _list_pictures(path, options.rate_hz)
     stamps_ns = pictures.stamps_ns
 
-    # The first images show their depth, and their size for calibrations that do not have it.
-    num_first = min(len(stamps_ns), NUM_FIRST_FRAMES)
-    first_files = [*pictures.left_files[:num_first], *pictures.right_files[:num_first]]
     cameras = _cameras(path, options.calibration, pictures.left_files[0])
     imu = with_noise_of(cameras.imu, options.imu_noise)
     imu_stream = _read_imu(path, cameras, stamps_ns)
@@ -164,7 +160,7 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
         imu_stream=imu_stream,
         truth=_read_truth(path, options, stamps_ns, imu=imu),
         rectification=cameras.rectification,
-        gray_range=_gray_range(first_files),
+        gray_range=range_of_files(pictures.left_files, pictures.right_files),
         notes=pictures.notes,
     )
 
@@ -209,7 +205,7 @@ def _list_pictures(path: Path, rate_hz: float | None) -> _Pictures:
     if rate_hz is None:
         stamps_ns = read_times(times, len(left_files))
     else:
-        stamps_ns = np.round(np.arange(len(left_files)) * (1e9 / rate_hz)).astype(np.int64)
+        stamps_ns = evenly_spaced(len(left_files), rate_hz)
     return _Pictures(stamps_ns, left_files, right_files)
 
 
@@ -249,22 +245,6 @@ def _pictures_by_stamps(path: Path) -> _Pictures:
         right_files=[right_files[index] for index in pairs.right],
         notes=(("pairs" if num_left + num_right == 0 else "! pairs", text),),
     )
-
-
-def _gray_range(files: list[Path]) -> GrayRange | None:
-    """Return the range of the first images if they have 16 bits; None if they have 8.
-
-    An image that is missing or damaged is left to the reading of its frame.
-    """
-    images = []
-    for file in files:
-        try:
-            images.append(read_gray_of_any_depth(file))
-        except InputError:
-            continue
-    if not images or any(image.dtype != np.uint16 for image in images):
-        return None
-    return GrayRange.of(images)
 
 
 def _cameras(path: Path, calibration: Path | None, first_image: Path) -> _Cameras:

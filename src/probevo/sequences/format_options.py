@@ -16,6 +16,11 @@ PAIR_TOLERANCE_MS = 2.0
 vehicle drives 2 cm in this time."""
 
 
+SIMULATED_RATE_HZ = 10.0
+"""Of rendered data sets whose files have no times: TartanAir 2 was sampled at this rate, and the
+drives that Virtual KITTI imitates were recorded at it."""
+
+
 class RosbagOptions(Settings):
     """The options of the format rosbag."""
 
@@ -54,3 +59,9 @@ class FolderOptions(Settings):
     rate_hz: float | None = Field(
         None, gt=0.0, description="Frames a second of a folder without any times: positive."
     )
+
+
+class RateOptions(Settings):
+    """The options of formats whose files have no times."""
+
+    rate_hz: float | None = Field(None, gt=0.0, description="Frames a second: positive.")

@@ -15,7 +15,7 @@ import numpy as np
 from probevo.arrays import AnyArray, Image
 from probevo.errors import InputError
 from probevo.files import check_regular
-from probevo.sequences.gray_range import GrayRange
+from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
 from probevo.sequences.image_files import check_complete
 from probevo.sequences.png import PNG_MAGIC, DamagedError, chunks_of, plain_grey
 
@@ -115,6 +115,22 @@ def read_gray_of_any_depth(path: Path) -> AnyArray:
         InputError: the image is missing, not a regular file, or damaged.
     """
     return decode_gray(_read_bytes(path), path)
+
+
+def range_of_files(left_files: list[Path], right_files: list[Path]) -> GrayRange | None:
+    """Return the range of the first images of a recording; None if they have 8 bits.
+
+    An image that is missing or damaged is left to the reading of its frame.
+    """
+    images = []
+    for file in [*left_files[:NUM_FIRST_FRAMES], *right_files[:NUM_FIRST_FRAMES]]:
+        try:
+            images.append(read_gray_of_any_depth(file))
+        except InputError:
+            continue
+    if not images or any(image.dtype != np.uint16 for image in images):
+        return None
+    return GrayRange.of(images)
 
 
 def decode_gray(data: bytes, where: str | Path, size_px: tuple[int, int] | None = None) -> AnyArray:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from probevo.errors import InputError, brief
-from probevo.sequences.format_options import FolderOptions, RosbagOptions
+from probevo.sequences.format_options import FolderOptions, RateOptions, RosbagOptions
 from probevo.settings import Settings
 
 if TYPE_CHECKING:
@@ -120,6 +120,30 @@ def _open_euroc(path: Path) -> Sequence:
     return open_euroc(path)
 
 
+def _open_tum_vi(path: Path) -> Sequence:
+    from probevo.sequences.tum_vi import open_tum_vi
+
+    return open_tum_vi(path)
+
+
+def _open_four_seasons(path: Path) -> Sequence:
+    from probevo.sequences.four_seasons import open_four_seasons
+
+    return open_four_seasons(path)
+
+
+def _open_tartan_air(path: Path, **options: Any) -> Sequence:
+    from probevo.sequences.tartan_air import open_tartan_air
+
+    return open_tartan_air(path, **options)
+
+
+def _open_virtual_kitti(path: Path, **options: Any) -> Sequence:
+    from probevo.sequences.virtual_kitti import open_virtual_kitti
+
+    return open_virtual_kitti(path, **options)
+
+
 def _open_folder(path: Path, **options: Any) -> Sequence:
     from probevo.sequences.folder import open_folder
 
@@ -151,11 +175,37 @@ _BUILT_IN = (
         folder_signs=("image_0",),
         open=_open_kitti_odometry,
     ),
+    SequenceFormat(  # before euroc, whose sign it has, too
+        name="tum-vi",
+        summary="TUM-VI in its exported EuRoC layout, rectified on the fly",
+        folder_signs=("dso/camchain.yaml",),
+        open=_open_tum_vi,
+    ),
     SequenceFormat(
         name="euroc",
         summary="EuRoC MAV data in the ASL layout, rectified on the fly",
         folder_signs=("mav0", "cam0"),
         open=_open_euroc,
+    ),
+    SequenceFormat(
+        name="4seasons",
+        summary="a recording of 4Seasons with its undistorted images",
+        folder_signs=("undistorted_images", "distorted_images"),
+        open=_open_four_seasons,
+    ),
+    SequenceFormat(
+        name="tartanair",
+        summary="a trajectory of TartanAir, version 1 or 2",
+        folder_signs=("image_left", "image_lcam_front"),
+        open=_open_tartan_air,
+        options=RateOptions,
+    ),
+    SequenceFormat(
+        name="vkitti2",
+        summary="a variation of a scene of Virtual KITTI 2",
+        folder_signs=("frames/rgb/Camera_0",),
+        open=_open_virtual_kitti,
+        options=RateOptions,
     ),
     SequenceFormat(
         name="folder",

@@ -85,6 +85,11 @@ def stamps_of_names(files: list[Path]) -> IntArray | None:
     return np.array([int(number["whole"]) * unit_ns for number in found], dtype=np.int64)
 
 
+def evenly_spaced(count: int, rate_hz: float) -> IntArray:
+    """Return the times of frames that are equally spaced, from zero, [count], ns."""
+    return np.round(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+
+
 def check_stamps(stamps_ns: IntArray, where: str | Path, count: int | None = None) -> IntArray:
     """Return the stamps, [K], unchanged if they ascend strictly and there are ``count`` of them.
 
