@@ -121,8 +121,8 @@ def drive(
     points: int = 150,
     sigma_px: float = 0.2,
 ) -> list[Frame]:
-    """Return the features of a drive whose every step is the same motion: a circle, or rather a
-    screw.
+    """Return the features of a drive whose every step is the same motion, a circle, or rather a
+    screw; or whose motions are given, [frames, 4, 4].
 
     A point is followed until it leaves the image or comes nearer than 3 m; a new one, 5 to 60 m
     away, takes its place.
@@ -132,7 +132,8 @@ def drive(
     next_id = 0
     sequence = []
     for index in range(frames):
-        points_m = se3.transform(T_curr_prev, CAMERA.triangulate(pixels))
+        motion = T_curr_prev if T_curr_prev.ndim == 2 else T_curr_prev[index]
+        points_m = se3.transform(motion, CAMERA.triangulate(pixels))
         ahead = points_m[:, 2] > 3.0
         pixels = CAMERA.project(points_m[ahead])
         ids = ids[ahead]

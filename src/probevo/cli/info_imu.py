@@ -14,8 +14,8 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.motion_estimate import Status
+from probevo.evaluation.gyro_check import integrated_rotations
 from probevo.geometry import so3
-from probevo.measurements.gyro import integrate_gyro
 from probevo.odometry import StereoOdometry
 from probevo.sequences.validation import LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S
 
@@ -79,13 +79,7 @@ class ImageRotations:
         Returns:
             Rotation vectors, [K, 3], camera frame; NaN for steps that the samples do not cover.
         """
-        rotation_rad = np.full(self.rotation_rad.shape, np.nan)
-        shifted_ns = self.between_ns - round(1e9 * lag_s)
-        for k, (start_ns, end_ns) in enumerate(shifted_ns.tolist()):
-            samples = stream.between(start_ns, end_ns)
-            if samples is not None:
-                gyro = integrate_gyro(samples, start_ns, end_ns, calibration=calibration)
-                rotation_rad[k] = so3.log(gyro.C_curr_prev)
+        rotation_rad = integrated_rotations(self.between_ns, stream, calibration, lag_s)
 
         # Estimate the bias as a median, as some steps may be wrong, and limit its size.
         covered = np.isfinite(rotation_rad).all(axis=1)

@@ -24,6 +24,7 @@ COMMANDS = {
     "inspect": "probevo.cli.inspect",
     "eval": "probevo.cli.eval",
     "info": "probevo.cli.info",
+    "calibrate-check": "probevo.cli.calibrate_check",
     "convert": "probevo.cli.convert",
     "simulate": "probevo_sim.command",
     "paper": "probevo_paper.command",
@@ -47,6 +48,8 @@ and estimates the covariance of each step.
       compare a run, or a trajectory file, with true poses
   probevo info SEQUENCE
       describe a recording, check its calibration, and tell what will be used
+  probevo calibrate-check SEQUENCE
+      say what a recording itself tells of its calibration, with the cure
   probevo convert SEQUENCE --out PATH
       write a recording as a folder of images or as a bag, or a run as a bag of its odometry
   probevo simulate WORLD --out DIR

@@ -1,0 +1,215 @@
+"""``probevo calibrate-check``: what a recording itself says of its calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import tyro
+
+from probevo.cli.arguments import checked, parse
+from probevo.cli.text import table
+from probevo.errors import InputError
+from probevo.run_config import ReadSettings
+
+if TYPE_CHECKING:
+    from probevo.arrays import FloatArray, IntArray
+    from probevo.camera.rig_calibration import RigCalibration
+    from probevo.camera.stereo import StereoCamera
+    from probevo.evaluation.calibration_quantities import Quantity
+    from probevo.evaluation.row_check import RowSamples
+    from probevo.sequences import Sequence
+
+MOST_FRAMES = 300
+FEWEST_FRAMES = 12
+FALSE_ALARMS = 0.01
+"""Share of flawless recordings of which any quantity is marked."""
+
+
+@dataclass(frozen=True)
+class CalibrateCheckArguments:
+    """Says what a recording itself tells of its calibration: of rows and disparity of the rectified
+    pair, of the delay of its right image, of the scale if the truth is known, and of the IMU.
+
+    Each quantity is zero for a flawless calibration, and comes with its standard deviation σ and
+    z, its distance from zero in σ. Lines that start with ! are further from zero than chance would
+    have it (once in a hundred flawless recordings); below the table stands how to mend them.
+    """
+
+    sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
+    """Folder of the recording, a bag, or a tracks file (.npz)."""
+    max_frames: int = MOST_FRAMES
+    """Frames that are looked at, from the start."""
+    settings: Annotated[ReadSettings, tyro.conf.arg(name="")] = field(default_factory=ReadSettings)
+
+
+def main(words: list[str]) -> None:
+    """Parse the arguments, open the recording, and print what it says of its calibration."""
+    arguments = parse(CalibrateCheckArguments, words, "calibrate-check")
+    settings = checked(arguments.settings)
+    if arguments.max_frames < FEWEST_FRAMES:
+        what = f"is {arguments.max_frames}."
+        raise InputError("--max-frames", what, f"It must be at least {FEWEST_FRAMES}.")
+    from probevo.sequences import open_sequence
+
+    sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
+    print("\n".join(report(sequence, arguments.max_frames)), flush=True)
+
+
+def report(sequence: Sequence, max_frames: int) -> list[str]:
+    """Return the lines of the report.
+
+    Raises:
+        InputError: the recording is too short or too poor in features to say anything, or faulty.
+    """
+    from probevo.evaluation.calibration_quantities import (
+        SELF_CALIBRATED,
+        gravity_quantity,
+        gyro_quantities,
+        rig_quantities,
+        row_quantities,
+        scale_quantity,
+    )
+
+    seen = _look(sequence, max_frames)
+    camera = sequence.camera
+    quantities = row_quantities(seen.rows, camera) + rig_quantities(seen.rig, camera)
+    num_frames = len(seen.T_world_cam)
+    lines = [f"recording: {sequence.path}, {num_frames} frames, {len(seen.rotation_rad)} solved"]
+    notes = []
+    if sequence.truth is None:
+        notes.append("Scale: no true poses, so that nothing tells it.")
+    else:
+        known = sequence.truth.T_world_cam[: len(seen.T_world_cam)]
+        found = scale_quantity(seen.T_world_cam, known)
+        quantities += [found] if found else []
+    stream = getattr(sequence, "imu_stream", None)
+    if sequence.imu is None or stream is None:
+        notes.append("IMU: none whose samples are read at their own rate.")
+    else:
+        gyro, C_cam_imu = gyro_quantities(
+            seen.between_ns, seen.rotation_rad, stream, calibration=sequence.imu
+        )
+        quantities += gyro
+        gravity = gravity_quantity(stream, sequence.imu)
+        quantities += [gravity] if gravity else []
+        if not gyro:
+            notes.append("IMU: its samples cover too few solved steps.")
+        elif any(_is_marked(quantity, len(quantities)) for quantity in gyro[:3]):
+            matrix = "; ".join(" ".join(f"{value:+.6f}" for value in row) for row in C_cam_imu)
+            notes.append(f"The rotation in T_cam_imu that agrees with the images: {matrix}.")
+    marked = [quantity for quantity in quantities if _is_marked(quantity, len(quantities))]
+    cells = [quantity.texts(is_marked=quantity in marked) for quantity in quantities]
+    lines += ["", *table(("quantity", "value", "σ", "unit", "z"), cells).splitlines(), ""]
+    lines += [f"! {quantity.name}: {quantity.cure}" for quantity in marked]
+    if any(quantity.name.startswith(("rows", "disparity")) for quantity in marked):
+        lines.append(SELF_CALIBRATED)
+    if not marked:
+        lines.append("Nothing is further from zero than chance would have it.")
+    return lines + notes
+
+
+def _is_marked(quantity: Quantity, count: int) -> bool:
+    """Tell whether a quantity is further from zero than chance has any of so many."""
+    return quantity.p_value < FALSE_ALARMS / count
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What an odometry without the IMU made of a recording of N frames, K of them solved."""
+
+    rows: list[RowSamples]
+    """The stereo matches of each frame with a solved step before and after it."""
+    rig: RigCalibration
+    """Its self-calibration at the end."""
+    T_world_cam: FloatArray
+    """Poses, [N, 4, 4], m."""
+    between_ns: IntArray
+    """Stamps of the two frames of each solved step, [K, 2]."""
+    rotation_rad: FloatArray
+    """Their rotations Log(C_curr_prev), [K, 3], camera frame."""
+
+
+def _look(sequence: Sequence, max_frames: int) -> _Seen:
+    """Run an odometry without the IMU, and keep what it saw.
+
+    Raises:
+        InputError: left and right are swapped, or too few steps are solved.
+    """
+    import numpy as np
+
+    from probevo.camera.rig_calibration import RigCalibration, row_basis
+    from probevo.estimation.motion_estimate import Status
+    from probevo.geometry import se3, so3
+    from probevo.odometry import StereoOdometry
+    from probevo.tracking.left_right import FRAMES_TO_SEE, check_left_right, count_matches
+
+    odometry = StereoOdometry(sequence.camera)
+    camera = sequence.camera
+    motions = []
+    matches = np.zeros(2, int)
+    steps: list[_Step] = []
+    prev_ns = 0
+    for frame in islice(sequence, max_frames):
+        motion = odometry.step(frame)
+        motions.append(motion.T_curr_prev)
+        tracks = odometry.tracks
+        if len(motions) <= FRAMES_TO_SEE + 1:
+            matches += count_matches(tracks)
+            if len(motions) == FRAMES_TO_SEE + 1:
+                num_positive, num_negative = matches.tolist()
+                check_left_right(num_positive, num_negative, sequence.path)
+        if motion.status is Status.OK and odometry.rig is not None:
+            used = tracks.curr_px[odometry.used]
+            raw = used.copy()
+            # The step has corrected the right rows by the estimate that it then kept.
+            raw[:, 3] += row_basis(used, camera) @ odometry.rig.rows
+            rotation_rad = so3.log(motion.T_curr_prev[:3, :3])
+            steps.append(_Step(raw, used, rotation_rad, between_ns=(prev_ns, frame.stamp_ns)))
+        prev_ns = frame.stamp_ns
+    rows = _row_samples(steps, camera)
+    if len(rows) < FEWEST_FRAMES - 2:
+        what = f"only {len(steps)} of its first {len(motions)} frames have a motion that is solved."
+        cure = "`probevo info` says whether the images are rectified, sharp and textured."
+        raise InputError(sequence.path, what, cure)
+    return _Seen(
+        rows=rows,
+        rig=odometry.rig or RigCalibration.initial(),
+        T_world_cam=se3.chain_motions(motions[1:]),
+        between_ns=np.array([step.between_ns for step in steps], np.int64),
+        rotation_rad=np.array([step.rotation_rad for step in steps]),
+    )
+
+
+class _Step(NamedTuple):
+    """A step that was solved."""
+
+    raw_px: FloatArray
+    """Observations in its current frame as matched, [N, 4], px."""
+    corrected_px: FloatArray
+    """The same, corrected by the rig's calibration."""
+    rotation_rad: FloatArray
+    """Log(C_curr_prev), [3], camera frame."""
+    between_ns: tuple[int, int]
+    """Stamps of its two frames."""
+
+    @property
+    def rate_rad_s(self) -> FloatArray:
+        """Rotation per second, [3]."""
+        start_ns, end_ns = self.between_ns
+        return self.rotation_rad / (1e-9 * (end_ns - start_ns))
+
+
+def _row_samples(steps: list[_Step], camera: StereoCamera) -> list[RowSamples]:
+    """Return the matches of each frame with a solved step before and after it."""
+    from probevo.evaluation.row_check import RowSamples
+
+    return [
+        RowSamples.of(
+            step.raw_px, step.corrected_px, 0.5 * (step.rate_rad_s + after.rate_rad_s), camera
+        )
+        for step, after in pairwise(steps)
+        if step.between_ns[1] == after.between_ns[0]
+    ]

@@ -1,0 +1,236 @@
+"""Quantities that show a calibration's errors, each with its standard deviation and its cure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.stereo import StereoCamera
+from probevo.evaluation.clustered_regression import two_sided_p
+from probevo.evaluation.gyro_check import LAG, MOUNTING, SCALE, check_gyro
+from probevo.evaluation.row_check import DELAY, RowSamples, check_rows
+from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu_calibration import ImuCalibration
+
+GRAVITY_M_S2 = 9.81
+GRAVITY_SIGMA_M_S2 = 0.02
+"""Gravity is 9.78 m/s² at the equator and 9.83 at the poles."""
+SELF_CALIBRATED = (
+    "Rows and disparity: the odometry corrects these errors by itself, as far as they are smooth"
+    " over the image. Calibrate anew where one exceeds a pixel, with the board in the corners, too."
+)
+FEWEST_BLOCKS = 5
+"""Stretches of the path that a scatter is taken from."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity that is zero for a flawless calibration."""
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
+    p_value: float
+    """Probability of a value at least as far from zero, if the truth is zero."""
+    cure: str
+    """What it means, and how to mend it."""
+
+    def texts(self, *, is_marked: bool) -> tuple[str, ...]:
+        """Return name, value, σ, unit and z, as text."""
+        name = f"! {self.name}" if is_marked else f"  {self.name}"
+        z = self.value / self.sigma
+        return (name, f"{self.value:+.3g}", f"{self.sigma:.2g}", self.unit, f"{z:+.1f}")
+
+
+def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quantity]:
+    """Describe v_r − v_l at the edges of the image, and the delay of the right image."""
+    found = check_rows(frames, camera)
+    x_edge, y_edge = _edges(camera, frames)
+    pitch = float(np.rad2deg(found.values[0] / camera.fv_px))
+    roll = float(np.rad2deg(found.values[1] / camera.fv_px))
+    focal = 100.0 * float(found.values[2] / camera.fv_px)
+    meanings = (
+        ("rows, all", 1.0, f"as of a right camera pitched by {pitch:+.3f}°"),
+        ("rows, at the side", x_edge, f"as of a right camera rolled by {roll:+.3f}°"),
+        (
+            "rows, at the bottom",
+            y_edge,
+            f"as of a focal length that is {focal:+.3f} % longer on the right",
+        ),
+        ("rows, bend across", x_edge**2, "as of a distortion not removed"),
+        ("rows, in the corner", x_edge * y_edge, "as of a right camera turned inwards, or a lens"),
+        ("rows, bend down", y_edge**2, "as of a distortion not removed"),
+    )
+    quantities = []
+    for k, (name, factor, meaning) in enumerate(meanings):
+        value = float(found.values[k]) * factor
+        sigma = float(found.sigma[k]) * factor
+        p_value = found.p_value(value, sigma)
+        quantities.append(Quantity(name, value, sigma, "px", p_value=p_value, cure=f"{meaning}."))
+    delay_ms = 1e3 * float(found.values[DELAY])
+    late = "later" if delay_ms > 0.0 else "earlier"
+    cure = (
+        f"right images are exposed {abs(delay_ms):.2f} ms {late} than left ones. Trigger both"
+        " cameras together; with exposures of different length, align their middles."
+    )
+    sigma_ms = 1e3 * float(found.sigma[DELAY])
+    p_value = found.p_value(delay_ms, sigma_ms)
+    return [
+        *quantities,
+        Quantity("right image is late", delay_ms, sigma_ms, "ms", p_value=p_value, cure=cure),
+    ]
+
+
+def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
+    """Describe the disparity's errors that the odometry's self-calibration has found.
+
+    A constant offset cannot be distinguished from noise, and is not estimated.
+    """
+    width_px = (camera.size_px or (round(2.0 * camera.cu_px), 0))[0]
+    x_edge = max(camera.cu_px, width_px - camera.cu_px) / camera.fu_px
+    sigma = np.sqrt(np.diag(rig.disparity_cov)[1:])
+    quantities = []
+    for k, (name, factor) in enumerate(
+        (("disparity, at the side", x_edge), ("disparity, bend", x_edge**2))
+    ):
+        value = float(rig.disparity[k]) * factor
+        spread = float(sigma[k]) * factor
+        cure = "points at the sides seem too near or too far, as of a distortion not removed."
+        p_value = two_sided_p(value / spread, np.inf)
+        quantities.append(Quantity(name, value, spread, "px", p_value=p_value, cure=cure))
+    return quantities
+
+
+def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Quantity | None:
+    """Compare distances with those of the truth, over stretches of √N frames.
+
+    Args:
+        T_world_cam: poses, [N, 4, 4], m.
+        T_world_cam_true: true ones, [N, 4, 4], m; NaN where unknown.
+
+    Returns:
+        None if too few stretches have a truth at both ends, or the camera rests.
+    """
+    ends = np.arange(0, len(T_world_cam), max(int(np.sqrt(len(T_world_cam))), 1))
+    distances = [
+        np.linalg.norm(np.diff(T[ends, :3, 3], axis=0), axis=1)
+        for T in (T_world_cam, T_world_cam_true)
+    ]
+    known = np.isfinite(distances[1])
+    estimated = distances[0][known]
+    true = distances[1][known]
+    if len(true) < FEWEST_BLOCKS or not true.sum() > 0.0:
+        return None
+    ratio = float(estimated.sum() / true.sum())
+    count = len(true)
+    # Standard deviation of a ratio of sums, by the scatter of what each stretch adds to it.
+    scatter = float(np.sum((estimated - ratio * true) ** 2)) * count / (count - 1)
+    sigma = max(np.sqrt(scatter) / float(true.sum()), 1e-12)
+    cure = (
+        f"distances are {ratio:.4f} of the true ones. If the truth is right, divide baseline_m by"
+        f" {ratio:.4f}; a focal length that is too long makes distances ahead too long, too."
+    )
+    return Quantity(
+        "scale against the truth",
+        100.0 * (ratio - 1.0),
+        100.0 * sigma,
+        "%",
+        p_value=two_sided_p((ratio - 1.0) / sigma, count - 1),
+        cure=cure,
+    )
+
+
+def gyro_quantities(
+    between_ns: IntArray,
+    rotation_rad: FloatArray,
+    stream: ImuStream,
+    *,
+    calibration: ImuCalibration,
+) -> tuple[list[Quantity], FloatArray]:
+    """Describe mounting, unit and clock of the gyro.
+
+    Args:
+        between_ns: stamps of the two frames of K steps, [K, 2].
+        rotation_rad: their rotations by the images, [K, 3], camera frame.
+        stream: the samples of the IMU.
+        calibration: the calibration of the IMU.
+
+    Returns:
+        The quantities, none if the samples cover too few steps, and the rotation of the IMU to the
+        camera that agrees with the images, [3, 3].
+    """
+    found = check_gyro(between_ns, rotation_rad, stream, calibration)
+    if found is None:
+        return [], calibration.C_cam_imu
+    regression = found.regression
+    quantities = []
+    for axis, k in zip("xyz", range(*MOUNTING.indices(8)), strict=True):
+        value = float(np.rad2deg(regression.values[k]))
+        sigma = float(np.rad2deg(regression.sigma[k]))
+        cure = (
+            f"the IMU is turned by {value:+.2f}° about the camera's {axis} axis against T_cam_imu."
+            " Write the rotation below instead; its inverse is the usual mistake where it is large."
+        )
+        p_value = regression.p_value(value, sigma)
+        name = f"gyro, mounting about {axis}"
+        quantities.append(Quantity(name, value, sigma, "°", p_value=p_value, cure=cure))
+    scale = float(regression.values[SCALE])
+    factor = 1.0 / (1.0 + scale) if abs(1.0 + scale) > 1e-9 else np.inf
+    cure = f"its rates are {factor:.4g} times those of the images."
+    if 0.7 < factor / np.rad2deg(1.0) < 1.4:
+        cure += " They are in degrees per second: convert them to rad/s."
+    elif factor < 0.0:
+        cure += " Its axes are left-handed, or all signs are inverse: negate the rates."
+    else:
+        cure += " Is the gyro in rad/s, and the focal length in pixels of these images?"
+    sigma = float(np.hypot(regression.sigma[SCALE], found.attenuation * (1.0 + scale)))
+    p_value = regression.p_value(scale, sigma)
+    unit = Quantity("gyro, unit", -100.0 * scale, 100.0 * sigma, "%", p_value=p_value, cure=cure)
+    # The lag is what has to be added to the stamps, and the offset what was taken off them.
+    late_ms = -1e3 * float(regression.values[LAG])
+    sigma_ms = 1e3 * float(regression.sigma[LAG])
+    offset_s = calibration.time_offset_s + 1e-3 * late_ms
+    cure = (
+        f"its stamps are {late_ms:+.1f} ms late against the images'. Set time_offset_s (Kalibr:"
+        f" timeshift_cam_imu) to {offset_s:.4f}."
+    )
+    p_value = regression.p_value(late_ms, sigma_ms)
+    clock = Quantity("IMU's clock is late", late_ms, sigma_ms, "ms", p_value=p_value, cure=cure)
+    return [*quantities, unit, clock], found.C_cam_imu
+
+
+def gravity_quantity(stream: ImuStream, calibration: ImuCalibration) -> Quantity | None:
+    """Compare the mean specific force with gravity; None without an accelerometer.
+
+    A vehicle neither flies away nor falls, so that the mean over a recording is gravity and bias.
+    """
+    force = stream.accel_m_s2[np.isfinite(stream.accel_m_s2).all(axis=1)]
+    if len(force) < FEWEST_BLOCKS:
+        return None
+    length = float(np.linalg.norm(force, axis=1).mean())
+    parts = np.array_split(np.linalg.norm(force, axis=1), FEWEST_BLOCKS)
+    scatter = float(np.std([part.mean() for part in parts], ddof=1)) / np.sqrt(FEWEST_BLOCKS)
+    sigma = float(
+        np.hypot(np.hypot(calibration.accel_bias_sigma_m_s2, GRAVITY_SIGMA_M_S2), scatter)
+    )
+    cure = f"the mean specific force is {length:.3g} m/s² long. "
+    if length < 2.0:
+        cure += "It is in g: multiply by 9.81. Near zero, gravity has been taken off it."
+    else:
+        cure += "Is it in m/s², and is each axis scaled alike?"
+    value = length - GRAVITY_M_S2
+    p_value = two_sided_p(value / sigma, FEWEST_BLOCKS - 1)
+    return Quantity("accelerometer, gravity", value, sigma, "m/s²", p_value=p_value, cure=cure)
+
+
+def _edges(camera: StereoCamera, frames: list[RowSamples]) -> tuple[float, float]:
+    """Return x and y of the farthest edges of the image, or of the matches where it has no size."""
+    pixels = np.concatenate([frame.pixels for frame in frames])
+    width_px, height_px = camera.size_px or (pixels[:, 0].max(), pixels[:, 1].max())
+    x_edge = max(camera.cu_px, width_px - camera.cu_px) / camera.fu_px
+    y_edge = max(camera.cv_px, height_px - camera.cv_px) / camera.fv_px
+    return float(x_edge), float(y_edge)

@@ -1,0 +1,223 @@
+"""What the rotations of the images say of the gyro's calibration.
+
+With φ_k(τ) the gyro's rotation over step k, integrated over the interval shifted by τ, the images
+show φ = s Exp(δ) φ_k(τ) + b Δt + noise: δ turns the mounting, s is the unit, b the bias, τ the lag
+of the stamps. All are estimated at once, by Gauss–Newton from several starts, since the usual
+mistakes (degrees, an inverse mounting, a late clock) lie far from the calibration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray, IntArray
+from probevo.evaluation.clustered_regression import Regression, regress
+from probevo.geometry import so3
+from probevo.measurements.gyro import integrate_gyro
+from probevo.sequences.imu import ImuStream
+from probevo.sequences.imu_calibration import ImuCalibration
+
+MOUNTING = slice(0, 3)
+SCALE = 3
+BIAS = slice(4, 7)
+LAG = 7
+"""Places of δ, s − 1, b and τ among the eight unknowns."""
+MOUNTING_SIGMA_RAD = 1.0
+SCALE_SIGMA = 100.0
+"""Of s: radians taken for degrees are a factor of 57."""
+LAG_SIGMA_S = 0.1
+LAGS_S = np.arange(-0.2, 0.2001, 0.02)
+"""Lags that a start is looked for among."""
+FEWEST_STEPS = 10
+_DIFFERENCE_S = 0.002
+"""Half the step of the central difference by τ."""
+_ITERATIONS = 10
+_CONVERGED = 0.01
+"""Change of an unknown, in standard deviations, below which the iteration ends."""
+_SAME_RAD = 1e-9
+"""Rotations that are shorter than this have no direction."""
+
+
+@dataclass(frozen=True)
+class GyroCheck:
+    """The gyro's calibration as the images see it."""
+
+    regression: Regression
+    """Of (δ, s − 1, b, τ): rad, 1, rad/s, s."""
+    C_cam_imu: FloatArray
+    """Rotation of the IMU to the camera that agrees with the images, [3, 3]."""
+    attenuation: float
+    """Share by which the gyro's own noise makes s too small (regression dilution): its variance
+    over that of its rotations. It matters where the camera hardly turns."""
+
+
+def integrated_rotations(
+    between_ns: IntArray, stream: ImuStream, calibration: ImuCalibration, lag_s: float = 0.0
+) -> FloatArray:
+    """Integrate the gyro over K steps, without any bias.
+
+    Args:
+        between_ns: stamps of the two frames of each step, [K, 2].
+        stream: the samples of the IMU.
+        calibration: the calibration of the IMU.
+        lag_s: time to be added to the stamps of the IMU.
+
+    Returns:
+        Rotation vectors Log(C_curr_prev), [K, 3], camera frame; NaN for steps that the samples do
+        not cover.
+    """
+    rotation_rad = np.full((len(between_ns), 3), np.nan)
+    shifted_ns = between_ns - round(1e9 * lag_s)
+    for k, (start_ns, end_ns) in enumerate(shifted_ns.tolist()):
+        samples = stream.between(start_ns, end_ns)
+        if samples is not None:
+            gyro = integrate_gyro(samples, start_ns, end_ns, calibration=calibration)
+            rotation_rad[k] = so3.log(gyro.C_curr_prev)
+    return rotation_rad
+
+
+def check_gyro(
+    between_ns: IntArray, rotation_rad: FloatArray, stream: ImuStream, calibration: ImuCalibration
+) -> GyroCheck | None:
+    """Estimate mounting, unit, bias and lag of the gyro.
+
+    Args:
+        between_ns: stamps of the two frames of K steps, [K, 2].
+        rotation_rad: their rotations by the images, Log(C_curr_prev), [K, 3], camera frame.
+        stream: the samples of the IMU, on the clock of the images.
+        calibration: the calibration of the IMU.
+
+    Returns:
+        None if the samples cover fewer than ten steps.
+    """
+    problem = _Problem(between_ns, rotation_rad, stream, calibration)
+    by_lag = {float(lag_s): problem.gyro_rotations(float(lag_s)) for lag_s in LAGS_S}
+    if max(int(_covered(gyro_rad).sum()) for gyro_rad in by_lag.values()) < FEWEST_STEPS:
+        return None
+    solutions = [problem.solved(start) for start in problem.starts(by_lag)]
+    found = [solution for solution in solutions if solution is not None]
+    if not found:
+        return None
+    best = min(found, key=lambda regression: regression.cost)
+    turned = so3.exp(best.values[MOUNTING]) @ calibration.C_cam_imu
+    gyro_rad = problem.gyro_rotations(float(np.clip(best.values[LAG], LAGS_S[0], LAGS_S[-1])))
+    covered = _covered(gyro_rad)
+    swing = _without_mean(gyro_rad[covered], problem.duration_s[covered])
+    variance = calibration.gyro_noise_rad_s_sqrt_hz**2 * problem.duration_s[covered]
+    attenuation = float(3.0 * variance.sum() / max(float(np.sum(swing**2)), _SAME_RAD**2))
+    return GyroCheck(regression=best, C_cam_imu=turned, attenuation=min(attenuation, 1.0))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The steps of the images, and the gyro beside them."""
+
+    between_ns: IntArray
+    rotation_rad: FloatArray
+    stream: ImuStream
+    calibration: ImuCalibration
+
+    @property
+    def duration_s(self) -> FloatArray:
+        """Duration of each step, [K, 1]."""
+        return np.asarray(1e-9 * np.diff(self.between_ns, axis=1))
+
+    def gyro_rotations(self, lag_s: float) -> FloatArray:
+        """Integrate the gyro over the steps, [K, 3]; NaN where it does not cover them."""
+        return integrated_rotations(self.between_ns, self.stream, self.calibration, lag_s)
+
+    def starts(self, by_lag: dict[float, FloatArray]) -> list[FloatArray]:
+        """Return values of the eight unknowns to start from.
+
+        They are the calibration as it is; with the unit that makes the rotations as long as those
+        of the images, of either sign; and with the mounting that fits them best (Kabsch), too. Each
+        has the lag that suits it best.
+        """
+        starts = []
+        for sign, with_mounting in ((0.0, False), (1.0, False), (-1.0, False), (1.0, True)):
+            fits = []
+            for lag_s, gyro_rad in by_lag.items():
+                covered = _covered(gyro_rad)
+                if covered.sum() < FEWEST_STEPS:
+                    continue
+                start = np.zeros(8)
+                start[LAG] = lag_s
+                gyro = _without_mean(gyro_rad[covered], self.duration_s[covered])
+                image = _without_mean(self.rotation_rad[covered], self.duration_s[covered])
+                if sign:
+                    lengths = [np.median(np.linalg.norm(each, axis=1)) for each in (image, gyro)]
+                    start[SCALE] = sign * lengths[0] / max(lengths[1], _SAME_RAD) - 1.0
+                if with_mounting:
+                    start[MOUNTING] = so3.log(_kabsch(gyro, image))
+                turned = (1.0 + start[SCALE]) * gyro @ so3.exp(start[MOUNTING]).T
+                fits.append((float(np.median(np.linalg.norm(image - turned, axis=1))), start))
+            starts.append(min(fits, key=lambda fit: fit[0])[1])
+        return starts
+
+    def solved(self, start: FloatArray) -> Regression | None:
+        """Solve by Gauss–Newton; None if the gyro then covers too few steps."""
+        values = start
+        regression = None
+        prior_sigma = np.r_[
+            np.full(3, MOUNTING_SIGMA_RAD),
+            SCALE_SIGMA,
+            np.full(3, max(self.calibration.gyro_bias_sigma_rad_s, 1e-6)),
+            LAG_SIGMA_S,
+        ]
+        for _ in range(_ITERATIONS):
+            lag_s = float(np.clip(values[LAG], LAGS_S[0], LAGS_S[-1]))
+            before = self.gyro_rotations(lag_s - _DIFFERENCE_S)
+            after = self.gyro_rotations(lag_s + _DIFFERENCE_S)
+            covered = _covered(before) & _covered(after)
+            if covered.sum() < FEWEST_STEPS:
+                return None
+            gyro = 0.5 * (before + after)[covered]
+            factor = 1.0 + values[SCALE]
+            directed = gyro @ so3.exp(values[MOUNTING]).T
+            turned = factor * directed
+            speed = (after - before)[covered] / (2.0 * _DIFFERENCE_S)
+            # Exp(δ + dδ) = Exp(J_l dδ) Exp(δ), and Exp(ε) φ ≈ φ − φ^ ε.
+            by_mounting = -so3.wedge(turned) @ so3.left_jacobian(values[MOUNTING])
+            design = np.concatenate(
+                [
+                    by_mounting,
+                    directed[:, :, None],
+                    self.duration_s[covered][:, :, None] * np.eye(3),
+                    factor * (speed @ so3.exp(values[MOUNTING]).T)[:, :, None],
+                ],
+                axis=2,
+            )
+            about = values.copy()
+            about[LAG] = lag_s
+            predicted = turned + self.duration_s[covered] * values[BIAS]
+            target = self.rotation_rad[covered] - predicted + design @ about
+            regression = regress(
+                design.reshape(-1, 8),
+                target.ravel(),
+                np.repeat(np.flatnonzero(covered), 3),
+                prior_sigma=prior_sigma,
+            )
+            change = np.abs(regression.values - values) / regression.sigma
+            values = regression.values
+            if change.max() < _CONVERGED:
+                break
+        return regression
+
+
+def _covered(rotation_rad: FloatArray) -> np.ndarray:
+    """Tell which of the rotations, [K, 3], are known."""
+    return np.asarray(np.isfinite(rotation_rad).all(axis=1))
+
+
+def _without_mean(rotation_rad: FloatArray, duration_s: FloatArray) -> FloatArray:
+    """Take the median rate off rotations, [K, 3], and with it the bias."""
+    return np.asarray(rotation_rad - duration_s * np.median(rotation_rad / duration_s, axis=0))
+
+
+def _kabsch(source: FloatArray, target: FloatArray) -> FloatArray:
+    """Find the rotation that takes vectors, [K, 3], to others best in the least-squares sense."""
+    U, _, Vt = np.linalg.svd(target.T @ source)
+    U[:, 2] *= np.linalg.det(U @ Vt)
+    return np.asarray(U @ Vt)

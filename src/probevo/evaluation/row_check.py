@@ -1,0 +1,76 @@
+"""What stereo matches say of the rows of a rectified pair, and of the delay of its right image.
+
+A flawless pair shows a point in the same row of both images. A right image that is exposed δ later
+shows it δ v̇ farther down, v̇ being the speed of its row:
+
+    v_r − v_l = a·(1, x, y, x², xy, y²) + δ v̇
+
+Only the part of v̇ that the camera's rotation makes is taken: a car that nods moves all rows up and
+down. What its way ahead makes grows with y in every frame alike, as errors of a lens do. And the
+speed is that which the motion of all points predicts, so that the noise of the match does not enter
+both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.rig_calibration import ROW_SIGMA_PX, row_basis
+from probevo.camera.stereo import StereoCamera
+from probevo.camera.transfer import transfer
+from probevo.evaluation.clustered_regression import Regression, regress
+from probevo.geometry import se3, so3
+
+DELAY_SIGMA_S = 0.1
+"""Prior standard deviation of δ: a frame of a camera at ten frames a second."""
+_MOMENT_S = 1e-3
+"""Duration over which a speed is taken."""
+DELAY = 6
+"""Index of δ among the coefficients; before it are those of ``row_basis``."""
+
+
+@dataclass(frozen=True)
+class RowSamples:
+    """The stereo matches of one frame, N of them."""
+
+    pixels: FloatArray
+    """(u_l, v_l, u_r, v_r) as matched, without any correction, [N, 4], px."""
+    row_speed_px_s: FloatArray
+    """Speed of each point's row in the left image by the camera's rotation, [N]."""
+
+    @staticmethod
+    def of(
+        raw_px: FloatArray, corrected_px: FloatArray, rate_rad_s: FloatArray, camera: StereoCamera
+    ) -> RowSamples:
+        """Predict the speeds from the camera's rotation.
+
+        Args:
+            raw_px: observations in a frame, [N, 4], px.
+            corrected_px: the same, corrected by the rig's calibration, [N, 4], px.
+            rate_rad_s: Log(C_curr_prev) per second at the time of the frame, [3], camera frame: the
+                mean of the steps before and after it.
+            camera: the rectified camera.
+        """
+        # Where the points were a moment ago.
+        back = so3.exp(-_MOMENT_S * rate_rad_s)
+        before = transfer(corrected_px, se3.from_parts(back, np.zeros(3)), camera)
+        row = 0.5 * (corrected_px[:, 1] + corrected_px[:, 3])
+        speed = (row - before.pixels[:, 1]) / _MOMENT_S
+        known = np.isfinite(speed)
+        return RowSamples(raw_px[known], speed[known])
+
+
+def check_rows(frames: list[RowSamples], camera: StereoCamera) -> Regression:
+    """Estimate a₀ … a₅, px, and δ, s, of the matches of some frames."""
+    pixels = np.concatenate([frame.pixels for frame in frames])
+    speed = np.concatenate([frame.row_speed_px_s for frame in frames])
+    number = np.repeat(np.arange(len(frames)), [len(frame.pixels) for frame in frames])
+    return regress(
+        np.column_stack([row_basis(pixels, camera), speed]),
+        pixels[:, 3] - pixels[:, 1],
+        number,
+        prior_sigma=np.r_[10.0 * ROW_SIGMA_PX, DELAY_SIGMA_S],
+    )
