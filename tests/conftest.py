@@ -1,6 +1,7 @@
 """Fixtures for all tests."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,3 +14,12 @@ def data_root() -> Path:
     if not root.is_dir():
         pytest.skip(f"no real recordings at {root}: set PROBEVO_DATA to their folder")
     return root
+
+
+@pytest.fixture
+def undrawn() -> Iterator[None]:
+    """Leave the figures of all pages empty, for a test that does not look at them."""
+    from output.undrawn import figures_undrawn
+
+    with figures_undrawn():
+        yield

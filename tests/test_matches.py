@@ -166,6 +166,7 @@ def test_reprs_are_short(tmp_path: Path) -> None:
     assert "wall: 4 frames, 320×160 px, baseline 0.3 m, with truth>" in repr(sequence)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_as_a_data_frame_and_in_a_notebook(tmp_path: Path) -> None:
     pd = pytest.importorskip("pandas")
     from cli.rendering import write_wall

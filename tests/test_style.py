@@ -9,6 +9,7 @@ import ast
 import re
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 from pathlib import Path
@@ -76,6 +77,12 @@ def places(pattern: str) -> list[str]:
     return found
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    """The syntax tree of a file."""
+    return ast.parse(path.read_text("utf-8"))
+
+
 def names(tree: ast.Module) -> Iterator[tuple[str, int]]:
     """Every name that a file uses or makes, with its line."""
     for node in ast.walk(tree):
@@ -102,7 +109,7 @@ def unit_of(module: str) -> str:
 
 def imported(path: Path) -> Iterator[str]:
     """The modules of this repository that a file imports, those for type checking included."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(parsed(path)):
         targets: list[str] = []
         if isinstance(node, ast.Import):
             targets = [alias.name for alias in node.names]
@@ -116,6 +123,7 @@ def imported(path: Path) -> Iterator[str]:
         yield from (target for target in targets if target in MODULES)
 
 
+@cache
 def imports_by_unit() -> dict[str, dict[str, list[str]]]:
     """Unit → the units it imports → the imports, as text."""
     graph: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
@@ -123,7 +131,7 @@ def imports_by_unit() -> dict[str, dict[str, list[str]]]:
         for target in imported(path):
             if unit_of(target) != unit_of(module):
                 graph[unit_of(module)][unit_of(target)].append(f"{module} imports {target}")
-    return graph
+    return {unit: dict(others) for unit, others in graph.items()}
 
 
 def test_density() -> None:
@@ -143,7 +151,7 @@ def test_no_name_holds_a_private_word(word: str) -> None:
     found = [
         f"{path.relative_to(SRC)}:{line}: {name}"
         for path in FILES
-        for name, line in names(ast.parse(path.read_text("utf-8")))
+        for name, line in names(parsed(path))
         if word in name.lower().split("_")
     ]
     assert not found, "\n".join([f"say: {NAME_WORDS[word]}", *found])

@@ -8,6 +8,11 @@ from cli.rendering import write_wall
 from probevo.cli.main import main
 
 
+@pytest.fixture(autouse=True)
+def no_figures(undrawn: None) -> None:
+    """Draw figures in the fixtures of a session or module only, as in ``wall_run``."""
+
+
 @pytest.fixture(scope="session")
 def wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The recording; copy it to change it."""

@@ -88,7 +88,7 @@ def traces(folder: Path) -> list[str]:
     ("text", "words"),
     [
         (COMMAND, ["run", "drive.npz", "--out", "out"]),
-        (COMMAND, [*TRAIN, "--jobs", "2"]),
+        (COMMAND, TRAIN),
         (COMMAND, ["compare", "drive.npz", "--noise", "fixed", "--out", "out"]),
         (COMMAND, ["inspect", "drive.npz", "--out", "out"]),
         (COMMAND, ["eval", "path.tum", "--gt", "path.tum"]),

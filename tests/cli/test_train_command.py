@@ -1,14 +1,13 @@
 """``probevo train``: from a simulated recording to motions with the model, its refusals, and what
 survives a kill."""
 
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cli.processes import started
 from probevo.cli import train as command
 from probevo.cli.main import main
 from probevo.cli.train_summary import summary
@@ -412,12 +411,11 @@ def test_killed_four_times_and_resumed_it_gives_the_same_bytes(tmp_path: Path) -
         "place",
         "row_offset",
     ]
-    words += ["--iterations", "120", "--neighbors", "50", "--exponent", "2"]
+    words += ["--iterations", "30", "--neighbors", "50", "--exponent", "2"]
     whole = tmp_path / "whole.safetensors"
     out = tmp_path / "killed.safetensors"
-    assert (
-        main(["train", *words, "--out", str(whole)]) == 0
-    )  # compiles too, if that has not been done yet
+    # This compiles, too, if that has not been done yet.
+    assert main(["train", *words, "--out", str(whole)]) == 0
     training_s = Training(words, out).until_done()
     assert out.read_bytes() == whole.read_bytes()
     out.unlink()
@@ -444,12 +442,9 @@ class Training:
     def __init__(self, words: list[str], out: Path) -> None:
         self.plan = out.with_name(out.name + ".work") / "plan.json"
         before = self.written()
-        command = [sys.executable, "-m", "probevo.cli.main", "train", *words, "--out", str(out)]
-        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        while self.process.poll() is None and self.written() in (
-            before,
-            0,
-        ):  # it writes its plan before all else
+        self.process = started(["train", *words, "--out", str(out)])
+        # It writes its plan before all else.
+        while self.process.is_alive() and self.written() in (before, 0):
             time.sleep(0.002)
         self.begun_s = time.monotonic()
 
@@ -462,15 +457,15 @@ class Training:
 
     def until_done(self) -> float:
         """How long the training took, without the start of Python, s."""
-        assert self.process.wait() == 0
+        self.process.join()
+        assert self.process.exitcode == 0
         return time.monotonic() - self.begun_s
 
     def killed_after(self, delay_s: float) -> bool:
         """Whether it was still at work then."""
-        try:
-            assert self.process.wait(delay_s) == 0
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-            return True
-        return False
+        self.process.join(delay_s)
+        was_at_work = self.process.exitcode is None
+        self.process.kill()
+        self.process.join()
+        assert was_at_work or self.process.exitcode == 0
+        return self.process.exitcode != 0

@@ -9,9 +9,20 @@ import pytest
 
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.geometry import se3
+from probevo.output import svg
 from probevo.output.run_result import RunRecorder, RunResult
 
 STEP_NS = 103_500_000
+
+
+@pytest.fixture(autouse=True)
+def not_laid_out(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out Matplotlib's constrained layout, which is half of the time of a page.
+
+    A test that is marked ``layout`` has it.
+    """
+    if request.node.get_closest_marker("layout") is None:
+        monkeypatch.setitem(svg._STYLE, "figure.constrained_layout.use", False)
 
 
 @pytest.fixture(scope="session")

@@ -93,11 +93,13 @@ def test_at_rest_lengths_are_in_mm(make_run: Callable[..., RunResult], tmp_path:
     assert "distance travelled" not in page
 
 
+@pytest.mark.layout
 def test_long_run_stays_small(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
     run = make_run(5000)
     assert len(page_of(run, tmp_path, run.T_world_cam)) < 3_000_000
 
 
+@pytest.mark.layout
 def test_same_run_gives_the_same_bytes(make_run: Callable[..., RunResult], tmp_path: Path) -> None:
     pages = []
     for name in ("a", "b"):

@@ -190,6 +190,7 @@ def test_sixteen_bits_among_eight_are_refused(tmp_path: Path) -> None:
 # --- a run ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_can_be_repeated_from_its_settings(tmp_path: Path, monkeypatch: Any) -> None:
     """The settings have the calibration by its absolute path, and the rate."""
     write_wall(tmp_path / "wall", 4)

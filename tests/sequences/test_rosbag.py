@@ -104,6 +104,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_wall(tmp_path_factory.mktemp("wall"), 5)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_bag_gives_the_same_motions_as_its_pictures(wall: Path, tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "recorded", "mcap", open_sequence(wall))
     for name, path in (("pictures", wall), ("bag", bag)):
@@ -451,6 +452,7 @@ def test_tumvi_as_a_bag_of_sixteen_bits(data_root: Path, tmp_path: Path) -> None
 
 @pytest.mark.data
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_kitti_as_bags_runs_to_the_same_bytes(data_root: Path, tmp_path: Path) -> None:
     kitti = data_root / "kitti_odometry" / "sequences" / "06"
     sequence = open_sequence(kitti)

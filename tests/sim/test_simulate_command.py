@@ -21,6 +21,7 @@ from sequences.recordings import write_folder_sequence
 SHORT = ["--train-s", "0.5", "--test-s", "2"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_run_follows_a_simulated_drive(tmp_path: Path) -> None:
     """Six metres with each noise model: every step is solved, and the end is known to a tenth of a
     metre."""

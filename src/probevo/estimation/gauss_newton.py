@@ -9,8 +9,14 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled, solve_positive_definite
-from probevo.geometry.se3_numba import perturb
-from probevo.measurements.base import Linearization, Measurement, Values, Variable, blocks_of
+from probevo.measurements.base import (
+    Linearization,
+    Measurement,
+    Values,
+    Variable,
+    blocks_of,
+    retract,
+)
 
 CONVERGED_BELOW = 1e-3
 """The solve has converged once a step is shorter than this many standard deviations."""
@@ -79,7 +85,7 @@ class _Layout:
 
     def moved(self, values: Values, step: FloatArray) -> Values:
         """Move the free variables by their parts of a step."""
-        free = {key: _moved(values[key], step[at]) for key, at in self.blocks.items()}
+        free = {key: retract(values[key], step[at]) for key, at in self.blocks.items()}
         return {**values, **free}
 
 
@@ -161,14 +167,6 @@ def information(
             for columns, own_columns in placement:
                 total[rows, columns] += own[own_rows, own_columns]
     return total
-
-
-def _moved(value: FloatArray, step: FloatArray) -> FloatArray:
-    if value.shape != (4, 4):
-        return value + step
-    moved = np.empty((4, 4))
-    perturb(step, value, moved)
-    return moved
 
 
 @compiled

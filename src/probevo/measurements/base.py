@@ -16,7 +16,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.errors import InputError
-from probevo.geometry import se3
+from probevo.geometry.se3_numba import perturb
 
 ASYMMETRY = 1e-8
 """Share of its largest entry by which a covariance may differ from its transpose, for rounding."""
@@ -63,10 +63,11 @@ def dimension(value: FloatArray) -> int:
 
 def retract(value: FloatArray, step: FloatArray) -> FloatArray:
     """Move a value by a step: Exp(ξ) T for a pose, plain addition for a vector."""
-    if value.shape == (4, 4):
-        moved: FloatArray = se3.exp(step) @ value
-        return moved
-    return value + step
+    if value.shape != (4, 4):
+        return value + step
+    moved = np.empty((4, 4))
+    perturb(step, value, moved)
+    return moved
 
 
 class Linearization(NamedTuple):
