@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check density bench docs-figures fuzz clean
+.PHONY: demo test check density bench docs docs-figures fuzz clean
 
 # Two simulated drives, learn from one, compare the noise models on both.
 demo: $(VENV)/.installed
@@ -23,6 +23,11 @@ density: $(VENV)/.installed
 
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/speed.py
+
+# The documentation as a site, in out/site.
+docs: $(VENV)/.installed
+	$(BIN)/pip install --quiet --editable '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -c docs . out/site
 
 # Every figure of README.md and docs/ once more; takes hours, and some need the real recordings.
 docs-figures: $(VENV)/.installed
