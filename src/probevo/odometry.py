@@ -111,6 +111,7 @@ class StereoOdometry:
                 disparities=state.disparities,
                 measurements=self._of_motion(prediction, measured),
                 curr=pose_of(frame.index),
+                jitter_cov=observed.rig.jitter.cov if observed.rig is not None else None,
             ),
             rng=np.random.default_rng([self.config.seed, frame.index]),
             clock=clock,

@@ -16,17 +16,20 @@ far ones, which mimics b₀ (regression dilution), so that an estimated b₀ run
 The place in the image is known without noise, so b₁ and b₂ do not suffer from that. The uncertainty
 of all three enters the covariance of the motion as a common-mode error.
 
+Errors that are new in each frame are another matter: ``camera.rig_jitter``.
+
 Both are Gaussian estimates that start at zero with the prior below and are updated by recursive
 robust least squares.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.rig_rows_numba import RowOffsetNoise, add_row_equations
 from probevo.camera.stereo import StereoCamera
 
@@ -58,6 +61,8 @@ class RigCalibration:
     """b₁, b₂, [2], px."""
     disparity_information: FloatArray
     """Inverse covariance of the disparity's coefficients, [2, 2], px⁻²."""
+    jitter: RigJitter = field(default_factory=RigJitter.initial)
+    """How far the rig moves from frame to frame."""
 
     @staticmethod
     def initial() -> RigCalibration:

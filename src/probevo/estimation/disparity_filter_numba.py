@@ -19,7 +19,7 @@ class LinearizedFeatures(NamedTuple):
     """N features linearised at a motion, as of ``ReprojectionSolution``."""
 
     jacobian: FloatArray
-    """∂h/∂ξ, [N, 4, 6]."""
+    """∂h/∂(ξ, η), the motion and, if there is one, the rig's jitter, [N, 4, m], m = 6 or 9."""
     disparity_jacobian: FloatArray
     """∂h/∂d, [N, 4]."""
     information: FloatArray
@@ -51,7 +51,7 @@ class PosteriorStates(NamedTuple):
     cov: FloatArray
     """Covariance of each track's own error, [M, 2, 2], px²."""
     sensitivity: FloatArray
-    """How z = (ξ, c) moves them, [M, 2, 12], px."""
+    """How z = (ξ, η, c) moves them, [M, 2, m + 6], px."""
 
 
 @compiled
@@ -64,8 +64,8 @@ def update_states(
 ) -> None:
     """Kalman update of x = (d, δ) of M chosen ones among N tracks with the residuals of a step.
 
-    With z = (ξ, c) the motion's error and the common-mode errors, D = (J, H U), and
-    K = (H P)ᵀ Σ⁻¹ the gain of the residual e, x becomes x + U c + K (e − D z), its own covariance
+    With z = (ξ, η, c) the errors of the motion and of the rig's jitter and the common-mode errors,
+    D = (J, H U), and K = (H P)ᵀ Σ⁻¹ the gain of the residual e, x becomes x + U c + K (e − D z), its own covariance
     P − K H P, and its sensitivity to z is (0, U) − K D. Covariance and sensitivity are in terms of
     the current frame, where d has grown by ∂d'/∂d, and moves with ξ itself.
 
@@ -73,7 +73,7 @@ def update_states(
         chosen: which tracks, [M].
         prior: of the N tracks.
         features: of the N tracks.
-        mean: posterior mean of z, [12].
+        mean: posterior mean of z, [m + 6].
         posterior: filled in.
     """
     x = posterior.mean
@@ -81,22 +81,25 @@ def update_states(
     sensitivity = posterior.sensitivity
     common = prior.common
     gain = np.empty((2, 4))
-    D = np.empty((4, 12))
+    m = features.jacobian.shape[2]
+    D = np.empty((4, m + COMMON))
     for n in range(len(chosen)):
         i = chosen[n]
         x[n, 0] = prior.point[i, 2]
         x[n, 1] = prior.error[i]
         for k in range(6):
-            x[n, 0] += common[i, 0, k] * mean[6 + k]
-            x[n, 1] += common[i, 1, k] * mean[6 + k]
+            x[n, 0] += common[i, 0, k] * mean[m + k]
+            x[n, 1] += common[i, 1, k] * mean[m + k]
         for r in range(4):
             e = features.residuals[i, r]
-            for k in range(6):
+            for k in range(m):
                 D[r, k] = features.jacobian[i, r, k]
-                D[r, 6 + k] = features.disparity_jacobian[i, r] * common[i, 0, k]
+                e -= D[r, k] * mean[k]
+            for k in range(COMMON):
+                D[r, m + k] = features.disparity_jacobian[i, r] * common[i, 0, k]
                 if r == 2:
-                    D[r, 6 + k] -= common[i, 1, k]
-                e -= D[r, k] * mean[k] + D[r, 6 + k] * mean[6 + k]
+                    D[r, m + k] -= common[i, 1, k]
+                e -= D[r, m + k] * mean[m + k]
             for s in range(2):
                 gain[s, r] = 0.0
                 for q in range(4):
@@ -108,14 +111,14 @@ def update_states(
                 cov[n, s, t] = prior.cov[i, 2 + s, 2 + t] * (1.0 + ROUNDING if s == t else 1.0)
                 for r in range(4):
                     cov[n, s, t] -= gain[s, r] * prior.cross_cov[i, r, t]
-            for k in range(12):
-                sensitivity[n, s, k] = common[i, s, k - 6] if k >= 6 else 0.0
+            for k in range(m + COMMON):
+                sensitivity[n, s, k] = common[i, s, k - m] if k >= m else 0.0
                 for r in range(4):
                     sensitivity[n, s, k] -= gain[s, r] * D[r, k]
         cov[n, 0, 0] *= growth * growth
         cov[n, 0, 1] *= growth
         cov[n, 1, 0] *= growth
-        for k in range(12):
+        for k in range(m + COMMON):
             sensitivity[n, 0, k] *= growth
             if k < 6:
                 sensitivity[n, 0, k] += features.jacobian[i, 0, k] - features.jacobian[i, 2, k]
@@ -125,7 +128,7 @@ class CommonModeEquations(NamedTuple):
     """What the common-mode errors add to the normal equations, with M = H U."""
 
     cross: FloatArray
-    """Σ w Jᵀ Σ⁻¹ M, [6, 6]."""
+    """Σ w Jᵀ Σ⁻¹ M, [m, 6]."""
     hessian: FloatArray
     """Σ w Mᵀ Σ⁻¹ M, [6, 6]."""
     gradient: FloatArray
@@ -173,6 +176,7 @@ def common_mode_equations(
         for r in range(4):
             for k in range(6):
                 gradient[k] += white[r, k] * features.residuals[i, r]
-                for j in range(6):
+                for j in range(cross.shape[0]):
                     cross[j, k] += features.jacobian[i, r, j] * white[r, k]
+                for j in range(COMMON):
                     hessian[j, k] += M[r, j] * white[r, k]

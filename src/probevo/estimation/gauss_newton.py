@@ -52,7 +52,8 @@ class _Layout:
     """For each measurement, for each of its free variables: where it lies in the joint vector, and
     where in the measurement's own."""
     is_single: bool
-    """Whether there is one measurement, of one free variable: its normal equations are the sum."""
+    """Whether there is one measurement, of just the free variables: its normal equations are the
+    sum."""
 
     @staticmethod
     def of(
@@ -63,7 +64,7 @@ class _Layout:
         for measurement in measurements:
             own, _ = blocks_of(measurement.variables, values)
             placements.append(tuple((blocks[key], at) for key, at in own.items() if key in blocks))
-        is_single = len(placements) == 1 and len(placements[0]) == len(own) == len(blocks) == 1
+        is_single = len(measurements) == 1 and tuple(free) == measurements[0].variables
         return _Layout(blocks, dof, tuple(placements), is_single)
 
     def add_up(

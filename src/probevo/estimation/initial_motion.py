@@ -35,6 +35,7 @@ def initial_motion(
     gyro: RelativeRotation | None,
     config: OdometryConfig,
     rng: np.random.Generator,
+    right_sigma_px: float = 0.0,
 ) -> Consensus:
     """Find a motion to start from, and which of N tracks to solve with.
 
@@ -45,6 +46,7 @@ def initial_motion(
         gyro: the gyro's rotation, if there is one.
         config: settings of RANSAC and gyro.
         rng: source of the samples.
+        right_sigma_px: as of ``find_consensus``.
 
     Returns:
         The motion, and RANSAC's inliers, or all tracks where the settings say so.
@@ -66,6 +68,7 @@ def initial_motion(
             C_curr_prev=gyro.C_curr_prev if gyro is not None and uses_gyro else None,
             threshold_px=widening * config.ransac.threshold_px,
             confidence=config.ransac.confidence,
+            right_sigma_px=right_sigma_px,
         )
         if are_enough(consensus.inliers, config):
             break

@@ -27,6 +27,10 @@ INLIER_RATIO = 0.5
 """Share of inliers that is assumed, as in PROBE."""
 
 
+COMMON_WITHIN = 3.0
+"""Standard deviations within which an error common to all features is tolerated."""
+
+
 @dataclass(frozen=True)
 class Consensus:
     """The motion that most features agree on."""
@@ -54,6 +58,7 @@ def find_consensus(
     C_curr_prev: FloatArray | None = None,
     threshold_px: float = 2.0,
     confidence: float = 0.99,
+    right_sigma_px: float = 0.0,
 ) -> Consensus:
     """Find the best of the motions of random minimal samples.
 
@@ -73,6 +78,8 @@ def find_consensus(
         confidence: probability that at least one sample of three is free of outliers. As many
             samples of one are drawn with a gyro (PROBE does so too): each carries the depth noise
             of its point, and needs the choice.
+        right_sigma_px: standard deviation of an error that all u_r of the step have in common, as
+            of a rig that flexes; it widens the threshold of u_r, and lowers its weight.
     """
     sample_size = 3 if C_curr_prev is None else 1
     count = len(tracks)
@@ -91,6 +98,7 @@ def find_consensus(
         curr=np.ascontiguousarray(tracks.curr_px),
         camera=Intrinsics.of(camera),
         threshold_px=threshold_px,
+        right_share=threshold_px / math.hypot(threshold_px, COMMON_WITHIN * right_sigma_px),
         free=6 if sample_size == 3 else 3,
     )
     _best_sample(
@@ -112,6 +120,8 @@ class _Problem(NamedTuple):
     """Their observations in the current frame, [N, 4], px."""
     camera: Intrinsics
     threshold_px: float
+    right_share: float
+    """The threshold of u_l and v over that of u_r, 0 to 1."""
     free: int
     """Of ξ = [ρ; φ] the first so many entries are solved for: 6, or 3 to keep the rotation."""
 
@@ -138,6 +148,7 @@ def _best_sample(
     )
     for i in range(3):
         sample.information[:, i, i] = 1.0
+    sample.information[:, 2, 2] = problem.right_share * problem.right_share
     system = NormalEquations(np.empty((6, 6)), np.empty(6), np.empty(size))
     newton = problem.threshold_px < 0.0  # False; as a literal it would compile the loop once more
     lower = np.zeros((6, 6))
@@ -186,7 +197,7 @@ def _truncated_cost(
         if Z > NEAREST:
             e0 = fu * X / Z + cu - curr[n, 0]
             e1 = fv * Y / Z + cv - curr[n, 1]
-            e2 = (fu * X - fb * rho) / Z + cu - curr[n, 2]
+            e2 = problem.right_share * ((fu * X - fb * rho) / Z + cu - curr[n, 2])
             squared = max(e0 * e0, e1 * e1, e2 * e2)
         inliers[n] = squared < limit
         total += min(squared, limit)

@@ -12,8 +12,41 @@ from probevo.arrays import FloatArray
 from probevo.compiled import invert_positive_definite
 from probevo.estimation import gauss_newton
 from probevo.measurements.base import Measurement
+from probevo.measurements.jitter_numba import DOF
 from probevo.measurements.point_priors import PointPrior
-from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.stereo_observations import JitterUnknown, StereoObservations
+
+
+@dataclass(frozen=True)
+class SolvedJitter:
+    """The rig's jitter in the current frame, ω = L η, beside a motion."""
+
+    eta: FloatArray
+    """[3], in standard deviations of its prior."""
+    unknown: JitterUnknown
+    hessian: FloatArray
+    """As of ``ReprojectionSolution``, over (ξ, η), with the prior of η, [9, 9]."""
+    cov: FloatArray
+    """Covariance of (ξ, η), [9, 9]; NaN where the features do not fix all of ξ."""
+
+    @property
+    def mean_rad(self) -> FloatArray:
+        """ω, [3], rad."""
+        mean: FloatArray = self.unknown.root @ self.eta
+        return mean
+
+    @property
+    def cov_rad2(self) -> FloatArray:
+        """Covariance of ω, [3, 3], rad²."""
+        cov: FloatArray = self.unknown.root @ self.cov[6:, 6:] @ self.unknown.root.T
+        return cov
+
+    @property
+    def jacobian(self) -> FloatArray:
+        """How η moves the prediction of each feature, [N, 4, 3], px."""
+        jacobian = np.zeros((len(self.unknown.basis), 4, len(self.eta)))
+        jacobian[:, 2:] = self.unknown.basis
+        return jacobian
 
 
 @dataclass(frozen=True)
@@ -52,6 +85,26 @@ class ReprojectionSolution:
     δ, [N, 4, 2], px²."""
     iterations: int
     converged: bool
+    jitter: SolvedJitter | None = None
+    """The rig's jitter; ``cov`` is marginalised over it, ``hessian`` holds it. None if the noise has
+    none."""
+
+    @property
+    def full_jacobian(self) -> FloatArray:
+        """The Jacobian by the motion and the jitter, [N, 4, 6] or [N, 4, 9]."""
+        if self.jitter is None:
+            return self.jacobian
+        return np.concatenate([self.jacobian, self.jitter.jacobian], axis=2)
+
+    @property
+    def full_hessian(self) -> FloatArray:
+        """The Hessian over motion and jitter, [6, 6] or [9, 9]."""
+        return self.hessian if self.jitter is None else self.jitter.hessian
+
+    @property
+    def full_cov(self) -> FloatArray:
+        """The covariance of motion and jitter, [6, 6] or [9, 9]."""
+        return self.cov if self.jitter is None else self.jitter.cov
 
     def whitened(self, columns: FloatArray) -> FloatArray:
         """Return w Σ⁻¹ times columns of each feature, [N, 4, K], with w the IRLS weight."""
@@ -65,6 +118,8 @@ def solve_reprojection(
     guess: FloatArray,
     others: Sequence[Measurement] = (),
     max_iterations: int = 20,
+    eta: FloatArray | None = None,
+    holds_motion: bool = False,
 ) -> ReprojectionSolution:
     """Find the most likely motion T_curr_prev given N features in two frames.
 
@@ -79,6 +134,8 @@ def solve_reprojection(
             RANSAC.
         others: further measurements of the same pose, such as a gyro's rotation.
         max_iterations: of Levenberg–Marquardt; 0 evaluates the features at the guess.
+        eta: where to start with the rig's jitter, [3], in its standard deviations; 0 by default.
+        holds_motion: solve for the jitter alone.
     """
     curr = observations.poses.curr
     # The world is the previous camera, so that the pose of any other frame than the current one,
@@ -86,16 +143,31 @@ def solve_reprojection(
     held = {variable for other in others for variable in other.variables} - {curr}
     values = {variable: np.eye(4) for variable in held}
     values[curr] = np.array(guess, dtype=np.float64, order="C")
+    free = [] if holds_motion else [curr]
+    unknown = observations.jitter
+    if unknown is not None:
+        values[unknown.variable] = np.zeros(DOF) if eta is None else eta
+        free.append(unknown.variable)
     optimum = gauss_newton.minimize(
-        [observations, *others], values, [curr], max_iterations=max_iterations
+        [observations, *others], values, free, max_iterations=max_iterations if free else 0
     )
     T_curr_prev = optimum.values[curr]
     propagated = cast(StereoObservations, optimum.measurements[0])
-    features = propagated.at(T_curr_prev)
+    features = propagated.at(optimum.values)
     of_others = gauss_newton.information(others, optimum.values, [curr])
+    hessian = features.hessian
+    information = features.information
+    hessian[:6, :6] += of_others
+    information[:6, :6] += of_others
+    cov = inverse_or_nan(information)
+    jitter = None
+    if unknown is not None:
+        jitter = SolvedJitter(
+            eta=optimum.values[unknown.variable], unknown=unknown, hessian=hessian, cov=cov
+        )
     return ReprojectionSolution(
         T_curr_prev=T_curr_prev,
-        cov=inverse_or_nan(features.information + of_others),
+        cov=np.ascontiguousarray(cov[:6, :6]),
         squared=features.squared,
         weight=features.weights.relative,
         irls_weight=features.weights.weight,
@@ -104,11 +176,12 @@ def solve_reprojection(
         residuals=features.jacobians.residual,
         jacobian=features.jacobians.motion,
         disparity_jacobian=features.jacobians.disparity,
-        hessian=features.hessian + of_others,
+        hessian=np.ascontiguousarray(hessian[:6, :6]),
         information=propagated.propagated_noise.information,
         cross_cov=propagated.propagated_noise.cross_cov,
         iterations=optimum.iterations,
         converged=optimum.converged,
+        jitter=jitter,
     )
 
 

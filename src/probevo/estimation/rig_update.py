@@ -3,21 +3,25 @@ the motion."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.rig_calibration import RigCalibration, disparity_basis
+from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation.reprojection import ReprojectionSolution, sum_products
+from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
 from probevo.tracking.tracks import Tracks
 
 
 def update_rig(
     rig: RigCalibration, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
 ) -> tuple[RigCalibration, FloatArray]:
-    """Update the rig's disparity errors, and say how their uncertainty moves the motion.
+    """Update the rig's disparity errors and its jitter, and say how the uncertainty of the former
+    moves the motion.
 
-    With D = ∂e/∂b and J = −∂e/∂ξ, the estimate takes in the part of the residuals that a change of
+    With D = ∂e/∂b and J = −∂e/∂ξ (and −∂e/∂η, where the noise has a jitter), the estimate takes in the part of the residuals that a change of
     b explains, the motion being eliminated from the joint normal equations (Schur complement). The
     solution need not be at the optimum, but must use only what these two frames show: the disparity
     filter was fed with the calibration of its time, and would confirm it.
@@ -38,19 +42,36 @@ def update_rig(
     if not np.isfinite(solution.cov).all():
         return rig, np.zeros((6, 3))
     D = disparity_sensitivity(tracks, solution, camera)
+    jacobian = solution.full_jacobian
     weighted_D = solution.whitened(D)
     weighted_e = solution.whitened(solution.residuals[:, :, None])
-    # Normal equations of (ξ, b): [[H, C], [Cᵀ, B]], with the gradients of both.
-    C = sum_products(solution.jacobian, weighted_D)
+    # Normal equations of (ξ, η, b): [[H, C], [Cᵀ, B]], with the gradients of both.
+    C = sum_products(jacobian, weighted_D)
     B = sum_products(D, weighted_D)
-    motion_gradient = sum_products(solution.jacobian, weighted_e)[:, 0]
+    motion_gradient = sum_products(jacobian, weighted_e)[:, 0]
+    if solution.jitter is not None:
+        motion_gradient[6:] -= solution.jitter.eta
     rig_gradient = -sum_products(D, weighted_e)[:, 0]
     # The Schur complement on b; b₀ is not estimated.
-    gain = np.linalg.solve(solution.hessian, C)
+    gain = np.linalg.solve(solution.full_hessian, C)
     gradient = gain.T @ motion_gradient + rig_gradient
     information = B - C.T @ gain
     updated = rig.with_disparity(information[1:, 1:], gradient[1:])
-    return updated, gain @ np.linalg.cholesky(rig.disparity_cov)
+    if solution.jitter is not None:
+        step = np.linalg.solve(solution.full_hessian, motion_gradient)
+        updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
+    return updated, gain[:6] @ np.linalg.cholesky(rig.disparity_cov)
+
+
+def _updated_jitter(jitter: RigJitter, solved: SolvedJitter, step: FloatArray) -> RigJitter:
+    """Update S with the jitter's change, which is one more Gauss–Newton step [3] away.
+
+    E[ω ωᵀ] is the square of its mean plus its covariance: a step that shows nothing of the jitter
+    leaves S as it is.
+    """
+    root = solved.unknown.root
+    mean = root @ (solved.eta + step)
+    return jitter.with_change(np.outer(mean, mean) + solved.cov_rad2)
 
 
 def disparity_sensitivity(

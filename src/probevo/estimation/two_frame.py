@@ -184,7 +184,7 @@ class TwoFrameEstimator:
         """Evaluate the features at the motion, then update the disparities of the inliers."""
         prior = disparities.of_tracks(tracks)
         observations = self._observations(tracks, noise, prior.states)
-        solution = solve_reprojection(observations, guess=T_curr_prev, max_iterations=0)
+        solution = solve_reprojection(observations, guess=T_curr_prev, holds_motion=True)
         weights = feature_weights(solution, noise.dof, self.config.loss)
         after = DisparityFilter.none()
         if self._method.filters_disparities:
@@ -211,6 +211,8 @@ class TwoFrameEstimator:
         *,
         curr: Variable = MOTION,
     ) -> StereoObservations:
+        if not self._method.filters_disparities:
+            noise = replace(noise, jitter_cov=None)  # an alignment knows of no common error
         return StereoObservations.of(
             tracks.prev_px,
             tracks.curr_px,

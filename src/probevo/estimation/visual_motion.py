@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -102,6 +102,9 @@ class MotionPriors:
     """Measurements of the motion beside the tracks, which enter the solve."""
     curr: Variable = MOTION
     """The pose of the current frame, as these call it."""
+    jitter_cov: FloatArray | None = None
+    """Covariance of the rig's jitter as it is estimated on line, [3, 3], rad²; None for that of the
+    noise model."""
 
 
 class VisualEstimator:
@@ -154,6 +157,7 @@ class VisualEstimator:
             gyro=priors.gyro,
             config=self._config,
             rng=rng,
+            right_sigma_px=self._right_sigma_px(priors.jitter_cov),
         )
         clock.lap("consensus")
         used = consensus.inliers
@@ -163,6 +167,8 @@ class VisualEstimator:
         # The motion of these, each under its own noise.
         inliers = tracks.kept(used)
         noise = self._noise.predict(phi[used])
+        if priors.jitter_cov is not None:
+            noise = replace(noise, jitter_cov=priors.jitter_cov)
         estimate = self._estimator.estimate(
             inliers,
             noise,
@@ -183,7 +189,10 @@ class VisualEstimator:
                 loss=RobustLoss.named(self._config.solver.loss),
             )
             two_frames_only = solve_reprojection(
-                observations, guess=solution.T_curr_prev, max_iterations=0
+                observations,
+                guess=solution.T_curr_prev,
+                eta=_change_of_jitter(solution, observations, priors.disparities),
+                max_iterations=0,
             )
         clock.lap("solve")
         # Whether to accept it.
@@ -204,6 +213,13 @@ class VisualEstimator:
             num_out_of_domain=None if outside is None else int(outside.sum()),
         )
 
+    def _right_sigma_px(self, jitter_cov: FloatArray | None) -> float:
+        """Return the standard deviation of the offset by which the rig's yaw moves all u_r from one
+        frame to the next, px."""
+        if jitter_cov is None:
+            return 0.0
+        return self._camera.fu_px * float(np.sqrt(2.0 * jitter_cov[1, 1]))
+
     def _confirmed(
         self, estimate: Estimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
     ) -> FloatArray:
@@ -219,7 +235,9 @@ class VisualEstimator:
         solution = estimate.solution
         plain = self._estimator.solve(
             tracks,
-            StudentT().predict(np.zeros((len(tracks), 0))),
+            replace(
+                StudentT().predict(np.zeros((len(tracks), 0))), jitter_cov=priors.jitter_cov
+            ),
             guess=guess,
             others=priors.measurements,
             curr=priors.curr,
@@ -231,6 +249,20 @@ class VisualEstimator:
             plain.T_curr_prev[None], solution.T_curr_prev[None], cov[None]
         )[0]
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
+
+
+def _change_of_jitter(
+    solution: ReprojectionSolution, observations: StereoObservations, before: DisparityFilter
+) -> FloatArray | None:
+    """Return the jitter of a solve as these two frames alone see it: its change, [3], in standard
+    deviations; None without a jitter."""
+    if solution.jitter is None or observations.jitter is None:
+        return None
+    change = solution.jitter.mean_rad
+    if before.jitter is not None:
+        change = change - before.jitter.mean
+    eta: FloatArray = np.linalg.solve(observations.jitter.root, change)
+    return eta
 
 
 def evaluate_status(

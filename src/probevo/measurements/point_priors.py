@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled, invert_positive_definite, invert_symmetric_4
+
+
+class JitterPrior(NamedTuple):
+    """A Gaussian over the rig's jitter ω in a frame (``camera.rig_jitter``)."""
+
+    mean: FloatArray
+    """[3], rad."""
+    cov: FloatArray
+    """[3, 3], rad²."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +32,8 @@ class DisparityPrior:
     """Mean of δ, by which the measured ones are larger in both frames, [M], px."""
     cov: FloatArray
     """Covariance of (d, δ), [M, 2, 2], px²."""
+    jitter: JitterPrior | None = None
+    """What they say of the rig's jitter in the previous frame; None if nothing."""
 
     @staticmethod
     def none() -> DisparityPrior:

@@ -3,6 +3,13 @@
 The residual of a feature is e = y' − f(T g(y)), with y its observation in the previous frame, y' in
 the current one, and T = T_curr_prev. Its scale Σ follows from the noise of both observations
 (``stereo_numba.propagate_noise``), and its loss from the tails of that noise (PROBE-GK eq. 14).
+
+Where the noise has an error that all features of a frame share, the rig's jitter ω
+(``camera.rig_jitter``), that of the current frame is a further unknown, η, with a prior of its own:
+e = y' − f(T g(y)) − (0, 0, B η), with η ~ N(0, I). Observations of the previous frame are corrected
+by what is known of its jitter; what is not known of it moves all features together, and counts as
+an error of the current frame of the opposite sign. The weights of the features are those after η is
+estimated, and the covariance of the motion is marginalised over it. Derivation: docs/conventions.md.
 """
 
 from __future__ import annotations
@@ -12,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.rig_jitter import jitter_offsets
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
 from probevo.geometry import se3
@@ -22,6 +30,13 @@ from probevo.measurements.base import (
     PosePair,
     Values,
     Variable,
+)
+from probevo.measurements.jitter_numba import (
+    DOF,
+    JitterEquations,
+    jitter_equations,
+    jitter_information,
+    without_jitter,
 )
 from probevo.measurements.point_priors import DisparityPrior, PointPrior
 from probevo.measurements.relative_rotation import relative_motion
@@ -49,6 +64,31 @@ DIM = 4
 
 
 @dataclass(frozen=True)
+class JitterUnknown:
+    """The rig's jitter in the current frame, ω = L η, as an unknown of the solve."""
+
+    variable: Variable
+    """η ~ N(0, I), [3]."""
+    root: FloatArray
+    """L, [3, 3], rad; L Lᵀ = S + P, with S the covariance of the jitter and P what is not known of
+    that in the previous frame."""
+    basis: FloatArray
+    """B = ∂(u_r', v_r')/∂η, [N, 2, 3], px."""
+
+    @staticmethod
+    def of(
+        curr_px: FloatArray, cov: FloatArray, camera: StereoCamera, *, frame: int
+    ) -> JitterUnknown:
+        """Build the unknown from the observations [N, 4], px, and S + P, [3, 3], rad²."""
+        root = np.linalg.cholesky(cov)
+        return JitterUnknown(
+            variable=Variable(kind="jitter", frame=frame),
+            root=root,
+            basis=np.ascontiguousarray(jitter_offsets(curr_px, camera) @ root),
+        )
+
+
+@dataclass(frozen=True)
 class StereoObservations:
     """N stereo observations of one frame, each of a point that the previous frame saw, too."""
 
@@ -62,6 +102,8 @@ class StereoObservations:
     poses: PosePair
     propagated_noise: PropagatedNoise
     """Σ⁻¹ and the points of linearisation, at the motion that ``propagated`` was last given."""
+    jitter: JitterUnknown | None = None
+    """The rig's jitter; None if the noise has none."""
 
     @staticmethod
     def of(
@@ -87,6 +129,14 @@ class StereoObservations:
             disparity_prior: what earlier frames say of some of the disparities.
         """
         count = len(prev_px)
+        jitter = None
+        if noise.jitter_cov is not None:
+            before = disparity_prior.jitter if disparity_prior is not None else None
+            if before is not None:
+                prev_px = prev_px.copy()
+                prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ before.mean
+            unknown_cov = noise.jitter_cov + (noise.jitter_cov if before is None else before.cov)
+            jitter = JitterUnknown.of(curr_px, unknown_cov, camera, frame=poses.curr.frame)
         loss = RobustLoss.student_t() if loss is None else loss
         # Copies: a model may give one scale to all features, as a read-only view without strides,
         # for which Numba would compile everything once more.
@@ -119,6 +169,7 @@ class StereoObservations:
             camera=Intrinsics.of(camera),
             poses=poses,
             propagated_noise=_not_yet_propagated(points.point),
+            jitter=jitter,
         )
 
     def __len__(self) -> int:
@@ -127,42 +178,70 @@ class StereoObservations:
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """The poses of both frames, or only the current one."""
+        """The poses of both frames, or only the current one; then the jitter, if there is one."""
         curr, prev = self.poses
-        return (curr,) if prev is None else (prev, curr)
+        poses = (curr,) if prev is None else (prev, curr)
+        return poses if self.jitter is None else (*poses, self.jitter.variable)
+
+    def _pairs(self, values: Values) -> PointPairs:
+        """Return the observations less the offset of the jitter at these values."""
+        if self.jitter is None:
+            return self.pairs
+        shifted = np.empty_like(self.pairs.curr)
+        without_jitter(
+            self.pairs.curr, self.jitter.basis, values[self.jitter.variable], shifted=shifted
+        )
+        return self.pairs._replace(curr=shifted)
 
     def propagated(self, values: Values) -> StereoObservations:
         """Return the same observations with Σ and the refined points at these poses."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
         # The refined points are where the loop linearises, so that it begins with the last ones.
         noise = _not_yet_propagated(self.propagated_noise.refined)
-        propagate_noise(T_curr_prev, self.camera, self.pairs, noise)
+        propagate_noise(T_curr_prev, self.camera, self._pairs(values), noise)
         return replace(self, propagated_noise=noise)
 
     def linearize(self, values: Values, *, newton: bool = False) -> Linearization:
         """Return cost and normal equations in one compiled pass."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
-        cost, system = self._normal_equations(T_curr_prev, newton=newton)
+        curr = self._pairs(values).curr
+        cost, system = self._normal_equations(T_curr_prev, curr, newton=newton)
         motion = Linearization(cost=cost, hessian=system.hessian, gradient=system.gradient)
+        if self.jitter is not None:
+            equations = JitterEquations.empty()
+            jitter_equations(
+                T_curr_prev,
+                self.camera,
+                curr,
+                propagated=self.propagated_noise,
+                loss=self.loss_parameters,
+                basis=self.jitter.basis,
+                squared=system.squared,
+                newton=newton,
+                equations=equations,
+            )
+            motion = _with_jitter(motion, equations, values[self.jitter.variable])
         return motion if self.poses.prev is None else of_both_poses(motion, T_curr_prev)
 
     def information(self, values: Values) -> FloatArray:
-        """Return the Fisher information on the poses, [6, 6] or [12, 12]."""
+        """Return the Fisher information on the n unknowns, [n, n]."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
-        motion = Linearization(0.0, self.at(T_curr_prev).information, np.zeros(6))
+        found = self.at(values).information
+        motion = Linearization(0.0, found, np.zeros(len(found)))
         return (motion if self.poses.prev is None else of_both_poses(motion, T_curr_prev)).hessian
 
     def outcome(self, values: Values) -> Outcome:
         """Return what became of the N residuals."""
-        at = self.at(relative_motion(values, self.poses.curr, self.poses.prev))
+        at = self.at(values)
         return Outcome(
             squared=at.squared,
             weight=at.weights.relative,
             gated=np.asarray(at.squared >= BEHIND),
         )
 
-    def at(self, T_curr_prev: FloatArray) -> StereoResult:
-        """Evaluate everything about the features at a motion, [4, 4]."""
+    def at(self, values: Values) -> StereoResult:
+        """Evaluate everything about the features at these values."""
+        T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
         count = len(self)
         jacobians = StereoJacobians(
             residual=np.empty((count, 4)),
@@ -174,7 +253,7 @@ class StereoObservations:
         residual_jacobians(
             T_curr_prev,
             self.camera,
-            self.pairs.curr,
+            self._pairs(values).curr,
             propagated=self.propagated_noise,
             out=jacobians,
         )
@@ -183,16 +262,20 @@ class StereoObservations:
         )
         scatter, curved = weigh(self.loss_parameters, jacobians.squared, weights)
         hessian, information = self._information(jacobians, weights)
+        information = information / self._variance_factor(scatter, curved)
+        if self.jitter is not None:
+            hessian[6:, 6:] += np.eye(DOF)
+            information[6:, 6:] += np.eye(DOF)
         return StereoResult(
             squared=jacobians.squared,
             weights=weights,
             jacobians=jacobians,
             hessian=hessian,
-            information=information / self._variance_factor(scatter, curved),
+            information=information,
         )
 
     def _normal_equations(
-        self, T_curr_prev: FloatArray, *, newton: bool
+        self, T_curr_prev: FloatArray, curr: FloatArray, *, newton: bool
     ) -> tuple[float, NormalEquations]:
         system = NormalEquations(
             hessian=np.empty((6, 6)), gradient=np.empty(6), squared=np.empty(len(self))
@@ -200,7 +283,7 @@ class StereoObservations:
         cost = normal_equations(
             T_curr_prev,
             self.camera,
-            self.pairs.curr,
+            curr,
             propagated=self.propagated_noise,
             loss=self.loss_parameters,
             newton=newton,
@@ -223,15 +306,33 @@ class StereoObservations:
         disparity = np.where(np.abs(refined) > 1e-9, refined, np.inf)
         hessian = np.empty((6, 6))
         information = np.empty((6, 6))
+        disparity_share = self.pairs.point[:, 2] / disparity
         sum_information(
             jacobians,
             weights,
-            self.pairs.point[:, 2] / disparity,
+            disparity_share,
             disparity_noise_share=self.pairs.point_cov[:, 2, 2] / disparity**2,
             hessian=hessian,
             information=information,
         )
-        return hessian, information
+        if self.jitter is None:
+            return hessian, information
+        equations = JitterEquations.empty()
+        joint = []
+        for of_motion, weight, share in (
+            (hessian, weights.weight, np.ones(len(self))),
+            (information, weights.curvature, disparity_share),
+        ):
+            jitter_information(
+                jacobians.motion,
+                self.propagated_noise.information,
+                weight,
+                basis=self.jitter.basis,
+                translation_share=share,
+                equations=equations,
+            )
+            joint.append(_joint(of_motion, equations))
+        return joint[0], joint[1]
 
     def _variance_factor(self, scatter: float, curved: float) -> float:
         """Return how much larger the covariance is than the inverse of A = Σ a Jᵀ Σ⁻¹ J.
@@ -262,21 +363,49 @@ class StereoResult:
     weights: FeatureWeights
     jacobians: StereoJacobians
     hessian: FloatArray
-    """Σ w Jᵀ Σ⁻¹ J with the IRLS weights w, [6, 6]. Its inverse is not the covariance."""
+    """Σ w Jᵀ Σ⁻¹ J with the IRLS weights w, [6, 6], or [9, 9] over (ξ, η) with the jitter's prior.
+    Its inverse is not the covariance."""
     information: FloatArray
-    """Information on ξ of T_curr_prev, [6, 6]."""
+    """Information on ξ of T_curr_prev, [6, 6], or on (ξ, η), [9, 9]."""
 
 
 def of_both_poses(motion: Linearization, T_curr_prev: FloatArray) -> Linearization:
     """Turn normal equations over ξ of T_curr_prev into those over (ξ_prev, ξ_curr) of both poses.
 
-    T_curr_prev = T_curr_world T_prev_world⁻¹ moves by ξ = ξ_curr − Ad(T_curr_prev) ξ_prev.
+    T_curr_prev = T_curr_world T_prev_world⁻¹ moves by ξ = ξ_curr − Ad(T_curr_prev) ξ_prev. Further
+    unknowns behind ξ stay behind.
     """
-    lift = np.hstack([-se3.adjoint(T_curr_prev), np.eye(6)])
+    further = len(motion.gradient) - 6
+    lift = np.zeros((6 + further, 12 + further))
+    lift[:6, :6] = -se3.adjoint(T_curr_prev)
+    lift[:, 6:] = np.eye(6 + further)
     return Linearization(
         cost=motion.cost,
         hessian=lift.T @ motion.hessian @ lift,
         gradient=lift.T @ motion.gradient,
+    )
+
+
+def _joint(of_motion: FloatArray, equations: JitterEquations) -> FloatArray:
+    """Return the matrix over (ξ, η), [9, 9]."""
+    joint = np.empty((6 + DOF, 6 + DOF))
+    joint[:6, :6] = of_motion
+    joint[:6, 6:] = equations.cross
+    joint[6:, :6] = equations.cross.T
+    joint[6:, 6:] = equations.hessian
+    return joint
+
+
+def _with_jitter(
+    motion: Linearization, equations: JitterEquations, eta: FloatArray
+) -> Linearization:
+    """Extend normal equations over ξ to those over (ξ, η), the prior of η included."""
+    hessian = _joint(motion.hessian, equations)
+    hessian[6:, 6:] += np.eye(DOF)
+    return Linearization(
+        cost=motion.cost + 0.5 * float(eta @ eta),
+        hessian=hessian,
+        gradient=np.concatenate([motion.gradient, equations.gradient - eta]),
     )
 
 

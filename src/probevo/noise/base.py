@@ -47,6 +47,9 @@ class StereoNoise:
     """Scale matrix of the earlier observation y, [N, 4, 4], px², where it differs from that of the
     current one y', which is then ``scale``. None means the same scale for both; only for noise that
     refers to observations."""
+    jitter_cov: FloatArray | None = None
+    """Covariance S of the rig's jitter (pitch, yaw, roll) in each frame, [3, 3], rad²: an error that
+    all features of a frame have in common (``camera.rig_jitter``). None if the rig is rigid."""
 
     def subset(self, chosen: IntArray) -> StereoNoise:
         """Return the noise of some of the features, given their indices [n]."""
@@ -61,6 +64,7 @@ class StereoNoise:
             out_of_domain=out_of_domain,
             time_correlated=time_correlated,
             prev_scale=prev_scale,
+            jitter_cov=self.jitter_cov,
         )
 
     def scaled(self, factors: FloatArray) -> StereoNoise:
