@@ -235,9 +235,7 @@ class VisualEstimator:
         solution = estimate.solution
         plain = self._estimator.solve(
             tracks,
-            replace(
-                StudentT().predict(np.zeros((len(tracks), 0))), jitter_cov=priors.jitter_cov
-            ),
+            replace(StudentT().predict(np.zeros((len(tracks), 0))), jitter_cov=priors.jitter_cov),
             guess=guess,
             others=priors.measurements,
             curr=priors.curr,

@@ -38,6 +38,17 @@ class JitterEquations(NamedTuple):
         )
 
 
+class LinearizedJitter(NamedTuple):
+    """The jitter at the point where a solve stands."""
+
+    basis: FloatArray
+    """B, [N, 2, 3], px."""
+    squared: FloatArray
+    """s of each residual, [N]."""
+    newton: bool
+    """Whether to take the curvature of the loss into account."""
+
+
 @compiled
 def jitter_equations(
     T: FloatArray,
@@ -45,9 +56,7 @@ def jitter_equations(
     curr: FloatArray,
     propagated: PropagatedNoise,
     loss: LossParameters,
-    basis: FloatArray,
-    squared: FloatArray,
-    newton: bool,
+    jitter: LinearizedJitter,
     equations: JitterEquations,
 ) -> None:
     """Fill in Σ w Jᵀ Σ⁻¹ B, Σ w Bᵀ Σ⁻¹ B and Σ w Bᵀ Σ⁻¹ e, and Newton's terms if asked for.
@@ -60,12 +69,13 @@ def jitter_equations(
         curr: y' less the bias and the offset of the jitter, [N, 4], px.
         propagated: the noise of the residuals.
         loss: the robust loss.
-        basis: B, [N, 2, 3], px.
-        squared: s of each residual, [N].
-        newton: whether to take the curvature of the loss into account.
+        jitter: where it is linearised.
         equations: filled in; the prior of η is not part of it.
     """
     fu, fv, cu, cv, fb = camera
+    basis = jitter.basis
+    squared = jitter.squared
+    newton = jitter.newton
     cross = equations.cross
     hessian = equations.hessian
     gradient = equations.gradient

@@ -7,7 +7,7 @@ the current one, and T = T_curr_prev. Its scale Σ follows from the noise of bot
 Where the noise has an error that all features of a frame share, the rig's jitter ω
 (``camera.rig_jitter``), that of the current frame is a further unknown, η, with a prior of its own:
 e = y' − f(T g(y)) − (0, 0, B η), with η ~ N(0, I). Observations of the previous frame are corrected
-by what is known of its jitter; what is not known of it moves all features together, and counts as
+by the prior of its jitter; the error of that prior moves all features together, and counts as
 an error of the current frame of the opposite sign. The weights of the features are those after η is
 estimated, and the covariance of the motion is marginalised over it. Derivation: docs/conventions.md.
 """
@@ -34,6 +34,7 @@ from probevo.measurements.base import (
 from probevo.measurements.jitter_numba import (
     DOF,
     JitterEquations,
+    LinearizedJitter,
     jitter_equations,
     jitter_information,
     without_jitter,
@@ -215,9 +216,7 @@ class StereoObservations:
                 curr,
                 propagated=self.propagated_noise,
                 loss=self.loss_parameters,
-                basis=self.jitter.basis,
-                squared=system.squared,
-                newton=newton,
+                jitter=LinearizedJitter(self.jitter.basis, system.squared, newton),
                 equations=equations,
             )
             motion = _with_jitter(motion, equations, values[self.jitter.variable])
