@@ -36,10 +36,10 @@ def test_gradient_against_central_differences() -> None:
     found = observations(np.random.default_rng(0))
     assert found.jitter is not None
     variable = found.jitter.variable
-    start = {MOTION: FORWARD, variable: np.array([0.3, -0.5, 0.2])}
+    start = {MOTION: FORWARD, variable: np.array([0.3, -0.5, 0.2, -0.4, 0.6, 0.1])}
     found = found.propagated(start)
     gradient = found.linearize(start).gradient
-    for k, step in enumerate(1e-6 * np.eye(9)):
+    for k, step in enumerate(1e-6 * np.eye(12)):
         cost = [
             found.linearize(
                 {

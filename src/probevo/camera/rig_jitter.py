@@ -2,8 +2,8 @@
 
 The two cameras of a rig are never quite where the calibration says. Mounts bend, and two exposures
 that are not quite at one instant look like a turn of one camera against the other. In every frame
-the right camera is turned against the left one by a small rotation ω, new in each frame, which moves
-what it sees of a point at (x, y) = ((u_r − c_u)/f_u, (v_r − c_v)/f_v) by
+the right camera is turned against the left one by a small rotation ω, new in each frame, which
+moves what it sees of a point at (x, y) = ((u_r − c_u)/f_u, (v_r − c_v)/f_v) by
 
     δu_r = f_u (−x y ω_x + (1 + x²) ω_y − y ω_z),
     δv_r = f_v (−(1 + y²) ω_x + x y ω_y + x ω_z).

@@ -11,8 +11,12 @@ Taken as known, it would make 300 tracks that are all 1 % too near certain of th
 error of x is ε + U c: ε is the track's own, and the six common-mode errors c ~ N(0, I) belong to
 all. Motion and common mode are estimated together, ξ and c from e = J ξ + H U c + …; of the twelve
 directions of their posterior, the six that move the tracks most are kept as common mode, and the
-others are added to ε. Where the noise has a jitter of the rig, its three numbers η join the motion:
-what they leave uncertain of the disparities is common to the tracks as well.
+others are added to ε.
+
+Where the noise has a jitter of the rig, those of both frames, η, join the motion. That of the
+previous frame has moved all disparities that were measured then, and what is not known of it moves
+them in common. That of the current frame is the previous one of the next step: of the posterior,
+the three directions that it consists of are kept before the six.
 
 The place of a track in the image is no state. A tracker follows a patch from frame to frame, and if
 it slips, it follows another patch from there on, so that a track *is* where it was last seen. On
@@ -28,7 +32,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
-from probevo.camera.rig_jitter import jitter_offsets
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import NEAREST
 from probevo.estimation.disparity_filter_numba import (
@@ -43,6 +46,7 @@ from probevo.estimation.disparity_filter_numba import (
 from probevo.estimation.reprojection import ReprojectionSolution, sum_products
 from probevo.geometry import se3
 from probevo.geometry.se3_numba import perturb
+from probevo.measurements.jitter_numba import AXES
 from probevo.measurements.point_priors import DisparityPrior, JitterPrior
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -51,12 +55,10 @@ RANDOM_WALK = 0.02
 """Variance of the random walk of δ from frame to frame, in units of τ². By likelihood on KITTI:
 half as much costs 0.03 nats a feature, three times as much 0.04, and to pull the errors towards
 zero as well 0.01."""
-JITTER_LOSS = 0.1
-"""Share of S that is added to what is not known of the last frame's jitter. An offset of all tracks
-may hide in their time-correlated errors: without this, the estimated jitter has a mean of −4 px on
-Karlsruhe 2010, and with it −0.3 px."""
 LEAST_DISPARITY_PX = 0.1
 """Below it, a disparity is no measure of another."""
+_CARRIED = 1.0
+"""Any negative eigenvalue sorts the directions that are carried on apart from the others."""
 
 
 @dataclass(frozen=True)
@@ -70,14 +72,16 @@ class DisparityFilter:
     measured_px: FloatArray
     """The disparity measured in the last frame, [M], px."""
     common: FloatArray
-    """U: how the common-mode errors move (d, δ), [M, 2, 6], px."""
+    """How the common-mode errors move (d, δ), [M, 2, K], px: the three of the rig's jitter in the
+    last frame, if the noise has one, and U, K = 9 or 6."""
     path_sensitivity: FloatArray
-    """How the common-mode errors move the path, along the axes of the last frame, [6, 6]."""
+    """How these move the path, along the axes of the last frame, [6, K]."""
     path_cross_cov: FloatArray
     """Cross-covariance of the path's error before the last step with that of the step, along the
     axes of the last frame, [6, 6]."""
     jitter: JitterPrior | None = None
-    """The rig's jitter in the last frame; None if the noise has none, or nothing is known."""
+    """The rig's jitter in the last frame, with its part of ``common``; None if the noise has none,
+    or nothing is known."""
 
     @staticmethod
     def none() -> DisparityFilter:
@@ -101,12 +105,15 @@ class DisparityFilter:
         rows = np.flatnonzero(self.ids[place] == tracks.ids) if len(self.ids) else place[:0]
         place = place[rows]
         measured_px = tracks.prev_px[rows, 0] - tracks.prev_px[rows, 2]
+        jitter = self.jitter
+        if jitter is not None:
+            jitter = jitter._replace(sensitivity=jitter.sensitivity[place])
         states = DisparityPrior(
             rows=rows,
             disparity=self.states.disparity[place],
             error=self.states.error[place] + measured_px - self.measured_px[place],
             cov=self.states.cov[place],
-            jitter=self.jitter,
+            jitter=jitter,
         )
         return DisparityFilter(
             ids=tracks.ids[rows],
@@ -115,7 +122,7 @@ class DisparityFilter:
             common=self.common[place],
             path_sensitivity=self.path_sensitivity,
             path_cross_cov=self.path_cross_cov,
-            jitter=self.jitter,
+            jitter=jitter,
         )
 
 
@@ -124,18 +131,25 @@ class _JointPosterior:
     """Motion, rig's jitter and common-mode errors, z = (ξ, η, c), after a step."""
 
     mean: FloatArray
-    """[m + 6], with m = 6, or 9 with a jitter."""
+    """[m + 6], with m = 6, or 12 with a jitter."""
     root: FloatArray
-    """Cholesky factor of their covariance, [m + 6, m + 6]."""
+    """A root of their covariance, [m + 6, m + 6]."""
     common: FloatArray
     """U of the tracks in the filter, at the disparities that the solve has refined, [M, 2, 6]."""
 
     @staticmethod
-    def of(solution: ReprojectionSolution, prior: DisparityFilter) -> _JointPosterior:
+    def of(
+        solution: ReprojectionSolution, prior: DisparityFilter, *, knows_motion: bool = False
+    ) -> _JointPosterior:
         """Take one more Gauss–Newton step from a solve that took all errors for the tracks' own.
 
         The robust weights are those of the solve; its covariance, in which the loss has a part,
         stays what it is for a motion without common-mode errors.
+
+        Args:
+            solution: the solve.
+            prior: the filter's states of its tracks.
+            knows_motion: whether the motion is known, and not part of the step.
         """
         rows = prior.states.rows
         # A scale error that is common to all would seem observable if its derivative were taken at
@@ -144,7 +158,7 @@ class _JointPosterior:
         refined = solution.refined[rows, 2]
         is_measurable = point > LEAST_DISPARITY_PX
         growth = np.where(is_measurable, refined / np.maximum(point, LEAST_DISPARITY_PX), 1.0)
-        common = prior.common.copy()
+        common = prior.common[:, :, -COMMON:].copy()
         common[:, 0] *= growth[:, None]
         linearized = _linearized(solution)
         own = linearized.jacobian.shape[2]
@@ -163,7 +177,9 @@ class _JointPosterior:
         # Motion and jitter are at their optimum, so that only the common mode has a gradient.
         hessian = _joint(solution.full_hessian, equations.cross, equations.hessian + np.eye(COMMON))
         gradient = np.concatenate([np.zeros(own), equations.gradient])
-        mean = np.linalg.solve(hessian, gradient)
+        first = 6 if knows_motion else 0
+        mean = np.zeros(own + COMMON)
+        mean[first:] = np.linalg.solve(hessian[first:, first:], gradient[first:])
         # From the Hessian to the information: both are A Aᵀ, and the change of A scales the rest.
         information_root = np.linalg.cholesky(np.linalg.inv(solution.full_cov))
         hessian_root = np.linalg.cholesky(solution.full_hessian)
@@ -174,8 +190,9 @@ class _JointPosterior:
             factor * change @ equations.cross,
             factor**2 * equations.hessian + np.eye(COMMON),
         )
-        root = np.linalg.cholesky(np.linalg.inv(information))
-        return _JointPosterior(mean=mean.astype(float), root=root.astype(float), common=common)
+        root = np.zeros_like(information)
+        root[first:, first:] = np.linalg.cholesky(np.linalg.inv(information[first:, first:]))
+        return _JointPosterior(mean=mean, root=root, common=common)
 
 
 def update_with_common_mode(
@@ -199,7 +216,7 @@ def update_with_common_mode(
     """
     is_determined = np.isfinite(solution.cov).all()
     if noise.time_correlated is None or not is_determined:
-        return solution, _without_tracks(prior, noise, solution)
+        return solution, DisparityFilter.none()
     if not np.linalg.eigvalsh(solution.hessian)[0] > 0.0:
         return solution, DisparityFilter.none()
     try:
@@ -233,6 +250,9 @@ def update_at_known_motion(
     inliers: BoolArray,
 ) -> DisparityFilter:
     """Return the filter after a step whose motion is known; the arguments are as above."""
+    posterior = None
+    if solution.jitter is not None and np.isfinite(solution.cov).all():
+        posterior = _JointPosterior.of(solution, prior, knows_motion=True)
     return _update(
         prior,
         tracks,
@@ -240,7 +260,7 @@ def update_at_known_motion(
         solution=solution,
         camera=camera,
         inliers=inliers,
-        posterior=None,
+        posterior=posterior,
     )
 
 
@@ -255,18 +275,21 @@ def _update(
     posterior: _JointPosterior | None,
 ) -> DisparityFilter:
     if noise.time_correlated is None:
-        return _without_tracks(prior, noise, solution)
+        return DisparityFilter.none()
     # The tracks to keep, in the order of their identities.
     order = np.argsort(tracks.ids)
     chosen = order[(inliers & (solution.information[:, 0, 0] > 0.0))[order]]
     count = len(chosen)
-    common = np.zeros((len(tracks), 2, COMMON))
     linearized = _linearized(solution)
     own = linearized.jacobian.shape[2]
     mean = np.zeros(own + COMMON)
+    common = np.zeros((len(tracks), 2, COMMON))
     if posterior is not None:
         common[prior.states.rows] = posterior.common
         mean = posterior.mean
+    if solution.jitter is not None:
+        of_jitter = solution.jitter.unknown.sensitivity[:, 2:]
+        common = np.concatenate([of_jitter, common], axis=2)
     states = PosteriorStates(
         mean=np.empty((count, 2)),
         cov=np.empty((count, 2, 2)),
@@ -292,12 +315,21 @@ def _update(
     kept_common = np.zeros((count, 2, COMMON))
     path_sensitivity = np.zeros((6, COMMON))
     path_cross_cov = np.zeros((6, 6))
+    jitter = None
     if posterior is not None:
-        sensitivity = _transformed(states.sensitivity, posterior.root)
-        kept_common, cov, directions = _strongest_directions(sensitivity, cov)
-        step = posterior.root[:6]
-        common_before = posterior.root[own:]
-        path_before = se3.adjoint(T) @ prior.path_sensitivity
+        root = posterior.root
+        sensitivity = _transformed(states.sensitivity, root)
+        carried = np.zeros((len(root), 0))
+        if solution.jitter is not None:
+            jitter_root = solution.jitter.unknown.curr_root
+            carried, jitter = _jitter_after(
+                solution.jitter.curr_rad + jitter_root @ mean[6 : 6 + AXES],
+                jitter_root @ root[6 : 6 + AXES],
+            )
+        kept_common, cov, directions = _strongest_directions(sensitivity, cov, carried)
+        step = root[:6]
+        path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
+        common_before = root[own + COMMON - common.shape[2] :]
         path_sensitivity = (path_before @ common_before + step) @ directions
         path_cross_cov = path_before @ common_before @ step.T
     # The disparity in the current frame is the one in the previous frame over the scaled depth.
@@ -308,15 +340,13 @@ def _update(
     ahead = depth > NEAREST
     kept = chosen[ahead]
     curr_px = tracks.curr_px[kept]
-    disparity = states.mean[ahead, 0] / depth[ahead]
-    jitter, shift_rad = _jitter_after(prior.jitter, noise, solution)
-    if shift_rad is not None:
-        disparity = disparity + jitter_offsets(curr_px, camera)[:, 0] @ shift_rad
+    if jitter is not None:
+        jitter = jitter._replace(sensitivity=kept_common[ahead, :, :AXES])
     return DisparityFilter(
         ids=tracks.ids[kept],
         states=DisparityPrior(
             rows=np.arange(len(kept)),
-            disparity=disparity,
+            disparity=states.mean[ahead, 0] / depth[ahead],
             error=states.mean[ahead, 1],
             cov=cov[ahead],
         ),
@@ -328,35 +358,26 @@ def _update(
     )
 
 
-def _without_tracks(
-    prior: DisparityFilter, noise: StereoNoise, solution: ReprojectionSolution
-) -> DisparityFilter:
-    """Return a filter that knows of no track, but of the jitter."""
-    jitter, _ = _jitter_after(prior.jitter, noise, solution)
-    return replace(DisparityFilter.none(), jitter=jitter)
+def _path_sensitivity(prior: DisparityFilter, count: int) -> FloatArray:
+    """Return how the common-mode errors before a step move the path, [6, count]: by nothing where
+    the filter did not know of them."""
+    known = prior.path_sensitivity
+    return known if known.shape[1] == count else np.zeros((6, count))
 
 
-def _jitter_after(
-    before: JitterPrior | None, noise: StereoNoise, solution: ReprojectionSolution
-) -> tuple[JitterPrior | None, FloatArray | None]:
-    """Split what a solve has found between the jitter of both frames (a Kalman update).
+def _jitter_after(mean: FloatArray, root: FloatArray) -> tuple[FloatArray, JitterPrior]:
+    """Return the jitter of the current frame as the next step's previous one.
 
-    The solve sees the difference z = ω' − a of the current jitter ω' ~ N(0, S) and of the error
-    a ~ N(0, P) of the previous one. Given z, ω' has the mean S (S + P)⁻¹ z. The rest,
-    a = −P (S + P)⁻¹ z, was an error of the previous frame, and so of all disparities.
+    Args:
+        mean: its mean, [3], rad.
+        root: how it depends on the L whitened errors of the step, [3, L], rad.
 
     Returns:
-        The jitter of the current frame; a, [3], rad. None where the noise has no jitter.
+        The three orthonormal directions among these that make it up, [L, 3], and what is known of
+        it, but for the sensitivity of the tracks.
     """
-    if noise.jitter_cov is None or solution.jitter is None or np.isnan(solution.cov).any():
-        return None, None
-    own = noise.jitter_cov
-    of_previous = own if before is None else before.cov
-    share = own @ np.linalg.inv(own + of_previous)
-    mean = share @ solution.jitter.mean_rad
-    cov = own - share @ own + share @ solution.jitter.cov_rad2 @ share.T + JITTER_LOSS * own
-    jitter = JitterPrior(mean=mean, cov=0.5 * (cov + cov.T))
-    return jitter, mean - solution.jitter.mean_rad
+    directions, upper = np.linalg.qr(root.T)
+    return directions, JitterPrior(mean, upper.T, np.zeros((0, 2, AXES)))
 
 
 def _linearized(solution: ReprojectionSolution) -> LinearizedFeatures:
@@ -380,17 +401,18 @@ def _joint(motion: FloatArray, cross: FloatArray, common: FloatArray) -> FloatAr
 
 
 def _strongest_directions(
-    sensitivity: FloatArray, cov: FloatArray
+    sensitivity: FloatArray, cov: FloatArray, carried: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Split common errors into the six that move the tracks most, and the rest.
 
     Args:
-        sensitivity: how they move (d, δ) of each track, [M, 2, m + 6].
+        sensitivity: how they move (d, δ) of each track, [M, 2, L].
         cov: each track's own covariance, [M, 2, 2], against which the size of a move counts.
+        carried: orthonormal directions that are kept in any case, [L, K], beside six others.
 
     Returns:
-        The sensitivity to the six, [M, 2, 6]; the covariances with the others added; the six
-        directions, [m + 6, 6].
+        The sensitivity to the K + 6, [M, 2, K + 6]; the covariances with the others added; the
+        K + 6 directions, [L, K + 6].
     """
     # Whiten by the Cholesky factor of each 2 × 2 covariance, written out.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -402,10 +424,13 @@ def _strongest_directions(
     white = np.empty_like(sensitivity)
     white[:, 0] = sensitivity[:, 0] / first
     white[:, 1] = (sensitivity[:, 1] - across * white[:, 0]) / np.sqrt(rest)
-    # Eigenvalues ascend: the strongest directions come last.
-    _, directions = np.linalg.eigh(sum_products(white, white))
-    kept = directions[:, -COMMON:]
-    dropped = _transformed(sensitivity, directions[:, :-COMMON])
+    # What is carried on is projected out, and then comes first among the eigenvalues, which ascend:
+    # the strongest directions come last.
+    white = white - _transformed(white, carried) @ carried.T
+    _, directions = np.linalg.eigh(sum_products(white, white) - _CARRIED * (carried @ carried.T))
+    num_carried = carried.shape[1]
+    kept = np.hstack([carried, directions[:, -COMMON:]])
+    dropped = _transformed(sensitivity, directions[:, num_carried:-COMMON])
     d = dropped[:, 0]
     error = dropped[:, 1]
     enlarged = cov.copy()

@@ -19,7 +19,7 @@ class LinearizedFeatures(NamedTuple):
     """N features linearised at a motion, as of ``ReprojectionSolution``."""
 
     jacobian: FloatArray
-    """∂h/∂(ξ, η), the motion and, if there is one, the rig's jitter, [N, 4, m], m = 6 or 9."""
+    """∂h/∂(ξ, η), the motion and, if there is one, the rig's jitter, [N, 4, m], m = 6 or 12."""
     disparity_jacobian: FloatArray
     """∂h/∂d, [N, 4]."""
     information: FloatArray
@@ -40,7 +40,8 @@ class PriorStates(NamedTuple):
     cross_cov: FloatArray
     """Cross-covariance of the residual with (d, δ), [N, 4, 2], px²."""
     common: FloatArray
-    """U: how the common-mode errors c move (d, δ), [N, 2, 6], px."""
+    """How the last K of z = (ξ, η, c) move (d, δ), [N, 2, K], px: c, of which it is U, and, if
+    there is one, the jitter of the previous frame, K = 6 or 9."""
 
 
 class PosteriorStates(NamedTuple):
@@ -65,9 +66,10 @@ def update_states(
     """Kalman update of x = (d, δ) of M chosen ones among N tracks with the residuals of a step.
 
     With z = (ξ, η, c) the errors of the motion and of the rig's jitter and the common-mode errors,
-    D = (J, H U), and K = (H P)ᵀ Σ⁻¹ the gain of the residual e, x becomes x + U c + K (e − D z), its own covariance
-    P − K H P, and its sensitivity to z is (0, U) − K D. Covariance and sensitivity are in terms of
-    the current frame, where d has grown by ∂d'/∂d, and moves with ξ itself.
+    V = ∂x/∂z before the step, D = (J, H U), and K = (H P)ᵀ Σ⁻¹ the gain of the residual e, x
+    becomes x + V z + K (e − D z), its own covariance P − K H P, and its sensitivity to z is V − K D.
+    The points and residuals are those at the optimum of η already. Covariance and sensitivity are
+    in terms of the current frame, where d has grown by ∂d'/∂d, and moves with ξ itself.
 
     Args:
         chosen: which tracks, [M].
@@ -82,23 +84,25 @@ def update_states(
     common = prior.common
     gain = np.empty((2, 4))
     m = features.jacobian.shape[2]
+    before = m + COMMON - common.shape[2]
+    jittered = common.shape[2] - COMMON
     D = np.empty((4, m + COMMON))
     for n in range(len(chosen)):
         i = chosen[n]
         x[n, 0] = prior.point[i, 2]
         x[n, 1] = prior.error[i]
-        for k in range(6):
-            x[n, 0] += common[i, 0, k] * mean[m + k]
-            x[n, 1] += common[i, 1, k] * mean[m + k]
+        for k in range(common.shape[2]):
+            x[n, 0] += common[i, 0, k] * mean[before + k]
+            x[n, 1] += common[i, 1, k] * mean[before + k]
         for r in range(4):
             e = features.residuals[i, r]
             for k in range(m):
                 D[r, k] = features.jacobian[i, r, k]
                 e -= D[r, k] * mean[k]
             for k in range(COMMON):
-                D[r, m + k] = features.disparity_jacobian[i, r] * common[i, 0, k]
+                D[r, m + k] = features.disparity_jacobian[i, r] * common[i, 0, jittered + k]
                 if r == 2:
-                    D[r, m + k] -= common[i, 1, k]
+                    D[r, m + k] -= common[i, 1, jittered + k]
                 e -= D[r, m + k] * mean[m + k]
             for s in range(2):
                 gain[s, r] = 0.0
@@ -112,7 +116,7 @@ def update_states(
                 for r in range(4):
                     cov[n, s, t] -= gain[s, r] * prior.cross_cov[i, r, t]
             for k in range(m + COMMON):
-                sensitivity[n, s, k] = common[i, s, k - m] if k >= m else 0.0
+                sensitivity[n, s, k] = common[i, s, k - before] if k >= before else 0.0
                 for r in range(4):
                     sensitivity[n, s, k] -= gain[s, r] * D[r, k]
         cov[n, 0, 0] *= growth * growth

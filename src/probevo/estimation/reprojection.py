@@ -12,41 +12,35 @@ from probevo.arrays import FloatArray
 from probevo.compiled import invert_positive_definite
 from probevo.estimation import gauss_newton
 from probevo.measurements.base import Measurement
-from probevo.measurements.jitter_numba import DOF
+from probevo.measurements.jitter_numba import AXES, DOF
 from probevo.measurements.point_priors import PointPrior
 from probevo.measurements.stereo_observations import JitterUnknown, StereoObservations
 
 
 @dataclass(frozen=True)
 class SolvedJitter:
-    """The rig's jitter in the current frame, ω = L η, beside a motion."""
+    """The rig's jitter in both frames beside a motion."""
 
     eta: FloatArray
-    """[3], in standard deviations of its prior."""
+    """(η', η°), [6], in standard deviations of their priors."""
     unknown: JitterUnknown
     hessian: FloatArray
-    """As of ``ReprojectionSolution``, over (ξ, η), with the prior of η, [9, 9]."""
+    """As of ``ReprojectionSolution``, over (ξ, η), with the prior of η, [12, 12]."""
     cov: FloatArray
-    """Covariance of (ξ, η), [9, 9]; NaN where the features do not fix all of ξ."""
+    """Covariance of (ξ, η), [12, 12]; NaN where the features do not fix all of ξ."""
 
     @property
-    def mean_rad(self) -> FloatArray:
-        """ω, [3], rad."""
-        mean: FloatArray = self.unknown.root @ self.eta
+    def curr_rad(self) -> FloatArray:
+        """The jitter of the current frame, [3], rad."""
+        mean: FloatArray = self.unknown.curr_root @ self.eta[:AXES]
         return mean
 
     @property
-    def cov_rad2(self) -> FloatArray:
-        """Covariance of ω, [3, 3], rad²."""
-        cov: FloatArray = self.unknown.root @ self.cov[6:, 6:] @ self.unknown.root.T
-        return cov
-
-    @property
-    def jacobian(self) -> FloatArray:
-        """How η moves the prediction of each feature, [N, 4, 3], px."""
-        jacobian = np.zeros((len(self.unknown.basis), 4, len(self.eta)))
-        jacobian[:, 2:] = self.unknown.basis
-        return jacobian
+    def prev_rad(self) -> FloatArray:
+        """The jitter of the previous frame, [3], rad."""
+        prev = self.unknown.prev
+        mean: FloatArray = prev.mean + prev.root @ self.eta[AXES:]
+        return mean
 
 
 @dataclass(frozen=True)
@@ -65,7 +59,7 @@ class ReprojectionSolution:
     irls_weight: FloatArray
     """Robust weight w itself, [N]; 0 for a feature that does not contribute."""
     points: PointPrior
-    """The N points, before the solve."""
+    """The N points, before the solve, as the rig's jitter of the previous frame moves them."""
     refined: FloatArray
     """Most likely (u, v, disparity) of each feature in the previous frame given both observations,
     [N, 3], px."""
@@ -86,24 +80,24 @@ class ReprojectionSolution:
     iterations: int
     converged: bool
     jitter: SolvedJitter | None = None
-    """The rig's jitter; ``cov`` is marginalised over it, ``hessian`` holds it. None if the noise has
-    none."""
+    """The rig's jitter; ``cov`` is marginalised over it, ``hessian`` holds it. None if the noise
+    has none."""
 
     @property
     def full_jacobian(self) -> FloatArray:
-        """The Jacobian by the motion and the jitter, [N, 4, 6] or [N, 4, 9]."""
+        """The Jacobian by the motion and the jitter, [N, 4, 6] or [N, 4, 12]."""
         if self.jitter is None:
             return self.jacobian
-        return np.concatenate([self.jacobian, self.jitter.jacobian], axis=2)
+        return np.concatenate([self.jacobian, self.jitter.unknown.columns], axis=2)
 
     @property
     def full_hessian(self) -> FloatArray:
-        """The Hessian over motion and jitter, [6, 6] or [9, 9]."""
+        """The Hessian over motion and jitter, [6, 6] or [12, 12]."""
         return self.hessian if self.jitter is None else self.jitter.hessian
 
     @property
     def full_cov(self) -> FloatArray:
-        """The covariance of motion and jitter, [6, 6] or [9, 9]."""
+        """The covariance of motion and jitter, [6, 6] or [12, 12]."""
         return self.cov if self.jitter is None else self.jitter.cov
 
     def whitened(self, columns: FloatArray) -> FloatArray:
@@ -134,7 +128,7 @@ def solve_reprojection(
             RANSAC.
         others: further measurements of the same pose, such as a gyro's rotation.
         max_iterations: of Levenberg–Marquardt; 0 evaluates the features at the guess.
-        eta: where to start with the rig's jitter, [3], in its standard deviations; 0 by default.
+        eta: where to start with the rig's jitter, [6], in its standard deviations; 0 by default.
         holds_motion: solve for the jitter alone.
     """
     curr = observations.poses.curr
@@ -163,7 +157,10 @@ def solve_reprojection(
     jitter = None
     if unknown is not None:
         jitter = SolvedJitter(
-            eta=optimum.values[unknown.variable], unknown=unknown, hessian=hessian, cov=cov
+            eta=optimum.values[unknown.variable],
+            unknown=propagated.jitter or unknown,
+            hessian=hessian,
+            cov=cov,
         )
     return ReprojectionSolution(
         T_curr_prev=T_curr_prev,
@@ -171,7 +168,7 @@ def solve_reprojection(
         squared=features.squared,
         weight=features.weights.relative,
         irls_weight=features.weights.weight,
-        points=propagated.points,
+        points=propagated.points_at(optimum.values),
         refined=propagated.propagated_noise.refined,
         residuals=features.jacobians.residual,
         jacobian=features.jacobians.motion,

@@ -21,10 +21,11 @@ def update_rig(
     """Update the rig's disparity errors and its jitter, and say how the uncertainty of the former
     moves the motion.
 
-    With D = ∂e/∂b and J = −∂e/∂ξ (and −∂e/∂η, where the noise has a jitter), the estimate takes in the part of the residuals that a change of
-    b explains, the motion being eliminated from the joint normal equations (Schur complement). The
-    solution need not be at the optimum, but must use only what these two frames show: the disparity
-    filter was fed with the calibration of its time, and would confirm it.
+    With D = ∂e/∂b and J = −∂e/∂ξ (and −∂e/∂η, where the noise has a jitter), the estimate takes in
+    the part of the residuals that a change of b explains, motion and jitter being eliminated from
+    the joint normal equations (Schur complement). The solution need not be at the optimum, but must
+    use only what these two frames show: the disparity filter was fed with the calibration of its
+    time, and would confirm it.
 
     Args:
         rig: the estimate before this step.
@@ -58,20 +59,24 @@ def update_rig(
     information = B - C.T @ gain
     updated = rig.with_disparity(information[1:, 1:], gradient[1:])
     if solution.jitter is not None:
-        step = np.linalg.solve(solution.full_hessian, motion_gradient)
+        step: FloatArray = np.linalg.solve(solution.full_hessian, motion_gradient)
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
-    return updated, gain[:6] @ np.linalg.cholesky(rig.disparity_cov)
+    # A constant error is none that is new in every frame: the jitter must not be expected to take
+    # it up, and is held.
+    motion_gain = np.linalg.solve(solution.hessian, C[:6])
+    return updated, motion_gain @ np.linalg.cholesky(rig.disparity_cov)
 
 
 def _updated_jitter(jitter: RigJitter, solved: SolvedJitter, step: FloatArray) -> RigJitter:
-    """Update S with the jitter's change, which is one more Gauss–Newton step [3] away.
+    """Update S with the jitter's change, which is one more Gauss–Newton step [6] away.
 
-    E[ω ωᵀ] is the square of its mean plus its covariance: a step that shows nothing of the jitter
-    leaves S as it is.
+    E[(ω' − ω°)(ω' − ω°)ᵀ] is the square of its mean plus its covariance: a step that shows nothing
+    of the jitter leaves S as it is.
     """
-    root = solved.unknown.root
-    mean = root @ (solved.eta + step)
-    return jitter.with_change(np.outer(mean, mean) + solved.cov_rad2)
+    unknown = solved.unknown
+    change = np.hstack([unknown.curr_root, -unknown.prev.root])
+    mean = change @ (solved.eta + step) - unknown.prev.mean
+    return jitter.with_change(np.outer(mean, mean) + change @ solved.cov[6:, 6:] @ change.T)
 
 
 def disparity_sensitivity(

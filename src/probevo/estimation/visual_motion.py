@@ -191,7 +191,7 @@ class VisualEstimator:
             two_frames_only = solve_reprojection(
                 observations,
                 guess=solution.T_curr_prev,
-                eta=_change_of_jitter(solution, observations, priors.disparities),
+                eta=_of_two_frames(solution, observations),
                 max_iterations=0,
             )
         clock.lap("solve")
@@ -249,18 +249,17 @@ class VisualEstimator:
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
 
 
-def _change_of_jitter(
-    solution: ReprojectionSolution, observations: StereoObservations, before: DisparityFilter
+def _of_two_frames(
+    solution: ReprojectionSolution, observations: StereoObservations
 ) -> FloatArray | None:
-    """Return the jitter of a solve as these two frames alone see it: its change, [3], in standard
-    deviations; None without a jitter."""
+    """Return the jitter of a solve in standard deviations of what these two frames alone know of
+    it, [6]; None without a jitter."""
     if solution.jitter is None or observations.jitter is None:
         return None
-    change = solution.jitter.mean_rad
-    if before.jitter is not None:
-        change = change - before.jitter.mean
-    eta: FloatArray = np.linalg.solve(observations.jitter.root, change)
-    return eta
+    root = observations.jitter.curr_root
+    both = np.column_stack([solution.jitter.curr_rad, solution.jitter.prev_rad])
+    eta: FloatArray = np.linalg.solve(root, both)
+    return eta.T.ravel()
 
 
 def evaluate_status(

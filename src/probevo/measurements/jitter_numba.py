@@ -1,7 +1,9 @@
-"""The compiled loops over the rig's jitter: an unknown that moves all right observations of a frame.
+"""The compiled loops over the rig's jitter: unknowns that move all features of a step together.
 
-With B = ∂(u_r', v_r')/∂η at each feature, the residual is e = y' − f(T g(y)) − (0, 0, B η), in which
-the jitter is ω = L η with η ~ N(0, I), so that B is taken in units of its standard deviation.
+The residual is e = y' − h(s) − D η, with h(s) = f(T g(s)). Of η = (η', η°) ~ N(0, I), η' is the
+jitter of the current frame in units of its standard deviation, which moves the right observations
+by B η', and η° what is not known of the jitter of the previous frame. The latter moves
+(s, δ) = (u, v, d, δ) by V η°, and so D = (B, H V), with H = (∂h/∂s, −(0, 0, 1, 0)).
 """
 
 from __future__ import annotations
@@ -16,19 +18,21 @@ from probevo.compiled import compiled
 from probevo.measurements.robust_loss_numba import robust_bend, robust_weight
 from probevo.measurements.stereo_numba import LossParameters, PropagatedNoise
 
-DOF = 3
-"""Degrees of freedom of the jitter: pitch, yaw, roll."""
+AXES = 3
+"""Degrees of freedom of the jitter in one frame: pitch, yaw, roll."""
+DOF = 2 * AXES
+"""Of η: those of the current frame, then those of the previous one."""
 
 
 class JitterEquations(NamedTuple):
     """What the jitter adds to the normal equations of N features over (ξ, η)."""
 
     cross: FloatArray
-    """[6, 3], ξ × η."""
+    """[6, 6], ξ × η."""
     hessian: FloatArray
-    """[3, 3]."""
+    """[6, 6]."""
     gradient: FloatArray
-    """The direction of descent, [3]."""
+    """The direction of descent, [6]."""
 
     @staticmethod
     def empty() -> JitterEquations:
@@ -41,12 +45,59 @@ class JitterEquations(NamedTuple):
 class LinearizedJitter(NamedTuple):
     """The jitter at the point where a solve stands."""
 
-    basis: FloatArray
-    """B, [N, 2, 3], px."""
+    columns: FloatArray
+    """D, [N, 4, 6], px."""
     squared: FloatArray
     """s of each residual, [N]."""
     newton: bool
     """Whether to take the curvature of the loss into account."""
+
+
+@compiled
+def jitter_columns(
+    T: FloatArray,
+    camera: Intrinsics,
+    refined: FloatArray,
+    basis: FloatArray,
+    sensitivity: FloatArray,
+    columns: FloatArray,
+) -> None:
+    """Fill in D = (B, H V).
+
+    Args:
+        T: T_curr_prev, [4, 4].
+        camera: the intrinsics.
+        refined: where to linearise, (u, v, d), [N, 3], px.
+        basis: B, [N, 2, 3], px.
+        sensitivity: V, [N, 4, 3], px.
+        columns: filled in, [N, 4, 6], px; zero behind the camera.
+    """
+    fu, fv, _, _, fb = camera
+    move = np.empty(3)
+    for n in range(len(refined)):
+        columns[n] = 0.0
+        X, Y, Z, rho = transfer(T, camera, refined[n])
+        if Z < NEAREST:
+            continue
+        x = X / Z
+        y = Y / Z
+        d = fb * rho / Z
+        for k in range(AXES):
+            columns[n, 2, k] = basis[n, 0, k]
+            columns[n, 3, k] = basis[n, 1, k]
+            for i in range(3):
+                move[i] = (
+                    T[i, 0] * sensitivity[n, 0, k] / fu
+                    + T[i, 1] * sensitivity[n, 1, k] / fv
+                    + T[i, 3] * sensitivity[n, 2, k] / fb
+                ) / Z
+            u_move = fu * (move[0] - x * move[2])
+            v_move = fv * (move[1] - y * move[2])
+            d_move = sensitivity[n, 2, k] / Z - d * move[2]
+            columns[n, 0, AXES + k] = u_move
+            columns[n, 1, AXES + k] = v_move
+            columns[n, 2, AXES + k] = u_move - d_move - sensitivity[n, 3, k]
+            columns[n, 3, AXES + k] = v_move
 
 
 @compiled
@@ -59,7 +110,7 @@ def jitter_equations(
     jitter: LinearizedJitter,
     equations: JitterEquations,
 ) -> None:
-    """Fill in Σ w Jᵀ Σ⁻¹ B, Σ w Bᵀ Σ⁻¹ B and Σ w Bᵀ Σ⁻¹ e, and Newton's terms if asked for.
+    """Fill in Σ w Jᵀ Σ⁻¹ D, Σ w Dᵀ Σ⁻¹ D and Σ w Dᵀ Σ⁻¹ e, and Newton's terms if asked for.
 
     They extend those of ``stereo_numba.normal_equations`` at the same motion and jitter.
 
@@ -73,7 +124,7 @@ def jitter_equations(
         equations: filled in; the prior of η is not part of it.
     """
     fu, fv, cu, cv, fb = camera
-    basis = jitter.basis
+    columns = jitter.columns
     squared = jitter.squared
     newton = jitter.newton
     cross = equations.cross
@@ -84,7 +135,7 @@ def jitter_equations(
     gradient[:] = 0.0
     J = np.empty((3, 6))  # rows u_l, v, u_r: both rows of the image move alike
     white_e = np.empty(4)
-    white_B = np.empty((4, DOF))
+    white_D = np.empty((4, DOF))
     pull_motion = np.empty(6)
     pull_jitter = np.empty(DOF)
     for n in range(len(curr)):
@@ -103,7 +154,10 @@ def jitter_equations(
         for i in range(4):
             white_e[i] = weight * (W[i, 0] * e0 + W[i, 1] * e1 + W[i, 2] * e2 + W[i, 3] * e3)
             for k in range(DOF):
-                white_B[i, k] = weight * (W[i, 2] * basis[n, 0, k] + W[i, 3] * basis[n, 1, k])
+                total = 0.0
+                for r in range(4):
+                    total += W[i, r] * columns[n, r, k]
+                white_D[i, k] = weight * total
         x_over_z = X / Z
         y_over_z = Y / Z
         for i in range(3):
@@ -120,13 +174,16 @@ def jitter_equations(
             J[i, 4] = (0.0 if i == 1 else scale) - x_over_z * b
             J[i, 5] = x_over_z * scale if i == 1 else -y_over_z * scale
         for k in range(DOF):
-            pull_jitter[k] = basis[n, 0, k] * white_e[2] + basis[n, 1, k] * white_e[3]
+            pull_jitter[k] = 0.0
+            for r in range(4):
+                pull_jitter[k] += columns[n, r, k] * white_e[r]
             gradient[k] += pull_jitter[k]
-            row_v = white_B[1, k] + white_B[3, k]
+            row_v = white_D[1, k] + white_D[3, k]
             for i in range(6):
-                cross[i, k] += J[0, i] * white_B[0, k] + J[1, i] * row_v + J[2, i] * white_B[2, k]
+                cross[i, k] += J[0, i] * white_D[0, k] + J[1, i] * row_v + J[2, i] * white_D[2, k]
             for j in range(DOF):
-                hessian[j, k] += basis[n, 0, j] * white_B[2, k] + basis[n, 1, j] * white_B[3, k]
+                for r in range(4):
+                    hessian[j, k] += columns[n, r, j] * white_D[r, k]
         if newton:
             bend = robust_bend(loss.kind, loss.parameter[n], squared[n])
             for i in range(6):
@@ -147,17 +204,17 @@ def jitter_information(
     motion: FloatArray,
     information: FloatArray,
     weight: FloatArray,
-    basis: FloatArray,
+    columns: FloatArray,
     translation_share: FloatArray,
     equations: JitterEquations,
 ) -> None:
-    """Fill in Σ a Jᵀ Σ⁻¹ B and Σ a Bᵀ Σ⁻¹ B; the gradient is left alone.
+    """Fill in Σ a Jᵀ Σ⁻¹ D and Σ a Dᵀ Σ⁻¹ D; the gradient is left alone.
 
     Args:
         motion: J, [N, 4, 6].
         information: Σ⁻¹, [N, 4, 4].
         weight: a, [N].
-        basis: B, [N, 2, 3].
+        columns: D, [N, 4, 6].
         translation_share: by which the translation's columns of J are scaled, [N].
         equations: filled in.
     """
@@ -165,32 +222,34 @@ def jitter_information(
     hessian = equations.hessian
     cross[:] = 0.0
     hessian[:] = 0.0
-    white_B = np.empty((4, DOF))
+    white_D = np.empty((4, DOF))
     for n in range(len(motion)):
         W = information[n]
         for i in range(4):
             for k in range(DOF):
-                white_B[i, k] = weight[n] * (W[i, 2] * basis[n, 0, k] + W[i, 3] * basis[n, 1, k])
+                total = 0.0
+                for r in range(4):
+                    total += W[i, r] * columns[n, r, k]
+                white_D[i, k] = weight[n] * total
         for k in range(DOF):
             for i in range(6):
                 total = 0.0
                 for r in range(4):
-                    total += motion[n, r, i] * white_B[r, k]
+                    total += motion[n, r, i] * white_D[r, k]
                 cross[i, k] += total * translation_share[n] if i < 3 else total
             for j in range(DOF):
-                hessian[j, k] += basis[n, 0, j] * white_B[2, k] + basis[n, 1, j] * white_B[3, k]
+                for r in range(4):
+                    hessian[j, k] += columns[n, r, j] * white_D[r, k]
 
 
 @compiled
 def without_jitter(
-    curr: FloatArray, basis: FloatArray, eta: FloatArray, shifted: FloatArray
+    curr: FloatArray, columns: FloatArray, eta: FloatArray, shifted: FloatArray
 ) -> None:
-    """Fill ``shifted`` [N, 4] with y' less the offset (0, 0, B η) of the jitter."""
+    """Fill ``shifted`` [N, 4] with y' less D η."""
     for n in range(len(curr)):
-        shifted[n, 0] = curr[n, 0]
-        shifted[n, 1] = curr[n, 1]
-        for r in range(2):
+        for r in range(4):
             offset = 0.0
             for k in range(DOF):
-                offset += basis[n, r, k] * eta[k]
-            shifted[n, 2 + r] = curr[n, 2 + r] - offset
+                offset += columns[n, r, k] * eta[k]
+            shifted[n, r] = curr[n, r] - offset

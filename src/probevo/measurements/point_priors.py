@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,12 +12,20 @@ from probevo.compiled import compiled, invert_positive_definite, invert_symmetri
 
 
 class JitterPrior(NamedTuple):
-    """A Gaussian over the rig's jitter ω in a frame (``camera.rig_jitter``)."""
+    """What is known of the rig's jitter ω in the previous frame: ω = mean + L η, η ~ N(0, I)."""
 
     mean: FloatArray
     """[3], rad."""
-    cov: FloatArray
-    """[3, 3], rad²."""
+    root: FloatArray
+    """L, [3, 3], rad."""
+    sensitivity: FloatArray
+    """How η moves (d, δ) of the M features that earlier frames know, [M, 2, 3], px."""
+
+    @property
+    def cov(self) -> FloatArray:
+        """Covariance of ω, [3, 3], rad²."""
+        cov: FloatArray = self.root @ self.root.T
+        return cov
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,8 @@ class PointPrior:
     """Mean of δ, [N], px."""
     cov: FloatArray
     """Covariance (scale matrix) of (u, v, d, δ), [N, 4, 4], px²."""
+    gain: FloatArray
+    """K, with s = K y for a point of which only y is known, [N, 3, 4]."""
 
     @staticmethod
     def of(
@@ -80,14 +90,14 @@ class PointPrior:
         count = len(observed)
         point = np.empty((count, 3))
         cov = np.zeros((count, 4, 4))
-        observation_to_point(
+        gain = observation_to_point(
             np.ascontiguousarray(observed), scale, propagate, point=point, point_cov=cov
         )
         if time_correlated is not None:
             cov[:, 2, 2] += time_correlated
             cov[:, 3, 3] = time_correlated
             cov[:, 2, 3] = cov[:, 3, 2] = -time_correlated
-        return PointPrior(point=point, error=np.zeros(count), cov=cov)
+        return PointPrior(point=point, error=np.zeros(count), cov=cov, gain=gain)
 
     def given(self, prior: DisparityPrior) -> PointPrior:
         """Return the same points with the disparities that are known better.
@@ -103,7 +113,7 @@ class PointPrior:
         error[prior.rows] = prior.error
         cov[prior.rows, :2, 2:] = cov[prior.rows, 2:, :2] = 0.0
         cov[prior.rows, 2:, 2:] = prior.cov
-        return PointPrior(point=point, error=error, cov=cov)
+        return replace(self, point=point, error=error, cov=cov)
 
 
 @compiled
@@ -113,14 +123,16 @@ def observation_to_point(
     propagate: bool,
     point: FloatArray,
     point_cov: FloatArray,
-) -> None:
+) -> FloatArray:
     """Compute the point s = (u, v, d) behind each stereo observation y, and its scale matrix S.
 
     With ``propagate``, s = K y is the generalised least-squares estimate of y = H s under the scale
     R: the two rows are averaged by their information, and S = (Hᵀ R⁻¹ H)⁻¹. Without, s averages the
     rows plainly, as g does, and S is 0. A singular R counts as the one before. Fills point [N, 3]
-    from observed [N, 4], px, and that part of point_cov [N, 4, 4] from scale [N, 4, 4], px².
+    from observed [N, 4], px, and that part of point_cov [N, 4, 4] from scale [N, 4, 4], px²;
+    returns K, [N, 3, 4].
     """
+    gain = np.empty((len(observed), 3, 4))
     inverse = np.empty((4, 4))
     lower = np.zeros((4, 4))
     weighted = np.empty((3, 4))
@@ -156,6 +168,8 @@ def observation_to_point(
         for i in range(3):
             for j in range(3):
                 point_cov[n, i, j] = S[i, j]
+            for k in range(4):
+                gain[n, i, k] = K[i, k]
         for i in range(3):
             point[n, i] = (
                 K[i, 0] * observed[n, 0]
@@ -163,3 +177,4 @@ def observation_to_point(
                 + K[i, 2] * observed[n, 2]
                 + K[i, 3] * observed[n, 3]
             )
+    return gain

@@ -5,11 +5,11 @@ the current one, and T = T_curr_prev. Its scale Σ follows from the noise of bot
 (``stereo_numba.propagate_noise``), and its loss from the tails of that noise (PROBE-GK eq. 14).
 
 Where the noise has an error that all features of a frame share, the rig's jitter ω
-(``camera.rig_jitter``), that of the current frame is a further unknown, η, with a prior of its own:
-e = y' − f(T g(y)) − (0, 0, B η), with η ~ N(0, I). Observations of the previous frame are corrected
-by the prior of its jitter; the error of that prior moves all features together, and counts as
-an error of the current frame of the opposite sign. The weights of the features are those after η is
-estimated, and the covariance of the motion is marginalised over it. Derivation: docs/conventions.md.
+(``camera.rig_jitter``), that of both frames is a further unknown, η ~ N(0, I): the jitter of the
+current frame moves its right observations, and what is not known of that of the previous frame
+moves the points, from which the solve starts: e = y' − f(T g(y)) − D η (``jitter_numba``). The
+weights of the features are those after η is estimated, and the covariance of the motion is
+marginalised over it. Derivation: docs/conventions.md.
 """
 
 from __future__ import annotations
@@ -32,14 +32,16 @@ from probevo.measurements.base import (
     Variable,
 )
 from probevo.measurements.jitter_numba import (
+    AXES,
     DOF,
     JitterEquations,
     LinearizedJitter,
+    jitter_columns,
     jitter_equations,
     jitter_information,
     without_jitter,
 )
-from probevo.measurements.point_priors import DisparityPrior, PointPrior
+from probevo.measurements.point_priors import DisparityPrior, JitterPrior, PointPrior
 from probevo.measurements.relative_rotation import relative_motion
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.stereo_numba import (
@@ -66,27 +68,74 @@ DIM = 4
 
 @dataclass(frozen=True)
 class JitterUnknown:
-    """The rig's jitter in the current frame, ω = L η, as an unknown of the solve."""
+    """The rig's jitter in both frames as an unknown of the solve: η = (η', η°) ~ N(0, I)."""
 
     variable: Variable
-    """η ~ N(0, I), [3]."""
-    root: FloatArray
-    """L, [3, 3], rad; L Lᵀ = S + P, with S the covariance of the jitter and P what is not known of
-    that in the previous frame."""
+    """η, [6]."""
+    curr_root: FloatArray
+    """L', [3, 3], rad: the jitter of the current frame is L' η', with L' L'ᵀ = S."""
+    prev: JitterPrior
+    """What is known of the jitter of the previous frame, m + L° η°; m is corrected for."""
     basis: FloatArray
-    """B = ∂(u_r', v_r')/∂η, [N, 2, 3], px."""
+    """B = ∂(u_r', v_r')/∂η', [N, 2, 3], px."""
+    sensitivity: FloatArray
+    """V = ∂(u, v, d, δ)/∂η°, the points of the previous frame, [N, 4, 3], px."""
+    columns: FloatArray
+    """D = −∂e/∂η where it was last linearised, [N, 4, 6], px."""
+    at: FloatArray
+    """(0, η°) there, [6]: the points are those at this value."""
+    curr: FloatArray
+    """y' of these points, with their δ, [N, 4], px."""
 
     @staticmethod
     def of(
-        curr_px: FloatArray, cov: FloatArray, camera: StereoCamera, *, frame: int
+        prev_px: FloatArray,
+        curr_px: FloatArray,
+        points: PointPrior,
+        *,
+        cov: FloatArray,
+        prior: DisparityPrior | None,
+        camera: StereoCamera,
+        frame: int,
     ) -> JitterUnknown:
-        """Build the unknown from the observations [N, 4], px, and S + P, [3, 3], rad²."""
-        root = np.linalg.cholesky(cov)
+        """Build the unknown.
+
+        Args:
+            prev_px: observations of N features in the previous frame, [N, 4], px.
+            curr_px: those in the current frame, [N, 4], px.
+            points: the points of the former.
+            cov: covariance S of the jitter in a frame, [3, 3], rad².
+            prior: what earlier frames say of disparities and jitter.
+            camera: the rectified camera.
+            frame: the index of the current frame.
+        """
+        curr_root: FloatArray = np.linalg.cholesky(cov)
+        prev = jitter_before(cov, prior)
+        # The observation is the true one plus G ω, and so the true point is that of the
+        # observation less K G ω.
+        offsets = jitter_offsets(prev_px, camera) @ prev.root
+        sensitivity = np.zeros((len(prev_px), 4, AXES))
+        sensitivity[:, :3] = -(points.gain[:, :, 2:] @ offsets)
+        if prior is not None:
+            sensitivity[prior.rows, 2:] = 0.0 if prior.jitter is None else prior.jitter.sensitivity
         return JitterUnknown(
             variable=Variable(kind="jitter", frame=frame),
-            root=root,
-            basis=np.ascontiguousarray(jitter_offsets(curr_px, camera) @ root),
+            curr_root=curr_root,
+            prev=prev,
+            basis=np.ascontiguousarray(jitter_offsets(curr_px, camera) @ curr_root),
+            sensitivity=sensitivity,
+            columns=np.zeros((len(prev_px), 4, DOF)),
+            at=np.zeros(DOF),
+            curr=curr_px,
         )
+
+
+def jitter_before(cov: FloatArray, prior: DisparityPrior | None) -> JitterPrior:
+    """Return what is known of the previous frame's jitter: at least that it is N(0, S)."""
+    if prior is not None and prior.jitter is not None:
+        return prior.jitter
+    root: FloatArray = np.linalg.cholesky(cov)
+    return JitterPrior(mean=np.zeros(AXES), root=root, sensitivity=np.zeros((0, 2, AXES)))
 
 
 @dataclass(frozen=True)
@@ -130,14 +179,10 @@ class StereoObservations:
             disparity_prior: what earlier frames say of some of the disparities.
         """
         count = len(prev_px)
-        jitter = None
         if noise.jitter_cov is not None:
-            before = disparity_prior.jitter if disparity_prior is not None else None
-            if before is not None:
-                prev_px = prev_px.copy()
-                prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ before.mean
-            unknown_cov = noise.jitter_cov + (noise.jitter_cov if before is None else before.cov)
-            jitter = JitterUnknown.of(curr_px, unknown_cov, camera, frame=poses.curr.frame)
+            before = jitter_before(noise.jitter_cov, disparity_prior)
+            prev_px = prev_px.copy()
+            prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ before.mean
         loss = RobustLoss.student_t() if loss is None else loss
         # Copies: a model may give one scale to all features, as a read-only view without strides,
         # for which Numba would compile everything once more.
@@ -156,6 +201,17 @@ class StereoObservations:
         curr_unbiased = np.subtract(curr_px, noise.bias, order="C")
         # A known error of the measured disparity d = u_l − u_r is taken out of u_r.
         curr_unbiased[:, 2] += points.error
+        jitter = None
+        if noise.jitter_cov is not None:
+            jitter = JitterUnknown.of(
+                prev_px,
+                curr_unbiased,
+                points,
+                cov=noise.jitter_cov,
+                prior=disparity_prior,
+                camera=camera,
+                frame=poses.curr.frame,
+            )
         return StereoObservations(
             points=points,
             pairs=PointPairs(
@@ -184,28 +240,60 @@ class StereoObservations:
         poses = (curr,) if prev is None else (prev, curr)
         return poses if self.jitter is None else (*poses, self.jitter.variable)
 
-    def _pairs(self, values: Values) -> PointPairs:
-        """Return the observations less the offset of the jitter at these values."""
+    def _curr(self, values: Values) -> FloatArray:
+        """Return the current observations less what the jitter at these values moves, [N, 4]."""
         if self.jitter is None:
-            return self.pairs
-        shifted = np.empty_like(self.pairs.curr)
-        without_jitter(
-            self.pairs.curr, self.jitter.basis, values[self.jitter.variable], shifted=shifted
+            return self.pairs.curr
+        jitter = self.jitter
+        shifted = np.empty_like(jitter.curr)
+        change = values[jitter.variable] - jitter.at
+        without_jitter(jitter.curr, jitter.columns, change, shifted=shifted)
+        return shifted
+
+    def points_at(self, values: Values) -> PointPrior:
+        """Return the N points as the jitter at these values moves them, before the solve."""
+        if self.jitter is None:
+            return self.points
+        offset = self.jitter.sensitivity @ values[self.jitter.variable][AXES:]
+        return replace(
+            self.points,
+            point=self.points.point + offset[:, :3],
+            error=self.points.error + offset[:, 3],
         )
-        return self.pairs._replace(curr=shifted)
 
     def propagated(self, values: Values) -> StereoObservations:
         """Return the same observations with Σ and the refined points at these poses."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
         # The refined points are where the loop linearises, so that it begins with the last ones.
         noise = _not_yet_propagated(self.propagated_noise.refined)
-        propagate_noise(T_curr_prev, self.camera, self._pairs(values), noise)
-        return replace(self, propagated_noise=noise)
+        if self.jitter is None:
+            propagate_noise(T_curr_prev, self.camera, self.pairs, noise)
+            return replace(self, propagated_noise=noise)
+        eta = values[self.jitter.variable]
+        offset = self.jitter.sensitivity @ eta[AXES:]
+        curr = self.pairs.curr.copy()
+        curr[:, 2] += offset[:, 3]
+        unjittered = curr.copy()
+        unjittered[:, 2:] -= self.jitter.basis @ eta[:AXES]
+        pairs = self.pairs._replace(point=self.pairs.point + offset[:, :3], curr=unjittered)
+        propagate_noise(T_curr_prev, self.camera, pairs, noise)
+        columns = np.empty_like(self.jitter.columns)
+        jitter_columns(
+            T_curr_prev,
+            self.camera,
+            noise.refined,
+            basis=self.jitter.basis,
+            sensitivity=self.jitter.sensitivity,
+            columns=columns,
+        )
+        at = np.concatenate([np.zeros(AXES), eta[AXES:]])
+        jitter = replace(self.jitter, columns=columns, at=at, curr=curr)
+        return replace(self, propagated_noise=noise, jitter=jitter)
 
     def linearize(self, values: Values, *, newton: bool = False) -> Linearization:
         """Return cost and normal equations in one compiled pass."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
-        curr = self._pairs(values).curr
+        curr = self._curr(values)
         cost, system = self._normal_equations(T_curr_prev, curr, newton=newton)
         motion = Linearization(cost=cost, hessian=system.hessian, gradient=system.gradient)
         if self.jitter is not None:
@@ -216,7 +304,7 @@ class StereoObservations:
                 curr,
                 propagated=self.propagated_noise,
                 loss=self.loss_parameters,
-                jitter=LinearizedJitter(self.jitter.basis, system.squared, newton),
+                jitter=LinearizedJitter(self.jitter.columns, system.squared, newton),
                 equations=equations,
             )
             motion = _with_jitter(motion, equations, values[self.jitter.variable])
@@ -252,7 +340,7 @@ class StereoObservations:
         residual_jacobians(
             T_curr_prev,
             self.camera,
-            self._pairs(values).curr,
+            self._curr(values),
             propagated=self.propagated_noise,
             out=jacobians,
         )
@@ -260,7 +348,9 @@ class StereoObservations:
             weight=np.empty(count), curvature=np.empty(count), relative=np.empty(count)
         )
         scatter, curved = weigh(self.loss_parameters, jacobians.squared, weights)
-        hessian, information = self._information(jacobians, weights)
+        hessian, information = self._information(
+            jacobians, weights, self.points_at(values).point[:, 2]
+        )
         information = information / self._variance_factor(scatter, curved)
         if self.jitter is not None:
             hessian[6:, 6:] += np.eye(DOF)
@@ -291,7 +381,7 @@ class StereoObservations:
         return cost, system
 
     def _information(
-        self, jacobians: StereoJacobians, weights: FeatureWeights
+        self, jacobians: StereoJacobians, weights: FeatureWeights, seen_px: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return Σ w Jᵀ Σ⁻¹ J, and Σ a Jᵀ Σ⁻¹ J without what disparity noise adds to it.
 
@@ -305,7 +395,7 @@ class StereoObservations:
         disparity = np.where(np.abs(refined) > 1e-9, refined, np.inf)
         hessian = np.empty((6, 6))
         information = np.empty((6, 6))
-        disparity_share = self.pairs.point[:, 2] / disparity
+        disparity_share = seen_px / disparity
         sum_information(
             jacobians,
             weights,
@@ -326,7 +416,7 @@ class StereoObservations:
                 jacobians.motion,
                 self.propagated_noise.information,
                 weight,
-                basis=self.jitter.basis,
+                columns=self.jitter.columns,
                 translation_share=share,
                 equations=equations,
             )
@@ -362,10 +452,10 @@ class StereoResult:
     weights: FeatureWeights
     jacobians: StereoJacobians
     hessian: FloatArray
-    """Σ w Jᵀ Σ⁻¹ J with the IRLS weights w, [6, 6], or [9, 9] over (ξ, η) with the jitter's prior.
-    Its inverse is not the covariance."""
+    """Σ w Jᵀ Σ⁻¹ J with the IRLS weights w, [6, 6], or [12, 12] over (ξ, η) with the jitter's
+    prior. Its inverse is not the covariance."""
     information: FloatArray
-    """Information on ξ of T_curr_prev, [6, 6], or on (ξ, η), [9, 9]."""
+    """Information on ξ of T_curr_prev, [6, 6], or on (ξ, η), [12, 12]."""
 
 
 def of_both_poses(motion: Linearization, T_curr_prev: FloatArray) -> Linearization:
@@ -386,7 +476,7 @@ def of_both_poses(motion: Linearization, T_curr_prev: FloatArray) -> Linearizati
 
 
 def _joint(of_motion: FloatArray, equations: JitterEquations) -> FloatArray:
-    """Return the matrix over (ξ, η), [9, 9]."""
+    """Return the matrix over (ξ, η), [12, 12]."""
     joint = np.empty((6 + DOF, 6 + DOF))
     joint[:6, :6] = of_motion
     joint[:6, 6:] = equations.cross

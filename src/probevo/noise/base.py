@@ -48,8 +48,8 @@ class StereoNoise:
     current one y', which is then ``scale``. None means the same scale for both; only for noise that
     refers to observations."""
     jitter_cov: FloatArray | None = None
-    """Covariance S of the rig's jitter (pitch, yaw, roll) in each frame, [3, 3], rad²: an error that
-    all features of a frame have in common (``camera.rig_jitter``). None if the rig is rigid."""
+    """Covariance S of the rig's jitter (pitch, yaw, roll) in each frame, [3, 3], rad²: an error
+    that all features of a frame have in common (``camera.rig_jitter``). None if the rig is rigid."""
 
     def subset(self, chosen: IntArray) -> StereoNoise:
         """Return the noise of some of the features, given their indices [n]."""
