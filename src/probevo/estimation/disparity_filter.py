@@ -57,8 +57,8 @@ half as much costs 0.03 nats a feature, three times as much 0.04, and to pull th
 zero as well 0.01."""
 LEAST_DISPARITY_PX = 0.1
 """Below it, a disparity is no measure of another."""
-_CARRIED = 1.0
-"""Any negative eigenvalue sorts the directions that are carried on apart from the others."""
+_CHOSEN = 1.0
+"""Any negative eigenvalue sorts the directions of the jitter apart from the others."""
 
 
 @dataclass(frozen=True)
@@ -319,14 +319,14 @@ def _update(
     if posterior is not None:
         root = posterior.root
         sensitivity = _transformed(states.sensitivity, root)
-        carried = np.zeros((len(root), 0))
+        chosen = np.zeros((len(root), 0))
         if solution.jitter is not None:
             jitter_root = solution.jitter.unknown.curr_root
-            carried, jitter = _jitter_after(
+            chosen, jitter = _jitter_after(
                 solution.jitter.curr_rad + jitter_root @ mean[6 : 6 + AXES],
                 jitter_root @ root[6 : 6 + AXES],
             )
-        kept_common, cov, directions = _strongest_directions(sensitivity, cov, carried)
+        kept_common, cov, directions = _strongest_directions(sensitivity, cov, chosen)
         step = root[:6]
         path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
         common_before = root[own + COMMON - common.shape[2] :]
@@ -373,8 +373,8 @@ def _jitter_after(mean: FloatArray, root: FloatArray) -> tuple[FloatArray, Jitte
         root: how it depends on the L whitened errors of the step, [3, L], rad.
 
     Returns:
-        The three orthonormal directions among these that make it up, [L, 3], and what is known of
-        it, but for the sensitivity of the tracks.
+        The three orthonormal directions among these that make it up, [L, 3], and its prior, but for
+        the sensitivity of the tracks.
     """
     directions, upper = np.linalg.qr(root.T)
     return directions, JitterPrior(mean, upper.T, np.zeros((0, 2, AXES)))
@@ -401,14 +401,14 @@ def _joint(motion: FloatArray, cross: FloatArray, common: FloatArray) -> FloatAr
 
 
 def _strongest_directions(
-    sensitivity: FloatArray, cov: FloatArray, carried: FloatArray
+    sensitivity: FloatArray, cov: FloatArray, chosen: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Split common errors into the six that move the tracks most, and the rest.
 
     Args:
         sensitivity: how they move (d, δ) of each track, [M, 2, L].
         cov: each track's own covariance, [M, 2, 2], against which the size of a move counts.
-        carried: orthonormal directions that are kept in any case, [L, K], beside six others.
+        chosen: orthonormal directions that are kept in any case, [L, K], beside six others.
 
     Returns:
         The sensitivity to the K + 6, [M, 2, K + 6]; the covariances with the others added; the
@@ -424,13 +424,13 @@ def _strongest_directions(
     white = np.empty_like(sensitivity)
     white[:, 0] = sensitivity[:, 0] / first
     white[:, 1] = (sensitivity[:, 1] - across * white[:, 0]) / np.sqrt(rest)
-    # What is carried on is projected out, and then comes first among the eigenvalues, which ascend:
-    # the strongest directions come last.
-    white = white - _transformed(white, carried) @ carried.T
-    _, directions = np.linalg.eigh(sum_products(white, white) - _CARRIED * (carried @ carried.T))
-    num_carried = carried.shape[1]
-    kept = np.hstack([carried, directions[:, -COMMON:]])
-    dropped = _transformed(sensitivity, directions[:, num_carried:-COMMON])
+    # The chosen ones are projected out, and come first among the eigenvalues, which ascend: the
+    # strongest directions come last.
+    white = white - _transformed(white, chosen) @ chosen.T
+    _, directions = np.linalg.eigh(sum_products(white, white) - _CHOSEN * (chosen @ chosen.T))
+    num_chosen = chosen.shape[1]
+    kept = np.hstack([chosen, directions[:, -COMMON:]])
+    dropped = _transformed(sensitivity, directions[:, num_chosen:-COMMON])
     d = dropped[:, 0]
     error = dropped[:, 1]
     enlarged = cov.copy()

@@ -67,7 +67,7 @@ def update_states(
 
     With z = (ξ, η, c) the errors of the motion and of the rig's jitter and the common-mode errors,
     V = ∂x/∂z before the step, D = (J, H U), and K = (H P)ᵀ Σ⁻¹ the gain of the residual e, x
-    becomes x + V z + K (e − D z), its own covariance P − K H P, and its sensitivity to z is V − K D.
+    becomes x + V z + K (e − D z), its own covariance P − K H P, and its sensitivity to z V − K D.
     The points and residuals are those at the optimum of η already. Covariance and sensitivity are
     in terms of the current frame, where d has grown by ∂d'/∂d, and moves with ξ itself.
 

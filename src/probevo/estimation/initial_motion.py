@@ -8,7 +8,7 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_model import MotionPrediction
-from probevo.estimation.ransac import Consensus, find_consensus
+from probevo.estimation.ransac import Consensus, InlierThreshold, find_consensus
 from probevo.geometry import se3
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.tracking.tracks import Tracks
@@ -46,7 +46,7 @@ def initial_motion(
         gyro: the gyro's rotation, if there is one.
         config: settings of RANSAC and gyro.
         rng: source of the samples.
-        right_sigma_px: as of ``find_consensus``.
+        right_sigma_px: as of ``InlierThreshold``.
 
     Returns:
         The motion, and RANSAC's inliers, or all tracks where the settings say so.
@@ -66,9 +66,8 @@ def initial_motion(
             rng=rng,
             guess=prediction.T_curr_prev,
             C_curr_prev=gyro.C_curr_prev if gyro is not None and uses_gyro else None,
-            threshold_px=widening * config.ransac.threshold_px,
+            threshold=InlierThreshold(widening * config.ransac.threshold_px, right_sigma_px),
             confidence=config.ransac.confidence,
-            right_sigma_px=right_sigma_px,
         )
         if are_enough(consensus.inliers, config):
             break

@@ -32,6 +32,22 @@ COMMON_WITHIN = 3.0
 
 
 @dataclass(frozen=True)
+class InlierThreshold:
+    """How far off an inlier may be."""
+
+    all_px: float = 2.0
+    """Largest error in any of u_l, v_l, u_r."""
+    right_sigma_px: float = 0.0
+    """Standard deviation of an error that all u_r of the step have in common, as of a rig that
+    flexes: it widens the threshold of u_r, and lowers its weight."""
+
+    @property
+    def right_px(self) -> float:
+        """Largest error in u_r."""
+        return math.hypot(self.all_px, COMMON_WITHIN * self.right_sigma_px)
+
+
+@dataclass(frozen=True)
 class Consensus:
     """The motion that most features agree on."""
 
@@ -56,9 +72,8 @@ def find_consensus(
     *,
     guess: FloatArray,
     C_curr_prev: FloatArray | None = None,
-    threshold_px: float = 2.0,
+    threshold: InlierThreshold = InlierThreshold(),
     confidence: float = 0.99,
-    right_sigma_px: float = 0.0,
 ) -> Consensus:
     """Find the best of the motions of random minimal samples.
 
@@ -74,12 +89,10 @@ def find_consensus(
         rng: source of the samples.
         guess: predicted T_curr_prev, [4, 4].
         C_curr_prev: rotation from a gyro, [3, 3]; a sample is then a single point.
-        threshold_px: largest error of an inlier in any of u_l, v_l, u_r.
+        threshold: largest error of an inlier in any of u_l, v_l, u_r.
         confidence: probability that at least one sample of three is free of outliers. As many
             samples of one are drawn with a gyro (PROBE does so too): each carries the depth noise
             of its point, and needs the choice.
-        right_sigma_px: standard deviation of an error that all u_r of the step have in common, as
-            of a rig that flexes; it widens the threshold of u_r, and lowers its weight.
     """
     sample_size = 3 if C_curr_prev is None else 1
     count = len(tracks)
@@ -97,8 +110,8 @@ def find_consensus(
         points=points,
         curr=np.ascontiguousarray(tracks.curr_px),
         camera=Intrinsics.of(camera),
-        threshold_px=threshold_px,
-        right_share=threshold_px / math.hypot(threshold_px, COMMON_WITHIN * right_sigma_px),
+        threshold_px=threshold.all_px,
+        right_share=threshold.all_px / threshold.right_px,
         free=6 if sample_size == 3 else 3,
     )
     _best_sample(

@@ -59,7 +59,7 @@ def update_rig(
     information = B - C.T @ gain
     updated = rig.with_disparity(information[1:, 1:], gradient[1:])
     if solution.jitter is not None:
-        step: FloatArray = np.linalg.solve(solution.full_hessian, motion_gradient)
+        step = np.linalg.solve(solution.full_hessian, motion_gradient).astype(float)
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
     # A constant error is none that is new in every frame: the jitter must not be expected to take
     # it up, and is held.

@@ -9,7 +9,7 @@ from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_model import MotionPrediction
-from probevo.estimation.ransac import find_consensus
+from probevo.estimation.ransac import InlierThreshold, find_consensus
 from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame
 from probevo.tracking import Tracked, Tracker, TrackingState
@@ -84,7 +84,7 @@ def track_from_best_start(
             camera,
             rng=np.random.default_rng([config.seed, frame.index]),
             guess=start,
-            threshold_px=config.ransac.threshold_px,
+            threshold=InlierThreshold(config.ransac.threshold_px),
             confidence=config.ransac.confidence,
         )
         found.append(tracked)

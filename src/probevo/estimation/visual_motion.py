@@ -258,8 +258,7 @@ def _of_two_frames(
         return None
     root = observations.jitter.curr_root
     both = np.column_stack([solution.jitter.curr_rad, solution.jitter.prev_rad])
-    eta: FloatArray = np.linalg.solve(root, both)
-    return eta.T.ravel()
+    return np.linalg.solve(root, both).astype(float).T.ravel()
 
 
 def evaluate_status(

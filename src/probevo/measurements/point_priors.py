@@ -12,7 +12,7 @@ from probevo.compiled import compiled, invert_positive_definite, invert_symmetri
 
 
 class JitterPrior(NamedTuple):
-    """What is known of the rig's jitter ω in the previous frame: ω = mean + L η, η ~ N(0, I)."""
+    """A Gaussian over the rig's jitter ω in the previous frame: ω = mean + L η, η ~ N(0, I)."""
 
     mean: FloatArray
     """[3], rad."""

@@ -75,7 +75,7 @@ class JitterUnknown:
     curr_root: FloatArray
     """L', [3, 3], rad: the jitter of the current frame is L' η', with L' L'ᵀ = S."""
     prev: JitterPrior
-    """What is known of the jitter of the previous frame, m + L° η°; m is corrected for."""
+    """The prior of the jitter of the previous frame, m + L° η°; m is corrected for."""
     basis: FloatArray
     """B = ∂(u_r', v_r')/∂η', [N, 2, 3], px."""
     sensitivity: FloatArray
@@ -109,7 +109,7 @@ class JitterUnknown:
             camera: the rectified camera.
             frame: the index of the current frame.
         """
-        curr_root: FloatArray = np.linalg.cholesky(cov)
+        curr_root = np.linalg.cholesky(cov).astype(float)
         prev = jitter_before(cov, prior)
         # The observation is the true one plus G ω, and so the true point is that of the
         # observation less K G ω.
@@ -131,10 +131,10 @@ class JitterUnknown:
 
 
 def jitter_before(cov: FloatArray, prior: DisparityPrior | None) -> JitterPrior:
-    """Return what is known of the previous frame's jitter: at least that it is N(0, S)."""
+    """Return the prior of the previous frame's jitter: at least that it is N(0, S)."""
     if prior is not None and prior.jitter is not None:
         return prior.jitter
-    root: FloatArray = np.linalg.cholesky(cov)
+    root = np.linalg.cholesky(cov).astype(float)
     return JitterPrior(mean=np.zeros(AXES), root=root, sensitivity=np.zeros((0, 2, AXES)))
 
 

@@ -49,7 +49,7 @@ class StereoNoise:
     refers to observations."""
     jitter_cov: FloatArray | None = None
     """Covariance S of the rig's jitter (pitch, yaw, roll) in each frame, [3, 3], rad²: an error
-    that all features of a frame have in common (``camera.rig_jitter``). None if the rig is rigid."""
+    that all features of a frame have in common (``camera.rig_jitter``). None for a rigid rig."""
 
     def subset(self, chosen: IntArray) -> StereoNoise:
         """Return the noise of some of the features, given their indices [n]."""
