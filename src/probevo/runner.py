@@ -142,13 +142,21 @@ def _run(
     except BaseException as stop:
         # Keep what was computed, whatever the reason. The first frame is no motion, and must not
         # replace the results of an earlier run.
-        result = recorder.result()
+        result = _result(recorder, odometry)
         if len(result) > 1:
             result = replace(result, stopped=_reason(stop))
             _write_results(out, sequence, config, result=result, pictures=pictures)
             stop.add_note(f"The results of the first {len(result)} frames are in {out}.")
         raise
-    return _write_results(out, sequence, config, result=recorder.result(), pictures=pictures)
+    result = _result(recorder, odometry)
+    return _write_results(out, sequence, config, result=result, pictures=pictures)
+
+
+def _result(recorder: RunRecorder, odometry: StereoOdometry) -> RunResult:
+    """Return what was recorded, and how far the rig moves by the last estimate."""
+    rig = odometry.rig
+    sigma_rad = None if rig is None else rig.jitter.sigma_rad
+    return replace(recorder.result(), jitter_sigma_rad=sigma_rad)
 
 
 def _reason(stop: BaseException) -> str:

@@ -127,6 +127,7 @@ def summary(run: Run, out: Path) -> list[str]:
     from probevo.estimation.motion_estimate import Status
     from probevo.output.domain import domain_text, domain_warning
     from probevo.output.headline import headline_drift
+    from probevo.output.run_facts import jitter_text
     from probevo.output.table import readable
 
     result = run.result
@@ -151,6 +152,8 @@ def summary(run: Run, out: Path) -> list[str]:
         error_m = readable(metrics.final_error_m)
         lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")
 
+    if result.jitter_sigma_rad is not None:
+        lines.append(f"the rig {jitter_text(result.jitter_sigma_rad)}")
     if result.out_of_domain is not None:
         warning = domain_warning(result.out_of_domain)
         if warning:

@@ -288,8 +288,7 @@ def _update(
         common[prior.states.rows] = posterior.common
         mean = posterior.mean
     if solution.jitter is not None:
-        of_jitter = solution.jitter.unknown.sensitivity[:, 2:]
-        common = np.concatenate([of_jitter, common], axis=2)
+        common = np.concatenate([solution.jitter.unknown.sensitivity[:, 2:], common], axis=2)
     states = PosteriorStates(
         mean=np.empty((count, 2)),
         cov=np.empty((count, 2, 2)),
@@ -319,14 +318,14 @@ def _update(
     if posterior is not None:
         root = posterior.root
         sensitivity = _transformed(states.sensitivity, root)
-        chosen = np.zeros((len(root), 0))
+        of_jitter = np.zeros((len(root), 0))
         if solution.jitter is not None:
             jitter_root = solution.jitter.unknown.curr_root
-            chosen, jitter = _jitter_after(
+            of_jitter, jitter = _jitter_after(
                 solution.jitter.curr_rad + jitter_root @ mean[6 : 6 + AXES],
                 jitter_root @ root[6 : 6 + AXES],
             )
-        kept_common, cov, directions = _strongest_directions(sensitivity, cov, chosen)
+        kept_common, cov, directions = _strongest_directions(sensitivity, cov, of_jitter)
         step = root[:6]
         path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
         common_before = root[own + COMMON - common.shape[2] :]

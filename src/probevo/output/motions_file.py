@@ -44,6 +44,8 @@ def write_motions(path: Path, result: RunResult) -> None:
         arrays["num_used"] = result.num_used
     if result.num_out_of_domain is not None:
         arrays["num_out_of_domain"] = result.num_out_of_domain
+    if result.jitter_sigma_rad is not None:
+        arrays["jitter_sigma_rad"] = result.jitter_sigma_rad
     for name, ms in result.stage_ms.items():
         arrays[_STAGE + name] = ms
     for name, count in result.rejected.items():
@@ -109,6 +111,9 @@ def read_motions(path: Path | str) -> RunResult:
         if "num_out_of_domain" in arrays
         else None,
         stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
+        jitter_sigma_rad=_take(path, arrays, "jitter_sigma_rad", shape=(3,))
+        if "jitter_sigma_rad" in arrays
+        else None,
     )
 
 

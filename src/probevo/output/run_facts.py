@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 
 from probevo import __version__
-from probevo.arrays import IntArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.output.domain import domain_text
 from probevo.output.run_result import RunResult
+from probevo.output.table import readable
 from probevo.run_config import RunConfig
 from probevo.sequences import GroundTruth, Sequence
 
@@ -24,6 +25,13 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         if result.out_of_domain is None
         else {"Out of its domain": domain_text(result.out_of_domain)}
     )
+    rig = {}
+    if result.jitter_sigma_rad is not None:
+        offset_px = sequence.camera.fu_px * float(result.jitter_sigma_rad[1])
+        rig["Rig"] = (
+            f"{jitter_text(result.jitter_sigma_rad)}; all disparities of a frame are off by"
+            f" {readable(offset_px)} px"
+        )
     return {
         "Recording": str(sequence.path),
         "Format": sequence.format,
@@ -32,6 +40,7 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         "IMU": imu_use_text(sequence, config),
         "Truth": truth_text(sequence.truth, len(result)),
         "Noise model": config.noise,
+        **rig,
         **domain,
         "OpenCV threads": str(cv2.getNumThreads()),
         "probevo": __version__,
@@ -70,6 +79,12 @@ def field_of_view_deg(camera: StereoCamera) -> float:
     return math.degrees(
         math.atan(camera.cu_px / camera.fu_px) + math.atan((width_px - camera.cu_px) / camera.fu_px)
     )
+
+
+def jitter_text(sigma_rad: FloatArray) -> str:
+    """Say how far the rig moves: σ of the right camera's pitch, yaw and roll, [3]."""
+    pitch, yaw, roll = (readable(math.degrees(angle)) for angle in sigma_rad)
+    return f"moves from frame to frame by σ = {pitch}° in pitch, {yaw}° in yaw, {roll}° in roll"
 
 
 def imu_use_text(sequence: Sequence, config: RunConfig) -> str:

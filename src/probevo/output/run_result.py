@@ -60,6 +60,9 @@ class RunResult:
     """Those of them that lie outside of the noise model's domain, [N-1]; None if it has none."""
     stopped: str | None = None
     """What stopped the run before its last frame, such as a damaged image; None if nothing did."""
+    jitter_sigma_rad: FloatArray | None = None
+    """Standard deviation by which the right camera's pitch, yaw and roll against the left one are
+    off in each frame, as estimated at the end, [3]; None without self-calibration."""
 
     @property
     def out_of_domain(self) -> float | None:
