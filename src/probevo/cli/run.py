@@ -152,7 +152,7 @@ def summary(run: Run, out: Path) -> list[str]:
         error_m = readable(metrics.final_error_m)
         lines.append(f"end error {error_m} m after {readable(metrics.path_length_m)} m")
 
-    if result.jitter_sigma_rad is not None:
+    if result.jitter_sigma_rad is not None and len(result) > 1:
         lines.append(f"the rig {jitter_text(result.jitter_sigma_rad)}")
     if result.out_of_domain is not None:
         warning = domain_warning(result.out_of_domain)
