@@ -89,7 +89,10 @@ def steps(sequence: Sequence, model: pv.noise.StudentT | pv.noise.Fixed) -> Iter
             used = odometry.used
             yield Step(
                 tracks=odometry.tracks.kept(used),
-                noise=odometry.noise.predict(odometry.phi[used]),
+                noise=replace(
+                    odometry.noise.predict(odometry.phi[used]),
+                    jitter_cov=None if before.rig is None else before.rig.jitter.cov,
+                ),
                 camera=odometry.camera,
                 disparities=before.disparities,
                 T_curr_prev=motion.T_curr_prev,

@@ -5,6 +5,7 @@ for example: out/points/test.npz fixed. The derivation is in docs/other-back-end
 """
 
 import sys
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -21,6 +22,8 @@ PREV, CURR, COMMON, FIRST_POINT = range(4)  # keys of the variables
 def factors_of(odometry: pv.StereoOdometry, before: Any) -> TrackFactors:
     """Return the factors of the last step; ``before`` is ``odometry.state`` before it."""
     noise = odometry.noise.predict(odometry.phi[odometry.used])
+    if before.rig is not None:
+        noise = replace(noise, jitter_cov=before.rig.jitter.cov)
     tracks = odometry.tracks.kept(odometry.used)
     return TrackFactors.of(tracks, noise, odometry.camera, before.disparities)
 
@@ -44,12 +47,13 @@ def graphs(factors: TrackFactors, start: np.ndarray) -> tuple[Any, Any, Any]:
 
     robust = gtsam.NonlinearFactorGraph()
     robust.addPriorPose3(PREV, gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 1e-6))
-    robust.addPriorVector(COMMON, np.zeros(6), gtsam.noiseModel.Unit.Create(6))
+    num_common = factors.common.shape[2]
+    robust.addPriorVector(COMMON, np.zeros(num_common), gtsam.noiseModel.Unit.Create(num_common))
     fisher = robust.clone()
     values = gtsam.Values()
     values.insert(PREV, gtsam.Pose3())
     values.insert(CURR, gtsam.Pose3(se3.inverse(start)))
-    values.insert(COMMON, np.zeros(6))
+    values.insert(COMMON, np.zeros(num_common))
     gaussian = gtsam.noiseModel.Gaussian.Covariance
     for track, nu in enumerate(np.minimum(factors.dof, 1e9)):
         keys = [PREV, CURR, COMMON, FIRST_POINT + track]

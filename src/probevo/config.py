@@ -126,7 +126,7 @@ class SolverConfig(Settings):
         ),
     )
     max_iterations: int = Field(
-        20,
+        50,
         ge=1,
         le=1000,
         description="Most iterations of Levenberg–Marquardt; it usually takes 5 to 10.",

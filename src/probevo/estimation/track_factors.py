@@ -1,9 +1,10 @@
 """The tracks of a step as factors of a factor graph, for a back end other than probevo's own solve.
 
-A factor joins the pose of the previous frame, that of the current frame, a point, and the
-common-mode errors of the disparity filter. Its residual has seven rows: the error of the point
-s = (u, v, d) against what the previous frames say of it, and that of the current observation y'.
-Both contain the time-correlated error δ of the disparity, so that their covariance is one matrix.
+A factor joins the pose of the previous frame, that of the current frame, a point, and the errors
+that all tracks have in common: those of the disparity filter, and the rig's jitter. Its residual
+has seven rows: the error of the point s = (u, v, d) against what the previous frames say of it, and
+that of the current observation y'. Both contain the time-correlated error δ of the disparity, so
+that their covariance is one matrix.
 The derivation is in docs/other-back-ends.md.
 """
 
@@ -19,6 +20,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import NEAREST, Intrinsics
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.disparity_filter_numba import COMMON
+from probevo.measurements.jitter_numba import AXES, DOF
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -40,7 +42,7 @@ class FactorLinearization(NamedTuple):
     point: FloatArray
     """By s, [7, 3]."""
     common: FloatArray
-    """By the common-mode errors, [7, 6], px."""
+    """By the common-mode errors, [7, K], px."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,9 @@ class TrackFactors:
     dof: FloatArray
     """ν of each track, [N]; np.inf is Gaussian."""
     common: FloatArray
-    """How the common-mode errors c ~ N(0, I) move (d, δ), [N, 2, 6], px; 0 without a history."""
+    """How the common-mode errors c ~ N(0, I) move the residual, [N, 7, K], px: the six of the
+    disparity filter, 0 without a history, and, where the noise has a jitter of the rig, its three
+    numbers in the current frame and three in the previous one; K = 6 or 12."""
     camera: Intrinsics
 
     @staticmethod
@@ -74,7 +78,7 @@ class TrackFactors:
 
         Args:
             tracks: those that the solve used, corrected by the rig's calibration.
-            noise: of each of them.
+            noise: of each of them, with the jitter of the rig if that is to be part of it.
             camera: the rectified camera.
             disparities: what earlier frames say of the disparities, ``state.disparities`` of the
                 odometry *before* the step. None where the graph contains those frames itself.
@@ -99,8 +103,16 @@ class TrackFactors:
         cov[:, 5, 5] += pairs.point_cov[:, 3, 3]
         cov[:, :3, 5] = pairs.point_cov[:, :3, 3]
         cov[:, 5, :3] = pairs.point_cov[:, :3, 3]
-        common = np.zeros((len(tracks), 2, COMMON))
-        common[history.states.rows] = history.common
+        jitter = observations.jitter
+        common = np.zeros((len(tracks), 7, COMMON if jitter is None else COMMON + DOF))
+        common[history.states.rows, 2, :COMMON] = -history.common[:, 0, -COMMON:]
+        common[history.states.rows, 5, :COMMON] = -history.common[:, 1, -COMMON:]
+        if jitter is not None:
+            curr = slice(COMMON, COMMON + AXES)
+            prev = slice(COMMON + AXES, COMMON + DOF)
+            common[:, 5:, curr] = jitter.basis
+            common[:, :3, prev] = -jitter.sensitivity[:, :3]
+            common[:, 5, prev] = -jitter.sensitivity[:, 3]
         return TrackFactors(
             point=pairs.point,
             curr=pairs.curr,
@@ -123,32 +135,30 @@ class TrackFactors:
             track: which, 0 to N − 1.
             T_curr_prev: the motion, [4, 4].
             point: s = (u, v, d), [3], px; the disparity may be zero or negative.
-            common: the common-mode errors c, [6].
+            common: the common-mode errors c, [K].
         """
         fu, fv, cu, cv, fb = self.camera
         C = T_curr_prev[:3, :3]
         t = T_curr_prev[:3, 3]
-        of_disparity, of_delta = self.common[track]
         residual = np.empty(7)
         by_motion = np.zeros((7, 6))
         by_point = np.zeros((7, 3))
-        by_common = np.zeros((7, COMMON))
+        by_common = self.common[track].copy()
         residual[:3] = point - self.point[track]
-        residual[2] -= of_disparity @ common
         by_point[:3] = np.eye(3)
-        by_common[2] = -of_disparity
         # The point in the current frame over its depth in the previous one: q = C m + ρ t.
         rho = point[2] / fb
         x, y, z = C @ [(point[0] - cu) / fu, (point[1] - cv) / fv, 1.0] + rho * t
         if z < NEAREST:
+            residual[:3] += by_common[:3] @ common
             residual[3:] = BEHIND_PX
+            by_common[3:] = 0.0
             return FactorLinearization(residual, by_motion, by_point, by_common)
         u = fu * x / z
         v = fv * y / z
         d = point[2] / z
         residual[3:] = np.array([u + cu, v + cv, u - d + cu, v + cv]) - self.curr[track]
-        residual[5] -= of_delta @ common
-        by_common[5] = -of_delta
+        residual += by_common @ common
         # ∂y'/∂q, and q under ξ and s; d itself is in u_r as well.
         by_q = np.array([[fu, 0.0, -u], [0.0, fv, -v], [fu, 0.0, d - u], [0.0, fv, -v]]) / z
         by_motion[3:, :3] = rho * by_q
