@@ -76,6 +76,7 @@ FIGURES = (
         minutes=2,
         needs_data=True,
     ),
+    Figure("loose-rig", ("docs/accuracy.md",), "python benchmarks/loose_rig.py", minutes=2),
     Figure("solve-time", ("docs/accuracy.md",), "python benchmarks/solve_time.py", minutes=1),
     Figure(
         "speed",
