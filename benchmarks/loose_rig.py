@@ -3,8 +3,8 @@
     python benchmarks/loose_rig.py
 
 The right camera turns by 0.05° RMS about each axis, anew in each frame, or it is exposed 5 ms after
-the left one. Prints how many steps are OK, the mean NEES of these (6 is consistent), of all and from
-the eleventh on, the RMS error of a step, and the jitter that the odometry finds.
+the left one. Prints how many steps are OK, the mean NEES of these (6 is consistent), of all and
+from the eleventh on, the RMS error of a step, and the jitter that the odometry finds.
 """
 
 from __future__ import annotations
