@@ -2,10 +2,12 @@
 
     python benchmarks/faults.py [--kills 50] [--seed 0]
 
-After each kill -9 of train, run and compare, the results must be complete or absent. The same
-command then gives the bytes of an undisturbed one, and leaves nothing else. In each place where
-something is missing (memory, file handles, room on the disk, a terminal, ...), a command ends with
-the exit code 0, or with 2 and a message, and earlier results stay. POSIX only.
+After each kill -9 of train, run, compare and convert, the results must be complete or absent. The
+same command then gives the bytes of an undisturbed one, and leaves nothing else; convert refuses to
+replace a file that is complete. In each place where something is missing (memory, file handles,
+room on the disk, leave to write, a terminal, ...), a command ends with the exit code 0, or with 2
+and a message, and earlier results stay. POSIX only; a full disk and a read-only one need Linux's
+unshare.
 """
 
 from __future__ import annotations
@@ -30,8 +32,16 @@ COMMANDS = {
     "train": "train DRIVE --kind knn --supervision none --iterations 20 --out OUT/m.safetensors",
     "run": "run DRIVE --out OUT",
     "compare": "compare DRIVE --noise fixed student-t --out OUT",
+    "convert": "convert RUN --out OUT/odometry.bag",
 }
-SAME_BYTES = ("m.safetensors", "trajectory.tum", "trajectory.kitti.txt", "config.yaml", "table.tex")
+SAME_BYTES = (
+    "m.safetensors",
+    "trajectory.tum",
+    "trajectory.kitti.txt",
+    "config.yaml",
+    "table.tex",
+    ".bag",
+)
 """Files without times in them."""
 PLACES = {
     "no home": "env -u HOME {run}",
@@ -49,12 +59,23 @@ PLACES = {
     "output piped into head": "{run} | head -c 1",
     "files of 10 kB at most": "ulimit -f 10; trap '' XFSZ; {run}",
     "stdout full": "{run} >/dev/full",
+    "read-only folder": (
+        "unshare -rm bash -c 'mount --bind {out} {out} && mount -o remount,ro,bind {out} && {run}'"
+    ),
+    "disk full": (
+        "cp -a {out} {out}-kept && unshare -rm bash -c 'mount -t tmpfs -o size=16m tmpfs {out} &&"
+        " cp -a {out}-kept/. {out} && {{ dd if=/dev/zero of={out}/fill bs=4k; sync; }} 2>/dev/null;"
+        " {run}; code=$?; rm {out}/fill; rm -r {out}-kept; cp -a {out} {out}-kept; exit $code'; "
+        "code=$?; rm -r {out}; mv {out}-kept {out}; exit $code"
+    ),
 }
 
 
 def words_of(command: str, drive: Path, out: Path) -> list[str]:
-    text = command.replace("DRIVE", shlex.quote(str(drive))).replace("OUT", shlex.quote(str(out)))
-    return [*PROBEVO, *shlex.split(text)]
+    places = {"DRIVE": drive, "RUN": drive.with_suffix(".run"), "OUT": out}
+    for name, place in places.items():
+        command = command.replace(name, shlex.quote(str(place)))
+    return [*PROBEVO, *shlex.split(command)]
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -89,9 +110,13 @@ def kill(folder: Path, drive: Path, number: int, rng: np.random.Generator) -> li
             time.sleep(rng.uniform(0.2, 1.1) * took_s)
             process.send_signal(signal.SIGKILL)
             process.communicate()
+            completed = stages["complete"]
             faults += [f"{name} {k}: {fault}" for fault in halves(name, out, expected, stages)]
             done = subprocess.run(words_of(command, drive, out), check=False, capture_output=True)
-            if done.returncode != 0:
+            refuses = name == "convert" and stages["complete"] > completed
+            if refuses and done.returncode == 2 and b"exists" in done.stderr:
+                pass  # a file that is complete is never replaced
+            elif done.returncode != 0:
                 faults.append(f"{name} {k}: does not go on: {done.stderr.decode()}")
                 continue
             found = content(out)
@@ -120,13 +145,18 @@ def missing(folder: Path, drive: Path) -> list[str]:
     strange.write_bytes(drive.read_bytes())
     cases = [(name, place, drive) for name, place in PLACES.items()]
     cases.append(("name that is no UTF-8", "{run}", strange))
+    can_mount = subprocess.run(["unshare", "-rm", "true"], check=False).returncode == 0
     for name, place, recording in cases:
+        if "unshare" in place and not can_mount:
+            print(f"{name}: not tried, since this system lets nobody mount")
+            continue
         out = folder / "out-of-places"
         subprocess.run(words_of(COMMANDS["run"], drive, out), check=True, capture_output=True)
-        before = content(out)
+        before = stable(content(out))
+        whole = content(out).keys()
         command = shlex.join(words_of(COMMANDS["run"], recording, out))
         done = subprocess.run(
-            ["bash", "-c", f"set -o pipefail; {place.format(run=command)}"],
+            ["bash", "-c", f"set -o pipefail; {place.format(run=command, out=out)}"],
             check=False,
             capture_output=True,
             timeout=300,
@@ -136,8 +166,10 @@ def missing(folder: Path, drive: Path) -> list[str]:
         if has_traceback or is_silent or done.returncode not in (0, 2, 120):
             last = done.stderr.decode("utf-8", "replace").strip()[-300:]
             faults.append(f"{name}: exit code {done.returncode}: {last}")
-        if content(out).keys() != before.keys():
-            faults.append(f"{name}: left {sorted(content(out).keys() ^ before.keys())}")
+        if content(out).keys() != whole:
+            faults.append(f"{name}: left {sorted(content(out).keys() ^ whole)}")
+        if stable(content(out)) != before and recording == drive:
+            faults.append(f"{name}: earlier results were damaged")
         print(f"{name}: exit code {done.returncode}", flush=True)
     return faults
 
@@ -153,6 +185,8 @@ def main() -> int:
         drive = Path(name) / "drive.npz"
         config = PointConfig(radius_m=3.0, landmarks=400)
         write_points(simulate_points(config, duration_s=4.0, rng=rng), drive)
+        run = words_of(COMMANDS["run"], drive, drive.with_suffix(".run"))
+        subprocess.run(run, check=True, capture_output=True)
         faults = kill(Path(name), drive, -(-given.kills // len(COMMANDS)), rng)
         faults += missing(Path(name), drive)
     print("\n".join(faults))

@@ -9,6 +9,7 @@ import tempfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -238,8 +239,12 @@ def check(motion: Any) -> None:
         raise InvalidResultError("a covariance has a negative eigenvalue")
 
 
-def command(words: list[str]) -> None:
-    """Call a command; it ends with the exit code 0, or with 2 and a message."""
+def command(words: list[str]) -> object:
+    """Call a command; it ends with the exit code 0, or with 2 and a message.
+
+    Returns:
+        The exit code.
+    """
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
@@ -250,6 +255,7 @@ def command(words: list[str]) -> None:
         raise InvalidResultError(f"exit code {code}: {' '.join(words)}")
     if code == 2 and not (err.getvalue() or out.getvalue()).strip():
         raise InvalidResultError(f"exit code 2 without a message: {' '.join(words)}")
+    return code
 
 
 def use_images(path: Path, rng: Generator) -> object:
@@ -311,7 +317,8 @@ def use_poses(path: Path, rng: Generator) -> None:
 def use_flags(path: Path, rng: Generator) -> None:
     words = path.read_text("utf-8", "surrogateescape").split("\x1f")
     with contextlib.chdir(path.parent):
-        command(words)
+        if command(words) == 2:
+            raise ProbevoError("exit code 2")  # counted as a refusal
 
 
 # Where it begins.
@@ -360,6 +367,36 @@ def bag_seed(kind: str) -> Seed:
         files = read_files(Path(name) / "bags")
         entry = path.relative_to(Path(name) / "bags").as_posix()
     return Seed(files, entry, tuple(files))
+
+
+KIND_OF_ENTRY = {"drive.bag": "bag", "drive.mcap": "single mcap"}
+
+
+def field_seed(kind: str) -> Seed:
+    """Write a bag with the name that mutants of its messages have."""
+    from fuzz.bag_fields import hostile_files
+
+    entry, files = hostile_files(kind, tracked_messages(), None)
+    return Seed(files, entry, (entry,))
+
+
+@cache
+def tracked_messages() -> list[Any]:
+    """Return the messages of a short recording whose images can be tracked."""
+    from sequences.bags import messages_of
+
+    seed = recording_seed(lambda root: tiny.write_folder_sequence(root / "drive", frames=3))
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as name:
+        write_files(Path(name), seed.files)
+        return messages_of(open_sequence(Path(name) / seed.entry))
+
+
+def other_bag(files: Files, name: str, rng: Generator) -> Files:
+    """Write the bag anew with hostile fields; framing, lengths and checksums are right."""
+    from fuzz.bag_fields import hostile_files
+
+    del files
+    return hostile_files(KIND_OF_ENTRY[name], tracked_messages(), rng)[1]
 
 
 def model_seeds() -> tuple[Seed, ...]:
@@ -456,8 +493,26 @@ def flag_names(model: type[BaseModel], prefix: str = "--") -> list[str]:
     return names
 
 
+VALID_WORDS = (
+    ("--noise", "fixed"),
+    ("--max-frames", "3"),
+    ("--seed", "5"),
+    ("--tracking.num-features", "120"),
+    ("--ransac.confidence", "0.9"),
+    ("--no-self-calibration",),
+)
+
+
 def other_flags(files: Files, name: str, rng: Generator) -> Files:
-    """Compose a command of wrong flags, values and paths; it writes below its own folder."""
+    """Compose a command of wrong flags, values and paths; it writes below its own folder.
+
+    One in five has nothing wrong, so that the rest is not refused for the same reason.
+    """
+    if rng.random() < 0.2:
+        words = ["run", str(one_of(("folder", "tracks.npz"), rng)), "--out", "out"]
+        for k in rng.permutation(len(VALID_WORDS))[: rng.integers(0, 4)].tolist():
+            words += VALID_WORDS[k]
+        return files | {name: "\x1f".join(words).encode()}
     command = one_of(("run", "train", "info", "inspect", "eval", "compare", "simulate", "x"), rng)
     if command == "train":
         from probevo.training.settings import TrainSettings
@@ -534,6 +589,8 @@ def all_targets() -> dict[str, Target]:
         mcap = tuple(bag_seed(kind) for kind in ("mcap", "single mcap"))
         found.append(Target("bag", bags, change(mutated_bytes), step_all))
         found.append(Target("mcap", mcap, change(mutated_bytes), step_all))
+        fields = tuple(field_seed(kind) for kind in ("bag", "single mcap"))
+        found.append(Target("bag fields", fields, other_bag, step_all))
     return {target.name: target for target in found}
 
 

@@ -10,7 +10,7 @@ from fuzz.targets import Seed, Target, Use, all_targets, step_all, write_files
 
 NAMES = (
     *("text", "imu", "yaml", "npz", "npz bytes", "model", "model bytes", "config", "png"),
-    *("png bytes", "jpeg", "calibration", "poses", "flags", "bag", "mcap"),
+    *("png bytes", "jpeg", "calibration", "poses", "flags", "bag", "mcap", "bag fields"),
 )
 NUMBER = 10
 """Mutants of each class."""

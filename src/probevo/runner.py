@@ -192,7 +192,12 @@ def _write_results(
     if sequence.truth is not None:
         truth = sequence.truth.T_world_cam[: len(result)]
         metrics = evaluate(result.T_world_cam, truth, result.T_curr_prev, cov=result.cov)
-        metrics = replace(metrics, out_of_domain=result.out_of_domain, stopped=result.stopped)
+        metrics = replace(
+            metrics,
+            out_of_domain=result.out_of_domain,
+            faults=result.faults,
+            stopped=result.stopped,
+        )
 
     # All files or none: part of them beside those of an earlier run would pass for one run.
     with written_together(out) as folder:

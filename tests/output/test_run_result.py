@@ -108,3 +108,30 @@ def test_long_runs_with_a_stage_that_comes_late() -> None:
     np.testing.assert_array_equal(run.cov[:, 5, 5], numbers)
     np.testing.assert_array_equal(run.stage_ms["track"], numbers)
     np.testing.assert_array_equal(run.stage_ms["solve"], np.where(numbers < 1500, 0, -numbers))
+
+
+def test_faults_are_counted_by_name() -> None:
+    """Two frames lost, a step that was not solved, and samples that could not be used."""
+    recorder = RunRecorder()
+    cov = np.eye(6)
+    texts = ("3 of 20 IMU samples without a finite angular rate", "1 of 9 features beyond 1e6")
+    motions = [
+        MotionEstimate(np.eye(4), np.zeros((6, 6)), Status.FIRST, num_tracks=0),
+        MotionEstimate(np.eye(4), cov, Status.OK, num_tracks=9, missing=texts),
+        MotionEstimate(np.eye(4), cov, Status.OK, num_tracks=9, missing=texts[:1]),
+        MotionEstimate(np.eye(4), cov, Status.OK, num_tracks=9),
+        MotionEstimate(np.eye(4), cov, Status.TOO_FEW_TRACKS, num_tracks=0),
+    ]
+    for stamp_ns, motion in zip((0, 100, 201, 500, 600), motions, strict=True):
+        recorder.add(stamp_ns, motion)
+    assert recorder.result().faults == {
+        "lost_frames": 2,
+        "steps_too_few_tracks": 1,
+        "imu_samples_without_a_finite_angular_rate": 6,
+        "features_beyond_e": 1,
+    }
+
+
+def test_a_run_without_faults_counts_none(make_run: Callable[..., RunResult]) -> None:
+    assert make_run(20).faults == {}
+    assert make_run(1).faults == {}

@@ -53,6 +53,8 @@ class Trajectory:
     """Covariances of the relative motions, [N-1, 6, 6]; None if it is not a run."""
     out_of_domain: float | None = None
     """See ``RunResult.out_of_domain``."""
+    faults: dict[str, int] | None = None
+    """See ``RunResult.faults``; None of a trajectory that is no run."""
     stopped: str | None = None
     """See ``RunResult.stopped``."""
 
@@ -71,7 +73,12 @@ def main(words: list[str]) -> None:
     metrics = evaluate(
         estimate.T_world_cam, T_world_cam_true, estimate.T_curr_prev, cov=estimate.cov
     )
-    metrics = replace(metrics, out_of_domain=estimate.out_of_domain, stopped=estimate.stopped)
+    metrics = replace(
+        metrics,
+        out_of_domain=estimate.out_of_domain,
+        faults=estimate.faults,
+        stopped=estimate.stopped,
+    )
     rows = metrics_rows(metrics)
     width = max(len(name) for name, _, _ in rows)
     print(columns((f"{name:<{width}}  {value}", text) for name, value, text in rows))
@@ -105,6 +112,7 @@ def read_run(folder: Path) -> Trajectory:
         T_curr_prev=result.T_curr_prev,
         cov=result.cov,
         out_of_domain=result.out_of_domain,
+        faults=result.faults,
         stopped=result.stopped,
     )
 

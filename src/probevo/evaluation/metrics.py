@@ -56,6 +56,9 @@ class Metrics:
     out_of_domain: float | None = None
     """Share, 0 … 1, of the features used that lie outside of the noise model's domain; None if the
     model has no domain. The caller of ``evaluate`` takes it from the run: it needs no truth."""
+    faults: dict[str, int] | None = None
+    """Lost frames, steps that were not solved by their status, and samples and features that could
+    not be used, by name; only those that occurred. The caller takes it from the run."""
     stopped: str | None = None
     """What stopped the run before its last frame; None if nothing did. The caller of ``evaluate``
     takes it from the run, too."""

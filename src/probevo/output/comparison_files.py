@@ -26,12 +26,13 @@ def flat_record(entry: Entry) -> dict[str, object]:
     """Describe a run by the cells of one line: names, number of steps by status, time, metrics.
 
     Metrics have the names of ``metrics.json``; its ``nees_coverage`` has a column for each
-    percentage. None where unknown.
+    percentage, and of ``faults`` there is only the sum. None where unknown.
     """
     values: dict[str, object] = {field.name: None for field in fields(Metrics)}
     if entry.metrics is not None:
         values |= entry.metrics.as_dict()
     values["out_of_domain"] = entry.result.out_of_domain  # it needs no truth
+    values["faults"] = sum(entry.result.faults.values())  # of all kinds; it needs no truth either
     coverage = values.pop("nees_coverage") or {}
     if not isinstance(coverage, dict):
         coverage = {}

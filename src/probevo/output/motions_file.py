@@ -19,6 +19,7 @@ from probevo.output.run_result import RunResult
 
 _STAGE = "ms_"
 _REJECTED = "rejected_"
+_UNUSABLE = "unusable_"
 _CURE = "Expected a motions.npz written by `probevo run`."
 
 
@@ -50,6 +51,8 @@ def write_motions(path: Path, result: RunResult) -> None:
         arrays[_STAGE + name] = ms
     for name, count in result.rejected.items():
         arrays[_REJECTED + name.replace(" ", "_")] = np.array(count, dtype=np.int64)
+    for name, count in result.unusable.items():
+        arrays[_UNUSABLE + name] = np.array(count, dtype=np.int64)
     if result.stopped is not None:
         arrays["stopped"] = np.array(result.stopped)
     buffer = io.BytesIO()
@@ -110,6 +113,11 @@ def read_motions(path: Path | str) -> RunResult:
         num_out_of_domain=_take(path, arrays, "num_out_of_domain", shape=(steps,))
         if "num_out_of_domain" in arrays
         else None,
+        unusable={
+            name.removeprefix(_UNUSABLE): int(_take(path, arrays, name, shape=()))
+            for name in arrays
+            if name.startswith(_UNUSABLE)
+        },
         stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
         jitter_sigma_rad=_take(path, arrays, "jitter_sigma_rad", shape=(3,))
         if "jitter_sigma_rad" in arrays

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -63,6 +64,22 @@ class RunResult:
     jitter_sigma_rad: FloatArray | None = None
     """Standard deviation by which the right camera's pitch, yaw and roll against the left one are
     off in each frame, as estimated at the end, [3]; None without self-calibration."""
+    unusable: dict[str, int] = field(default_factory=dict)
+    """Samples and features that could not be used, counted by what was wrong with them
+    (``MotionEstimate.missing``)."""
+
+    @property
+    def faults(self) -> dict[str, int]:
+        """Count all faults of the run by name; empty if there were none.
+
+        They are frames that were lost, by the stamps; steps that were not solved, by their status;
+        and what was ``unusable``.
+        """
+        counts = {"lost_frames": self._lost_frames()}
+        for status in Status:
+            if status not in (Status.FIRST, Status.OK):
+                counts[f"steps_{status.name.lower()}"] = int((self.status == status).sum())
+        return {name: count for name, count in (counts | self.unusable).items() if count}
 
     @property
     def out_of_domain(self) -> float | None:
@@ -124,6 +141,13 @@ class RunResult:
         columns["status"] = ["FIRST", *names][: len(self)]
         return pd.DataFrame(columns, index=pd.Index(self.stamps_ns, name="stamp_ns"))
 
+    def _lost_frames(self) -> int:
+        """Count the frames that are missing where a step is longer than the median one."""
+        steps_ns = np.diff(self.stamps_ns)
+        if len(steps_ns) == 0:
+            return 0
+        return int(np.maximum(np.round(steps_ns / np.median(steps_ns)) - 1.0, 0.0).sum())
+
     def _facts(self) -> list[tuple[str, str]]:
         """Return name and text of what a glance should show."""
         duration_s = 1e-9 * float(self.stamps_ns[-1] - self.stamps_ns[0]) if len(self) else 0.0
@@ -150,6 +174,7 @@ class RunRecorder:
         """Stamp, status, tracks, inliers, used, out of domain (−1 for None)."""
         self._stage_ms: dict[str, _Rows] = {}
         self._rejected: Counter[str] = Counter()
+        self._unusable: Counter[str] = Counter()
 
     def add(
         self,
@@ -200,6 +225,10 @@ class RunRecorder:
         for name, times_ms in self._stage_ms.items():
             times_ms.add(motion.stage_ms.get(name, 0.0))
         self._rejected.update(rejected or {})
+        for text in motion.missing:
+            # "3 of 20 IMU samples without …" becomes imu_samples_without_…
+            count, _, _, what = text.split(" ", 3)
+            self._unusable[re.sub(r"[^a-z]+", "_", what.lower()).strip("_")] += int(count)
 
     def result(self) -> RunResult:
         """Collect all that was recorded so far."""
@@ -222,6 +251,7 @@ class RunRecorder:
             stage_ms={name: times_ms.table()[1:, 0] for name, times_ms in self._stage_ms.items()},
             total_ms=numbers[:, 106].copy(),
             rejected=dict(self._rejected),
+            unusable=dict(self._unusable),
             num_used=num_used,
             num_out_of_domain=np.maximum(outside, 0) if (outside >= 0).any() else None,
         )
