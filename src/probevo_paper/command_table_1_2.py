@@ -62,6 +62,7 @@ def repeat_table(settings: Table12Config, own: tuple[Path, Path] | None, out: Pa
         return table_of(done, planned, without_truth)
 
     def write(done: Comparison) -> None:
+        """Write the table after each run."""
         write_table(out, done, trial_table(done), text=table_text(trial_table(done)))
 
     comparison = compare.run_all(_runs(trials, models, out), 1, write, out=out)

@@ -65,6 +65,7 @@ def repeat_table(settings: Table13Config, own: tuple[Path, ...], out: Path) -> l
         return table_of(done, names, bool(own))
 
     def write(done: Comparison) -> None:
+        """Write table and page after each run."""
         table = trial_table(done)
         write_table_files(
             out / "table_1_3",

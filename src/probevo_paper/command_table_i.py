@@ -56,6 +56,7 @@ def repeat_table(settings: TableIConfig, kitti: Path, out: Path) -> list[str]:
         return table_text(trial_table(done), "ARMSE / final error, m.")
 
     def write(done: Comparison) -> None:
+        """Write the table after each run."""
         write_table(out, done, trial_table(done), text=text(done))
 
     runs = _runs(plan, models, settings, kitti=kitti, out=out)

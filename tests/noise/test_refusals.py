@@ -460,7 +460,7 @@ def test_an_error_cov_that_is_none_is_refused(kind: str, error_cov: FloatArray) 
 ACCOUNT: dict[str, Any] = {
     "recordings": [{"name": "06", "frames": 1101, "sha256": "0" * 64}],
     "settings": {"seed": 0, "supervision": "gt"},
-    "turns": [{"log_likelihood": 1.0, "loop_error_m": 2.0}],
+    "iterations": [{"log_likelihood": 1.0, "loop_error_m": 2.0}],
 }
 """What a training says of itself, as far as it is shown."""
 SEARCHES: dict[str, dict[str, Any]] = {
@@ -479,9 +479,9 @@ NONSENSE: list[tuple[tuple[str | int, ...], Any]] = [
     *((("recordings",), value) for value in (7, "06", [None], [[]], [{}], {"a": 1})),
     *((("recordings", 0, "frames"), value) for value in ("x", None, -1, 10**400, [])),
     *((("recordings", 0, key), None) for key in ("name", "sha256")),
-    *((("turns",), value) for value in (7, [[]], [None], [{}], [{"a": 1}])),
-    *((("turns", 0, "log_likelihood"), value) for value in (None, "x", [], 10**400)),
-    *((("turns", 0, "loop_error_m"), value) for value in ("x", [[]])),
+    *((("iterations",), value) for value in (7, [[]], [None], [{}], [{"a": 1}])),
+    *((("iterations", 0, "log_likelihood"), value) for value in (None, "x", [], 10**400)),
+    *((("iterations", 0, "loop_error_m"), value) for value in ("x", [[]])),
     *((("settings",), value) for value in (None, "x", [])),
     *((("searches",), value) for value in (None, "x", {"neighbors": 0}, {"neighbors": {}})),
 ]

@@ -42,12 +42,14 @@ def add_row_equations(
         information: Σ w B Bᵀ is added to it, [6, 6], px⁻².
         gradient: Σ w B (v_r − v_l) is added to it, [6], px⁻¹.
     """
+    # Neighbours err alike: as many as ``correlated`` of them weigh as much as one.
     variance = noise.sigma_px**2 * noise.correlated
     for n in range(len(offsets)):
         predicted = 0.0
         for i in range(NUM_COEFFICIENTS):
             predicted += basis[n, i] * coefficients[i]
         squared = ((offsets[n] - predicted) / noise.sigma_px) ** 2
+        # IRLS weight of a Student-t in one dimension: (ν + 1)/(ν + s), over the variance.
         weight = (noise.dof + 1.0) / (noise.dof + squared) / variance
         for i in range(NUM_COEFFICIENTS):
             weighted = weight * basis[n, i]

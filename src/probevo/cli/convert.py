@@ -90,6 +90,7 @@ def _write(
     with progress_bar(sequence.path.name, "reading") as show:
 
         def on_frame(index: int) -> None:
+            """Count a frame that is written."""
             show(next(num_done), num_frames)
 
         if is_bag:

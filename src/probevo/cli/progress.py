@@ -49,6 +49,7 @@ def progress_bar(name: str, starting: str) -> Iterator[Show]:
         task = progress.add_task(starting, total=None, rate="")
 
         def show(done: int, total: int) -> None:
+            """Move the bar, and tell the rate from the second frame on."""
             progress.update(task, description=name, completed=done, total=total)
             speed = progress.tasks[0].speed
             if speed is not None:  # it is known from the second frame on
@@ -63,6 +64,7 @@ def _log_lines(name: str) -> Show:
     last_s = start_s
 
     def show(done: int, total: int) -> None:
+        """Write a line, unless the last one is less than half a minute old."""
         nonlocal last_s
         now_s = monotonic()
         if now_s - last_s < LINE_EVERY_S or done == 0:

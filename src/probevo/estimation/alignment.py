@@ -79,8 +79,10 @@ def solve_alignment(
     Gamma = pairs.weights(T)
     while not converged and iterations < max_iterations:
         information, gradient = pairs.normal_equations(T, Gamma)
+        # Marquardt's damping is relative to the diagonal, and so indifferent to m and rad.
         step = _inverse(information + damping * np.diag(np.diag(information))) @ gradient
         T_next = se3.exp(step) @ T
+        # Both costs under one Γ; under two of them they could not be compared.
         if pairs.cost(T_next, Gamma) <= pairs.cost(T, Gamma):
             T = T_next
             damping = max(0.1 * damping, _LEAST_DAMPING)
@@ -111,6 +113,7 @@ class _PointPairs:
         camera: StereoCamera,
     ) -> _PointPairs:
         """p = g(y) with covariance G R Gᵀ (PROBE eqs. 8-9)."""
+        # A point at infinity or beyond has no coordinates in metres.
         is_near = (prev_px[:, 0] > prev_px[:, 2]) & (curr_px[:, 0] > curr_px[:, 2])
         shape = (len(prev_px), 4, 4)
         points = []
@@ -144,6 +147,7 @@ class _PointPairs:
 def _inverse(information: FloatArray) -> FloatArray:
     """Inverse of a positive semi-definite [6, 6] matrix, its eigenvalues bounded below once its
     diagonal is one."""
+    # With a diagonal of one, eigenvalues of m and of rad can be compared.
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), _LEAST_INFORMATION))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     half = scale[:, None] * vectors / np.sqrt(np.maximum(values, _LEAST_INFORMATION))

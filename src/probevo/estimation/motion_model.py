@@ -102,9 +102,12 @@ class MotionModel:
         T_curr_prev = np.empty((4, 4))
         perturb(self.twist_s * duration_s, np.eye(4), T_curr_prev)  # Exp(ξ), compiled
         velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
+        # The stamps of both ends are off, and a longer interval is a longer way.
         stamp_variance = 2.0 * self.config.stamp_sigma_s**2
         cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist_s, self.twist_s)
         if gyro is not None:
+            # The gyro takes the place of the predicted rotation. A turn of the axes, a wrong scale
+            # and a late clock err with the rotation, and with how fast it changes.
             T_curr_prev[:3, :3] = gyro.C_curr_prev
             angle = so3.log(gyro.C_curr_prev)
             change_rad_s = angle / duration_s - self.twist_s[3:]

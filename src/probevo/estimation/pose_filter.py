@@ -50,6 +50,7 @@ class PoseFilter:
     def advanced(self, motion: MotionEstimate) -> PoseFilter:
         """Return the pose after a step: P = Ad P Adᵀ + cov + X + Xᵀ, X the cross-covariance."""
         adjoint = se3.adjoint(motion.T_curr_prev)
+        # Common-mode errors are the same in all steps: their roots add up, not their covariances.
         step_cov = motion.cov - motion.common_mode @ motion.common_mode.T
         own_cov = adjoint @ self.own_cov @ adjoint.T + step_cov
         if not self.is_corrected:

@@ -88,9 +88,8 @@ def integrate_gyro(
 def _mean_rates(imu: ImuSamples, start_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray]:
     """Return each sub-interval's length, [J], s, and its mean rate, [J, 3], rad/s."""
     is_inside = (imu.stamps_ns > start_ns) & (imu.stamps_ns < end_ns)
-    knots_ns = (
-        np.concatenate([[start_ns], imu.stamps_ns[is_inside], [end_ns]]) - start_ns
-    )  # small: exact as a float
+    # From the start on, so that the numbers are small enough to be exact as floats.
+    knots_ns = np.concatenate([[start_ns], imu.stamps_ns[is_inside], [end_ns]]) - start_ns
     stamps_ns = imu.stamps_ns - start_ns
     rates = np.stack([np.interp(knots_ns, stamps_ns, axis) for axis in imu.gyro_rad_s.T], axis=1)
     return 1e-9 * np.diff(knots_ns), 0.5 * (rates[:-1] + rates[1:])
@@ -187,6 +186,8 @@ class GyroBias:
         # The pseudo-inverse lets an interval of no length, or a gyro without any noise, say
         # nothing.
         K = P @ J.T @ np.linalg.pinv(innovation, hermitian=True)
+        # By how much the gyro's rotation falls short of the solved one, seen in the current camera.
         r = so3.log(C_curr_prev_solved @ gyro.C_curr_prev.T)
+        # Joseph's form stays positive semi-definite whatever the rounding.
         rest = np.eye(3) - K @ J
         return GyroBias(self.mean + K @ r, rest @ P @ rest.T + K @ (Q + cov_rotation) @ K.T)

@@ -145,13 +145,15 @@ def propagate_noise(
             information[n] = 0.0
             continue
         iz = 1.0 / Z
+        # What the current left image should show, from the principal point on, and the disparity.
         u = fu * X * iz
         v = fv * Y * iz
         d = fb * rho * iz
         a = fu * iz
         b = fv * iz
         c = iz / fb
-        # Columns of A: a change of u, v, d moves q along C's columns and t.
+        # Columns of A: a change of u, v, d moves q = C m + ρ t along C's columns and t. The first
+        # term of each entry is from the numerator of u = f_u q_x/q_z, the second from q_z.
         A[0, 0] = (a * T[0, 0] - u * iz * T[2, 0]) / fu
         A[0, 1] = (a * T[0, 1] - u * iz * T[2, 1]) / fv
         A[0, 2] = (fu * T[0, 3] - u * T[2, 3]) * c
@@ -172,6 +174,7 @@ def propagate_noise(
             for j in range(i + 1):
                 product = HP[i, 0] * A[j, 0] + HP[i, 1] * A[j, 1] + HP[i, 2] * A[j, 2]
                 projected[i, j] = projected[j, i] = product - HP[i, 3] if j == 2 else product
+        # v_l and v_r are predicted alike, so that row 1 of the products stands for both.
         for i in range(4):
             cross_cov[n, i, 0] = HP[i if i < 3 else 1, 2]
             cross_cov[n, i, 1] = HP[i if i < 3 else 1, 3]
@@ -249,10 +252,12 @@ def normal_equations(
         u = fu * X * iz
         v = fv * Y * iz
         d = fb * rho * iz
+        # e = y' − h(ŝ) − A (s − ŝ): the residual at s, to first order around ŝ.
         e0 = curr[n, 0] - (u + cu) - offset[n, 0]
         e1 = curr[n, 1] - (v + cv) - offset[n, 1]
         e2 = curr[n, 2] - (u - d + cu) - offset[n, 2]
         e3 = curr[n, 3] - (v + cv) - offset[n, 3]
+        # g = Σ⁻¹ e, and s = eᵀ g.
         W = information[n]
         g0 = W[0, 0] * e0 + W[0, 1] * e1 + W[0, 2] * e2 + W[0, 3] * e3
         g1 = W[1, 0] * e0 + W[1, 1] * e1 + W[1, 2] * e2 + W[1, 3] * e3
@@ -346,6 +351,7 @@ def normal_equations(
         gr2 += X * q1 - Y * q0
     if grown > 1.0:
         cost += 0.5 * (common_dof + 4.0) * math.log(grown)
+    # The order of ξ = [ρ; φ]: translation first. Above the diagonal first, then mirrored.
     hessian[0, 0] = t00
     hessian[0, 1] = t01
     hessian[0, 2] = t02
@@ -420,6 +426,8 @@ def residual_jacobians(
                 total += information[n, i, k] * residual[n, k]
             squared += residual[n, i] * total
         out.squared[n] = squared if information[n, 0, 0] > 0.0 else BEHIND
+        # F = ∂f/∂q. The left perturbation moves q by ρ_d δt + φ × q (ρ_d the inverse depth), and a
+        # change of d moves it by t/(f_u b); d itself also stands in u_r = u_l − f_u b ρ_d/q_z.
         F[0, 0] = F[2, 0] = fu / Z
         F[1, 1] = F[3, 1] = fv / Z
         F[0, 2] = -u / Z
@@ -460,6 +468,8 @@ def weigh(
             weights.curvature[n] = 0.0
             weights.relative[n] = 0.0
             continue
+        # The sandwich A⁻¹ B A⁻¹ needs the curvature a for A and the scatter w² s/d for B
+        # (``StereoObservations._variance_factor``).
         weight = robust_weight(loss.kind, loss.parameter[n], s)
         weights.weight[n] = weight
         weights.curvature[n] = robust_curvature(loss.kind, loss.parameter[n], s)
@@ -494,6 +504,7 @@ def sum_information(
                 product = 0.0
                 for k in range(4):
                     product += jacobians.motion[n, k, i] * jacobians.white[n, k, j]
+                # Of translation × translation, translation × rotation, and rotation × rotation.
                 hessian[i, j] += weights.weight[n] * product
                 information[i, j] += (both if i < 3 else one if j < 3 else curvature) * product
     for i in range(6):

@@ -70,7 +70,6 @@ class _TrainingFacts(_TrainingPart):
     """The account of a training, as far as pages and tables show it; each part may be missing."""
 
     recordings: list[_Recording] = []
-    turns: list[_Iteration] = []
     iterations: list[_Iteration] = []
     searches: dict[str, _Search] = {}
     settings: dict[str, Any] = {}

@@ -106,6 +106,7 @@ class AnchorPatches:
             growth: predicted scale of a surface that faces the camera, relative to the previous
                 frame, [N].
         """
+        # A surface that faces the camera grows by the ratio of its depths; that is where to start.
         scale = np.clip(growth, 1 / MAX_GROWTH, MAX_GROWTH)[:, None, None]
         aligned = self._align(left, pixels, scale * self.affine, sigma=SIGMA_IN_TIME)
         affine = aligned.affine
@@ -134,6 +135,8 @@ class AnchorPatches:
             right: the image, [height, width], uint8.
             pixels: predicted features (u, v), [N, 2], px.
         """
+        # The map to the right image is that to the left one, then from left to right, which hardly
+        # changes from frame to frame: the angle between both views of a surface stays.
         predicted = np.empty((len(self), 2, 2))
         multiply_maps(self.right_from_left, self.affine, predicted)
         aligned = self._align(right, pixels, predicted, sigma=SIGMA_IN_STEREO)

@@ -152,6 +152,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
         alignment.difference[n] = np.inf
         # Linearize the patch instead of the image: the information matrix is then constant
         _linearize(anchors.patch[n], anchors.offset_px[n], template, information=information)
+        # The prior holds S, not t: where a patch is, is what is looked for.
         for k in range(2, 6):
             information[k, k] += prior
         if not factor(information, 6, lower):
@@ -169,7 +170,8 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
                 gradient[k] = total
             _add_prior(prior, A, predicted, gradient=gradient)
             substitute(lower, gradient, step)
-            # Compose the map with the inverse of the step
+            # Compose the map with the inverse of the step, which was found for the patch and not
+            # for the image.
             if not _compose_inverse(A, step):
                 break
             u -= A[0, 0] * step[0] + A[0, 1] * step[1]
@@ -251,6 +253,7 @@ def _warp(
     height, width = shape
     corner = warped.corner
     fraction = warped.fraction
+    # So far inside, no pixel needs a check of its own in the loop below.
     # Reach of the patch from p: its corner is less than a pixel farther than the first pixel
     x = abs(position[0, 0]) + 1.0
     y = abs(position[1, 0]) + 1.0

@@ -81,6 +81,7 @@ def _strength_bound(image: Image) -> Image:
     height, width = image.shape
 
     def shifted(du: int, dv: int) -> Image:
+        """View the pixels at (du, dv) from each that is not at the border."""
         return image[REACH_PX + dv : height - REACH_PX + dv, REACH_PX + du : width - REACH_PX + du]
 
     center = shifted(0, 0)

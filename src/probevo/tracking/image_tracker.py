@@ -274,6 +274,7 @@ def _similar(difference: FloatArray, candidates: BoolArray, config: TrackingConf
     These differ little, or are among the least different quarter of the features wanted: where
     everything has changed, by a large step or blur, some must go on.
     """
+    # The quarter is of those wanted, not of those found, so that few survivors are not thinned.
     ranked = np.sort(difference[candidates & np.isfinite(difference)])
     quarter = min(config.num_features // 4, len(ranked))
     limit = float(ranked[quarter - 1]) if len(ranked) else 0.0

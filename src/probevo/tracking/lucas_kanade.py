@@ -64,6 +64,7 @@ def track_points(
     """
     if len(template_px) == 0:
         return TrackedPoints(np.zeros((0, 2)), np.zeros(0))
+    # OpenCV computes in single precision.
     points_px = template_px.astype(np.float32)
     found_px = start_px.astype(np.float32)
     everyone = np.arange(len(points_px))

@@ -31,6 +31,7 @@ def prepare_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[F
     source = iter(frames)
 
     def prepare_next(_: int) -> Frame | None:
+        """Read and prepare the next frame; None after the last."""
         frame = next(source, None)
         return None if frame is None else with_prepared_images(frame, config)
 

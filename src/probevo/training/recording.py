@@ -137,6 +137,7 @@ def _record_elsewhere(task: _Task) -> None:
     next_report_s = 0.0
 
     def report(frames: int) -> None:
+        """Report progress now and then, and stop if the lease has expired."""
         nonlocal next_report_s
         # Reports are files, and few of them suffice.
         if time.monotonic() < next_report_s:
@@ -158,9 +159,11 @@ def _reported(tasks: Collection[_Task], on_frames: OnFrames) -> Iterator[None]:
     is_over = Event()
 
     def frames_done() -> int:
+        """Count the frames that all workers have done."""
         return sum(task.drive.frames_done for task in tasks)
 
     def watch() -> None:
+        """Report every now and then until it is over."""
         while not is_over.wait(REPORT_S):
             on_frames(frames_done())
 

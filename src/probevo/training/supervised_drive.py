@@ -177,6 +177,7 @@ class DriveOnDisk:
         """
 
         def written() -> Iterator[Drive]:
+            """Yield each part once it is on disk."""
             for k, part in enumerate(parts):
                 write_atomically(self._path(self.name, f"-{k}.npz"), drive_bytes(part))
                 yield part

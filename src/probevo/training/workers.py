@@ -193,6 +193,7 @@ def _on_cluster(
     waiting = iter(tasks)
 
     def submitted(count: int) -> list[Any]:
+        """Submit so many of the waiting tasks."""
         return [
             client.submit(_numbered, work, number, task, pure=False)
             for number, task in islice(waiting, count)

@@ -65,6 +65,7 @@ def write_scene(
     write_atomically(out / SETTINGS_FILE, settings)
 
     def write(index: int) -> None:
+        """Render one frame, or what is missing of it."""
         if not _has_images(out, index):
             for side, image in zip(SIDES, recording.images(index), strict=True):
                 write_atomically(
@@ -74,6 +75,7 @@ def write_scene(
             _write_pixel_truth(_truth_file(out, index), recording.pixel_truth(index))
 
     def is_missing(index: int) -> bool:
+        """Return whether a file of the frame is not there yet."""
         return not _has_images(out, index) or (pixel_truth and not _truth_file(out, index).exists())
 
     # Render the missing frames in threads; compiled loops release the interpreter's lock.

@@ -260,6 +260,7 @@ class _Search:
         held = replace(shape, dof_counts=np.inf)
 
         def loss(log_dof: float) -> float:
+            """Return minus the mean log likelihood, nats a sample, at ln ν."""
             return -float(np.mean(self.gains(weights, replace(held, dof=math.exp(log_dof)))))
 
         best = minimize_scalar(

@@ -129,6 +129,7 @@ class KernelPosterior:
         starts = range(0, max(len(places), 1), block)
 
         def predict(start: int) -> tuple[StudentTs, FloatArray]:
+            """Predict at the places of one block."""
             near = self.around(places[start : start + block], shape)
             return self.fit(near, shape, iterations)
 

@@ -103,6 +103,7 @@ def gather_error_samples(
     done: set[int] = set()
 
     def on_done(number: int) -> None:
+        """Report the share of the tasks that are done."""
         # A task that was lost with its worker may be reported twice.
         done.add(number)
         on_part(len(done) / len(tasks))

@@ -65,6 +65,7 @@ def _thin(task: _Task) -> DriveOnDisk:
         facts = task.drive.facts
 
         def parts() -> Iterator[Drive]:
+            """Yield the steps drawn, part by part."""
             for part in task.drive.parts():
                 yield part.kept(task.steps[part.numbers])
 

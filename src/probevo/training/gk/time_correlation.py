@@ -73,6 +73,7 @@ def smallest_likely_ratio(profile: FloatArray, tie: float = TIE) -> float:
     """
 
     def cost(ratio: float) -> float:
+        """Return minus the log likelihood of κ, nats."""
         return -log_likelihood(profile, ratio)
 
     # The likeliest κ, by a grid and a search around its best point.
