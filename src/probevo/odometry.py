@@ -13,14 +13,19 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
+from probevo.errors import InputError
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.rig_update import update_rig
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion
+from probevo.estimation.window import Window
+from probevo.estimation.window_estimator import WindowEstimator
+from probevo.estimation.window_motion import live_motion, live_pose
 from probevo.measurements.base import Measurement, pose_of
 from probevo.measurements.gyro import GyroBias
+from probevo.measurements.relative_pose import RelativePose
 from probevo.noise import NoiseModel
 from probevo.predictors import PredictionSpace, Step, space_for
 from probevo.python_arguments import as_camera, as_config, as_noise
@@ -80,6 +85,8 @@ class StereoOdometry:
                 bool(self.noise.columns) and self.predictors.depends_on_previous_motion
             ),
         )
+        self._tracking = self.config.tracker
+        self._window = WindowEstimator(camera, self.config)
         self._state: OdometryState | None = None
 
     def step(self, frame: Frame) -> MotionEstimate:
@@ -120,10 +127,24 @@ class StereoOdometry:
             outcome = self._accept(state, prediction, observed, visual)
         else:
             outcome = self._dead_reckon(state, prediction, observed, visual)
-        pose = state.pose.advanced(outcome.motion).updated(measured.of_pose, pose_of(frame.index))
+        motion = outcome.motion
+        pose = state.pose.advanced(motion).updated(measured.of_pose, pose_of(frame.index))
         clock.lap("learn")
+        window = None
+        if state.window is not None:  # the two-frame motion is where its adjustment starts
+            window = self._adjust(
+                state.window,
+                frame,
+                motion,
+                observed=observed,
+                visual=visual,
+                measurements=[*self._of_motion(prediction, measured), *measured.of_pose],
+            )
+            motion = live_motion(motion, state.window, window)
+            pose = live_pose(window)
+            clock.lap("window")
         estimate = replace(
-            outcome.motion,
+            motion,
             T_world_cam=pose.T_world_cam,
             pose_cov=pose.cov,
             stage_ms=clock.times_ms,
@@ -140,6 +161,7 @@ class StereoOdometry:
             residuals=outcome.residuals,
             pose=pose,
             step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
+            window=window,
         )
         return estimate
 
@@ -183,13 +205,38 @@ class StereoOdometry:
         return self._state.gyro_bias
 
     @property
+    def window(self) -> Window | None:
+        """The last frames, adjusted together; None for the two-frame estimator."""
+        return None if self._state is None else self._state.window
+
+    def relative(self, frame: int, other: int) -> tuple[FloatArray, FloatArray]:
+        """Return the motion T_frame_other between two frames of the window, and its covariance.
+
+        Args:
+            frame: index of the frame to which it leads.
+            other: index of the frame that it starts from.
+
+        Returns:
+            T_frame_other, [4, 4], m, and the covariance of its left perturbation, [6, 6], from the
+            joint covariance of all poses of the window.
+
+        Raises:
+            InputError: a frame is not in the window, or there is none.
+        """
+        if self.window is None:
+            raise InputError(
+                "relative", "there is no window.", "Set estimator to window, and hand in a frame."
+            )
+        return self.window.relative(self.window.slot(frame), self.window.slot(other))
+
+    @property
     def _features(self) -> StepFeatures:
         if self._state is None:
             return StepFeatures.none(len(self.predictors.columns))
         return self._state.step
 
     def _first_state(self, frame: Frame) -> OdometryState:
-        tracker = tracker_for(frame, self.camera, self.config.tracking)
+        tracker = tracker_for(frame, self.camera, self._tracking)
         tracked = tracker.track(TrackingState.none(), frame, np.eye(4))
         return OdometryState.at_first_frame(
             frame,
@@ -210,9 +257,9 @@ class StereoOdometry:
             tracked = Tracked.nothing(state.tracking)
         else:
             tracked = track_from_best_start(
-                tracker_for(frame, self.camera, self.config.tracking),
+                tracker_for(frame, self.camera, self._tracking),
                 state.tracking,
-                with_prepared_images(frame, self.config.tracking),
+                with_prepared_images(frame, self._tracking),
                 starts=starts,
                 camera=self.camera,
                 config=self.config,
@@ -332,6 +379,42 @@ class StereoOdometry:
             ),
             disparities=DisparityFilter.none(),
             residuals=LastResiduals.none(),
+        )
+
+    def _adjust(
+        self,
+        window: Window,
+        frame: Frame,
+        motion: MotionEstimate,
+        *,
+        observed: _Observed,
+        visual: VisualMotion,
+        measurements: Sequence[Measurement],
+    ) -> Window:
+        """Adjust the last frames together, starting from the motion that two of them have shown.
+
+        Without a solve, the dead-reckoned motion counts as a measurement.
+        """
+        if visual.status is not Status.OK or visual.noise is None:
+            reckoned = RelativePose(
+                motion.T_curr_prev,
+                motion.cov,
+                curr=pose_of(frame.index),
+                prev=pose_of(int(window.frames[-1])),
+            )
+            return self._window.without_features(
+                window, frame.index, [*measurements, reckoned], guess=motion.T_curr_prev
+            )
+        tracks = observed.tracked.tracks.kept(visual.used)
+        if observed.rig is not None:
+            tracks = tracks.with_rows_corrected(observed.rig, self.camera)
+        return self._window.with_features(
+            window,
+            frame.index,
+            tracks,
+            visual.noise,
+            guess=motion.T_curr_prev,
+            measurements=measurements,
         )
 
 

@@ -12,6 +12,7 @@ from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.pose_filter import PoseFilter
+from probevo.estimation.window import Window
 from probevo.measurements.base import pose_of
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
 from probevo.measurements.relative_rotation import RelativeRotation
@@ -85,6 +86,8 @@ class OdometryState:
     """Pose of the camera in the world, which is the first camera."""
     step: StepFeatures
     """The features of the last step."""
+    window: Window | None
+    """The last frames and their landmarks; None for the two-frame estimator."""
 
     @staticmethod
     def at_first_frame(
@@ -115,6 +118,7 @@ class OdometryState:
             residuals=LastResiduals.none(),
             pose=PoseFilter.at_origin(),
             step=StepFeatures.none(num_columns),
+            window=Window.at_first_frame(frame.index) if config.estimator == "window" else None,
         )
 
     def predict(self, frame: Frame, imu: ImuCalibration | None) -> Prediction:

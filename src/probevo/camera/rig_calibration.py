@@ -89,6 +89,13 @@ class RigCalibration:
         corrected[:, 3] -= row_basis(pixels, camera) @ self.rows
         return corrected
 
+    def with_rows_corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
+        """Return observations [N, 4], px, of which only v_r is as a flawless rectification has
+        it."""
+        corrected: FloatArray = pixels.copy()
+        corrected[:, 3] -= row_basis(pixels, camera) @ self.rows
+        return corrected
+
     def with_rows(self, pixels: FloatArray, camera: StereoCamera) -> RigCalibration:
         """Update the rows' coefficients with the raw stereo matches [N, 4], px, of one frame."""
         basis = row_basis(pixels, camera)

@@ -11,7 +11,7 @@ import numpy as np
 from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
-from probevo.config import TrackingConfig
+from probevo.config import MAX_DIFFERENCE_OF, TrackingConfig
 from probevo.sequences.frame import Frame
 from probevo.tracking.anchor_patches import AnchorPatches
 from probevo.tracking.detection import corners_in_free_cells, non_overlapping
@@ -278,7 +278,10 @@ def _similar(difference: FloatArray, candidates: BoolArray, config: TrackingConf
     ranked = np.sort(difference[candidates & np.isfinite(difference)])
     quarter = min(config.num_features // 4, len(ranked))
     limit = float(ranked[quarter - 1]) if len(ranked) else 0.0
-    similar: BoolArray = candidates & (difference <= max(config.max_difference, limit))
+    gate = (
+        MAX_DIFFERENCE_OF["two-frame"] if config.max_difference is None else config.max_difference
+    )
+    similar: BoolArray = candidates & (difference <= max(gate, limit))
     return similar & np.isfinite(difference)
 
 

@@ -63,6 +63,14 @@ class Tracks:
             difference=None if self.difference is None else self.difference[keep],
         )
 
+    def with_rows_corrected(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:
+        """Return the tracks with only the rows of both observations corrected."""
+        return replace(
+            self,
+            prev_px=rig.with_rows_corrected(self.prev_px, camera),
+            curr_px=rig.with_rows_corrected(self.curr_px, camera),
+        )
+
     def corrected(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:
         """Return the tracks with both observations corrected by the rig's calibration."""
         return replace(

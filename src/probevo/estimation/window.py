@@ -1,0 +1,206 @@
+"""A sliding window: the last frames and their landmarks, and what is known of them, as one value.
+
+Its world is the first camera of the recording. That first pose is held by a prior, so that what the
+frames that left the window have taught is a proper prior of those that remain, and the covariances
+of poses are absolute: they grow along the path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.errors import InputError
+from probevo.estimation.window_numba import POSE, RIG, WindowLandmarks, WindowObservations
+from probevo.geometry import se3
+
+ORIGIN_SIGMA = 1e-6
+"""Standard deviation of the first pose, m and rad: it is the origin, but for rounding."""
+
+
+@dataclass(frozen=True)
+class MarginalPrior:
+    """What all that was marginalised says of K poses and the rig: the cost ½ xᵀ Λ x − ηᵀ x.
+
+    x, [6K + 3], holds the poses' offsets Log(T T̄⁻¹) from their linearisation points, and the rig's
+    disparity errors. The prior of the latter is not part of it (``WindowEstimator``)."""
+
+    information: FloatArray
+    """Λ, [6K + 3, 6K + 3]."""
+    vector: FloatArray
+    """η, [6K + 3]."""
+
+
+class SmoothedPose(NamedTuple):
+    """A pose as it leaves the window, with all that later frames of the window say of it."""
+
+    frame: int
+    """Index of its frame."""
+    T_world_cam: FloatArray
+    """[4, 4], m."""
+    cov: FloatArray
+    """Covariance of the left perturbation of T_cam_world, [6, 6], m and rad."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """K frames, L landmarks, and M observations of these."""
+
+    frames: IntArray
+    """Index of each frame, [K], ascending."""
+    T_cam_world: FloatArray
+    """Poses, [K, 4, 4], m."""
+    T_linear: FloatArray
+    """Fixed linearisation points T̄ of the poses, [K, 4, 4]."""
+    rig: FloatArray
+    """Disparity errors of the rig, (b₀, b₁, b₂), [3], px."""
+    prior: MarginalPrior
+    ids: IntArray
+    """Identity of each landmark, [L]."""
+    landmarks: WindowLandmarks
+    observations: WindowObservations
+    cov: FloatArray
+    """Joint covariance of the poses' left perturbations and the rig, [6K + 3, 6K + 3]."""
+    left: SmoothedPose | None = None
+    """The pose that left the window in the last step, if one did."""
+
+    @staticmethod
+    def at_first_frame(frame: int) -> Window:
+        """Return the window of the first frame, which has no landmark yet."""
+        information = np.zeros((POSE + RIG, POSE + RIG))
+        information[:POSE, :POSE] = np.eye(POSE) / ORIGIN_SIGMA**2
+        cov = np.zeros((POSE + RIG, POSE + RIG))
+        cov[:POSE, :POSE] = np.eye(POSE) * ORIGIN_SIGMA**2
+        return Window(
+            frames=np.array([frame]),
+            T_cam_world=np.eye(4)[None],
+            T_linear=np.eye(4)[None],
+            rig=np.zeros(RIG),
+            prior=MarginalPrior(information, np.zeros(POSE + RIG)),
+            ids=np.zeros(0, np.int64),
+            landmarks=WindowLandmarks(np.zeros((0, 4)), np.zeros(0)),
+            observations=WindowObservations(
+                start=np.zeros(1, np.int64),
+                slot=np.zeros(0, np.int64),
+                pixels=np.zeros((0, 4)),
+                information=np.zeros((0, 4, 4)),
+                loss_parameter=np.zeros(0),
+            ),
+            cov=cov,
+        )
+
+    def __len__(self) -> int:
+        """Return the number of frames, K."""
+        return len(self.frames)
+
+    def pose_slice(self, slot: int) -> slice:
+        """Return where the pose at a place of the window lies in the joint vector."""
+        return slice(POSE * slot, POSE * (slot + 1))
+
+    def slot(self, frame: int) -> int:
+        """Return the place of a frame in the window.
+
+        Raises:
+            InputError: the frame is not in the window.
+        """
+        found = np.flatnonzero(self.frames == frame)
+        if not len(found):
+            raise InputError(
+                f"frame {frame}",
+                "it is not in the window.",
+                f"That has the frames {', '.join(str(index) for index in self.frames)}.",
+            )
+        return int(found[0])
+
+    @property
+    def num_seen(self) -> IntArray:
+        """In how many frames of the window each landmark was seen, [L]."""
+        return np.diff(self.observations.start)
+
+    @property
+    def landmark_rows(self) -> IntArray:
+        """The landmark of each observation, [M]."""
+        return np.repeat(np.arange(len(self.ids)), self.num_seen)
+
+    @property
+    def last_seen(self) -> IntArray:
+        """Place in the window of the last frame that saw each landmark, [L]."""
+        return self.observations.slot[self.observations.start[1:] - 1]
+
+    def relative(self, slot: int, other: int) -> tuple[FloatArray, FloatArray]:
+        """Return the motion T_slot_other between two frames of the window, and its covariance.
+
+        Args:
+            slot: place of the frame to which it leads.
+            other: place of the frame that it starts from.
+
+        Returns:
+            T_slot_other, [4, 4], m, and the covariance of its left perturbation, [6, 6].
+        """
+        T = self.T_cam_world[slot] @ se3.inverse(self.T_cam_world[other])
+        jacobian = np.zeros((POSE, len(self.cov)))
+        jacobian[:, self.pose_slice(slot)] += np.eye(POSE)
+        jacobian[:, self.pose_slice(other)] -= se3.adjoint(T)
+        return T, jacobian @ self.cov @ jacobian.T
+
+    def pose(self, slot: int) -> SmoothedPose:
+        """Return the pose at a place of the window, with its covariance; −1 is the last."""
+        at = self.pose_slice(slot % len(self))
+        return SmoothedPose(
+            frame=int(self.frames[slot]),
+            T_world_cam=se3.inverse(self.T_cam_world[slot]),
+            cov=self.cov[at, at],
+        )
+
+    def offsets(self) -> FloatArray:
+        """Return x of the prior: offsets of the poses, and the rig, [6K + 3]."""
+        x = np.empty(POSE * len(self) + RIG)
+        x[:-RIG] = se3.log(self.T_cam_world @ se3.inverse(self.T_linear)).ravel()
+        x[-RIG:] = self.rig
+        return x
+
+
+def selected(observations: WindowObservations, keep: BoolArray) -> WindowObservations:
+    """Return some of the M observations, given by a mask [M]; landmarks left without any go."""
+    num_landmarks = len(observations.start) - 1
+    rows = np.repeat(np.arange(num_landmarks), np.diff(observations.start))
+    counts = np.bincount(rows[keep], minlength=num_landmarks)
+    return WindowObservations(
+        start=_starts(counts[counts > 0]),
+        slot=observations.slot[keep],
+        pixels=observations.pixels[keep],
+        information=observations.information[keep],
+        loss_parameter=observations.loss_parameter[keep],
+    )
+
+
+def merged(
+    before: WindowObservations, new: WindowObservations, rows: IntArray
+) -> WindowObservations:
+    """Return all observations, sorted by landmark.
+
+    Args:
+        before: observations of L landmarks.
+        new: N more, later than all of these; ``start`` of them is ignored.
+        rows: the landmark of each of these, [N]; those from L on are new.
+    """
+    num_landmarks = len(before.start) - 1
+    rows_before = np.repeat(np.arange(num_landmarks), np.diff(before.start))
+    all_rows = np.concatenate([rows_before, rows])
+    order = np.argsort(all_rows, kind="stable")
+    return WindowObservations(
+        start=_starts(np.bincount(all_rows, minlength=num_landmarks)),
+        slot=np.concatenate([before.slot, new.slot])[order],
+        pixels=np.concatenate([before.pixels, new.pixels])[order],
+        information=np.concatenate([before.information, new.information])[order],
+        loss_parameter=np.concatenate([before.loss_parameter, new.loss_parameter])[order],
+    )
+
+
+def _starts(counts: IntArray) -> IntArray:
+    starts = np.zeros(len(counts) + 1, np.int64)
+    np.cumsum(counts, out=starts[1:])
+    return starts

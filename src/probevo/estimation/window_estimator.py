@@ -1,0 +1,441 @@
+"""Bundle adjustment of a sliding window: Gauss–Newton with eliminated landmarks, and marginalisation
+with consistent linearisation points.
+
+The disparity errors b of the rig are estimated with the poses, but believed less. Errors of
+neighbouring features are alike, and what a frame shows of b, the next ones show again, so that all
+information about b counts for 1/c of what it is (``CORRELATED_FEATURES``). With p(x | b) of poses
+and landmarks, and p(b) of the rig, the window maximises
+
+    log p(x | b) + (1/c) log p(b) + log prior(b).
+
+The Schur complement of the normal equations onto b is p(b). It is divided by c in each step, and so
+is what the prior of the window contains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.camera.rig_calibration import CORRELATED_FEATURES, disparity_basis
+from probevo.camera.stereo import StereoCamera
+from probevo.config import OdometryConfig
+from probevo.estimation.window import MarginalPrior, Window, merged, selected
+from probevo.estimation.window_numba import (
+    LANDMARK,
+    POSE,
+    RIG,
+    Elimination,
+    NormalEquations,
+    WindowGeometry,
+    WindowLandmarks,
+    WindowObservations,
+    accumulate,
+    move_landmarks,
+)
+from probevo.geometry import se3
+from probevo.measurements.base import Measurement, blocks_of, pose_of
+from probevo.measurements.robust_loss import RobustLoss
+from probevo.noise.base import StereoNoise
+from probevo.tracking.tracks import Tracks
+
+RIG_SIGMA_PX = 1.0
+"""Prior standard deviation of b₀, b₁ and b₂."""
+CONVERGED_BELOW = 0.1
+"""A step that lowers the cost by less than this, in nats, is the last one."""
+NO_CALIBRATION_SIGMA_PX = 1e-6
+"""The same where the rig is said to be flawless."""
+COST_TOLERANCE = 1.0
+"""Nats by which a step may raise the cost."""
+LEAST_VARIANCE_PX2 = 1e-12
+"""Variance of a lasting disparity error in a noise model that knows none."""
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """An adjusted window, and how well its observations fit."""
+
+    window: Window
+    squared: FloatArray
+    """Squared Mahalanobis distance of each observation, [M]."""
+    iterations: int
+
+
+@dataclass(frozen=True)
+class _System:
+    """The normal equations of a window at its current values."""
+
+    window: Window
+    cost: float
+    equations: NormalEquations
+    elimination: Elimination
+
+
+class WindowEstimator:
+    """Estimates the poses of the last frames together.
+
+    Args:
+        camera: the rectified camera.
+        config: settings of window, loss and self-calibration.
+    """
+
+    def __init__(self, camera: StereoCamera, config: OdometryConfig) -> None:
+        self._camera = camera
+        self._config = config.window
+        self._loss = RobustLoss.named(config.solver.loss)
+        self._rig_information = 1.0 / RIG_SIGMA_PX**2
+        if not config.self_calibration:
+            self._rig_information = 1.0 / NO_CALIBRATION_SIGMA_PX**2
+        self._intrinsics = np.array(
+            [camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m]
+        )
+
+    def with_features(
+        self,
+        window: Window,
+        frame: int,
+        tracks: Tracks,
+        noise: StereoNoise,
+        *,
+        guess: FloatArray,
+        measurements: Sequence[Measurement] = (),
+    ) -> Window:
+        """Return the window with one more frame and adjusted, no longer than the settings say.
+
+        Args:
+            window: K frames.
+            frame: index of the new one.
+            tracks: N tracks between the last of them and the new one; rows corrected by the rig's
+                calibration, disparities not.
+            noise: of these N tracks.
+            guess: motion from the last of them to the new one, T_curr_prev, [4, 4].
+            measurements: what else is known of the poses of the window.
+        """
+        extended = self.with_frame(window, frame, guess, tracks, noise)
+        adjusted = self.adjusted(self.with_measurements(extended, measurements)).window
+        if len(adjusted) > self._config.frames:
+            return self.without_oldest(adjusted)
+        return replace(adjusted, left=None)
+
+    def without_features(
+        self, window: Window, frame: int, measurements: Sequence[Measurement], *, guess: FloatArray
+    ) -> Window:
+        """Return the window with one more frame, which no feature connects with the others.
+
+        Args:
+            window: K frames.
+            frame: index of the new one.
+            measurements: what is known of its pose.
+            guess: motion from the last of them to the new one, T_curr_prev, [4, 4].
+        """
+        none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
+        return self.with_features(
+            window, frame, Tracks.none(), none, guess=guess, measurements=measurements
+        )
+
+    def with_frame(
+        self,
+        window: Window,
+        frame: int,
+        T_curr_prev: FloatArray,
+        tracks: Tracks,
+        noise: StereoNoise,
+    ) -> Window:
+        """Return the window with one more frame, which is not yet adjusted.
+
+        A track whose landmark the last frame of the window saw adds an observation to it; any other
+        begins a landmark with both of its observations. Noise that refers to residuals is halved:
+        it is that of two observations.
+
+        Args:
+            window: K frames.
+            frame: index of the new one.
+            T_curr_prev: a guess of the motion from the last of them, [4, 4].
+            tracks: N tracks between these two frames; rows corrected by the rig's calibration,
+                disparities not.
+            noise: of these N tracks.
+        """
+        last = len(window) - 1
+        rows = _rows_of(window, tracks.ids)
+        is_new = rows < 0
+        rows[is_new] = len(window.ids) + np.arange(int(is_new.sum()))
+        if noise.refers_to == "residual":
+            noise = noise.scaled(np.full(len(tracks), 0.5))
+        prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
+        parameters = self._loss.parameters(noise.dof)
+        first_px = tracks.prev_px[is_new]
+        new = WindowObservations(
+            start=np.zeros(0, np.int64),
+            slot=np.concatenate([np.full(len(first_px), last), np.full(len(tracks), last + 1)]),
+            pixels=np.concatenate([first_px, tracks.curr_px - noise.bias]),
+            information=np.linalg.inv(np.concatenate([prev_scale[is_new], noise.scale])),
+            loss_parameter=np.concatenate([parameters[is_new], parameters]),
+        )
+        variance = np.zeros(len(tracks))
+        if noise.time_correlated is not None:
+            variance = noise.time_correlated
+        landmarks = WindowLandmarks(
+            state=np.concatenate(
+                [window.landmarks.state, self._first_states(first_px, window.rig)]
+            ),
+            error_information=np.concatenate(
+                [
+                    window.landmarks.error_information,
+                    1.0 / np.maximum(variance[is_new], LEAST_VARIANCE_PX2),
+                ]
+            ),
+        )
+        T_new = T_curr_prev @ window.T_cam_world[-1]
+        return replace(
+            window,
+            frames=np.append(window.frames, frame),
+            T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
+            T_linear=np.concatenate([window.T_linear, T_new[None]]),
+            prior=_with_pose(window.prior),
+            ids=np.concatenate([window.ids, tracks.ids[is_new]]),
+            landmarks=landmarks,
+            observations=merged(window.observations, new, np.concatenate([rows[is_new], rows])),
+        )
+
+    def with_measurements(self, window: Window, measurements: Sequence[Measurement]) -> Window:
+        """Return the window with measurements of its poses, linearised at their current values.
+
+        Args:
+            window: K frames.
+            measurements: of variables ``pose_of(frame)``, of frames of the window only.
+        """
+        if not measurements:
+            return window
+        values = {
+            pose_of(int(frame)): T
+            for frame, T in zip(window.frames, window.T_cam_world, strict=True)
+        }
+        information = window.prior.information.copy()
+        vector = window.prior.vector.copy()
+        x = window.offsets()
+        for measurement in measurements:
+            linear = measurement.linearize(values)
+            blocks, _ = blocks_of(measurement.variables, values)
+            at = {
+                block.start: window.pose_slice(window.slot(variable.frame))
+                for variable, block in blocks.items()
+            }
+            own = np.concatenate([np.arange(block.start, block.stop) for block in blocks.values()])
+            joint = np.concatenate(
+                [
+                    np.arange(at[block.start].start, at[block.start].stop)
+                    for block in blocks.values()
+                ]
+            )
+            hessian = linear.hessian[np.ix_(own, own)]
+            information[np.ix_(joint, joint)] += hessian
+            vector[joint] += linear.gradient[own] + hessian @ x[joint]
+        return replace(window, prior=MarginalPrior(information, vector))
+
+    def adjusted(self, window: Window) -> Adjustment:
+        """Minimise the cost over poses, rig and landmarks by damped Fisher scoring.
+
+        The rig's errors, whose information is tempered, end elsewhere than where the cost is least,
+        so that a step may raise the cost a little.
+        """
+        system = self._system(window)
+        damping = 0.0
+        iterations = 0
+        while iterations < self._config.max_iterations:
+            iterations += 1
+            step = self._step(system, damping)
+            decrease = float(step @ system.equations.gradient)
+            trial = self._system(self._moved(system, step))
+            if trial.cost <= system.cost + COST_TOLERANCE:
+                system = trial
+                damping *= 0.1
+                if decrease < CONVERGED_BELOW:
+                    break
+            else:
+                damping = max(1e-4, 10.0 * damping)
+        cov = self._covariance(system.equations.hessian)
+        return Adjustment(
+            window=replace(system.window, cov=cov),
+            squared=system.elimination.squared,
+            iterations=iterations,
+        )
+
+    def without_oldest(self, window: Window) -> Window:
+        """Return the window without its oldest frame, whose information goes into the prior.
+
+        With the frame go the landmarks that it saw. Those that the last frame still sees give up
+        all but this last observation, with which they begin anew: no observation counts twice.
+        """
+        observations = window.observations
+        rows = window.landmark_rows
+        is_old = observations.slot[observations.start[:-1]] == 0
+        is_alive = is_old & (window.last_seen == len(window) - 1)
+        is_last = np.zeros(len(rows), np.bool_)
+        is_last[observations.start[1:] - 1] = True
+        goes = is_old[rows] & ~(is_last & is_alive[rows])
+        system = self._system(
+            replace(
+                window,
+                observations=selected(observations, goes),
+                landmarks=_selected_landmarks(window.landmarks, is_old),
+            )
+        )
+        # At the offsets x, gradient = η − Λ x of the new prior.
+        information = system.equations.hessian
+        vector = system.equations.gradient + information @ window.offsets()
+        state = window.landmarks.state.copy()
+        last_px = observations.pixels[observations.start[1:] - 1]
+        state[is_alive] = self._first_states(last_px[is_alive], window.rig)
+        stays = ~is_old | is_alive
+        kept = selected(observations, ~goes)
+        return replace(
+            window,
+            frames=window.frames[1:],
+            T_cam_world=window.T_cam_world[1:],
+            T_linear=window.T_linear[1:],
+            prior=_without_first_pose(information, vector),
+            ids=window.ids[stays],
+            landmarks=_selected_landmarks(window.landmarks._replace(state=state), stays),
+            observations=kept._replace(slot=kept.slot - 1),
+            cov=window.cov[POSE:, POSE:],
+            left=window.pose(0),
+        )
+
+    def _first_states(self, pixels: FloatArray, rig: FloatArray) -> FloatArray:
+        """Return the landmarks that N observations, [N, 4], px, show by themselves, [N, 4]."""
+        states = np.zeros((len(pixels), LANDMARK))
+        states[:, :2] = pixels[:, :2]
+        states[:, 2] = pixels[:, 0] - pixels[:, 2]
+        states[:, 2] += disparity_basis(pixels, self._camera) @ rig
+        return states
+
+    def _system(self, window: Window) -> _System:
+        """Form the normal equations of a window, its prior included."""
+        num_frames = len(window)
+        size = POSE * num_frames + RIG
+        num_observations = len(window.observations.slot)
+        num_landmarks = len(window.landmarks.state)
+        # Ad(T_ka) = Ad(T_k) Ad(T_a)⁻¹.
+        adjoint = se3.adjoint(window.T_linear)
+        inverse = se3.adjoint(se3.inverse(window.T_linear))
+        geometry = WindowGeometry(
+            T_cam_world=window.T_cam_world,
+            adjoints=np.ascontiguousarray(adjoint[:, None] @ inverse[None, :]),
+            rig=window.rig,
+            intrinsics=self._intrinsics,
+        )
+        x = window.offsets()
+        towards_prior = window.prior.vector - window.prior.information @ x
+        equations = NormalEquations(hessian=np.zeros((size, size)), gradient=np.zeros(size))
+        elimination = Elimination(
+            coupling=np.empty((num_observations, LANDMARK, POSE)),
+            rig_coupling=np.empty((num_landmarks, LANDMARK, RIG)),
+            inverse=np.empty((num_landmarks, LANDMARK, LANDMARK)),
+            gradient=np.empty((num_landmarks, LANDMARK)),
+            squared=np.empty(num_observations),
+        )
+        cost = accumulate(
+            geometry,
+            window.observations,
+            window.landmarks,
+            int(self._loss.kind),
+            equations,
+            elimination,
+        )
+        return _System(
+            window=window,
+            cost=cost - 0.5 * float(x @ (window.prior.vector + towards_prior)),
+            equations=NormalEquations(
+                hessian=equations.hessian + window.prior.information,
+                gradient=equations.gradient + towards_prior,
+            ),
+            elimination=elimination,
+        )
+
+    def _step(self, system: _System, damping: float) -> FloatArray:
+        """Solve for the step of poses and rig, [6K + 3]; information about the rig is tempered."""
+        hessian, gradient = system.equations
+        poses = slice(None, -RIG)
+        rig = slice(-RIG, None)
+        damped = hessian[poses, poses] + damping * np.diag(np.diagonal(hessian)[poses])
+        solved = np.linalg.solve(damped, np.column_stack([hessian[poses, rig], gradient[poses]]))
+        of_rig = solved[:, :RIG]
+        information = hessian[rig, rig] - hessian[rig, poses] @ of_rig
+        towards = gradient[rig] - of_rig.T @ gradient[poses]
+        rig_step = np.linalg.solve(
+            self._rig_information * np.eye(RIG) + information / CORRELATED_FEATURES,
+            towards / CORRELATED_FEATURES - self._rig_information * system.window.rig,
+        )
+        return np.concatenate([solved[:, RIG] - of_rig @ rig_step, rig_step])
+
+    def _covariance(self, hessian: FloatArray) -> FloatArray:
+        """Return the joint covariance of poses and rig, [6K + 3, 6K + 3]; the rig's is tempered."""
+        poses = slice(None, -RIG)
+        rig = slice(-RIG, None)
+        of_poses = np.linalg.inv(hessian[poses, poses])
+        gain = of_poses @ hessian[poses, rig]
+        information = hessian[rig, rig] - hessian[rig, poses] @ gain
+        rig_cov = np.linalg.inv(
+            self._rig_information * np.eye(RIG) + information / CORRELATED_FEATURES
+        )
+        cov = np.empty_like(hessian)
+        cov[poses, poses] = of_poses + gain @ rig_cov @ gain.T
+        cov[poses, rig] = -gain @ rig_cov
+        cov[rig, poses] = cov[poses, rig].T
+        cov[rig, rig] = rig_cov
+        return cov
+
+    def _moved(self, system: _System, step: FloatArray) -> Window:
+        """Return the window after a step of poses and rig; the landmarks follow."""
+        window = system.window
+        state = np.empty_like(window.landmarks.state)
+        move_landmarks(window.landmarks.state, window.observations, system.elimination, step, state)
+        return replace(
+            window,
+            T_cam_world=se3.exp(step[:-RIG].reshape(-1, POSE)) @ window.T_cam_world,
+            rig=window.rig + step[-RIG:],
+            landmarks=window.landmarks._replace(state=state),
+        )
+
+
+def _rows_of(window: Window, ids: IntArray) -> IntArray:
+    """Return the landmark of each identity, [N], among those that the last frame saw; −1 for
+    none."""
+    alive = np.flatnonzero(window.last_seen == len(window) - 1)
+    rows = np.full(len(ids), -1)
+    if not len(alive):
+        return rows
+    alive = alive[np.argsort(window.ids[alive], kind="stable")]
+    place = np.minimum(np.searchsorted(window.ids[alive], ids), len(alive) - 1)
+    found = window.ids[alive[place]] == ids
+    rows[found] = alive[place[found]]
+    return rows
+
+
+def _with_pose(prior: MarginalPrior) -> MarginalPrior:
+    """Return the prior with one more pose, of which it says nothing."""
+    size = len(prior.vector)
+    kept = np.concatenate([np.arange(size - RIG), np.arange(size - RIG, size) + POSE])
+    information = np.zeros((size + POSE, size + POSE))
+    information[np.ix_(kept, kept)] = prior.information
+    vector = np.zeros(size + POSE)
+    vector[kept] = prior.vector
+    return MarginalPrior(information, vector)
+
+
+def _without_first_pose(information: FloatArray, vector: FloatArray) -> MarginalPrior:
+    """Marginalise the first pose: the Schur complement of its block."""
+    gain = np.linalg.solve(information[:POSE, :POSE], information[:POSE, POSE:])
+    rest = information[POSE:, POSE:] - information[POSE:, :POSE] @ gain
+    return MarginalPrior(
+        information=0.5 * (rest + rest.T), vector=vector[POSE:] - gain.T @ vector[:POSE]
+    )
+
+
+def _selected_landmarks(landmarks: WindowLandmarks, keep: BoolArray) -> WindowLandmarks:
+    return WindowLandmarks(
+        state=landmarks.state[keep], error_information=landmarks.error_information[keep]
+    )

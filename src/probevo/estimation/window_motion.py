@@ -1,0 +1,66 @@
+"""What a window says of a step: the motion of the live path, and its share of the path's error.
+
+The live pose of a frame is the window's estimate when that frame is the newest. A later one of the
+same frame is better, but comes too late for whoever steers by it. The steps of the live path lead
+from one live pose to the next, so that they compound to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.estimation.pose_filter import PoseFilter
+from probevo.estimation.window import Window
+from probevo.geometry import se3
+
+
+def live_motion(motion: MotionEstimate, before: Window, after: Window) -> MotionEstimate:
+    """Return the step of the live path in place of a motion that two frames alone have shown.
+
+    With e_k the error of the live pose k, the error of the step is ε = e_k − Ad e_{k−1}. Estimates
+    from more data correct e_{k−1} by something that their own errors do not depend on, so that
+    cov(e_k, e_{k−1}) is that of the two poses in the window after the step, and
+
+        cov(ε) = cov(ξ_k − Ad ξ_{k−1} after) + Ad (P_{k−1} before − P_{k−1} after) Adᵀ.
+
+    Args:
+        motion: of the last two frames.
+        before: the window whose last frame is the previous one, before the step.
+        after: the window with the current frame, adjusted.
+    """
+    T_curr_prev = after.T_cam_world[-1] @ se3.inverse(before.T_cam_world[-1])
+    adjoint = se3.adjoint(T_curr_prev)
+    last = len(after) - 1
+    prev_before = before.pose(-1).cov
+    prev_after = after.pose(last - 1).cov
+    curr_after = after.pose(last).cov
+    _, relative_cov = after.relative(last, last - 1)
+    corrected = adjoint @ (prev_before - prev_after) @ adjoint.T
+    cov = relative_cov + _positive_part(corrected)
+    # The path's covariance has to come out as that of the window.
+    growth = curr_after - adjoint @ prev_before @ adjoint.T
+    return replace(
+        motion,
+        T_curr_prev=T_curr_prev,
+        cov=cov,
+        common_mode=np.zeros((6, 3)),
+        path_cross_cov=0.5 * (growth - cov),
+    )
+
+
+def live_pose(window: Window) -> PoseFilter:
+    """Return the pose of the newest frame; the rig's errors are part of its covariance."""
+    newest = window.pose(len(window) - 1)
+    return PoseFilter(
+        T_world_cam=newest.T_world_cam, own_cov=newest.cov, common_mode=np.zeros((6, 3))
+    )
+
+
+def _positive_part(matrix: np.ndarray) -> np.ndarray:
+    """Return a symmetric matrix without its negative eigenvalues, which are of linearisation."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    part: np.ndarray = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return part
