@@ -1,5 +1,4 @@
-"""Bundle adjustment of a sliding window: Gauss–Newton with eliminated landmarks, and marginalisation
-with consistent linearisation points.
+"""Bundle adjustment of a sliding window, and marginalisation of what leaves it.
 
 The disparity errors b of the rig are estimated with the poses, but believed less. Errors of
 neighbouring features are alike, and what a frame shows of b, the next ones show again, so that all
@@ -37,14 +36,14 @@ from probevo.estimation.window_numba import (
     move_landmarks,
 )
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement, blocks_of, pose_of
+from probevo.measurements.base import Measurement, pose_of
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
 RIG_SIGMA_PX = 1.0
 """Prior standard deviation of b₀, b₁ and b₂."""
-CONVERGED_BELOW = 0.1
+CONVERGED_BELOW = 0.5
 """A step that lowers the cost by less than this, in nats, is the last one."""
 NO_CALIBRATION_SIGMA_PX = 1e-6
 """The same where the rig is said to be flawless."""
@@ -218,7 +217,6 @@ class WindowEstimator:
         x = window.offsets()
         for measurement in measurements:
             linear = measurement.linearize(values)
-            blocks, _ = blocks_of(measurement.variables, values)
             at = {
                 block.start: window.pose_slice(window.slot(variable.frame))
                 for variable, block in blocks.items()
