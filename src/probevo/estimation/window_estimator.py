@@ -217,20 +217,11 @@ class WindowEstimator:
         x = window.offsets()
         for measurement in measurements:
             linear = measurement.linearize(values)
-            at = {
-                block.start: window.pose_slice(window.slot(variable.frame))
-                for variable, block in blocks.items()
-            }
-            own = np.concatenate([np.arange(block.start, block.stop) for block in blocks.values()])
-            joint = np.concatenate(
-                [
-                    np.arange(at[block.start].start, at[block.start].stop)
-                    for block in blocks.values()
-                ]
-            )
-            hessian = linear.hessian[np.ix_(own, own)]
-            information[np.ix_(joint, joint)] += hessian
-            vector[joint] += linear.gradient[own] + hessian @ x[joint]
+            # Where its variables lie in the joint vector; all are poses.
+            first = [POSE * window.slot(variable.frame) for variable in measurement.variables]
+            joint = (np.array(first)[:, None] + np.arange(POSE)).ravel()
+            information[np.ix_(joint, joint)] += linear.hessian
+            vector[joint] += linear.gradient + linear.hessian @ x[joint]
         return replace(window, prior=MarginalPrior(information, vector))
 
     def adjusted(self, window: Window) -> Adjustment:
