@@ -54,7 +54,7 @@ class Window:
     T_cam_world: FloatArray
     """Poses, [K, 4, 4], m."""
     T_linear: FloatArray
-    """Fixed linearisation points T̄ of the poses, [K, 4, 4]."""
+    """Linearisation points T̄ of the poses, [K, 4, 4]: fixed from when the prior contains a pose."""
     rig: FloatArray
     """Disparity errors of the rig, (b₀, b₁, b₂), [3], px."""
     prior: MarginalPrior

@@ -1,6 +1,6 @@
 """Bundle adjustment of a sliding window, and marginalisation of what leaves it.
 
-The disparity errors b of the rig are estimated with the poses, but believed less. Errors of
+The disparity errors b of the rig are estimated with the poses, but trusted less. Errors of
 neighbouring features are alike, and what a frame shows of b, the next ones show again, so that all
 information about b counts for 1/c of what it is (``CORRELATED_FEATURES``). With p(x | b) of poses
 and landmarks, and p(b) of the rig, the window maximises
@@ -50,7 +50,7 @@ NO_CALIBRATION_SIGMA_PX = 1e-6
 COST_TOLERANCE = 1.0
 """Nats by which a step may raise the cost."""
 LEAST_VARIANCE_PX2 = 1e-12
-"""Variance of a lasting disparity error in a noise model that knows none."""
+"""Variance of a time-correlated disparity error in a noise model that knows none."""
 
 
 @dataclass(frozen=True)
@@ -382,9 +382,13 @@ class WindowEstimator:
         window = system.window
         state = np.empty_like(window.landmarks.state)
         move_landmarks(window.landmarks.state, window.observations, system.elimination, step, state)
+        T_cam_world = se3.exp(step[:-RIG].reshape(-1, POSE)) @ window.T_cam_world
+        # A pose of which the prior says nothing yet may be linearised where it is.
+        is_fixed = np.diagonal(window.prior.information)[:-RIG:POSE] > 0.0
         return replace(
             window,
-            T_cam_world=se3.exp(step[:-RIG].reshape(-1, POSE)) @ window.T_cam_world,
+            T_cam_world=T_cam_world,
+            T_linear=np.where(is_fixed[:, None, None], window.T_linear, T_cam_world),
             rig=window.rig + step[-RIG:],
             landmarks=window.landmarks._replace(state=state),
         )

@@ -1,8 +1,9 @@
 """Compiled normal equations of a window; each landmark is eliminated as soon as it is added up.
 
 A landmark is (u, v, d, δ): its place in the left image and its disparity, both in its anchor frame
-a, the first that saw it, and the disparity error δ that lasts along its track. With m = ((u −
-c_u)/f_u, (v − c_v)/f_v, 1) and the inverse depth ρ = d/(f_u b), it is h/ρ in frame k, where
+a, the first that saw it, and the disparity error δ that all its observations have in common (the
+time-correlated one of the noise model). With m = ((u − c_u)/f_u, (v − c_v)/f_v, 1) and the inverse
+depth ρ = d/(f_u b), it is h/ρ in frame k, where
 
     h = C_ka m + ρ t_ka,    prediction = (u_k, v_k, u_k − d/h_z − δ + β(x)ᵀb, v_k).
 
@@ -18,7 +19,7 @@ gain information about where in the world it is.
 A landmark is trusted as a whole. With K observations of scale R_k and a prior variance τ² of δ, the
 sum s = Σ e_kᵀ R_k⁻¹ e_k + δ²/τ² has n = 4K − 3 degrees of freedom once u, v, d are fitted. All its
 observations share one unknown factor of scale, as those of a Student-t in n dimensions do, and so
-the weight (ν + n)/(ν + s). Weights of single observations would believe a landmark that its fit to
+the weight (ν + n)/(ν + s). Weights of single observations would trust a landmark that its fit to
 two observations has made look perfect: in Monte Carlo, covariances were then five times too small.
 """
 

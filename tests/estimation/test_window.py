@@ -1,0 +1,368 @@
+"""The sliding window: its equations, its gauge, its marginalisation, and its covariances."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from intervals import chi2_interval
+from probevo.arrays import FloatArray
+from probevo.camera.rig_calibration import disparity_basis
+from probevo.config import OdometryConfig
+from probevo.errors import InputError
+from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.window import Window
+from probevo.estimation.window_estimator import WindowEstimator
+from probevo.estimation.window_motion import live_motion
+from probevo.estimation.window_numba import POSE, RIG
+from probevo.evaluation.consistency import drift_covariances
+from probevo.geometry import se3
+from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.measurements.base import pose_of
+from probevo.measurements.pose_prior import PosePrior
+from probevo.measurements.relative_pose import RelativePose
+from probevo.noise import StereoNoise, StudentT
+from probevo.sequences.frame import Frame
+from probevo.tracking.tracks import Tracks
+from worlds import CAMERA, FORWARD, drive
+
+SIGMA_PX = 0.3
+TAU_PX = 0.4
+
+
+def estimator(frames: int, *, calibrates: bool = False, iterations: int = 3) -> WindowEstimator:
+    config = OdometryConfig.model_validate(
+        {
+            "self_calibration": calibrates,
+            "window": {"frames": frames, "max_iterations": iterations},
+        }
+    )
+    return WindowEstimator(CAMERA, config)
+
+
+def noise_of(count: int, *, dof: float = np.inf, tau_px: float = 0.0) -> StereoNoise:
+    noise = StudentT(dof=dof, scale=SIGMA_PX**2 * np.eye(4)).predict(np.zeros((count, 0)))
+    return replace(noise, time_correlated=np.full(count, tau_px**2)) if tau_px else noise
+
+
+def tracks_between(prev: Frame, curr: Frame) -> Tracks:
+    assert prev.features is not None
+    assert curr.features is not None
+    ids, of_prev, of_curr = np.intersect1d(
+        prev.features.ids, curr.features.ids, return_indices=True
+    )
+    return Tracks(
+        prev_px=prev.features.pixels[of_prev],
+        curr_px=curr.features.pixels[of_curr],
+        ids=ids,
+        age=np.full(len(ids), 2),
+    )
+
+
+def windows_of(
+    frames: list[Frame],
+    by: WindowEstimator,
+    *,
+    dof: float = np.inf,
+    tau_px: float = 0.0,
+    guess: FloatArray = FORWARD,
+) -> list[Window]:
+    """Return the window after each frame."""
+    windows = [Window.at_first_frame(frames[0].index)]
+    for prev, curr in pairwise(frames):
+        tracks = tracks_between(prev, curr)
+        noise = noise_of(len(tracks), dof=dof, tau_px=tau_px)
+        windows.append(by.with_features(windows[-1], curr.index, tracks, noise, guess=guess))
+    return windows
+
+
+def residuals_of(window: Window, x: FloatArray) -> FloatArray:
+    """Return the white residuals of all observations and priors, by the definition.
+
+    x moves the poses after the first, the rig, and the landmarks.
+    """
+    count = len(window)
+    poses = np.concatenate([np.zeros(POSE), x[: POSE * (count - 1)]]).reshape(-1, POSE)
+    T_cam_world = se3.exp(poses) @ window.T_cam_world
+    rig = window.rig + x[POSE * (count - 1) : POSE * (count - 1) + RIG]
+    state = window.landmarks.state + x[POSE * (count - 1) + RIG :].reshape(-1, 4)
+    observations = window.observations
+    rows = window.landmark_rows
+    anchors = observations.slot[observations.start[:-1]][rows]
+    u, v, d, error = state[rows].T
+    rays = np.column_stack(
+        [(u - CAMERA.cu_px) / CAMERA.fu_px, (v - CAMERA.cv_px) / CAMERA.fv_px, np.ones(len(u))]
+    )
+    T = T_cam_world[observations.slot] @ se3.inverse(T_cam_world[anchors])
+    inverse_depth = d / (CAMERA.fu_px * CAMERA.baseline_m)
+    h = (T[:, :3, :3] @ rays[..., None])[..., 0] + inverse_depth[:, None] * T[:, :3, 3]
+    u_k = CAMERA.fu_px * h[:, 0] / h[:, 2] + CAMERA.cu_px
+    v_k = CAMERA.fv_px * h[:, 1] / h[:, 2] + CAMERA.cv_px
+    rig_error = disparity_basis(np.column_stack([u_k, v_k, u_k, v_k]), CAMERA) @ rig
+    predicted = np.column_stack([u_k, v_k, u_k - d / h[:, 2] - error + rig_error, v_k])
+    of_errors = np.sqrt(window.landmarks.error_information) * state[:, 3]
+    return np.concatenate([((observations.pixels - predicted) / SIGMA_PX).ravel(), of_errors])
+
+
+def batch(window: Window) -> tuple[Window, FloatArray]:
+    """Solve the same problem with SciPy: all poses but the first; the rig is held."""
+    num_poses = POSE * (len(window) - 1)
+    num_landmarks = 4 * len(window.ids)
+
+    def residuals(x: FloatArray) -> FloatArray:
+        return residuals_of(window, np.concatenate([x[:num_poses], np.zeros(RIG), x[num_poses:]]))
+
+    found = least_squares(residuals, np.zeros(num_poses + num_landmarks), method="trf", xtol=1e-14)
+    moves = np.concatenate([np.zeros(POSE), found.x[:num_poses]]).reshape(-1, POSE)
+    cov = np.linalg.inv(found.jac.T @ found.jac)[:num_poses, :num_poses]
+    return replace(window, T_cam_world=se3.exp(moves) @ window.T_cam_world), cov
+
+
+def test_normal_equations_are_those_of_numeric_jacobians() -> None:
+    """Hessian and gradient of poses and rig, after the landmarks are eliminated by a dense Schur
+    complement, in the middle of a window whose landmarks have not converged."""
+    frames = drive(np.random.default_rng(50), 5, points=25, sigma_px=SIGMA_PX)
+    by = estimator(frames=9, calibrates=True)
+    window = windows_of(frames, by, tau_px=TAU_PX)[-1]
+    rng = np.random.default_rng(51)
+    state = window.landmarks.state + 0.1 * rng.normal(size=window.landmarks.state.shape)
+    moves = se3.exp(1e-3 * rng.normal(size=(5, POSE)))
+    T_cam_world = moves @ window.T_cam_world
+    T_cam_world[0] = np.eye(4)
+    window = replace(
+        window,
+        T_cam_world=T_cam_world,
+        T_linear=T_cam_world,
+        landmarks=window.landmarks._replace(state=state),
+    )
+    window = replace(window, rig=np.zeros(RIG))  # that β(x) moves with the pose is ignored
+    system = by._system(window)
+    count = POSE * 4 + RIG + 4 * len(window.ids)
+    jacobian = np.empty((len(residuals_of(window, np.zeros(count))), count))
+    for column, step in enumerate(1e-5 * np.eye(count)):
+        change = residuals_of(window, step) - residuals_of(window, -step)
+        jacobian[:, column] = change / 2e-5
+    full = jacobian.T @ jacobian
+    descent = -jacobian.T @ residuals_of(window, np.zeros(count))
+    kept = slice(0, POSE * 4 + RIG)
+    eliminated = slice(POSE * 4 + RIG, None)
+    gain = np.linalg.solve(full[eliminated, eliminated], full[eliminated, kept])
+    expected = full[kept, kept] - full[kept, eliminated] @ gain
+    expected_gradient = descent[kept] - gain.T @ descent[eliminated]
+    prior = window.prior
+    x = window.offsets()
+    hessian = system.equations.hessian - prior.information
+    gradient = system.equations.gradient - (prior.vector - prior.information @ x)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert (np.abs(hessian[POSE:, POSE:] - expected) / scale).max() < 1e-6
+    np.testing.assert_allclose(
+        gradient[POSE:] / np.sqrt(np.diag(expected)),
+        expected_gradient / np.sqrt(np.diag(expected)),
+        atol=1e-5,
+    )
+
+
+@pytest.mark.parametrize("tau_px", [0.0, TAU_PX])
+def test_a_window_as_long_as_the_drive_is_batch_adjustment(tau_px: float) -> None:
+    """Poses agree to 1e-6 m and rad with SciPy's solution, covariances to 1e-3."""
+    frames = drive(np.random.default_rng(52), 8, points=40, sigma_px=SIGMA_PX)
+    by = estimator(frames=8)
+    window = windows_of(frames, by, tau_px=tau_px)[-1]
+    for _ in range(6):  # on line, it stops at a fraction of a standard deviation
+        window = by.adjusted(window).window
+    solved, cov = batch(window)
+    difference = se3.log(solved.T_cam_world @ se3.inverse(window.T_cam_world))
+    assert np.abs(difference).max() < 1e-6
+    at = slice(POSE, POSE * 8)
+    sigma = np.sqrt(np.diag(cov))
+    assert (np.abs(window.cov[at, at] - cov) / np.outer(sigma, sigma)).max() < 1e-3
+
+
+def test_marginalisation_loses_nothing_of_landmarks_that_have_gone() -> None:
+    """Where each landmark is seen in four frames of six, the newest pose and its covariance are
+    those of batch adjustment, to a thousandth of σ, which is due to linearisation."""
+    frames = drive(np.random.default_rng(53), 14, points=60, sigma_px=0.05)
+    short = [_renamed_every(frame, 4) for frame in frames]
+    by = estimator(frames=6, iterations=10)
+    window = windows_of(short, by)[-1]
+    whole = windows_of(short, estimator(frames=14, iterations=10))[-1]
+    assert len(window) == 6
+    assert len(whole) == 14
+    last = window.pose(-1)
+    expected = whole.pose(-1)
+    difference = se3.log(se3.inverse(last.T_world_cam) @ expected.T_world_cam)
+    sigma = np.sqrt(np.diag(expected.cov))
+    assert (np.abs(difference) < 1e-3 * sigma).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(last.cov)), sigma, rtol=1e-3)
+
+
+def _renamed_every(frame: Frame, count: int) -> Frame:
+    """Return the frame with landmarks that get another identity every few frames."""
+    assert frame.features is not None
+    features = frame.features
+    ids = features.ids * 1000 + (frame.index + features.ids) // count
+    return replace(frame, features=replace(features, ids=ids))
+
+
+def test_the_window_gains_no_information_about_where_it_is() -> None:
+    """Along the six directions of the world's frame xᵀ H x is below 1e-9 of that along a random
+    one, before and after 200 marginalisations."""
+    frames = drive(np.random.default_rng(54), 212, points=50, sigma_px=SIGMA_PX)
+    by = estimator(frames=6)
+    window = Window.at_first_frame(0)
+    # The prior that holds the first pose, which is all that knows where the world is.
+    window = replace(window, prior=replace(window.prior, information=np.zeros((9, 9))))
+    rng = np.random.default_rng(55)
+    before: Window | None = None
+    for prev, curr in pairwise(frames):
+        tracks = tracks_between(prev, curr)
+        guess = se3.exp(1e-3 * rng.normal(size=6)) @ FORWARD
+        extended = by.with_frame(window, curr.index, guess, tracks, noise_of(len(tracks)))
+        adjusted = _adjusted_without_gauge(by, extended)
+        before = before or (adjusted if len(adjusted) == 6 else None)
+        window = by.without_oldest(adjusted) if len(adjusted) > 6 else adjusted
+    assert before is not None
+    assert window.frames[0] > 200
+    for each in (before, window):
+        hessian = by._system(each).equations.hessian[:-RIG, :-RIG]
+        directions = se3.adjoint(each.T_linear).reshape(-1, POSE)
+        random = np.random.default_rng(56).normal(size=(len(directions), 20))
+        along_random = np.einsum("in,ij,jn->n", random, hessian, random)
+        along_random /= np.square(random).sum(axis=0)
+        along_gauge = np.abs(np.einsum("in,ij,jn->n", directions, hessian, directions))
+        along_gauge /= np.square(directions).sum(axis=0)
+        assert along_gauge.max() < 1e-9 * along_random.min()
+
+
+def _adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:
+    """Adjust with the oldest pose held for this solve only."""
+    size = len(window.prior.vector)
+    held = np.zeros((size, size))
+    held[:POSE, :POSE] = 1e9 * np.eye(POSE)
+    x = window.offsets()
+    prior = window.prior
+    with_gauge = replace(
+        prior, information=prior.information + held, vector=prior.vector + held @ x
+    )
+    adjusted = by.adjusted(replace(window, prior=with_gauge)).window
+    return replace(adjusted, prior=prior)
+
+
+@pytest.mark.parametrize(("dof", "tau_px"), [(np.inf, 0.0), (np.inf, TAU_PX), (4.0, TAU_PX)])
+def test_relative_poses_are_consistent(dof: float, tau_px: float) -> None:
+    """The average NEES of motions over 1, 4 and 8 frames, at the end of independent drives, lies in
+    the 99.9 % interval of χ²(6); noise is of the model's own kind: one scale for a landmark."""
+    drives = 40
+    squared: dict[int, list[float]] = {1: [], 4: [], 8: []}
+    for seed in range(drives):
+        rng = np.random.default_rng([57, seed])
+        frames = _noisy(drive(rng, 16, points=60, sigma_px=0.0), rng, dof=dof, tau_px=tau_px)
+        window = windows_of(frames, estimator(frames=9), dof=dof, tau_px=tau_px)[-1]
+        for step, found in squared.items():
+            T, cov = window.relative(8, 8 - step)
+            expected = np.linalg.matrix_power(FORWARD, step)
+            found.append(normalized_error_squared(T[None], expected[None], cov[None])[0])
+    low, high = chi2_interval(dof=6, count=drives)
+    for found in squared.values():
+        assert low < np.mean(found) < high
+
+
+def _noisy(
+    frames: list[Frame], rng: np.random.Generator, *, dof: float, tau_px: float
+) -> list[Frame]:
+    """Return the frames with noise whose scale each landmark has drawn once."""
+    scales: dict[int, float] = {}
+    errors: dict[int, float] = {}
+    noisy = []
+    for frame in frames:
+        assert frame.features is not None
+        pixels = frame.features.pixels.copy()
+        for row, landmark in enumerate(frame.features.ids.tolist()):
+            if landmark not in scales:
+                gamma = 1.0 if np.isinf(dof) else rng.chisquare(dof) / dof
+                scales[landmark] = float(np.sqrt(1.0 / gamma))
+                errors[landmark] = float(tau_px * rng.normal())
+            pixels[row] += scales[landmark] * SIGMA_PX * rng.normal(size=4)
+            pixels[row, 2] -= scales[landmark] * errors[landmark]
+        noisy.append(replace(frame, features=replace(frame.features, pixels=pixels)))
+    return noisy
+
+
+def test_the_disparity_errors_of_the_rig_are_found_within_their_sigma() -> None:
+    rng = np.random.default_rng(58)
+    frames = drive(rng, 40, points=100, sigma_px=SIGMA_PX)
+    true_px = np.array([0.3, -0.4, 1.2])
+    seen = []
+    for frame in frames:
+        assert frame.features is not None
+        pixels = frame.features.pixels.copy()
+        pixels[:, 2] += disparity_basis(pixels, CAMERA) @ true_px
+        seen.append(replace(frame, features=replace(frame.features, pixels=pixels)))
+    window = windows_of(seen, estimator(frames=8, calibrates=True))[-1]
+    sigma = np.sqrt(np.diag(window.cov)[-RIG:])
+    assert (np.abs(window.rig - true_px) < 3.0 * sigma).all()
+    assert (sigma < 0.3).all()
+
+
+def test_live_steps_compound_to_the_live_pose_and_its_covariance() -> None:
+    frames = drive(np.random.default_rng(59), 25, points=60, sigma_px=SIGMA_PX)
+    windows = windows_of(frames, estimator(frames=6))
+    motion = MotionEstimate(np.eye(4), np.eye(6), Status.OK, num_tracks=0)
+    steps = [live_motion(motion, before, after) for before, after in pairwise(windows)]
+    T_curr_prev = np.array([step.T_curr_prev for step in steps])
+    covs = drift_covariances(
+        T_curr_prev,
+        np.array([step.cov for step in steps]),
+        np.array([step.common_mode for step in steps]),
+        path_cross_cov=np.array([step.path_cross_cov for step in steps]),
+    )
+    last = windows[-1].pose(-1)
+    np.testing.assert_allclose(se3.chain_motions(T_curr_prev)[-1], last.T_world_cam, atol=1e-9)
+    sigma = np.sqrt(np.diag(last.cov))
+    np.testing.assert_allclose(
+        covs[-1] / np.outer(sigma, sigma), last.cov / np.outer(sigma, sigma), atol=1e-3
+    )
+
+
+def test_a_frame_without_features_is_bridged_by_its_measurement() -> None:
+    """Its pose has the covariance of the measurement; that of the next frame, which features
+    connect with it, is no better known than both."""
+    frames = drive(np.random.default_rng(60), 6, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=5)
+    window = windows_of(frames[:4], by)[-1]
+    cov = np.diag([0.1, 0.1, 0.2, 0.01, 0.01, 0.01]) ** 2
+    reckoned = RelativePose(FORWARD, cov, curr=pose_of(4), prev=pose_of(3))
+    window = by.without_features(window, 4, [reckoned], guess=FORWARD)
+    _, found = window.relative(len(window) - 1, len(window) - 2)
+    np.testing.assert_allclose(found, cov, rtol=1e-6, atol=1e-12)
+    tracks = tracks_between(frames[4], frames[5])
+    window = by.with_features(window, 5, tracks, noise_of(len(tracks)), guess=FORWARD)
+    _, over_gap = window.relative(window.slot(5), window.slot(3))
+    assert (np.diag(over_gap) > np.diag(cov) * 0.9).all()
+
+
+def test_a_measurement_of_a_pose_draws_the_window_to_it() -> None:
+    frames = drive(np.random.default_rng(61), 4, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=6, iterations=10)
+    window = windows_of(frames, by)[-1]
+    moved = se3.exp(np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])) @ window.T_cam_world[-1]
+    at_end = PosePrior(pose_of(3), moved, 1e-12 * np.eye(6))
+    adjusted = by.adjusted(by.with_measurements(window, [at_end])).window
+    error = se3.log(adjusted.T_cam_world[-1] @ se3.inverse(moved))
+    assert np.abs(error).max() < 1e-3
+    assert (np.diag(adjusted.pose(-1).cov) < 1e-11).all()
+
+
+def test_frames_that_are_not_in_the_window_are_refused() -> None:
+    window = windows_of(drive(np.random.default_rng(62), 3, points=30), estimator(frames=4))[-1]
+    with pytest.raises(InputError, match="not in the window"):
+        window.slot(7)
+
+
+def test_the_same_frames_give_the_same_bytes() -> None:
+    frames = drive(np.random.default_rng(63), 12, points=50, sigma_px=SIGMA_PX)
+    first, second = (windows_of(frames, estimator(frames=5))[-1] for _ in range(2))
+    assert first.T_cam_world.tobytes() == second.T_cam_world.tobytes()
+    assert first.cov.tobytes() == second.cov.tobytes()
