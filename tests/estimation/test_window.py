@@ -116,7 +116,8 @@ def batch(window: Window) -> tuple[Window, FloatArray]:
 
     found = least_squares(residuals, np.zeros(num_poses + num_landmarks), method="trf", xtol=1e-14)
     moves = np.concatenate([np.zeros(POSE), found.x[:num_poses]]).reshape(-1, POSE)
-    cov = np.linalg.inv(found.jac.T @ found.jac)[:num_poses, :num_poses]
+    jacobian = np.asarray(found.jac)
+    cov = np.linalg.inv(jacobian.T @ jacobian)[:num_poses, :num_poses]
     return replace(window, T_cam_world=se3.exp(moves) @ window.T_cam_world), cov
 
 

@@ -1,4 +1,4 @@
-"""A sliding window: the last frames and their landmarks, and what is known of them, as one value.
+"""A sliding window: the last frames, their landmarks and their joint covariance, as one value.
 
 Its world is the first camera of the recording. That first pose is held by a prior, so that what the
 frames that left the window have taught is a proper prior of those that remain, and the covariances
@@ -54,7 +54,8 @@ class Window:
     T_cam_world: FloatArray
     """Poses, [K, 4, 4], m."""
     T_linear: FloatArray
-    """Linearisation points T̄ of the poses, [K, 4, 4]: fixed from when the prior contains a pose."""
+    """Linearisation points T̄ of the poses, [K, 4, 4]; that of a pose is fixed once the prior
+    contains it."""
     rig: FloatArray
     """Disparity errors of the rig, (b₀, b₁, b₂), [3], px."""
     prior: MarginalPrior

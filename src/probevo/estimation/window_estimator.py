@@ -111,7 +111,7 @@ class WindowEstimator:
                 calibration, disparities not.
             noise: of these N tracks.
             guess: motion from the last of them to the new one, T_curr_prev, [4, 4].
-            measurements: what else is known of the poses of the window.
+            measurements: further measurements of the poses of the window.
         """
         extended = self.with_frame(window, frame, guess, tracks, noise)
         adjusted = self.adjusted(self.with_measurements(extended, measurements)).window
@@ -127,7 +127,7 @@ class WindowEstimator:
         Args:
             window: K frames.
             frame: index of the new one.
-            measurements: what is known of its pose.
+            measurements: measurements of its pose.
             guess: motion from the last of them to the new one, T_curr_prev, [4, 4].
         """
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
@@ -330,9 +330,9 @@ class WindowEstimator:
             geometry,
             window.observations,
             window.landmarks,
-            int(self._loss.kind),
-            equations,
-            elimination,
+            loss=int(self._loss.kind),
+            equations=equations,
+            elimination=elimination,
         )
         return _System(
             window=window,

@@ -118,6 +118,18 @@ class Elimination(NamedTuple):
     """Squared Mahalanobis distance of each observation from its prediction, [M]."""
 
 
+class _Problem(NamedTuple):
+    """What stays the same while the landmarks are added up."""
+
+    geometry: WindowGeometry
+    observations: WindowObservations
+    landmarks: WindowLandmarks
+    loss: int
+    """Kind of the robust loss."""
+    T_ka: FloatArray
+    """Motions between all pairs of frames, [K, K, 4, 4], m."""
+
+
 class _Observation(NamedTuple):
     """One observation, linearised; both its v have the same prediction, and are added up."""
 
@@ -183,7 +195,13 @@ def accumulate(
         The cost.
     """
     num_frames = len(geometry.T_cam_world)
-    T_ka = _relative_poses(geometry.T_cam_world)
+    problem = _Problem(
+        geometry=geometry,
+        observations=observations,
+        landmarks=landmarks,
+        loss=loss,
+        T_ka=_relative_poses(geometry.T_cam_world),
+    )
     one = _Observation(
         ray=np.zeros(3),
         error=np.zeros(PIXELS),
@@ -206,19 +224,19 @@ def accumulate(
         end = observations.start[row + 1]
         anchor = observations.slot[first]
         state = landmarks.state[row]
-        own[:] = 0.0
-        gradient = elimination.gradient[row]
-        gradient[:] = 0.0
-        elimination.coupling[first:end] = 0.0
-        elimination.rig_coupling[row] = 0.0
-        trust = _trust(row, T_ka, geometry, observations, landmarks, loss, one, elimination.squared)
+        trust = _trust(row, problem, one, squared=elimination.squared)
         cost += trust.cost
         # The prior of δ.
+        own[:] = 0.0
         own[3, 3] = trust.curvature * landmarks.error_information[row]
+        gradient = elimination.gradient[row]
+        gradient[:] = 0.0
         gradient[3] = -trust.weight * landmarks.error_information[row] * state[3]
+        elimination.coupling[first:end] = 0.0
+        elimination.rig_coupling[row] = 0.0
         for m in range(first, end):
             slot = observations.slot[m]
-            T = T_ka[slot, anchor]
+            T = problem.T_ka[slot, anchor]
             if not _project(state, T, geometry, observations.pixels[m], one):
                 continue
             _linearize(state, T, geometry, one)
@@ -230,10 +248,10 @@ def accumulate(
                 _couple(
                     one,
                     geometry.adjoints[slot, anchor],
-                    elimination.coupling[m],
-                    elimination.coupling[first],
+                    own=elimination.coupling[m],
+                    of_anchor=elimination.coupling[first],
                 )
-        _eliminate(row, first, end, observations.slot, own, elimination, wide, equations)
+        _eliminate(row, problem, own, wide=wide, elimination=elimination, equations=equations)
     _add_pairs(pairs, geometry.adjoints, equations)
     size = len(equations.gradient)
     for i in range(size):
@@ -293,17 +311,11 @@ def _project(
 
 
 @compiled
-def _trust(
-    row: int,
-    T_ka: FloatArray,
-    geometry: WindowGeometry,
-    observations: WindowObservations,
-    landmarks: WindowLandmarks,
-    loss: int,
-    one: _Observation,
-    squared: FloatArray,
-) -> _Trust:
+def _trust(row: int, problem: _Problem, one: _Observation, squared: FloatArray) -> _Trust:
     """Weigh a landmark by how well it fits all its observations; fill their squared distances."""
+    observations = problem.observations
+    landmarks = problem.landmarks
+    loss = problem.loss
     state = landmarks.state[row]
     first = observations.start[row]
     end = observations.start[row + 1]
@@ -312,9 +324,8 @@ def _trust(
     parameter = 0.0
     for m in range(first, end):
         squared[m] = BEHIND_CAMERA
-        if _project(
-            state, T_ka[observations.slot[m], anchor], geometry, observations.pixels[m], one
-        ):
+        T = problem.T_ka[observations.slot[m], anchor]
+        if _project(state, T, problem.geometry, observations.pixels[m], one):
             squared[m] = 0.0
             for i in range(PIXELS):
                 for j in range(PIXELS):
@@ -491,12 +502,10 @@ def _couple(one: _Observation, adjoint: FloatArray, own: FloatArray, of_anchor: 
 @compiled
 def _eliminate(
     row: int,
-    first: int,
-    end: int,
-    slots: IntArray,
+    problem: _Problem,
     own: FloatArray,
-    elimination: Elimination,
     wide: FloatArray,
+    elimination: Elimination,
     equations: NormalEquations,
 ) -> None:
     """Eliminate one landmark: subtract Bᵀ A⁻¹ B of its information A, [4, 4], and its coupling B.
@@ -504,6 +513,9 @@ def _eliminate(
     With A = R Rᵀ and Y = R⁻¹ B that is Yᵀ Y; only blocks of poses that saw it, and of the rig, are
     touched.
     """
+    slots = problem.observations.slot
+    first = problem.observations.start[row]
+    end = problem.observations.start[row + 1]
     root = np.zeros((LANDMARK, LANDMARK))
     for i in range(LANDMARK):
         for j in range(i + 1):
