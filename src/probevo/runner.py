@@ -18,8 +18,10 @@ from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.estimation.window import Window
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.files import remove_stale, write_atomically, written_together
+from probevo.geometry import se3
 from probevo.lock import locked
 from probevo.noise.base import NoiseModel
 from probevo.noise.named import noise_model, portable
@@ -44,6 +46,9 @@ from probevo.tracking.left_right import (
 )
 from probevo.tracking.preparation import prepare_ahead
 
+SMOOTHED_TUM = "trajectory.smoothed.tum"
+SMOOTHED_KITTI = "trajectory.smoothed.kitti.txt"
+"""Poses as they left the window, if there is one."""
 NUM_PICTURES = 4
 """Frames that the report shows with their tracks."""
 
@@ -70,8 +75,9 @@ def run_sequence(
     """Run the odometry over a recording and write all results into a folder.
 
     The files are ``config.yaml``, ``trajectory.tum``, ``trajectory.kitti.txt``, ``motions.npz``,
-    ``metrics.json`` (if truth is known) and ``report.html``, and a bag if ``config.write`` names
-    one. They are written at the end and replace those of an earlier run.
+    ``metrics.json`` (if truth is known) and ``report.html``; with a window also the smoothed path,
+    ``trajectory.smoothed.tum`` and ``.kitti.txt``; and a bag if ``config.write`` names one. They
+    are written at the end and replace those of an earlier run.
 
     If anything stops the run early, such as a damaged image or Ctrl-C, the same files are written
     for the frames so far, and name the reason; the exception is raised again with a note that tells
@@ -120,6 +126,7 @@ def _run(
     odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config=config)
     recorder = RunRecorder()
     pictures = _Pictures.spread_over(num_frames)
+    smoothed = SmoothedPath()
     num_matches = np.zeros(2, np.int64)  # with positive and with negative disparity
     try:
         for frame in prepare_ahead(islice(sequence, num_frames), config.tracking):
@@ -130,6 +137,7 @@ def _run(
                 frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected
             )
             pictures.add(frame, odometry)
+            smoothed.add(odometry.window)
 
             # Swapped images have mostly negative disparities; a few frames are enough to see it.
             num_matches += count_matches(odometry.tracks)
@@ -142,21 +150,24 @@ def _run(
     except BaseException as stop:
         # Keep what was computed, whatever the reason. The first frame is no motion, and must not
         # replace the results of an earlier run.
-        result = _result(recorder, odometry)
+        result = _result(recorder, odometry, smoothed)
         if len(result) > 1:
             result = replace(result, stopped=_reason(stop))
             _write_results(out, sequence, config, result=result, pictures=pictures)
             stop.add_note(f"The results of the first {len(result)} frames are in {out}.")
         raise
-    result = _result(recorder, odometry)
+    result = _result(recorder, odometry, smoothed)
     return _write_results(out, sequence, config, result=result, pictures=pictures)
 
 
-def _result(recorder: RunRecorder, odometry: StereoOdometry) -> RunResult:
-    """Return what was recorded, and how far the rig moves by the last estimate."""
+def _result(recorder: RunRecorder, odometry: StereoOdometry, smoothed: SmoothedPath) -> RunResult:
+    """Return what was recorded, how far the rig moves by the last estimate, and the smoothed
+    path."""
     rig = odometry.rig
     sigma_rad = None if rig is None else rig.jitter.sigma_rad
-    return replace(recorder.result(), jitter_sigma_rad=sigma_rad)
+    return replace(
+        recorder.result(), jitter_sigma_rad=sigma_rad, smoothed=smoothed.poses(odometry.window)
+    )
 
 
 def _reason(stop: BaseException) -> str:
@@ -195,6 +206,9 @@ def _write_results(
         metrics = replace(
             metrics,
             out_of_domain=result.out_of_domain,
+            smoothed=(
+                None if result.smoothed is None else evaluate(result.smoothed, truth).of_path()
+            ),
             faults=result.faults,
             stopped=result.stopped,
         )
@@ -204,6 +218,9 @@ def _write_results(
         write_atomically(folder / "config.yaml", f"# by probevo {__version__}\n{settings}")
         write_tum(folder / "trajectory.tum", result.stamps_ns, result.T_world_cam)
         write_kitti_poses(folder / "trajectory.kitti.txt", result.T_world_cam)
+        if result.smoothed is not None:
+            write_tum(folder / SMOOTHED_TUM, result.stamps_ns, result.smoothed)
+            write_kitti_poses(folder / SMOOTHED_KITTI, result.smoothed)
         write_motions(folder / "motions.npz", result)
         if metrics is not None:
             write_json(folder / "metrics.json", metrics.as_dict())
@@ -224,11 +241,34 @@ def _write_results(
         write_odometry_bag(config.write, result, config.ros, camera=sequence.camera)
     if config.viewer is not None:
         write_viewer_file(config.viewer, result, truth)
+    if result.smoothed is None:
+        remove_stale(out / SMOOTHED_TUM)
+        remove_stale(out / SMOOTHED_KITTI)
     if metrics is None:
         remove_stale(out / "metrics.json")
     if len(result) < 2:
         remove_stale(out / "report.html")
     return Run(result, metrics, truth, pictures=tuple(pictures.drawn))
+
+
+class SmoothedPath:
+    """Collects the poses that leave the window, one a step."""
+
+    def __init__(self) -> None:
+        self._left: list[FloatArray] = []
+
+    def add(self, window: Window | None) -> None:
+        """Take the pose that left the window in the last step, if one did."""
+        if window is not None and window.left is not None:
+            self._left.append(window.left.T_world_cam)
+
+    def poses(self, window: Window | None) -> FloatArray | None:
+        """Return T_world_cam of all frames, [N, 4, 4], m, whether they have left the window or are
+        still in it; None without a window."""
+        if window is None:
+            return None
+        in_window = se3.inverse(window.T_cam_world)
+        return np.concatenate([np.reshape(self._left, (-1, 4, 4)), in_window])
 
 
 @dataclass(frozen=True)

@@ -450,3 +450,20 @@ def test_flags_that_cannot_be_read_exit_with_2(words: list[str], wall: Path) -> 
     with pytest.raises(SystemExit) as caught:
         main(["run", *(word.replace("WALL", str(wall)) for word in words)])
     assert caught.value.code == 2
+
+
+def test_the_window_writes_the_smoothed_path_too(wall: Path, tmp_path: Path) -> None:
+    """Its newest pose is the live one; a run of two frames leaves no smoothed path of another."""
+    out = tmp_path / "out"
+    words = ["run", str(wall), "--out", str(out), "--estimator", "window", "--window.frames", "4"]
+    assert main(words) == 0
+    _, live = read_tum(out / "trajectory.tum")
+    _, smoothed = read_tum(out / "trajectory.smoothed.tum")
+    np.testing.assert_allclose(smoothed[-1], live[-1], atol=1e-9)
+    assert np.abs(smoothed[2:-4] - live[2:-4]).max() > 0.0
+    np.testing.assert_allclose(
+        read_kitti_poses(out / "trajectory.smoothed.kitti.txt"), smoothed, atol=1e-9
+    )
+    assert json.loads((out / "metrics.json").read_text())["smoothed"]["armse_m"] >= 0.0
+    assert main([*words[:4], "--max-frames", "2"]) == 0
+    assert not (out / "trajectory.smoothed.tum").exists()

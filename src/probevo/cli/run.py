@@ -26,8 +26,9 @@ class RunArguments:
     """Runs the stereo odometry over a recording.
 
     Writes trajectory.tum, trajectory.kitti.txt, motions.npz, config.yaml, report.html and, if the
-    truth is known, metrics.json. Flags override the file given by --config, and that overrides the
-    defaults.
+    truth is known, metrics.json; with --estimator window also the smoothed path,
+    trajectory.smoothed.tum and .kitti.txt. Flags override the file given by --config, and that
+    overrides the defaults.
     """
 
     sequence: Annotated[

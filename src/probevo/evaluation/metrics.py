@@ -53,6 +53,9 @@ class Metrics:
     nees_coverage: dict[str, float] | None = None
     """Share, 0 … 1, of the relative motions inside their 50, 90, 95 and 99 % ellipsoids, keyed by
     that percentage."""
+    smoothed: dict[str, float | None] | None = None
+    """``armse_m``, ``final_error_m``, ``short_t_percent`` and ``short_r_deg_per_m`` of the smoothed
+    path; None without a window. The caller of ``evaluate`` sets it."""
     out_of_domain: float | None = None
     """Share, 0 … 1, of the features used that lie outside of the noise model's domain; None if the
     model has no domain. The caller of ``evaluate`` takes it from the run: it needs no truth."""
@@ -62,6 +65,15 @@ class Metrics:
     stopped: str | None = None
     """What stopped the run before its last frame; None if nothing did. The caller of ``evaluate``
     takes it from the run, too."""
+
+    def of_path(self) -> dict[str, float | None]:
+        """Return the errors that ``smoothed`` compares."""
+        return {
+            "armse_m": self.armse_m,
+            "final_error_m": self.final_error_m,
+            "short_t_percent": self.short_t_percent,
+            "short_r_deg_per_m": self.short_r_deg_per_m,
+        }
 
     def as_dict(self) -> dict[str, object]:
         """Convert to plain values, in the order above."""

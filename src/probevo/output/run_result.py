@@ -59,6 +59,9 @@ class RunResult:
     """Tracks used in the solve, [N-1]; None in files of versions that did not store it."""
     num_out_of_domain: IntArray | None = None
     """Those of them that lie outside of the noise model's domain, [N-1]; None if it has none."""
+    smoothed: FloatArray | None = None
+    """Poses as they left the window, with what later frames say of them, [N, 4, 4], m; None for the
+    two-frame estimator."""
     stopped: str | None = None
     """What stopped the run before its last frame, such as a damaged image; None if nothing did."""
     jitter_sigma_rad: FloatArray | None = None
