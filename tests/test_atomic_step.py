@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ import probevo as pv
 from cli.rendering import BASELINE_M, FOCAL_PX, SIZE_PX, STEP, K, render, texture
 from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
-from probevo.config import GyroConfig, TrackingConfig
+from probevo.config import GyroConfig, TrackingConfig, WindowConfig
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import Measurement, pose_of
@@ -134,11 +134,17 @@ def learned_noise() -> NearestNeighbors:
     return NearestNeighbors(20, 1.0).fit(places, np.exp(rng.normal(size=400)), metric=metric)
 
 
-def odometry_of(content: str) -> pv.StereoOdometry:
-    """Return an odometry that has every stage: all sensors, a learned noise, self-calibration."""
+def odometry_of(
+    content: str, estimator: Literal["two-frame", "window"] = "two-frame"
+) -> pv.StereoOdometry:
+    """Return an odometry that has every stage: all sensors, a learned noise, self-calibration, a
+    window."""
     drive = drive_with(content)
     config = pv.OdometryConfig(
-        gyro=GyroConfig(prior=True), tracking=TrackingConfig(num_features=300)
+        gyro=GyroConfig(prior=True),
+        tracking=TrackingConfig(num_features=300),
+        estimator=estimator,
+        window=WindowConfig(frames=3),
     )
     return pv.StereoOdometry(
         drive.camera,
@@ -190,7 +196,7 @@ def assert_same_bytes(found: object, expected: object) -> None:
 def odometry_before(content: str, k: int) -> pv.StereoOdometry:
     """Return an odometry that has seen the k frames before frame k; copy it to step it."""
     if k == 0:
-        return odometry_of(content)
+        return odometry_of(content, "window")
     odometry = copy.copy(odometry_before(content, k - 1))
     odometry.step(drive_with(content).frames[k - 1])
     return odometry
@@ -270,6 +276,14 @@ STAGES = {
     "outliers dropped": Stage("probevo.tracking:TrackingState", "without"),
     "pose propagation": Stage("probevo.estimation.pose_filter:PoseFilter", "advanced"),
     "pose update": Stage("probevo.estimation.pose_filter:PoseFilter", "updated"),
+    "window's new frame": Stage(
+        "probevo.estimation.window_estimator:WindowEstimator", "with_frame"
+    ),
+    "window's adjustment": Stage("probevo.estimation.window_estimator:WindowEstimator", "adjusted"),
+    "marginalisation": Stage(
+        "probevo.estimation.window_estimator:WindowEstimator", "without_oldest", first=3
+    ),
+    "live motion": Stage("probevo.odometry", "live_motion"),
     "observation store": Stage(
         "probevo.tracking.observations:ObservationStore", "with_frame", first=0
     ),
@@ -381,7 +395,7 @@ def test_an_interrupt_at_any_line_leaves_the_old_state_or_the_new_one(content: s
     was."""
     frames = drive_with(content).frames
     k = 5
-    odometry = odometry_of(content)
+    odometry = odometry_of(content, "window")
     for frame in frames[:k]:
         odometry.step(frame)
     before = odometry.state
