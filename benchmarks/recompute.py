@@ -77,6 +77,21 @@ FIGURES = (
         needs_data=True,
     ),
     Figure("loose-rig", ("docs/accuracy.md",), "python benchmarks/loose_rig.py", minutes=2),
+    Figure(
+        "degradation",
+        ("docs/degradation.md",),
+        "python benchmarks/degradation.py",
+        minutes=15,
+        needs_data=True,
+    ),
+    Figure("faults", ("docs/robustness.md",), "python benchmarks/faults.py --kills 30", minutes=15),
+    Figure(
+        "soak",
+        ("docs/robustness.md",),
+        "python benchmarks/soak.py --minutes 7",
+        minutes=7,
+        needs_data=True,
+    ),
     Figure("solve-time", ("docs/accuracy.md",), "python benchmarks/solve_time.py", minutes=1),
     Figure(
         "speed",

@@ -248,3 +248,14 @@ def test_what_is_wrong_is_found() -> None:
         "'surprise': say innovation",
     ]
     assert unknown_flags(WRONG) == ["run --noises", "train --kinds", "simulate --preset", "fly"]
+
+
+@every_page
+def test_each_test_that_is_named_exists(path: Path) -> None:
+    named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", path.read_text("utf-8"))
+    missing = [
+        f"{file}::{test}"
+        for file, test in named
+        if not (ROOT / file).exists() or f"def {test}" not in (ROOT / file).read_text("utf-8")
+    ]
+    assert missing == []

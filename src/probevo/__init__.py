@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from probevo.noise.model_io import save_model as save_model
     from probevo.odometry import StereoOdometry as StereoOdometry
     from probevo.path import compound as compound
+    from probevo.run_plot import plot as plot
     from probevo.sequences import open_sequence as open_sequence
     from probevo.sequences.frame import Frame as Frame
     from probevo.sequences.frame import ImuSamples as ImuSamples
@@ -44,6 +45,7 @@ _MODULE_OF = {
     "estimate_motion": "probevo.matches",
     "load_model": "probevo.noise.model_io",
     "open_sequence": "probevo.sequences",
+    "plot": "probevo.run_plot",
     "save_model": "probevo.noise.model_io",
     "train_model": "probevo.training.api",
 }

@@ -23,6 +23,7 @@ from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, Visu
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
 from probevo.estimation.window_motion import live_motion, live_pose
+from probevo.landmarks import Landmarks, triangulated
 from probevo.measurements.base import Measurement, pose_of
 from probevo.measurements.gyro import GyroBias
 from probevo.measurements.relative_pose import RelativePose
@@ -184,6 +185,15 @@ class StereoOdometry:
     def weights(self) -> FloatArray:
         """How far each was trusted, [N], 0 to 1."""
         return self._features.weights
+
+    @property
+    def landmarks(self) -> Landmarks:
+        """The points that the last solve used, in the current camera's frame, with covariances."""
+        noise = self._state.observations.frames[-1].noise if self._state else None
+        if noise is None:
+            return Landmarks.none()
+        seen = self.tracks.kept(self.used)
+        return triangulated(seen.ids, seen.curr_px, noise, self.camera)
 
     @property
     def state(self) -> OdometryState | None:
