@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -11,8 +12,10 @@ import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
+from probevo.run_config import ReadSettings
 from probevo_sim.point_config import PointConfig
 from probevo_sim.scene.config import SceneConfig
+from probevo_sim.spoiling.config import SpoilConfig
 
 
 @dataclass(frozen=True)
@@ -43,15 +46,32 @@ class SceneArguments:
 
 
 @dataclass(frozen=True)
+class SpoilArguments:
+    """A real recording with bursts of blur, darkness, occluders and so on, as a folder sequence.
+
+    The file spoiled.json says what was done to each frame. A run of the recording itself is the
+    reference.
+    """
+
+    sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
+    """Folder of the recording, or a bag."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the spoiled recording; it must be missing or empty."""
+    settings: Annotated[SpoilConfig, tyro.conf.arg(name="")] = field(default_factory=SpoilConfig)
+    reading: Annotated[ReadSettings, tyro.conf.arg(name="")] = field(default_factory=ReadSettings)
+
+
+@dataclass(frozen=True)
 class SimulateArguments:
-    """Record a simulated world with its truth.
+    """Record a simulated world with its truth, or spoil a real recording.
 
     `probevo simulate WORLD --help` shows the options of a world.
     """
 
     world: Annotated[
         Annotated[PointArguments, tyro.conf.subcommand("point")]
-        | Annotated[SceneArguments, tyro.conf.subcommand("scene")],
+        | Annotated[SceneArguments, tyro.conf.subcommand("scene")]
+        | Annotated[SpoilArguments, tyro.conf.subcommand("spoil")],
         tyro.conf.arg(name=""),
     ]
 
@@ -61,6 +81,9 @@ def main(words: list[str]) -> None:
     arguments = parse(SimulateArguments, words, "simulate").world
     from probevo.lock import locked
 
+    if isinstance(arguments, SpoilArguments):  # its folder has to be empty
+        print("\n".join(_spoil(arguments)))
+        return
     with locked(arguments.out):
         lines = _point(arguments) if isinstance(arguments, PointArguments) else _scene(arguments)
     print("\n".join(lines))
@@ -97,6 +120,28 @@ def _scene(arguments: SceneArguments) -> list[str]:
     )
     frames = len(open_sequence(out))
     return [f"{out}: {frames} frames", _next_command(out, out.with_name(f"{out.name}-run"))]
+
+
+def _spoil(arguments: SpoilArguments) -> list[str]:
+    """Spoil a recording, and return the lines to print."""
+    settings = checked(arguments.settings)
+    reading = checked(arguments.reading)
+    from probevo.cli.progress import progress_bar
+    from probevo.sequences import open_sequence
+    from probevo_sim.spoiling.recording import SpoiledRecording, write_spoiled
+
+    out = arguments.out
+    original = open_sequence(arguments.sequence, reading.format, **reading.format_options())
+    recording = SpoiledRecording.of(original, settings)
+    num_frames = len(recording)
+    with progress_bar(f"spoiling {original.path.name}", "reading") as show:
+        write_spoiled(out, recording, on_frame=lambda index: show(index + 1, num_frames))
+    effects = Counter(plan.effect or "clean" for plan in recording.plans)
+    counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in effects.most_common())
+    return [
+        f"{out}: {num_frames} of {len(original)} frames; {counts}",
+        _next_command(out, out.with_name(f"{out.name}-run")),
+    ]
 
 
 def render_with_progress(

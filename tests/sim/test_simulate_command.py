@@ -192,3 +192,22 @@ def test_a_point_world_without_anything_to_see_is_refused(
     assert main(["simulate", "point", "--out", str(tmp_path / "points"), *flags]) == 2
     assert fragment in capsys.readouterr().err
     assert not (tmp_path / "points").exists()
+
+
+def test_a_spoiled_recording_is_written_and_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    original = write_folder_sequence(tmp_path / "original", 12)
+    out = tmp_path / "spoiled"
+    words = ["simulate", "spoil", str(original), "--preset", "jpeg", "--seed", "2"]
+    assert main([*words, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    record = json.loads((out / "spoiled.json").read_text())
+    num_jpeg = sum(entry.get("effect") == "jpeg" for entry in record["frames"])
+    assert f"{out}: 12 of 12 frames" in said
+    assert f"{num_jpeg} jpeg" in said
+    assert f"next: probevo run {out} --out {out}-run" in said
+    assert record["settings"]["preset"] == "jpeg"
+    assert len(open_sequence(out)) == 12
+    # What is there already is not written over.
+    assert main([*words, "--out", str(out)]) == 2

@@ -1,0 +1,107 @@
+"""What spoils an image. All functions are pure, and of grey images [height, width], uint8."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from probevo.arrays import AnyArray, FloatArray, Image
+
+BLUR_INSTANTS = 9
+"""Instants of an exposure."""
+
+
+def shaken(image: Image, way_px: FloatArray) -> Image:
+    """Blur along a straight way of the whole image during the exposure, (u, v), [2], px."""
+    shares = np.linspace(-0.5, 0.5, max(BLUR_INSTANTS, 1 + 2 * int(np.hypot(*way_px))))
+    height, width = image.shape
+    total = np.zeros(image.shape, np.float32)
+    for share in shares:
+        shift = np.array([[1.0, 0.0, share * way_px[0]], [0.0, 1.0, share * way_px[1]]])
+        total += cv2.warpAffine(
+            image.astype(np.float32), shift, (width, height), borderMode=cv2.BORDER_REPLICATE
+        )
+    return _grey(total / len(shares))
+
+
+def optical_flow(before: Image, after: Image) -> FloatArray:
+    """Return the flow of each pixel from one image to a later one, [height, width, 2], px."""
+    method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    flow: FloatArray = method.calc(before, after, None)  # type: ignore[call-overload]
+    return flow
+
+
+def blurred_along(image: Image, flow_px: FloatArray, share: float) -> Image:
+    """Blur each pixel along its own flow, [height, width, 2], px, as a shutter that is open for a
+    share of the time between two frames."""
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
+    total = np.zeros(image.shape, np.float32)
+    for instant in np.linspace(-0.5, 0.5, BLUR_INSTANTS, dtype=np.float32):
+        way = np.float32(share) * instant
+        total += cv2.remap(
+            image.astype(np.float32),
+            u + way * flow_px[..., 0].astype(np.float32),
+            v + way * flow_px[..., 1].astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+    return _grey(total / BLUR_INSTANTS)
+
+
+def exposed(image: Image, gain: float, noise_grey: float, rng: np.random.Generator) -> Image:
+    """Change the exposure by a factor, and add white noise of a standard deviation, grey levels."""
+    grey = np.float32(gain) * image.astype(np.float32)
+    if noise_grey > 0.0:
+        grey = grey + np.float32(noise_grey) * rng.standard_normal(image.shape, dtype=np.float32)
+    return _grey(grey)
+
+
+def texture(shape: tuple[int, int], rng: np.random.Generator) -> Image:
+    """Draw a texture with detail at all scales, [height, width]."""
+    grey = np.zeros(shape, np.float32)
+    for scale in (1, 3, 8, 20):
+        coarse = rng.standard_normal((shape[0] // scale + 2, shape[1] // scale + 2), np.float32)
+        grey += cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return _grey(110.0 + 35.0 * grey)
+
+
+def pasted(image: Image, patch: Image, corner_px: tuple[float, float]) -> Image:
+    """Paste a patch with its upper left corner at (u, v), px, which may be between pixels or
+    outside of the image."""
+    height, width = image.shape
+    shift = np.array([[1.0, 0.0, corner_px[0]], [0.0, 1.0, corner_px[1]]])
+    over = cv2.warpAffine(patch.astype(np.float32), shift, (width, height))
+    cover = cv2.warpAffine(np.ones(patch.shape, np.float32), shift, (width, height))
+    return _grey(over + (1.0 - cover) * image.astype(np.float32))
+
+
+def dirt_mask(shape: tuple[int, int], amount: float, rng: np.random.Generator) -> FloatArray:
+    """Draw how much of the light dirt on a lens lets through, [height, width], 0 to 1: blots that
+    are out of focus."""
+    height, width = shape
+    mask = np.ones(shape, np.float32)
+    for _ in range(3 + round(20 * amount)):
+        center = (int(rng.integers(width)), int(rng.integers(height)))
+        radius = int(rng.uniform(0.02, 0.02 + 0.08 * amount) * width)
+        cv2.circle(mask, center, max(radius, 1), float(rng.uniform(0.05, 0.5)), -1)
+    softened: FloatArray = cv2.GaussianBlur(mask, (0, 0), 0.01 * width).astype(np.float64)
+    return softened
+
+
+def soiled(image: Image, mask: FloatArray) -> Image:
+    """Look through dirt that lets a share of the light through, [height, width]; the rest is the
+    grey of the dirt."""
+    share = mask.astype(np.float32)
+    return _grey(share * image.astype(np.float32) + (1.0 - share) * 60.0)
+
+
+def compressed(image: Image, quality: int) -> Image:
+    """Compress by JPEG of a quality, 1 to 100."""
+    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    decoded: Image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)  # type: ignore[assignment]
+    return decoded
+
+
+def _grey(values: AnyArray) -> Image:
+    image: Image = np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    return image
