@@ -109,61 +109,16 @@ class StereoOdometry:
         clock = StageClock(decode=frame.decode_ms)
         prediction = state.predict(frame, self.imu)  # from gyro and last velocity
         observed = self._observe(state, frame, prediction, clock=clock)  # pixels → tracks → φ
-        measured = self._measure(state, frame)  # whatever sensors were plugged in
-        visual = self._visual.estimate(  # consensus, noise of each track, solve
-            observed.tracks,
-            observed.phi,
-            MotionPriors(
-                prediction=prediction.motion,
-                gyro=prediction.rotation,
-                disparities=state.disparities,
-                measurements=self._of_motion(prediction, measured),
-                curr=pose_of(frame.index),
-                jitter_cov=observed.rig.jitter.cov if observed.rig is not None else None,
-            ),
-            rng=np.random.default_rng([self.config.seed, frame.index]),
-            clock=clock,
+        measured = self._measure(state, frame, prediction)  # gyro, and sensors plugged in
+        visual = self._solve(  # consensus, noise of each track, motion
+            state, frame, prediction, observed=observed, measured=measured, clock=clock
         )
-        if visual.status is Status.OK:
-            outcome = self._accept(state, prediction, observed, visual)
-        else:
-            outcome = self._dead_reckon(state, prediction, observed, visual)
-        motion = outcome.motion
-        pose = state.pose.advanced(motion).updated(measured.of_pose, pose_of(frame.index))
-        clock.lap("learn")
-        window = None
-        if state.window is not None:  # the two-frame motion is where its adjustment starts
-            window = self._adjust(
-                state.window,
-                frame,
-                motion,
-                observed=observed,
-                visual=visual,
-                measurements=[*self._of_motion(prediction, measured), *measured.of_pose],
-            )
-            motion = live_motion(motion, state.window, window)
-            pose = live_pose(window)
-            clock.lap("window")
-        estimate = replace(
-            motion,
-            T_world_cam=pose.T_world_cam,
-            pose_cov=pose.cov,
-            stage_ms=clock.times_ms,
-            missing=missing,
+        learned = self._learn(state, prediction, observed, visual)  # rig, gyro bias, velocity
+        estimate, after = self._concluded(
+            state, frame, observed, measured=measured, visual=visual, learned=learned, clock=clock
         )
-        self._state = OdometryState(
-            frame=frame,
-            tracking=outcome.tracking,
-            observations=state.observations.with_frame(observed.for_store(frame, visual)),
-            rig=outcome.rig,
-            gyro_bias=outcome.gyro_bias,
-            motion_model=outcome.motion_model,
-            disparities=outcome.disparities,
-            residuals=outcome.residuals,
-            pose=pose,
-            step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
-            window=window,
-        )
+        estimate = replace(estimate, stage_ms=clock.times_ms, missing=missing)
+        self._state = after
         return estimate
 
     @property
@@ -294,21 +249,58 @@ class StereoOdometry:
         clock.lap("predict")
         return _Observed(tracked=tracked, rig=rig, tracks=tracks, phi=phi)
 
-    def _measure(self, state: OdometryState, frame: Frame) -> _Measured:
-        """Ask all sensors, and tell measurements of the motion from those of the pose."""
+    def _measure(self, state: OdometryState, frame: Frame, prediction: Prediction) -> _Measured:
+        """Ask gyro and sensors, and tell measurements of the motion from those of the pose alone.
+
+        The gyro's rotation enters the solve only where the settings say so.
+        """
         of_motion: list[Measurement] = []
         of_pose: list[Measurement] = []
+        if prediction.rotation is not None and self.config.gyro.prior:
+            of_motion.append(prediction.rotation)
         for sensor in self.sensors:
             for measurement in sensor(state.frame, frame):
                 is_of_pose = set(measurement.variables) == {pose_of(frame.index)}
                 (of_pose if is_of_pose else of_motion).append(measurement)
         return _Measured(of_motion=of_motion, of_pose=of_pose)
 
-    def _of_motion(self, prediction: Prediction, measured: _Measured) -> list[Measurement]:
-        """Return the measurements that enter the solve: the gyro's only where the settings say."""
-        if prediction.rotation is not None and self.config.gyro.prior:
-            return [prediction.rotation, *measured.of_motion]
-        return measured.of_motion
+    def _solve(
+        self,
+        state: OdometryState,
+        frame: Frame,
+        prediction: Prediction,
+        *,
+        observed: _Observed,
+        measured: _Measured,
+        clock: StageClock,
+    ) -> VisualMotion:
+        """Estimate the motion from the tracks and what else was measured of it."""
+        return self._visual.estimate(
+            observed.tracks,
+            observed.phi,
+            MotionPriors(
+                prediction=prediction.motion,
+                gyro=prediction.rotation,
+                disparities=state.disparities,
+                measurements=measured.of_motion,
+                curr=pose_of(frame.index),
+                jitter_cov=observed.rig.jitter.cov if observed.rig is not None else None,
+            ),
+            rng=np.random.default_rng([self.config.seed, frame.index]),
+            clock=clock,
+        )
+
+    def _learn(
+        self,
+        state: OdometryState,
+        prediction: Prediction,
+        observed: _Observed,
+        visual: VisualMotion,
+    ) -> _Learned:
+        """Take the motion that was solved, or else the predicted one, and learn from it."""
+        if visual.status is Status.OK:
+            return self._accept(state, prediction, observed, visual)
+        return self._dead_reckon(state, prediction, observed, visual)
 
     def _accept(
         self,
@@ -316,8 +308,8 @@ class StereoOdometry:
         prediction: Prediction,
         observed: _Observed,
         visual: VisualMotion,
-    ) -> _Outcome:
-        """Take the solve as the motion, and let it teach gyro bias, rig and motion model."""
+    ) -> _Learned:
+        """Take the solve as the motion, and update gyro bias, rig and motion model by it."""
         solution = visual.accepted_solution
         T_curr_prev = solution.T_curr_prev
         gyro_bias = prediction.gyro_bias
@@ -345,7 +337,7 @@ class StereoOdometry:
             num_used=visual.num_used,
             num_out_of_domain=visual.num_out_of_domain,
         )
-        return _Outcome(
+        return _Learned(
             motion=motion,
             tracking=observed.tracked.state.without(observed.tracks.ids[visual.outliers]),
             rig=rig,
@@ -361,7 +353,7 @@ class StereoOdometry:
         prediction: Prediction,
         observed: _Observed,
         visual: VisualMotion,
-    ) -> _Outcome:
+    ) -> _Learned:
         """Take the predicted motion, with its covariance, where the images fix none."""
         refused = visual.status is Status.NOT_CONVERGED
         is_gap = state.motion_model.is_gap(prediction.duration_s)
@@ -379,7 +371,7 @@ class StereoOdometry:
             num_used=visual.num_used,
             num_out_of_domain=visual.num_out_of_domain,
         )
-        return _Outcome(
+        return _Learned(
             motion=motion,
             tracking=observed.tracked.state,
             rig=observed.rig,
@@ -390,6 +382,50 @@ class StereoOdometry:
             disparities=DisparityFilter.none(),
             residuals=LastResiduals.none(),
         )
+
+    def _concluded(
+        self,
+        state: OdometryState,
+        frame: Frame,
+        observed: _Observed,
+        *,
+        measured: _Measured,
+        visual: VisualMotion,
+        learned: _Learned,
+        clock: StageClock,
+    ) -> tuple[MotionEstimate, OdometryState]:
+        """Propagate the pose to this frame; return the estimate, and the state after the step."""
+        motion = learned.motion
+        pose = state.pose.advanced(motion).updated(measured.of_pose, pose_of(frame.index))
+        clock.lap("learn")
+        window = None
+        if state.window is not None:  # the two-frame motion is where its adjustment starts
+            window = self._adjust(
+                state.window,
+                frame,
+                motion,
+                observed=observed,
+                visual=visual,
+                measurements=[*measured.of_motion, *measured.of_pose],
+            )
+            motion = live_motion(motion, state.window, window)
+            pose = live_pose(window)
+            clock.lap("window")
+        estimate = replace(motion, T_world_cam=pose.T_world_cam, pose_cov=pose.cov)
+        after = OdometryState(
+            frame=frame,
+            tracking=learned.tracking,
+            observations=state.observations.with_frame(observed.for_store(frame, visual)),
+            rig=learned.rig,
+            gyro_bias=learned.gyro_bias,
+            motion_model=learned.motion_model,
+            disparities=learned.disparities,
+            residuals=learned.residuals,
+            pose=pose,
+            step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
+            window=window,
+        )
+        return estimate, after
 
     def _adjust(
         self,
@@ -459,8 +495,8 @@ class _Measured:
 
 
 @dataclass(frozen=True)
-class _Outcome:
-    """The motion of a step, and what it teaches."""
+class _Learned:
+    """The motion of a step, and the parts of the state that it changes."""
 
     motion: MotionEstimate
     tracking: TrackingState
