@@ -31,6 +31,8 @@ def wedge(phi: FloatArray) -> FloatArray:
 
 def exp(phi: FloatArray) -> FloatArray:
     """Return C = Exp(φ), [..., 3, 3], of rotation vectors [..., 3], rad (thesis eq. 2.3)."""
+    if phi.ndim > 2:  # SciPy 1.16 takes no more
+        return exp(phi.reshape(-1, 3)).reshape(*phi.shape, 3)
     return Rotation.from_rotvec(phi).as_matrix()
 
 
