@@ -79,7 +79,11 @@ def test_an_empty_file_means_the_defaults(text: str, tmp_path: Path) -> None:
             "tracking.window_px is 3; it should be greater than or equal to 5.",
             "Side of the",
         ),
-        ("format: kitty", "format is 'kitty'; it should be the name of a format.", "euroc, 4seasons"),
+        (
+            "format: kitty",
+            "format is 'kitty'; it should be the name of a format.",
+            "euroc, 4seasons",
+        ),
         ("noise: 3", "noise is 3; it should be a valid string.", "Noise of the features"),
         (
             "ransac: {threshold_px: .nan}",
