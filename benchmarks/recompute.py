@@ -84,7 +84,7 @@ FIGURES = (
         minutes=15,
         needs_data=True,
     ),
-    Figure("faults", ("docs/robustness.md",), "python benchmarks/faults.py --kills 30", minutes=15),
+    Figure("faults", ("docs/robustness.md",), "python benchmarks/faults.py --kills 40", minutes=15),
     Figure(
         "soak",
         ("docs/robustness.md",),

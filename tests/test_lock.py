@@ -1,5 +1,6 @@
 """A folder is written by one process at a time, and whoever comes second is told who has it."""
 
+import errno
 import os
 import re
 import signal
@@ -181,3 +182,16 @@ def test_a_name_that_is_too_long_is_refused(
     assert main(words) == 2
     assert "too long" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_on_a_full_disk_the_lock_is_refused_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(file: int, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (tmp_path / "earlier.txt").write_text("a")
+    monkeypatch.setattr("probevo.lock.os.write", full)
+    with pytest.raises(InputError, match="cannot be written: No space left"), locked(tmp_path):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["earlier.txt"]

@@ -85,14 +85,28 @@ def _taken(path: Path) -> int:
                     "Wait until it ends, or choose another output folder.",
                 )
             if _is_same(file, path):
-                os.ftruncate(file, 0)
-                os.write(file, _own_name().encode())
+                _sign(file, path)
                 return file
         except BaseException:
             os.close(file)
             raise
         # Whoever held it before has removed it since it was opened.
         os.close(file)
+
+
+def _sign(file: int, path: Path) -> None:
+    """Write into the locked file who holds it; remove it where there is no room for that.
+
+    Raises:
+        OSError: it cannot be written, as on a full disk.
+    """
+    try:
+        os.ftruncate(file, 0)
+        os.write(file, _own_name().encode())
+    except OSError:
+        with suppress(OSError):
+            path.unlink()
+        raise
 
 
 def _released(file: int, path: Path) -> None:

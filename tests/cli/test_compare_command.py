@@ -121,7 +121,9 @@ def test_what_is_written(out: Path) -> None:
 
 
 def test_csv_and_json_hold_the_metrics_of_the_runs(out: Path) -> None:
-    runs = json.loads((out / "comparison.json").read_text())["runs"]
+    document = json.loads((out / "comparison.json").read_text())
+    assert set(document["rankings"]) == {"a-test", "b-test"}
+    runs = document["runs"]
     with (out / "comparison.csv").open() as file:
         lines = list(csv.DictReader(file))
     assert [f"{run['sequence']}-{run['estimator']}" for run in runs] == RUNS

@@ -152,6 +152,7 @@ def test_a_terminal_shows_the_progress(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # what Rich 13 looks at
     monkeypatch.setenv("COLUMNS", "120")
     assert main(["train", str(tracks), "--out", str(tmp_path / "m.safetensors"), *FLAGS]) == 0
     shown = capsys.readouterr()

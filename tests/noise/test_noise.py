@@ -100,10 +100,12 @@ def observation_noise() -> StereoNoise:
 def test_a_subset_takes_the_rows_of_every_field() -> None:
     noise = observation_noise()
     chosen = np.array([2, 0])
+    noise = replace(noise, jitter_cov=1e-8 * np.eye(3))
     subset = noise.subset(chosen)
     assert subset.refers_to == noise.refers_to
+    assert subset.jitter_cov is noise.jitter_cov  # of all features alike
     for field in fields(StereoNoise):
-        if field.name != "refers_to":
+        if field.name not in ("refers_to", "jitter_cov"):
             expected = getattr(noise, field.name)[chosen]
             np.testing.assert_array_equal(getattr(subset, field.name), expected)
 

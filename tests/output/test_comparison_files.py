@@ -3,7 +3,7 @@
 import csv
 import json
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,8 @@ import numpy as np
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.geometry import se3
-from probevo.output.comparison import Entry
-from probevo.output.comparison_files import document, flat_record, write_csv
+from probevo.output.comparison import Comparison, Entry
+from probevo.output.comparison_files import document, flat_record, ranking_records, write_csv
 from probevo.output.files import write_json
 from probevo.output.run_result import RunResult
 from probevo.run_config import RunConfig
@@ -93,3 +93,29 @@ def test_json_has_metrics_settings_and_the_way_to_the_report(
     assert RunConfig.model_validate(first["settings"]) == known.config
     assert first["steps"]["ok"] == 58
     assert (second["metrics"], second["ms_per_frame"], second["frames"]) == (None, None, 1)
+
+
+def test_rankings_say_who_is_best_and_by_how_much(make_run: Callable[..., RunResult]) -> None:
+    good = entry(make_run(40), truth=True)
+    assert good.metrics is not None
+    motions = se3.exp(np.array([0, 0, 0, 0, 0.002, 0])) @ good.result.T_curr_prev
+    run = replace(good.result, T_curr_prev=motions, T_world_cam=se3.chain_motions(motions))
+    truth = good.result.T_world_cam
+    entries = [
+        replace(
+            good,
+            estimator=name,
+            result=result,
+            truth=truth,
+            metrics=evaluate(result.T_world_cam, truth),
+        )
+        for name, result in (("good", good.result), ("bad", run), ("same", good.result))
+    ]
+    records: Any = ranking_records(Comparison(tuple(entries)))
+    drift = records[good.sequence]["short_r_deg_per_m"]
+    assert drift["best"] == "good"
+    assert drift["against"]["bad"]["is_significant"]
+    assert abs(drift["against"]["bad"]["reduction_percent"] - 100.0) < 1e-6
+    assert drift["against"]["bad"]["p_value"] == 0.001
+    assert not drift["against"]["same"]["is_significant"]
+    assert json.loads(json.dumps(records, allow_nan=False)) == records

@@ -103,6 +103,7 @@ def test_scene_settings_reach_the_renderer(
     writer.write_scene = write_scene  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, writer.__name__, writer)
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # what Rich 13 looks at
     out = tmp_path / "scene"
     flags = [
         "--preset",

@@ -276,7 +276,7 @@ def _run(job: Job, threads: int, prefix: str) -> Entry:
 def _write(out: Path, comparison: Comparison) -> None:
     from probevo import __version__
     from probevo.files import write_atomically, written_together
-    from probevo.output.comparison_files import document, flat_record, write_csv
+    from probevo.output.comparison_files import document, flat_record, ranking_records, write_csv
     from probevo.output.comparison_page import write_comparison
     from probevo.output.files import write_json
     from probevo.output.trial_table import trial_table, trials_latex
@@ -288,7 +288,8 @@ def _write(out: Path, comparison: Comparison) -> None:
     # All files or none: part of them beside those of an earlier comparison would pass for one.
     with written_together(out) as folder:
         write_csv(folder / "comparison.csv", map(flat_record, comparison.entries))
-        write_json(folder / "comparison.json", document(comparison.entries, out))
+        rankings = {"rankings": ranking_records(comparison)}
+        write_json(folder / "comparison.json", document(comparison.entries, out) | rankings)
         write_atomically(folder / "table.tex", trials_latex(trials))
         write_comparison(
             folder / "comparison.html",

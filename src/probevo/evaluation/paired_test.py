@@ -60,7 +60,7 @@ class PairedDifference:
 
         The interval is that of a shift: the margin to both sides of the difference.
         """
-        percent = 100.0 / self.second
+        percent = 100.0 / self.second if self.second > 0.0 else 0.0  # both are without error
         difference = self.second - self.first
         return (
             difference * percent,

@@ -14,7 +14,7 @@ from probevo import __version__
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
 from probevo.files import write_atomically
-from probevo.output.comparison import Entry
+from probevo.output.comparison import Comparison, Entry
 from probevo.output.table import records_table
 
 STEPS = tuple(status for status in Status if status is not Status.FIRST)
@@ -69,6 +69,35 @@ def steps_of(entry: Entry) -> dict[str, int]:
     """Count the steps of each status, by its name in lower case."""
     counts = Counter(entry.result.status.tolist())
     return {status.name.lower(): counts[int(status)] for status in STEPS}
+
+
+def ranking_records(comparison: Comparison) -> dict[str, dict[str, object]]:
+    """Describe who is best by each error of each sequence, as objects of JSON.
+
+    For each rival there is the reduction by the best, % of the rival's error, with the ends of its
+    interval, and the p-value that both are equally good.
+    """
+    records: dict[str, dict[str, object]] = {}
+    for sequence, rankings in comparison.rankings.items():
+        records[sequence] = {
+            error: {
+                "best": ranking.best,
+                "against": {
+                    rival: dict(
+                        zip(
+                            ("reduction_percent", "low_percent", "high_percent"),
+                            found.reduction_percent,
+                            strict=True,
+                        ),
+                        p_value=found.p_value,
+                        is_significant=found.is_significant,
+                    )
+                    for rival, found in ranking.against.items()
+                },
+            }
+            for error, ranking in rankings.items()
+        }
+    return records
 
 
 def document(entries: Iterable[Entry], folder: Path) -> dict[str, object]:
