@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import se3
+from probevo.sequences.calibration_content import load_calibration
 from probevo.sequences.calibration_files import read_stereo_calibration
 from probevo.sequences.images import read_gray
-from probevo.sequences.imu_noise_file import load_calibration
 from probevo.sequences.pose_files import (
     read_kitti_poses,
     read_tum,
