@@ -12,6 +12,8 @@ from probevo.estimation.feature_weights import (
     REFERENCE_DOF,
     comparable_weights,
     feature_weights,
+    scale_of_residuals,
+    tail_probability_of,
 )
 from probevo.estimation.reprojection import ReprojectionSolution
 
@@ -70,3 +72,19 @@ def test_under_another_loss_it_is_the_robust_weight_of_that_loss(loss: str) -> N
     comparable = comparable_weights(found, dof)
     np.testing.assert_array_equal(feature_weights(found, dof, "noise"), comparable)
     assert np.abs(comparable - found.weight).max() > 0.05
+
+
+@pytest.mark.parametrize("dof", [1.0, 5.0, np.inf])
+def test_the_scale_of_residuals_is_their_factor_over_the_noise(dof: float) -> None:
+    """A third of outliers makes it larger, never smaller."""
+    rng = np.random.default_rng(0)
+    chi2 = rng.chisquare(4, 30_000)
+    squared = chi2 if dof == np.inf else chi2 / (rng.chisquare(dof, 30_000) / dof)
+    each = np.full(30_000, dof)
+    assert scale_of_residuals(squared, each) == pytest.approx(1.0, rel=0.03)
+    assert scale_of_residuals(25.0 * squared, each) == pytest.approx(25.0, rel=0.03)
+    rare = tail_probability_of(squared, each) < 0.01
+    assert rare.mean() == pytest.approx(0.01, rel=0.2)
+    spoiled = squared.copy()
+    spoiled[:10_000] = 1e4
+    assert 1.0 < scale_of_residuals(spoiled, each) < 7.0

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.config import GyroConfig, OdometryConfig, RansacConfig, SolverConfig
 from probevo.estimation.disparity_filter import DisparityFilter
@@ -193,12 +194,36 @@ def test_without_rejection_the_robust_loss_sees_all() -> None:
 
 
 def test_noisy_tracks_widen_the_threshold() -> None:
-    """At 3 px hardly any of them agree on a motion; at 12 px enough do, none as well as the model
-    wants."""
+    """At 3 px hardly any of them agree on a motion; at 12 px enough do, but the noise would be
+    twenty times as large as the model says."""
     tracks = seen_twice(np.random.default_rng(13), 100, sigma_px=4.0, depth_m=(4.0, 10.0))
     visual = estimate(tracks)
     assert visual.used.sum() >= 25
     assert visual.status is Status.TOO_FEW_TRACKS
+
+
+def test_noise_that_is_larger_than_predicted_enlarges_the_covariance() -> None:
+    """Five times as much noise as the model says: none of the features agrees as well as the model
+    wants. They are no worse for that."""
+    nees = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        tracks = seen_twice(rng, 100, sigma_px=1.0, depth_m=(4.0, 10.0))
+        visual = estimate(tracks, noise=StudentT(5.0, 0.04 * np.eye(4)))
+        assert visual.status is Status.OK
+        solution = visual.accepted_solution
+        nees.append(float(normalized_error_squared(FORWARD, solution.T_curr_prev, solution.cov)))
+    low, _ = chi2_interval(6, len(nees))
+    assert low < np.mean(nees) < 7.5
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_features_that_agree_on_nothing_stay_refused(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    one = seen_twice(rng, 100)
+    other = seen_twice(rng, 100)
+    tracks = replace(one, curr_px=other.curr_px)
+    assert estimate(tracks).status is not Status.OK
 
 
 def test_tracks_of_nothing_are_not_accepted() -> None:

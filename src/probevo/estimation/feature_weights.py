@@ -13,6 +13,10 @@ REFERENCE_DOF = 5.0
 """Degrees of freedom for which the two bounds hold."""
 INLIER_FROM = 0.5
 """Weight from which a track counts as an inlier."""
+GAUSSIAN_FROM = 1e6
+"""Degrees of freedom from which a Student-t is a Gaussian."""
+BISECTIONS = 50
+"""They find a share of 0 to 1 to 10⁻¹⁵."""
 
 
 def feature_weights(solution: ReprojectionSolution, dof: FloatArray, loss: str) -> FloatArray:
@@ -43,6 +47,37 @@ def comparable_weights(solution: ReprojectionSolution, dof: FloatArray) -> Float
         robust, np.interp(tail, _REFERENCE_TAILS, _REFERENCE_WEIGHTS), solution.weight
     )
     return comparable
+
+
+def scale_of_residuals(squared: FloatArray, dof: FloatArray) -> float:
+    """Return how much larger the variance of N residuals is than their noise says: the median of
+    their squared lengths s, [N], each over the median of its distribution.
+
+    Args:
+        squared: eᵀ Σ⁻¹ e of each residual, [N], N > 0.
+        dof: degrees of freedom ν of each feature's noise, [N].
+    """
+    nu = np.minimum(dof, GAUSSIAN_FROM)
+    low = np.zeros(len(nu))
+    high = np.ones(len(nu))
+    for _ in range(BISECTIONS):
+        share = 0.5 * (low + high)
+        is_rare = _tail_probability(share, nu) < 0.5
+        low = np.where(is_rare, share, low)
+        high = np.where(is_rare, high, share)
+    median = nu * (1.0 - share) / share
+    return float(np.median(squared / median))
+
+
+def tail_probability_of(squared: FloatArray, dof: FloatArray) -> FloatArray:
+    """Return the probability of residuals of such squared lengths or longer, [N].
+
+    Args:
+        squared: eᵀ Σ⁻¹ e of each residual, [N].
+        dof: degrees of freedom ν of each feature's noise, [N].
+    """
+    nu = np.minimum(dof, GAUSSIAN_FROM)
+    return _tail_probability(nu / (nu + squared), nu)
 
 
 def _tail_probability(share: FloatArray, dof: FloatArray | float) -> FloatArray:

@@ -11,7 +11,12 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.feature_weights import INLIER_FROM, OUTLIER_BELOW
+from probevo.estimation.feature_weights import (
+    INLIER_FROM,
+    OUTLIER_BELOW,
+    scale_of_residuals,
+    tail_probability_of,
+)
 from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionPrediction
@@ -21,12 +26,18 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import MOTION, Measurement, Variable
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.robust_loss import RobustLoss
+from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.student_t import StudentT
 from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
+LARGEST_SCALE = 30.0
+"""Factor by which the variances may be larger than predicted; that is 5 times σ, or 1 px with
+``student-t``. Features that differ by more rather do not agree."""
+RAREST = 0.001
+"""Probability of a residual as large as that of a track, below which the track does not agree."""
 MOTIONS_DIFFER_FROM = 22.46
 """Squared Mahalanobis distance from which two motions of the same tracks differ by more than
 chance: 99.9 % of χ²(6)."""
@@ -177,6 +188,22 @@ class VisualEstimator:
             others=priors.measurements,
             curr=priors.curr,
         )
+        if self._is_noisier_than_expected(estimate):
+            agree, all_noise = self._noise_that_fits(
+                tracks, phi, estimate.solution.T_curr_prev, jitter_cov=priors.jitter_cov
+            )
+            if are_enough(agree, self._config):
+                used = agree
+                inliers = tracks.kept(used)
+                noise = all_noise.subset(np.flatnonzero(used))
+                estimate = self._estimator.estimate(
+                    inliers,
+                    noise,
+                    DisparityFilter.none(),  # its covariances are of the noise as it was
+                    guess=estimate.solution.T_curr_prev,
+                    others=priors.measurements,
+                    curr=priors.curr,
+                )
         weights[used] = estimate.weights
         solution = estimate.solution
         two_frames_only = solution
@@ -212,6 +239,41 @@ class VisualEstimator:
             disparities=(estimate.disparities if status is Status.OK else DisparityFilter.none()),
             num_out_of_domain=None if outside is None else int(outside.sum()),
         )
+
+    def _is_noisier_than_expected(self, estimate: Estimate) -> bool:
+        """Whether the features agree on a motion, but few with the size of the noise.
+
+        That is no reason to refuse them: the covariances are enlarged to what the residuals show.
+        """
+        num_trusted = int((estimate.weights >= INLIER_FROM).sum())
+        is_robust = self._config.solver.loss == "noise"
+        return is_robust and num_trusted < self._config.solver.min_tracks
+
+    def _noise_that_fits(
+        self,
+        tracks: Tracks,
+        phi: FloatArray,
+        T_curr_prev: FloatArray,
+        *,
+        jitter_cov: FloatArray | None,
+    ) -> tuple[BoolArray, StereoNoise]:
+        """Return which of N tracks agree with a motion, [N], under noise that is as large as their
+        residuals, and that noise. None agree if it were ``LARGEST_SCALE``.
+
+        Those that RANSAC has rejected count, too: what is within its threshold, around the motion
+        of a few, is no random sample. It would show less noise than there is, and confirm the few.
+        """
+        noise = replace(self._noise.predict(phi), jitter_cov=jitter_cov)
+        observations = StereoObservations.of(
+            tracks.prev_px, tracks.curr_px, noise, camera=self._camera
+        )
+        squared = solve_reprojection(observations, guess=T_curr_prev, max_iterations=0).squared
+        dof = np.broadcast_to(noise.dof, (len(tracks),))
+        factor = max(1.0, scale_of_residuals(squared, dof))
+        agree = (squared < BEHIND) & (tail_probability_of(squared / factor, dof) > RAREST)
+        if factor > LARGEST_SCALE:
+            agree[:] = False
+        return agree, noise.scaled(np.full(len(tracks), factor))
 
     def _right_sigma_px(self, jitter_cov: FloatArray | None) -> float:
         """Return the standard deviation of the offset by which the rig's yaw moves all u_r from one
