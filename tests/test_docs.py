@@ -259,3 +259,13 @@ def test_each_test_that_is_named_exists(path: Path) -> None:
         if not (ROOT / file).exists() or f"def {test}" not in (ROOT / file).read_text("utf-8")
     ]
     assert missing == []
+
+
+def test_every_part_of_the_package_is_in_the_list_of_folders() -> None:
+    """Who reads an import in odometry.py finds its concept in docs/data-flow.md."""
+    page = (ROOT / "docs" / "data-flow.md").read_text("utf-8")
+    table = page[page.index("## Folder → concept") : page.index("## A step")]
+    package = ROOT / "src" / "probevo"
+    parts = {f"{path.name}/" for path in package.iterdir() if (path / "__init__.py").exists()}
+    parts |= {path.name for path in package.glob("*.py") if not path.name.startswith("__")}
+    assert not {part for part in parts if f"`{part}`" not in table}
