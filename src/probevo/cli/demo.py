@@ -64,7 +64,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     from probevo import __version__
     from probevo.cli.train import train_with_progress
     from probevo.noise.registry import untrained_names
-    from probevo.output.comparison import Comparison, comparison_rows
+    from probevo.output.comparison import Comparison, comparison_rows, verdicts
     from probevo.output.comparison_page import write_comparison
     from probevo_sim.command import render_with_progress
 
@@ -96,7 +96,10 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
     )
     head, *rows = comparison_rows(comparison)
     print(table(head, rows))
-    print(f"\nDrift and rotation: over pieces of 10 to 50 m.\nreport: {out / 'report.html'}")
+    print()
+    for sentence in verdicts(comparison):
+        print(sentence)
+    print(f"Drift and rotation: over pieces of 10 to 50 m.\nreport: {out / 'report.html'}")
 
 
 def scene_folder(name: str, config: SceneConfig) -> str:
