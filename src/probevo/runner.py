@@ -18,10 +18,9 @@ from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
-from probevo.estimation.window import Window
+from probevo.estimation.window import SmoothedPose, Window
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.files import remove_stale, write_atomically, written_together
-from probevo.geometry import se3
 from probevo.lock import locked
 from probevo.noise.base import NoiseModel
 from probevo.noise.named import noise_model, portable
@@ -166,7 +165,10 @@ def _result(recorder: RunRecorder, odometry: StereoOdometry, smoothed: SmoothedP
     rig = odometry.rig
     sigma_rad = None if rig is None else rig.jitter.sigma_rad
     return replace(
-        recorder.result(), jitter_sigma_rad=sigma_rad, smoothed=smoothed.poses(odometry.window)
+        recorder.result(),
+        jitter_sigma_rad=sigma_rad,
+        smoothed=smoothed.poses(odometry.window),
+        smoothed_cov=smoothed.covariances(odometry.window),
     )
 
 
@@ -255,20 +257,26 @@ class SmoothedPath:
     """Collects the poses that leave the window, one a step."""
 
     def __init__(self) -> None:
-        self._left: list[FloatArray] = []
+        self._left: list[SmoothedPose] = []
 
     def add(self, window: Window | None) -> None:
         """Take the pose that left the window in the last step, if one did."""
         if window is not None and window.left is not None:
-            self._left.append(window.left.T_world_cam)
+            self._left.append(window.left)
 
     def poses(self, window: Window | None) -> FloatArray | None:
         """Return T_world_cam of all frames, [N, 4, 4], m, whether they have left the window or are
         still in it; None without a window."""
-        if window is None:
-            return None
-        in_window = se3.inverse(window.T_cam_world)
-        return np.concatenate([np.reshape(self._left, (-1, 4, 4)), in_window])
+        return (
+            None if window is None else np.array([pose.T_world_cam for pose in self._all(window)])
+        )
+
+    def covariances(self, window: Window | None) -> FloatArray | None:
+        """Return the covariances of their left perturbations, [N, 6, 6]; None without a window."""
+        return None if window is None else np.array([pose.cov for pose in self._all(window)])
+
+    def _all(self, window: Window) -> list[SmoothedPose]:
+        return [*self._left, *(window.pose(slot) for slot in range(len(window)))]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from probevo.errors import InputError
 from probevo.estimation.window_numba import POSE, RIG, WindowLandmarks, WindowObservations
 from probevo.geometry import se3
 
-ORIGIN_SIGMA = 1e-6
+ORIGIN_SIGMA = 1e-7
 """Standard deviation of the first pose, m and rad: it is the origin, but for rounding."""
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.evaluation.consistency import drift_covariances, drift_errors
+from probevo.evaluation.consistency import drift_errors
 from probevo.evaluation.trajectory_errors import distance_along_path
 from probevo.geometry import se3
 from probevo.output.run_result import RunResult
@@ -71,12 +71,7 @@ def drift_of(result: RunResult, truth: FloatArray | None) -> Drift:
             # Make the true pose equal to the estimated one at the origin.
             T_world_cam_true = result.T_world_cam[origin] @ se3.inverse(truth[origin]) @ truth
             error = drift_errors(result.T_world_cam, T_world_cam_true)
-    cov = drift_covariances(
-        result.T_curr_prev[origin:],
-        result.cov[origin:],
-        result.common_mode[origin:],
-        path_cross_cov=result.path_cross_cov[origin:],
-    )
+    cov = result.drift_covariances_from(origin)
     return Drift(
         time_s=(result.stamps_ns - result.stamps_ns[0]) * 1e-9,
         distance_m=distance_along_path(result.T_world_cam),

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 
 SIGMA_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -62,6 +63,8 @@ class RunResult:
     smoothed: FloatArray | None = None
     """Poses as they left the window, with what later frames say of them, [N, 4, 4], m; None for the
     two-frame estimator."""
+    smoothed_cov: FloatArray | None = None
+    """Covariance of the left perturbation of each smoothed T_cam_world, [N, 6, 6], m and rad."""
     stopped: str | None = None
     """What stopped the run before its last frame, such as a damaged image; None if nothing did."""
     jitter_sigma_rad: FloatArray | None = None
@@ -92,6 +95,27 @@ class RunResult:
         if not self.num_used.any():
             return None
         return float(self.num_out_of_domain.sum() / self.num_used.sum())
+
+    def drift_covariances_from(self, origin: int) -> FloatArray:
+        """Compute the covariances of all poses from a frame on, relative to that frame.
+
+        Args:
+            origin: the frame.
+
+        Returns:
+            Covariance of the left perturbation of T_cam_world, [N − origin, 6, 6]; 0 at the first.
+        """
+        correction = None
+        if self.smoothed_cov is not None and origin > 0:
+            live_cov = self.drift_covariances_from(0)[origin]
+            correction = live_cov - self.smoothed_cov[origin]
+        return drift_covariances(
+            self.T_curr_prev[origin:],
+            self.cov[origin:],
+            self.common_mode[origin:],
+            path_cross_cov=self.path_cross_cov[origin:],
+            correction_of_first=correction,
+        )
 
     def __len__(self) -> int:
         """Return the number of frames N."""
