@@ -127,12 +127,7 @@ def drift_errors(T_world_cam_est: FloatArray, T_world_cam_true: FloatArray) -> F
 
 
 def drift_covariances(
-    T_curr_prev: FloatArray,
-    cov: FloatArray,
-    common_mode: FloatArray,
-    path_cross_cov: FloatArray,
-    *,
-    correction_of_first: FloatArray | None = None,
+    T_curr_prev: FloatArray, cov: FloatArray, common_mode: FloatArray, path_cross_cov: FloatArray
 ) -> FloatArray:
     """Compound the covariances of N − 1 motions to those of the N poses along their path.
 
@@ -153,11 +148,6 @@ def drift_covariances(
         path_cross_cov: the cross-covariances X_k, [N-1, 6, 6] (``MotionEstimate.path_cross_cov``).
             Where the first of these motions is not the first of the run, they also contain a little
             of the errors before it.
-        correction_of_first: by how much frames after the first pose have lowered its covariance, P
-            − P_smoothed, [6, 6]; None without a window. The live poses that follow contain that
-            correction, the first does not: with e and e_s its live and smoothed error, and u what
-            is new along the way, they are off by Ad e_s + u, and relative to it by Ad (e_s − e) +
-            u. That adds twice the correction to the differences of covariances which the X_k make.
 
     Returns:
         Covariance of the left perturbation of T_cam_world, in the frame of each camera, [N, 6, 6];
@@ -166,7 +156,7 @@ def drift_covariances(
     adjoints = se3.adjoint(T_curr_prev)
     # B and P of the first pose are 0: it defines the world frame.
     common = np.zeros(common_mode.shape[1:])
-    rest = np.zeros((6, 6)) if correction_of_first is None else 2.0 * correction_of_first
+    rest = np.zeros((6, 6))
     drift = np.zeros((len(cov) + 1, 6, 6))
     for k, (cov_k, common_k) in enumerate(zip(cov, common_mode, strict=True)):
         common = common_k + adjoints[k] @ common

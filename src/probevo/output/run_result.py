@@ -63,8 +63,6 @@ class RunResult:
     smoothed: FloatArray | None = None
     """Poses as they left the window, with what later frames say of them, [N, 4, 4], m; None for the
     two-frame estimator."""
-    smoothed_cov: FloatArray | None = None
-    """Covariance of the left perturbation of each smoothed T_cam_world, [N, 6, 6], m and rad."""
     stopped: str | None = None
     """What stopped the run before its last frame, such as a damaged image; None if nothing did."""
     jitter_sigma_rad: FloatArray | None = None
@@ -99,22 +97,23 @@ class RunResult:
     def drift_covariances_from(self, origin: int) -> FloatArray:
         """Compute the covariances of all poses from a frame on, relative to that frame.
 
+        The steps of a window correct the path before them. From a later frame on, these corrections
+        cannot be told from new errors, and count as such, which is conservative.
+
         Args:
             origin: the frame.
 
         Returns:
             Covariance of the left perturbation of T_cam_world, [N − origin, 6, 6]; 0 at the first.
         """
-        correction = None
-        if self.smoothed_cov is not None and origin > 0:
-            live_cov = self.drift_covariances_from(0)[origin]
-            correction = live_cov - self.smoothed_cov[origin]
+        cross_cov = self.path_cross_cov[origin:]
+        if self.smoothed is not None and origin > 0:
+            cross_cov = np.zeros_like(cross_cov)
         return drift_covariances(
             self.T_curr_prev[origin:],
             self.cov[origin:],
             self.common_mode[origin:],
-            path_cross_cov=self.path_cross_cov[origin:],
-            correction_of_first=correction,
+            path_cross_cov=cross_cov,
         )
 
     def __len__(self) -> int:
