@@ -6,9 +6,10 @@ On real recordings and on rendered ones, for the live path, of which each pose i
 frame is the newest, and for the smoothed one, of which each pose is that with which it left the
 window. NOISE is a kind or a file of a noise model; ``student-t`` by default.
 
-Drift and rotation are over pieces of 10 to 50 m. NEES is that of the motion over 1, 10 and 50
-frames, divided by its 6 dimensions: 1 is consistent, unless the truth is noisier than the estimate,
-as KITTI's and EuRoC's are. The truth of rendered recordings is exact.
+Drift and rotation are over pieces of 10 to 50 m. NEES is divided by its 6 dimensions: 1 is
+consistent, unless the truth is noisier than the estimate, as KITTI's and EuRoC's are; that of
+rendered recordings is exact. It is that of the motion from frame to frame, of the motion over 8
+frames by the joint covariance of the window, and of the pose since the first frame.
 """
 
 from __future__ import annotations
@@ -26,8 +27,6 @@ from recordings import ROOT
 
 import probevo as pv
 from probevo.arrays import FloatArray
-from probevo.estimation.motion_estimate import MotionEstimate
-from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.metrics import evaluate
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
@@ -47,70 +46,61 @@ SCENES = {
     "rover's loop, effects": SceneConfig(preset="rover", seed=16, distance_m=60.0, effects=EFFECTS),
 }
 """Seeds of which no setting was chosen."""
-SPANS = (1, 10, 50)
-"""Frames that the NEES spans."""
+SPAN = 8
+"""Frames that a motion within the window spans."""
+EVERY = 25
+"""Frames between the poses whose error since the first frame is taken."""
 
 
-@dataclass(frozen=True)
-class Path3d:
-    """Poses of a run over N frames, and the motions between them."""
+@dataclass
+class Consistency:
+    """Squared errors of poses in units of their covariances, over their 6 dimensions."""
 
-    T_world_cam: FloatArray
-    """[N, 4, 4], m."""
-    steps: list[MotionEstimate]
-    """The N − 1 motions; empty for a smoothed path."""
-    live_cov: FloatArray
-    """Covariance of each live pose, [N, 6, 6]."""
-    smoothed_cov: FloatArray | None
-    """Covariance of each smoothed pose, [N, 6, 6]; None without a window."""
+    step: list[float]
+    """Of the motion from frame to frame."""
+    window: list[float]
+    """Of the motion over ``SPAN`` frames, by the joint covariance of the window's poses."""
+    path: list[float]
+    """Of the pose in the world, at every ``EVERY``-th frame."""
 
 
 def run(
     sequence: pv.sequences.Sequence, estimator: str, noise: str
-) -> Iterator[tuple[str, Path3d]]:
-    """Yield the live path of an estimator, and the smoothed one if it has one."""
+) -> Iterator[tuple[str, FloatArray, Consistency]]:
+    """Yield the live path T_world_cam of an estimator, [N, 4, 4], with its consistency, and the
+    smoothed one if it has one."""
+    truth = sequence.truth.T_world_cam
     odometry = pv.StereoOdometry(
         sequence.camera, noise, sequence.imu, config={"estimator": estimator}
     )
     smoothed = SmoothedPath()
-    steps = []
-    for frame in sequence:
-        steps.append(odometry.step(frame))
-        smoothed.add(odometry.window)
-    live_cov = np.array([step.pose_cov for step in steps])
-    smoothed_cov = smoothed.covariances(odometry.window)
-    poses = np.array([step.T_world_cam for step in steps])
-    yield estimator, Path3d(poses, steps[1:], live_cov, smoothed_cov)
-    smoothed_poses = smoothed.poses(odometry.window)
-    if smoothed_poses is not None:
-        yield "smoothed", Path3d(smoothed_poses, [], live_cov, smoothed_cov)
-
-
-def normalized_nees(path: Path3d, truth: FloatArray, first: int, span: int) -> float | None:
-    """Return the average NEES of motions over some frames, over its dimensions; None if the path is
-    too short."""
-    squared = []
-    for start in range(first, len(truth) - span, span):
-        ends = truth[[start, start + span]]
-        if not path.steps or not np.isfinite(ends).all():
+    live = []
+    found = Consistency([], [], [])
+    for k, frame in enumerate(sequence):
+        estimate = odometry.step(frame)
+        live.append(estimate.T_world_cam)
+        window = odometry.window
+        smoothed.add(window)
+        if k == 0 or not np.isfinite(truth[[0, k - 1, k]]).all():
             continue
-        steps = path.steps[start : start + span]
-        correction = None
-        if path.smoothed_cov is not None:
-            correction = path.live_cov[start] - path.smoothed_cov[start]
-        cov = drift_covariances(
-            np.array([step.T_curr_prev for step in steps]),
-            np.array([step.cov for step in steps]),
-            np.array([step.common_mode for step in steps]),
-            path_cross_cov=np.array([step.path_cross_cov for step in steps]),
-            correction_of_first=correction,
-        )[-1]
-        if span == 1:
-            cov = steps[0].cov
-        estimated = se3.inverse(path.T_world_cam[start + span]) @ path.T_world_cam[start]
-        true = se3.inverse(ends[1]) @ ends[0]
-        squared.append(normalized_error_squared(estimated[None], true[None], cov[None])[0])
-    return float(np.mean(squared)) / 6.0 if squared else None
+        step = se3.inverse(truth[k]) @ truth[k - 1]
+        found.step.append(nees(estimate.T_curr_prev, step, estimate.cov))
+        if k % EVERY == 0:
+            from_first = se3.inverse(truth[k]) @ truth[0]
+            T_cam_world = se3.inverse(estimate.T_world_cam)
+            found.path.append(nees(T_cam_world, from_first, estimate.pose_cov))
+        if window is not None and len(window) > SPAN and np.isfinite(truth[k - SPAN]).all():
+            T, cov = window.relative(len(window) - 1, len(window) - 1 - SPAN)
+            found.window.append(nees(T, se3.inverse(truth[k]) @ truth[k - SPAN], cov))
+    yield estimator, np.array(live), found
+    poses = smoothed.poses(odometry.window)
+    if poses is not None:
+        yield "smoothed", poses, Consistency([], [], [])
+
+
+def nees(T: FloatArray, truth: FloatArray, cov: FloatArray) -> float:
+    """Return the normalised squared error of one pose, over its 6 dimensions."""
+    return float(normalized_error_squared(T[None], truth[None], cov[None])[0]) / 6.0
 
 
 def show(name: str, sequence: pv.sequences.Sequence, first: int, noise: str) -> None:
@@ -118,20 +108,25 @@ def show(name: str, sequence: pv.sequences.Sequence, first: int, noise: str) -> 
     truth = sequence.truth.T_world_cam
     known = np.flatnonzero(np.isfinite(truth[first:]).all(axis=(1, 2)))
     for estimator in ("two-frame", "window"):
-        for label, path in run(sequence, estimator, noise):
-            estimate = path.T_world_cam[first:]
+        for label, path, consistency in run(sequence, estimator, noise):
+            estimate = path[first:]
             metrics = evaluate(estimate, truth[first:])
             yaw_deg = yaw_error_deg(estimate[known], truth[first:][known])
-            nees = [normalized_nees(path, truth, first, span) for span in SPANS]
             numbers = [
                 _text(metrics.short_t_percent, ".3f"),
                 _text(metrics.short_r_deg_per_m, ".4f"),
                 _text(metrics.final_error_m, ".4f"),
                 _text(yaw_deg, ".2f"),
-                *(_text(value, ".2f") for value in nees),
+                _mean(consistency.step),
+                _mean(consistency.window),
+                _mean(consistency.path),
             ]
             cells = " ".join(f"{number:>9}" for number in numbers)
             print(f"{name:26} {label:10} {cells}", flush=True)
+
+
+def _mean(values: list[float]) -> str:
+    return format(np.mean(values), ".2f") if values else "–"
 
 
 def _text(value: float | None, form: str) -> str:
@@ -143,7 +138,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     recordings = RECORDINGS | {"V1_01_micro": (ROOT / "euroc" / "V1_01_micro", 0)}
     for noise in sys.argv[1:] or ["student-t"]:
-        heads = ("t, %", "r, °/m", "end, m", "yaw, °", *(f"NEES {span}" for span in SPANS))
+        heads = ("t, %", "r, °/m", "end, m", "yaw, °", "NEES 1", f"NEES {SPAN}", "NEES path")
         print(f"{noise:26} {'path':10} {' '.join(f'{head:>9}' for head in heads)}")
         for name, (path, first) in recordings.items():
             if path.is_dir():

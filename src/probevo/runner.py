@@ -165,10 +165,7 @@ def _result(recorder: RunRecorder, odometry: StereoOdometry, smoothed: SmoothedP
     rig = odometry.rig
     sigma_rad = None if rig is None else rig.jitter.sigma_rad
     return replace(
-        recorder.result(),
-        jitter_sigma_rad=sigma_rad,
-        smoothed=smoothed.poses(odometry.window),
-        smoothed_cov=smoothed.covariances(odometry.window),
+        recorder.result(), jitter_sigma_rad=sigma_rad, smoothed=smoothed.poses(odometry.window)
     )
 
 
@@ -267,16 +264,10 @@ class SmoothedPath:
     def poses(self, window: Window | None) -> FloatArray | None:
         """Return T_world_cam of all frames, [N, 4, 4], m, whether they have left the window or are
         still in it; None without a window."""
-        return (
-            None if window is None else np.array([pose.T_world_cam for pose in self._all(window)])
-        )
-
-    def covariances(self, window: Window | None) -> FloatArray | None:
-        """Return the covariances of their left perturbations, [N, 6, 6]; None without a window."""
-        return None if window is None else np.array([pose.cov for pose in self._all(window)])
-
-    def _all(self, window: Window) -> list[SmoothedPose]:
-        return [*self._left, *(window.pose(slot) for slot in range(len(window)))]
+        if window is None:
+            return None
+        in_window = [window.pose(slot) for slot in range(len(window))]
+        return np.array([pose.T_world_cam for pose in [*self._left, *in_window]])
 
 
 @dataclass(frozen=True)
