@@ -49,7 +49,7 @@ def drive(rng: np.random.Generator) -> list[dict[int, np.ndarray]]:
 def by_window(frames: list[dict[int, np.ndarray]]) -> Window:
     """Return the adjusted window of all frames."""
     config = OdometryConfig.model_validate(
-        {"self_calibration": False, "window": {"frames": NUM_FRAMES}}
+        {"self_calibration": False, "window": {"frames": NUM_FRAMES, "correlation": 0.0}}
     )
     estimator = WindowEstimator(CAMERA, config)
     model = StudentT(dof=np.inf, scale=SIGMA_PX**2 * np.eye(4))

@@ -164,6 +164,15 @@ class WindowConfig(Settings):
         le=100,
         description="Frames that are adjusted together; the time of a step grows with them.",
     )
+    correlation: float = Field(
+        0.6,
+        ge=0,
+        lt=1,
+        description=(
+            "Correlation of a feature's errors in successive frames: 0 is white noise, as of"
+            " simulated points; tracked features have 0.5 to 0.7 on all recordings tried."
+        ),
+    )
     max_iterations: int = Field(
         3,
         ge=1,

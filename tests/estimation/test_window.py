@@ -32,11 +32,17 @@ SIGMA_PX = 0.3
 TAU_PX = 0.4
 
 
-def estimator(frames: int, *, calibrates: bool = False, iterations: int = 3) -> WindowEstimator:
+def estimator(
+    frames: int, *, calibrates: bool = False, iterations: int = 3, correlation: float = 0.0
+) -> WindowEstimator:
     config = OdometryConfig.model_validate(
         {
             "self_calibration": calibrates,
-            "window": {"frames": frames, "max_iterations": iterations},
+            "window": {
+                "frames": frames,
+                "max_iterations": iterations,
+                "correlation": correlation,
+            },
         }
     )
     return WindowEstimator(CAMERA, config)
@@ -78,7 +84,7 @@ def windows_of(
     return windows
 
 
-def residuals_of(window: Window, x: FloatArray) -> FloatArray:
+def residuals_of(window: Window, x: FloatArray, correlation: float = 0.0) -> FloatArray:
     """Return the white residuals of all observations and priors, by the definition.
 
     x moves the poses after the first, the rig, and the landmarks.
@@ -103,16 +109,23 @@ def residuals_of(window: Window, x: FloatArray) -> FloatArray:
     rig_error = disparity_basis(np.column_stack([u_k, v_k, u_k, v_k]), CAMERA) @ rig
     predicted = np.column_stack([u_k, v_k, u_k - d / h[:, 2] - error + rig_error, v_k])
     of_errors = np.sqrt(window.landmarks.error_information) * state[:, 3]
-    return np.concatenate([((observations.pixels - predicted) / SIGMA_PX).ravel(), of_errors])
+    white = (observations.pixels - predicted) / SIGMA_PX
+    # An AR(1) process is white once the part that the error before predicts is taken away.
+    is_first = np.zeros(len(white), np.bool_)
+    is_first[observations.start[:-1]] = True
+    innovations = (white - correlation * np.roll(white, 1, axis=0)) / np.sqrt(1.0 + correlation)
+    innovations[is_first] = white[is_first] * np.sqrt(1.0 - correlation)
+    return np.concatenate([innovations.ravel(), of_errors])
 
 
-def batch(window: Window) -> tuple[Window, FloatArray]:
+def batch(window: Window, correlation: float) -> tuple[Window, FloatArray]:
     """Solve the same problem with SciPy: all poses but the first; the rig is held."""
     num_poses = POSE * (len(window) - 1)
     num_landmarks = 4 * len(window.ids)
 
     def residuals(x: FloatArray) -> FloatArray:
-        return residuals_of(window, np.concatenate([x[:num_poses], np.zeros(RIG), x[num_poses:]]))
+        moves = np.concatenate([x[:num_poses], np.zeros(RIG), x[num_poses:]])
+        return residuals_of(window, moves, correlation)
 
     found = least_squares(residuals, np.zeros(num_poses + num_landmarks), method="trf", xtol=1e-14)
     moves = np.concatenate([np.zeros(POSE), found.x[:num_poses]]).reshape(-1, POSE)
@@ -121,11 +134,12 @@ def batch(window: Window) -> tuple[Window, FloatArray]:
     return replace(window, T_cam_world=se3.exp(moves) @ window.T_cam_world), cov
 
 
-def test_normal_equations_are_those_of_numeric_jacobians() -> None:
+@pytest.mark.parametrize("correlation", [0.0, 0.7])
+def test_normal_equations_are_those_of_numeric_jacobians(correlation: float) -> None:
     """Hessian and gradient of poses and rig, after the landmarks are eliminated by a dense Schur
     complement, in the middle of a window whose landmarks have not converged."""
     frames = drive(np.random.default_rng(50), 5, points=25, sigma_px=SIGMA_PX)
-    by = estimator(frames=9, calibrates=True)
+    by = estimator(frames=9, calibrates=True, correlation=correlation)
     window = windows_of(frames, by, tau_px=TAU_PX)[-1]
     rng = np.random.default_rng(51)
     state = window.landmarks.state + 0.1 * rng.normal(size=window.landmarks.state.shape)
@@ -141,12 +155,14 @@ def test_normal_equations_are_those_of_numeric_jacobians() -> None:
     window = replace(window, rig=np.zeros(RIG))  # that β(x) moves with the pose is ignored
     system = by._system(window)
     count = POSE * 4 + RIG + 4 * len(window.ids)
-    jacobian = np.empty((len(residuals_of(window, np.zeros(count))), count))
+    here = residuals_of(window, np.zeros(count), correlation)
+    jacobian = np.empty((len(here), count))
     for column, step in enumerate(1e-5 * np.eye(count)):
-        change = residuals_of(window, step) - residuals_of(window, -step)
+        ahead = residuals_of(window, step, correlation)
+        change = ahead - residuals_of(window, -step, correlation)
         jacobian[:, column] = change / 2e-5
     full = jacobian.T @ jacobian
-    descent = -jacobian.T @ residuals_of(window, np.zeros(count))
+    descent = -jacobian.T @ here
     kept = slice(0, POSE * 4 + RIG)
     eliminated = slice(POSE * 4 + RIG, None)
     gain = np.linalg.solve(full[eliminated, eliminated], full[eliminated, kept])
@@ -165,15 +181,17 @@ def test_normal_equations_are_those_of_numeric_jacobians() -> None:
     )
 
 
-@pytest.mark.parametrize("tau_px", [0.0, TAU_PX])
-def test_a_window_as_long_as_the_drive_is_batch_adjustment(tau_px: float) -> None:
+@pytest.mark.parametrize(("tau_px", "correlation"), [(0.0, 0.0), (TAU_PX, 0.0), (TAU_PX, 0.6)])
+def test_a_window_as_long_as_the_drive_is_batch_adjustment(
+    tau_px: float, correlation: float
+) -> None:
     """Poses agree to 1e-6 m and rad with SciPy's solution, covariances to 1e-3."""
     frames = drive(np.random.default_rng(52), 8, points=40, sigma_px=SIGMA_PX)
-    by = estimator(frames=8)
+    by = estimator(frames=8, correlation=correlation)
     window = windows_of(frames, by, tau_px=tau_px)[-1]
     for _ in range(6):  # on line, it stops at a fraction of a standard deviation
         window = by.adjusted(window).window
-    solved, cov = batch(window)
+    solved, cov = batch(window, correlation)
     difference = se3.log(solved.T_cam_world @ se3.inverse(window.T_cam_world))
     assert np.abs(difference).max() < 1e-6
     at = slice(POSE, POSE * 8)

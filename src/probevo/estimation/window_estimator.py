@@ -29,6 +29,7 @@ from probevo.estimation.window_numba import (
     RIG,
     Elimination,
     NormalEquations,
+    RobustNoise,
     WindowGeometry,
     WindowLandmarks,
     WindowObservations,
@@ -330,7 +331,7 @@ class WindowEstimator:
             geometry,
             window.observations,
             window.landmarks,
-            loss=int(self._loss.kind),
+            noise=RobustNoise(loss=int(self._loss.kind), correlation=self._config.correlation),
             equations=equations,
             elimination=elimination,
         )

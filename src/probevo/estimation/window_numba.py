@@ -16,8 +16,15 @@ are also those of the marginalised information ("first-estimates Jacobians", Hua
 then a shift and turn of the whole window moves no residual, to rounding, and the window does not
 gain information about where in the world it is.
 
-A landmark is trusted as a whole. With K observations of scale R_k and a prior variance τ² of δ, the
-sum s = Σ e_kᵀ R_k⁻¹ e_k + δ²/τ² has n = 4K − 3 degrees of freedom once u, v, d are fitted. All its
+Errors of successive observations of a landmark are alike: what the tracker got wrong in one frame,
+it gets wrong in the next. They are taken for an AR(1) process with correlation ρ. The noise model
+describes pairs of observations, R = M (1 − ρ) with M the variance of one, so that a pair counts as
+it does for two frames, whatever ρ. Then Σ⁻¹ is tridiagonal: R⁻¹/(1 + ρ) times 1, 1 + ρ², …, 1 + ρ²,
+1 on the diagonal and −ρ beside it. ρ = 0 is bundle adjustment with white noise; ρ → 1 is a chain of
+frame-to-frame motions, a random walk of the track.
+
+A landmark is trusted as a whole. With K observations and a prior variance τ² of δ, the sum s = eᵀ
+Σ⁻¹ e + δ²/τ² has n = 4K − 3 degrees of freedom once u, v, d are fitted. All its
 observations share one unknown factor of scale, as those of a Student-t in n dimensions do, and so
 the weight (ν + n)/(ν + s). Weights of single observations would trust a landmark that its fit to
 two observations has made look perfect: in Monte Carlo, covariances were then five times too small.
@@ -118,35 +125,53 @@ class Elimination(NamedTuple):
     """Squared Mahalanobis distance of each observation from its prediction, [M]."""
 
 
+class RobustNoise(NamedTuple):
+    """What all observations have in common."""
+
+    loss: int
+    """Kind of the robust loss."""
+    correlation: float
+    """ρ of successive errors of a landmark, 0 … 1."""
+
+
 class _Problem(NamedTuple):
     """What stays the same while the landmarks are added up."""
 
     geometry: WindowGeometry
     observations: WindowObservations
     landmarks: WindowLandmarks
-    loss: int
-    """Kind of the robust loss."""
+    noise: RobustNoise
     T_ka: FloatArray
     """Motions between all pairs of frames, [K, K, 4, 4], m."""
 
 
-class _Observation(NamedTuple):
-    """One observation, linearised; both its v have the same prediction, and are added up."""
+class _Track(NamedTuple):
+    """The observations of one landmark, linearised; work space for up to K of them.
+
+    Both v of an observation have the same prediction, and are added up: information is about (u_l,
+    v, u_r).
+    """
 
     ray: FloatArray
-    """h, [3]: the direction to the landmark, its depth in the anchor frame being 1."""
+    """h, [K, 3]: the direction to the landmark, its depth in the anchor frame being 1."""
     error: FloatArray
-    """Measured minus predicted, [4], px."""
+    """Measured minus predicted, [K, 4], px."""
     pose: FloatArray
-    """Jacobian of the predicted (u_l, v, u_r) for ξ_ka, [3, 6]."""
+    """Jacobian of the predicted (u_l, v, u_r) for ξ_ka, [K, 3, 6]."""
     landmark: FloatArray
-    """The same for the landmark, [3, 4]."""
+    """The same for the landmark, [K, 3, 4]."""
     rig: FloatArray
-    """The same for the rig, of u_r alone, [3]."""
+    """The same for the rig, of u_r alone, [K, 3]."""
     information: FloatArray
-    """Information about (u_l, v, u_r), weighted by the robust loss, [3, 3]."""
+    """Diagonal blocks of Σ⁻¹, [K, 3, 3]."""
+    cross: FloatArray
+    """Blocks of Σ⁻¹ between an observation and the one before it, [K, 3, 3]."""
     pull: FloatArray
-    """Information times error, weighted, [3]."""
+    """Σ⁻¹ e, [K, 3]."""
+    weighted_landmark: FloatArray
+    """Σ⁻¹ times the Jacobians for the landmark, [K, 3, 4]."""
+    weighted_rig: FloatArray
+    """Σ⁻¹ times the Jacobians for the rig, [K, 3, 3]."""
 
 
 class _Trust(NamedTuple):
@@ -170,6 +195,8 @@ class _Pairs(NamedTuple):
     """[K, K, 6]."""
     rig: FloatArray
     """Information between motion and rig, [K, K, 6, 3]."""
+    cross: FloatArray
+    """Information between the motion to a frame and that to the frame before it, [K, K, 6, 6]."""
 
 
 @compiled
@@ -177,7 +204,7 @@ def accumulate(
     geometry: WindowGeometry,
     observations: WindowObservations,
     landmarks: WindowLandmarks,
-    loss: int,
+    noise: RobustNoise,
     equations: NormalEquations,
     elimination: Elimination,
 ) -> float:
@@ -187,7 +214,7 @@ def accumulate(
         geometry: poses and rig.
         observations: M of them.
         landmarks: L of them.
-        loss: kind of the robust loss.
+        noise: robust loss and correlation.
         equations: receives the sums.
         elimination: receives what ``move_landmarks`` needs.
 
@@ -199,58 +226,39 @@ def accumulate(
         geometry=geometry,
         observations=observations,
         landmarks=landmarks,
-        loss=loss,
+        noise=noise,
         T_ka=_relative_poses(geometry.T_cam_world),
     )
-    one = _Observation(
-        ray=np.zeros(3),
-        error=np.zeros(PIXELS),
-        pose=np.zeros((ROWS, POSE)),
-        landmark=np.zeros((ROWS, LANDMARK)),
-        rig=np.zeros(RIG),
-        information=np.zeros((ROWS, ROWS)),
-        pull=np.zeros(ROWS),
+    track = _Track(
+        ray=np.zeros((num_frames, 3)),
+        error=np.zeros((num_frames, PIXELS)),
+        pose=np.zeros((num_frames, ROWS, POSE)),
+        landmark=np.zeros((num_frames, ROWS, LANDMARK)),
+        rig=np.zeros((num_frames, RIG)),
+        information=np.zeros((num_frames, ROWS, ROWS)),
+        cross=np.zeros((num_frames, ROWS, ROWS)),
+        pull=np.zeros((num_frames, ROWS)),
+        weighted_landmark=np.zeros((num_frames, ROWS, LANDMARK)),
+        weighted_rig=np.zeros((num_frames, ROWS, RIG)),
     )
     pairs = _Pairs(
         hessian=np.zeros((num_frames, num_frames, POSE, POSE)),
         gradient=np.zeros((num_frames, num_frames, POSE)),
         rig=np.zeros((num_frames, num_frames, POSE, RIG)),
+        cross=np.zeros((num_frames, num_frames, POSE, POSE)),
     )
     own = np.zeros((LANDMARK, LANDMARK))
     wide = np.zeros((LANDMARK, POSE * num_frames + RIG))
     cost = 0.0
     for row in range(len(landmarks.state)):
-        first = observations.start[row]
-        end = observations.start[row + 1]
-        anchor = observations.slot[first]
-        state = landmarks.state[row]
-        trust = _trust(row, problem, one, squared=elimination.squared)
+        squared = _linearize_track(row, problem, track, elimination.squared)
+        trust = _trust(row, problem, squared)
         cost += trust.cost
-        # The prior of δ.
-        own[:] = 0.0
-        own[3, 3] = trust.curvature * landmarks.error_information[row]
-        gradient = elimination.gradient[row]
-        gradient[:] = 0.0
-        gradient[3] = -trust.weight * landmarks.error_information[row] * state[3]
-        elimination.coupling[first:end] = 0.0
-        elimination.rig_coupling[row] = 0.0
-        for m in range(first, end):
-            slot = observations.slot[m]
-            T = problem.T_ka[slot, anchor]
-            if not _project(state, T, geometry, observations.pixels[m], one):
-                continue
-            _linearize(state, T, geometry, one)
-            _weigh(one, observations.information[m], trust)
-            _add_landmark_and_rig(one, own, gradient, elimination.rig_coupling[row], equations)
-            # In its anchor frame, a landmark is where it is, whatever the pose.
-            if slot != anchor:
-                _add_motion(one, slot, anchor, pairs)
-                _couple(
-                    one,
-                    geometry.adjoints[slot, anchor],
-                    own=elimination.coupling[m],
-                    of_anchor=elimination.coupling[first],
-                )
+        _add_landmark_and_rig(
+            row, problem, track, trust=trust, own=own, elimination=elimination, equations=equations
+        )
+        _add_motions(row, problem, track, trust, pairs)
+        _couple(row, problem, track, trust.curvature, elimination.coupling)
         _eliminate(row, problem, own, wide=wide, elimination=elimination, equations=equations)
     _add_pairs(pairs, geometry.adjoints, equations)
     size = len(equations.gradient)
@@ -285,7 +293,8 @@ def _project(
     T_ka: FloatArray,
     geometry: WindowGeometry,
     pixels: FloatArray,
-    one: _Observation,
+    ray: FloatArray,
+    error: FloatArray,
 ) -> bool:
     """Fill ray and error of one observation; False if its landmark is behind the camera."""
     fu, fv, cu, cv, baseline = geometry.intrinsics
@@ -294,43 +303,155 @@ def _project(
     disparity = state[2]
     inverse_depth = disparity / (fu * baseline)
     for i in range(3):
-        one.ray[i] = T_ka[i, 0] * mx + T_ka[i, 1] * my + T_ka[i, 2] + T_ka[i, 3] * inverse_depth
-    hz = one.ray[2]
+        ray[i] = T_ka[i, 0] * mx + T_ka[i, 1] * my + T_ka[i, 2] + T_ka[i, 3] * inverse_depth
+    hz = ray[2]
     if not hz > LEAST_DEPTH:
         return False
-    x = one.ray[0] / hz
+    x = ray[0] / hz
     u = fu * x + cu
-    v = fv * one.ray[1] / hz + cv
+    v = fv * ray[1] / hz + cv
     rig = geometry.rig
     rig_error = rig[0] + x * (rig[1] + x * rig[2])
-    one.error[0] = pixels[0] - u
-    one.error[1] = pixels[1] - v
-    one.error[2] = pixels[2] - (u - disparity / hz - state[3] + rig_error)
-    one.error[3] = pixels[3] - v
+    error[0] = pixels[0] - u
+    error[1] = pixels[1] - v
+    error[2] = pixels[2] - (u - disparity / hz - state[3] + rig_error)
+    error[3] = pixels[3] - v
     return True
 
 
 @compiled
-def _trust(row: int, problem: _Problem, one: _Observation, squared: FloatArray) -> _Trust:
-    """Weigh a landmark by how well it fits all its observations; fill their squared distances."""
+def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatArray) -> float:
+    """Fill the linearised observations of a landmark, and Σ⁻¹ times each of them.
+
+    Args:
+        row: the landmark.
+        problem: all of them.
+        track: receives the observations.
+        squared: receives the squared distance of each observation by itself, [M].
+
+    Returns:
+        eᵀ Σ⁻¹ e.
+    """
     observations = problem.observations
-    landmarks = problem.landmarks
-    loss = problem.loss
-    state = landmarks.state[row]
+    state = problem.landmarks.state[row]
+    first = observations.start[row]
+    count = observations.start[row + 1] - first
+    anchor = observations.slot[first]
+    rho = problem.noise.correlation
+    total = 0.0
+    for k in range(count):
+        m = first + k
+        T = problem.T_ka[observations.slot[m], anchor]
+        error = track.error[k]
+        information = observations.information[m]
+        track.pull[k] = 0.0
+        track.cross[k] = 0.0
+        if not _project(
+            state,
+            T,
+            problem.geometry,
+            pixels=observations.pixels[m],
+            ray=track.ray[k],
+            error=error,
+        ):
+            # What is behind the camera says nothing.
+            squared[m] = BEHIND_CAMERA
+            total += BEHIND_CAMERA
+            error[:] = 0.0
+            track.information[k] = 0.0
+            continue
+        _linearize(state, T, problem.geometry, track, k)
+        squared[m] = _product(error, information, error)
+        is_inner = 0 < k < count - 1
+        diagonal = (1.0 + rho * rho if is_inner else 1.0) / (1.0 + rho)
+        total += diagonal * squared[m]
+        _fill_rows(information, diagonal, track.information[k])
+        _add_pull(information, diagonal, error, track.pull[k])
+        if k == 0 or rho == 0.0 or squared[m - 1] == BEHIND_CAMERA:
+            continue
+        # Of two scale matrices the larger one, so that Σ⁻¹ stays positive definite.
+        before = observations.information[m - 1]
+        if before[0, 0] + before[1, 1] < information[0, 0] + information[1, 1]:
+            information = before
+        beside = -rho / (1.0 + rho)
+        total += 2.0 * beside * _product(track.error[k - 1], information, error)
+        _fill_rows(information, beside, track.cross[k])
+        _add_pull(information, beside, track.error[k - 1], track.pull[k])
+        _add_pull(information, beside, error, track.pull[k - 1])
+    _weigh_jacobians(track, count)
+    return total
+
+
+@compiled
+def _product(left: FloatArray, information: FloatArray, right: FloatArray) -> float:
+    """Return leftᵀ W right of two vectors [4]."""
+    total = 0.0
+    for i in range(PIXELS):
+        for j in range(PIXELS):
+            total += left[i] * information[i, j] * right[j]
+    return total
+
+
+@compiled
+def _fill_rows(information: FloatArray, scale: float, rows: FloatArray) -> None:
+    """Fill the information about (u_l, v, u_r), [3, 3], from that about the pixels, [4, 4]."""
+    for i in range(ROWS):
+        for j in range(ROWS):
+            rows[i, j] = information[i, j]
+    # v_r adds to the row and the column of v_l.
+    for j in range(ROWS):
+        rows[1, j] += information[3, j]
+    for i in range(ROWS):
+        rows[i, 1] += information[i, 3]
+    rows[1, 1] += information[3, 3]
+    for i in range(ROWS):
+        for j in range(ROWS):
+            rows[i, j] *= scale
+
+
+@compiled
+def _add_pull(information: FloatArray, scale: float, error: FloatArray, pull: FloatArray) -> None:
+    """Add what an error, [4], pulls at (u_l, v, u_r), [3]."""
+    for i in range(PIXELS):
+        row = 1 if i == 3 else i
+        for j in range(PIXELS):
+            pull[row] += scale * information[i, j] * error[j]
+
+
+@compiled
+def _weigh_jacobians(track: _Track, count: int) -> None:
+    """Fill Σ⁻¹ times the Jacobians for landmark and rig."""
+    for k in range(count):
+        for i in range(ROWS):
+            for j in range(LANDMARK):
+                total = 0.0
+                for n in range(ROWS):
+                    total += track.information[k, i, n] * track.landmark[k, n, j]
+                    if k > 0:
+                        total += track.cross[k, i, n] * track.landmark[k - 1, n, j]
+                    if k + 1 < count:
+                        total += track.cross[k + 1, i, n] * track.landmark[k + 1, n, j]
+                track.weighted_landmark[k, i, j] = total
+            for j in range(RIG):
+                total = track.information[k, i, 2] * track.rig[k, j]
+                if k > 0:
+                    total += track.cross[k, i, 2] * track.rig[k - 1, j]
+                if k + 1 < count:
+                    total += track.cross[k + 1, i, 2] * track.rig[k + 1, j]
+                track.weighted_rig[k, i, j] = total
+
+
+@compiled
+def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
+    """Weigh a landmark by how well it fits all its observations, eᵀ Σ⁻¹ e."""
+    observations = problem.observations
+    loss = problem.noise.loss
     first = observations.start[row]
     end = observations.start[row + 1]
-    anchor = observations.slot[first]
-    total = landmarks.error_information[row] * state[3] * state[3]
+    error = problem.landmarks.state[row, 3]
+    total = squared + problem.landmarks.error_information[row] * error * error
     parameter = 0.0
     for m in range(first, end):
-        squared[m] = BEHIND_CAMERA
-        T = problem.T_ka[observations.slot[m], anchor]
-        if _project(state, T, problem.geometry, observations.pixels[m], one):
-            squared[m] = 0.0
-            for i in range(PIXELS):
-                for j in range(PIXELS):
-                    squared[m] += one.error[i] * observations.information[m, i, j] * one.error[j]
-        total += squared[m]
         parameter += observations.loss_parameter[m] / (end - first)
     free = PIXELS * (end - first) - 3
     if loss == STUDENT_T and parameter < 1e300:
@@ -352,22 +473,22 @@ def _trust(row: int, problem: _Problem, one: _Observation, squared: FloatArray) 
 
 @compiled
 def _linearize(
-    state: FloatArray, T_ka: FloatArray, geometry: WindowGeometry, one: _Observation
+    state: FloatArray, T_ka: FloatArray, geometry: WindowGeometry, track: _Track, k: int
 ) -> None:
-    """Fill the Jacobians of one observation, at the ray where it was projected to."""
+    """Fill the Jacobians of observation k, at the ray where it was projected to."""
     fu, fv, _, _, baseline = geometry.intrinsics
     per_disparity = 1.0 / (fu * baseline)
     disparity = state[2]
     inverse_depth = disparity * per_disparity
-    hx = one.ray[0]
-    hy = one.ray[1]
-    hz = one.ray[2]
+    hx = track.ray[k, 0]
+    hy = track.ray[k, 1]
+    hz = track.ray[k, 2]
     x = hx / hz
     y = hy / hz
     # β(x) is taken where the landmark is seen; that it moves with the pose is ignored.
-    one.rig[0] = 1.0
-    one.rig[1] = x
-    one.rig[2] = x * x
+    track.rig[k, 0] = 1.0
+    track.rig[k, 1] = x
+    track.rig[k, 2] = x * x
     # ∂u/∂h, ∂v/∂h and ∂(d/h_z)/∂h.
     u_x = fu / hz
     u_z = -u_x * x
@@ -376,7 +497,7 @@ def _linearize(
     d_z = -disparity / (hz * hz)
     r_z = u_z - d_z  # ∂u_r/∂h_z
     # A motion moves h by ρ δt + φ × h.
-    pose = one.pose
+    pose = track.pose[k]
     pose[0, 0] = u_x * inverse_depth
     pose[0, 2] = u_z * inverse_depth
     pose[0, 3] = u_z * hy
@@ -393,7 +514,7 @@ def _linearize(
     pose[2, 4] = u_x * hz - r_z * hx
     pose[2, 5] = -u_x * hy
     # u, v and d of the landmark move h along columns of T_ka.
-    landmark = one.landmark
+    landmark = track.landmark[k]
     for j in range(3):
         column = 3 if j == 2 else j
         scale = per_disparity if j == 2 else (1.0 / fu if j == 0 else 1.0 / fv)
@@ -406,97 +527,106 @@ def _linearize(
 
 
 @compiled
-def _weigh(one: _Observation, information: FloatArray, trust: _Trust) -> None:
-    """Fill the weighted information and pull of an observation."""
-    pull_v_r = 0.0
-    for i in range(PIXELS):
-        pull = 0.0
-        for j in range(PIXELS):
-            pull += information[i, j] * one.error[j]
-        if i < ROWS:
-            one.pull[i] = pull
-        else:
-            pull_v_r = pull
-    one.pull[1] += pull_v_r
-    for i in range(ROWS):
-        one.pull[i] *= trust.weight
-        for j in range(ROWS):
-            one.information[i, j] = information[i, j]
-    # v_r adds to the row and the column of v_l.
-    for j in range(ROWS):
-        one.information[1, j] += information[3, j]
-    for i in range(ROWS):
-        one.information[i, 1] += information[i, 3]
-    one.information[1, 1] += information[3, 3]
-    for i in range(ROWS):
-        for j in range(ROWS):
-            one.information[i, j] *= trust.curvature
-
-
-@compiled
 def _add_landmark_and_rig(
-    one: _Observation,
+    row: int,
+    problem: _Problem,
+    track: _Track,
+    trust: _Trust,
     own: FloatArray,
-    gradient: FloatArray,
-    rig_coupling: FloatArray,
+    elimination: Elimination,
     equations: NormalEquations,
 ) -> None:
-    """Add an observation to the information of landmark and rig, and to that between them."""
+    """Fill the information of a landmark, and add to that of the rig."""
+    first = problem.observations.start[row]
+    count = problem.observations.start[row + 1] - first
+    gradient = elimination.gradient[row]
+    coupling = elimination.rig_coupling[row]
+    prior = problem.landmarks.error_information[row]
+    own[:] = 0.0
+    own[3, 3] = trust.curvature * prior
+    gradient[:] = 0.0
+    gradient[3] = -trust.weight * prior * problem.landmarks.state[row, 3]
+    coupling[:] = 0.0
     rig0 = len(equations.gradient) - RIG
-    for i in range(LANDMARK):
-        for n in range(ROWS):
-            gradient[i] += one.landmark[n, i] * one.pull[n]
-        weighted_right = 0.0
-        for k in range(ROWS):
-            weighted = 0.0
+    for k in range(count):
+        for i in range(LANDMARK):
             for n in range(ROWS):
-                weighted += one.landmark[n, i] * one.information[n, k]
-            for j in range(i + 1):
-                own[i, j] += weighted * one.landmark[k, j]
-            if k == 2:
-                weighted_right = weighted
-        for j in range(RIG):
-            rig_coupling[i, j] += weighted_right * one.rig[j]
-    for i in range(RIG):
-        equations.gradient[rig0 + i] += one.rig[i] * one.pull[2]
-        for j in range(i + 1):
-            equations.hessian[rig0 + i, rig0 + j] += one.rig[i] * one.information[2, 2] * one.rig[j]
-
-
-@compiled
-def _add_motion(one: _Observation, slot: int, anchor: int, pairs: _Pairs) -> None:
-    """Add an observation to the equations of the motion from its anchor frame to its own."""
-    hessian = pairs.hessian[slot, anchor]
-    gradient = pairs.gradient[slot, anchor]
-    rig = pairs.rig[slot, anchor]
-    for i in range(POSE):
-        for k in range(ROWS):
-            gradient[i] += one.pose[k, i] * one.pull[k]
-            weighted = 0.0
-            for n in range(ROWS):
-                weighted += one.pose[n, i] * one.information[n, k]
-            for j in range(i + 1):
-                hessian[i, j] += weighted * one.pose[k, j]
-            if k == 2:
+                jacobian = track.landmark[k, n, i]
+                gradient[i] += trust.weight * jacobian * track.pull[k, n]
+                for j in range(i + 1):
+                    own[i, j] += trust.curvature * jacobian * track.weighted_landmark[k, n, j]
                 for j in range(RIG):
-                    rig[i, j] += weighted * one.rig[j]
+                    coupling[i, j] += trust.curvature * jacobian * track.weighted_rig[k, n, j]
+        for i in range(RIG):
+            equations.gradient[rig0 + i] += trust.weight * track.rig[k, i] * track.pull[k, 2]
+            for j in range(i + 1):
+                equations.hessian[rig0 + i, rig0 + j] += (
+                    trust.curvature * track.rig[k, i] * track.weighted_rig[k, 2, j]
+                )
 
 
 @compiled
-def _couple(one: _Observation, adjoint: FloatArray, own: FloatArray, of_anchor: FloatArray) -> None:
-    """Fill the information between a landmark and a pose, [4, 6], and add that with the anchor."""
-    for i in range(LANDMARK):
-        for j in range(POSE):
-            own[i, j] = 0.0
-        for k in range(ROWS):
-            weighted = 0.0
+def _add_motions(row: int, problem: _Problem, track: _Track, trust: _Trust, pairs: _Pairs) -> None:
+    """Add the observations of a landmark to the equations of the motions from its anchor frame.
+
+    In its anchor frame itself, a landmark is where it is, whatever the pose.
+    """
+    first = problem.observations.start[row]
+    count = problem.observations.start[row + 1] - first
+    anchor = problem.observations.slot[first]
+    for k in range(1, count):
+        slot = problem.observations.slot[first + k]
+        hessian = pairs.hessian[slot, anchor]
+        gradient = pairs.gradient[slot, anchor]
+        rig = pairs.rig[slot, anchor]
+        for i in range(POSE):
             for n in range(ROWS):
-                weighted += one.landmark[n, i] * one.information[n, k]
+                jacobian = track.pose[k, n, i]
+                gradient[i] += trust.weight * jacobian * track.pull[k, n]
+                for j in range(RIG):
+                    rig[i, j] += trust.curvature * jacobian * track.weighted_rig[k, n, j]
+            for n in range(ROWS):
+                weighted = 0.0
+                for q in range(ROWS):
+                    weighted += track.pose[k, q, i] * track.information[k, q, n]
+                weighted *= trust.curvature
+                for j in range(i + 1):
+                    hessian[i, j] += weighted * track.pose[k, n, j]
+        if k > 1 and problem.noise.correlation > 0.0:
+            cross = pairs.cross[slot, anchor]
+            for i in range(POSE):
+                for n in range(ROWS):
+                    weighted = 0.0
+                    for q in range(ROWS):
+                        weighted += track.pose[k, q, i] * track.cross[k, q, n]
+                    weighted *= trust.curvature
+                    for j in range(POSE):
+                        cross[i, j] += weighted * track.pose[k - 1, n, j]
+
+
+@compiled
+def _couple(
+    row: int, problem: _Problem, track: _Track, curvature: float, coupling: FloatArray
+) -> None:
+    """Fill the information between a landmark and the poses of its observations, [M, 4, 6]."""
+    first = problem.observations.start[row]
+    count = problem.observations.start[row + 1] - first
+    anchor = problem.observations.slot[first]
+    of_anchor = coupling[first]
+    of_anchor[:] = 0.0
+    for k in range(1, count):
+        own = coupling[first + k]
+        adjoint = problem.geometry.adjoints[problem.observations.slot[first + k], anchor]
+        for i in range(LANDMARK):
             for j in range(POSE):
-                own[i, j] += weighted * one.pose[k, j]
-        for n in range(POSE):
-            for j in range(POSE):
-                of_anchor[i, j] -= own[i, n] * adjoint[n, j]
+                own[i, j] = 0.0
+            for n in range(ROWS):
+                weighted = curvature * track.weighted_landmark[k, n, i]
+                for j in range(POSE):
+                    own[i, j] += weighted * track.pose[k, n, j]
+            for n in range(POSE):
+                for j in range(POSE):
+                    of_anchor[i, j] -= own[i, n] * adjoint[n, j]
 
 
 @compiled
@@ -609,6 +739,25 @@ def _add_pairs(pairs: _Pairs, adjoints: FloatArray, equations: NormalEquations) 
                 for j in range(RIG):
                     equations.hessian[rig0 + j, POSE * k + i] += pairs.rig[k, a, i, j]
                     equations.hessian[rig0 + j, POSE * a + i] -= rig[i, j]
+            if a + 1 < k:
+                _add_neighbours(k, a, pairs.cross[k, a], adjoints, equations)
+
+
+@compiled
+def _add_neighbours(
+    k: int, a: int, cross: FloatArray, adjoints: FloatArray, equations: NormalEquations
+) -> None:
+    """Add the information between the motions from frame a to frame k and to the one before it."""
+    p = k - 1
+    of_prev = cross @ adjoints[p, a]
+    of_curr = cross.T @ adjoints[k, a]
+    of_anchor = adjoints[k, a].T @ of_prev
+    for i in range(POSE):
+        for j in range(POSE):
+            equations.hessian[POSE * k + i, POSE * p + j] += cross[i, j]
+            equations.hessian[POSE * k + i, POSE * a + j] -= of_prev[i, j]
+            equations.hessian[POSE * p + i, POSE * a + j] -= of_curr[i, j]
+            equations.hessian[POSE * a + i, POSE * a + j] += of_anchor[i, j] + of_anchor[j, i]
 
 
 @compiled

@@ -98,7 +98,7 @@ class RunResult:
         """Compute the covariances of all poses from a frame on, relative to that frame.
 
         The steps of a window correct the path before them. From a later frame on, these corrections
-        cannot be told from new errors, and count as such, which is conservative.
+        cannot be distinguished from new errors, and count as such, which is conservative.
 
         Args:
             origin: the frame.
