@@ -76,6 +76,9 @@ FIGURES = (
         minutes=2,
         needs_data=True,
     ),
+    Figure(
+        "window", ("docs/window.md",), "python benchmarks/window.py", minutes=10, needs_data=True
+    ),
     Figure("loose-rig", ("docs/accuracy.md",), "python benchmarks/loose_rig.py", minutes=2),
     Figure(
         "degradation",
@@ -244,6 +247,12 @@ FIGURES = (
         ("docs/scale.md",),
         "python benchmarks/training_scale.py --workers",
         minutes=3,
+    ),
+    Figure(
+        "window-gtsam",
+        ("docs/window.md",),
+        "python benchmarks/window_gtsam.py",
+        minutes=2,
     ),
     Figure(  # last, since it needs an extra: pip install '.[gtsam]'
         "gtsam-agreement",
