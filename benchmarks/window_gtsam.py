@@ -17,6 +17,8 @@ from probevo.config import OdometryConfig
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
 from probevo.geometry import se3
+from probevo.measurements.base import pose_of
+from probevo.measurements.relative_pose import RelativePose
 from probevo.noise import StudentT
 from probevo.tracking.tracks import Tracks
 
@@ -65,7 +67,8 @@ def by_window(frames: list[dict[int, np.ndarray]]) -> Window:
             age=np.full(len(ids), 2),
         )
         noise = model.predict(np.zeros((len(ids), 0)))
-        window = estimator.with_features(window, index, tracks, noise, guess=STEP)
+        two_frames = RelativePose(STEP, 0.01 * np.eye(6), pose_of(index), pose_of(index - 1))
+        window = estimator.with_features(window, index, tracks, noise, two_frames=two_frames)
     for _ in range(ADJUSTMENTS):
         window = estimator.adjusted(window).window
     return window

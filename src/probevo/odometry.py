@@ -441,16 +441,14 @@ class StereoOdometry:
 
         Without a solve, the dead-reckoned motion counts as a measurement.
         """
+        by_itself = RelativePose(
+            motion.T_curr_prev,
+            motion.cov,
+            curr=pose_of(frame.index),
+            prev=pose_of(int(window.frames[-1])),
+        )
         if visual.status is not Status.OK or visual.noise is None:
-            reckoned = RelativePose(
-                motion.T_curr_prev,
-                motion.cov,
-                curr=pose_of(frame.index),
-                prev=pose_of(int(window.frames[-1])),
-            )
-            return self._window.without_features(
-                window, frame.index, [*measurements, reckoned], guess=motion.T_curr_prev
-            )
+            return self._window.without_features(window, frame.index, by_itself, measurements)
         tracks = observed.tracked.tracks.kept(visual.used)
         if observed.rig is not None:
             tracks = tracks.with_rows_corrected(observed.rig, self.camera)
@@ -459,7 +457,7 @@ class StereoOdometry:
             frame.index,
             tracks,
             visual.noise,
-            guess=motion.T_curr_prev,
+            two_frames=by_itself,
             measurements=measurements,
         )
 

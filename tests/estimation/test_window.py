@@ -67,6 +67,11 @@ def tracks_between(prev: Frame, curr: Frame) -> Tracks:
     )
 
 
+def step_to(frame: int, T_curr_prev: FloatArray) -> RelativePose:
+    """Return a motion to a frame, as two frames by themselves show it."""
+    return RelativePose(T_curr_prev, 0.01 * np.eye(6), pose_of(frame), pose_of(frame - 1))
+
+
 def windows_of(
     frames: list[Frame],
     by: WindowEstimator,
@@ -80,7 +85,10 @@ def windows_of(
     for prev, curr in pairwise(frames):
         tracks = tracks_between(prev, curr)
         noise = noise_of(len(tracks), dof=dof, tau_px=tau_px)
-        windows.append(by.with_features(windows[-1], curr.index, tracks, noise, guess=guess))
+        two_frames = step_to(curr.index, guess)
+        windows.append(
+            by.with_features(windows[-1], curr.index, tracks, noise, two_frames=two_frames)
+        )
     return windows
 
 
@@ -353,11 +361,12 @@ def test_a_frame_without_features_is_bridged_by_its_measurement() -> None:
     window = windows_of(frames[:4], by)[-1]
     cov = np.diag([0.1, 0.1, 0.2, 0.01, 0.01, 0.01]) ** 2
     reckoned = RelativePose(FORWARD, cov, curr=pose_of(4), prev=pose_of(3))
-    window = by.without_features(window, 4, [reckoned], guess=FORWARD)
+    window = by.without_features(window, 4, reckoned)
     _, found = window.relative(len(window) - 1, len(window) - 2)
     np.testing.assert_allclose(found, cov, rtol=1e-6, atol=1e-12)
     tracks = tracks_between(frames[4], frames[5])
-    window = by.with_features(window, 5, tracks, noise_of(len(tracks)), guess=FORWARD)
+    noise = noise_of(len(tracks))
+    window = by.with_features(window, 5, tracks, noise, two_frames=step_to(5, FORWARD))
     _, over_gap = window.relative(window.slot(5), window.slot(3))
     assert (np.diag(over_gap) > np.diag(cov) * 0.9).all()
 
@@ -372,6 +381,37 @@ def test_a_measurement_of_a_pose_draws_the_window_to_it() -> None:
     error = se3.log(adjusted.T_cam_world[-1] @ se3.inverse(moved))
     assert np.abs(error).max() < 1e-3
     assert (np.diag(adjusted.pose(-1).cov) < 1e-11).all()
+
+
+def test_features_that_fix_no_motion_give_way_to_that_of_two_frames() -> None:
+    """Two features cannot fix six degrees of freedom."""
+    frames = drive(np.random.default_rng(64), 4, points=80, sigma_px=SIGMA_PX)
+    by = estimator(frames=6)
+    window = windows_of(frames[:3], by)[-1]
+    tracks = tracks_between(frames[2], frames[3]).kept(np.arange(2))
+    two_frames = step_to(3, FORWARD)
+    window = by.with_features(window, 3, tracks, noise_of(2), two_frames=two_frames)
+    T, cov = window.relative(3, 2)
+    np.testing.assert_allclose(T, FORWARD, atol=1e-9)
+    np.testing.assert_allclose(cov, two_frames.covariance, rtol=1e-6, atol=1e-9)
+
+
+def test_correlated_errors_of_different_scales_keep_the_equations_positive() -> None:
+    """Scale matrices that change a hundredfold from frame to frame, and are not proportional."""
+    rng = np.random.default_rng(65)
+    frames = drive(rng, 6, points=60, sigma_px=SIGMA_PX)
+    by = estimator(frames=9, correlation=0.9)
+    window = Window.at_first_frame(0)
+    for prev, curr in pairwise(frames):
+        tracks = tracks_between(prev, curr)
+        factors = rng.normal(size=(len(tracks), 4, 4)) * 10.0 ** rng.uniform(
+            -1, 1, (len(tracks), 1, 1)
+        )
+        scale = factors @ factors.mT + 0.01 * np.eye(4)
+        noise = replace(noise_of(len(tracks)), scale=scale)
+        window = by.with_frame(window, curr.index, FORWARD, tracks, noise)
+        assert np.linalg.eigvalsh(by._system(window).equations.hessian)[0] > 0.0
+        window = by.adjusted(window).window
 
 
 def test_frames_that_are_not_in_the_window_are_refused() -> None:

@@ -88,6 +88,7 @@ class Window:
                 slot=np.zeros(0, np.int64),
                 pixels=np.zeros((0, 4)),
                 information=np.zeros((0, 4, 4)),
+                root=np.zeros((0, 4, 4)),
                 loss_parameter=np.zeros(0),
             ),
             cov=cov,
@@ -174,6 +175,7 @@ def selected(observations: WindowObservations, keep: BoolArray) -> WindowObserva
         slot=observations.slot[keep],
         pixels=observations.pixels[keep],
         information=observations.information[keep],
+        root=observations.root[keep],
         loss_parameter=observations.loss_parameter[keep],
     )
 
@@ -197,6 +199,7 @@ def merged(
         slot=np.concatenate([before.slot, new.slot])[order],
         pixels=np.concatenate([before.pixels, new.pixels])[order],
         information=np.concatenate([before.information, new.information])[order],
+        root=np.concatenate([before.root, new.root])[order],
         loss_parameter=np.concatenate([before.loss_parameter, new.loss_parameter])[order],
     )
 

@@ -38,6 +38,7 @@ from probevo.estimation.window_numba import (
 )
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
@@ -85,6 +86,7 @@ class WindowEstimator:
     def __init__(self, camera: StereoCamera, config: OdometryConfig) -> None:
         self._camera = camera
         self._config = config.window
+        self._solver = config.solver
         self._loss = RobustLoss.named(config.solver.loss)
         self._rig_information = 1.0 / RIG_SIGMA_PX**2
         if not config.self_calibration:
@@ -100,10 +102,13 @@ class WindowEstimator:
         tracks: Tracks,
         noise: StereoNoise,
         *,
-        guess: FloatArray,
+        two_frames: RelativePose,
         measurements: Sequence[Measurement] = (),
     ) -> Window:
         """Return the window with one more frame and adjusted, no longer than the settings say.
+
+        Where the adjustment fails, or does not fix the newest motion, the motion that two frames
+        have shown stands for the features of the frame.
 
         Args:
             window: K frames.
@@ -111,30 +116,58 @@ class WindowEstimator:
             tracks: N tracks between the last of them and the new one; rows corrected by the rig's
                 calibration, disparities not.
             noise: of these N tracks.
-            guess: motion from the last of them to the new one, T_curr_prev, [4, 4].
+            two_frames: the motion between these two frames by itself, with its covariance.
             measurements: further measurements of the poses of the window.
         """
-        extended = self.with_frame(window, frame, guess, tracks, noise)
-        adjusted = self.adjusted(self.with_measurements(extended, measurements)).window
-        if len(adjusted) > self._config.frames:
-            return self.without_oldest(adjusted)
-        return replace(adjusted, left=None)
+        extended = self.with_frame(window, frame, two_frames.T_curr_prev, tracks, noise)
+        try:
+            adjusted = self.adjusted(self.with_measurements(extended, measurements)).window
+        except np.linalg.LinAlgError:
+            return self.without_features(window, frame, two_frames, measurements)
+        if not self._fixes_newest(adjusted):
+            return self.without_features(window, frame, two_frames, measurements)
+        return self._shortened(adjusted)
 
     def without_features(
-        self, window: Window, frame: int, measurements: Sequence[Measurement], *, guess: FloatArray
+        self,
+        window: Window,
+        frame: int,
+        motion: RelativePose,
+        measurements: Sequence[Measurement] = (),
     ) -> Window:
         """Return the window with one more frame, which no feature connects with the others.
 
         Args:
             window: K frames.
             frame: index of the new one.
-            measurements: measurements of its pose.
-            guess: motion from the last of them to the new one, T_curr_prev, [4, 4].
+            motion: measured between the last of them and the new one, as by dead reckoning.
+            measurements: further measurements of the poses of the window.
         """
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
-        return self.with_features(
-            window, frame, Tracks.none(), none, guess=guess, measurements=measurements
+        extended = self.with_frame(window, frame, motion.T_curr_prev, Tracks.none(), none)
+        measured = self.with_measurements(extended, [*measurements, motion])
+        return self._shortened(self.adjusted(measured).window)
+
+    def _fixes_newest(self, window: Window) -> bool:
+        """Return whether the newest motion is known as well as one of two frames has to be."""
+        last = len(window) - 1
+        _, cov = window.relative(last, last - 1)
+        if not np.isfinite(cov).all():
+            return False
+        translation = np.linalg.eigvalsh(cov[:3, :3])
+        rotation = np.linalg.eigvalsh(cov[3:, 3:])
+        return bool(
+            translation[0] > 0.0
+            and rotation[0] > 0.0
+            and translation[-1] < self._solver.max_translation_sigma_m**2
+            and rotation[-1] < self._solver.max_rotation_sigma_rad**2
         )
+
+    def _shortened(self, window: Window) -> Window:
+        """Return the window with no more frames than the settings say."""
+        if len(window) > self._config.frames:
+            return self.without_oldest(window)
+        return replace(window, left=None)
 
     def with_frame(
         self,
@@ -167,11 +200,13 @@ class WindowEstimator:
         prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
         parameters = self._loss.parameters(noise.dof)
         first_px = tracks.prev_px[is_new]
+        information = np.linalg.inv(np.concatenate([prev_scale[is_new], noise.scale]))
         new = WindowObservations(
             start=np.zeros(0, np.int64),
             slot=np.concatenate([np.full(len(first_px), last), np.full(len(tracks), last + 1)]),
             pixels=np.concatenate([first_px, tracks.curr_px - noise.bias]),
-            information=np.linalg.inv(np.concatenate([prev_scale[is_new], noise.scale])),
+            information=information,
+            root=np.linalg.cholesky(information),
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
         )
         variance = np.zeros(len(tracks))

@@ -19,9 +19,10 @@ gain information about where in the world it is.
 Errors of successive observations of a landmark are alike: what the tracker got wrong in one frame,
 it gets wrong in the next. They are taken for an AR(1) process with correlation ρ. The noise model
 describes pairs of observations, R = M (1 − ρ) with M the variance of one, so that a pair counts as
-it does for two frames, whatever ρ. Then Σ⁻¹ is tridiagonal: R⁻¹/(1 + ρ) times 1, 1 + ρ², …, 1 + ρ²,
-1 on the diagonal and −ρ beside it. ρ = 0 is bundle adjustment with white noise; ρ → 1 is a chain of
-frame-to-frame motions, a random walk of the track.
+it does for two frames, whatever ρ. With R_k⁻¹ = G_k G_kᵀ, the innovations (G_kᵀ e_k − ρ G_k₋₁ᵀ
+e_k₋₁)/√(1 + ρ) are white, so that Σ⁻¹ is tridiagonal, with blocks G_k G_kᵀ times 1, 1 + ρ², …, 1 +
+ρ², 1 on the diagonal and −ρ G_k G_k₋₁ᵀ beside it, over 1 + ρ. ρ = 0 is bundle adjustment with white
+noise; ρ → 1 is a chain of frame-to-frame motions, a random walk of the track.
 
 A landmark is trusted as a whole. With K observations and a prior variance τ² of δ, the sum s = eᵀ
 Σ⁻¹ e + δ²/τ² has n = 4K − 3 degrees of freedom once u, v, d are fitted. All its
@@ -86,7 +87,9 @@ class WindowObservations(NamedTuple):
     pixels: FloatArray
     """(u_l, v_l, u_r, v_r), [M, 4], px; rows corrected by the rig's calibration."""
     information: FloatArray
-    """Inverse of the scale matrix of each, at its own time, [M, 4, 4], px⁻²."""
+    """Inverse of the scale matrix R of each, at its own time, [M, 4, 4], px⁻²."""
+    root: FloatArray
+    """Its Cholesky factor G, R⁻¹ = G Gᵀ, [M, 4, 4], px⁻¹."""
     loss_parameter: FloatArray
     """ν of a Student-t, or the parameter of another loss, [M]."""
 
@@ -369,15 +372,12 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
         _add_pull(information, diagonal, error, track.pull[k])
         if k == 0 or rho == 0.0 or squared[m - 1] == BEHIND_CAMERA:
             continue
-        # Of two scale matrices the larger one, so that Σ⁻¹ stays positive definite.
-        before = observations.information[m - 1]
-        if before[0, 0] + before[1, 1] < information[0, 0] + information[1, 1]:
-            information = before
         beside = -rho / (1.0 + rho)
-        total += 2.0 * beside * _product(track.error[k - 1], information, error)
-        _fill_rows(information, beside, track.cross[k])
-        _add_pull(information, beside, track.error[k - 1], track.pull[k])
-        _add_pull(information, beside, error, track.pull[k - 1])
+        between = observations.root[m] @ observations.root[m - 1].T
+        total += 2.0 * beside * _product(error, between, track.error[k - 1])
+        _fill_rows(between, beside, track.cross[k])
+        _add_pull(between, beside, track.error[k - 1], track.pull[k])
+        _add_pull(between.T, beside, error, track.pull[k - 1])
     _weigh_jacobians(track, count)
     return total
 
@@ -430,14 +430,14 @@ def _weigh_jacobians(track: _Track, count: int) -> None:
                     if k > 0:
                         total += track.cross[k, i, n] * track.landmark[k - 1, n, j]
                     if k + 1 < count:
-                        total += track.cross[k + 1, i, n] * track.landmark[k + 1, n, j]
+                        total += track.cross[k + 1, n, i] * track.landmark[k + 1, n, j]
                 track.weighted_landmark[k, i, j] = total
             for j in range(RIG):
                 total = track.information[k, i, 2] * track.rig[k, j]
                 if k > 0:
                     total += track.cross[k, i, 2] * track.rig[k - 1, j]
                 if k + 1 < count:
-                    total += track.cross[k + 1, i, 2] * track.rig[k + 1, j]
+                    total += track.cross[k + 1, 2, i] * track.rig[k + 1, j]
                 track.weighted_rig[k, i, j] = total
 
 
