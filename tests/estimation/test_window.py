@@ -425,3 +425,19 @@ def test_the_same_frames_give_the_same_bytes() -> None:
     first, second = (windows_of(frames, estimator(frames=5))[-1] for _ in range(2))
     assert first.T_cam_world.tobytes() == second.T_cam_world.tobytes()
     assert first.cov.tobytes() == second.cov.tobytes()
+
+
+def test_landmarks_of_one_age_still_connect_the_last_frames() -> None:
+    """All are seen in all frames, and begin anew at once: the newest motion stays known."""
+    rng = np.random.default_rng(66)
+    slow = se3.exp(0.02 * se3.log(FORWARD))
+    frames = drive(rng, 8, slow, points=60, sigma_px=SIGMA_PX)
+    assert frames[0].features is not None
+    ids = frames[0].features.ids
+    by = estimator(frames=4)
+    for window in windows_of(frames, by, guess=slow)[1:]:
+        assert np.isin(window.ids, ids).mean() > 0.8
+        hessian = by._system(window).equations.hessian[:-RIG, :-RIG]
+        cov = np.linalg.inv(hessian)
+        assert np.linalg.eigvalsh(cov)[0] > 0.0
+        assert np.sqrt(np.diag(cov)[-POSE:]).max() < 0.1

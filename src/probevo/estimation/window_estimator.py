@@ -291,8 +291,10 @@ class WindowEstimator:
     def without_oldest(self, window: Window) -> Window:
         """Return the window without its oldest frame, whose information goes into the prior.
 
-        With the frame go the landmarks that it saw. Those that the last frame still sees give up
-        all but this last observation, with which they begin anew: no observation counts twice.
+        With the frame go the landmarks that it saw. Those that the last frame still sees begin
+        anew with their last observation, which ends the one landmark and begins the next, as it
+        does in a chain of motions of two frames. Without it, nothing would connect the last two
+        frames where all landmarks are of one age.
         """
         observations = window.observations
         rows = window.landmark_rows
@@ -300,11 +302,11 @@ class WindowEstimator:
         is_alive = is_old & (window.last_seen == len(window) - 1)
         is_last = np.zeros(len(rows), np.bool_)
         is_last[observations.start[1:] - 1] = True
-        goes = is_old[rows] & ~(is_last & is_alive[rows])
+        begins_anew = is_last & is_alive[rows]
         system = self._system(
             replace(
                 window,
-                observations=selected(observations, goes),
+                observations=selected(observations, is_old[rows]),
                 landmarks=_selected_landmarks(window.landmarks, is_old),
             )
         )
@@ -315,7 +317,7 @@ class WindowEstimator:
         last_px = observations.pixels[observations.start[1:] - 1]
         state[is_alive] = self._first_states(last_px[is_alive], window.rig)
         stays = ~is_old | is_alive
-        kept = selected(observations, ~goes)
+        kept = selected(observations, ~is_old[rows] | begins_anew)
         return replace(
             window,
             frames=window.frames[1:],

@@ -59,6 +59,9 @@ ROWS = 3
 """Those that are predicted differently: u_l, v and u_r. v_r has the prediction of v_l."""
 LEAST_DEPTH = 1e-3
 """Share of its depth in the anchor frame at which a landmark counts as behind the camera."""
+LARGEST_SHIFT_PX = 30.0
+"""No landmark lies farther than this from where its anchor frame has seen it. Where observations
+contradict one another, a step may lead anywhere; so far off, rounding would spoil the sums."""
 BEHIND_CAMERA = 1e6
 """Cost, and squared distance, of an observation whose landmark has got behind the camera."""
 
@@ -793,3 +796,13 @@ def move_landmarks(
             moved[row, i] = state[row, i]
             for j in range(LANDMARK):
                 moved[row, i] += elimination.inverse[row, i, j] * rest[j]
+        # Back to the first observation, where it has run away from it.
+        first = observations.pixels[observations.start[row]]
+        du = abs(moved[row, 0] - first[0])
+        dv = abs(moved[row, 1] - first[1])
+        dd = abs(moved[row, 2] - (first[0] - first[2]))
+        if not (du < LARGEST_SHIFT_PX and dv < LARGEST_SHIFT_PX and dd < LARGEST_SHIFT_PX):
+            moved[row, 0] = first[0]
+            moved[row, 1] = first[1]
+            moved[row, 2] = first[0] - first[2]
+            moved[row, 3] = 0.0
