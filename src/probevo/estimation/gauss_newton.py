@@ -131,14 +131,17 @@ def minimize(
         trial = layout.moved(values, step)
         trial_newton = accepted > 1 and damping < NEWTON_BELOW
         trial_system = layout.add_up(measurements, trial, newton=trial_newton)
+        decrement = float(np.sum(step * system.gradient))
         if not trial_system.cost <= system.cost * (1.0 + 1e-12):
+            if not newton and decrement < CONVERGED_BELOW**2:
+                # It is at the optimum; only rounding makes the cost rise, as without noise.
+                return Optimum(values, measurements, iteration, converged=moved <= PROPAGATE_AFTER)
             if newton:
                 newton = False
                 system = layout.add_up(measurements, values, newton=False)
             else:
                 damping = max(1e-3, 10.0 * damping)
             continue
-        decrement = float(np.sum(step * system.gradient))
         values = trial
         system = trial_system
         newton = trial_newton
