@@ -43,7 +43,6 @@ from probevo.estimation.disparity_filter_numba import (
     add_squares,
     common_mode_equations,
     joint_posterior,
-    split_rows,
     update_states,
     whiten,
 )
@@ -378,11 +377,8 @@ def _jitter_after(mean: FloatArray, root: FloatArray) -> tuple[FloatArray, Jitte
         The three orthonormal directions among these that make it up, [L, 3], and its prior, but for
         the sensitivity of the tracks.
     """
-    lower = np.empty((AXES, AXES))
-    directions = np.empty((root.shape[1], AXES))
-    if not split_rows(root, lower, directions):
-        raise np.linalg.LinAlgError("the covariance of the jitter is singular")
-    return directions, JitterPrior(mean, lower, np.zeros((0, 2, AXES)))
+    directions, upper = np.linalg.qr(root.T)
+    return directions, JitterPrior(mean, upper.T, np.zeros((0, 2, AXES)))
 
 
 def _linearized(solution: ReprojectionSolution) -> LinearizedFeatures:

@@ -183,18 +183,13 @@ def common_mode_equations(
                 for q in range(4):
                     total += features.information[i, r, q] * M[q, k]
                 white[r, k] = weight[i] * total
-        J = features.jacobian[i]
-        e = features.residuals[i]
-        for k in range(COMMON):
-            w0 = white[0, k]
-            w1 = white[1, k]
-            w2 = white[2, k]
-            w3 = white[3, k]
-            gradient[k] += w0 * e[0] + w1 * e[1] + w2 * e[2] + w3 * e[3]
-            for j in range(cross.shape[0]):
-                cross[j, k] += w0 * J[0, j] + w1 * J[1, j] + w2 * J[2, j] + w3 * J[3, j]
-            for j in range(COMMON):
-                hessian[j, k] += w0 * M[0, j] + w1 * M[1, j] + w2 * M[2, j] + w3 * M[3, j]
+        for r in range(4):
+            for k in range(6):
+                gradient[k] += white[r, k] * features.residuals[i, r]
+                for j in range(cross.shape[0]):
+                    cross[j, k] += features.jacobian[i, r, j] * white[r, k]
+                for j in range(COMMON):
+                    hessian[j, k] += M[r, j] * white[r, k]
 
 
 @compiled
@@ -327,32 +322,3 @@ def add_squares(sensitivity: FloatArray, first: int, last: int, cov: FloatArray)
             cov[n, 1, 1] += of_error * of_error
             cov[n, 0, 1] += of_d * of_error
         cov[n, 1, 0] = cov[n, 0, 1]
-
-
-@compiled
-def split_rows(rows: FloatArray, lower: FloatArray, directions: FloatArray) -> bool:
-    """Split rows [K, L] into ``lower`` [K, K], triangular, times orthonormal ``directions`` [L, K],
-    transposed, by Gram–Schmidt's method; False where a row depends on those before.
-
-    Each row is orthogonalised twice, and so to working precision.
-    """
-    lower[:] = 0.0
-    for k in range(len(rows)):
-        q = rows[k].copy()
-        for _ in range(2):
-            for j in range(k):
-                along = 0.0
-                for i in range(len(q)):
-                    along += q[i] * directions[i, j]
-                lower[k, j] += along
-                for i in range(len(q)):
-                    q[i] -= along * directions[i, j]
-        squared = 0.0
-        for i in range(len(q)):
-            squared += q[i] * q[i]
-        if not squared > 0.0:
-            return False
-        lower[k, k] = math.sqrt(squared)
-        for i in range(len(q)):
-            directions[i, k] = q[i] / lower[k, k]
-    return True
