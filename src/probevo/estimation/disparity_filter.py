@@ -42,7 +42,6 @@ from probevo.estimation.disparity_filter_numba import (
     PriorStates,
     add_squares,
     common_mode_equations,
-    joint_posterior,
     update_states,
     whiten,
 )
@@ -179,17 +178,24 @@ class _JointPosterior:
             common=common,
             equations=equations,
         )
+        # Motion and jitter are at their optimum, so that only the common mode has a gradient.
+        hessian = _joint(solution.full_hessian, equations.cross, equations.hessian + np.eye(COMMON))
+        gradient = np.concatenate([np.zeros(own), equations.gradient])
+        first = 6 if knows_motion else 0
         mean = np.zeros(own + COMMON)
-        root = np.zeros((own + COMMON, own + COMMON))
-        if not joint_posterior(
-            solution.full_hessian,
-            solution.full_cov,
-            equations,
-            num_known=6 if knows_motion else 0,
-            mean=mean,
-            root=root,
-        ):
-            raise np.linalg.LinAlgError("the normal equations are singular to working precision")
+        mean[first:] = np.linalg.solve(hessian[first:, first:], gradient[first:])
+        # From the Hessian to the information: both are A Aᵀ, and the change of A scales the rest.
+        information_root = np.linalg.cholesky(np.linalg.inv(solution.full_cov))
+        hessian_root = np.linalg.cholesky(solution.full_hessian)
+        change = information_root @ np.linalg.inv(hessian_root)
+        factor = float(np.prod(np.diagonal(change))) ** (1.0 / own)
+        information = _joint(
+            information_root @ information_root.T,
+            factor * change @ equations.cross,
+            factor**2 * equations.hessian + np.eye(COMMON),
+        )
+        root = np.zeros_like(information)
+        root[first:, first:] = np.linalg.cholesky(np.linalg.inv(information[first:, first:]))
         return _JointPosterior(mean=mean, root=root, common=common, linearized=linearized)
 
 
@@ -214,6 +220,8 @@ def update_with_common_mode(
     """
     is_determined = np.isfinite(solution.cov).all()
     if noise.time_correlated is None or not is_determined:
+        return solution, DisparityFilter.none()
+    if not np.linalg.eigvalsh(solution.hessian)[0] > 0.0:
         return solution, DisparityFilter.none()
     try:
         posterior = _JointPosterior.of(solution, prior)
@@ -247,20 +255,17 @@ def update_at_known_motion(
 ) -> DisparityFilter:
     """Return the filter after a step whose motion is known; the arguments are as above."""
     posterior = None
-    try:
-        if solution.jitter is not None and np.isfinite(solution.cov).all():
-            posterior = _JointPosterior.of(solution, prior, knows_motion=True)
-        return _update(
-            prior,
-            tracks,
-            noise,
-            solution=solution,
-            camera=camera,
-            inliers=inliers,
-            posterior=posterior,
-        )
-    except np.linalg.LinAlgError:
-        return DisparityFilter.none()
+    if solution.jitter is not None and np.isfinite(solution.cov).all():
+        posterior = _JointPosterior.of(solution, prior, knows_motion=True)
+    return _update(
+        prior,
+        tracks,
+        noise,
+        solution=solution,
+        camera=camera,
+        inliers=inliers,
+        posterior=posterior,
+    )
 
 
 def _update(
@@ -388,6 +393,17 @@ def _linearized(solution: ReprojectionSolution) -> LinearizedFeatures:
         information=solution.information,
         residuals=solution.residuals,
     )
+
+
+def _joint(motion: FloatArray, cross: FloatArray, common: FloatArray) -> FloatArray:
+    """Return the symmetric matrix of these blocks, [m + 6, m + 6]."""
+    own = len(motion)
+    joint = np.empty((own + COMMON, own + COMMON))
+    joint[:own, :own] = motion
+    joint[:own, own:] = cross
+    joint[own:, :own] = cross.T
+    joint[own:, own:] = common
+    return joint
 
 
 def _strongest_directions(
