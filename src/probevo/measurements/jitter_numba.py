@@ -51,7 +51,7 @@ class LinearizedJitter(NamedTuple):
     white: FloatArray
     """Σ⁻¹ D, [N, 4, 6], px⁻¹."""
     square: FloatArray
-    """The lower triangle of Dᵀ Σ⁻¹ D, [N, 6, 6]."""
+    """Dᵀ Σ⁻¹ D, [N, 6, 6]."""
     prev_eta: FloatArray
     """η° there, [3]: the points are those at this value, and at η' = 0."""
     curr: FloatArray
@@ -240,23 +240,22 @@ def propagate_with_jitter(
 
 @compiled
 def _whiten(W: FloatArray, D: FloatArray, white: FloatArray, square: FloatArray) -> None:
-    """Fill in W D and the lower triangle of Dᵀ W D of a feature.
-
-    η' moves its right observation only, and η° both rows alike.
-    """
+    """Fill in W D and Dᵀ W D of a feature; η' moves its right observation only, and η° both rows
+    alike."""
     for i in range(4):
         row_v = W[i, 1] + W[i, 3]
         for k in range(AXES):
             white[i, k] = W[i, 2] * D[2, k] + W[i, 3] * D[3, k]
         for k in range(AXES, DOF):
             white[i, k] = W[i, 0] * D[0, k] + row_v * D[1, k] + W[i, 2] * D[2, k]
-    for k in range(AXES):
-        for j in range(k + 1):
-            square[k, j] = D[2, k] * white[2, j] + D[3, k] * white[3, j]
-    for k in range(AXES, DOF):
-        for j in range(k + 1):
-            row_v = white[1, j] + white[3, j]
-            square[k, j] = D[0, k] * white[0, j] + D[1, k] * row_v + D[2, k] * white[2, j]
+    for k in range(DOF):
+        for j in range(DOF):
+            square[k, j] = (
+                D[0, k] * white[0, j]
+                + D[1, k] * white[1, j]
+                + D[2, k] * white[2, j]
+                + D[3, k] * white[3, j]
+            )
 
 
 @compiled
@@ -298,7 +297,10 @@ def _set_jitter(
 ) -> None:
     """Fill in Σ w Jᵀ Σ⁻¹ D, Σ w Dᵀ Σ⁻¹ D and Σ w Dᵀ Σ⁻¹ e, with Newton's terms if asked for."""
     fu, fv, cu, cv, fb = camera
+    J = np.empty((3, 6))  # rows u_l, v, u_r: both rows of the image move alike
+    pull_motion = np.empty(6)
     pull = np.empty(DOF)
+    bent = np.empty(DOF)
     cross = np.zeros((6, DOF))
     square = np.zeros((DOF, DOF))
     gradient = np.zeros(DOF)
@@ -309,52 +311,47 @@ def _set_jitter(
             continue
         white = jitter.white[n]
         iz = 1.0 / Z
-        u = fu * X * iz
-        v = fv * Y * iz
+        x = X * iz
+        y = Y * iz
+        u = fu * x
+        v = fv * y
         d = fb * rho * iz
         weight = robust_weight(loss.kind, loss.parameter[n], loss.squared[n])
         e0 = weight * (curr[n, 0] - (u + cu) - propagated.offset[n, 0])
         e1 = weight * (curr[n, 1] - (v + cv) - propagated.offset[n, 1])
         e2 = weight * (curr[n, 2] - (u - d + cu) - propagated.offset[n, 2])
         e3 = weight * (curr[n, 3] - (v + cv) - propagated.offset[n, 3])
+        # A row of ∂f/∂q is (a, 0, b) for u_l and u_r, (0, a, b) for v, each over q_z; q moves by
+        # ρ δt + φ × q.
+        for i in range(3):
+            a = fv if i == 1 else fu
+            b = -v if i == 1 else d - u if i == 2 else -u
+            J[i, 0] = 0.0 if i == 1 else rho * a * iz
+            J[i, 1] = rho * a * iz if i == 1 else 0.0
+            J[i, 2] = rho * b * iz
+            J[i, 3] = y * b - a if i == 1 else y * b
+            J[i, 4] = -x * b if i == 1 else a - x * b
+            J[i, 5] = x * a if i == 1 else -y * a
+        # Newton's Hessian is less by a multiple of the outer product of the weighted gradient.
+        bend = robust_bend(loss.kind, loss.parameter[n], loss.squared[n]) if loss.newton else 0.0
+        g0 = W[0, 0] * e0 + W[0, 1] * e1 + W[0, 2] * e2 + W[0, 3] * e3
+        g1 = (W[1, 0] + W[3, 0]) * e0 + (W[1, 1] + W[3, 1]) * e1
+        g1 += (W[1, 2] + W[3, 2]) * e2 + (W[1, 3] + W[3, 3]) * e3
+        g2 = W[2, 0] * e0 + W[2, 1] * e1 + W[2, 2] * e2 + W[2, 3] * e3
+        for i in range(6):
+            pull_motion[i] = J[0, i] * g0 + J[1, i] * g1 + J[2, i] * g2
         for k in range(DOF):
             pull[k] = white[0, k] * e0 + white[1, k] * e1 + white[2, k] * e2 + white[3, k] * e3
+            bent[k] = bend * pull[k]
             gradient[k] += pull[k]
-        # As in ``normal_equations``, the rows of F = ∂f/∂q are u_l (a, 0, b), v (0, c, e) and
-        # u_r (a, 0, f), and q moves by ρ δt + φ × q.
-        a = fu * iz
-        b = -u * iz
-        c = fv * iz
-        e = -v * iz
-        f = -(u - d) * iz
-        # Newton's Hessian is less by a multiple of the outer product of the weighted gradient.
-        bend = 0.0
-        q0 = q1 = q2 = 0.0
-        if loss.newton:
-            bend = robust_bend(loss.kind, loss.parameter[n], loss.squared[n])
-            g0 = W[0, 0] * e0 + W[0, 1] * e1 + W[0, 2] * e2 + W[0, 3] * e3
-            g1 = W[1, 0] * e0 + W[1, 1] * e1 + W[1, 2] * e2 + W[1, 3] * e3
-            g2 = W[2, 0] * e0 + W[2, 1] * e1 + W[2, 2] * e2 + W[2, 3] * e3
-            g3 = W[3, 0] * e0 + W[3, 1] * e1 + W[3, 2] * e2 + W[3, 3] * e3
-            q0 = a * (g0 + g2)
-            q1 = c * (g1 + g3)
-            q2 = b * g0 + e * (g1 + g3) + f * g2
-        for k in range(DOF):
-            bent = bend * pull[k]
-            w0 = weight * white[0, k]
-            w1 = weight * (white[1, k] + white[3, k])
-            w2 = weight * white[2, k]
-            k0 = a * (w0 + w2) - q0 * bent
-            k1 = c * w1 - q1 * bent
-            k2 = b * w0 + e * w1 + f * w2 - q2 * bent
-            cross[0, k] += rho * k0
-            cross[1, k] += rho * k1
-            cross[2, k] += rho * k2
-            cross[3, k] += Y * k2 - Z * k1
-            cross[4, k] += Z * k0 - X * k2
-            cross[5, k] += X * k1 - Y * k0
-            for j in range(k + 1):
-                square[k, j] += weight * jitter.square[n, k, j] - bent * pull[j]
+        for i in range(6):
+            for k in range(DOF):
+                product = J[0, i] * white[0, k] + J[2, i] * white[2, k]
+                product += J[1, i] * (white[1, k] + white[3, k])
+                cross[i, k] += weight * product - pull_motion[i] * bent[k]
+        for j in range(DOF):
+            for k in range(DOF):
+                square[j, k] += weight * jitter.square[n, j, k] - pull[j] * bent[k]
     _set_blocks(cross, square, equations.hessian)
     for k in range(DOF):
         equations.gradient[6 + k] = gradient[k]
@@ -362,13 +359,13 @@ def _set_jitter(
 
 @compiled
 def _set_blocks(cross: FloatArray, square: FloatArray, joint: FloatArray) -> None:
-    """Fill in the blocks of ξ × η and η × η of a symmetric matrix over (ξ, η), [12, 12]; of the
-    latter, the lower triangle is given."""
+    """Fill in the blocks of ξ × η and η × η of a matrix over (ξ, η), [12, 12]."""
     for k in range(DOF):
         for i in range(6):
-            joint[i, 6 + k] = joint[6 + k, i] = cross[i, k]
-        for j in range(k + 1):
-            joint[6 + j, 6 + k] = joint[6 + k, 6 + j] = square[k, j]
+            joint[i, 6 + k] = cross[i, k]
+            joint[6 + k, i] = cross[i, k]
+        for j in range(DOF):
+            joint[6 + j, 6 + k] = square[j, k]
 
 
 @compiled
@@ -459,9 +456,9 @@ def jitter_information(
                 product += J[2, i] * white[2, k] + J[3, i] * white[3, k]
                 cross[i, k] += weight * product
                 curved_cross[i, k] += share * product
-        for k in range(DOF):
-            for j in range(k + 1):
-                square[k, j] += weight * jitter.square[n, k, j]
-                curved_square[k, j] += curvature * jitter.square[n, k, j]
+        for j in range(DOF):
+            for k in range(DOF):
+                square[j, k] += weight * jitter.square[n, j, k]
+                curved_square[j, k] += curvature * jitter.square[n, j, k]
     _set_blocks(cross, square, hessian)
     _set_blocks(curved_cross, curved_square, information)
