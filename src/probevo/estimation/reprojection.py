@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
@@ -10,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.compiled import compiled, invert_positive_definite
+from probevo.compiled import invert_positive_definite
 from probevo.estimation import gauss_newton
 from probevo.measurements.base import Measurement
 from probevo.measurements.jitter_numba import AXES, DOF
@@ -196,26 +195,14 @@ def sum_products(left: FloatArray, right: FloatArray) -> FloatArray:
 def inverse_or_nan(information: FloatArray) -> FloatArray:
     """Return the inverse, [n, n], or NaN where the information is not positive definite to working
     precision."""
+    diagonal = np.diagonal(information)
+    if not (np.isfinite(information).all() and (diagonal > 0.0).all()):
+        return np.full(information.shape, np.nan)
+    sigma = 1.0 / np.sqrt(diagonal)
+    units = sigma[:, None] * sigma
+    lower = np.zeros(information.shape)
     inverse = np.empty(information.shape)
-    if not _invert_in_its_units(information, inverse):
-        inverse[:] = np.nan
-    return inverse
-
-
-@compiled
-def _invert_in_its_units(information: FloatArray, inverse: FloatArray) -> bool:
-    """Invert after scaling the diagonal to one; False where that is not positive definite."""
-    n = len(information)
-    sigma = np.empty(n)
-    for i in range(n):
-        sigma[i] = 1.0 / math.sqrt(information[i, i]) if information[i, i] > 0.0 else math.nan
-    scaled = np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            scaled[i, j] = information[i, j] * sigma[i] * sigma[j]
-    if not invert_positive_definite(scaled, np.zeros((n, n)), inverse):
-        return False
-    for i in range(n):
-        for j in range(n):
-            inverse[i, j] *= sigma[i] * sigma[j]
-    return True
+    if not invert_positive_definite(information * units, lower, inverse):
+        return np.full(information.shape, np.nan)
+    covariance: FloatArray = inverse * units
+    return covariance

@@ -48,10 +48,6 @@ class LinearizedJitter(NamedTuple):
 
     columns: FloatArray
     """D = −∂e/∂η, [N, 4, 6], px."""
-    white: FloatArray
-    """Σ⁻¹ D, [N, 4, 6], px⁻¹."""
-    square: FloatArray
-    """Dᵀ Σ⁻¹ D, [N, 6, 6]."""
     prev_eta: FloatArray
     """η° there, [3]: the points are those at this value, and at η' = 0."""
     curr: FloatArray
@@ -61,11 +57,7 @@ class LinearizedJitter(NamedTuple):
     def empty(count: int) -> LinearizedJitter:
         """Return space for it."""
         return LinearizedJitter(
-            columns=np.empty((count, 4, DOF)),
-            white=np.empty((count, 4, DOF)),
-            square=np.empty((count, DOF, DOF)),
-            prev_eta=np.empty(AXES),
-            curr=np.empty((count, 4)),
+            columns=np.empty((count, 4, DOF)), prev_eta=np.empty(AXES), curr=np.empty((count, 4))
         )
 
 
@@ -234,28 +226,6 @@ def propagate_with_jitter(
         sensitivity=V,
         columns=jitter.columns,
     )
-    for n in range(len(point)):
-        _whiten(propagated.information[n], jitter.columns[n], jitter.white[n], jitter.square[n])
-
-
-@compiled
-def _whiten(W: FloatArray, D: FloatArray, white: FloatArray, square: FloatArray) -> None:
-    """Fill in W D and Dᵀ W D of a feature; η' moves its right observation only, and η° both rows
-    alike."""
-    for i in range(4):
-        row_v = W[i, 1] + W[i, 3]
-        for k in range(AXES):
-            white[i, k] = W[i, 2] * D[2, k] + W[i, 3] * D[3, k]
-        for k in range(AXES, DOF):
-            white[i, k] = W[i, 0] * D[0, k] + row_v * D[1, k] + W[i, 2] * D[2, k]
-    for k in range(DOF):
-        for j in range(DOF):
-            square[k, j] = (
-                D[0, k] * white[0, j]
-                + D[1, k] * white[1, j]
-                + D[2, k] * white[2, j]
-                + D[3, k] * white[3, j]
-            )
 
 
 @compiled
@@ -286,7 +256,7 @@ class _LossAt(NamedTuple):
 
 
 @compiled
-def _set_jitter(
+def _add_jitter(
     T: FloatArray,
     camera: Intrinsics,
     curr: FloatArray,
@@ -295,32 +265,35 @@ def _set_jitter(
     loss: _LossAt,
     equations: JointEquations,
 ) -> None:
-    """Fill in Σ w Jᵀ Σ⁻¹ D, Σ w Dᵀ Σ⁻¹ D and Σ w Dᵀ Σ⁻¹ e, with Newton's terms if asked for."""
+    """Add Σ w Jᵀ Σ⁻¹ D, Σ w Dᵀ Σ⁻¹ D (its lower triangle) and Σ w Dᵀ Σ⁻¹ e, and Newton's terms if
+    asked for."""
     fu, fv, cu, cv, fb = camera
+    hessian = equations.hessian
+    gradient = equations.gradient
     J = np.empty((3, 6))  # rows u_l, v, u_r: both rows of the image move alike
-    pull_motion = np.empty(6)
-    pull = np.empty(DOF)
-    bent = np.empty(DOF)
-    cross = np.zeros((6, DOF))
-    square = np.zeros((DOF, DOF))
-    gradient = np.zeros(DOF)
+    white_e = np.empty(4)
+    white_D = np.empty((4, DOF))
+    pull = np.empty(6 + DOF)
     for n in range(len(curr)):
         W = propagated.information[n]
         X, Y, Z, rho = transfer(T, camera, propagated.refined[n])
         if Z < NEAREST or not W[0, 0] > 0.0:
             continue
-        white = jitter.white[n]
+        D = jitter.columns[n]
         iz = 1.0 / Z
         x = X * iz
         y = Y * iz
         u = fu * x
         v = fv * y
         d = fb * rho * iz
+        e0 = curr[n, 0] - (u + cu) - propagated.offset[n, 0]
+        e1 = curr[n, 1] - (v + cv) - propagated.offset[n, 1]
+        e2 = curr[n, 2] - (u - d + cu) - propagated.offset[n, 2]
+        e3 = curr[n, 3] - (v + cv) - propagated.offset[n, 3]
         weight = robust_weight(loss.kind, loss.parameter[n], loss.squared[n])
-        e0 = weight * (curr[n, 0] - (u + cu) - propagated.offset[n, 0])
-        e1 = weight * (curr[n, 1] - (v + cv) - propagated.offset[n, 1])
-        e2 = weight * (curr[n, 2] - (u - d + cu) - propagated.offset[n, 2])
-        e3 = weight * (curr[n, 3] - (v + cv) - propagated.offset[n, 3])
+        for i in range(4):
+            white_e[i] = weight * (W[i, 0] * e0 + W[i, 1] * e1 + W[i, 2] * e2 + W[i, 3] * e3)
+        _whiten_columns(W, D, weight, white_D)
         # A row of ∂f/∂q is (a, 0, b) for u_l and u_r, (0, a, b) for v, each over q_z; q moves by
         # ρ δt + φ × q.
         for i in range(3):
@@ -332,40 +305,62 @@ def _set_jitter(
             J[i, 3] = y * b - a if i == 1 else y * b
             J[i, 4] = -x * b if i == 1 else a - x * b
             J[i, 5] = x * a if i == 1 else -y * a
-        # Newton's Hessian is less by a multiple of the outer product of the weighted gradient.
-        bend = robust_bend(loss.kind, loss.parameter[n], loss.squared[n]) if loss.newton else 0.0
-        g0 = W[0, 0] * e0 + W[0, 1] * e1 + W[0, 2] * e2 + W[0, 3] * e3
-        g1 = (W[1, 0] + W[3, 0]) * e0 + (W[1, 1] + W[3, 1]) * e1
-        g1 += (W[1, 2] + W[3, 2]) * e2 + (W[1, 3] + W[3, 3]) * e3
-        g2 = W[2, 0] * e0 + W[2, 1] * e1 + W[2, 2] * e2 + W[2, 3] * e3
-        for i in range(6):
-            pull_motion[i] = J[0, i] * g0 + J[1, i] * g1 + J[2, i] * g2
         for k in range(DOF):
-            pull[k] = white[0, k] * e0 + white[1, k] * e1 + white[2, k] * e2 + white[3, k] * e3
-            bent[k] = bend * pull[k]
-            gradient[k] += pull[k]
-        for i in range(6):
-            for k in range(DOF):
-                product = J[0, i] * white[0, k] + J[2, i] * white[2, k]
-                product += J[1, i] * (white[1, k] + white[3, k])
-                cross[i, k] += weight * product - pull_motion[i] * bent[k]
-        for j in range(DOF):
-            for k in range(DOF):
-                square[j, k] += weight * jitter.square[n, j, k] - pull[j] * bent[k]
-    _set_blocks(cross, square, equations.hessian)
-    for k in range(DOF):
-        equations.gradient[6 + k] = gradient[k]
+            row_v = white_D[1, k] + white_D[3, k]
+            for i in range(6):
+                hessian[6 + k, i] += (
+                    J[0, i] * white_D[0, k] + J[1, i] * row_v + J[2, i] * white_D[2, k]
+                )
+            pull[6 + k] = (
+                D[0, k] * white_e[0]
+                + D[1, k] * white_e[1]
+                + D[2, k] * white_e[2]
+                + D[3, k] * white_e[3]
+            )
+            gradient[6 + k] += pull[6 + k]
+        _add_square(D, white_D, 1.0, hessian)
+        if loss.newton:
+            bend = robust_bend(loss.kind, loss.parameter[n], loss.squared[n])
+            row_v = white_e[1] + white_e[3]
+            for i in range(6):
+                pull[i] = J[0, i] * white_e[0] + J[1, i] * row_v + J[2, i] * white_e[2]
+            for k in range(6, 6 + DOF):
+                bent = bend * pull[k]
+                for i in range(k + 1):
+                    hessian[k, i] -= bent * pull[i]
 
 
 @compiled
-def _set_blocks(cross: FloatArray, square: FloatArray, joint: FloatArray) -> None:
-    """Fill in the blocks of ξ × η and η × η of a matrix over (ξ, η), [12, 12]."""
-    for k in range(DOF):
-        for i in range(6):
-            joint[i, 6 + k] = cross[i, k]
-            joint[6 + k, i] = cross[i, k]
-        for j in range(DOF):
-            joint[6 + j, 6 + k] = square[j, k]
+def _whiten_columns(W: FloatArray, D: FloatArray, weight: float, white: FloatArray) -> None:
+    """Fill in weight · W D, [4, 6]; η' moves the right observation only, and η° both rows alike."""
+    for i in range(4):
+        row_v = W[i, 1] + W[i, 3]
+        for k in range(AXES):
+            white[i, k] = weight * (W[i, 2] * D[2, k] + W[i, 3] * D[3, k])
+        for k in range(AXES, DOF):
+            white[i, k] = weight * (W[i, 0] * D[0, k] + row_v * D[1, k] + W[i, 2] * D[2, k])
+
+
+@compiled
+def _add_square(D: FloatArray, white: FloatArray, factor: float, hessian: FloatArray) -> None:
+    """Add factor · Dᵀ white, with white ∝ W D, to the lower triangle of the block of η."""
+    for k in range(AXES):
+        for j in range(k + 1):
+            hessian[6 + k, 6 + j] += factor * (D[2, k] * white[2, j] + D[3, k] * white[3, j])
+    for k in range(AXES, DOF):
+        for j in range(k + 1):
+            row_v = white[1, j] + white[3, j]
+            hessian[6 + k, 6 + j] += factor * (
+                D[0, k] * white[0, j] + D[1, k] * row_v + D[2, k] * white[2, j]
+            )
+
+
+@compiled
+def _mirror(hessian: FloatArray) -> None:
+    """Copy what is below the diagonal to the blocks of η above it."""
+    for k in range(6, 6 + DOF):
+        for i in range(k):
+            hessian[i, k] = hessian[k, i]
 
 
 @compiled
@@ -399,7 +394,9 @@ def joint_normal_equations(
     )
     hessian = equations.hessian
     gradient = equations.gradient
-    _set_jitter(
+    hessian[:] = 0.0
+    gradient[:] = 0.0
+    _add_jitter(
         at.T,
         camera,
         curr,
@@ -416,12 +413,14 @@ def joint_normal_equations(
         cost += 0.5 * at.eta[k] * at.eta[k]
         gradient[6 + k] -= at.eta[k]
         hessian[6 + k, 6 + k] += 1.0
+    _mirror(hessian)
     return cost
 
 
 @compiled
-def jitter_information(
+def add_jitter_information(
     jacobians: StereoJacobians,
+    propagated: PropagatedNoise,
     weights: FeatureWeights,
     jitter: LinearizedJitter,
     disparity_share: FloatArray,
@@ -434,31 +433,34 @@ def jitter_information(
 
     Args:
         jacobians: the residuals linearised.
+        propagated: their noise.
         weights: their robust weights.
         jitter: where it was linearised.
         disparity_share: by which the translation's columns of J are scaled in the information, [N].
         hessian: filled in, with the weights.
         information: filled in, with their curvature.
     """
-    cross = np.zeros((6, DOF))
-    square = np.zeros((DOF, DOF))
-    curved_cross = np.zeros((6, DOF))
-    curved_square = np.zeros((DOF, DOF))
+    for k in range(6, 6 + DOF):
+        for i in range(k + 1):
+            hessian[k, i] = 0.0
+            information[k, i] = 0.0
+    white_D = np.empty((4, DOF))
     for n in range(len(weights.weight)):
         weight = weights.weight[n]
         curvature = weights.curvature[n]
-        J = jacobians.motion[n]
-        white = jitter.white[n]
-        for i in range(6):
-            share = curvature * disparity_share[n] if i < 3 else curvature
-            for k in range(DOF):
-                product = J[0, i] * white[0, k] + J[1, i] * white[1, k]
-                product += J[2, i] * white[2, k] + J[3, i] * white[3, k]
-                cross[i, k] += weight * product
-                curved_cross[i, k] += share * product
-        for j in range(DOF):
-            for k in range(DOF):
-                square[j, k] += weight * jitter.square[n, j, k]
-                curved_square[j, k] += curvature * jitter.square[n, j, k]
-    _set_blocks(cross, square, hessian)
-    _set_blocks(curved_cross, curved_square, information)
+        D = jitter.columns[n]
+        white_J = jacobians.white[n]
+        for k in range(DOF):
+            for i in range(6):
+                total = 0.0
+                for r in range(4):
+                    total += white_J[r, i] * D[r, k]
+                hessian[6 + k, i] += weight * total
+                information[6 + k, i] += (
+                    curvature * disparity_share[n] * total if i < 3 else curvature * total
+                )
+        _whiten_columns(propagated.information[n], D, 1.0, white_D)
+        _add_square(D, white_D, weight, hessian)
+        _add_square(D, white_D, curvature, information)
+    _mirror(hessian)
+    _mirror(information)

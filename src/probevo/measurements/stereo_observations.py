@@ -39,8 +39,8 @@ from probevo.measurements.jitter_numba import (
     JitterEffects,
     JointEquations,
     LinearizedJitter,
+    add_jitter_information,
     jitter_effects,
-    jitter_information,
     joint_normal_equations,
     propagate_with_jitter,
     without_jitter,
@@ -404,10 +404,11 @@ class StereoObservations:
             information=information,
         )
         if self.linearized_jitter is not None:
-            jitter_information(
+            add_jitter_information(
                 jacobians,
+                self.propagated_noise,
                 weights,
-                self.linearized_jitter,
+                jitter=self.linearized_jitter,
                 disparity_share=disparity_share,
                 hessian=hessian,
                 information=information,
@@ -425,11 +426,10 @@ class StereoObservations:
         had shown them.
         """
         count = len(self)
-        expected_curvature = expected_scatter = 1.0
-        if count:
-            curvatures, scatters = self.loss.moments(self.noise.dof)
-            expected_curvature = float(curvatures.sum()) / count
-            expected_scatter = float(scatters.sum()) / count
+        moments = self.loss.moments(self.noise.dof)
+        expected_curvature, expected_scatter = (
+            float(np.mean(moment)) if count else 1.0 for moment in moments
+        )
         spent = count * DIM / max(count * DIM - 6.0, 1.0)
         seen = EXPECTED_FEATURES * expected_scatter + spent * scatter
         return seen / (EXPECTED_FEATURES * expected_curvature + curved)
