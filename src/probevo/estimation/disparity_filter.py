@@ -40,10 +40,8 @@ from probevo.estimation.disparity_filter_numba import (
     LinearizedFeatures,
     PosteriorStates,
     PriorStates,
-    add_squares,
     common_mode_equations,
     update_states,
-    whiten,
 )
 from probevo.estimation.reprojection import ReprojectionSolution, sum_products
 from probevo.geometry import se3
@@ -138,8 +136,6 @@ class _JointPosterior:
     """A root of their covariance, [m + 6, m + 6]."""
     common: FloatArray
     """U of the tracks in the filter, at the disparities that the solve has refined, [M, 2, 6]."""
-    linearized: LinearizedFeatures
-    """The features of the solve."""
 
     @staticmethod
     def of(
@@ -196,7 +192,7 @@ class _JointPosterior:
         )
         root = np.zeros_like(information)
         root[first:, first:] = np.linalg.cholesky(np.linalg.inv(information[first:, first:]))
-        return _JointPosterior(mean=mean, root=root, common=common, linearized=linearized)
+        return _JointPosterior(mean=mean, root=root, common=common)
 
 
 def update_with_common_mode(
@@ -284,7 +280,7 @@ def _update(
     order = np.argsort(tracks.ids)
     chosen = order[(inliers & (solution.information[:, 0, 0] > 0.0))[order]]
     count = len(chosen)
-    linearized = _linearized(solution) if posterior is None else posterior.linearized
+    linearized = _linearized(solution)
     own = linearized.jacobian.shape[2]
     mean = np.zeros(own + COMMON)
     common = np.zeros((len(tracks), 2, COMMON))
@@ -323,6 +319,7 @@ def _update(
     jitter = None
     if posterior is not None:
         root = posterior.root
+        sensitivity = _transformed(states.sensitivity, root)
         of_jitter = np.zeros((len(root), 0))
         if solution.jitter is not None:
             jitter_root = solution.jitter.unknown.curr_root
@@ -330,9 +327,7 @@ def _update(
                 solution.jitter.curr_rad + jitter_root @ mean[6 : 6 + AXES],
                 jitter_root @ root[6 : 6 + AXES],
             )
-        kept_common, directions = _strongest_directions(
-            states.sensitivity, root, cov=cov, chosen=of_jitter
-        )
+        kept_common, cov, directions = _strongest_directions(sensitivity, cov, of_jitter)
         step = root[:6]
         path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
         common_before = root[own + COMMON - common.shape[2] :]
@@ -407,35 +402,44 @@ def _joint(motion: FloatArray, cross: FloatArray, common: FloatArray) -> FloatAr
 
 
 def _strongest_directions(
-    sensitivity: FloatArray, root: FloatArray, cov: FloatArray, chosen: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+    sensitivity: FloatArray, cov: FloatArray, chosen: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Split common errors into the six that move the tracks most, and the rest.
 
     Args:
-        sensitivity: how errors z move (d, δ) of each track, [M, 2, L].
-        root: how z follows from L whitened errors, [L, L].
-        cov: each track's own covariance, [M, 2, 2], against which the size of a move counts; the
-            rest of the errors is added to it.
-        chosen: orthonormal directions of the whitened errors that are kept in any case, [L, K],
-            beside six others.
+        sensitivity: how they move (d, δ) of each track, [M, 2, L].
+        cov: each track's own covariance, [M, 2, 2], against which the size of a move counts.
+        chosen: orthonormal directions that are kept in any case, [L, K], beside six others.
 
     Returns:
-        The sensitivity to the K + 6, [M, 2, K + 6], and the K + 6 directions, [L, K + 6].
+        The sensitivity to the K + 6, [M, 2, K + 6]; the covariances with the others added; the
+        K + 6 directions, [L, K + 6].
     """
+    # Whiten by the Cholesky factor of each 2 × 2 covariance, written out.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first = np.sqrt(cov[:, :1, 0])
+        across = cov[:, 1, :1] / first
+        rest = cov[:, 1, 1:] - across**2
+    if not (rest > 0.0).all():
+        raise np.linalg.LinAlgError("a track's covariance is not positive definite")
+    white = np.empty_like(sensitivity)
+    white[:, 0] = sensitivity[:, 0] / first
+    white[:, 1] = (sensitivity[:, 1] - across * white[:, 0]) / np.sqrt(rest)
     # The chosen ones are projected out, and come first among the eigenvalues, which ascend: the
     # strongest directions come last.
-    white = _transformed(sensitivity, root - (root @ chosen) @ chosen.T)
-    if not whiten(white, cov):
-        raise np.linalg.LinAlgError("a track's covariance is not positive definite")
+    white = white - _transformed(white, chosen) @ chosen.T
     _, directions = np.linalg.eigh(sum_products(white, white) - _CHOSEN * (chosen @ chosen.T))
-    # All directions at once, in the order (chosen, rest, strongest).
-    first = chosen.shape[1]
-    last = len(root) - COMMON
-    directions[:, :first] = chosen
-    moved = _transformed(sensitivity, root @ directions)
-    add_squares(moved, first, last, cov=cov)
-    kept = np.concatenate([moved[:, :, :first], moved[:, :, last:]], axis=2)
-    return kept, np.concatenate([directions[:, :first], directions[:, last:]], axis=1)
+    num_chosen = chosen.shape[1]
+    kept = np.hstack([chosen, directions[:, -COMMON:]])
+    dropped = _transformed(sensitivity, directions[:, num_chosen:-COMMON])
+    d = dropped[:, 0]
+    error = dropped[:, 1]
+    enlarged = cov.copy()
+    enlarged[:, 0, 0] += np.sum(d * d, axis=1)
+    enlarged[:, 1, 1] += np.sum(error * error, axis=1)
+    enlarged[:, 0, 1] += np.sum(d * error, axis=1)
+    enlarged[:, 1, 0] = enlarged[:, 0, 1]
+    return _transformed(sensitivity, kept), enlarged, kept
 
 
 def _transformed(sensitivity: FloatArray, transform: FloatArray) -> FloatArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -185,41 +184,3 @@ def common_mode_equations(
                     cross[j, k] += features.jacobian[i, r, j] * white[r, k]
                 for j in range(COMMON):
                     hessian[j, k] += M[r, j] * white[r, k]
-
-
-@compiled
-def whiten(sensitivity: FloatArray, cov: FloatArray) -> bool:
-    """Divide sensitivities [M, 2, L] by the Cholesky factors of covariances [M, 2, 2], in place;
-    False where one is not positive definite."""
-    for n in range(len(sensitivity)):
-        first = math.sqrt(cov[n, 0, 0])
-        across = cov[n, 1, 0] / first
-        rest = cov[n, 1, 1] - across * across
-        if not rest > 0.0:
-            return False
-        second = math.sqrt(rest)
-        for k in range(sensitivity.shape[2]):
-            white = sensitivity[n, 0, k] / first
-            sensitivity[n, 0, k] = white
-            sensitivity[n, 1, k] = (sensitivity[n, 1, k] - across * white) / second
-    return True
-
-
-@compiled
-def add_squares(sensitivity: FloatArray, first: int, last: int, cov: FloatArray) -> None:
-    """Add to covariances [M, 2, 2] what some independent errors of unit variance contribute.
-
-    Args:
-        sensitivity: to L errors, [M, 2, L].
-        first: the first of those errors.
-        last: the one behind the last of them.
-        cov: changed in place.
-    """
-    for n in range(len(sensitivity)):
-        for k in range(first, last):
-            of_d = sensitivity[n, 0, k]
-            of_error = sensitivity[n, 1, k]
-            cov[n, 0, 0] += of_d * of_d
-            cov[n, 1, 1] += of_error * of_error
-            cov[n, 0, 1] += of_d * of_error
-        cov[n, 1, 0] = cov[n, 0, 1]
