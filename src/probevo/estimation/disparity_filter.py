@@ -288,9 +288,7 @@ def _update(
         common[prior.states.rows] = posterior.common
         mean = posterior.mean
     if solution.jitter is not None:
-        common = np.concatenate(
-            [solution.jitter.unknown.effects.sensitivity[:, 2:], common], axis=2
-        )
+        common = np.concatenate([solution.jitter.unknown.sensitivity[:, 2:], common], axis=2)
     states = PosteriorStates(
         mean=np.empty((count, 2)),
         cov=np.empty((count, 2, 2)),

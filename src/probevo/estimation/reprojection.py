@@ -24,8 +24,6 @@ class SolvedJitter:
     eta: FloatArray
     """(η', η°), [6], in standard deviations of their priors."""
     unknown: JitterUnknown
-    columns: FloatArray
-    """D = −∂e/∂η, [N, 4, 6], px."""
     hessian: FloatArray
     """As of ``ReprojectionSolution``, over (ξ, η), with the prior of η, [12, 12]."""
     cov: FloatArray
@@ -90,7 +88,7 @@ class ReprojectionSolution:
         """The Jacobian by the motion and the jitter, [N, 4, 6] or [N, 4, 12]."""
         if self.jitter is None:
             return self.jacobian
-        return np.concatenate([self.jacobian, self.jitter.columns], axis=2)
+        return np.concatenate([self.jacobian, self.jitter.unknown.columns], axis=2)
 
     @property
     def full_hessian(self) -> FloatArray:
@@ -150,19 +148,17 @@ def solve_reprojection(
     T_curr_prev = optimum.values[curr]
     propagated = cast(StereoObservations, optimum.measurements[0])
     features = propagated.at(optimum.values)
+    of_others = gauss_newton.information(others, optimum.values, [curr])
     hessian = features.hessian
     information = features.information
-    if others:
-        of_others = gauss_newton.information(others, optimum.values, [curr])
-        hessian[:6, :6] += of_others
-        information[:6, :6] += of_others
+    hessian[:6, :6] += of_others
+    information[:6, :6] += of_others
     cov = inverse_or_nan(information)
     jitter = None
-    if unknown is not None and propagated.linearized_jitter is not None:
+    if unknown is not None:
         jitter = SolvedJitter(
             eta=optimum.values[unknown.variable],
-            unknown=unknown,
-            columns=propagated.linearized_jitter.columns,
+            unknown=propagated.jitter or unknown,
             hessian=hessian,
             cov=cov,
         )
@@ -172,7 +168,7 @@ def solve_reprojection(
         squared=features.squared,
         weight=features.weights.relative,
         irls_weight=features.weights.weight,
-        points=features.points,
+        points=propagated.points_at(optimum.values),
         refined=propagated.propagated_noise.refined,
         residuals=features.jacobians.residual,
         jacobian=features.jacobians.motion,
