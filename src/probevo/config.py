@@ -170,7 +170,8 @@ class WindowConfig(Settings):
         lt=1,
         description=(
             "Correlation of a feature's errors in successive frames: 0 is white noise, as of"
-            " simulated points; tracked features have 0.5 to 0.7 on all recordings tried."
+            " simulated points; of tracked features, residuals show 0.2 to 0.4 in u and 0.4 to 0.6"
+            " in v, and 0.4 to 0.8 give the same drift."
         ),
     )
     max_iterations: int = Field(
