@@ -1,0 +1,171 @@
+"""Gyro and accelerometer between two frames, preintegrated on the manifold of rotations.
+
+Forster, Carlone, Dellaert, Scaramuzza, "On-manifold preintegration for real-time visual-inertial
+odometry", T-RO 2017. Everything is in the axes of the camera: rates and forces are turned by
+C_cam_imu first, so that the "body" is the IMU's place with the camera's axes, and ``lever_m`` away
+from the camera's centre.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.measurements.preintegration_numba import (
+    MeanSamples,
+    PreintegrationSums,
+    preintegrate_samples,
+)
+from probevo.sequences.frame import ImuSamples
+from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.sequences.validation import LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S
+
+FEWEST_SAMPLES = 5
+"""Least number of samples that cover an interval. Fewer, as those of an inertial navigation system
+at the rate of the frames, do not show how the acceleration changes between them."""
+LONGEST_HOLE = 3.0
+"""Longest time without a sample, in usual distances of samples."""
+NO_BIAS = np.zeros(6)
+
+
+@dataclass(frozen=True)
+class Preintegration:
+    """What an IMU measured from frame i to frame j, for one assumed bias.
+
+    With R the attitude of the camera's axes in the world, v and p the velocity and place of the
+    IMU there, and g gravity,
+
+        ΔR = R_iᵀ R_j,    Δv = R_iᵀ (v_j − v_i − g T),    Δp = R_iᵀ (p_j − p_i − v_i T − ½ g T²).
+    """
+
+    duration_s: float
+    """T."""
+    rotation: FloatArray
+    """ΔR, [3, 3]."""
+    velocity: FloatArray
+    """Δv, [3], m/s."""
+    position: FloatArray
+    """Δp, [3], m."""
+    cov: FloatArray
+    """Covariance of (δφ, δv, δp) from white noise, [9, 9]; the true rotation is ΔR Exp(δφ)."""
+    bias_jacobian: FloatArray
+    """Derivative of (δφ, δv, δp) with respect to ``bias``, [9, 6]."""
+    bias: FloatArray
+    """Biases of gyro, rad/s, and accelerometer, m/s², along the camera's axes, that were taken off,
+    [6]."""
+    lever_m: FloatArray
+    """Place of the IMU in the camera's frame, [3], m."""
+    walk_variance: FloatArray
+    """By how much the random walk of each bias may move it meanwhile, [6], (rad/s)², (m/s²)²."""
+
+
+@dataclass(frozen=True)
+class NoPreintegration:
+    """An interval of which the samples of the IMU say nothing."""
+
+    reason: str
+    """Why, as the end of a sentence: "the IMU …"."""
+
+
+def preintegrate(
+    imu: ImuSamples | None,
+    start_ns: int,
+    end_ns: int,
+    calibration: ImuCalibration,
+    bias: FloatArray = NO_BIAS,
+) -> Preintegration | NoPreintegration:
+    """Preintegrate the samples between two frames.
+
+    Rates and forces are interpolated linearly between the samples, and at both ends.
+
+    Args:
+        imu: samples from the last one at or before the start to the first one at or after the end,
+            on the clock of the images. Those without a finite, plausible rate and force are left
+            out. None is an interval without samples.
+        start_ns, end_ns: time of the previous and of the current frame, ns.
+        calibration: of the IMU on the camera; its noise densities give the covariance.
+        bias: of gyro, rad/s, and accelerometer, m/s², along the camera's axes, [6].
+
+    Returns:
+        The preintegration, or the reason why there is none.
+    """
+    if imu is None or not len(imu.stamps_ns):
+        return NoPreintegration("has no samples")
+    if end_ns <= start_ns:
+        return NoPreintegration("has samples of an interval of no length")
+    is_usable = _are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
+    is_usable &= _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
+    stamps_ns = imu.stamps_ns[is_usable]
+    reason = _reason_against(stamps_ns, start_ns, end_ns)
+    if reason:
+        return NoPreintegration(reason)
+    is_inside = (stamps_ns > start_ns) & (stamps_ns < end_ns)
+    # From the start on, so that the numbers are small enough to be exact as floats.
+    knots_ns = np.concatenate([[start_ns], stamps_ns[is_inside], [end_ns]]) - start_ns
+    C_cam_imu = calibration.C_cam_imu
+    steps_s = 1e-9 * np.diff(knots_ns)
+    rates = _means(knots_ns, stamps_ns - start_ns, imu.gyro_rad_s[is_usable] @ C_cam_imu.T)
+    forces = _means(knots_ns, stamps_ns - start_ns, imu.accel_m_s2[is_usable] @ C_cam_imu.T)
+    bias = np.asarray(bias, np.float64)
+    sums = PreintegrationSums(
+        rotation=np.eye(3),
+        velocity=np.zeros(3),
+        position=np.zeros(3),
+        cov=np.zeros((9, 9)),
+        bias_jacobian=np.zeros((9, 6)),
+    )
+    preintegrate_samples(
+        MeanSamples(steps_s, rates - bias[:3], forces - bias[3:]),
+        float(calibration.gyro_noise_rad_s_sqrt_hz),
+        float(calibration.accel_noise_m_s2_sqrt_hz),
+        sums,
+    )
+    if not all(np.isfinite(part).all() for part in sums):
+        return NoPreintegration("has rates or forces whose integral is not finite")
+    duration_s = 1e-9 * (end_ns - start_ns)
+    walks = [calibration.gyro_bias_walk_rad_s2_sqrt_hz, calibration.accel_bias_walk_m_s3_sqrt_hz]
+    return Preintegration(
+        duration_s=duration_s,
+        rotation=sums.rotation,
+        velocity=sums.velocity,
+        position=sums.position,
+        cov=0.5 * (sums.cov + sums.cov.T),
+        bias_jacobian=sums.bias_jacobian,
+        bias=bias,
+        lever_m=calibration.T_cam_imu[:3, 3],
+        walk_variance=np.repeat(np.square(walks) * duration_s, 3),
+    )
+
+
+def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
+    """Return why samples with these stamps do not cover an interval; nothing if they do."""
+    first = max(int(np.searchsorted(stamps_ns, start_ns, side="right")) - 1, 0)
+    covering = stamps_ns[first : int(np.searchsorted(stamps_ns, end_ns, side="left")) + 1]
+    if len(covering) < FEWEST_SAMPLES:
+        return f"has {len(covering)} usable samples of the interval; {FEWEST_SAMPLES} are needed"
+    between_ns = np.diff(covering)
+    if between_ns.min() <= 0:
+        return "has samples whose stamps do not ascend"
+    usual_ns = float(np.median(between_ns))
+    hole_ns = max(
+        float(between_ns.max()), float(covering[0] - start_ns), float(end_ns - covering[-1])
+    )
+    if hole_ns > LONGEST_HOLE * usual_ns:
+        return f"has no samples for {1e-6 * hole_ns:.0f} ms"
+    return ""
+
+
+def _means(knots_ns: IntArray, stamps_ns: IntArray, values: FloatArray) -> FloatArray:
+    """Return the mean of values [J, 3] between successive knots, [K − 1, 3], interpolated
+    linearly."""
+    at_knots: FloatArray = np.stack(
+        [np.interp(knots_ns, stamps_ns, axis) for axis in values.T], axis=1
+    )
+    return 0.5 * (at_knots[:-1] + at_knots[1:])
+
+
+def _are_within(values: FloatArray, largest: float) -> BoolArray:
+    """Tell which rows, [J, 3], are finite and not implausibly large, [J]."""
+    return np.asarray((np.abs(values) <= largest).all(axis=1))

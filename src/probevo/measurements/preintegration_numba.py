@@ -1,0 +1,129 @@
+"""Compiled preintegration of gyro and accelerometer over the samples of one interval."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.compiled import compiled
+
+
+class MeanSamples(NamedTuple):
+    """Mean rate and specific force in each of J sub-intervals, biases taken off."""
+
+    steps_s: FloatArray
+    """Length of each, [J], s."""
+    rates_rad_s: FloatArray
+    """[J, 3]."""
+    forces_m_s2: FloatArray
+    """[J, 3]."""
+
+
+class PreintegrationSums(NamedTuple):
+    """Where ``preintegrate_samples`` adds up; all zero at the start, but for rotation = 1."""
+
+    rotation: FloatArray
+    """ΔR, [3, 3]."""
+    velocity: FloatArray
+    """Δv, [3]."""
+    position: FloatArray
+    """Δp, [3]."""
+    cov: FloatArray
+    """Covariance of the errors (δφ, δv, δp), [9, 9]."""
+    bias_jacobian: FloatArray
+    """Derivative of (δφ, δv, δp) with respect to the biases of gyro and accelerometer, [9, 6]."""
+
+
+@compiled
+def fill_exp(x: float, y: float, z: float, C: FloatArray, J: FloatArray) -> None:
+    """Fill C with Exp(φ) and J with the right Jacobian J_r(φ), both [3, 3], for φ = (x, y, z)."""
+    squared = x * x + y * y + z * z
+    if squared < 1e-6:  # series: the next terms are below the last bit
+        a = 1.0 - squared / 6.0
+        b = 0.5 - squared / 24.0
+        c = 1.0 / 6.0 - squared / 120.0
+    else:
+        angle = math.sqrt(squared)
+        a = math.sin(angle) / angle
+        b = (1.0 - math.cos(angle)) / squared
+        c = (1.0 - a) / squared
+    wedge = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    for i in range(3):
+        for j in range(3):
+            wedge_2 = 0.0
+            for k in range(3):
+                wedge_2 += wedge[i, k] * wedge[k, j]
+            unit = 1.0 if i == j else 0.0
+            C[i, j] = unit + a * wedge[i, j] + b * wedge_2
+            J[i, j] = unit - b * wedge[i, j] + c * wedge_2
+
+
+@compiled
+def preintegrate_samples(
+    samples: MeanSamples, gyro_density: float, accel_density: float, sums: PreintegrationSums
+) -> None:
+    """Integrate rates and forces in the axes of the start, with covariance and bias Jacobians.
+
+    In each sub-interval the rate is constant, and the force acts along the axes of its middle. The
+    errors δ = (δφ, δv, δp), with ΔR Exp(δφ), follow Forster et al. 2017, eqs. (59) to (63).
+
+    Args:
+        samples: of the sub-intervals, in the order of time.
+        gyro_density: white noise of the gyro, rad/s/√Hz.
+        accel_density: white noise of the accelerometer, m/s²/√Hz.
+        sums: receives the result.
+    """
+    whole = np.empty((3, 3))
+    half = np.empty((3, 3))
+    jacobian = np.empty((3, 3))
+    half_jacobian = np.empty((3, 3))
+    turned_by_force = np.empty((3, 3))
+    A = np.zeros((9, 9))
+    B = np.zeros((9, 6))
+    rotation = sums.rotation
+    for index in range(len(samples.steps_s)):
+        dt = samples.steps_s[index]
+        rate = samples.rates_rad_s[index]
+        force = samples.forces_m_s2[index]
+        fill_exp(rate[0] * dt, rate[1] * dt, rate[2] * dt, whole, jacobian)
+        h = 0.5 * dt
+        fill_exp(rate[0] * h, rate[1] * h, rate[2] * h, half, half_jacobian)
+        middle = np.dot(rotation, half)
+        # A rotation error δ of the middle's axes moves the force by −ΔR_m f^ δ.
+        wedge = np.array(
+            [
+                [0.0, -force[2], force[1]],
+                [force[2], 0.0, -force[0]],
+                [-force[1], force[0], 0.0],
+            ]
+        )
+        turned_by_force[:] = -np.dot(middle, wedge)
+        by_rotation = np.dot(turned_by_force, half.T)
+        by_rate = np.dot(turned_by_force, half_jacobian)
+        for i in range(3):
+            for j in range(3):
+                unit = 1.0 if i == j else 0.0
+                A[i, j] = whole[j, i]
+                A[3 + i, j] = by_rotation[i, j] * dt
+                A[3 + i, 3 + j] = unit
+                A[6 + i, j] = by_rotation[i, j] * 0.5 * dt * dt
+                A[6 + i, 3 + j] = unit * dt
+                A[6 + i, 6 + j] = unit
+                B[i, j] = jacobian[i, j] * dt
+                B[3 + i, j] = by_rate[i, j] * h * dt
+                B[6 + i, j] = by_rate[i, j] * h * 0.5 * dt * dt
+                B[3 + i, 3 + j] = middle[i, j] * dt
+                B[6 + i, 3 + j] = middle[i, j] * 0.5 * dt * dt
+        sums.bias_jacobian[:] = np.dot(A, sums.bias_jacobian) - B
+        noisy = B.copy()
+        noisy[:, :3] *= gyro_density / math.sqrt(dt)
+        noisy[:, 3:] *= accel_density / math.sqrt(dt)
+        sums.cov[:] = np.dot(np.dot(A, sums.cov), A.T) + np.dot(noisy, noisy.T)
+        acceleration = np.dot(middle, force)
+        for i in range(3):
+            sums.position[i] += sums.velocity[i] * dt + 0.5 * acceleration[i] * dt * dt
+            sums.velocity[i] += acceleration[i] * dt
+        rotation[:] = np.dot(rotation, whole)

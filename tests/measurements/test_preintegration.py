@@ -1,0 +1,173 @@
+"""Preintegration of an IMU: closed forms, Jacobians, covariance, and samples that are missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from intervals import chi2_interval
+from probevo.arrays import FloatArray
+from probevo.geometry import se3, so3
+from probevo.measurements.preintegration import NoPreintegration, Preintegration, preintegrate
+from probevo.sequences.frame import ImuSamples
+from probevo.sequences.imu_calibration import ImuCalibration
+
+START_NS = 1_700_000_000_013_000_000
+END_NS = START_NS + 100_000_000
+PERIOD_NS = 5_000_000
+C_CAM_IMU = so3.exp(np.array([0.3, -1.7, 0.9]))
+CALIBRATION = ImuCalibration(
+    se3.from_parts(C_CAM_IMU, np.array([0.2, -0.1, 0.3])),
+    gyro_noise_rad_s_sqrt_hz=2e-3,
+    gyro_bias_sigma_rad_s=0.02,
+    gyro_bias_walk_rad_s2_sqrt_hz=1e-3,
+    accel_noise_m_s2_sqrt_hz=2e-2,
+    accel_bias_walk_m_s3_sqrt_hz=2e-3,
+)
+
+
+def samples(rates: FloatArray, forces: FloatArray, period_ns: int = PERIOD_NS) -> ImuSamples:
+    """Samples of the interval, from rates and forces along the camera's axes, [J, 3] or [3]."""
+    stamps_ns = np.arange(START_NS, END_NS + 1, period_ns)
+    shape = (len(stamps_ns), 3)
+    gyro = np.broadcast_to(rates, shape) @ C_CAM_IMU
+    return ImuSamples(stamps_ns, gyro, np.broadcast_to(forces, shape) @ C_CAM_IMU)
+
+
+def random_samples(seed: int) -> ImuSamples:
+    rng = np.random.default_rng(seed)
+    count = (END_NS - START_NS) // PERIOD_NS + 1
+    return samples(rng.normal(0.0, 1.0, (count, 3)), rng.normal(0.0, 5.0, (count, 3)))
+
+
+def integrated(imu: ImuSamples, bias: FloatArray | None = None) -> Preintegration:
+    found = preintegrate(
+        imu, START_NS, END_NS, CALIBRATION, bias=np.zeros(6) if bias is None else bias
+    )
+    assert isinstance(found, Preintegration)
+    return found
+
+
+def difference(to: Preintegration, start: Preintegration) -> FloatArray:
+    """Return (δφ, δv, δp) that leads from one result to another, [9]."""
+    return np.concatenate(
+        [
+            so3.log(start.rotation.T @ to.rotation),
+            to.velocity - start.velocity,
+            to.position - start.position,
+        ]
+    )
+
+
+def test_constant_force_without_turn_has_the_closed_form() -> None:
+    force = np.array([0.5, -9.0, 2.0])
+    found = integrated(samples(np.zeros(3), force))
+    np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(found.velocity, 0.1 * force, rtol=1e-12)
+    np.testing.assert_allclose(found.position, 0.005 * force, rtol=1e-12)
+    assert found.duration_s == pytest.approx(0.1, rel=1e-12)
+    np.testing.assert_array_equal(found.lever_m, [0.2, -0.1, 0.3])
+
+
+def test_a_circle_has_the_closed_form_to_second_order_of_the_period() -> None:
+    """Constant rate ω and force f: Δv = ∫ Exp(ωt) dt f; four times the samples, 1/16 the error."""
+    rate = np.array([0.5, -2.0, 8.0])
+    force = np.array([3.0, -1.0, 0.5])
+    expected = 0.1 * so3.left_jacobian(0.1 * rate) @ force
+    errors = []
+    for period_ns in (20_000_000, 5_000_000):
+        found = integrated(samples(rate, force, period_ns))
+        np.testing.assert_allclose(found.rotation, so3.exp(0.1 * rate), atol=1e-13)
+        errors.append(np.linalg.norm(found.velocity - expected))
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.05)
+
+
+def test_bias_jacobians_are_central_differences() -> None:
+    imu = random_samples(0)
+    bias = np.array([0.1, -0.2, 0.05, 0.3, -0.1, 0.2])
+    here = integrated(imu, bias)
+    for column, step in enumerate(1e-6 * np.eye(6)):
+        ahead = difference(integrated(imu, bias + step), here)
+        behind = difference(integrated(imu, bias - step), here)
+        numeric = (ahead - behind) / 2e-6
+        np.testing.assert_allclose(here.bias_jacobian[:, column], numeric, atol=1e-8)
+
+
+def test_covariance_is_that_of_noisy_samples() -> None:
+    """The average of δᵀ Σ⁻¹ δ over noisy samples lies in the 99.9 % interval of χ²(9).
+
+    Each sub-interval has a mean of its own, as a sample that integrates over it.
+    """
+    rng = np.random.default_rng(1)
+    count = 600
+    rate = np.array([0.5, -1.0, 2.0])
+    force = np.array([1.0, -9.0, 2.0])
+    clean = integrated(samples(rate, force, PERIOD_NS))
+    squared = []
+    for _ in range(count):
+        gyro_sigma = CALIBRATION.gyro_noise_rad_s_sqrt_hz / np.sqrt(1e-9 * PERIOD_NS)
+        accel_sigma = CALIBRATION.accel_noise_m_s2_sqrt_hz / np.sqrt(1e-9 * PERIOD_NS)
+        steps = (END_NS - START_NS) // PERIOD_NS
+        noisy = _held(
+            rate + gyro_sigma * rng.normal(size=(steps, 3)),
+            force + accel_sigma * rng.normal(size=(steps, 3)),
+        )
+        error = difference(integrated(noisy), clean)
+        squared.append(error @ np.linalg.solve(clean.cov, error))
+    low, high = chi2_interval(dof=9, count=count)
+    assert low < np.mean(squared) < high
+
+
+def _held(rates: FloatArray, forces: FloatArray) -> ImuSamples:
+    """Samples whose linear interpolation has these means in successive sub-intervals."""
+    edges_ns = np.arange(START_NS, END_NS + 1, PERIOD_NS)
+    stamps_ns = np.stack([edges_ns[:-1] + 1, edges_ns[1:]], axis=1).ravel()
+    gyro = np.repeat(rates, 2, axis=0) @ C_CAM_IMU
+    return ImuSamples(stamps_ns, gyro, np.repeat(forces, 2, axis=0) @ C_CAM_IMU)
+
+
+def test_covariance_grows_as_the_samples_average() -> None:
+    """White noise of the rate turns by σ √T, whatever the sample period."""
+    found = integrated(samples(np.zeros(3), np.zeros(3)))
+    expected = CALIBRATION.gyro_noise_rad_s_sqrt_hz * np.sqrt(0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.cov)[:3]), expected, rtol=1e-12)
+    np.testing.assert_allclose(found.walk_variance[:3], 1e-6 * 0.1, rtol=1e-12)
+
+
+def test_samples_without_a_plausible_number_are_left_out() -> None:
+    """What is left of a steady turn gives the same, but for the longer sub-interval."""
+    imu = samples(np.array([0.1, 0.2, 0.3]), np.array([0.0, -9.8, 0.0]))
+    whole = integrated(imu)
+    for value in (np.nan, np.inf, 1e308):
+        gyro = imu.gyro_rad_s.copy()
+        gyro[7] = value
+        force = imu.accel_m_s2.copy()
+        force[12] = value
+        found = integrated(replace(imu, gyro_rad_s=gyro, accel_m_s2=force))
+        np.testing.assert_allclose(difference(found, whole), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rows", "reason"),
+    [
+        (slice(0, 0), "no samples"),
+        (slice(0, 4), "4 usable samples"),
+        (slice(0, 12), "no samples for 45 ms"),
+        (np.r_[0:6, 12:21], "no samples for 35 ms"),
+    ],
+)
+def test_samples_that_do_not_cover_the_interval_give_a_reason(
+    rows: slice | FloatArray, reason: str
+) -> None:
+    imu = samples(np.zeros(3), np.zeros(3))
+    part = ImuSamples(imu.stamps_ns[rows], imu.gyro_rad_s[rows], imu.accel_m_s2[rows])
+    found = preintegrate(part, START_NS, END_NS, CALIBRATION)
+    assert isinstance(found, NoPreintegration)
+    assert reason in found.reason
+
+
+def test_no_accelerometer_is_a_reason() -> None:
+    imu = samples(np.zeros(3), np.full(3, np.nan))
+    found = preintegrate(imu, START_NS, END_NS, CALIBRATION)
+    assert isinstance(found, NoPreintegration)
+    assert "0 usable samples" in found.reason
