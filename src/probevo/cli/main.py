@@ -27,6 +27,7 @@ COMMANDS = {
     "calibrate-check": "probevo.cli.calibrate_check",
     "convert": "probevo.cli.convert",
     "simulate": "probevo_sim.command",
+    "stress": "probevo.cli.stress",
     "paper": "probevo_paper.command",
     "demo": "probevo.cli.demo",
 }
@@ -54,6 +55,8 @@ and estimates the covariance of each step.
       write a recording as a folder of images or as a bag, or a run as a bag of its odometry
   probevo simulate WORLD --out DIR
       simulate a recording of a world, point or scene, with exact ground truth
+  probevo stress SEQUENCE --out DIR
+      run on spoiled versions of a recording, and compare errors with claims
   probevo paper EXPERIMENT --out DIR
       repeat an experiment of the papers: blur, table-i, table-1.2, table-1.3
   probevo demo --out DIR

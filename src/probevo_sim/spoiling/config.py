@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from probevo.settings import Settings
 
@@ -36,6 +36,13 @@ PRESETS: dict[PresetName, tuple[EffectName, ...]] = {
     "delay": (),
 }
 """What a burst may consist of, by the preset's name."""
+StressPreset = Literal[
+    "mixed", "blur", "darkness", "exposure", "occluders", "dirt", "jpeg", "frames"
+]
+"""The presets that have a severity."""
+CLEAN_START_FRAMES = 5
+"""Frames at the start of a recording under stress that are clean: images that are frozen from the
+first frame on are those of a camera at rest."""
 
 
 class SpoilConfig(Settings):
@@ -54,6 +61,9 @@ class SpoilConfig(Settings):
     burst_frames: float = Field(
         6.0, ge=1, le=1000, description="Mean length of a burst, frames; its length is geometric."
     )
+    clean_start_frames: int = Field(
+        1, ge=1, le=1000, description="Frames at the start that are left as they are."
+    )
     right_late_frames: int = Field(
         0,
         ge=0,
@@ -67,3 +77,46 @@ class SpoilConfig(Settings):
         if self.preset == "delay":
             return max(self.right_late_frames, 1)
         return self.right_late_frames
+
+
+class StressConfig(Settings):
+    """Which spoiled versions of a recording the odometry is run on."""
+
+    presets: tuple[StressPreset, ...] = Field(
+        ("blur", "darkness", "exposure", "occluders", "dirt", "jpeg", "frames", "mixed"),
+        min_length=1,
+        description="What is done, one after the other.",
+    )
+    severities: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(
+        (0.25, 0.5, 0.75, 1.0),
+        min_length=1,
+        description="How much of it; the severity of frames is the share of its bursts.",
+    )
+    repeats: int = Field(
+        1, ge=1, le=1000, description="Runs of each preset and severity, with other seeds."
+    )
+    clean: float = Field(
+        0.2, ge=0, lt=1, description="Share of the frames that are left as they are."
+    )
+    burst_frames: float = Field(6.0, ge=1, le=1000, description="Mean length of a burst, frames.")
+
+    @field_validator("presets", "severities")
+    @classmethod
+    def _check_distinct(cls, values: tuple[object, ...]) -> tuple[object, ...]:
+        if len(set(values)) < len(values):
+            raise ValueError("it should name each once")
+        return values
+
+    def spoiling(self, preset: StressPreset, severity: float, seed: int) -> SpoilConfig:
+        """Return how a recording is spoiled for one of the runs."""
+        clean = self.clean
+        if preset == "frames":  # a frame is lost or not: more severe is more often
+            clean = 1.0 - severity * (1.0 - self.clean)
+        return SpoilConfig(
+            preset=preset,
+            seed=seed,
+            severity=severity,
+            clean=clean,
+            burst_frames=self.burst_frames,
+            clean_start_frames=CLEAN_START_FRAMES,
+        )

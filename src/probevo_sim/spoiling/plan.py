@@ -48,14 +48,14 @@ def plan_frames(config: SpoilConfig, count: int) -> list[FramePlan]:
     """Draw what is done to each of ``count`` frames.
 
     Bursts and clean stretches alternate; both have geometric lengths, the means of which give the
-    share of clean frames that the settings ask for. The first frame is clean.
+    share of clean frames that the settings ask for. They begin after the clean frames at the start.
     """
     effects = PRESETS[config.preset]
     if not effects or config.clean >= 1.0:
         return [FramePlan()] * count
     rng = np.random.default_rng([config.seed, _PLAN_KEY])
     clean_frames = config.burst_frames * config.clean / (1.0 - config.clean)
-    plans = [FramePlan()]
+    plans = [FramePlan()] * config.clean_start_frames
     burst = 0
     while len(plans) < count:
         length = int(rng.geometric(1.0 / config.burst_frames))

@@ -42,6 +42,13 @@ def test_the_first_frame_is_clean_and_places_in_a_burst_are_counted() -> None:
         assert plan.position == expected
 
 
+def test_the_start_is_as_long_as_asked_for() -> None:
+    plans = plan_frames(SpoilConfig(clean=0.0, clean_start_frames=7), 100)
+    assert all(plan.effect is None for plan in plans[:7])
+    assert plans[7].effect is not None
+    assert plans[7:] == plan_frames(SpoilConfig(clean=0.0), 100)[1:-6]
+
+
 def test_another_seed_is_another_plan() -> None:
     first = plan_frames(SpoilConfig(seed=1), 100)
     assert first == plan_frames(SpoilConfig(seed=1), 100)

@@ -1,0 +1,217 @@
+"""Picture and page of how the odometry fares on spoiled versions of a recording."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from probevo.files import write_atomically
+from probevo.output.page import body_panel, panel, pictures, table_panel, write_page
+from probevo.output.svg import BLUE, CYCLE, GREY, ORANGE, WIDTH_IN, figure_style
+from probevo.output.table import Column, Row, Table
+from probevo_sim.spoiling.stress import REGION, Figures, Stress
+
+MOST_OUTSIDE = 0.01
+"""Share of the steps that are OK that may lie outside of the region; more is marked."""
+FEWEST_OK = 0.97
+"""Share of the steps that should be OK; less is marked."""
+_PNG_DPI = 150
+_IN_DEG = 180.0 / np.pi
+
+
+def stress_table(stress: Stress) -> Table:
+    """Make the table of all presets and severities."""
+    columns = (
+        Column("severity", align="left"),
+        Column("steps", format=str),
+        Column("OK", "%"),
+        Column("error", "mm"),
+        Column("claimed σ", "mm"),
+        Column("error", "°"),
+        Column("claimed σ", "°"),
+        Column("outside", "%"),
+        Column("not OK: error", "m"),
+        Column("claimed σ", "m"),
+    )
+    rows = [
+        Row.of(
+            figures.severity,
+            figures.steps,
+            100.0 * figures.ok,
+            _times(figures.translation_m, 1e3),
+            _times(figures.translation_sigma_m, 1e3),
+            _times(figures.rotation_rad, _IN_DEG),
+            _times(figures.rotation_sigma_rad, _IN_DEG),
+            _times(figures.outside, 100.0),
+            figures.dead_reckoned_m,
+            figures.dead_reckoned_sigma_m,
+            section=figures.preset,
+        )
+        for preset in stress.presets
+        for figures in stress.of(preset)
+    ]
+    return Table(columns, tuple(rows))
+
+
+def stress_notes(stress: Stress) -> list[str]:
+    """Say in sentences where steps are lost, and where the claim does not cover the error."""
+    percent = 100.0 * REGION
+    few = [_place(each) for each in stress.figures if each.ok < FEWEST_OK]
+    wrong = [
+        f"{_place(each)} ({round(each.outside * each.num_ok)} of {each.num_ok})"
+        for each in stress.figures
+        if each.outside is not None and each.outside > MOST_OUTSIDE
+    ]
+    notes = []
+    if few:
+        notes.append(f"Less than {100.0 * FEWEST_OK:g} % of the steps are OK: {', '.join(few)}.")
+    else:
+        notes.append(f"At least {100.0 * FEWEST_OK:g} % of the steps are OK everywhere.")
+    if wrong:
+        notes.append(
+            f"More than {100.0 * MOST_OUTSIDE:g} % of the OK steps lie outside of their"
+            f" {percent:.2f} % region: {', '.join(wrong)}."
+        )
+    else:
+        notes.append(
+            f"Nowhere do more than {100.0 * MOST_OUTSIDE:g} % of the OK steps lie outside of their"
+            f" {percent:.2f} % region."
+        )
+    return notes
+
+
+def errors_figure(stress: Stress) -> Figure:
+    """Draw the error of a step and its claimed σ against the severity: a row for each preset,
+    translation at the left, rotation at the right."""
+    num_rows = len(stress.presets)
+    figure = Figure(figsize=(2 * WIDTH_IN, 0.7 + 1.5 * num_rows))
+    grid = figure.subplots(num_rows, 2, sharex=True, sharey="col", squeeze=False)
+    for row, preset in zip(grid, stress.presets, strict=True):
+        found = [each for each in stress.of(preset) if each.num_ok]
+        severities = [each.severity for each in found]
+        translation, rotation = row
+        _draw_errors(
+            translation,
+            severities,
+            [1e3 * (each.translation_m or 0.0) for each in found],
+            claims=[1e3 * (each.translation_sigma_m or 0.0) for each in found],
+            clean=1e3 * stress.clean_sigma_m,
+        )
+        _draw_errors(
+            rotation,
+            severities,
+            [_IN_DEG * (each.rotation_rad or 0.0) for each in found],
+            claims=[_IN_DEG * (each.rotation_sigma_rad or 0.0) for each in found],
+            clean=_IN_DEG * stress.clean_sigma_rad,
+        )
+        translation.set(title=preset, ylabel="RMS, mm")
+        rotation.set(ylabel="RMS, °")
+    for axes in grid[-1]:
+        axes.set(xlabel="severity")
+    handles, labels = grid.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=3)
+    return figure
+
+
+def shares_figure(stress: Stress) -> Figure:
+    """Draw which share of the steps is OK, and which share of these is worse than claimed."""
+    figure = Figure(figsize=(2 * WIDTH_IN, 3.0))
+    ok, outside = figure.subplots(1, 2)
+    for k, preset in enumerate(stress.presets):
+        found = stress.of(preset)
+        severities = [each.severity for each in found]
+        color = CYCLE[k % len(CYCLE)]
+        ok.plot(severities, [100.0 * each.ok for each in found], "o-", color=color, label=preset)
+        shares = [float("nan") if each.outside is None else each.outside for each in found]
+        outside.plot(severities, [100.0 * share for share in shares], "o-", color=color)
+    outside.axhline(100.0 * (1.0 - REGION), color=GREY, lw=0.9, ls="--")
+    ok.set(xlabel="severity", ylabel="OK, % of the steps", xlim=(0.0, 1.05), ylim=(0.0, 105.0))
+    ylabel = f"outside of {100.0 * REGION:.2f} %, % of those OK"
+    outside.set(xlabel="severity", ylabel=ylabel, xlim=(0.0, 1.05))
+    outside.set_ylim(bottom=0.0)
+    handles, labels = ok.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=8)
+    return figure
+
+
+def write_stress_page(path: Path, stress: Stress, title: str, facts: Mapping[str, str]) -> None:
+    """Write the page. The same arguments give the same bytes.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    with figure_style():
+        errors = panel(
+            "Error against claim",
+            "Steps that are OK, against the run on the clean images: translation at the left,"
+            " rotation at the right. The dashed σ is that of both runs together;"
+            " where the error lies above it, the claim is overconfident.",
+            errors_figure(stress),
+        )
+        shares = panel(
+            "Steps that are lost, and steps that are wrong",
+            "Right: steps that are OK but whose error lies outside of their"
+            f" {100.0 * REGION:.2f} % region; dashed, what chance has there.",
+            shares_figure(stress),
+        )
+    sections = [
+        body_panel("In short", stress_notes(stress), ""),
+        errors,
+        shares,
+        table_panel(
+            "Figures",
+            [
+                "RMS of the steps that are OK; outside: their share outside of the"
+                f" {100.0 * REGION:.2f} % region. Right: the steps that are dead-reckoned."
+            ],
+            stress_table(stress),
+        ),
+    ]
+    if stress.pictures:
+        sections.append(body_panel("What was done", [], pictures(stress.pictures)))
+    write_page(path, title, facts, sections=sections)
+
+
+def write_picture(path: Path, stress: Stress) -> None:
+    """Write the figure of errors and claims as PNG.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    buffer = io.BytesIO()
+    with figure_style():
+        figure = errors_figure(stress)
+        figure.savefig(buffer, format="png", dpi=_PNG_DPI, facecolor="white")
+    write_atomically(path, buffer.getvalue())
+
+
+def _draw_errors(
+    axes: Axes,
+    severities: list[float],
+    errors: list[float],
+    *,
+    claims: list[float],
+    clean: float,
+) -> None:
+    """Draw errors and claims of one preset, and what is claimed on the clean images."""
+    axes.plot(severities, errors, "o-", color=BLUE, ms=4, label="error")
+    axes.plot(severities, claims, "s--", color=ORANGE, ms=3.5, label="claimed σ, both runs")
+    axes.axhline(clean, color=GREY, lw=0.9, ls=":", label="claimed σ, clean images alone")
+    axes.set(yscale="log", xlim=(0.0, 1.05))
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _place(figures: Figures) -> str:
+    return f"{figures.preset} {figures.severity:g}"
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value
