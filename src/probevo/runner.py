@@ -43,6 +43,7 @@ from probevo.tracking.left_right import (
     check_left_right,
     count_matches,
 )
+from probevo.tracking.pair_timing import PairTiming
 from probevo.tracking.preparation import prepare_ahead
 
 SMOOTHED_TUM = "trajectory.smoothed.tum"
@@ -126,6 +127,7 @@ def _run(
     recorder = RunRecorder()
     pictures = _Pictures.spread_over(num_frames)
     smoothed = SmoothedPath()
+    timing = PairTiming(config.tracking)
     num_matches = np.zeros(2, np.int64)  # with positive and with negative disparity
     try:
         for frame in prepare_ahead(islice(sequence, num_frames), config.tracking):
@@ -137,6 +139,7 @@ def _run(
             )
             pictures.add(frame, odometry)
             smoothed.add(odometry.window)
+            timing.add(frame)
 
             # Swapped images have mostly negative disparities; a few frames are enough to see it.
             num_matches += count_matches(odometry.tracks)
@@ -149,23 +152,28 @@ def _run(
     except BaseException as stop:
         # Keep what was computed, whatever the reason. The first frame is no motion, and must not
         # replace the results of an earlier run.
-        result = _result(recorder, odometry, smoothed)
+        result = _result(recorder, odometry, smoothed, timing=timing)
         if len(result) > 1:
             result = replace(result, stopped=_reason(stop))
             _write_results(out, sequence, config, result=result, pictures=pictures)
             stop.add_note(f"The results of the first {len(result)} frames are in {out}.")
         raise
-    result = _result(recorder, odometry, smoothed)
+    result = _result(recorder, odometry, smoothed, timing=timing)
     return _write_results(out, sequence, config, result=result, pictures=pictures)
 
 
-def _result(recorder: RunRecorder, odometry: StereoOdometry, smoothed: SmoothedPath) -> RunResult:
-    """Return what was recorded, how far the rig moves by the last estimate, and the smoothed
-    path."""
+def _result(
+    recorder: RunRecorder, odometry: StereoOdometry, smoothed: SmoothedPath, *, timing: PairTiming
+) -> RunResult:
+    """Return what was recorded, how far the rig moves by the last estimate, the smoothed path, and
+    whether left and right images belong together."""
     rig = odometry.rig
     sigma_rad = None if rig is None else rig.jitter.sigma_rad
     return replace(
-        recorder.result(), jitter_sigma_rad=sigma_rad, smoothed=smoothed.poses(odometry.window)
+        recorder.result(),
+        jitter_sigma_rad=sigma_rad,
+        smoothed=smoothed.poses(odometry.window),
+        right_late_frames=timing.right_late_frames,
     )
 
 

@@ -17,6 +17,7 @@ from sequences.recordings import (
     write_kitti_raw,
     write_tracks,
 )
+from strips import write_strips
 
 
 def info(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
@@ -165,3 +166,13 @@ def test_an_implausible_angular_rate_is_marked(
     replace("imu.csv", ",0.1,", f",{rate},")(recording)
     rows = info(recording, capsys)
     assert "1 of 41 have an angular rate over 2000 rad/s" in rows["! IMU samples"]
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_right_images_of_other_frames_are_marked(
+    late: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = info(write_strips(tmp_path / "strips", 18, right_late=late), capsys)
+    assert ("! timing" in rows) == bool(late)
+    if late:
+        assert rows["! timing"].startswith("The right images are one frame late")

@@ -25,6 +25,7 @@ from probevo.sequences.pose_files import read_kitti_poses, read_tum
 from probevo.sequences.without_imu import WithoutImu
 from sequences.damage import cut, replace
 from sequences.recordings import write_folder_sequence, write_tracks
+from strips import write_strips
 from worlds import Homesick
 
 FILES = {
@@ -213,6 +214,18 @@ def test_swapped_images_are_refused(
     assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 2
     assert "negative disparity.\n         Are left and right swapped?" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_right_images_of_other_frames_are_warned_of(
+    late: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = write_strips(tmp_path / "strips", 18, right_late=late)
+    assert main(["run", str(recording), "--out", str(tmp_path / "out")]) == 0
+    said = "The right images are one frame late"
+    assert (said in capsys.readouterr().err) == bool(late)
+    assert (said in (tmp_path / "out" / "report.html").read_text()) == bool(late)
+    assert read_motions(tmp_path / "out").right_late_frames == late
 
 
 def test_sigterm_leaves_what_came_before(wall: Path, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ def test_a_run_comes_back_as_it_was(
 ) -> None:
     run = replace(make_run(count, outside=outside), unusable={"imu_samples_too_large": 3})
     if outside is not None:
-        run = replace(run, jitter_sigma_rad=np.array([1e-5, 2e-4, 3e-5]))
+        run = replace(run, jitter_sigma_rad=np.array([1e-5, 2e-4, 3e-5]), right_late_frames=-1)
     write_motions(tmp_path / "motions.npz", run)
     back = read_motions(tmp_path / "motions.npz")
     for field in fields(RunResult):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probevo.estimation.motion_estimate import Status
-from probevo.output.run_warnings import status_warning
+from probevo.output.run_warnings import status_warning, timing_warning
 
 
 @pytest.mark.parametrize("status", [s for s in Status if s not in (Status.FIRST, Status.OK)])
@@ -19,3 +19,16 @@ def test_the_status_that_prevails_is_named(status: Status) -> None:
 def test_half_of_the_steps_are_enough() -> None:
     assert status_warning(np.array([Status.OK, Status.GAP])) is None
     assert status_warning(np.zeros(0, np.int64)) is None
+
+
+def test_images_of_other_frames_are_named_with_the_cure() -> None:
+    assert timing_warning(0) is None
+    right = timing_warning(1)
+    left = timing_warning(-2)
+    assert right is not None
+    assert left is not None
+    assert right.startswith("The right images are one frame late")
+    assert right.endswith("leave out the first right image.")
+    assert left.startswith("The left images are 2 frames late")
+    assert "2 frames earlier" in left
+    assert left.endswith("leave out the first 2 left images.")

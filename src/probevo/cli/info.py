@@ -38,6 +38,9 @@ MIN_DISPARITY_PX = 0.25
 """If nine of ten matches have less, left and right are probably the same image; the noise of
 matching is 0.1 to 0.2 px."""
 
+FRAMES_FOR_TIMING = 60
+"""Frames, from the start, of which left and right images are compared with their neighbours."""
+
 IMAGE_QUESTIONS = (
     "Are left and right the same image?",
     "Are the images rectified, sharp and textured?",
@@ -72,6 +75,7 @@ def main(words: list[str]) -> None:
     rows = describe(sequence)
     try:
         rows += examine(sequence)
+        rows += _timing_warnings(sequence)
         rows += _imu_warnings(sequence)
     finally:  # a damaged image must not hide what is known without it
         print(columns(rows), flush=True)
@@ -215,6 +219,20 @@ def _imu_warnings(sequence: Sequence) -> Rows:
     rows = [("! IMU samples", text) for text in sample_warnings(sequence.imu_stream)]
     warning = imu_warning(ImageRotations.of(sequence), sequence.imu_stream, sequence.imu)
     return [*rows, ("! gyro", warning)] if warning else rows
+
+
+def _timing_warnings(sequence: Sequence) -> Rows:
+    """Warn of right images that belong to other frames than the left ones."""
+    from probevo.output.run_warnings import timing_warning
+    from probevo.tracking.pair_timing import PairTiming
+
+    timing = PairTiming(RunConfig().tracking)
+    for frame in islice(sequence, FRAMES_FOR_TIMING):
+        timing.add(frame)
+        if timing.is_decided:
+            break
+    warning = timing_warning(timing.right_late_frames)
+    return [("! timing", warning)] if warning else []
 
 
 def examine(sequence: Sequence) -> Rows:

@@ -61,13 +61,18 @@ def main(words: list[str]) -> None:
     settings = settings.model_copy(update={"sequence": arguments.sequence})
 
     # Only now, after the arguments are known to be good: these imports take time.
-    from probevo.output.run_warnings import scale_warning, status_warning
+    from probevo.output.run_warnings import scale_warning, status_warning, timing_warning
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
     run = run_with_progress(sequence, settings, arguments.out, threads=arguments.threads)
     print("\n".join(summary(run, arguments.out)), flush=True)
-    for warning in (status_warning(run.result.status), scale_warning(run.result, run.truth)):
+    warnings = (
+        status_warning(run.result.status),
+        timing_warning(run.result.right_late_frames),
+        scale_warning(run.result, run.truth),
+    )
+    for warning in warnings:
         if warning:
             print(f"probevo: warning: {warning}", file=sys.stderr)
     if arguments.strict and status_warning(run.result.status):

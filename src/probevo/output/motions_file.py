@@ -53,6 +53,8 @@ def write_motions(path: Path, result: RunResult) -> None:
         arrays[_REJECTED + name.replace(" ", "_")] = np.array(count, dtype=np.int64)
     for name, count in result.unusable.items():
         arrays[_UNUSABLE + name] = np.array(count, dtype=np.int64)
+    if result.right_late_frames:
+        arrays["right_late_frames"] = np.array(result.right_late_frames, dtype=np.int64)
     if result.stopped is not None:
         arrays["stopped"] = np.array(result.stopped)
     buffer = io.BytesIO()
@@ -118,6 +120,9 @@ def read_motions(path: Path | str) -> RunResult:
             for name in arrays
             if name.startswith(_UNUSABLE)
         },
+        right_late_frames=int(_take(path, arrays, "right_late_frames", shape=()))
+        if "right_late_frames" in arrays
+        else 0,
         stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
         jitter_sigma_rad=_take(path, arrays, "jitter_sigma_rad", shape=(3,))
         if "jitter_sigma_rad" in arrays

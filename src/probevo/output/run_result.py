@@ -68,6 +68,9 @@ class RunResult:
     jitter_sigma_rad: FloatArray | None = None
     """Standard deviation by which the right camera's pitch, yaw and roll against the left one are
     off in each frame, as estimated at the end, [3]; None without self-calibration."""
+    right_late_frames: int = 0
+    """Frames by which the right images are late, as ``PairTiming`` finds it; negative if the left
+    ones are, and 0 also where nothing is known."""
     unusable: dict[str, int] = field(default_factory=dict)
     """Samples and features that could not be used, counted by what was wrong with them
     (``MotionEstimate.missing``)."""

@@ -36,6 +36,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
     warnings = {
         "Stopped before the end": stopped,
         "Hardly a step is OK": status_warning(result.status),
+        "Right images of other frames": timing_warning(result.right_late_frames),
         "Scale": scale_warning(result, truth),
         "Out of domain": domain_warning(result.out_of_domain),
     }
@@ -54,6 +55,22 @@ def status_warning(status: IntArray) -> str | None:
         f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not reliable. Most"
         f" others are {name}, which usually comes of {_CAUSES[prevailing]}: see `probevo info"
         " SEQUENCE`."
+    )
+
+
+def timing_warning(right_late_frames: int) -> str | None:
+    """Warn of right images that belong to other frames than the left ones (``PairTiming``)."""
+    if right_late_frames == 0:
+        return None
+    late = "right" if right_late_frames > 0 else "left"
+    when = "later" if right_late_frames > 0 else "earlier"
+    is_one = abs(right_late_frames) == 1
+    frames = "one frame" if is_one else f"{abs(right_late_frames)} frames"
+    first = f"the first {late} image" if is_one else f"the first {frames[0]} {late} images"
+    return (
+        f"The {late} images are {frames} late: the rows of a left image agree best with those of"
+        f" the right image {frames} {when}. Motions and covariances are wrong. Pair the images by"
+        f" their stamps, or leave out {first}."
     )
 
 

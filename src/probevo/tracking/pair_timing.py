@@ -1,0 +1,130 @@
+"""Detection of right images that belong to another frame than the left ones.
+
+A point lies in the same row of both images of a rectified pair. While the camera moves, its row in
+the right image of the frame before or after is another one, by an amount that depends on its depth.
+So the right image whose rows agree best with those of a left image is the one taken with it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.config import TrackingConfig
+from probevo.sequences.frame import Frame
+from probevo.sequences.prepared_images import PreparedImages, Pyramid
+from probevo.tracking.lucas_kanade import track_points
+from probevo.tracking.preparation import prepare_images
+
+OFFSETS = (-2, -1, 0, 1, 2)
+"""Frames from a left image to the right images that it is compared with."""
+EVERY_FRAMES = 2
+"""Frames between two comparisons."""
+MOST_COMPARISONS = 40
+"""Comparisons after which nothing more is decided, as of a camera at rest."""
+FEWEST_VOTES = 5
+"""Comparisons with a clear result that a decision needs."""
+ENOUGH_VOTES = 8
+"""Comparisons with a clear result after which no more are made."""
+UNANIMOUS = 0.8
+"""Share of these that have to agree."""
+CLEAR_RATIO = 1.5
+"""Factor by which the rows of the best right image agree better than those of any other; it is
+less for a camera at rest."""
+FEWEST_MATCHES = 20
+MOST_DIFFERENT_WAYS_PX = 0.5
+"""Largest distance of a point from where the way to the right image and back leads."""
+FIT_ITERATIONS = 15
+
+
+class PairTiming:
+    """Compares left images with the right ones of the frames around them, as frames come."""
+
+    def __init__(self, config: TrackingConfig) -> None:
+        self._config = config
+        self._last: deque[PreparedImages] = deque(maxlen=len(OFFSETS))
+        self._num_frames = 0
+        self._num_comparisons = 0
+        self._votes: list[int] = []
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether further frames change nothing."""
+        has_enough = len(self._votes) >= ENOUGH_VOTES
+        return has_enough or self._num_comparisons >= MOST_COMPARISONS
+
+    @property
+    def right_late_frames(self) -> int:
+        """Frames by which the right images are late, up to 2; negative if the left ones are, and 0
+        also where nothing is known."""
+        if len(self._votes) < FEWEST_VOTES:
+            return 0
+        for offset in OFFSETS:
+            if self._votes.count(offset) >= UNANIMOUS * len(self._votes):
+                return offset
+        return 0
+
+    def add(self, frame: Frame) -> None:
+        """Take the next frame; one without images is left out."""
+        if self.is_decided or frame.left is None or frame.right is None:
+            return
+        self._last.append(prepare_images(frame, self._config))
+        self._num_frames += 1
+        if len(self._last) < len(OFFSETS) or self._num_frames % EVERY_FRAMES:
+            return
+        self._num_comparisons += 1
+        left = self._last[len(OFFSETS) // 2]
+        scatters = [row_scatter(left, images.right, self._config) for images in self._last]
+        best = _clearly_best(scatters)
+        if best is not None:
+            self._votes.append(best)
+
+
+def row_scatter(images: PreparedImages, right: Pyramid, config: TrackingConfig) -> float:
+    """Measure how far rows of a left and a right image are apart, but for an affine map.
+
+    Args:
+        images: with the left image and its corners.
+        right: pyramid of a right image.
+        config: settings of the search.
+
+    Returns:
+        Median absolute residual of v_r − v_l, px; ∞ where hardly a corner is found.
+    """
+    left_px = images.corners.reshape(-1, 2)
+    left_px = left_px[np.isfinite(left_px[:, 0])]
+    found = track_points(images.left, right, left_px, start_px=left_px, config=config)
+    back = track_points(right, images.left, found.pixels, start_px=found.pixels, config=config)
+    way_px = np.abs(back.pixels - left_px).max(axis=1, initial=0.0)
+    is_match = np.isfinite(found.difference) & np.isfinite(back.difference)
+    is_match &= way_px < MOST_DIFFERENT_WAYS_PX
+    if is_match.sum() < FEWEST_MATCHES:
+        return np.inf
+    return _scatter(left_px[is_match], (found.pixels - left_px)[is_match, 1])
+
+
+def _clearly_best(scatters: list[float]) -> int | None:
+    """Return the offset of the right image whose rows agree best; None if another is as good."""
+    best = int(np.argmin(scatters))
+    others = [scatter for k, scatter in enumerate(scatters) if k != best]
+    if not min(others) > CLEAR_RATIO * scatters[best]:
+        return None
+    return OFFSETS[best]
+
+
+def _scatter(left_px: FloatArray, rows_px: FloatArray) -> float:
+    """Fit an affine map to row differences, [N], of points [N, 2], robustly (Cauchy's loss)."""
+    spread_px = np.maximum(left_px.std(axis=0), 1.0)
+    places = (left_px - left_px.mean(axis=0)) / spread_px
+    design = np.column_stack([np.ones(len(places)), places])
+    weights = np.ones(len(places))
+    residual_px = rows_px
+    for _ in range(FIT_ITERATIONS):
+        root = np.sqrt(weights)
+        solution = np.linalg.lstsq(design * root[:, None], rows_px * root, rcond=None)[0]
+        residual_px = rows_px - design @ solution
+        scale_px = max(float(np.median(np.abs(residual_px))), 1e-3)
+        weights = 1.0 / (1.0 + (residual_px / (3.0 * scale_px)) ** 2)
+    return float(np.median(np.abs(residual_px)))
