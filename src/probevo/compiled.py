@@ -17,13 +17,32 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def compiled(function: Function) -> Function:
     """Compile an inner loop with Numba on its first call, and cache the machine code on disk.
 
-    Division by zero gives infinity or NaN instead of an exception. Sums may be reordered, but NaN
-    and infinity keep their meaning. The loop releases the GIL.
+    Division by zero gives infinity or NaN instead of an exception. The loop releases the GIL.
+
+    The arithmetic is that of the source, in its order. If sums might be reordered ("fast math"),
+    their rounding would depend on what the optimizer makes of each function, which differs between
+    one that was compiled a moment ago and one that was read from the cache: two processes could
+    then give different bytes for the same seed.
     """
-    compile_ = njit(
-        cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"}
-    )
+    return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def _compiled_with_free_order(function: Function) -> Function:
+    """Compile a loop of one single sum, whose terms may be added in any order.
+
+    The processor then adds many at once. The function must call no other compiled one.
+    """
+    compile_ = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc"})
     return cast(Function, compile_(function))
+
+
+@_compiled_with_free_order
+def dot_float32(a: FloatArray, b: FloatArray) -> float:
+    """Return the inner product of two contiguous vectors of float32 of the same length."""
+    total = np.float32(0.0)
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
 
 
 @compiled

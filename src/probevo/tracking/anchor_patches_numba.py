@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray, Image, IntArray
-from probevo.compiled import compiled, copy_into, factor, substitute
+from probevo.compiled import compiled, copy_into, dot_float32, factor, substitute
 
 BRIGHTNESS_NOISE = 4.0
 """Standard deviation of a pixel's brightness between two views of the same point, grey levels."""
@@ -164,10 +164,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
             # Solve the normal equations for the step (t, S)
             _subtract(flat_image, image.shape[1], warped, template.brightness, error=error)
             for k in range(6):
-                total = np.float32(0.0)
-                for i in range(area):
-                    total += template.steepest_descent[k, i] * error[i]
-                gradient[k] = total
+                gradient[k] = dot_float32(template.steepest_descent[k], error)
             _add_prior(prior, A, predicted, gradient=gradient)
             substitute(lower, gradient, step)
             # Compose the map with the inverse of the step, which was found for the patch and not
@@ -226,10 +223,7 @@ def _linearize(
     # Gauss–Newton information of the patch, constant during the alignment
     for m in range(6):
         for n in range(m + 1):
-            total = np.float32(0.0)
-            for i in range(len(window)):
-                total += descent[m, i] * descent[n, i]
-            information[m, n] = information[n, m] = total
+            information[m, n] = information[n, m] = dot_float32(descent[m], descent[n])
 
 
 @compiled

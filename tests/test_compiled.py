@@ -1,0 +1,40 @@
+"""Compiled loops: whatever is compiled when, their arithmetic is that of the source."""
+
+import importlib
+import pkgutil
+from types import ModuleType
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+import probevo
+import probevo_sim
+from probevo.compiled import dot_float32
+
+
+def compiled_functions(package: ModuleType) -> dict[str, Dispatcher]:
+    """Return the compiled functions of a package by their full names."""
+    found: dict[str, Dispatcher] = {}
+    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        if module.name.endswith("__main__"):
+            continue
+        for name, value in vars(importlib.import_module(module.name)).items():
+            if isinstance(value, Dispatcher) and value.__module__ == module.name:
+                found[f"{module.name}.{name}"] = value
+    return found
+
+
+def test_only_the_inner_product_may_reorder_its_sum() -> None:
+    """Reordered sums differ in their last digits between a cold and a warm compiler cache."""
+    functions = compiled_functions(probevo) | compiled_functions(probevo_sim)
+    assert len(functions) > 100
+    fast = [name for name, one in functions.items() if one.targetoptions.get("fastmath")]
+    assert fast == ["probevo.compiled.dot_float32"]
+
+
+def test_inner_product() -> None:
+    rng = np.random.default_rng(0)
+    for n in (0, 1, 7, 121):
+        a = rng.normal(size=n).astype(np.float32)
+        b = rng.normal(size=n).astype(np.float32)
+        np.testing.assert_allclose(dot_float32(a, b), np.dot(a, b), rtol=1e-5, atol=1e-5)
