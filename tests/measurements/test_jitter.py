@@ -64,8 +64,10 @@ def test_columns_against_central_differences() -> None:
     found = found.propagated({MOTION: FORWARD, found.jitter.variable: np.zeros(6)})
     jitter = found.jitter
     assert jitter is not None
+    assert found.linearized_jitter is not None
+    columns = found.linearized_jitter.columns
     refined = found.propagated_noise.refined
-    sensitivity = jitter.sensitivity[:, :3]
+    sensitivity = jitter.effects.sensitivity[:, :3]
 
     def predicted(eta: FloatArray) -> FloatArray:
         u, v, d = (refined + sensitivity @ eta).T
@@ -73,8 +75,8 @@ def test_columns_against_central_differences() -> None:
 
     for k, step in enumerate(1e-5 * np.eye(3)):
         change = (predicted(step) - predicted(-step)) / 2e-5
-        np.testing.assert_allclose(jitter.columns[:, :, 3 + k], change, rtol=1e-5, atol=1e-6)
-    np.testing.assert_array_equal(jitter.columns[:, 2:, :3], jitter.basis)
+        np.testing.assert_allclose(columns[:, :, 3 + k], change, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(columns[:, 2:, :3], jitter.effects.basis)
 
 
 def test_a_turn_of_the_right_camera_moves_the_point_by_its_opposite() -> None:
@@ -85,8 +87,10 @@ def test_a_turn_of_the_right_camera_moves_the_point_by_its_opposite() -> None:
     root = np.linalg.cholesky(COV)
     offsets = jitter_offsets(tracks.prev_px, CAMERA) @ root
     # The rows of both images weigh alike, and the disparity falls where u_r grows.
-    np.testing.assert_allclose(found.jitter.sensitivity[:, 1], -0.5 * offsets[:, 1], atol=1e-12)
-    np.testing.assert_allclose(found.jitter.sensitivity[:, 2], offsets[:, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        found.jitter.effects.sensitivity[:, 1], -0.5 * offsets[:, 1], atol=1e-12
+    )
+    np.testing.assert_allclose(found.jitter.effects.sensitivity[:, 2], offsets[:, 0], atol=1e-12)
 
 
 def test_covariance_is_consistent_only_with_the_jitter() -> None:

@@ -21,7 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.rig_jitter_numba import right_offsets
 from probevo.camera.stereo import StereoCamera
+from probevo.camera.transfer_numba import Intrinsics
 
 PRIOR_SIGMA_RAD = np.array([1e-4, 1.5e-4, 1.5e-4])
 """Standard deviation of (pitch, yaw, roll) that is assumed at first: 0.1 px of disparity at
@@ -82,14 +84,6 @@ class RigJitter:
 
 def jitter_offsets(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     """Return ∂(u_r, v_r)/∂ω at N observations, [N, 4] to [N, 2, 3], px/rad."""
-    x, y = camera.normalized(pixels[:, 2], pixels[:, 3])
     offsets = np.empty((len(pixels), 2, 3))
-    offsets[:, 0, 0] = -x * y
-    offsets[:, 0, 1] = 1.0 + x * x
-    offsets[:, 0, 2] = -y
-    offsets[:, 1, 0] = -1.0 - y * y
-    offsets[:, 1, 1] = x * y
-    offsets[:, 1, 2] = x
-    offsets[:, 0] *= camera.fu_px
-    offsets[:, 1] *= camera.fv_px
+    right_offsets(Intrinsics.of(camera), np.ascontiguousarray(pixels), offsets)
     return offsets

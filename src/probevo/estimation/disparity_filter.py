@@ -40,8 +40,12 @@ from probevo.estimation.disparity_filter_numba import (
     LinearizedFeatures,
     PosteriorStates,
     PriorStates,
+    add_squares,
     common_mode_equations,
+    joint_posterior,
+    split_rows,
     update_states,
+    whiten,
 )
 from probevo.estimation.reprojection import ReprojectionSolution, sum_products
 from probevo.geometry import se3
@@ -136,6 +140,8 @@ class _JointPosterior:
     """A root of their covariance, [m + 6, m + 6]."""
     common: FloatArray
     """U of the tracks in the filter, at the disparities that the solve has refined, [M, 2, 6]."""
+    linearized: LinearizedFeatures
+    """The features of the solve."""
 
     @staticmethod
     def of(
@@ -174,25 +180,18 @@ class _JointPosterior:
             common=common,
             equations=equations,
         )
-        # Motion and jitter are at their optimum, so that only the common mode has a gradient.
-        hessian = _joint(solution.full_hessian, equations.cross, equations.hessian + np.eye(COMMON))
-        gradient = np.concatenate([np.zeros(own), equations.gradient])
-        first = 6 if knows_motion else 0
         mean = np.zeros(own + COMMON)
-        mean[first:] = np.linalg.solve(hessian[first:, first:], gradient[first:])
-        # From the Hessian to the information: both are A Aᵀ, and the change of A scales the rest.
-        information_root = np.linalg.cholesky(np.linalg.inv(solution.full_cov))
-        hessian_root = np.linalg.cholesky(solution.full_hessian)
-        change = information_root @ np.linalg.inv(hessian_root)
-        factor = float(np.prod(np.diagonal(change))) ** (1.0 / own)
-        information = _joint(
-            information_root @ information_root.T,
-            factor * change @ equations.cross,
-            factor**2 * equations.hessian + np.eye(COMMON),
-        )
-        root = np.zeros_like(information)
-        root[first:, first:] = np.linalg.cholesky(np.linalg.inv(information[first:, first:]))
-        return _JointPosterior(mean=mean, root=root, common=common)
+        root = np.zeros((own + COMMON, own + COMMON))
+        if not joint_posterior(
+            solution.full_hessian,
+            solution.full_cov,
+            equations,
+            num_known=6 if knows_motion else 0,
+            mean=mean,
+            root=root,
+        ):
+            raise np.linalg.LinAlgError("the normal equations are singular to working precision")
+        return _JointPosterior(mean=mean, root=root, common=common, linearized=linearized)
 
 
 def update_with_common_mode(
@@ -216,8 +215,6 @@ def update_with_common_mode(
     """
     is_determined = np.isfinite(solution.cov).all()
     if noise.time_correlated is None or not is_determined:
-        return solution, DisparityFilter.none()
-    if not np.linalg.eigvalsh(solution.hessian)[0] > 0.0:
         return solution, DisparityFilter.none()
     try:
         posterior = _JointPosterior.of(solution, prior)
@@ -251,17 +248,20 @@ def update_at_known_motion(
 ) -> DisparityFilter:
     """Return the filter after a step whose motion is known; the arguments are as above."""
     posterior = None
-    if solution.jitter is not None and np.isfinite(solution.cov).all():
-        posterior = _JointPosterior.of(solution, prior, knows_motion=True)
-    return _update(
-        prior,
-        tracks,
-        noise,
-        solution=solution,
-        camera=camera,
-        inliers=inliers,
-        posterior=posterior,
-    )
+    try:
+        if solution.jitter is not None and np.isfinite(solution.cov).all():
+            posterior = _JointPosterior.of(solution, prior, knows_motion=True)
+        return _update(
+            prior,
+            tracks,
+            noise,
+            solution=solution,
+            camera=camera,
+            inliers=inliers,
+            posterior=posterior,
+        )
+    except np.linalg.LinAlgError:
+        return DisparityFilter.none()
 
 
 def _update(
@@ -280,7 +280,7 @@ def _update(
     order = np.argsort(tracks.ids)
     chosen = order[(inliers & (solution.information[:, 0, 0] > 0.0))[order]]
     count = len(chosen)
-    linearized = _linearized(solution)
+    linearized = _linearized(solution) if posterior is None else posterior.linearized
     own = linearized.jacobian.shape[2]
     mean = np.zeros(own + COMMON)
     common = np.zeros((len(tracks), 2, COMMON))
@@ -288,7 +288,9 @@ def _update(
         common[prior.states.rows] = posterior.common
         mean = posterior.mean
     if solution.jitter is not None:
-        common = np.concatenate([solution.jitter.unknown.sensitivity[:, 2:], common], axis=2)
+        common = np.concatenate(
+            [solution.jitter.unknown.effects.sensitivity[:, 2:], common], axis=2
+        )
     states = PosteriorStates(
         mean=np.empty((count, 2)),
         cov=np.empty((count, 2, 2)),
@@ -317,7 +319,6 @@ def _update(
     jitter = None
     if posterior is not None:
         root = posterior.root
-        sensitivity = _transformed(states.sensitivity, root)
         of_jitter = np.zeros((len(root), 0))
         if solution.jitter is not None:
             jitter_root = solution.jitter.unknown.curr_root
@@ -325,7 +326,9 @@ def _update(
                 solution.jitter.curr_rad + jitter_root @ mean[6 : 6 + AXES],
                 jitter_root @ root[6 : 6 + AXES],
             )
-        kept_common, cov, directions = _strongest_directions(sensitivity, cov, of_jitter)
+        kept_common, directions = _strongest_directions(
+            states.sensitivity, root, cov=cov, chosen=of_jitter
+        )
         step = root[:6]
         path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
         common_before = root[own + COMMON - common.shape[2] :]
@@ -375,8 +378,11 @@ def _jitter_after(mean: FloatArray, root: FloatArray) -> tuple[FloatArray, Jitte
         The three orthonormal directions among these that make it up, [L, 3], and its prior, but for
         the sensitivity of the tracks.
     """
-    directions, upper = np.linalg.qr(root.T)
-    return directions, JitterPrior(mean, upper.T, np.zeros((0, 2, AXES)))
+    lower = np.empty((AXES, AXES))
+    directions = np.empty((root.shape[1], AXES))
+    if not split_rows(root, lower, directions):
+        raise np.linalg.LinAlgError("the covariance of the jitter is singular")
+    return directions, JitterPrior(mean, lower, np.zeros((0, 2, AXES)))
 
 
 def _linearized(solution: ReprojectionSolution) -> LinearizedFeatures:
@@ -388,56 +394,36 @@ def _linearized(solution: ReprojectionSolution) -> LinearizedFeatures:
     )
 
 
-def _joint(motion: FloatArray, cross: FloatArray, common: FloatArray) -> FloatArray:
-    """Return the symmetric matrix of these blocks, [m + 6, m + 6]."""
-    own = len(motion)
-    joint = np.empty((own + COMMON, own + COMMON))
-    joint[:own, :own] = motion
-    joint[:own, own:] = cross
-    joint[own:, :own] = cross.T
-    joint[own:, own:] = common
-    return joint
-
-
 def _strongest_directions(
-    sensitivity: FloatArray, cov: FloatArray, chosen: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+    sensitivity: FloatArray, root: FloatArray, cov: FloatArray, chosen: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Split common errors into the six that move the tracks most, and the rest.
 
     Args:
-        sensitivity: how they move (d, δ) of each track, [M, 2, L].
-        cov: each track's own covariance, [M, 2, 2], against which the size of a move counts.
-        chosen: orthonormal directions that are kept in any case, [L, K], beside six others.
+        sensitivity: how errors z move (d, δ) of each track, [M, 2, L].
+        root: how z follows from L whitened errors, [L, L].
+        cov: each track's own covariance, [M, 2, 2], against which the size of a move counts; the
+            rest of the errors is added to it.
+        chosen: orthonormal directions of the whitened errors that are kept in any case, [L, K],
+            beside six others.
 
     Returns:
-        The sensitivity to the K + 6, [M, 2, K + 6]; the covariances with the others added; the
-        K + 6 directions, [L, K + 6].
+        The sensitivity to the K + 6, [M, 2, K + 6], and the K + 6 directions, [L, K + 6].
     """
-    # Whiten by the Cholesky factor of each 2 × 2 covariance, written out.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first = np.sqrt(cov[:, :1, 0])
-        across = cov[:, 1, :1] / first
-        rest = cov[:, 1, 1:] - across**2
-    if not (rest > 0.0).all():
-        raise np.linalg.LinAlgError("a track's covariance is not positive definite")
-    white = np.empty_like(sensitivity)
-    white[:, 0] = sensitivity[:, 0] / first
-    white[:, 1] = (sensitivity[:, 1] - across * white[:, 0]) / np.sqrt(rest)
     # The chosen ones are projected out, and come first among the eigenvalues, which ascend: the
     # strongest directions come last.
-    white = white - _transformed(white, chosen) @ chosen.T
+    white = _transformed(sensitivity, root - (root @ chosen) @ chosen.T)
+    if not whiten(white, cov):
+        raise np.linalg.LinAlgError("a track's covariance is not positive definite")
     _, directions = np.linalg.eigh(sum_products(white, white) - _CHOSEN * (chosen @ chosen.T))
-    num_chosen = chosen.shape[1]
-    kept = np.hstack([chosen, directions[:, -COMMON:]])
-    dropped = _transformed(sensitivity, directions[:, num_chosen:-COMMON])
-    d = dropped[:, 0]
-    error = dropped[:, 1]
-    enlarged = cov.copy()
-    enlarged[:, 0, 0] += np.sum(d * d, axis=1)
-    enlarged[:, 1, 1] += np.sum(error * error, axis=1)
-    enlarged[:, 0, 1] += np.sum(d * error, axis=1)
-    enlarged[:, 1, 0] = enlarged[:, 0, 1]
-    return _transformed(sensitivity, kept), enlarged, kept
+    # All directions at once, in the order (chosen, rest, strongest).
+    first = chosen.shape[1]
+    last = len(root) - COMMON
+    directions[:, :first] = chosen
+    moved = _transformed(sensitivity, root @ directions)
+    add_squares(moved, first, last, cov=cov)
+    kept = np.concatenate([moved[:, :, :first], moved[:, :, last:]], axis=2)
+    return kept, np.concatenate([directions[:, :first], directions[:, last:]], axis=1)
 
 
 def _transformed(sensitivity: FloatArray, transform: FloatArray) -> FloatArray:

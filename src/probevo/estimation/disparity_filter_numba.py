@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled
+from probevo.compiled import (
+    compiled,
+    factor,
+    invert_positive_definite,
+    solve_positive_definite,
+)
 
 COMMON = 6
 """Number of common-mode errors c."""
@@ -177,10 +183,176 @@ def common_mode_equations(
                 for q in range(4):
                     total += features.information[i, r, q] * M[q, k]
                 white[r, k] = weight[i] * total
-        for r in range(4):
-            for k in range(6):
-                gradient[k] += white[r, k] * features.residuals[i, r]
-                for j in range(cross.shape[0]):
-                    cross[j, k] += features.jacobian[i, r, j] * white[r, k]
-                for j in range(COMMON):
-                    hessian[j, k] += M[r, j] * white[r, k]
+        J = features.jacobian[i]
+        e = features.residuals[i]
+        for k in range(COMMON):
+            w0 = white[0, k]
+            w1 = white[1, k]
+            w2 = white[2, k]
+            w3 = white[3, k]
+            gradient[k] += w0 * e[0] + w1 * e[1] + w2 * e[2] + w3 * e[3]
+            for j in range(cross.shape[0]):
+                cross[j, k] += w0 * J[0, j] + w1 * J[1, j] + w2 * J[2, j] + w3 * J[3, j]
+            for j in range(COMMON):
+                hessian[j, k] += w0 * M[0, j] + w1 * M[1, j] + w2 * M[2, j] + w3 * M[3, j]
+
+
+@compiled
+def _set_joint(
+    own: FloatArray, cross: FloatArray, common: FloatArray, scale: float, joint: FloatArray
+) -> None:
+    """Fill in the matrix of these blocks, the last one times ``scale`` and with the prior of c."""
+    m = len(own)
+    for i in range(m):
+        for j in range(m):
+            joint[i, j] = own[i, j]
+        for k in range(COMMON):
+            joint[i, m + k] = joint[m + k, i] = cross[i, k]
+    for k in range(COMMON):
+        for j in range(COMMON):
+            joint[m + k, m + j] = scale * common[k, j] + (1.0 if j == k else 0.0)
+
+
+@compiled
+def joint_posterior(
+    hessian: FloatArray,
+    cov: FloatArray,
+    equations: CommonModeEquations,
+    num_known: int,
+    mean: FloatArray,
+    root: FloatArray,
+) -> bool:
+    """Compute the posterior of z = (ξ, η, c) one Gauss–Newton step from the optimum of (ξ, η).
+
+    Only the common mode has a gradient there. The Hessian of (ξ, η) is H = A Aᵀ, with the robust
+    weights, but its covariance is C = (B Bᵀ)⁻¹: from the Hessian to the information, A changes by
+    F = B A⁻¹. The rest follows: with f the geometric mean of F's diagonal, the cross term becomes
+    f F times, and the Hessian of c f² times that of the robust weights.
+
+    Args:
+        hessian: H of (ξ, η), [m, m].
+        cov: C of (ξ, η), [m, m].
+        equations: of the common mode, without its prior N(0, I).
+        num_known: how many of z, the first ones, are known.
+        mean: filled in, [m + 6]; that of the known ones is left alone.
+        root: filled in, a root of the covariance, [m + 6, m + 6]; likewise.
+
+    Returns:
+        False where a matrix is not positive definite to working precision.
+    """
+    m = len(hessian)
+    free = m + COMMON - num_known
+    joint = np.empty((m + COMMON, m + COMMON))
+    # One Gauss-Newton step.
+    _set_joint(hessian, equations.cross, equations.hessian, scale=1.0, joint=joint)
+    gradient = np.zeros(free)
+    for k in range(COMMON):
+        gradient[free - COMMON + k] = equations.gradient[k]
+    lower = np.zeros((free, free))
+    step = np.empty(free)
+    if not solve_positive_definite(joint[num_known:, num_known:], gradient, lower, solution=step):
+        return False
+    for i in range(free):
+        mean[num_known + i] = step[i]
+    # The change B A⁻¹, and the mean of its diagonal.
+    information = np.empty((m, m))
+    A = np.zeros((m, m))
+    B = np.zeros((m, m))
+    if not (invert_positive_definite(cov, A, information) and factor(information, m, B)):
+        return False
+    if not factor(hessian, m, A):
+        return False
+    scale = 1.0
+    for i in range(m):
+        scale *= (B[i, i] / A[i, i]) ** (1.0 / m)
+    cross = np.empty((m, COMMON))
+    column = np.empty(m)
+    for k in range(COMMON):
+        for i in range(m):
+            total = equations.cross[i, k]
+            for j in range(i):
+                total -= A[i, j] * column[j]
+            column[i] = total / A[i, i]
+        for i in range(m):
+            total = 0.0
+            for j in range(i + 1):
+                total += B[i, j] * column[j]
+            cross[i, k] = scale * total
+    _set_joint(information, cross, equations.hessian, scale=scale * scale, joint=joint)
+    if not factor(joint[num_known:, num_known:], free, lower):
+        return False
+    # A root of (L Lᵀ)⁻¹ is L⁻ᵀ.
+    for j in range(free):
+        for i in range(j, free):
+            total = 1.0 if i == j else 0.0
+            for k in range(j, i):
+                total -= lower[i, k] * root[num_known + j, num_known + k]
+            root[num_known + j, num_known + i] = total / lower[i, i]
+    return True
+
+
+@compiled
+def whiten(sensitivity: FloatArray, cov: FloatArray) -> bool:
+    """Divide sensitivities [M, 2, L] by the Cholesky factors of covariances [M, 2, 2], in place;
+    False where one is not positive definite."""
+    for n in range(len(sensitivity)):
+        first = math.sqrt(cov[n, 0, 0])
+        across = cov[n, 1, 0] / first
+        rest = cov[n, 1, 1] - across * across
+        if not rest > 0.0:
+            return False
+        second = math.sqrt(rest)
+        for k in range(sensitivity.shape[2]):
+            white = sensitivity[n, 0, k] / first
+            sensitivity[n, 0, k] = white
+            sensitivity[n, 1, k] = (sensitivity[n, 1, k] - across * white) / second
+    return True
+
+
+@compiled
+def add_squares(sensitivity: FloatArray, first: int, last: int, cov: FloatArray) -> None:
+    """Add to covariances [M, 2, 2] what some independent errors of unit variance contribute.
+
+    Args:
+        sensitivity: to L errors, [M, 2, L].
+        first: the first of those errors.
+        last: the one behind the last of them.
+        cov: changed in place.
+    """
+    for n in range(len(sensitivity)):
+        for k in range(first, last):
+            of_d = sensitivity[n, 0, k]
+            of_error = sensitivity[n, 1, k]
+            cov[n, 0, 0] += of_d * of_d
+            cov[n, 1, 1] += of_error * of_error
+            cov[n, 0, 1] += of_d * of_error
+        cov[n, 1, 0] = cov[n, 0, 1]
+
+
+@compiled
+def split_rows(rows: FloatArray, lower: FloatArray, directions: FloatArray) -> bool:
+    """Split rows [K, L] into ``lower`` [K, K], triangular, times orthonormal ``directions`` [L, K],
+    transposed, by Gram–Schmidt's method; False where a row depends on those before.
+
+    Each row is orthogonalised twice, and so to working precision.
+    """
+    lower[:] = 0.0
+    for k in range(len(rows)):
+        q = rows[k].copy()
+        for _ in range(2):
+            for j in range(k):
+                along = 0.0
+                for i in range(len(q)):
+                    along += q[i] * directions[i, j]
+                lower[k, j] += along
+                for i in range(len(q)):
+                    q[i] -= along * directions[i, j]
+        squared = 0.0
+        for i in range(len(q)):
+            squared += q[i] * q[i]
+        if not squared > 0.0:
+            return False
+        lower[k, k] = math.sqrt(squared)
+        for i in range(len(q)):
+            directions[i, k] = q[i] / lower[k, k]
+    return True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
@@ -9,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.compiled import invert_positive_definite
+from probevo.compiled import compiled, invert_positive_definite
 from probevo.estimation import gauss_newton
 from probevo.measurements.base import Measurement
 from probevo.measurements.jitter_numba import AXES, DOF
@@ -24,6 +25,8 @@ class SolvedJitter:
     eta: FloatArray
     """(η', η°), [6], in standard deviations of their priors."""
     unknown: JitterUnknown
+    columns: FloatArray
+    """D = −∂e/∂η, [N, 4, 6], px."""
     hessian: FloatArray
     """As of ``ReprojectionSolution``, over (ξ, η), with the prior of η, [12, 12]."""
     cov: FloatArray
@@ -88,7 +91,7 @@ class ReprojectionSolution:
         """The Jacobian by the motion and the jitter, [N, 4, 6] or [N, 4, 12]."""
         if self.jitter is None:
             return self.jacobian
-        return np.concatenate([self.jacobian, self.jitter.unknown.columns], axis=2)
+        return np.concatenate([self.jacobian, self.jitter.columns], axis=2)
 
     @property
     def full_hessian(self) -> FloatArray:
@@ -148,17 +151,19 @@ def solve_reprojection(
     T_curr_prev = optimum.values[curr]
     propagated = cast(StereoObservations, optimum.measurements[0])
     features = propagated.at(optimum.values)
-    of_others = gauss_newton.information(others, optimum.values, [curr])
     hessian = features.hessian
     information = features.information
-    hessian[:6, :6] += of_others
-    information[:6, :6] += of_others
+    if others:
+        of_others = gauss_newton.information(others, optimum.values, [curr])
+        hessian[:6, :6] += of_others
+        information[:6, :6] += of_others
     cov = inverse_or_nan(information)
     jitter = None
-    if unknown is not None:
+    if unknown is not None and propagated.linearized_jitter is not None:
         jitter = SolvedJitter(
             eta=optimum.values[unknown.variable],
-            unknown=propagated.jitter or unknown,
+            unknown=unknown,
+            columns=propagated.linearized_jitter.columns,
             hessian=hessian,
             cov=cov,
         )
@@ -168,7 +173,7 @@ def solve_reprojection(
         squared=features.squared,
         weight=features.weights.relative,
         irls_weight=features.weights.weight,
-        points=propagated.points_at(optimum.values),
+        points=features.points,
         refined=propagated.propagated_noise.refined,
         residuals=features.jacobians.residual,
         jacobian=features.jacobians.motion,
@@ -191,14 +196,26 @@ def sum_products(left: FloatArray, right: FloatArray) -> FloatArray:
 def inverse_or_nan(information: FloatArray) -> FloatArray:
     """Return the inverse, [n, n], or NaN where the information is not positive definite to working
     precision."""
-    diagonal = np.diagonal(information)
-    if not (np.isfinite(information).all() and (diagonal > 0.0).all()):
-        return np.full(information.shape, np.nan)
-    sigma = 1.0 / np.sqrt(diagonal)
-    units = sigma[:, None] * sigma
-    lower = np.zeros(information.shape)
     inverse = np.empty(information.shape)
-    if not invert_positive_definite(information * units, lower, inverse):
-        return np.full(information.shape, np.nan)
-    covariance: FloatArray = inverse * units
-    return covariance
+    if not _invert_in_its_units(information, inverse):
+        inverse[:] = np.nan
+    return inverse
+
+
+@compiled
+def _invert_in_its_units(information: FloatArray, inverse: FloatArray) -> bool:
+    """Invert after scaling the diagonal to one; False where that is not positive definite."""
+    n = len(information)
+    sigma = np.empty(n)
+    for i in range(n):
+        sigma[i] = 1.0 / math.sqrt(information[i, i]) if information[i, i] > 0.0 else math.nan
+    scaled = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            scaled[i, j] = information[i, j] * sigma[i] * sigma[j]
+    if not invert_positive_definite(scaled, np.zeros((n, n)), inverse):
+        return False
+    for i in range(n):
+        for j in range(n):
+            inverse[i, j] *= sigma[i] * sigma[j]
+    return True

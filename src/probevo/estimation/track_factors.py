@@ -110,9 +110,9 @@ class TrackFactors:
         if jitter is not None:
             curr = slice(COMMON, COMMON + AXES)
             prev = slice(COMMON + AXES, COMMON + DOF)
-            common[:, 5:, curr] = jitter.basis
-            common[:, :3, prev] = -jitter.sensitivity[:, :3]
-            common[:, 5, prev] = -jitter.sensitivity[:, 3]
+            common[:, 5:, curr] = jitter.effects.basis
+            common[:, :3, prev] = -jitter.effects.sensitivity[:, :3]
+            common[:, 5, prev] = -jitter.effects.sensitivity[:, 3]
         return TrackFactors(
             point=pairs.point,
             curr=pairs.curr,

@@ -13,10 +13,20 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.rig_jitter_numba import right_offset
 from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
 from probevo.compiled import compiled
 from probevo.measurements.robust_loss_numba import robust_bend, robust_weight
-from probevo.measurements.stereo_numba import LossParameters, PropagatedNoise
+from probevo.measurements.stereo_numba import (
+    FeatureWeights,
+    LossParameters,
+    NormalEquations,
+    PointPairs,
+    PropagatedNoise,
+    StereoJacobians,
+    normal_equations,
+    propagate_noise,
+)
 
 AXES = 3
 """Degrees of freedom of the jitter in one frame: pitch, yaw, roll."""
@@ -24,33 +34,110 @@ DOF = 2 * AXES
 """Of η: those of the current frame, then those of the previous one."""
 
 
-class JitterEquations(NamedTuple):
-    """What the jitter adds to the normal equations of N features over (ξ, η)."""
+class JitterEffects(NamedTuple):
+    """How the jitter moves N features."""
 
-    cross: FloatArray
-    """[6, 6], ξ × η."""
-    hessian: FloatArray
-    """[6, 6]."""
-    gradient: FloatArray
-    """The direction of descent, [6]."""
-
-    @staticmethod
-    def empty() -> JitterEquations:
-        """Return space for them."""
-        return JitterEquations(
-            cross=np.empty((6, DOF)), hessian=np.empty((DOF, DOF)), gradient=np.empty(DOF)
-        )
+    basis: FloatArray
+    """B = ∂(u_r', v_r')/∂η', [N, 2, 3], px."""
+    sensitivity: FloatArray
+    """V = ∂(u, v, d, δ)/∂η°, the points of the previous frame, [N, 4, 3], px."""
 
 
 class LinearizedJitter(NamedTuple):
-    """The jitter at the point where a solve stands."""
+    """The jitter of N features at the motion at which their noise was propagated."""
 
     columns: FloatArray
-    """D, [N, 4, 6], px."""
-    squared: FloatArray
-    """s of each residual, [N]."""
-    newton: bool
-    """Whether to take the curvature of the loss into account."""
+    """D = −∂e/∂η, [N, 4, 6], px."""
+    white: FloatArray
+    """Σ⁻¹ D, [N, 4, 6], px⁻¹."""
+    square: FloatArray
+    """The lower triangle of Dᵀ Σ⁻¹ D, [N, 6, 6]."""
+    prev_eta: FloatArray
+    """η° there, [3]: the points are those at this value, and at η' = 0."""
+    curr: FloatArray
+    """y' of these points, with their δ, [N, 4], px."""
+
+    @staticmethod
+    def empty(count: int) -> LinearizedJitter:
+        """Return space for it."""
+        return LinearizedJitter(
+            columns=np.empty((count, 4, DOF)),
+            white=np.empty((count, 4, DOF)),
+            square=np.empty((count, DOF, DOF)),
+            prev_eta=np.empty(AXES),
+            curr=np.empty((count, 4)),
+        )
+
+
+class Iterate(NamedTuple):
+    """Where a solve stands."""
+
+    T: FloatArray
+    """T_curr_prev, [4, 4]."""
+    eta: FloatArray
+    """η, [6]."""
+
+
+class JointEquations(NamedTuple):
+    """Hessian · (ξ, η) = gradient."""
+
+    hessian: FloatArray
+    """[12, 12]."""
+    gradient: FloatArray
+    """The direction of descent, [12]."""
+
+    @staticmethod
+    def empty() -> JointEquations:
+        """Return space for them."""
+        return JointEquations(hessian=np.empty((6 + DOF, 6 + DOF)), gradient=np.empty(6 + DOF))
+
+
+@compiled
+def jitter_effects(
+    prev: FloatArray,
+    curr: FloatArray,
+    camera: Intrinsics,
+    curr_root: FloatArray,
+    prev_root: FloatArray,
+    gain: FloatArray,
+) -> JitterEffects:
+    """Return how the jitter moves N features that only these two frames know of.
+
+    The observation is the true one plus G ω, with ω = L η, and so the true point is that of the
+    observation less K G L η.
+
+    Args:
+        prev: observations in the previous frame, [N, 4], px.
+        curr: those in the current frame, [N, 4], px.
+        camera: the intrinsics.
+        curr_root: L' of the current frame, [3, 3], rad.
+        prev_root: L° of the previous frame, [3, 3], rad.
+        gain: K, [N, 3, 4].
+    """
+    basis = np.empty((len(prev), 2, AXES))
+    sensitivity = np.empty((len(prev), 4, AXES))
+    offset = np.empty((2, AXES))
+    moved = np.empty((2, AXES))
+    for n in range(len(prev)):
+        right_offset(camera, curr[n, 2], curr[n, 3], offset)
+        _product(offset, curr_root, basis[n])
+        right_offset(camera, prev[n, 2], prev[n, 3], offset)
+        _product(offset, prev_root, moved)
+        for k in range(AXES):
+            for i in range(3):
+                sensitivity[n, i, k] = -gain[n, i, 2] * moved[0, k] - gain[n, i, 3] * moved[1, k]
+            sensitivity[n, 3, k] = 0.0
+    return JitterEffects(basis, sensitivity)
+
+
+@compiled
+def _product(offset: FloatArray, root: FloatArray, product: FloatArray) -> None:
+    """Fill in offset · root, [2, 3] by [3, 3]."""
+    for r in range(2):
+        for k in range(AXES):
+            product[r, k] = (
+                offset[r, 0] * root[0, k] + offset[r, 1] * root[1, k] + offset[r, 2] * root[2, k]
+            )
 
 
 @compiled
@@ -101,155 +188,280 @@ def jitter_columns(
 
 
 @compiled
-def jitter_equations(
+def propagate_with_jitter(
+    at: Iterate,
+    camera: Intrinsics,
+    pairs: PointPairs,
+    effects: JitterEffects,
+    propagated: PropagatedNoise,
+    jitter: LinearizedJitter,
+) -> None:
+    """Propagate the noise of the residuals as ``propagate_noise`` does, and linearise the jitter.
+
+    Args:
+        at: the motion and the jitter.
+        camera: the intrinsics.
+        pairs: the points and observations at η = 0.
+        effects: how η moves them.
+        propagated: filled in.
+        jitter: filled in.
+    """
+    V = effects.sensitivity
+    eta = at.eta
+    point = np.empty((len(pairs.point), 3))
+    curr = np.empty((len(point), 4))
+    for n in range(len(point)):
+        for i in range(3):
+            point[n, i] = pairs.point[n, i] + (
+                V[n, i, 0] * eta[3] + V[n, i, 1] * eta[4] + V[n, i, 2] * eta[5]
+            )
+        error = V[n, 3, 0] * eta[3] + V[n, 3, 1] * eta[4] + V[n, 3, 2] * eta[5]
+        for r in range(4):
+            jitter.curr[n, r] = pairs.curr[n, r] + (error if r == 2 else 0.0)
+            curr[n, r] = jitter.curr[n, r]
+        for r in range(2):
+            B = effects.basis[n, r]
+            curr[n, 2 + r] -= B[0] * eta[0] + B[1] * eta[1] + B[2] * eta[2]
+    for k in range(AXES):
+        jitter.prev_eta[k] = eta[AXES + k]
+    moved = PointPairs(point, pairs.point_cov, curr, pairs.curr_scale)
+    propagate_noise(at.T, camera, moved, propagated)
+    jitter_columns(
+        at.T,
+        camera,
+        propagated.refined,
+        basis=effects.basis,
+        sensitivity=V,
+        columns=jitter.columns,
+    )
+    for n in range(len(point)):
+        _whiten(propagated.information[n], jitter.columns[n], jitter.white[n], jitter.square[n])
+
+
+@compiled
+def _whiten(W: FloatArray, D: FloatArray, white: FloatArray, square: FloatArray) -> None:
+    """Fill in W D and the lower triangle of Dᵀ W D of a feature.
+
+    η' moves its right observation only, and η° both rows alike.
+    """
+    for i in range(4):
+        row_v = W[i, 1] + W[i, 3]
+        for k in range(AXES):
+            white[i, k] = W[i, 2] * D[2, k] + W[i, 3] * D[3, k]
+        for k in range(AXES, DOF):
+            white[i, k] = W[i, 0] * D[0, k] + row_v * D[1, k] + W[i, 2] * D[2, k]
+    for k in range(AXES):
+        for j in range(k + 1):
+            square[k, j] = D[2, k] * white[2, j] + D[3, k] * white[3, j]
+    for k in range(AXES, DOF):
+        for j in range(k + 1):
+            row_v = white[1, j] + white[3, j]
+            square[k, j] = D[0, k] * white[0, j] + D[1, k] * row_v + D[2, k] * white[2, j]
+
+
+@compiled
+def without_jitter(jitter: LinearizedJitter, eta: FloatArray, shifted: FloatArray) -> None:
+    """Fill ``shifted`` [N, 4] with y' less D η, η° counted from where it was linearised."""
+    change = np.empty(DOF)
+    for k in range(AXES):
+        change[k] = eta[k]
+        change[AXES + k] = eta[AXES + k] - jitter.prev_eta[k]
+    for n in range(len(shifted)):
+        for r in range(4):
+            offset = 0.0
+            for k in range(DOF):
+                offset += jitter.columns[n, r, k] * change[k]
+            shifted[n, r] = jitter.curr[n, r] - offset
+
+
+class _LossAt(NamedTuple):
+    """The robust loss at the residuals of N features."""
+
+    kind: int
+    parameter: FloatArray
+    """As of ``LossParameters``."""
+    squared: FloatArray
+    """s of each residual, [N]."""
+    newton: bool
+    """Whether to take its curvature into account."""
+
+
+@compiled
+def _set_jitter(
     T: FloatArray,
     camera: Intrinsics,
     curr: FloatArray,
     propagated: PropagatedNoise,
-    loss: LossParameters,
     jitter: LinearizedJitter,
-    equations: JitterEquations,
+    loss: _LossAt,
+    equations: JointEquations,
 ) -> None:
-    """Fill in Σ w Jᵀ Σ⁻¹ D, Σ w Dᵀ Σ⁻¹ D and Σ w Dᵀ Σ⁻¹ e, and Newton's terms if asked for.
-
-    They extend those of ``stereo_numba.normal_equations`` at the same motion and jitter.
-
-    Args:
-        T: T_curr_prev, [4, 4].
-        camera: the intrinsics.
-        curr: y' less the bias and the offset of the jitter, [N, 4], px.
-        propagated: the noise of the residuals.
-        loss: the robust loss.
-        jitter: where it is linearised.
-        equations: filled in; the prior of η is not part of it.
-    """
+    """Fill in Σ w Jᵀ Σ⁻¹ D, Σ w Dᵀ Σ⁻¹ D and Σ w Dᵀ Σ⁻¹ e, with Newton's terms if asked for."""
     fu, fv, cu, cv, fb = camera
-    columns = jitter.columns
-    squared = jitter.squared
-    newton = jitter.newton
-    cross = equations.cross
-    hessian = equations.hessian
-    gradient = equations.gradient
-    cross[:] = 0.0
-    hessian[:] = 0.0
-    gradient[:] = 0.0
-    J = np.empty((3, 6))  # rows u_l, v, u_r: both rows of the image move alike
-    white_e = np.empty(4)
-    white_D = np.empty((4, DOF))
-    pull_motion = np.empty(6)
-    pull_jitter = np.empty(DOF)
+    pull = np.empty(DOF)
+    cross = np.zeros((6, DOF))
+    square = np.zeros((DOF, DOF))
+    gradient = np.zeros(DOF)
     for n in range(len(curr)):
         W = propagated.information[n]
         X, Y, Z, rho = transfer(T, camera, propagated.refined[n])
         if Z < NEAREST or not W[0, 0] > 0.0:
             continue
-        u = fu * X / Z
-        v = fv * Y / Z
-        d = fb * rho / Z
-        e0 = curr[n, 0] - (u + cu) - propagated.offset[n, 0]
-        e1 = curr[n, 1] - (v + cv) - propagated.offset[n, 1]
-        e2 = curr[n, 2] - (u - d + cu) - propagated.offset[n, 2]
-        e3 = curr[n, 3] - (v + cv) - propagated.offset[n, 3]
-        weight = robust_weight(loss.kind, loss.parameter[n], squared[n])
-        for i in range(4):
-            white_e[i] = weight * (W[i, 0] * e0 + W[i, 1] * e1 + W[i, 2] * e2 + W[i, 3] * e3)
-            for k in range(DOF):
-                total = 0.0
-                for r in range(4):
-                    total += W[i, r] * columns[n, r, k]
-                white_D[i, k] = weight * total
-        x_over_z = X / Z
-        y_over_z = Y / Z
-        for i in range(3):
-            # A row of ∂f/∂q is (a, 0, b) for u_l and u_r, (0, a, b) for v, each over q_z; q moves
-            # by ρ δt + φ × q.
-            scale = fv if i == 1 else fu
-            b = -scale * y_over_z if i == 1 else -scale * x_over_z
-            if i == 2:
-                b += d
-            J[i, 0] = 0.0 if i == 1 else rho * scale / Z
-            J[i, 1] = rho * scale / Z if i == 1 else 0.0
-            J[i, 2] = rho * b / Z
-            J[i, 3] = y_over_z * b - (scale if i == 1 else 0.0)
-            J[i, 4] = (0.0 if i == 1 else scale) - x_over_z * b
-            J[i, 5] = x_over_z * scale if i == 1 else -y_over_z * scale
+        white = jitter.white[n]
+        iz = 1.0 / Z
+        u = fu * X * iz
+        v = fv * Y * iz
+        d = fb * rho * iz
+        weight = robust_weight(loss.kind, loss.parameter[n], loss.squared[n])
+        e0 = weight * (curr[n, 0] - (u + cu) - propagated.offset[n, 0])
+        e1 = weight * (curr[n, 1] - (v + cv) - propagated.offset[n, 1])
+        e2 = weight * (curr[n, 2] - (u - d + cu) - propagated.offset[n, 2])
+        e3 = weight * (curr[n, 3] - (v + cv) - propagated.offset[n, 3])
         for k in range(DOF):
-            pull_jitter[k] = 0.0
-            for r in range(4):
-                pull_jitter[k] += columns[n, r, k] * white_e[r]
-            gradient[k] += pull_jitter[k]
-            row_v = white_D[1, k] + white_D[3, k]
-            for i in range(6):
-                cross[i, k] += J[0, i] * white_D[0, k] + J[1, i] * row_v + J[2, i] * white_D[2, k]
-            for j in range(DOF):
-                for r in range(4):
-                    hessian[j, k] += columns[n, r, j] * white_D[r, k]
-        if newton:
-            bend = robust_bend(loss.kind, loss.parameter[n], squared[n])
-            for i in range(6):
-                pull_motion[i] = (
-                    J[0, i] * white_e[0]
-                    + J[1, i] * (white_e[1] + white_e[3])
-                    + J[2, i] * white_e[2]
-                )
-            for k in range(DOF):
-                for i in range(6):
-                    cross[i, k] -= bend * pull_motion[i] * pull_jitter[k]
-                for j in range(DOF):
-                    hessian[j, k] -= bend * pull_jitter[j] * pull_jitter[k]
+            pull[k] = white[0, k] * e0 + white[1, k] * e1 + white[2, k] * e2 + white[3, k] * e3
+            gradient[k] += pull[k]
+        # As in ``normal_equations``, the rows of F = ∂f/∂q are u_l (a, 0, b), v (0, c, e) and
+        # u_r (a, 0, f), and q moves by ρ δt + φ × q.
+        a = fu * iz
+        b = -u * iz
+        c = fv * iz
+        e = -v * iz
+        f = -(u - d) * iz
+        # Newton's Hessian is less by a multiple of the outer product of the weighted gradient.
+        bend = 0.0
+        q0 = q1 = q2 = 0.0
+        if loss.newton:
+            bend = robust_bend(loss.kind, loss.parameter[n], loss.squared[n])
+            g0 = W[0, 0] * e0 + W[0, 1] * e1 + W[0, 2] * e2 + W[0, 3] * e3
+            g1 = W[1, 0] * e0 + W[1, 1] * e1 + W[1, 2] * e2 + W[1, 3] * e3
+            g2 = W[2, 0] * e0 + W[2, 1] * e1 + W[2, 2] * e2 + W[2, 3] * e3
+            g3 = W[3, 0] * e0 + W[3, 1] * e1 + W[3, 2] * e2 + W[3, 3] * e3
+            q0 = a * (g0 + g2)
+            q1 = c * (g1 + g3)
+            q2 = b * g0 + e * (g1 + g3) + f * g2
+        for k in range(DOF):
+            bent = bend * pull[k]
+            w0 = weight * white[0, k]
+            w1 = weight * (white[1, k] + white[3, k])
+            w2 = weight * white[2, k]
+            k0 = a * (w0 + w2) - q0 * bent
+            k1 = c * w1 - q1 * bent
+            k2 = b * w0 + e * w1 + f * w2 - q2 * bent
+            cross[0, k] += rho * k0
+            cross[1, k] += rho * k1
+            cross[2, k] += rho * k2
+            cross[3, k] += Y * k2 - Z * k1
+            cross[4, k] += Z * k0 - X * k2
+            cross[5, k] += X * k1 - Y * k0
+            for j in range(k + 1):
+                square[k, j] += weight * jitter.square[n, k, j] - bent * pull[j]
+    _set_blocks(cross, square, equations.hessian)
+    for k in range(DOF):
+        equations.gradient[6 + k] = gradient[k]
+
+
+@compiled
+def _set_blocks(cross: FloatArray, square: FloatArray, joint: FloatArray) -> None:
+    """Fill in the blocks of ξ × η and η × η of a symmetric matrix over (ξ, η), [12, 12]; of the
+    latter, the lower triangle is given."""
+    for k in range(DOF):
+        for i in range(6):
+            joint[i, 6 + k] = joint[6 + k, i] = cross[i, k]
+        for j in range(k + 1):
+            joint[6 + j, 6 + k] = joint[6 + k, 6 + j] = square[k, j]
+
+
+@compiled
+def joint_normal_equations(
+    at: Iterate,
+    camera: Intrinsics,
+    propagated: PropagatedNoise,
+    jitter: LinearizedJitter,
+    loss: LossParameters,
+    newton: bool,
+    equations: JointEquations,
+) -> float:
+    """Fill in the normal equations over (ξ, η), with the prior of η; return the cost.
+
+    They extend those of ``stereo_numba.normal_equations``, at the observations less D η.
+
+    Args:
+        at: the motion and the jitter.
+        camera: the intrinsics.
+        propagated: the noise of the residuals.
+        jitter: where it was linearised.
+        loss: the robust loss.
+        newton: whether to take the curvature of the loss into account.
+        equations: filled in.
+    """
+    curr = np.empty((len(jitter.curr), 4))
+    without_jitter(jitter, at.eta, curr)
+    motion = NormalEquations(np.empty((6, 6)), np.empty(6), np.empty(len(curr)))
+    cost = normal_equations(
+        at.T, camera, curr, propagated=propagated, loss=loss, newton=newton, system=motion
+    )
+    hessian = equations.hessian
+    gradient = equations.gradient
+    _set_jitter(
+        at.T,
+        camera,
+        curr,
+        propagated=propagated,
+        jitter=jitter,
+        loss=_LossAt(loss.kind, loss.parameter, motion.squared, newton),
+        equations=equations,
+    )
+    for i in range(6):
+        gradient[i] = motion.gradient[i]
+        for j in range(6):
+            hessian[i, j] = motion.hessian[i, j]
+    for k in range(DOF):
+        cost += 0.5 * at.eta[k] * at.eta[k]
+        gradient[6 + k] -= at.eta[k]
+        hessian[6 + k, 6 + k] += 1.0
+    return cost
 
 
 @compiled
 def jitter_information(
-    motion: FloatArray,
+    jacobians: StereoJacobians,
+    weights: FeatureWeights,
+    jitter: LinearizedJitter,
+    disparity_share: FloatArray,
+    hessian: FloatArray,
     information: FloatArray,
-    weight: FloatArray,
-    columns: FloatArray,
-    translation_share: FloatArray,
-    equations: JitterEquations,
 ) -> None:
-    """Fill in Σ a Jᵀ Σ⁻¹ D and Σ a Dᵀ Σ⁻¹ D; the gradient is left alone.
+    """Fill in the jitter's blocks of Σ w (J, D)ᵀ Σ⁻¹ (J, D), [12, 12], without the prior of η.
+
+    In the information, w is the curvature of the loss.
 
     Args:
-        motion: J, [N, 4, 6].
-        information: Σ⁻¹, [N, 4, 4].
-        weight: a, [N].
-        columns: D, [N, 4, 6].
-        translation_share: by which the translation's columns of J are scaled, [N].
-        equations: filled in.
+        jacobians: the residuals linearised.
+        weights: their robust weights.
+        jitter: where it was linearised.
+        disparity_share: by which the translation's columns of J are scaled in the information, [N].
+        hessian: filled in, with the weights.
+        information: filled in, with their curvature.
     """
-    cross = equations.cross
-    hessian = equations.hessian
-    cross[:] = 0.0
-    hessian[:] = 0.0
-    white_D = np.empty((4, DOF))
-    for n in range(len(motion)):
-        W = information[n]
-        for i in range(4):
+    cross = np.zeros((6, DOF))
+    square = np.zeros((DOF, DOF))
+    curved_cross = np.zeros((6, DOF))
+    curved_square = np.zeros((DOF, DOF))
+    for n in range(len(weights.weight)):
+        weight = weights.weight[n]
+        curvature = weights.curvature[n]
+        J = jacobians.motion[n]
+        white = jitter.white[n]
+        for i in range(6):
+            share = curvature * disparity_share[n] if i < 3 else curvature
             for k in range(DOF):
-                total = 0.0
-                for r in range(4):
-                    total += W[i, r] * columns[n, r, k]
-                white_D[i, k] = weight[n] * total
+                product = J[0, i] * white[0, k] + J[1, i] * white[1, k]
+                product += J[2, i] * white[2, k] + J[3, i] * white[3, k]
+                cross[i, k] += weight * product
+                curved_cross[i, k] += share * product
         for k in range(DOF):
-            for i in range(6):
-                total = 0.0
-                for r in range(4):
-                    total += motion[n, r, i] * white_D[r, k]
-                cross[i, k] += total * translation_share[n] if i < 3 else total
-            for j in range(DOF):
-                for r in range(4):
-                    hessian[j, k] += columns[n, r, j] * white_D[r, k]
-
-
-@compiled
-def without_jitter(
-    curr: FloatArray, columns: FloatArray, eta: FloatArray, shifted: FloatArray
-) -> None:
-    """Fill ``shifted`` [N, 4] with y' less D η."""
-    for n in range(len(curr)):
-        for r in range(4):
-            offset = 0.0
-            for k in range(DOF):
-                offset += columns[n, r, k] * eta[k]
-            shifted[n, r] = curr[n, r] - offset
+            for j in range(k + 1):
+                square[k, j] += weight * jitter.square[n, k, j]
+                curved_square[k, j] += curvature * jitter.square[n, k, j]
+    _set_blocks(cross, square, hessian)
+    _set_blocks(curved_cross, curved_square, information)

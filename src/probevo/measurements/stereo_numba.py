@@ -488,7 +488,8 @@ def sum_information(
     hessian: FloatArray,
     information: FloatArray,
 ) -> None:
-    """Fill hessian, Σ w Jᵀ Σ⁻¹ J, and information, Σ a Jᵀ Σ⁻¹ J, [6, 6] each.
+    """Fill hessian, Σ w Jᵀ Σ⁻¹ J, and information, Σ a Jᵀ Σ⁻¹ J, [6, 6] each, the first rows and
+    columns where they are larger.
 
     In the information, the translation's columns of J are scaled by ``disparity_share`` [N], and
     their square is reduced by ``disparity_noise_share`` [N] (see ``stereo_observations``).

@@ -15,6 +15,7 @@ marginalised over it. Derivation: docs/conventions.md.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,11 +35,14 @@ from probevo.measurements.base import (
 from probevo.measurements.jitter_numba import (
     AXES,
     DOF,
-    JitterEquations,
+    Iterate,
+    JitterEffects,
+    JointEquations,
     LinearizedJitter,
-    jitter_columns,
-    jitter_equations,
+    jitter_effects,
     jitter_information,
+    joint_normal_equations,
+    propagate_with_jitter,
     without_jitter,
 )
 from probevo.measurements.point_priors import DisparityPrior, JitterPrior, PointPrior
@@ -64,6 +68,8 @@ EXPECTED_FEATURES = 20.0
 """How many features the noise model's own word counts for in the scale of the covariance, against
 those seen."""
 DIM = 4
+JITTER_PRIOR = np.eye(DOF)
+"""Information of the prior of η, [6, 6]."""
 
 
 @dataclass(frozen=True)
@@ -76,16 +82,8 @@ class JitterUnknown:
     """L', [3, 3], rad: the jitter of the current frame is L' η', with L' L'ᵀ = S."""
     prev: JitterPrior
     """The prior of the jitter of the previous frame, m + L° η°; m is corrected for."""
-    basis: FloatArray
-    """B = ∂(u_r', v_r')/∂η', [N, 2, 3], px."""
-    sensitivity: FloatArray
-    """V = ∂(u, v, d, δ)/∂η°, the points of the previous frame, [N, 4, 3], px."""
-    columns: FloatArray
-    """D = −∂e/∂η where it was last linearised, [N, 4, 6], px."""
-    at: FloatArray
-    """(0, η°) there, [6]: the points are those at this value."""
-    curr: FloatArray
-    """y' of these points, with their δ, [N, 4], px."""
+    effects: JitterEffects
+    """How η moves the features."""
 
     @staticmethod
     def of(
@@ -93,9 +91,9 @@ class JitterUnknown:
         curr_px: FloatArray,
         points: PointPrior,
         *,
-        cov: FloatArray,
+        roots: JitterRoots,
         prior: DisparityPrior | None,
-        camera: StereoCamera,
+        camera: Intrinsics,
         frame: int,
     ) -> JitterUnknown:
         """Build the unknown.
@@ -104,38 +102,46 @@ class JitterUnknown:
             prev_px: observations of N features in the previous frame, [N, 4], px.
             curr_px: those in the current frame, [N, 4], px.
             points: the points of the former.
-            cov: covariance S of the jitter in a frame, [3, 3], rad².
+            roots: the priors of the jitter in both frames.
             prior: what earlier frames say of disparities and jitter.
-            camera: the rectified camera.
+            camera: the intrinsics.
             frame: the index of the current frame.
         """
-        curr_root = np.linalg.cholesky(cov).astype(float)
-        prev = jitter_before(cov, prior)
-        # The observation is the true one plus G ω, and so the true point is that of the
-        # observation less K G ω.
-        offsets = jitter_offsets(prev_px, camera) @ prev.root
-        sensitivity = np.zeros((len(prev_px), 4, AXES))
-        sensitivity[:, :3] = -(points.gain[:, :, 2:] @ offsets)
-        if prior is not None:
-            sensitivity[prior.rows, 2:] = 0.0 if prior.jitter is None else prior.jitter.sensitivity
+        effects = jitter_effects(
+            prev_px,
+            curr_px,
+            camera,
+            curr_root=roots.curr_root,
+            prev_root=roots.prev.root,
+            gain=points.gain,
+        )
+        if prior is not None and len(prior.rows):
+            known = prior.jitter
+            effects.sensitivity[prior.rows, 2:] = 0.0 if known is None else known.sensitivity
         return JitterUnknown(
             variable=Variable(kind="jitter", frame=frame),
-            curr_root=curr_root,
-            prev=prev,
-            basis=np.ascontiguousarray(jitter_offsets(curr_px, camera) @ curr_root),
-            sensitivity=sensitivity,
-            columns=np.zeros((len(prev_px), 4, DOF)),
-            at=np.zeros(DOF),
-            curr=curr_px,
+            curr_root=roots.curr_root,
+            prev=roots.prev,
+            effects=effects,
         )
 
 
-def jitter_before(cov: FloatArray, prior: DisparityPrior | None) -> JitterPrior:
-    """Return the prior of the previous frame's jitter: at least that it is N(0, S)."""
-    if prior is not None and prior.jitter is not None:
-        return prior.jitter
-    root = np.linalg.cholesky(cov).astype(float)
-    return JitterPrior(mean=np.zeros(AXES), root=root, sensitivity=np.zeros((0, 2, AXES)))
+class JitterRoots(NamedTuple):
+    """The priors of the jitter in both frames."""
+
+    curr_root: FloatArray
+    """L', [3, 3], rad."""
+    prev: JitterPrior
+    """That of the previous frame: at least that it is N(0, S)."""
+
+    @staticmethod
+    def of(cov: FloatArray, prior: DisparityPrior | None) -> JitterRoots:
+        """Return them, given S, [3, 3], rad², and what earlier frames say."""
+        root = np.linalg.cholesky(cov).astype(float)
+        if prior is not None and prior.jitter is not None:
+            return JitterRoots(root, prior.jitter)
+        prev = JitterPrior(mean=np.zeros(AXES), root=root, sensitivity=np.zeros((0, 2, AXES)))
+        return JitterRoots(root, prev)
 
 
 @dataclass(frozen=True)
@@ -154,6 +160,8 @@ class StereoObservations:
     """Σ⁻¹ and the points of linearisation, at the motion that ``propagated`` was last given."""
     jitter: JitterUnknown | None = None
     """The rig's jitter; None if the noise has none."""
+    linearized_jitter: LinearizedJitter | None = None
+    """It, at the motion that ``propagated`` was last given."""
 
     @staticmethod
     def of(
@@ -179,10 +187,12 @@ class StereoObservations:
             disparity_prior: what earlier frames say of some of the disparities.
         """
         count = len(prev_px)
+        roots = None
         if noise.jitter_cov is not None:
-            before = jitter_before(noise.jitter_cov, disparity_prior)
-            prev_px = prev_px.copy()
-            prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ before.mean
+            roots = JitterRoots.of(noise.jitter_cov, disparity_prior)
+            prev_px = np.array(prev_px, order="C")
+            if roots.prev.mean.any():
+                prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ roots.prev.mean
         loss = RobustLoss.student_t() if loss is None else loss
         # Copies: a model may give one scale to all features, as a read-only view without strides,
         # for which Numba would compile everything once more.
@@ -201,15 +211,16 @@ class StereoObservations:
         curr_unbiased = np.subtract(curr_px, noise.bias, order="C")
         # A known error of the measured disparity d = u_l − u_r is taken out of u_r.
         curr_unbiased[:, 2] += points.error
+        intrinsics = Intrinsics.of(camera)
         jitter = None
-        if noise.jitter_cov is not None:
+        if roots is not None:
             jitter = JitterUnknown.of(
                 prev_px,
                 curr_unbiased,
                 points,
-                cov=noise.jitter_cov,
+                roots=roots,
                 prior=disparity_prior,
-                camera=camera,
+                camera=intrinsics,
                 frame=poses.curr.frame,
             )
         return StereoObservations(
@@ -223,7 +234,7 @@ class StereoObservations:
             noise=replace(noise, dof=dof),
             loss=loss,
             loss_parameters=LossParameters(int(loss.kind), loss.parameters(dof)),
-            camera=Intrinsics.of(camera),
+            camera=intrinsics,
             poses=poses,
             propagated_noise=_not_yet_propagated(points.point),
             jitter=jitter,
@@ -242,23 +253,23 @@ class StereoObservations:
 
     def _curr(self, values: Values) -> FloatArray:
         """Return the current observations less what the jitter at these values moves, [N, 4]."""
-        if self.jitter is None:
+        if self.jitter is None or self.linearized_jitter is None:
             return self.pairs.curr
-        jitter = self.jitter
-        shifted = np.empty_like(jitter.curr)
-        change = values[jitter.variable] - jitter.at
-        without_jitter(jitter.curr, jitter.columns, change, shifted=shifted)
-        return shifted
+        curr = np.empty((len(self), 4))
+        without_jitter(self.linearized_jitter, values[self.jitter.variable], curr)
+        return curr
 
     def points_at(self, values: Values) -> PointPrior:
         """Return the N points as the jitter at these values moves them, before the solve."""
         if self.jitter is None:
             return self.points
-        offset = self.jitter.sensitivity @ values[self.jitter.variable][AXES:]
-        return replace(
-            self.points,
-            point=self.points.point + offset[:, :3],
-            error=self.points.error + offset[:, 3],
+        points = self.points
+        offset = self.jitter.effects.sensitivity @ values[self.jitter.variable][AXES:]
+        return PointPrior(
+            point=points.point + offset[:, :3],
+            error=points.error + offset[:, 3],
+            cov=points.cov,
+            gain=points.gain,
         )
 
     def propagated(self, values: Values) -> StereoObservations:
@@ -269,45 +280,34 @@ class StereoObservations:
         if self.jitter is None:
             propagate_noise(T_curr_prev, self.camera, self.pairs, noise)
             return replace(self, propagated_noise=noise)
-        eta = values[self.jitter.variable]
-        offset = self.jitter.sensitivity @ eta[AXES:]
-        curr = self.pairs.curr.copy()
-        curr[:, 2] += offset[:, 3]
-        unjittered = curr.copy()
-        unjittered[:, 2:] -= self.jitter.basis @ eta[:AXES]
-        pairs = self.pairs._replace(point=self.pairs.point + offset[:, :3], curr=unjittered)
-        propagate_noise(T_curr_prev, self.camera, pairs, noise)
-        columns = np.empty_like(self.jitter.columns)
-        jitter_columns(
-            T_curr_prev,
+        jitter = LinearizedJitter.empty(len(self))
+        propagate_with_jitter(
+            Iterate(T_curr_prev, values[self.jitter.variable]),
             self.camera,
-            noise.refined,
-            basis=self.jitter.basis,
-            sensitivity=self.jitter.sensitivity,
-            columns=columns,
+            self.pairs,
+            effects=self.jitter.effects,
+            propagated=noise,
+            jitter=jitter,
         )
-        at = np.concatenate([np.zeros(AXES), eta[AXES:]])
-        jitter = replace(self.jitter, columns=columns, at=at, curr=curr)
-        return replace(self, propagated_noise=noise, jitter=jitter)
+        return replace(self, propagated_noise=noise, linearized_jitter=jitter)
 
     def linearize(self, values: Values, *, newton: bool = False) -> Linearization:
         """Return cost and normal equations in one compiled pass."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
-        curr = self._curr(values)
-        cost, system = self._normal_equations(T_curr_prev, curr, newton=newton)
-        motion = Linearization(cost=cost, hessian=system.hessian, gradient=system.gradient)
-        if self.jitter is not None:
-            equations = JitterEquations.empty()
-            jitter_equations(
-                T_curr_prev,
+        if self.jitter is None or self.linearized_jitter is None:
+            motion = self._without_jitter(T_curr_prev, newton=newton)
+        else:
+            equations = JointEquations.empty()
+            cost = joint_normal_equations(
+                Iterate(T_curr_prev, values[self.jitter.variable]),
                 self.camera,
-                curr,
-                propagated=self.propagated_noise,
+                self.propagated_noise,
+                jitter=self.linearized_jitter,
                 loss=self.loss_parameters,
-                jitter=LinearizedJitter(self.jitter.columns, system.squared, newton),
+                newton=newton,
                 equations=equations,
             )
-            motion = _with_jitter(motion, equations, values[self.jitter.variable])
+            motion = Linearization(cost, equations.hessian, equations.gradient)
         return motion if self.poses.prev is None else of_both_poses(motion, T_curr_prev)
 
     def information(self, values: Values) -> FloatArray:
@@ -348,37 +348,35 @@ class StereoObservations:
             weight=np.empty(count), curvature=np.empty(count), relative=np.empty(count)
         )
         scatter, curved = weigh(self.loss_parameters, jacobians.squared, weights)
-        hessian, information = self._information(
-            jacobians, weights, self.points_at(values).point[:, 2]
-        )
-        information = information / self._variance_factor(scatter, curved)
+        points = self.points_at(values)
+        hessian, information = self._information(jacobians, weights, points.point[:, 2])
+        information /= self._variance_factor(scatter, curved)
         if self.jitter is not None:
-            hessian[6:, 6:] += np.eye(DOF)
-            information[6:, 6:] += np.eye(DOF)
+            hessian[6:, 6:] += JITTER_PRIOR
+            information[6:, 6:] += JITTER_PRIOR
         return StereoResult(
             squared=jacobians.squared,
             weights=weights,
             jacobians=jacobians,
             hessian=hessian,
             information=information,
+            points=points,
         )
 
-    def _normal_equations(
-        self, T_curr_prev: FloatArray, curr: FloatArray, *, newton: bool
-    ) -> tuple[float, NormalEquations]:
+    def _without_jitter(self, T_curr_prev: FloatArray, *, newton: bool) -> Linearization:
         system = NormalEquations(
             hessian=np.empty((6, 6)), gradient=np.empty(6), squared=np.empty(len(self))
         )
         cost = normal_equations(
             T_curr_prev,
             self.camera,
-            curr,
+            self.pairs.curr,
             propagated=self.propagated_noise,
             loss=self.loss_parameters,
             newton=newton,
             system=system,
         )
-        return cost, system
+        return Linearization(cost=cost, hessian=system.hessian, gradient=system.gradient)
 
     def _information(
         self, jacobians: StereoJacobians, weights: FeatureWeights, seen_px: FloatArray
@@ -393,8 +391,9 @@ class StereoObservations:
         """
         refined = self.propagated_noise.refined[:, 2]
         disparity = np.where(np.abs(refined) > 1e-9, refined, np.inf)
-        hessian = np.empty((6, 6))
-        information = np.empty((6, 6))
+        dof = 6 if self.jitter is None else 6 + DOF
+        hessian = np.empty((dof, dof))
+        information = np.empty((dof, dof))
         disparity_share = seen_px / disparity
         sum_information(
             jacobians,
@@ -404,24 +403,16 @@ class StereoObservations:
             hessian=hessian,
             information=information,
         )
-        if self.jitter is None:
-            return hessian, information
-        equations = JitterEquations.empty()
-        joint = []
-        for of_motion, weight, share in (
-            (hessian, weights.weight, np.ones(len(self))),
-            (information, weights.curvature, disparity_share),
-        ):
+        if self.linearized_jitter is not None:
             jitter_information(
-                jacobians.motion,
-                self.propagated_noise.information,
-                weight,
-                columns=self.jitter.columns,
-                translation_share=share,
-                equations=equations,
+                jacobians,
+                weights,
+                self.linearized_jitter,
+                disparity_share=disparity_share,
+                hessian=hessian,
+                information=information,
             )
-            joint.append(_joint(of_motion, equations))
-        return joint[0], joint[1]
+        return hessian, information
 
     def _variance_factor(self, scatter: float, curved: float) -> float:
         """Return how much larger the covariance is than the inverse of A = Σ a Jᵀ Σ⁻¹ J.
@@ -434,10 +425,11 @@ class StereoObservations:
         had shown them.
         """
         count = len(self)
-        moments = self.loss.moments(self.noise.dof)
-        expected_curvature, expected_scatter = (
-            float(np.mean(moment)) if count else 1.0 for moment in moments
-        )
+        expected_curvature = expected_scatter = 1.0
+        if count:
+            curvatures, scatters = self.loss.moments(self.noise.dof)
+            expected_curvature = float(curvatures.sum()) / count
+            expected_scatter = float(scatters.sum()) / count
         spent = count * DIM / max(count * DIM - 6.0, 1.0)
         seen = EXPECTED_FEATURES * expected_scatter + spent * scatter
         return seen / (EXPECTED_FEATURES * expected_curvature + curved)
@@ -456,6 +448,8 @@ class StereoResult:
     prior. Its inverse is not the covariance."""
     information: FloatArray
     """Information on ξ of T_curr_prev, [6, 6], or on (ξ, η), [12, 12]."""
+    points: PointPrior
+    """The N points, before the solve, as the jitter moves them."""
 
 
 def of_both_poses(motion: Linearization, T_curr_prev: FloatArray) -> Linearization:
@@ -472,29 +466,6 @@ def of_both_poses(motion: Linearization, T_curr_prev: FloatArray) -> Linearizati
         cost=motion.cost,
         hessian=lift.T @ motion.hessian @ lift,
         gradient=lift.T @ motion.gradient,
-    )
-
-
-def _joint(of_motion: FloatArray, equations: JitterEquations) -> FloatArray:
-    """Return the matrix over (ξ, η), [12, 12]."""
-    joint = np.empty((6 + DOF, 6 + DOF))
-    joint[:6, :6] = of_motion
-    joint[:6, 6:] = equations.cross
-    joint[6:, :6] = equations.cross.T
-    joint[6:, 6:] = equations.hessian
-    return joint
-
-
-def _with_jitter(
-    motion: Linearization, equations: JitterEquations, eta: FloatArray
-) -> Linearization:
-    """Extend normal equations over ξ to those over (ξ, η), the prior of η included."""
-    hessian = _joint(motion.hessian, equations)
-    hessian[6:, 6:] += np.eye(DOF)
-    return Linearization(
-        cost=motion.cost + 0.5 * float(eta @ eta),
-        hessian=hessian,
-        gradient=np.concatenate([motion.gradient, equations.gradient - eta]),
     )
 
 
