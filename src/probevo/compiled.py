@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numba import njit
 
-from probevo.arrays import FloatArray
+from probevo.arrays import AnyArray, FloatArray
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -37,12 +37,12 @@ def _compiled_with_free_order(function: Function) -> Function:
 
 
 @_compiled_with_free_order
-def dot_float32(a: FloatArray, b: FloatArray) -> float:
+def dot_float32(a: AnyArray, b: AnyArray) -> np.float32:
     """Return the inner product of two contiguous vectors of float32 of the same length."""
     total = np.float32(0.0)
     for i in range(len(a)):
         total += a[i] * b[i]
-    return total
+    return np.float32(total)
 
 
 @compiled
