@@ -125,6 +125,15 @@ class ReadSettings(Settings):
         None, description="Frames a second of a folder without any times."
     )
     topics: TopicSettings = Field(TopicSettings(), description="Topics of a bag.")
+    mask_left: Path | None = Field(
+        None,
+        description=(
+            "Where features of the left images are wanted, black where not, such as on a bonnet:"
+            " an image, or a folder with one for each frame. By default mask_left.png or mask_left/"
+            " in the folder of the recording, if there is one."
+        ),
+    )
+    mask_right: Path | None = Field(None, description="The same for the right images.")
 
     @field_validator("format")
     @classmethod
@@ -144,6 +153,8 @@ class ReadSettings(Settings):
             "truth": self.truth,
             "truth_of": self.truth_of,
             "rate_hz": self.rate_hz,
+            "mask_left": self.mask_left,
+            "mask_right": self.mask_right,
         }
         topics = {
             name if name == "pair_tolerance_ms" else f"topics_{name}": value
@@ -207,6 +218,8 @@ OWN_KEYS = (
     "truth_of",
     "rate_hz",
     "topics",
+    "mask_left",
+    "mask_right",
     "write",
     "ros",
     "viewer",

@@ -201,6 +201,8 @@ def _write_results(
         "calibration": config.calibration and config.calibration.resolve(),
         "imu_noise": config.imu_noise and config.imu_noise.resolve(),
         "truth": config.truth and config.truth.resolve(),
+        "mask_left": config.mask_left and config.mask_left.resolve(),
+        "mask_right": config.mask_right and config.mask_right.resolve(),
         "write": config.write and config.write.resolve(),
         "viewer": config.viewer and config.viewer.resolve(),
     }

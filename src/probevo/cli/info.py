@@ -83,7 +83,14 @@ def main(words: list[str]) -> None:
 
 def describe(sequence: Sequence) -> Rows:
     """Describe what the files say, without looking at the images."""
-    from probevo.output.run_facts import camera_text, frames_text, imu_use_text, truth_text
+    from probevo.output.run_facts import (
+        camera_text,
+        frames_text,
+        imu_use_text,
+        mask_text,
+        truth_text,
+    )
+    from probevo.sequences.masked import MaskedRecording
     from probevo.sequences.recording import ImageRecording
     from probevo.sequences.tracks_file import TracksRecording
 
@@ -105,6 +112,8 @@ def describe(sequence: Sequence) -> Rows:
     if isinstance(sequence, ImageRecording | TracksRecording) and sequence.imu_stream is not None:
         rows += _imu(sequence, sequence.imu_stream)
     rows.append(("truth", truth_text(sequence.truth)))
+    if isinstance(sequence, MaskedRecording):
+        rows.append(("masks", mask_text(sequence)))
     rows.append(("IMU is used", imu_use_text(sequence, RunConfig())))
     return rows
 

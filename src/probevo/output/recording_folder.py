@@ -17,6 +17,7 @@ from probevo.files import write_atomically
 from probevo.output.files import write_kitti_poses
 from probevo.output.recording_parts import imu_samples, stereo_pairs
 from probevo.sequences import ImuSamples, Sequence
+from probevo.sequences.masked import mask_of_array
 
 DENSITIES = (
     "gyro_noise_rad_s_sqrt_hz",
@@ -36,7 +37,8 @@ def write_recording_folder(
     num_frames: int,
     on_frame: Callable[[int], None] = lambda index: None,
 ) -> None:
-    """Write the rectified images of a recording as PNG files, with calibration, times, IMU, truth.
+    """Write the rectified images of a recording as PNG files, with masks, calibration, times, IMU
+    and truth.
 
     What is read back is the same to the last bit, except that true poses are rounded by the change
     of their origin.
@@ -60,6 +62,10 @@ def write_recording_folder(
         name = f"{pair.index:06d}.png"
         write_atomically(folder / "left" / name, _png(pair.left))
         write_atomically(folder / "right" / name, _png(pair.right))
+        for side, mask in (("left", pair.left_mask), ("right", pair.right_mask)):
+            if mask is not None:
+                image = mask_of_array(mask, sequence.camera.size_px, f"frame {pair.index}")
+                write_atomically(folder / f"mask_{side}" / name, _png(image))
         stamps.append(f"{pair.stamp_ns}\n")
         on_frame(pair.index)
     write_atomically(folder / "times.txt", "".join(stamps))

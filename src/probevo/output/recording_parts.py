@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import Image
+from probevo.arrays import BoolArray, Image
 from probevo.errors import InputError
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.frame import ImuSamples
@@ -22,6 +22,9 @@ class StereoPair:
     stamp_ns: int
     left: Image
     right: Image
+    left_mask: Image | BoolArray | None = None
+    """Where features are wanted, as in ``Frame``."""
+    right_mask: Image | BoolArray | None = None
 
 
 def stereo_pairs(frames: Iterator[Frame], sequence: Sequence) -> Iterator[StereoPair]:
@@ -34,7 +37,14 @@ def stereo_pairs(frames: Iterator[Frame], sequence: Sequence) -> Iterator[Stereo
         if frame.left is None or frame.right is None:
             what = f"the format {sequence.format} has no images."
             raise InputError(sequence.path, what, "Only recordings of images can be converted.")
-        yield StereoPair(frame.index, frame.stamp_ns, left=frame.left, right=frame.right)
+        yield StereoPair(
+            frame.index,
+            frame.stamp_ns,
+            left=frame.left,
+            right=frame.right,
+            left_mask=frame.left_mask,
+            right_mask=frame.right_mask,
+        )
 
 
 def imu_samples(sequence: Sequence) -> ImuSamples | None:

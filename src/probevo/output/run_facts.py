@@ -16,6 +16,7 @@ from probevo.output.run_result import RunResult
 from probevo.output.table import readable
 from probevo.run_config import RunConfig
 from probevo.sequences import GroundTruth, Sequence
+from probevo.sequences.masked import MaskedRecording
 
 
 def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[str, str]:
@@ -39,12 +40,24 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         "Camera": camera_text(sequence.camera),
         "IMU": imu_use_text(sequence, config),
         "Truth": truth_text(sequence.truth, len(result)),
+        **({"Masks": mask_text(sequence)} if isinstance(sequence, MaskedRecording) else {}),
         "Noise model": config.noise,
         **rig,
         **domain,
         "OpenCV threads": str(cv2.getNumThreads()),
         "probevo": __version__,
     }
+
+
+def mask_text(recording: MaskedRecording) -> str:
+    """Describe the masks of a recording by the share of the first image that they leave."""
+    texts = []
+    for side, masks in (("left", recording.left_masks), ("right", recording.right_masks)):
+        if masks is not None:
+            share = float(np.mean(masks.of_frame(0) > 0))
+            kind = "" if masks.is_fixed else ", another one for each frame"
+            texts.append(f"{side}: features in {100.0 * share:.0f} % of the image{kind}")
+    return "; ".join(texts)
 
 
 def frames_text(stamps_ns: IntArray, recorded: int | None = None) -> str:

@@ -12,6 +12,8 @@ from probevo.errors import InputError, brief
 from probevo.sequences.prepared_images import PreparedImages
 from probevo.sequences.text import INT64_LIMIT
 
+WHITE = 128
+"""Grey level of a mask from which on features are wanted."""
 SHORTEST_STEP_NS = 1_000
 """Shortest plausible time between two frames. Stamps that are closer have another unit."""
 
@@ -74,6 +76,11 @@ class Frame:
     """Time that a worker thread needed to read, decode and rectify the pair."""
     prepared: PreparedImages | None = field(default=None, compare=False, repr=False)
     """The images as ``tracking.preparation`` prepared them ahead of time, if it did."""
+    left_mask: Image | BoolArray | None = field(default=None, compare=False)
+    """Where features of the left image are wanted, [height, width]: True, or from 128 on. No window
+    of a feature reaches into the rest, such as a bonnet. None for everywhere."""
+    right_mask: Image | BoolArray | None = field(default=None, compare=False)
+    """The same for the right image."""
 
     def __repr__(self) -> str:
         """Return index, stamp and what the frame holds, in one line."""
@@ -95,7 +102,8 @@ def check_frame(frame: Frame, camera: StereoCamera) -> None:
 
     Raises:
         InputError: index or stamp is no whole number of 64 bits; an image is missing, is not grey
-            with 8 bits, or has another size than the camera or the other image; an identity appears
+            with 8 bits, or has another size than the camera or the other image; a mask is of
+            another kind or size than its image; an identity appears
             twice, or the counts of identities and pixels differ; IMU samples are out of order, or
             an angular rate is missing or not finite; the index is negative.
     """
@@ -144,6 +152,28 @@ def _check_images(frame: Frame, camera: StereoCamera, where: str) -> None:
         raise InputError(where, what, "Give both the same size, as rectification does.")
     if frame.left is not None and not frame.left.size:
         raise InputError(where, "its images have no pixels.", "Leave the frame out.")
+    _check_mask("left", frame.left_mask, frame.left, where)
+    _check_mask("right", frame.right_mask, frame.right, where)
+
+
+def _check_mask(name: str, mask: object, image: Image | None, where: str) -> None:
+    """Refuse a mask of another kind than bool or uint8, or of another size than its image.
+
+    Raises:
+        InputError: says which.
+    """
+    if mask is None:
+        return
+    if image is None:
+        what = f"it has a {name} mask, but no images."
+        raise InputError(where, what, "Leave out the features that are not wanted.")
+    if not isinstance(mask, np.ndarray) or mask.dtype not in (np.bool_, np.uint8):
+        found = f"of type {mask.dtype}" if isinstance(mask, np.ndarray) else brief(mask)
+        what = f"its {name} mask is {found}."
+        raise InputError(where, what, "Give [height, width] of bool, True where features may be.")
+    if mask.shape != image.shape:
+        what = f"its {name} mask has shape {mask.shape}, the image {image.shape}."
+        raise InputError(where, what, "Give a mask of the size of the image.")
 
 
 def _check_features(features: StereoFeatures, where: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.config import TrackingConfig
 
 Pyramid = tuple[Image, ...]
@@ -21,5 +21,10 @@ class PreparedImages:
     """Right image in the same form."""
     corners: FloatArray
     """The strongest corners of each cell of the left image, as from ``strongest_corners``."""
+    left_usable: BoolArray | None
+    """Where the window of a feature lies within the mask of the left image, [height, width]; None
+    without a mask."""
+    right_usable: BoolArray | None
+    """The same for the right image."""
     config: TrackingConfig
     """The settings that the pair was prepared with."""

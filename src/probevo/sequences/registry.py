@@ -23,6 +23,7 @@ from probevo.sequences.format_options import FolderOptions, RateOptions, RosbagO
 from probevo.settings import Settings
 
 if TYPE_CHECKING:
+    from probevo.arrays import AnyArray
     from probevo.sequences.base import Sequence
 
 ENTRY_POINTS = "probevo.formats"
@@ -299,17 +300,29 @@ def _entry_text(entry: EntryPoint) -> str:
     return f"entry point {entry.name} = {entry.value} of {ENTRY_POINTS}"
 
 
-def open_sequence(path: str | Path, format: str | None = None, **options: Any) -> Sequence:
+def open_sequence(
+    path: str | Path,
+    format: str | None = None,
+    *,
+    mask_left: str | Path | AnyArray | None = None,
+    mask_right: str | Path | AnyArray | None = None,
+    **options: Any,
+) -> Sequence:
     """Open a recording and check all of it that can be checked without decoding images.
 
     Args:
         path: folder or file of the recording.
         format: one of ``format_names()``; None to recognise the format.
+        mask_left: where features of the left images are wanted, not black: an array
+            [height, width] of bool or uint8, an image file, or a folder with an image for each
+            frame. By default ``mask_left.png`` or ``mask_left/`` in the folder of the recording, if
+            there is one.
+        mask_right: the same for the right images.
         options: options of the format, by name.
 
     Raises:
         InputError: nothing is there, no format fits, an option is unknown or out of bounds, or the
-            recording is faulty.
+            recording or a mask is faulty.
     """
     if not isinstance(path, str | Path):
         raise InputError(
@@ -332,7 +345,22 @@ def open_sequence(path: str | Path, format: str | None = None, **options: Any) -
     else:
         chosen = formats[format]
         chosen.check_kind(path)
-    return chosen.open(path, **chosen.validated(options))
+    sequence = chosen.open(path, **chosen.validated(options))
+    if mask_left is None:
+        mask_left = _beside(path, "mask_left")
+    if mask_right is None:
+        mask_right = _beside(path, "mask_right")
+    if mask_left is None and mask_right is None:
+        return sequence
+    from probevo.sequences.masked import with_masks
+
+    return with_masks(sequence, mask_left, mask_right)
+
+
+def _beside(path: Path, name: str) -> Path | None:
+    """Return the mask of that name in the folder of a recording: a file, or a folder; or None."""
+    places = (path / f"{name}.png", path / name)
+    return next((place for place in places if path.is_dir() and place.exists()), None)
 
 
 def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceFormat:

@@ -17,12 +17,15 @@ AROUND_WINDOW_PX = 3
 """Margin around the window of a corner: with less, it could not be tracked by all of its window."""
 
 
-def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
+def strongest_corners(
+    image: Image, config: TrackingConfig, usable: BoolArray | None = None
+) -> FloatArray:
     """Detect the strongest FAST corners of each grid cell.
 
     Args:
         image: [height, width], uint8.
         config: number of features, threshold, window.
+        usable: where corners may be, [height, width]; None for everywhere.
 
     Returns:
         (u, v) of the corners, [rows, columns, FEATURES_PER_CELL, 2], px, the strongest first; NaN
@@ -34,6 +37,7 @@ def strongest_corners(image: Image, config: TrackingConfig) -> FloatArray:
         threshold=config.fast_threshold,
         per_cell=FEATURES_PER_CELL,
         border_px=config.window_px // 2 + AROUND_WINDOW_PX,
+        usable=usable,
     )
 
 

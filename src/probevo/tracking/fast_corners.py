@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from probevo.arrays import FloatArray, Image
+from probevo.arrays import BoolArray, FloatArray, Image
 from probevo.tracking.fast_corners_numba import REACH_PX, FlatImage, Strongest, fill_strongest
 
 HALF_RING = ((0, 3), (1, 3), (2, 2), (3, 1), (3, 0), (3, -1), (2, -2), (1, -3))
@@ -30,7 +30,13 @@ class CornerGrid(NamedTuple):
 
 
 def strongest_of_cells(
-    image: Image, grid: CornerGrid, *, threshold: int, per_cell: int, border_px: int
+    image: Image,
+    grid: CornerGrid,
+    *,
+    threshold: int,
+    per_cell: int,
+    border_px: int,
+    usable: BoolArray | None = None,
 ) -> FloatArray:
     """Detect the strongest FAST corners of each cell.
 
@@ -44,6 +50,7 @@ def strongest_of_cells(
         threshold: difference that makes a corner, grey levels.
         per_cell: number of corners wanted in each cell.
         border_px: least distance of a corner from the border, at least REACH_PX + 1.
+        usable: where corners may be, [height, width]; None for everywhere.
 
     Returns:
         (u, v) of the corners, [rows, columns, per_cell, 2], px, the strongest first, of equal ones
@@ -53,10 +60,13 @@ def strongest_of_cells(
     shape = (grid.rows, grid.columns, per_cell)
     strongest = Strongest(strength=np.zeros(shape, np.int64), flat_index=np.full(shape, -1))
     if min(height, width) > 2 * border_px:
+        bound = _strength_bound(image)
+        if usable is not None:
+            bound[~usable[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]] = 0
         flat_image = FlatImage(
             pixels=np.ascontiguousarray(image).ravel(),
             width=width,
-            bound=_strength_bound(image),
+            bound=bound,
             ring_offsets=np.array([dv * width + du for du, dv in RING]),
             ring=np.zeros(len(RING) + 8, np.int32),
         )

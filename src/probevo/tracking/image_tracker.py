@@ -13,9 +13,10 @@ from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
 from probevo.config import MAX_DIFFERENCE_OF, TrackingConfig
 from probevo.sequences.frame import Frame
+from probevo.sequences.prepared_images import PreparedImages
 from probevo.tracking.anchor_patches import AnchorPatches
 from probevo.tracking.detection import corners_in_free_cells, non_overlapping
-from probevo.tracking.lucas_kanade import Pyramid, track_points
+from probevo.tracking.lucas_kanade import track_points
 from probevo.tracking.preparation import prepare_images
 from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
@@ -82,7 +83,7 @@ class ImageTracker:
         rejected: Counter[str] = Counter()
         # What does not match its anchor patch any more continues as another landmark.
         prev = state.with_new_identities()
-        found = self._find_in_time(prev, images.left, T_curr_prev, rejected=rejected)
+        found = self._find_in_time(prev, images, T_curr_prev, rejected=rejected)
         num_found = len(found.left_px)
         # New corners in the cells that have room, with the disparity of the nearest feature.
         image = images.left[0]
@@ -94,7 +95,7 @@ class ImageTracker:
         # All of them in the right image.
         left_px = np.vstack([found.left_px, corners])
         in_stereo = self._find_in_stereo(
-            (images.left, images.right),
+            images,
             left_px,
             found.patches.joined(corner_patches),
             disparity_px=np.concatenate([found.disparity_px, corner_disparity]),
@@ -133,12 +134,13 @@ class ImageTracker:
     def _find_in_time(
         self,
         prev: TrackingState,
-        left: Pyramid,
+        images: PreparedImages,
         T_curr_prev: FloatArray,
         *,
         rejected: Counter[str],
     ) -> _FoundInTime:
         """Find the features of the previous frame in the current left image."""
+        left = images.left
         image = left[0]
         # Where the motion takes them.
         predicted_px, growth, ahead = _predict(prev.pixels, T_curr_prev, self._camera)
@@ -154,6 +156,10 @@ class ImageTracker:
         )
         inside = _inside(tracked.pixels, image)
         rejected["left the view"] += int((~inside).sum())
+        if images.left_usable is not None:
+            unmasked = _unmasked(tracked.pixels, images.left_usable)
+            rejected["masked"] += int((inside & ~unmasked).sum())
+            inside &= unmasked
         similar = _similar(tracked.difference, inside, self._config)
         rejected["looks different"] += int((inside & ~similar).sum())
         prev = prev.subset(visible[similar])
@@ -181,7 +187,7 @@ class ImageTracker:
 
     def _find_in_stereo(
         self,
-        images: tuple[Pyramid, Pyramid],
+        images: PreparedImages,
         left_px: FloatArray,
         patches: AnchorPatches,
         *,
@@ -192,7 +198,7 @@ class ImageTracker:
         """Find N points of the left image in the right one.
 
         Args:
-            images: pyramids of the left and the right image.
+            images: the left and the right image.
             left_px: the points, (u, v), [N, 2], px.
             patches: anchor patch of each.
             disparity_px: predicted disparity, [N], px.
@@ -200,7 +206,8 @@ class ImageTracker:
                 corners are only a guess.
             rejected: counts what each check rejects.
         """
-        left, right = images
+        left = images.left
+        right = images.right
         start_px = left_px - np.column_stack([disparity_px, np.zeros(len(left_px))])
         tracked = track_points(
             left, right, left_px, start_px=start_px, config=self._config, near=is_predicted
@@ -212,6 +219,10 @@ class ImageTracker:
         rejected["negative disparity"] += int((same_row & ~has_disparity & is_negative).sum())
         rejected["too little disparity"] += int((same_row & ~has_disparity & ~is_negative).sum())
         consistent = same_row & has_disparity
+        if images.right_usable is not None:
+            unmasked = _unmasked(tracked.pixels, images.right_usable)
+            rejected["masked"] += int((consistent & ~unmasked).sum())
+            consistent &= unmasked
         matched = _similar(tracked.difference, consistent, self._config)
         rejected["no stereo match"] += int((consistent & ~matched).sum())
         # The affine fit to the anchor patch, where it stays consistent.
@@ -283,6 +294,15 @@ def _similar(difference: FloatArray, candidates: BoolArray, config: TrackingConf
     )
     similar: BoolArray = candidates & (difference <= max(gate, limit))
     return similar & np.isfinite(difference)
+
+
+def _unmasked(pixels: FloatArray, usable: BoolArray) -> BoolArray:
+    """Return which (u, v), [N, 2], lie where features are usable, [height, width]; of those outside
+    of the image, the nearest pixel counts."""
+    height, width = usable.shape
+    u, v = np.clip(np.rint(pixels), 0, [width - 1, height - 1]).astype(np.int64).T
+    unmasked: BoolArray = usable[v, u]
+    return unmasked
 
 
 def _inside(pixels: FloatArray, image: Image) -> BoolArray:

@@ -13,9 +13,9 @@ from itertools import count
 import cv2
 import numpy as np
 
-from probevo.arrays import Image
+from probevo.arrays import BoolArray, Image
 from probevo.config import TrackingConfig
-from probevo.sequences.frame import Frame
+from probevo.sequences.frame import WHITE, Frame
 from probevo.sequences.prepared_images import PreparedImages as PreparedImages
 from probevo.sequences.read_ahead import read_ahead
 from probevo.tracking.detection import strongest_corners
@@ -61,8 +61,31 @@ def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
         return frame.prepared
     left = build_pyramid(high_pass(frame.left, config), config)
     right = build_pyramid(high_pass(frame.right, config), config)
-    corners = strongest_corners(left[0], config)
-    return PreparedImages(left=left, right=right, corners=corners, config=config)
+    left_usable = usable_places(frame.left_mask, config)
+    return PreparedImages(
+        left=left,
+        right=right,
+        corners=strongest_corners(left[0], config, left_usable),
+        left_usable=left_usable,
+        right_usable=usable_places(frame.right_mask, config),
+        config=config,
+    )
+
+
+def usable_places(mask: Image | BoolArray | None, config: TrackingConfig) -> BoolArray | None:
+    """Return where the window of a feature lies within a mask, [height, width]; None without one.
+
+    Args:
+        mask: where features are wanted: True, or grey levels from ``WHITE`` on.
+        config: with the size of the window.
+    """
+    if mask is None:
+        return None
+    is_wanted = mask if mask.dtype == np.bool_ else mask >= WHITE
+    window = np.ones((config.window_px, config.window_px), np.uint8)
+    # What lies beyond the border of the image does not count.
+    usable: BoolArray = cv2.erode(is_wanted.astype(np.uint8), window) > 0
+    return usable
 
 
 def high_pass(image: Image, config: TrackingConfig) -> Image:
