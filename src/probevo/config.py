@@ -180,6 +180,13 @@ class WindowConfig(Settings):
         le=100,
         description="Most iterations of a frame's adjustment: it starts close to the optimum.",
     )
+    imu: Literal["auto", "off"] = Field(
+        "auto",
+        description=(
+            "auto: use gyro and accelerometer, if the recording has both with their calibration and"
+            " they agree with the images; off: use the images alone."
+        ),
+    )
 
 
 class MotionModelConfig(Settings):

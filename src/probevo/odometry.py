@@ -14,6 +14,7 @@ from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
+from probevo.estimation import inertial
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel
@@ -107,6 +108,7 @@ class StereoOdometry:
             self._state = self._first_state(frame)
             return MotionEstimate.first(missing)
         clock = StageClock(decode=frame.decode_ms)
+        state = replace(state, window=inertial.with_samples(state.window, state.frame, frame))
         prediction = state.predict(frame, self.imu)  # from gyro and last velocity
         observed = self._observe(state, frame, prediction, clock=clock)  # pixels → tracks → φ
         measured = self._measure(state, frame, prediction)  # gyro, and sensors plugged in
@@ -117,6 +119,7 @@ class StereoOdometry:
         estimate, after = self._concluded(
             state, frame, observed, measured=measured, visual=visual, learned=learned, clock=clock
         )
+        missing += inertial.notes(after.window)
         estimate = replace(estimate, stage_ms=clock.times_ms, missing=missing)
         self._state = after
         return estimate
@@ -439,7 +442,7 @@ class StereoOdometry:
     ) -> Window:
         """Adjust the last frames together, starting from the motion that two of them have shown.
 
-        Without a solve, the dead-reckoned motion counts as a measurement.
+        Without a solve, the dead-reckoned motion counts as a measurement, unless there is an IMU.
         """
         by_itself = RelativePose(
             motion.T_curr_prev,
@@ -448,12 +451,13 @@ class StereoOdometry:
             prev=pose_of(int(window.frames[-1])),
         )
         if visual.status is not Status.OK or visual.noise is None:
+            by_itself = inertial.predicted_motion(window) or by_itself
             return self._window.without_features(window, frame.index, by_itself, measurements)
         tracks = observed.tracked.tracks.kept(visual.used)
         if observed.rig is not None:
             tracks = tracks.with_rows_corrected(observed.rig, self.camera)
         return self._window.with_features(
-            window,
+            inertial.gated(window, by_itself),
             frame.index,
             tracks,
             visual.noise,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
+from probevo.estimation.inertial import Inertial, trusts_gyro
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.window import Window
@@ -118,11 +119,13 @@ class OdometryState:
             residuals=LastResiduals.none(),
             pose=PoseFilter.at_origin(),
             step=StepFeatures.none(num_columns),
-            window=Window.at_first_frame(frame.index) if config.estimator == "window" else None,
+            window=_first_window(frame, imu, config) if config.estimator == "window" else None,
         )
 
     def predict(self, frame: Frame, imu: ImuCalibration | None) -> Prediction:
         """Predict the motion to the next frame, from gyro and last velocity (PROBE eqs. 3-4).
+
+        A gyro that is yet to be tested against the window, or contradicts it, predicts nothing.
 
         Args:
             frame: the next frame.
@@ -147,8 +150,18 @@ class OdometryState:
                 )
         return Prediction(
             duration_s=duration_s,
-            motion=self.motion_model.predict(duration_s, rotation),
+            motion=self.motion_model.predict(
+                duration_s, rotation if trusts_gyro(self.window) else None
+            ),
             gyro=gyro,
             rotation=rotation,
             gyro_bias=bias,
         )
+
+
+def _first_window(frame: Frame, imu: ImuCalibration | None, config: OdometryConfig) -> Window:
+    """Return the window of the first frame, with the IMU if there is one that may be used."""
+    window = Window.at_first_frame(frame.index)
+    if imu is None or config.window.imu == "off":
+        return window
+    return replace(window, inertial=Inertial(imu))

@@ -8,7 +8,7 @@ of poses are absolute: they grow along the path.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.estimation.window_numba import POSE, RIG, WindowLandmarks, WindowObservations
 from probevo.geometry import se3
+
+if TYPE_CHECKING:
+    from probevo.estimation.inertial import Inertial
 
 ORIGIN_SIGMA = 1e-7
 """Standard deviation of the first pose, m and rad: it is the origin, but for rounding."""
@@ -67,6 +70,8 @@ class Window:
     """Joint covariance of the poses' left perturbations and the rig, [6K + 3, 6K + 3]."""
     left: SmoothedPose | None = None
     """The pose that left the window in the last step, if one did."""
+    inertial: Inertial | None = None
+    """Its IMU, with velocities, biases and gravity; None without one."""
 
     @staticmethod
     def at_first_frame(frame: int) -> Window:

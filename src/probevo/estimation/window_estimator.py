@@ -22,6 +22,8 @@ from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.camera.rig_calibration import CORRELATED_FEATURES, disparity_basis
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
+from probevo.estimation import inertial
+from probevo.estimation.inertial_states import InertialSystem
 from probevo.estimation.window import MarginalPrior, Window, merged, selected
 from probevo.estimation.window_numba import (
     LANDMARK,
@@ -73,6 +75,7 @@ class _System:
     cost: float
     equations: NormalEquations
     elimination: Elimination
+    inertial: InertialSystem | None
 
 
 class WindowEstimator:
@@ -126,7 +129,7 @@ class WindowEstimator:
             return self.without_features(window, frame, two_frames, measurements)
         if not self._fixes_newest(adjusted):
             return self.without_features(window, frame, two_frames, measurements)
-        return self._shortened(adjusted)
+        return self._shortened(self._with_inertial_start(adjusted))
 
     def without_features(
         self,
@@ -137,6 +140,8 @@ class WindowEstimator:
     ) -> Window:
         """Return the window with one more frame, which no feature connects with the others.
 
+        Where an IMU does, the motion is only a first guess.
+
         Args:
             window: K frames.
             frame: index of the new one.
@@ -145,8 +150,20 @@ class WindowEstimator:
         """
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
         extended = self.with_frame(window, frame, motion.T_curr_prev, Tracks.none(), none)
-        measured = self.with_measurements(extended, [*measurements, motion])
+        if not inertial.bridges_newest(extended):
+            measurements = [*measurements, motion]
+        measured = self.with_measurements(extended, measurements)
         return self._shortened(self.adjusted(measured).window)
+
+    def _with_inertial_start(self, window: Window) -> Window:
+        """Return the window with velocities, biases and gravity, once its IMU has shown them."""
+        started = inertial.started(window)
+        if not inertial.bridges_newest(started) or inertial.bridges_newest(window):
+            return started
+        try:
+            return self.adjusted(started).window
+        except np.linalg.LinAlgError:
+            return inertial.without_inertial(window, "has states that no window fixes")
 
     def _fixes_newest(self, window: Window) -> bool:
         """Return whether the newest motion is known as well as one of two frames has to be."""
@@ -225,7 +242,7 @@ class WindowEstimator:
         )
         T_new = T_curr_prev @ window.T_cam_world[-1]
         return replace(
-            window,
+            inertial.extended(window),
             frames=np.append(window.frames, frame),
             T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
             T_linear=np.concatenate([window.T_linear, T_new[None]]),
@@ -282,8 +299,9 @@ class WindowEstimator:
             else:
                 damping = max(1e-4, 10.0 * damping)
         cov = self._covariance(system.equations.hessian)
+        of_imu = inertial.covariance_known(system.window, system.inertial, cov)
         return Adjustment(
-            window=replace(system.window, cov=cov),
+            window=replace(system.window, cov=cov, inertial=of_imu),
             squared=system.elimination.squared,
             iterations=iterations,
         )
@@ -308,11 +326,19 @@ class WindowEstimator:
                 window,
                 observations=selected(observations, is_old[rows]),
                 landmarks=_selected_landmarks(window.landmarks, is_old),
+                inertial=None,
             )
         )
         # At the offsets x, gradient = η − Λ x of the new prior.
         information = system.equations.hessian
         vector = system.equations.gradient + information @ window.offsets()
+        prior = _without_first_pose(information, vector)
+        of_imu = window.inertial
+        marginalised = inertial.without_first(window, system.equations)
+        if marginalised is not None:
+            prior, of_imu = marginalised
+        elif of_imu is not None:
+            of_imu = replace(of_imu, factors=of_imu.factors[1:])
         state = window.landmarks.state.copy()
         last_px = observations.pixels[observations.start[1:] - 1]
         state[is_alive] = self._first_states(last_px[is_alive], window.rig)
@@ -323,11 +349,12 @@ class WindowEstimator:
             frames=window.frames[1:],
             T_cam_world=window.T_cam_world[1:],
             T_linear=window.T_linear[1:],
-            prior=_without_first_pose(information, vector),
+            prior=prior,
             ids=window.ids[stays],
             landmarks=_selected_landmarks(window.landmarks._replace(state=state), stays),
             observations=kept._replace(slot=kept.slot - 1),
             cov=window.cov[POSE:, POSE:],
+            inertial=of_imu,
             left=window.pose(0),
         )
 
@@ -372,14 +399,21 @@ class WindowEstimator:
             equations=equations,
             elimination=elimination,
         )
+        cost -= 0.5 * float(x @ (window.prior.vector + towards_prior))
+        hessian = equations.hessian + window.prior.information
+        gradient = equations.gradient + towards_prior
+        of_imu = inertial.system_of(window)
+        if of_imu is not None:
+            reduced, reduced_gradient = of_imu.reduced()
+            cost += of_imu.cost
+            hessian += reduced
+            gradient += reduced_gradient
         return _System(
             window=window,
-            cost=cost - 0.5 * float(x @ (window.prior.vector + towards_prior)),
-            equations=NormalEquations(
-                hessian=equations.hessian + window.prior.information,
-                gradient=equations.gradient + towards_prior,
-            ),
+            cost=cost,
+            equations=NormalEquations(hessian=hessian, gradient=gradient),
             elimination=elimination,
+            inertial=of_imu,
         )
 
     def _step(self, system: _System, damping: float) -> FloatArray:
@@ -428,6 +462,7 @@ class WindowEstimator:
             T_cam_world=T_cam_world,
             T_linear=np.where(is_fixed[:, None, None], window.T_linear, T_cam_world),
             rig=window.rig + step[-RIG:],
+            inertial=inertial.after_step(window, system.inertial, step),
             landmarks=window.landmarks._replace(state=state),
         )
 

@@ -10,6 +10,7 @@ from probevo.arrays import AnyArray, BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures, check_frame, check_order
+from probevo.sequences.gyro_spikes import find_spikes
 from probevo.sequences.text import INT64_LIMIT
 
 LARGEST_RATE_RAD_S = 2e3
@@ -25,7 +26,8 @@ def validated(
 ) -> tuple[Frame, tuple[str, ...]]:
     """Check a frame, and leave out its unusable features and IMU samples.
 
-    A feature or an angular rate that is not finite, or implausibly large, is left out; whether the
+    A feature or an angular rate that is not finite, or implausibly large, is left out, and so is an
+    angular rate that stands out from its neighbours like a spike; whether the
     rest of the samples still covers the interval is for the gyro's integration to say. A sample
     whose specific force is unusable keeps its angular rate.
 
@@ -54,6 +56,10 @@ def validated(
                 usable=has_gyro,
             )
             imu = _kept(imu, has_gyro)
+        is_spike = find_spikes(imu.gyro_rad_s)
+        if is_spike.any():
+            missing.append(f"{is_spike.sum()} IMU samples whose angular rate is a spike")
+            imu = _kept(imu, ~is_spike)
         has_force = _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
         if not has_force.all():
             # An IMU without an accelerometer has no force at all, which is not worth a word.

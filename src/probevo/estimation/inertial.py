@@ -1,0 +1,290 @@
+"""The IMU of a window: from the first samples, over the test against the images, to its states.
+
+An IMU never makes the path worse than the images alone: it is tested before it is used, each of
+its factors is gated by the motion that two frames show by themselves, and one that contradicts the
+images time and again is left out for good.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.estimation.inertial_start import (
+    fit_inertial_states,
+    with_gravity_of_known_length,
+)
+from probevo.estimation.inertial_states import (
+    InertialPrediction,
+    InertialStates,
+    InertialSystem,
+    inertial_system,
+    moved,
+    predicted,
+    with_covariance,
+    with_frame,
+    without_first_frame,
+)
+from probevo.estimation.window import MarginalPrior, Window
+from probevo.estimation.window_numba import NormalEquations
+from probevo.geometry import se3
+from probevo.measurements.base import pose_of
+from probevo.measurements.preintegration import NoPreintegration, Preintegration, preintegrate
+from probevo.measurements.relative_pose import RelativePose
+from probevo.sequences.frame import Frame
+from probevo.sequences.imu_calibration import ImuCalibration
+
+FRAMES_AT_START = 6
+"""Least number of frames of which the states are estimated at first."""
+LARGEST_EXCESS = 4.0
+"""Largest χ² over its degrees of freedom at the start: what factors and images together may be
+noisier than they say."""
+GATE = 22.5
+"""Squared Mahalanobis distance, of six dimensions, beyond which a factor is left out: 99.9 %."""
+NUM_TESTED = 20
+"""Factors that the share of those left out is taken over."""
+MOST_GATED = 6
+"""So many of them left out, and the IMU is."""
+MOST_ATTEMPTS = 30
+"""Frames at which the IMU may contradict the images before it has ever been used."""
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """The IMU of a window with K frames."""
+
+    calibration: ImuCalibration
+    factors: tuple[Preintegration | None, ...] = ()
+    """Between successive frames, [K − 1]; None where there is none."""
+    pending: Preintegration | None = None
+    """From the last frame to the one that comes."""
+    prediction: InertialPrediction | None = None
+    """The motion to the frame that comes; None before the states are known, or without samples."""
+    states: InertialStates | None = None
+    """None before the IMU has passed its test."""
+    was_gated: tuple[bool, ...] = ()
+    """Of the last factors that were tested, which were left out."""
+    attempts: int = 0
+    """Frames at which the test at the start was failed."""
+    note: str = ""
+    """Why the IMU says nothing of the last step, as the end of "the IMU …"; empty if it does."""
+    refused: bool = False
+    """Whether it has been left out for good."""
+
+    @property
+    def is_used(self) -> bool:
+        """Whether the window's poses depend on it."""
+        return self.states is not None
+
+    def without_states(self, note: str, *, refused: bool) -> Inertial:
+        """Return the IMU as before its start, for a reason."""
+        return replace(
+            self,
+            states=None,
+            prediction=None,
+            pending=None,
+            note=note,
+            refused=refused,
+            was_gated=(),
+        )
+
+
+def with_samples(window: Window | None, prev: Frame, frame: Frame) -> Window | None:
+    """Return the window with what the IMU measured after its last frame.
+
+    Args:
+        window: K frames; None without one.
+        prev: the last of them.
+        frame: the one that comes, with the samples between the two.
+    """
+    if window is None or window.inertial is None or window.inertial.refused:
+        return window
+    inertial = window.inertial
+    states = inertial.states
+    factor = preintegrate(
+        frame.imu,
+        prev.stamp_ns,
+        frame.stamp_ns,
+        calibration=inertial.calibration,
+        bias=states.bias[-1] if states is not None else np.zeros(6),
+    )
+    if isinstance(factor, NoPreintegration):
+        silent = replace(inertial, pending=None, prediction=None, note=factor.reason)
+        return replace(window, inertial=silent)
+    prediction = None
+    if states is not None:
+        prediction = predicted(window, states, factor)
+        if not np.isfinite(prediction.cov).all():
+            prediction = None
+    inertial = replace(inertial, pending=factor, prediction=prediction, note="")
+    return replace(window, inertial=inertial)
+
+
+def trusts_gyro(window: Window | None) -> bool:
+    """Return whether the gyro may predict the motion to the frame that comes.
+
+    It may not as long as its samples can be tested against a window, but have not passed. Samples
+    that are too few for that have none of an accelerometer's sensitivity, either.
+    """
+    if window is None or window.inertial is None:
+        return True
+    inertial = window.inertial
+    return inertial.is_used or (inertial.pending is None and not inertial.refused)
+
+
+def gated(window: Window, seen: RelativePose) -> Window:
+    """Return the window without the pending factor, if the motion that the images show refutes it.
+
+    Args:
+        window: K frames, with what the IMU measured since.
+        seen: the motion to the frame that comes, from two images by themselves.
+    """
+    inertial = window.inertial
+    if inertial is None or inertial.prediction is None:
+        return window
+    prediction = inertial.prediction
+    innovation = se3.log(seen.T_curr_prev @ se3.inverse(prediction.T_curr_prev))
+    squared = float(innovation @ np.linalg.solve(seen.covariance + prediction.cov, innovation))
+    is_gated = not squared <= GATE
+    was_gated = (*inertial.was_gated[1 - NUM_TESTED :], is_gated)
+    inertial = replace(inertial, was_gated=was_gated)
+    if is_gated:
+        note = f"contradicts the images in this step (χ² {squared:.0f} of 6 degrees of freedom)"
+        inertial = replace(inertial, pending=None, prediction=None, note=note)
+    if sum(was_gated) >= MOST_GATED:
+        note = f"is left out from here on: it contradicted the images in {sum(was_gated)} of the"
+        note += f" last {len(was_gated)} steps"
+        return without_inertial(replace(window, inertial=inertial), note)
+    return replace(window, inertial=inertial)
+
+
+def predicted_motion(window: Window) -> RelativePose | None:
+    """Return the motion that the IMU predicts to the frame that comes, if it does."""
+    if window.inertial is None or window.inertial.prediction is None:
+        return None
+    T_curr_prev, cov, _ = window.inertial.prediction
+    return RelativePose(T_curr_prev, cov, curr=pose_of(0), prev=pose_of(int(window.frames[-1])))
+
+
+def notes(window: Window | None) -> tuple[str, ...]:
+    """Return why the IMU was not used in the last step, as a sentence, if there is a reason.
+
+    Of an IMU that never has enough samples, only the first step says so.
+    """
+    if window is None or window.inertial is None or not window.inertial.note:
+        return ()
+    inertial = window.inertial
+    has_measured = inertial.is_used or inertial.refused or any(inertial.factors)
+    if not has_measured and len(inertial.factors) > 1:
+        return ()
+    return (f"the IMU {inertial.note}",)
+
+
+def without_inertial(window: Window, note: str) -> Window:
+    """Return the window with its inertial states marginalised, and the IMU left out for good."""
+    inertial = window.inertial
+    if inertial is None:
+        return window
+    left_out = inertial.without_states(note, refused=True)
+    if inertial.states is None:
+        return replace(window, inertial=left_out)
+    system = inertial_system(window, inertial.states, inertial.factors, num_pairs=0)
+    hessian, gradient = system.reduced()
+    information = window.prior.information + hessian
+    vector = window.prior.vector + gradient + hessian @ window.offsets()
+    prior = replace(window.prior, information=information, vector=vector)
+    return replace(window, prior=prior, inertial=left_out)
+
+
+def extended(window: Window) -> Window:
+    """Return the window whose last frame is new with the pending factor, and states of its own."""
+    inertial = window.inertial
+    if inertial is None:
+        return window
+    states = inertial.states
+    if states is not None:
+        velocity = states.velocity[-1]
+        if inertial.prediction is not None:
+            velocity = inertial.prediction.velocity
+        states = with_frame(states, velocity)
+    factors = (*inertial.factors, inertial.pending)
+    return replace(
+        window,
+        inertial=replace(inertial, factors=factors, states=states, pending=None, prediction=None),
+    )
+
+
+def bridges_newest(window: Window) -> bool:
+    """Return whether the IMU connects the last frame with the one before."""
+    inertial = window.inertial
+    return inertial is not None and inertial.is_used and inertial.factors[-1] is not None
+
+
+def started(window: Window) -> Window:
+    """Return the window with inertial states, if the IMU agrees with its poses.
+
+    Args:
+        window: K frames, adjusted without any inertial states.
+    """
+    inertial = window.inertial
+    if inertial is None or inertial.is_used or inertial.refused:
+        return window
+    factors = [factor for factor in inertial.factors if factor is not None]
+    if len(window) < FRAMES_AT_START or len(factors) < len(inertial.factors):
+        return window
+    fit = fit_inertial_states(window, factors, inertial.calibration)
+    reason = fit.reason_against(LARGEST_EXCESS)
+    if not reason:
+        states = with_gravity_of_known_length(fit.states)
+        return replace(window, inertial=replace(inertial, states=states, note=""))
+    attempts = inertial.attempts + 1
+    refused = attempts >= MOST_ATTEMPTS
+    note = f"is left out from here on: it {reason}" if refused else reason
+    tried = replace(inertial, attempts=attempts, note=note, refused=refused)
+    return replace(window, inertial=tried)
+
+
+def system_of(window: Window) -> InertialSystem | None:
+    """Return the normal equations of the inertial states and their factors, if there are any."""
+    inertial = window.inertial
+    if inertial is None or inertial.states is None:
+        return None
+    return inertial_system(window, inertial.states, inertial.factors)
+
+
+def after_step(window: Window, system: InertialSystem | None, step: FloatArray) -> Inertial | None:
+    """Return the IMU after a step of poses and rig, [6K + 3]; its states follow."""
+    inertial = window.inertial
+    if inertial is None or inertial.states is None or system is None:
+        return inertial
+    return replace(inertial, states=moved(inertial.states, system.step(step)))
+
+
+def covariance_known(
+    window: Window, system: InertialSystem | None, cov: FloatArray
+) -> Inertial | None:
+    """Return the IMU with the covariance of its states, given that of poses and rig."""
+    inertial = window.inertial
+    if inertial is None or inertial.states is None or system is None:
+        return inertial
+    return replace(inertial, states=with_covariance(inertial.states, system, cov))
+
+
+def without_first(
+    window: Window, others: NormalEquations
+) -> tuple[MarginalPrior, Inertial | None] | None:
+    """Marginalise the first frame's pose and inertial states; None if there are no such states.
+
+    Args:
+        window: K frames.
+        others: equations of poses and rig from all but the inertial states, at the current values.
+    """
+    inertial = window.inertial
+    if inertial is None or inertial.states is None:
+        return None
+    system = inertial_system(window, inertial.states, inertial.factors, num_pairs=1)
+    x = np.concatenate([window.offsets(), inertial.states.joint()])
+    remaining, states = without_first_frame(inertial.states, others, system, x=x)
+    return remaining, replace(inertial, states=states, factors=inertial.factors[1:])

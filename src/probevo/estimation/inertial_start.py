@@ -1,0 +1,164 @@
+"""Velocities, biases and gravity from a window of poses alone, and whether the IMU agrees with it.
+
+Given the poses, what an IMU measured is linear in velocities, accelerometer bias and gravity, and
+nearly so in the gyro's bias. A stereo window has the scale, so that this starts from rest as from
+any motion. What remains of the residuals, χ² distributed if the calibration holds, tests the
+mounting, the clock, the units and the noise of the IMU against the images, before it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.estimation.inertial_states import (
+    GRAVITY_M_S2,
+    STATE,
+    InertialStates,
+    at_start,
+    inverse_of,
+    linearized,
+)
+from probevo.estimation.window import Window
+from probevo.estimation.window_numba import POSE, RIG
+from probevo.measurements.preintegration import Preintegration
+from probevo.sequences.imu_calibration import ImuCalibration
+
+GRAVITY_TOLERANCE_M_S2 = 0.3
+"""By how much gravity may differ from its length beyond 3σ: scale errors of 2 %, and a little."""
+_PASSES = 3
+"""Weights and the gyro's rotation depend on what is estimated, but little."""
+
+
+@dataclass(frozen=True)
+class InertialFit:
+    """What poses and preintegrations of a window say of its inertial states."""
+
+    states: InertialStates
+    """With the prior of the first frame's biases."""
+    squared: float
+    """χ² of the residuals that remain."""
+    dof: int
+    gravity_m_s2: float
+    """Length of gravity, where it is free."""
+    gravity_sigma_m_s2: float
+    """Its standard deviation."""
+
+    @property
+    def excess(self) -> float:
+        """χ² over its degrees of freedom: 1 if calibration and noise are right."""
+        return self.squared / self.dof
+
+    def reason_against(self, largest_excess: float) -> str:
+        """Return what contradicts the images, as the end of "the IMU …"; nothing if they agree."""
+        if not np.isfinite(self.squared):
+            return "fits the images with no finite residual"
+        if self.excess > largest_excess:
+            return (
+                f"contradicts the images: χ² is {self.squared:.0f} for {self.dof} degrees of"
+                " freedom; check the mounting, the clock, the units and the noise of the IMU"
+            )
+        off_m_s2 = abs(self.gravity_m_s2 - GRAVITY_M_S2)
+        if off_m_s2 > 3.0 * self.gravity_sigma_m_s2 + GRAVITY_TOLERANCE_M_S2:
+            return (
+                f"measures gravity as {self.gravity_m_s2:.2f} ±"
+                f" {self.gravity_sigma_m_s2:.2f} m/s²; check the unit of the accelerometer"
+            )
+        return ""
+
+
+def fit_inertial_states(
+    window: Window, factors: Sequence[Preintegration], calibration: ImuCalibration
+) -> InertialFit:
+    """Estimate the inertial states of a window whose poses are known with their covariance.
+
+    Args:
+        window: K poses, from images alone.
+        factors: between all successive frames, [K − 1].
+        calibration: of the IMU; its bias sigmas are the prior.
+    """
+    count = len(window)
+    first = np.arange(count - 1)
+    bias_sigma = bias_sigmas(calibration)
+    # Unknowns: velocities, one bias of each kind, gravity.
+    size = 3 * count + 9
+    velocity = np.zeros((count, 3))
+    bias = np.zeros(6)
+    gravity = np.array([0.0, GRAVITY_M_S2, 0.0])
+    prior = np.zeros((size, size))
+    of_bias = 3 * count + np.arange(6)
+    prior[of_bias, of_bias] = 1.0 / bias_sigma**2
+    cov = np.zeros((size, size))
+    squared = np.inf
+    for _ in range(_PASSES):
+        states = _with_values(velocity, bias, gravity, bias_sigma)
+        residual, jacobian = linearized(window, states, factors, first)
+        rows = len(residual) * 9
+        by_pose = np.zeros((rows, POSE * count + RIG))
+        design = np.zeros((rows, size))
+        noise = np.zeros((rows, rows))
+        for at, factor in enumerate(factors):
+            here = slice(9 * at, 9 * at + 9)
+            by_pose[here, POSE * at : POSE * (at + 2)] = jacobian[at, :, : 2 * POSE]
+            of_states = jacobian[at, :, 2 * POSE :]
+            design[here, 3 * at : 3 * at + 3] = of_states[:, :3]
+            design[here, 3 * at + 3 : 3 * at + 6] = of_states[:, STATE : STATE + 3]
+            design[here, of_bias] = of_states[:, 3:STATE]
+            C_i = window.T_linear[at, :3, :3]
+            design[9 * at + 3 : 9 * at + 6, -3:] = -factor.duration_s * C_i
+            design[9 * at + 6 : 9 * at + 9, -3:] = -0.5 * factor.duration_s**2 * C_i
+            noise[here, here] = factor.cov
+        whole = noise + by_pose @ window.cov @ by_pose.T
+        scale = 1.0 / np.sqrt(np.diagonal(whole))
+        root = np.linalg.cholesky(whole * scale[:, None] * scale)
+        white_design = np.linalg.solve(root, design * scale[:, None])
+        white_residual = np.linalg.solve(root, residual.ravel() * scale)
+        cov = inverse_of(white_design.T @ white_design + prior)
+        values = np.concatenate([velocity.ravel(), bias, gravity])
+        step = -cov @ (white_design.T @ white_residual + prior @ _bias_only(values, of_bias))
+        remaining = white_residual + white_design @ step
+        values = values + step
+        squared = float(remaining @ remaining + values @ prior @ values)
+        velocity = values[: 3 * count].reshape(-1, 3)
+        bias = values[of_bias]
+        gravity = values[-3:]
+    length = float(np.linalg.norm(gravity))
+    along = gravity / max(length, 1e-9)
+    return InertialFit(
+        states=_with_values(velocity, bias, gravity, bias_sigma),
+        squared=squared,
+        dof=9 * (count - 1) - 3 * count - 3,
+        gravity_m_s2=length,
+        gravity_sigma_m_s2=float(np.sqrt(along @ cov[-3:, -3:] @ along)),
+    )
+
+
+def bias_sigmas(calibration: ImuCalibration) -> FloatArray:
+    """Return the prior standard deviations of gyro and accelerometer bias, [6]."""
+    sigmas = [calibration.gyro_bias_sigma_rad_s, calibration.accel_bias_sigma_m_s2]
+    floored: FloatArray = np.maximum(np.repeat(sigmas, 3), 1e-6)
+    return floored
+
+
+def _bias_only(values: FloatArray, of_bias: np.ndarray) -> FloatArray:
+    """Return the values that have a prior, and zero for the others."""
+    kept = np.zeros_like(values)
+    kept[of_bias] = values[of_bias]
+    return kept
+
+
+def _with_values(
+    velocity: FloatArray, bias: FloatArray, gravity: FloatArray, bias_sigma: FloatArray
+) -> InertialStates:
+    """Return states with gravity of any length, at which residuals are formed."""
+    states = at_start(velocity, bias, gravity, bias_sigma)
+    return replace(states, gravity_linear=gravity)
+
+
+def with_gravity_of_known_length(states: InertialStates) -> InertialStates:
+    """Return the states with gravity's length as on earth."""
+    length = np.linalg.norm(states.gravity_linear)
+    return replace(states, gravity_linear=states.gravity_linear * (GRAVITY_M_S2 / length))

@@ -1,0 +1,519 @@
+"""Velocities, biases and gravity of a window's frames: their equations, and their marginalisation.
+
+Like landmarks, these states are eliminated before the poses are solved for: given the poses and
+the rig, nothing connects them with any feature. The joint prior of poses, rig and these states is
+held in two parts. That of poses and rig alone is the window's own prior (``MarginalPrior``); the
+rest of it is here.
+
+The Jacobians of a preintegration are taken at the linearisation points of poses, velocities and
+gravity ("first-estimates Jacobians"). So a turn of the world together with gravity, and a shift of
+it, remain unobservable; gravity held, these are four directions, a turn about it and the shifts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.estimation.window import MarginalPrior, Window
+from probevo.estimation.window_numba import POSE, RIG, NormalEquations
+from probevo.geometry import se3, so3
+from probevo.measurements.preintegration import Preintegration
+
+GRAVITY_M_S2 = 9.81
+"""Its length; by where on the earth it is, it differs by 0.03, which counts as bias."""
+GRAVITY = 2
+"""Dimensions of the direction of gravity."""
+STATE = 9
+"""Dimensions of velocity, gyro bias and accelerometer bias of a frame."""
+LEAST_INFORMATION = 1e-6
+"""Information of what nothing measures, such as the velocity at a frame without samples on either
+side; it draws nowhere."""
+LEAST_WALK = 1e-18
+"""Least variance of a bias's random walk over a step, for calibrations that know none."""
+
+
+@dataclass(frozen=True)
+class InertialStates:
+    """States of K frames, in the world of the window, and what the past says of them.
+
+    The vector x, [2 + 9K], holds the offset of gravity, and velocity and biases of each frame.
+    """
+
+    velocity: FloatArray
+    """Of the IMU, [K, 3], m/s."""
+    velocity_linear: FloatArray
+    """Its linearisation points, [K, 3]; fixed once the prior contains them."""
+    bias: FloatArray
+    """Of gyro, rad/s, and accelerometer, m/s², along the camera's axes, [K, 6]."""
+    gravity_linear: FloatArray
+    """Linearisation point of gravity in the world, [3], m/s²."""
+    gravity_offset: FloatArray
+    """δ, [2], rad: gravity is Exp(B δ) of its linearisation point, with B across it."""
+    coupling: FloatArray
+    """Part Λ_ip of the joint prior between x and poses and rig, [2 + 9K, 6K + 3]."""
+    information: FloatArray
+    """Part Λ_ii of the joint prior, [2 + 9K, 2 + 9K]."""
+    vector: FloatArray
+    """η of x, [2 + 9K]."""
+    cov: FloatArray
+    """Covariance of x, [2 + 9K, 2 + 9K]."""
+    cross_cov: FloatArray
+    """Its cross-covariance with poses and rig, [2 + 9K, 6K + 3]."""
+
+    @property
+    def gravity(self) -> FloatArray:
+        """Gravity in the world, [3], m/s²."""
+        turned: FloatArray = so3.exp(self.across @ self.gravity_offset) @ self.gravity_linear
+        return turned
+
+    @property
+    def across(self) -> FloatArray:
+        """B, [3, 2]: unit vectors across the linearisation point of gravity."""
+        return across(self.gravity_linear)
+
+    def joint(self) -> FloatArray:
+        """Return x, [2 + 9K]."""
+        of_frames = np.hstack([self.velocity, self.bias])
+        return np.concatenate([self.gravity_offset, of_frames.ravel()])
+
+
+class InertialSystem(NamedTuple):
+    """The normal equations of poses, rig and inertial states, without the window's own prior.
+
+    Over p = 6K + 3 degrees of freedom of poses and rig, and q = 2 + 9K inertial ones."""
+
+    cost: float
+    hessian: FloatArray
+    """[p + q, p + q]."""
+    gradient: FloatArray
+    """[p + q]."""
+    gain: FloatArray
+    """H_ii⁻¹ H_ip, [q, p]."""
+    own: FloatArray
+    """H_ii⁻¹, [q, q]."""
+
+    @property
+    def num_poses(self) -> int:
+        """Return p."""
+        return int(self.gain.shape[1])
+
+    def reduced(self) -> tuple[FloatArray, FloatArray]:
+        """Return Hessian, [p, p], and gradient, [p], after the inertial states are eliminated."""
+        p = self.num_poses
+        hessian = self.hessian[:p, :p] - self.hessian[:p, p:] @ self.gain
+        return 0.5 * (hessian + hessian.T), self.gradient[:p] - self.gain.T @ self.gradient[p:]
+
+    def step(self, of_poses: FloatArray) -> FloatArray:
+        """Return the step of the inertial states, [q], that follows that of poses and rig, [p]."""
+        following: FloatArray = self.own @ self.gradient[self.num_poses :] - self.gain @ of_poses
+        return following
+
+
+def across(vector: FloatArray) -> FloatArray:
+    """Return two unit vectors across a vector, [3, 2]."""
+    unit = vector / np.linalg.norm(vector)
+    first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(unit, first)])
+
+
+def at_start(
+    velocity: FloatArray, bias: FloatArray, gravity: FloatArray, bias_sigma: FloatArray
+) -> InertialStates:
+    """Return states whose prior is only that of the first frame's biases.
+
+    Args:
+        velocity: first guesses, [K, 3], m/s.
+        bias: the same of both biases, [6].
+        gravity: the same of gravity in the world, [3], m/s².
+        bias_sigma: standard deviations of both biases about zero, [6].
+    """
+    count = len(velocity)
+    size = GRAVITY + STATE * count
+    information = np.zeros((size, size))
+    of_bias = GRAVITY + 3 + np.arange(6)
+    information[of_bias, of_bias] = 1.0 / np.maximum(bias_sigma, 1e-9) ** 2
+    return InertialStates(
+        velocity=velocity,
+        velocity_linear=velocity,
+        bias=np.tile(bias, (count, 1)),
+        gravity_linear=GRAVITY_M_S2 * gravity / np.linalg.norm(gravity),
+        gravity_offset=np.zeros(GRAVITY),
+        coupling=np.zeros((size, POSE * count + RIG)),
+        information=information,
+        vector=np.zeros(size),
+        cov=np.zeros((size, size)),
+        cross_cov=np.zeros((size, POSE * count + RIG)),
+    )
+
+
+def with_frame(states: InertialStates, velocity: FloatArray) -> InertialStates:
+    """Return the states with one more frame, of which the prior says nothing.
+
+    Args:
+        states: of K frames.
+        velocity: a guess of that at the new frame, [3], m/s.
+    """
+    q = len(states.vector)
+    p = states.coupling.shape[1]
+    poses = np.concatenate([np.arange(p - RIG), np.arange(p - RIG, p) + POSE])
+    information = np.zeros((q + STATE, q + STATE))
+    information[:q, :q] = states.information
+    coupling = np.zeros((q + STATE, p + POSE))
+    coupling[:q, poses] = states.coupling
+    return replace(
+        states,
+        velocity=np.vstack([states.velocity, velocity]),
+        velocity_linear=np.vstack([states.velocity_linear, velocity]),
+        bias=np.vstack([states.bias, states.bias[-1]]),
+        coupling=coupling,
+        information=information,
+        vector=np.concatenate([states.vector, np.zeros(STATE)]),
+    )
+
+
+def moved(states: InertialStates, step: FloatArray) -> InertialStates:
+    """Return the states after a step of x, [2 + 9K]."""
+    of_frames = step[GRAVITY:].reshape(-1, STATE)
+    velocity = states.velocity + of_frames[:, :3]
+    information = np.diagonal(states.information)
+    is_fixed = information[GRAVITY::STATE] > 0.0
+    changed = replace(
+        states,
+        velocity=velocity,
+        velocity_linear=np.where(is_fixed[:, None], states.velocity_linear, velocity),
+        bias=states.bias + of_frames[:, 3:],
+        gravity_offset=states.gravity_offset + step[:GRAVITY],
+    )
+    if information[0] > 0.0:
+        return changed
+    return replace(changed, gravity_linear=changed.gravity, gravity_offset=np.zeros(GRAVITY))
+
+
+def inertial_system(
+    window: Window,
+    states: InertialStates,
+    factors: Sequence[Preintegration | None],
+    *,
+    num_pairs: int | None = None,
+) -> InertialSystem:
+    """Form the normal equations at the current values.
+
+    Args:
+        window: K poses.
+        states: of these K frames.
+        factors: between successive frames, [K − 1]; None where there is none.
+        num_pairs: how many of these count, with their random walks, from the first on; all, by
+            default.
+    """
+    num_pairs = len(factors) if num_pairs is None else num_pairs
+    count = len(window)
+    p = POSE * count + RIG
+    q = GRAVITY + STATE * count
+    hessian = np.zeros((p + q, p + q))
+    gradient = np.zeros(p + q)
+    x = states.joint()
+    offsets = window.offsets()
+    hessian[p:, p:] = states.information
+    hessian[p:, :p] = states.coupling
+    hessian[:p, p:] = states.coupling.T
+    towards = states.vector - states.information @ x
+    gradient[p:] = towards - states.coupling @ offsets
+    gradient[:p] = -states.coupling.T @ x
+    cost = -0.5 * float(x @ (states.vector + towards)) + float(x @ (states.coupling @ offsets))
+    present = [at for at, factor in enumerate(factors[:num_pairs]) if factor is not None]
+    used = [factor for factor in factors[:num_pairs] if factor is not None]
+    if used:
+        residual, jacobian = linearized(window, states, used, np.array(present))
+        weight = np.linalg.inv(np.stack([factor.cov for factor in used]))
+        weighted = jacobian.mT @ weight
+        hessians = weighted @ jacobian
+        gradients = -(weighted @ residual[..., None])[..., 0]
+        cost += 0.5 * float(np.einsum("fi,fij,fj->", residual, weight, residual))
+        for at, of_factor, descent in zip(present, hessians, gradients, strict=True):
+            joint = _places(at, p)
+            hessian[np.ix_(joint, joint)] += of_factor
+            gradient[joint] += descent
+    variances = _walk_variances(factors)[:num_pairs]
+    cost += _add_walks(states, variances, hessian[p:, p:], gradient[p:])
+    inertial = hessian[p:, p:].copy()
+    diagonal = np.diagonal(inertial)
+    unmeasured = np.flatnonzero(diagonal < LEAST_INFORMATION)
+    inertial[unmeasured, unmeasured] = LEAST_INFORMATION
+    own = inverse_of(inertial)
+    return InertialSystem(
+        cost=cost, hessian=hessian, gradient=gradient, gain=own @ hessian[p:, :p], own=own
+    )
+
+
+def linearized(
+    window: Window, states: InertialStates, factors: Sequence[Preintegration], first: np.ndarray
+) -> tuple[FloatArray, FloatArray]:
+    """Return residuals and Jacobians of F preintegrations.
+
+    Args:
+        window: K poses.
+        states: of these K frames.
+        factors: F of them.
+        first: place in the window of the frame where each starts, [F].
+
+    Returns:
+        Residuals (δφ, δv, δp), [F, 9], and Jacobians with respect to both poses, velocity and
+        biases at both ends, and gravity, [F, 9, 6 + 6 + 9 + 9 + 2].
+    """
+    second = first + 1
+    dt = np.array([f.duration_s for f in factors])[:, None]
+    lever = np.stack([f.lever_m for f in factors])
+    by_bias = np.stack([f.bias_jacobian for f in factors])
+    change = states.bias[first] - np.stack([f.bias for f in factors])
+    correction = (by_bias @ change[..., None])[..., 0]
+    T = window.T_cam_world
+    velocity = states.velocity
+    delta = _relative(T[first], T[second], lever)
+    gravity = states.gravity
+    acceleration = velocity[second] - velocity[first] - dt * gravity
+    way = dt * velocity[first] + 0.5 * dt**2 * gravity
+    measured = np.stack([f.rotation for f in factors]) @ so3.exp(correction[:, :3])
+    residual = np.empty((len(factors), 9))
+    residual[:, :3] = so3.log(measured.mT @ delta.rotation)
+    residual[:, 3:6] = _turned(T[first], acceleration) - correction[:, 3:6]
+    residual[:, 3:6] -= np.stack([f.velocity for f in factors])
+    residual[:, 6:] = delta.position - _turned(T[first], way) - correction[:, 6:]
+    residual[:, 6:] -= np.stack([f.position for f in factors])
+
+    # All that follows is at the linearisation points.
+    T = window.T_linear
+    velocity = states.velocity_linear
+    gravity = states.gravity_linear
+    delta = _relative(T[first], T[second], lever)
+    C_i = T[first, :3, :3]
+    acceleration = velocity[second] - velocity[first] - dt * gravity
+    way = dt * velocity[first] + 0.5 * dt**2 * gravity
+    jacobian = np.zeros((len(factors), 9, 2 * POSE + 2 * STATE + GRAVITY))
+    rows_r = slice(0, 3)
+    rows_v = slice(3, 6)
+    rows_p = slice(6, 9)
+    # r = Log(ΔRᵀ R_ij) moves by J_r⁻¹(r) (C_ji φ_i − φ_j).
+    inverse_right = np.linalg.inv(so3.left_jacobian(-residual[:, :3]))
+    jacobian[:, rows_r, 3:6] = inverse_right @ delta.rotation.mT
+    jacobian[:, rows_r, 9:12] = -inverse_right
+    jacobian[:, rows_v, 3:6] = -so3.wedge((C_i @ acceleration[..., None])[..., 0])
+    jacobian[:, rows_p, 0:3] = np.eye(3)
+    # R_ij (l − t_j) turns with φ_i, and t_i, too.
+    pulled = delta.position + lever - T[first, :3, 3]
+    jacobian[:, rows_p, 3:6] = so3.wedge((C_i @ way[..., None])[..., 0] - pulled - T[first, :3, 3])
+    jacobian[:, rows_p, 6:9] = -delta.rotation
+    jacobian[:, rows_p, 9:12] = delta.rotation @ so3.wedge(lever)
+    at_first = 2 * POSE
+    at_second = at_first + STATE
+    jacobian[:, rows_v, at_first : at_first + 3] = -C_i
+    jacobian[:, rows_p, at_first : at_first + 3] = -dt[..., None] * C_i
+    jacobian[:, rows_v, at_second : at_second + 3] = C_i
+    jacobian[:, :, at_first + 3 : at_first + 9] = -by_bias
+    inverse_left = np.linalg.inv(so3.left_jacobian(residual[:, :3]))
+    turned = -inverse_left @ by_bias[:, rows_r]
+    jacobian[:, rows_r, at_first + 3 : at_first + 9] = turned
+    # Gravity moves by −g^ B δ.
+    by_gravity = C_i @ (so3.wedge(gravity) @ states.across)
+    jacobian[:, rows_v, -GRAVITY:] = dt[..., None] * by_gravity
+    jacobian[:, rows_p, -GRAVITY:] = 0.5 * dt[..., None] ** 2 * by_gravity
+    return residual, jacobian
+
+
+class _Relative(NamedTuple):
+    """Rotation R_ij = R_iᵀ R_j, [F, 3, 3], and the way of the IMU along the axes of i, [F, 3]."""
+
+    rotation: FloatArray
+    position: FloatArray
+
+
+def _relative(T_i: FloatArray, T_j: FloatArray, lever: FloatArray) -> _Relative:
+    """Return rotation and way of the IMU between poses T_cam_world, [F, 4, 4] each."""
+    rotation = T_i[:, :3, :3] @ T_j[:, :3, :3].mT
+    position = (rotation @ (lever - T_j[:, :3, 3])[..., None])[..., 0] - (lever - T_i[:, :3, 3])
+    return _Relative(rotation, position)
+
+
+def _turned(T: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return vectors of the world, [F, 3], along the axes of poses T_cam_world, [F, 4, 4]."""
+    turned: FloatArray = (T[:, :3, :3] @ vectors[..., None])[..., 0]
+    return turned
+
+
+def _places(at: int, p: int) -> np.ndarray:
+    """Return where the columns of the Jacobian from frame ``at`` to the next lie in the vector."""
+    return np.concatenate(
+        [
+            np.arange(POSE * at, POSE * (at + 2)),
+            p + GRAVITY + np.arange(STATE * at, STATE * (at + 2)),
+            p + np.arange(GRAVITY),
+        ]
+    )
+
+
+def _walk_variances(factors: Sequence[Preintegration | None]) -> FloatArray:
+    """Return by how much the biases may walk from frame to frame, [K − 1, 6].
+
+    Where a factor is missing, they walk as in the longest of the others.
+    """
+    known = [factor.walk_variance for factor in factors if factor is not None]
+    usual = np.max(known, axis=0) if known else np.full(6, LEAST_WALK)
+    variances = [usual if factor is None else factor.walk_variance for factor in factors]
+    return np.maximum(np.reshape(variances, (-1, 6)), LEAST_WALK)
+
+
+def _add_walks(
+    states: InertialStates, variances: FloatArray, hessian: FloatArray, gradient: FloatArray
+) -> float:
+    """Add the random walks of the biases to the equations of x, and return their cost."""
+    cost = 0.0
+    for at, variance in enumerate(variances):
+        change = states.bias[at + 1] - states.bias[at]
+        first = GRAVITY + STATE * at + 3 + np.arange(6)
+        second = first + STATE
+        hessian[first, first] += 1.0 / variance
+        hessian[second, second] += 1.0 / variance
+        hessian[first, second] -= 1.0 / variance
+        hessian[second, first] -= 1.0 / variance
+        gradient[first] += change / variance
+        gradient[second] -= change / variance
+        cost += 0.5 * float(np.sum(change**2 / variance))
+    return cost
+
+
+def inverse_of(matrix: FloatArray) -> FloatArray:
+    """Invert a symmetric positive definite matrix whose units differ widely.
+
+    Raises:
+        numpy.linalg.LinAlgError: it is singular.
+    """
+    scale = 1.0 / np.sqrt(np.diagonal(matrix))
+    inverse: FloatArray = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    return 0.5 * (inverse + inverse.T)
+
+
+def with_covariance(
+    states: InertialStates, system: InertialSystem, cov: FloatArray
+) -> InertialStates:
+    """Return the states with their covariance, given that of poses and rig, [p, p]."""
+    cross_cov = -system.gain @ cov
+    return replace(states, cov=system.own - cross_cov @ system.gain.T, cross_cov=cross_cov)
+
+
+def without_first_frame(
+    states: InertialStates, others: NormalEquations, system: InertialSystem, x: FloatArray
+) -> tuple[MarginalPrior, InertialStates]:
+    """Marginalise the first pose, velocity and biases.
+
+    Args:
+        states: of K frames.
+        others: equations of poses and rig from all but ``system``, at the current values.
+        system: what inertial states and their prior add, with the first factor alone.
+        x: offsets of poses and rig, [6K + 3], and the inertial vector, [2 + 9K].
+
+    Returns:
+        The prior of the poses that remain and the rig, and the states that remain, with the rest
+        of the joint prior.
+    """
+    p = system.num_poses
+    hessian = system.hessian.copy()
+    hessian[:p, :p] += others.hessian
+    gradient = system.gradient.copy()
+    gradient[:p] += others.gradient
+    vector = gradient + hessian @ x
+    goes = np.zeros(len(x), np.bool_)
+    goes[:POSE] = True
+    goes[p + GRAVITY : p + GRAVITY + STATE] = True
+    gone = hessian[np.ix_(goes, goes)]
+    unmeasured = np.flatnonzero(np.diagonal(gone) < LEAST_INFORMATION)
+    gone[unmeasured, unmeasured] = LEAST_INFORMATION
+    gain = inverse_of(gone) @ hessian[np.ix_(goes, ~goes)]
+    rest = hessian[np.ix_(~goes, ~goes)] - hessian[np.ix_(~goes, goes)] @ gain
+    rest = 0.5 * (rest + rest.T)
+    rest_vector = vector[~goes] - gain.T @ vector[goes]
+    poses = slice(None, p - POSE)
+    inertial = slice(p - POSE, None)
+    of_states = ~goes[p:]
+    kept = replace(
+        states,
+        velocity=states.velocity[1:],
+        velocity_linear=states.velocity_linear[1:],
+        bias=states.bias[1:],
+        coupling=rest[inertial, poses],
+        information=rest[inertial, inertial],
+        vector=rest_vector[inertial],
+        cov=states.cov[np.ix_(of_states, of_states)],
+        cross_cov=states.cross_cov[of_states, POSE:],
+    )
+    return MarginalPrior(rest[poses, poses], rest_vector[poses]), kept
+
+
+class InertialPrediction(NamedTuple):
+    """The motion that an IMU measured after the last frame of a window."""
+
+    T_curr_prev: FloatArray
+    """[4, 4], m."""
+    cov: FloatArray
+    """Covariance of its left perturbation, [6, 6]."""
+    velocity: FloatArray
+    """Of the IMU at its end, in the world, [3], m/s."""
+
+
+def predicted(window: Window, states: InertialStates, factor: Preintegration) -> InertialPrediction:
+    """Predict the motion after the last frame from its velocity, biases and gravity.
+
+    Args:
+        window: K poses with their covariance.
+        states: of these K frames, with their covariance.
+        factor: from the last frame on.
+    """
+    last = len(window) - 1
+    dt = factor.duration_s
+    C_i = window.T_cam_world[last, :3, :3]
+    correction = factor.bias_jacobian @ (states.bias[last] - factor.bias)
+    gravity = states.gravity
+    rotation = factor.rotation @ so3.exp(correction[:3])
+    way = factor.position + correction[6:]
+    way = way + C_i @ (dt * states.velocity[last] + 0.5 * dt**2 * gravity)
+    change = C_i.T @ (factor.velocity + correction[3:6])
+    velocity = states.velocity[last] + dt * gravity + change
+    lever = factor.lever_m
+    T_prev_curr = se3.from_parts(rotation, lever + way - rotation @ lever)
+    T_curr_prev = se3.inverse(T_prev_curr)
+    T_new = T_curr_prev @ window.T_cam_world[last]
+    pair = replace(
+        window,
+        T_cam_world=np.stack([window.T_cam_world[last], T_new]),
+        T_linear=np.stack([window.T_cam_world[last], T_new]),
+    )
+    velocities = np.stack([states.velocity[last], velocity])
+    ends = replace(
+        states,
+        velocity=velocities,
+        velocity_linear=velocities,
+        bias=np.stack([states.bias[last], states.bias[last]]),
+    )
+    _, jacobians = linearized(pair, ends, [factor], np.array([0]))
+    jacobian = jacobians[0]
+    at_state = GRAVITY + STATE * last
+    # New pose and velocity follow from the old states and the noise.
+    unknown = np.r_[np.arange(POSE, 2 * POSE), 2 * POSE + STATE + np.arange(3)]
+    given = np.r_[np.arange(POSE), 2 * POSE + np.arange(STATE), -2, -1]
+    inverse = np.linalg.inv(jacobian[:, unknown])
+    sensitivity = -inverse @ jacobian[:, given]
+    at_pose = window.pose_slice(last)
+    inertial = np.r_[np.arange(at_state, at_state + STATE), 0, 1]
+    cov = np.empty((POSE + STATE + GRAVITY, POSE + STATE + GRAVITY))
+    cov[:POSE, :POSE] = window.cov[at_pose, at_pose]
+    cov[POSE:, :POSE] = states.cross_cov[inertial, at_pose]
+    cov[:POSE, POSE:] = cov[POSE:, :POSE].T
+    cov[POSE:, POSE:] = states.cov[np.ix_(inertial, inertial)]
+    relative = sensitivity[:POSE]
+    relative[:, :POSE] -= se3.adjoint(T_curr_prev)
+    noise = (inverse @ factor.cov @ inverse.T)[:POSE, :POSE]
+    return InertialPrediction(T_curr_prev, relative @ cov @ relative.T + noise, velocity)

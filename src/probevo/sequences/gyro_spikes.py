@@ -1,0 +1,50 @@
+"""Single samples of a gyro that no rotation explains."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray
+
+LEAST_SPIKE_RAD_S = 0.5
+"""Least change of the rate within two samples that may be a spike."""
+OVER_NEIGHBORS = 3.0
+"""A spike stands out so many times farther than its neighbours differ from each other."""
+OVER_USUAL = 8.0
+"""And so many times farther than the samples of the interval usually do: a gyro on a motor."""
+FEWEST_SAMPLES = 5
+"""Least number of samples that tell what is usual."""
+
+
+def find_spikes(rates_rad_s: FloatArray) -> BoolArray:
+    """Tell which samples of an interval are spikes, such as those of a bit that was lost.
+
+    A sample is compared with the mean of its two neighbours, the first and the last one with the
+    line through the two samples beside it.
+
+    Args:
+        rates_rad_s: finite angular rates, [J, 3].
+
+    Returns:
+        [J]; False everywhere for fewer than five samples.
+    """
+    if len(rates_rad_s) < FEWEST_SAMPLES:
+        return np.zeros(len(rates_rad_s), np.bool_)
+    inner = rates_rad_s[1:-1] - 0.5 * (rates_rad_s[:-2] + rates_rad_s[2:])
+    ends = np.stack(
+        [
+            rates_rad_s[0] - 2.0 * rates_rad_s[1] + rates_rad_s[2],
+            rates_rad_s[-1] - 2.0 * rates_rad_s[-2] + rates_rad_s[-3],
+        ]
+    )
+    deviation = np.linalg.norm(np.concatenate([ends[:1], inner, ends[1:]]), axis=1)
+    between_neighbors = np.concatenate(
+        [
+            [np.linalg.norm(rates_rad_s[2] - rates_rad_s[1])],
+            np.linalg.norm(rates_rad_s[2:] - rates_rad_s[:-2], axis=1),
+            [np.linalg.norm(rates_rad_s[-3] - rates_rad_s[-2])],
+        ]
+    )
+    threshold = np.maximum(LEAST_SPIKE_RAD_S, OVER_USUAL * np.median(deviation))
+    is_spike: BoolArray = deviation > np.maximum(threshold, OVER_NEIGHBORS * between_neighbors)
+    return is_spike

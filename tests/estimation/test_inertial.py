@@ -1,0 +1,327 @@
+"""The IMU in the window: its equations, its gauge, its start, its consistency, and its faults."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inertial_worlds import CALIBRATION, GRAVITY, SmoothPath, inertial_drive
+from probevo.arrays import FloatArray
+from probevo.estimation.inertial import with_samples
+from probevo.estimation.inertial_states import (
+    GRAVITY as GRAVITY_DIMENSIONS,
+)
+from probevo.estimation.inertial_states import (
+    STATE,
+    InertialStates,
+    inertial_system,
+    linearized,
+    moved,
+    predicted,
+)
+from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.window import Window
+from probevo.estimation.window_numba import POSE
+from probevo.geometry import se3, so3
+from probevo.measurements.preintegration import Preintegration
+from probevo.noise import StudentT
+from probevo.odometry import StereoOdometry
+from probevo.sequences.frame import Frame, ImuSamples
+from probevo.sequences.imu_calibration import ImuCalibration
+from worlds import CAMERA, blind_frame
+
+SIGMA_PX = 0.3
+
+
+def odometry(calibration: ImuCalibration | None = CALIBRATION) -> StereoOdometry:
+    config = {
+        "estimator": "window",
+        "self_calibration": False,
+        "window": {"correlation": 0.0, "frames": 8},
+    }
+    noise = StudentT(dof=np.inf, scale=SIGMA_PX**2 * np.eye(4))
+    return StereoOdometry(CAMERA, noise, calibration, config)
+
+
+def drive_of(seed: int, frames: int, *, swing: float = 1.0) -> tuple[list[Frame], FloatArray]:
+    rng = np.random.default_rng([70, seed])
+    path = SmoothPath.drawn(rng, swing=swing)
+    return inertial_drive(rng, frames, path, points=60, sigma_px=SIGMA_PX)
+
+
+def states_of(window: Window) -> InertialStates:
+    assert window.inertial is not None
+    assert window.inertial.states is not None
+    return window.inertial.states
+
+
+def factors_of(window: Window) -> list[Preintegration]:
+    assert window.inertial is not None
+    return [factor for factor in window.inertial.factors if factor is not None]
+
+
+@pytest.fixture(scope="module")
+def run() -> tuple[list[Frame], FloatArray, Window, list[MotionEstimate]]:
+    """A drive of 20 frames, its truth, the window at its end, and the estimates."""
+    frames, truth = drive_of(0, 20)
+    by = odometry()
+    estimates = [by.step(frame) for frame in frames]
+    assert by.window is not None
+    return frames, truth, by.window, estimates
+
+
+Run = tuple[list[Frame], FloatArray, Window, list[MotionEstimate]]
+
+
+def test_jacobians_are_central_differences(run: Run) -> None:
+    """Of all factors of a window, at values that are their own linearisation points."""
+    window = run[2]
+    states = states_of(window)
+    window = replace(window, T_linear=window.T_cam_world)
+    states = replace(
+        states,
+        velocity_linear=states.velocity,
+        gravity_linear=states.gravity,
+        gravity_offset=np.zeros(2),
+        information=np.eye(len(states.information)),
+    )
+    factors = factors_of(window)
+    first = np.arange(len(factors))
+    _, jacobian = linearized(window, states, factors, first)
+    step = 1e-6
+
+    def residuals(at: int, column: int, size: float) -> FloatArray:
+        xi = np.zeros((len(window), POSE))
+        x = np.zeros(GRAVITY_DIMENSIONS + STATE * len(window))
+        if column < 2 * POSE:
+            xi[at + column // POSE, column % POSE] = size
+        elif column < 2 * (POSE + STATE):
+            x[GRAVITY_DIMENSIONS + STATE * at + column - 2 * POSE] = size
+        else:
+            x[column - 2 * (POSE + STATE)] = size
+        turned = replace(window, T_cam_world=se3.exp(xi) @ window.T_cam_world)
+        return linearized(turned, moved(states, x), factors, first)[0][at]
+
+    for at in (0, 3, 6):
+        for column in range(jacobian.shape[2]):
+            change = residuals(at, column, step) - residuals(at, column, -step)
+            np.testing.assert_allclose(
+                jacobian[at, :, column], change / (2.0 * step), atol=2e-4, rtol=2e-3
+            )
+
+
+def test_gravity_velocity_and_biases_are_found(run: Run) -> None:
+    """Errors of the states at the end of the drive are within four of their standard deviations."""
+    window = run[2]
+    states = states_of(window)
+    turned = so3.log(_shortest_turn(states.gravity, GRAVITY))
+    sigma = np.sqrt(np.diag(states.cov))
+    assert np.linalg.norm(turned) < 4.0 * np.linalg.norm(sigma[:2])
+    assert np.linalg.norm(turned) < 0.02
+
+
+def _shortest_turn(start: FloatArray, end: FloatArray) -> FloatArray:
+    axis = np.cross(start, end)
+    sine = np.linalg.norm(axis) / (np.linalg.norm(start) * np.linalg.norm(end))
+    return so3.exp(axis / max(float(np.linalg.norm(axis)), 1e-12) * np.arcsin(sine))
+
+
+def test_no_information_arises_about_yaw_and_place(run: Run) -> None:
+    """Along a turn of the world together with gravity and along its shifts xᵀ H x is below 1e-9 of
+    that along a random direction, after twelve marginalisations; a tilt against gravity is seen.
+
+    The prior that holds the first pose knows where the world is: it is taken away from the start.
+    """
+    frames, _ = drive_of(1, 20)
+    by = odometry()
+    by.step(frames[0])
+    for frame in frames[1:8]:
+        by.step(frame)
+    window = by.window
+    assert window is not None
+    states = states_of(window)
+    without_prior = replace(
+        states,
+        coupling=np.zeros_like(states.coupling),
+        information=np.zeros_like(states.information),
+    )
+    factors = factors_of(window)
+    # Linearisation points differ from the values: the gauge must hold none the less.
+    rng = np.random.default_rng(71)
+    xi = 1e-3 * rng.normal(size=(len(window), POSE))
+    elsewhere = replace(window, T_cam_world=se3.exp(xi) @ window.T_cam_world)
+    system = inertial_system(elsewhere, without_prior, factors)
+    directions = _gauge(elsewhere, without_prior)
+    random = rng.normal(size=(len(system.hessian), 20))
+    along_random = np.einsum("in,ij,jn->n", random, system.hessian, random)
+    along_random /= np.square(random).sum(axis=0)
+    along = np.abs(np.einsum("in,ij,jn->n", directions, system.hessian, directions))
+    along /= np.square(directions).sum(axis=0)
+    assert along.max() < 1e-9 * along_random.min()
+    held = directions.copy()
+    held[system.num_poses : system.num_poses + GRAVITY_DIMENSIONS] = 0.0
+    tilted = np.einsum("in,ij,jn->n", held, system.hessian, held)
+    down = GRAVITY / np.linalg.norm(GRAVITY)
+    yaw = held[:, 3:] @ (states.gravity_linear / np.linalg.norm(states.gravity_linear))
+    assert np.sort(tilted[3:])[1] > 1e-3 * along_random.min()
+    assert abs(yaw @ system.hessian @ yaw) / (yaw @ yaw) < 1e-9 * along_random.min()
+    assert down @ states.gravity > 9.0
+
+
+def _gauge(window: Window, states: InertialStates) -> FloatArray:
+    """Return shifts and turns of the world, in the joint vector, [6K + 3 + 2 + 9K, 6]."""
+    poses = se3.adjoint(window.T_linear).reshape(-1, POSE)
+    inertial = np.zeros((len(states.vector), POSE))
+    of_frames = inertial[GRAVITY_DIMENSIONS:].reshape(len(window), STATE, POSE)
+    # Under a turn −ω of the world, velocities and gravity move by −ω × v.
+    of_frames[:, :3, 3:] = so3.wedge(states.velocity_linear)
+    inertial[:GRAVITY_DIMENSIONS, 3:] = -states.across.T
+    return np.vstack([poses, np.zeros((3, POSE)), inertial])
+
+
+def test_a_prediction_and_its_covariance_are_those_of_the_images(run: Run) -> None:
+    """The motion that the IMU alone predicts from frame to frame differs from the truth as its
+    covariance says: average of squared distances over 40 steps of 4 drives within factor 1.6."""
+    squared = []
+    for seed in range(2, 6):
+        frames, truth = drive_of(seed, 18)
+        by = odometry()
+        for k, frame in enumerate(frames):
+            window = by.window
+            if window is not None and window.inertial is not None and window.inertial.is_used:
+                states = states_of(window)
+                factor = _factor_after(window, frames[k - 1], frame)
+                motion = predicted(window, states, factor)
+                true_motion = se3.inverse(truth[k]) @ truth[k - 1]
+                error = se3.log(motion.T_curr_prev @ se3.inverse(true_motion))
+                squared.append(error @ np.linalg.solve(motion.cov, error))
+            by.step(frame)
+    assert len(squared) >= 40
+    assert 6.0 / 1.6 < np.mean(squared) < 6.0 * 1.6
+
+
+def _factor_after(window: Window, prev: Frame, frame: Frame) -> Preintegration:
+    sampled = with_samples(window, prev, frame)
+    assert sampled is not None
+    assert sampled.inertial is not None
+    assert sampled.inertial.pending is not None
+    return sampled.inertial.pending
+
+
+def test_poses_with_imu_are_consistent_and_better_than_without() -> None:
+    """The average NEES of the last pose over 12 drives is below 1.5 times its dimensions, and the
+    error is below that of the images alone."""
+    squared = []
+    errors = []
+    errors_without = []
+    for seed in range(10, 22):
+        frames, truth = drive_of(seed, 20)
+        last = [odometry().step(frame) for frame in frames[:1]][-1]
+        by = odometry()
+        without = odometry(calibration=None)
+        for frame in frames:
+            last = by.step(frame)
+            alone = without.step(replace(frame, imu=None))
+        error = se3.log(se3.inverse(last.T_world_cam) @ truth[-1])
+        squared.append(error @ np.linalg.solve(last.pose_cov, error))
+        errors.append(np.linalg.norm(error[:3]))
+        errors_without.append(np.linalg.norm((se3.inverse(truth[-1]) @ alone.T_world_cam)[:3, 3]))
+    assert 0.4 * 6.0 < np.mean(squared) < 1.6 * 6.0
+    assert np.mean(errors) < np.mean(errors_without)
+
+
+def test_in_a_blackout_the_imu_dead_reckons_and_sigma_recovers() -> None:
+    """After 1.2 s without images, 10 m, the error is within 3σ and 1 % of the way; σ of the motion
+    over four frames grows meanwhile, and is then as before."""
+    frames, truth = drive_of(30, 40)
+    by = odometry()
+    estimates = []
+    steps = []
+    for frame in frames:
+        is_dark = 18 <= frame.index < 30
+        dark_frame = replace(blind_frame(frame.index), imu=frame.imu)
+        estimates.append(by.step(dark_frame if is_dark else frame))
+        if frame.index >= 4:
+            _, cov = by.relative(frame.index, frame.index - 4)
+            steps.append(float(np.sqrt(np.trace(cov[:3, :3]))))
+    dark = estimates[18:30]
+    assert all(estimate.status is not Status.OK for estimate in dark)
+    sigma = [np.sqrt(np.trace(estimate.pose_cov[:3, :3])) for estimate in estimates]
+    assert (np.diff(sigma[17:30]) > 0.0).all()
+    start = truth[17] @ se3.inverse(estimates[17].T_world_cam)
+    way = start @ dark[-1].T_world_cam
+    error_m = np.linalg.norm((se3.inverse(truth[29]) @ way)[:3, 3])
+    length_m = np.linalg.norm(truth[29, :3, 3] - truth[17, :3, 3])
+    error = se3.log(se3.inverse(dark[-1].T_world_cam) @ truth[29])
+    assert error_m < 0.01 * length_m
+    assert (np.abs(error) < 3.0 * np.sqrt(np.diag(dark[-1].pose_cov))).all()
+    assert steps[29 - 4] > 2.0 * steps[17 - 4]
+    assert steps[-1] < 1.2 * steps[17 - 4]
+
+
+def test_an_imu_at_rest_starts() -> None:
+    """A camera that stands still finds gravity, and then stays where it is."""
+    rng = np.random.default_rng(72)
+    path = SmoothPath.drawn(rng, speed_m_s=0.0, swing=0.0)
+    frames, _ = inertial_drive(rng, 14, path, points=60, sigma_px=SIGMA_PX)
+    by = odometry()
+    last = [by.step(frame) for frame in frames][-1]
+    assert by.window is not None
+    states = states_of(by.window)
+    np.testing.assert_allclose(states.gravity, GRAVITY, atol=0.3)
+    assert np.linalg.norm(last.T_world_cam[:3, 3]) < 0.01
+
+
+Change = Callable[[ImuSamples], ImuSamples]
+
+
+def in_degrees(samples: ImuSamples) -> ImuSamples:
+    return replace(samples, gyro_rad_s=np.degrees(samples.gyro_rad_s))
+
+
+def in_g(samples: ImuSamples) -> ImuSamples:
+    return replace(samples, accel_m_s2=samples.accel_m_s2 / 9.81)
+
+
+def late(samples: ImuSamples) -> ImuSamples:
+    return replace(samples, stamps_ns=samples.stamps_ns - 50_000_000)
+
+
+@pytest.mark.parametrize("change", [in_degrees, in_g])
+def test_an_imu_that_contradicts_the_images_is_not_used(change: Change) -> None:
+    """The path is then that of the images alone, to the byte, and the estimates say why."""
+    frames, _ = drive_of(40, 16)
+    wrong = [
+        frame if frame.imu is None else replace(frame, imu=change(frame.imu)) for frame in frames
+    ]
+    by = odometry()
+    estimates = [by.step(frame) for frame in wrong]
+    assert by.window is not None
+    assert by.window.inertial is not None
+    assert not by.window.inertial.is_used
+    assert any("the IMU" in sentence for sentence in estimates[-1].missing)
+
+
+@pytest.mark.parametrize("size_rad_s", [1.0, 5.0, 1000.0])
+def test_a_spike_of_one_sample_is_left_out(size_rad_s: float) -> None:
+    """The error at the end is within 1.1 times that without the spike, or within a fifth of σ."""
+    frames, truth = drive_of(41, 20)
+    spiked = list(frames)
+    imu = frames[13].imu
+    assert imu is not None
+    rates = imu.gyro_rad_s.copy()
+    rates[9] += size_rad_s * np.array([0.6, 0.0, 0.8])
+    spiked[13] = replace(frames[13], imu=replace(imu, gyro_rad_s=rates))
+    results = []
+    for each in (frames, spiked):
+        by = odometry()
+        estimates = [by.step(frame) for frame in each]
+        results.append(estimates)
+    error_m = [
+        np.linalg.norm((se3.inverse(truth[-1]) @ estimates[-1].T_world_cam)[:3, 3])
+        for estimates in results
+    ]
+    sigma_m = float(np.sqrt(np.trace(results[0][-1].pose_cov[:3, :3])))
+    assert error_m[1] < max(1.1 * error_m[0], error_m[0] + 0.2 * sigma_m)
+    assert any("spike" in sentence for sentence in results[1][13].missing)
