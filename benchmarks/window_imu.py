@@ -137,23 +137,31 @@ def show_gain(name: str, without: Run, with_imu: Run, truth: FloatArray) -> None
         )
 
 
-def show_blackout(name: str, dark: range, each: Run, truth: FloatArray) -> None:
-    """Print what a blackout adds to the error."""
+def show_blackout(name: str, dark: range, each: Run, without: Run, truth: FloatArray) -> None:
+    """Print what a blackout adds to the error, and what the images add there without one."""
     last = dark[-1]
     before = dark[0] - 1
-    seen = se3.inverse(each.T_world_cam[last]) @ each.T_world_cam[before]
-    error = se3.log(seen @ se3.inverse(se3.inverse(truth[last]) @ truth[before]))
     way_m = np.linalg.norm(np.diff(truth[before : last + 1, :3, 3], axis=0), axis=1).sum()
-    error_m = float(np.linalg.norm(error[:3]))
+    error_m, images_m = (
+        _added(path.T_world_cam, truth, before, last=last) for path in (each, without)
+    )
     whole = np.abs(each.errors(truth)[last]) / each.sigma[last]
     sigma_m = each.step_sigma_m[[before, last, min(last + AFTER, len(truth) - 1)]]
     print(
         f"{name:22} {len(dark)} black frames: {error_m:.4f} m of {way_m:.2f} m,"
-        f" {100.0 * error_m / way_m:.2f} %; {whole[:3].max():.1f} σ, turn {whole[3:].max():.1f} σ;"
+        f" {100.0 * error_m / way_m:.2f} %, images {images_m:.4f} m;"
+        f" {whole[:3].max():.1f} σ, turn {whole[3:].max():.1f} σ;"
         f" σ over {SPAN} frames {sigma_m.round(4)} m; end"
         f" {np.linalg.norm(each.errors(truth)[-1, :3]):.4f} m",
         flush=True,
     )
+
+
+def _added(T_world_cam: FloatArray, truth: FloatArray, before: int, last: int) -> float:
+    """Return the error of the way from one frame to another, m."""
+    seen = se3.inverse(T_world_cam[last]) @ T_world_cam[before]
+    true_motion = se3.inverse(truth[last]) @ truth[before]
+    return float(np.linalg.norm((seen @ se3.inverse(true_motion))[:3, 3]))
 
 
 def main() -> None:
@@ -171,10 +179,11 @@ def main() -> None:
             for seconds in (0.5, 2.0, 5.0):
                 count = round(seconds * rate_hz)
                 first = min(3 * len(frames) // 5, len(frames) - count - AFTER - 1)
-                if first < AFTER + 10:
+                if first < 15:
                     continue
                 dark = range(first, first + count)
-                show_blackout(name, dark, run(sequence, frames, imu, dark), truth)
+                each = run(sequence, frames, imu, dark)
+                show_blackout(name, dark, each, without=without, truth=truth)
             for fault, change in FAULTS.items():
                 wrong_frames, wrong_imu = change(frames, imu)
                 each = run(sequence, wrong_frames, wrong_imu)

@@ -44,7 +44,11 @@ noisier than they say."""
 GATE = 22.5
 """Squared Mahalanobis distance, of six dimensions, beyond which a factor is left out: 99.9 %."""
 NUM_TESTED = 20
-"""Factors that the share of those left out is taken over."""
+"""Last factors over which the noise is estimated, and those left out are counted."""
+FEWEST_TESTED = 8
+"""Least number of them that says how large the noise is."""
+MEDIAN_SQUARED = 5.348
+"""Median of χ² of six degrees of freedom."""
 MOST_GATED = 6
 """So many of them left out, and the IMU is."""
 MOST_ATTEMPTS = 30
@@ -64,8 +68,12 @@ class Inertial:
     """The motion to the frame that comes; None before the states are known, or without samples."""
     states: InertialStates | None = None
     """None before the IMU has passed its test."""
+    squared: tuple[float, ...] = ()
+    """Squared Mahalanobis distances of the last factors that were tested."""
     was_gated: tuple[bool, ...] = ()
-    """Of the last factors that were tested, which were left out."""
+    """Which of these were left out."""
+    excess_at_start: float = 1.0
+    """χ² of the test at the start over its degrees of freedom."""
     attempts: int = 0
     """Frames at which the test at the start was failed."""
     note: str = ""
@@ -78,6 +86,21 @@ class Inertial:
         """Whether the window's poses depend on it."""
         return self.states is not None
 
+    @property
+    def excess(self) -> float:
+        """By how much the variances of the last factors were too small; 1 if they were right.
+
+        Data sheets give the noise of a sensor at rest. The median leaves out what is gated.
+        """
+        if len(self.squared) < FEWEST_TESTED:
+            return self.excess_at_start
+        return float(np.median(self.squared)) / MEDIAN_SQUARED
+
+    @property
+    def noise_factor(self) -> float:
+        """What the variances of the next factor are multiplied by."""
+        return max(1.0, min(self.excess, LARGEST_EXCESS))
+
     def without_states(self, note: str, *, refused: bool) -> Inertial:
         """Return the IMU as before its start, for a reason."""
         return replace(
@@ -87,6 +110,7 @@ class Inertial:
             pending=None,
             note=note,
             refused=refused,
+            squared=(),
             was_gated=(),
         )
 
@@ -113,6 +137,7 @@ def with_samples(window: Window | None, prev: Frame, frame: Frame) -> Window | N
     if isinstance(factor, NoPreintegration):
         silent = replace(inertial, pending=None, prediction=None, note=factor.reason)
         return replace(window, inertial=silent)
+    factor = replace(factor, cov=inertial.noise_factor * factor.cov)
     prediction = None
     if states is not None:
         prediction = predicted(window, states, factor)
@@ -147,15 +172,21 @@ def gated(window: Window, seen: RelativePose) -> Window:
     prediction = inertial.prediction
     innovation = se3.log(seen.T_curr_prev @ se3.inverse(prediction.T_curr_prev))
     squared = float(innovation @ np.linalg.solve(seen.covariance + prediction.cov, innovation))
-    is_gated = not squared <= GATE
+    is_gated = not squared <= GATE * inertial.noise_factor
     was_gated = (*inertial.was_gated[1 - NUM_TESTED :], is_gated)
-    inertial = replace(inertial, was_gated=was_gated)
+    inertial = replace(
+        inertial,
+        squared=(*inertial.squared[1 - NUM_TESTED :], squared),
+        was_gated=was_gated,
+    )
     if is_gated:
         note = f"contradicts the images in this step (χ² {squared:.0f} of 6 degrees of freedom)"
         inertial = replace(inertial, pending=None, prediction=None, note=note)
-    if sum(was_gated) >= MOST_GATED:
-        note = f"is left out from here on: it contradicted the images in {sum(was_gated)} of the"
-        note += f" last {len(was_gated)} steps"
+    if sum(was_gated) >= MOST_GATED or inertial.excess > LARGEST_EXCESS:
+        note = (
+            f"is left out from here on: it contradicted the images in {sum(was_gated)} of the last"
+            f" {len(was_gated)} steps, by {inertial.excess:.1f} times their variances in the median"
+        )
         return without_inertial(replace(window, inertial=inertial), note)
     return replace(window, inertial=inertial)
 
@@ -238,7 +269,8 @@ def started(window: Window) -> Window:
     reason = fit.reason_against(LARGEST_EXCESS)
     if not reason:
         states = with_gravity_of_known_length(fit.states)
-        return replace(window, inertial=replace(inertial, states=states, note=""))
+        used = replace(inertial, states=states, excess_at_start=fit.excess, note="")
+        return replace(window, inertial=used)
     attempts = inertial.attempts + 1
     refused = attempts >= MOST_ATTEMPTS
     note = f"is left out from here on: it {reason}" if refused else reason
