@@ -79,6 +79,13 @@ FIGURES = (
     Figure(
         "window", ("docs/window.md",), "python benchmarks/window.py", minutes=10, needs_data=True
     ),
+    Figure(
+        "window-imu",
+        ("docs/window.md",),
+        "python benchmarks/window_imu.py",
+        minutes=20,
+        needs_data=True,
+    ),
     Figure("loose-rig", ("docs/accuracy.md",), "python benchmarks/loose_rig.py", minutes=2),
     Figure(
         "degradation",
