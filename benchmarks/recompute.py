@@ -86,6 +86,13 @@ FIGURES = (
         minutes=20,
         needs_data=True,
     ),
+    Figure(
+        "flow-truth",
+        ("docs/accuracy.md",),
+        "python benchmarks/flow_truth.py",
+        minutes=5,
+        needs_data=True,
+    ),
     Figure("loose-rig", ("docs/accuracy.md",), "python benchmarks/loose_rig.py", minutes=2),
     Figure(
         "degradation",

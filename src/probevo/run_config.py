@@ -122,7 +122,10 @@ class ReadSettings(Settings):
         ),
     )
     rate_hz: float | None = Field(
-        None, description="Frames a second of a folder without any times."
+        None, description="Frames a second of a recording without any times."
+    )
+    scene: int | None = Field(
+        None, ge=0, description="Number of the scene of KITTI 2012 or 2015, stereo or flow."
     )
     topics: TopicSettings = Field(TopicSettings(), description="Topics of a bag.")
     mask_left: Path | None = Field(
@@ -153,6 +156,7 @@ class ReadSettings(Settings):
             "truth": self.truth,
             "truth_of": self.truth_of,
             "rate_hz": self.rate_hz,
+            "scene": self.scene,
             "mask_left": self.mask_left,
             "mask_right": self.mask_right,
         }
@@ -217,6 +221,7 @@ OWN_KEYS = (
     "truth",
     "truth_of",
     "rate_hz",
+    "scene",
     "topics",
     "mask_left",
     "mask_right",

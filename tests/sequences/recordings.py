@@ -352,3 +352,31 @@ def write_tracks(root: Path, frames: int = 4, **changes: AnyArray | None) -> Pat
         root / "tracks.npz", **{name: array for name, array in arrays.items() if array is not None}
     )
     return root / "tracks.npz"
+
+
+def write_kitti_flow(root: Path, *, year: int = 2012, scenes: tuple[int, ...] = (27,)) -> Path:
+    """Scenes of frames 8 to 11 in the layout of KITTI 2012 or 2015, with truth at frame 10: the
+    disparity is 0.5 times the column, the flow (−1.5, 2.25); row 0 is unknown."""
+    cameras = (0, 1) if year == 2012 else (2, 3)
+    for scene in scenes:
+        for index in range(4):
+            name = f"{scene:06d}_{index + 8:02d}.png"
+            write_image(root / f"image_{cameras[0]}" / name, image(index))
+            write_image(root / f"image_{cameras[1]}" / name, image(index, right=True))
+        field = "P{}" if year == 2012 else "P_rect_0{}"
+        lines = [
+            f"{field.format(camera)}: {projection(-FU_PX * BASELINE_M * (camera % 2))}"
+            for camera in cameras
+        ]
+        folder = "calib" if year == 2012 else "calib_cam_to_cam"
+        write_lines(root / folder / f"{scene:06d}.txt", lines)
+        disparity = np.tile(128 * np.arange(WIDTH_PX), (HEIGHT_PX, 1)).astype(np.uint16)
+        disparity[0] = 0
+        flow = np.zeros((HEIGHT_PX, WIDTH_PX, 3), np.uint16)
+        flow[1:] = [1, 2**15 + 144, 2**15 - 96]  # OpenCV's order: valid, v, u
+        name = f"{scene:06d}_10.png"
+        for which in ("occ", "noc"):
+            of_first = "" if year == 2012 else "_0"
+            write_image(root / f"disp_{which}{of_first}" / name, disparity)
+            write_image(root / f"flow_{which}" / name, flow)
+    return root

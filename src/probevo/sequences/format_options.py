@@ -21,6 +21,10 @@ SIMULATED_RATE_HZ = 10.0
 drives that Virtual KITTI imitates were recorded at it."""
 
 
+KITTI_FLOW_RATE_HZ = 10.0
+"""Of the scenes of KITTI 2012 and 2015, which have no times; KITTI's cameras run at about this."""
+
+
 class RosbagOptions(Settings):
     """The options of the format rosbag."""
 
@@ -65,3 +69,9 @@ class RateOptions(Settings):
     """The options of formats whose files have no times."""
 
     rate_hz: float | None = Field(None, gt=0.0, description="Frames a second: positive.")
+
+
+class KittiFlowOptions(RateOptions):
+    """The options of the format kitti-flow."""
+
+    scene: int | None = Field(None, ge=0, description="Number of the scene, such as 27.")

@@ -19,7 +19,12 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from probevo.errors import InputError, brief
-from probevo.sequences.format_options import FolderOptions, RateOptions, RosbagOptions
+from probevo.sequences.format_options import (
+    FolderOptions,
+    KittiFlowOptions,
+    RateOptions,
+    RosbagOptions,
+)
 from probevo.settings import Settings
 
 if TYPE_CHECKING:
@@ -115,6 +120,12 @@ def _open_kitti_odometry(path: Path) -> Sequence:
     return open_kitti_odometry(path)
 
 
+def _open_kitti_flow(path: Path, **options: Any) -> Sequence:
+    from probevo.sequences.kitti_flow import open_kitti_flow
+
+    return open_kitti_flow(path, **options)
+
+
 def _open_euroc(path: Path) -> Sequence:
     from probevo.sequences.euroc import open_euroc
 
@@ -169,6 +180,13 @@ _BUILT_IN = (
         summary="a synchronised drive of KITTI raw, with OXTS as IMU and ground truth",
         folder_signs=("image_00",),
         open=_open_kitti_raw,
+    ),
+    SequenceFormat(
+        name="kitti-flow",
+        summary="a scene of KITTI 2012 or 2015, stereo or flow: --scene NUMBER",
+        folder_signs=("flow_occ", "flow_noc", "calib", "calib_cam_to_cam"),
+        open=_open_kitti_flow,
+        options=KittiFlowOptions,
     ),
     SequenceFormat(
         name="kitti-odometry",
