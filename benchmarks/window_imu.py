@@ -88,6 +88,8 @@ def run(
         estimate = odometry.step(frame if imu is not None else replace(frame, imu=None))
         num_ok += estimate.status is pv.Status.OK
         said |= dict.fromkeys(text for text in estimate.missing if "IMU" in text)
+        if estimate.imu_left_out:
+            said[f"the IMU {estimate.imu_left_out}"] = None
         poses.append(estimate.T_world_cam)
         sigma.append(np.sqrt(np.diag(estimate.pose_cov)))
         window = odometry.window

@@ -119,8 +119,12 @@ class StereoOdometry:
         estimate, after = self._concluded(
             state, frame, observed, measured=measured, visual=visual, learned=learned, clock=clock
         )
-        missing += inertial.notes(after.window)
-        estimate = replace(estimate, stage_ms=clock.times_ms, missing=missing)
+        estimate = replace(
+            estimate,
+            stage_ms=clock.times_ms,
+            missing=missing,
+            imu_left_out=inertial.reason_left_out(after.window),
+        )
         self._state = after
         return estimate
 

@@ -17,6 +17,7 @@ import numpy as np
 from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.estimation.inertial import reason_not_used
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.estimation.window import SmoothedPose, Window
 from probevo.evaluation.metrics import Metrics, evaluate
@@ -174,6 +175,7 @@ def _result(
         jitter_sigma_rad=sigma_rad,
         smoothed=smoothed.poses(odometry.window),
         right_late_frames=timing.right_late_frames,
+        imu_left_out=reason_not_used(odometry.window),
     )
 
 

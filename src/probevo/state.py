@@ -10,7 +10,7 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.inertial import Inertial, trusts_gyro
+from probevo.estimation.inertial import Inertial, trusts_gyro, uses_imu
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.window import Window
@@ -125,7 +125,9 @@ class OdometryState:
     def predict(self, frame: Frame, imu: ImuCalibration | None) -> Prediction:
         """Predict the motion to the next frame, from gyro and last velocity (PROBE eqs. 3-4).
 
-        A gyro that is yet to be tested against the window, or contradicts it, predicts nothing.
+        A gyro that is yet to be tested against the window, or contradicts it, predicts nothing. One
+        that the window uses refuses no motion that images show and the last velocity allows: which
+        of the two is wrong, the window says.
 
         Args:
             frame: the next frame.
@@ -148,11 +150,15 @@ class OdometryState:
                     curr=pose_of(frame.index),
                     prev=pose_of(self.frame.index),
                 )
+        without_gyro = self.motion_model.predict(duration_s, None)
+        motion = without_gyro
+        if rotation is not None and trusts_gyro(self.window):
+            motion = self.motion_model.predict(duration_s, rotation)
+            if uses_imu(self.window):
+                motion = replace(motion, without_gyro=without_gyro)
         return Prediction(
             duration_s=duration_s,
-            motion=self.motion_model.predict(
-                duration_s, rotation if trusts_gyro(self.window) else None
-            ),
+            motion=motion,
             gyro=gyro,
             rotation=rotation,
             gyro_bias=bias,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probevo.estimation.motion_estimate import Status
-from probevo.output.run_warnings import status_warning, timing_warning
+from probevo.output.run_warnings import imu_warning, status_warning, timing_warning
 
 
 @pytest.mark.parametrize("status", [s for s in Status if s not in (Status.FIRST, Status.OK)])
@@ -19,6 +19,13 @@ def test_the_status_that_prevails_is_named(status: Status) -> None:
 def test_half_of_the_steps_are_enough() -> None:
     assert status_warning(np.array([Status.OK, Status.GAP])) is None
     assert status_warning(np.zeros(0, np.int64)) is None
+
+
+def test_an_imu_that_was_left_out_is_named_with_the_reason() -> None:
+    assert imu_warning(None) is None
+    said = imu_warning("contradicts the images")
+    assert said is not None
+    assert said.startswith("The IMU contradicts the images.")
 
 
 def test_images_of_other_frames_are_named_with_the_cure() -> None:

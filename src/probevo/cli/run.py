@@ -61,7 +61,12 @@ def main(words: list[str]) -> None:
     settings = settings.model_copy(update={"sequence": arguments.sequence})
 
     # Only now, after the arguments are known to be good: these imports take time.
-    from probevo.output.run_warnings import scale_warning, status_warning, timing_warning
+    from probevo.output.run_warnings import (
+        imu_warning,
+        scale_warning,
+        status_warning,
+        timing_warning,
+    )
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
@@ -70,6 +75,7 @@ def main(words: list[str]) -> None:
     warnings = (
         status_warning(run.result.status),
         timing_warning(run.result.right_late_frames),
+        imu_warning(run.result.imu_left_out),
         scale_warning(run.result, run.truth),
     )
     for warning in warnings:

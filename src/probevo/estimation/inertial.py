@@ -53,6 +53,8 @@ MOST_GATED = 6
 """So many of them left out, and the IMU is."""
 MOST_ATTEMPTS = 30
 """Frames at which the IMU may contradict the images before it has ever been used."""
+NO_SOLUTION = "is left out from here on: with it, the window has no solution"
+"""Why an IMU is left out where the normal equations with its states are singular."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,10 @@ def with_samples(window: Window | None, prev: Frame, frame: Frame) -> Window | N
     if window is None or window.inertial is None or window.inertial.refused:
         return window
     inertial = window.inertial
+    if inertial.is_used and not any(inertial.factors):
+        # For as long as the window lasts: what is left of the states would only be in the way.
+        window = without_inertial(window, inertial.note, refused=False)
+        inertial = inertial.without_states(inertial.note, refused=False)
     states = inertial.states
     factor = preintegrate(
         frame.imu,
@@ -157,6 +163,11 @@ def trusts_gyro(window: Window | None) -> bool:
         return True
     inertial = window.inertial
     return inertial.is_used or (inertial.pending is None and not inertial.refused)
+
+
+def uses_imu(window: Window | None) -> bool:
+    """Return whether the poses of a window depend on its IMU."""
+    return window is not None and window.inertial is not None and window.inertial.is_used
 
 
 def gated(window: Window, seen: RelativePose) -> Window:
@@ -199,26 +210,39 @@ def predicted_motion(window: Window) -> RelativePose | None:
     return RelativePose(T_curr_prev, cov, curr=pose_of(0), prev=pose_of(int(window.frames[-1])))
 
 
-def notes(window: Window | None) -> tuple[str, ...]:
-    """Return why the IMU was not used in the last step, as a sentence, if there is a reason.
+def reason_left_out(window: Window | None) -> str:
+    """Return why the IMU was not used in the last step, if there is a reason.
 
     Of an IMU that never has enough samples, only the first step says so.
     """
-    if window is None or window.inertial is None or not window.inertial.note:
-        return ()
+    if window is None or window.inertial is None:
+        return ""
     inertial = window.inertial
     has_measured = inertial.is_used or inertial.refused or any(inertial.factors)
     if not has_measured and len(inertial.factors) > 1:
-        return ()
-    return (f"the IMU {inertial.note}",)
+        return ""
+    return inertial.note
 
 
-def without_inertial(window: Window, note: str) -> Window:
-    """Return the window with its inertial states marginalised, and the IMU left out for good."""
+def reason_not_used(window: Window | None) -> str | None:
+    """Return why a window does not use its IMU at all; None if it does, or has none."""
+    if window is None or window.inertial is None or window.inertial.is_used:
+        return None
+    return window.inertial.note or None
+
+
+def without_inertial(window: Window, note: str, *, refused: bool = True) -> Window:
+    """Return the window with its inertial states marginalised.
+
+    Args:
+        window: K frames.
+        note: why, as the end of "the IMU …".
+        refused: whether the IMU is left out for good, or starts anew.
+    """
     inertial = window.inertial
     if inertial is None:
         return window
-    left_out = inertial.without_states(note, refused=True)
+    left_out = inertial.without_states(note, refused=refused)
     if inertial.states is None:
         return replace(window, inertial=left_out)
     system = inertial_system(window, inertial.states, inertial.factors, num_pairs=0)

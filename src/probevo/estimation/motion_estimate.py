@@ -66,6 +66,9 @@ class MotionEstimate:
     """Covariance of the left perturbation of T_cam_world = T_world_cam⁻¹, [6, 6], m and rad."""
     missing: tuple[str, ...] = ()
     """What the frame lacked, in words: samples that could not be used."""
+    imu_left_out: str = ""
+    """Why the window's IMU says nothing of this step, as the end of "the IMU …"; empty if it does,
+    or if there is none."""
 
     def __repr__(self) -> str:
         """Return status, distance, angle, and the largest standard deviations, in one line."""

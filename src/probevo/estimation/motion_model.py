@@ -46,6 +46,8 @@ class MotionPrediction:
     velocity_sensitivity: FloatArray
     """How the velocity's error, [6], in standard deviations, moves it, [6, 6]; a gyro's rotation
     does not depend on it."""
+    without_gyro: MotionPrediction | None = None
+    """The same from the last velocity alone, where the gyro's rotation is not to refuse a solve."""
 
     def innovation(self, T_curr_prev: FloatArray) -> FloatArray:
         """Return how far a motion [4, 4] is from the predicted one, as a left perturbation, [6]."""
@@ -53,6 +55,8 @@ class MotionPrediction:
 
     def fails_gate(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
         """Return whether a solved motion with its covariance cannot come from this prediction."""
+        if self.without_gyro is not None and not self.without_gyro.fails_gate(T_curr_prev, cov):
+            return False
         innovation = self.innovation(T_curr_prev)
         squared = innovation @ np.linalg.solve(self.cov + cov, innovation)
         return bool(squared > INNOVATION_GATE)

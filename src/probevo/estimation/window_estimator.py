@@ -153,7 +153,15 @@ class WindowEstimator:
         if not inertial.bridges_newest(extended):
             measurements = [*measurements, motion]
         measured = self.with_measurements(extended, measurements)
-        return self._shortened(self.adjusted(measured).window)
+        try:
+            adjusted = self.adjusted(measured).window
+            if np.isfinite(adjusted.cov).all() or not inertial.uses_imu(window):
+                return self._shortened(adjusted)
+        except np.linalg.LinAlgError:
+            if not inertial.uses_imu(window):
+                raise
+        left_out = inertial.without_inertial(window, inertial.NO_SOLUTION)
+        return self.without_features(left_out, frame, motion, measurements)
 
     def _with_inertial_start(self, window: Window) -> Window:
         """Return the window with velocities, biases and gravity, once its IMU has shown them."""
@@ -163,7 +171,7 @@ class WindowEstimator:
         try:
             return self.adjusted(started).window
         except np.linalg.LinAlgError:
-            return inertial.without_inertial(window, "has states that no window fixes")
+            return inertial.without_inertial(window, inertial.NO_SOLUTION)
 
     def _fixes_newest(self, window: Window) -> bool:
         """Return whether the newest motion is known as well as one of two frames has to be."""

@@ -55,6 +55,8 @@ def write_motions(path: Path, result: RunResult) -> None:
         arrays[_UNUSABLE + name] = np.array(count, dtype=np.int64)
     if result.right_late_frames:
         arrays["right_late_frames"] = np.array(result.right_late_frames, dtype=np.int64)
+    if result.imu_left_out is not None:
+        arrays["imu_left_out"] = np.array(result.imu_left_out)
     if result.stopped is not None:
         arrays["stopped"] = np.array(result.stopped)
     buffer = io.BytesIO()
@@ -123,6 +125,7 @@ def read_motions(path: Path | str) -> RunResult:
         right_late_frames=int(_take(path, arrays, "right_late_frames", shape=()))
         if "right_late_frames" in arrays
         else 0,
+        imu_left_out=str(arrays["imu_left_out"]) if "imu_left_out" in arrays else None,
         stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
         jitter_sigma_rad=_take(path, arrays, "jitter_sigma_rad", shape=(3,))
         if "jitter_sigma_rad" in arrays

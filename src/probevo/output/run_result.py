@@ -71,6 +71,9 @@ class RunResult:
     right_late_frames: int = 0
     """Frames by which the right images are late, as ``PairTiming`` finds it; negative if the left
     ones are, and 0 also where nothing is known."""
+    imu_left_out: str | None = None
+    """Why the window did not use the IMU at the end of the run; None if it did, or there was
+    none."""
     unusable: dict[str, int] = field(default_factory=dict)
     """Samples and features that could not be used, counted by what was wrong with them
     (``MotionEstimate.missing``)."""
@@ -254,6 +257,8 @@ class RunRecorder:
         for name, times_ms in self._stage_ms.items():
             times_ms.add(motion.stage_ms.get(name, 0.0))
         self._rejected.update(rejected or {})
+        if motion.imu_left_out:
+            self._unusable["steps_without_imu"] += 1
         for text in motion.missing:
             # "3 of 20 IMU samples without …" becomes imu_samples_without_…
             count, _, _, what = text.split(" ", 3)

@@ -37,6 +37,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Stopped before the end": stopped,
         "Hardly a step is OK": status_warning(result.status),
         "Right images of other frames": timing_warning(result.right_late_frames),
+        "IMU": imu_warning(result.imu_left_out),
         "Scale": scale_warning(result, truth),
         "Out of domain": domain_warning(result.out_of_domain),
     }
@@ -72,6 +73,13 @@ def timing_warning(right_late_frames: int) -> str | None:
         f" the right image {frames} {when}. Motions and covariances are wrong. Pair the images by"
         f" their stamps, or leave out {first}."
     )
+
+
+def imu_warning(reason: str | None) -> str | None:
+    """Warn if the window left out the IMU at the end of the run, for a reason; else None."""
+    if not reason:
+        return None
+    return f"The IMU {reason}. The path is that of the images: see `probevo info SEQUENCE`."
 
 
 def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:

@@ -58,7 +58,8 @@ def validated(
             imu = _kept(imu, has_gyro)
         is_spike = find_spikes(imu.gyro_rad_s)
         if is_spike.any():
-            missing.append(f"{is_spike.sum()} IMU samples whose angular rate is a spike")
+            what = "IMU samples whose angular rate is a spike"
+            missing.append(f"{is_spike.sum()} of {len(is_spike)} {what}")
             imu = _kept(imu, ~is_spike)
         has_force = _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
         if not has_force.all():
