@@ -7,12 +7,14 @@ sensor is one class; most need only a residual and its Jacobians (``VectorMeasur
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
+from scipy.special import chdtri
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.errors import InputError
@@ -20,6 +22,11 @@ from probevo.geometry.se3_numba import perturb
 
 ASYMMETRY = 1e-8
 """Share of its largest entry by which a covariance may differ from its transpose, for rounding."""
+
+
+LARGE_FROM = 0.05
+"""Probability of a residual from which on it is large: beyond, a bounded loss is no longer
+quadratic. It is the same for all sensors, whatever the number of their dimensions."""
 
 
 class Variable(NamedTuple):
@@ -158,6 +165,7 @@ class VectorMeasurement(ABC):
         self.covariance = covariance
         self.dof = dof
         self.gate = gate
+        self._large_from = np.inf
         self._information: FloatArray = np.asarray(np.linalg.inv(covariance), np.float64)
 
     @property
@@ -172,6 +180,31 @@ class VectorMeasurement(ABC):
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
         """Return how each variable's perturbation moves the residual, [d, n] each."""
         return numeric_jacobians(self, values)
+
+    @property
+    def has_own_loss(self) -> bool:
+        """Whether it comes with a robust loss, a Student-t or a gate, and is to be taken as is."""
+        return bool(np.isfinite(self.dof) or np.isfinite(self.gate))
+
+    def scaled(self, factor: float) -> Self:
+        """Return the same measurement with so many times its covariance."""
+        other = copy.copy(self)
+        other.covariance = factor * self.covariance
+        other._information = self._information / factor
+        return other
+
+    def bounded(self) -> Self:
+        """Return the same measurement with a bounded loss, unless it has a loss of its own.
+
+        With s the squared Mahalanobis distance and a its 95 % quantile (``LARGE_FROM``), the loss
+        is s/2 up to a, and a − a²/(2s) beyond: it never exceeds a, and its weight (a/s)² falls fast
+        enough for a wrong measurement to have no pull in the end.
+        """
+        if self.has_own_loss:
+            return self
+        other = copy.copy(self)
+        other._large_from = large_from(len(self.covariance))
+        return other
 
     def propagated(self, values: Values) -> VectorMeasurement:
         """Return itself: its covariance does not depend on the values."""
@@ -197,6 +230,8 @@ class VectorMeasurement(ABC):
         if squared > self.gate:
             return np.zeros((jacobian.shape[1], jacobian.shape[1]))
         share = 1.0 / (1.0 + 2.0 / (self.dof + len(residual)))
+        if squared > self._large_from:
+            share *= bounded_weight(squared, self._large_from)
         information: FloatArray = share * jacobian.T @ self._information @ jacobian
         return information
 
@@ -216,14 +251,29 @@ class VectorMeasurement(ABC):
         if squared > self.gate:
             return 0.0
         if np.isinf(self.dof):
-            return 1.0
+            return bounded_weight(squared, self._large_from)
         return (self.dof + len(self.covariance)) / (self.dof + squared)
 
     def _cost(self, squared: float) -> float:
         squared = min(squared, self.gate)
+        if squared > self._large_from:
+            return self._large_from * (1.0 - 0.5 * self._large_from / squared)
         if np.isinf(self.dof):
             return 0.5 * squared
         return 0.5 * (self.dof + len(self.covariance)) * float(np.log1p(squared / self.dof))
+
+
+def large_from(dim: int) -> float:
+    """Return the squared Mahalanobis distance from which a residual of so many dimensions is
+    large."""
+    return float(chdtri(dim, LARGE_FROM))
+
+
+def bounded_weight(squared: float, large_from: float) -> float:
+    """Return the weight of the bounded loss: 1, and (a/s)² where s is larger than a."""
+    if squared <= large_from:
+        return 1.0
+    return (large_from / squared) ** 2
 
 
 def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[FloatArray, ...]:

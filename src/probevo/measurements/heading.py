@@ -1,0 +1,77 @@
+"""The heading of the camera, as GPS or a compass gives it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.geometry import so3
+from probevo.measurements.base import Values, Variable, VectorMeasurement
+from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
+
+
+class Heading(VectorMeasurement):
+    """A measured heading of the camera: the direction of its z axis over ground, clockwise.
+
+    Args:
+        pose: pose of the camera.
+        heading_rad: what was measured, from north; without ``north``, from the heading of the first
+            camera, which is then taken to be level.
+        sigma_rad: its standard deviation.
+        north: ``NORTH`` if it is from north; the attitude of the world against it is then
+            estimated, too.
+
+    Raises:
+        InputError: the standard deviation is not positive.
+    """
+
+    def __init__(
+        self,
+        pose: Variable,
+        heading_rad: float,
+        sigma_rad: float,
+        *,
+        north: Variable | None = None,
+    ) -> None:
+        super().__init__(np.array([[sigma_rad**2]]))
+        self.pose = pose
+        self.heading_rad = heading_rad
+        self.north = north
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """The pose, and the attitude of the world against north if that is needed."""
+        return (self.pose,) if self.north is None else (self.pose, self.north)
+
+    def residual(self, values: Values) -> FloatArray:
+        """Return measured minus predicted heading, from −π to π, [1]."""
+        east, north, _ = self._ahead_in_enu(values).tolist()
+        difference = self.heading_rad - math.atan2(east, north)
+        return np.array([math.remainder(difference, 2.0 * math.pi)])
+
+    def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
+        """Return ∂e/∂ξ of the pose, [1, 6], and that of the attitude against north, [1, 3]."""
+        ahead = self._ahead_in_enu(values)
+        level_squared = max(float(ahead[0] ** 2 + ahead[1] ** 2), 1e-12)
+        of_ahead = np.array([[-ahead[1], ahead[0], 0.0]]) / level_squared
+        C_enu_world = attitude_of_enu(self._north(values)).T
+        C_enu_cam = C_enu_world @ values[self.pose][:3, :3].T
+        of_pose = np.zeros((1, 6))
+        # C_world_cam = C̄ Exp(−φ), which moves the z axis by C̄ (z × φ).
+        of_pose[:, 3:] = of_ahead @ C_enu_cam @ so3.wedge(np.array([0.0, 0.0, 1.0]))
+        if self.north is None:
+            return (of_pose,)
+        # C_enu_world w, with w fixed, moves as −C_enu_world ∂(C_world_enu d) does, where d = it.
+        of_north = -of_ahead @ C_enu_world @ jacobian_of_enu(values[self.north], ahead)
+        return of_pose, of_north
+
+    def _north(self, values: Values) -> FloatArray:
+        return np.zeros(3) if self.north is None else values[self.north]
+
+    def _ahead_in_enu(self, values: Values) -> FloatArray:
+        """Return the camera's z axis in east, north and up, [3]."""
+        C_world_enu = attitude_of_enu(self._north(values))
+        ahead: FloatArray = C_world_enu.T @ values[self.pose][2, :3]
+        return ahead
