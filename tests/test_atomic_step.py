@@ -274,7 +274,9 @@ STAGES = {
     ),
     "last residuals": Stage("probevo.tracking.last_residuals:LastResiduals", "left_by"),
     "outliers dropped": Stage("probevo.tracking:TrackingState", "without"),
-    "pose propagation": Stage("probevo.estimation.pose_filter:PoseFilter", "advanced"),
+    "pose propagation": Stage("probevo.estimation.pose_filter:PoseFilter", "advanced", first=2),
+    "sensor tests": Stage("probevo.odometry", "motion_innovations_squared"),
+    "sensor fusion": Stage("probevo.estimation.sensor_fusion:SensorFusion", "updated"),
     "pose update": Stage("probevo.estimation.pose_filter:PoseFilter", "updated"),
     "window's new frame": Stage(
         "probevo.estimation.window_estimator:WindowEstimator", "with_frame"

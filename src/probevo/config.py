@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from probevo.arrays import FloatArray
 from probevo.settings import Settings
 
 MAX_DIFFERENCE_OF = {"two-frame": 6.0, "window": 20.0}
 """Default of ``max_difference`` by estimator, grey levels. For a window, 20, 40 and 255 are alike;
 two frames lose up to a quarter in rotation on some recordings, and gain a fifth on others."""
+UNKNOWN_HEADING_RAD = 100.0
+"""Standard deviation of a heading of which nothing is known."""
 
 
 class TrackingConfig(Settings):
@@ -245,6 +250,43 @@ class GyroConfig(Settings):
     )
 
 
+class NorthConfig(Settings):
+    """Prior of the first camera's attitude against north, for sensors that measure against it."""
+
+    heading_deg: float | None = Field(
+        None,
+        ge=-360,
+        le=360,
+        description=(
+            "Heading of the first camera, clockwise from north; if it is not given, the first"
+            " measurements against north tell it."
+        ),
+    )
+    heading_sigma_deg: float = Field(
+        1.0, gt=0, le=180, description="Standard deviation of that heading."
+    )
+    tilt_sigma_deg: float = Field(
+        3.0,
+        gt=0,
+        le=90,
+        description="By how much the first camera is not level; a car's camera is within 1 to 2.",
+    )
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean of the variable ``NORTH``, [3], rad."""
+        return np.array([0.0, 0.0, math.radians(self.heading_deg or 0.0)])
+
+    @property
+    def cov(self) -> FloatArray:
+        """Its covariance, [3, 3], rad²; that of an unknown heading is of many turns."""
+        tilt = math.radians(self.tilt_sigma_deg)
+        heading = math.radians(self.heading_sigma_deg)
+        if self.heading_deg is None:
+            heading = UNKNOWN_HEADING_RAD
+        return np.diag([tilt**2, tilt**2, heading**2])
+
+
 class OdometryConfig(Settings):
     """The settings of ``StereoOdometry``."""
 
@@ -268,6 +310,7 @@ class OdometryConfig(Settings):
     window: WindowConfig = WindowConfig()
     motion_model: MotionModelConfig = MotionModelConfig()
     gyro: GyroConfig = GyroConfig()
+    north: NorthConfig = NorthConfig()
 
     @property
     def tracker(self) -> TrackingConfig:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,18 +16,20 @@ from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation import inertial
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.rig_update import update_rig
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
+from probevo.estimation.sensor_fusion import SensorFusion, motion_innovations_squared
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
-from probevo.estimation.window_motion import live_motion, live_pose
+from probevo.estimation.window_motion import live_advance, live_motion
 from probevo.landmarks import Landmarks, triangulated
-from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
 from probevo.measurements.gyro import GyroBias
 from probevo.measurements.relative_pose import RelativePose
+from probevo.measurements.sensor import Reading, Sensor, read_sensor, sensor_names
 from probevo.noise import NoiseModel
 from probevo.predictors import PredictionSpace, Step, space_for
 from probevo.python_arguments import as_camera, as_config, as_noise
@@ -40,12 +42,6 @@ from probevo.tracking import Tracked, TrackingState, Tracks, tracker_for
 from probevo.tracking.last_residuals import LastResiduals
 from probevo.tracking.observations import FrameObservations
 from probevo.tracking.preparation import with_prepared_images
-
-Sensor = Callable[[Frame, Frame], Sequence[Measurement]]
-"""Maps the previous and the current frame to measurements of their poses, ``pose_of(frame.index)``.
-
-Those that constrain both poses enter the solve of the motion, those of the current pose alone
-correct the pose in the world."""
 
 
 class StereoOdometry:
@@ -79,6 +75,7 @@ class StereoOdometry:
         self.config = as_config(config)
         self.predictors = space_for(self.noise.columns, predictors)
         self.sensors = tuple(sensors)
+        self._sensor_names = sensor_names(self.sensors)
         self._visual = VisualEstimator(
             camera,
             self.noise,
@@ -216,6 +213,7 @@ class StereoOdometry:
             self.imu,
             config=self.config,
             num_columns=len(self.predictors.columns),
+            sensor_names=self._sensor_names,
         )
 
     def _observe(
@@ -257,19 +255,27 @@ class StereoOdometry:
         return _Observed(tracked=tracked, rig=rig, tracks=tracks, phi=phi)
 
     def _measure(self, state: OdometryState, frame: Frame, prediction: Prediction) -> _Measured:
-        """Ask gyro and sensors, and tell measurements of the motion from those of the pose alone.
+        """Ask gyro and sensors.
 
-        The gyro's rotation enters the solve only where the settings say so.
+        The gyro's rotation enters the solve only where the settings say so, and a sensor that has
+        been excluded is not asked. Measurements of the motion have a bounded loss there, so that a
+        wrong one has no pull.
         """
         of_motion: list[Measurement] = []
-        of_pose: list[Measurement] = []
         if prediction.rotation is not None and self.config.gyro.prior:
             of_motion.append(prediction.rotation)
-        for sensor in self.sensors:
-            for measurement in sensor(state.frame, frame):
-                is_of_pose = set(measurement.variables) == {pose_of(frame.index)}
-                (of_pose if is_of_pose else of_motion).append(measurement)
-        return _Measured(of_motion=of_motion, of_pose=of_pose)
+        readings = []
+        for name, sensor in zip(self._sensor_names, self.sensors, strict=True):
+            if state.fusion.is_excluded(name):
+                readings.append(Reading(name))
+                continue
+            reading = read_sensor(name, sensor, state.frame, frame)
+            readings.append(reading)
+            for measurement in reading.of_motion(pose_of(frame.index)):
+                if isinstance(measurement, VectorMeasurement):
+                    measurement = measurement.bounded()
+                of_motion.append(measurement)
+        return _Measured(of_motion=of_motion, readings=readings)
 
     def _solve(
         self,
@@ -403,9 +409,9 @@ class StereoOdometry:
     ) -> tuple[MotionEstimate, OdometryState]:
         """Propagate the pose to this frame; return the estimate, and the state after the step."""
         motion = learned.motion
-        pose = state.pose.advanced(motion).updated(measured.of_pose, pose_of(frame.index))
         clock.lap("learn")
         window = None
+        fusion = state.fusion
         if state.window is not None:  # the two-frame motion is where its adjustment starts
             window = self._adjust(
                 state.window,
@@ -413,12 +419,18 @@ class StereoOdometry:
                 motion,
                 observed=observed,
                 visual=visual,
-                measurements=[*measured.of_motion, *measured.of_pose],
+                measurements=measured.of_motion,
             )
             motion = live_motion(motion, state.window, window)
-            pose = live_pose(window)
+            fusion = fusion.advanced(live_advance(motion, window))
             clock.lap("window")
-        estimate = replace(motion, T_world_cam=pose.T_world_cam, pose_cov=pose.cov)
+        else:
+            fusion = fusion.advanced(lambda pose: pose.advanced(motion))
+        fusion, outcomes = self._fuse(fusion, frame, visual, measured)
+        pose = fusion.pose
+        estimate = replace(
+            motion, T_world_cam=pose.T_world_cam, pose_cov=pose.cov, sensors=outcomes
+        )
         after = OdometryState(
             frame=frame,
             tracking=learned.tracking,
@@ -428,11 +440,31 @@ class StereoOdometry:
             motion_model=learned.motion_model,
             disparities=learned.disparities,
             residuals=learned.residuals,
-            pose=pose,
+            fusion=fusion,
             step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
             window=window,
         )
         return estimate, after
+
+    def _fuse(
+        self, fusion: SensorFusion, frame: Frame, visual: VisualMotion, measured: _Measured
+    ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
+        """Correct the pose by what the sensors measured of it, and test them."""
+        if not self.sensors:
+            return fusion, ()
+        pose = pose_of(frame.index)
+        motion_squared = {}
+        if visual.status is Status.OK:
+            solution = visual.accepted_solution
+            motion_squared = {
+                reading.name: motion_innovations_squared(
+                    reading.of_motion(pose), solution.T_curr_prev, pose, cov=solution.cov
+                )
+                for reading in measured.readings
+            }
+        return fusion.updated(
+            measured.readings, pose, self.config.north, motion_squared=motion_squared
+        )
 
     def _adjust(
         self,
@@ -497,7 +529,9 @@ class _Measured:
     """What the sensors beside the camera measured."""
 
     of_motion: list[Measurement]
-    of_pose: list[Measurement]
+    """What enters the solve: the gyro's rotation, and what sensors measured of the motion."""
+    readings: list[Reading]
+    """What each sensor returned."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.inertial import Inertial, trusts_gyro, uses_imu
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.pose_filter import PoseFilter
+from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.estimation.window import Window
 from probevo.measurements.base import pose_of
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
@@ -83,8 +85,9 @@ class OdometryState:
     disparities: DisparityFilter
     residuals: LastResiduals
     """Residuals of the last step's features, by landmark."""
-    pose: PoseFilter
-    """Pose of the camera in the world, which is the first camera."""
+    fusion: SensorFusion
+    """Pose of the camera in the world, which is the first camera, and what is remembered of each
+    sensor that corrects it."""
     step: StepFeatures
     """The features of the last step."""
     window: Window | None
@@ -98,6 +101,7 @@ class OdometryState:
         *,
         config: OdometryConfig,
         num_columns: int,
+        sensor_names: Sequence[str] = (),
     ) -> OdometryState:
         """Return the state after the first frame.
 
@@ -107,6 +111,7 @@ class OdometryState:
             imu: calibration of the IMU, if there is one.
             config: all settings.
             num_columns: M of the prediction space.
+            sensor_names: of the sensors beside the camera.
         """
         return OdometryState(
             frame=frame,
@@ -117,10 +122,15 @@ class OdometryState:
             motion_model=MotionModel.at_start(config.motion_model),
             disparities=DisparityFilter.none(),
             residuals=LastResiduals.none(),
-            pose=PoseFilter.at_origin(),
+            fusion=SensorFusion.at_origin(sensor_names),
             step=StepFeatures.none(num_columns),
             window=_first_window(frame, imu, config) if config.estimator == "window" else None,
         )
+
+    @property
+    def pose(self) -> PoseFilter:
+        """Pose of the camera in the world."""
+        return self.fusion.pose
 
     def predict(self, frame: Frame, imu: ImuCalibration | None) -> Prediction:
         """Predict the motion to the next frame, from gyro and last velocity (PROBE eqs. 3-4).

@@ -6,10 +6,25 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 
 from probevo.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class SensorOutcome:
+    """What became of one sensor in a step."""
+
+    name: str
+    state: Literal["used", "gated", "silent", "excluded"]
+    reason: str | None = None
+    """Why it was silent, or why it is excluded."""
+    squared: float | None = None
+    """Largest squared Mahalanobis distance of its innovations; None if none was tested."""
+    weight: float = 0.0
+    """Least weight of its measurements, 0 to 1."""
 
 
 class Status(IntEnum):
@@ -69,6 +84,8 @@ class MotionEstimate:
     imu_left_out: str = ""
     """Why the window's IMU says nothing of this step, as the end of "the IMU …"; empty if it does,
     or if there is none."""
+    sensors: tuple[SensorOutcome, ...] = ()
+    """What became of each sensor beside the camera."""
 
     def __repr__(self) -> str:
         """Return status, distance, angle, and the largest standard deviations, in one line."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,29 +11,55 @@ from probevo.arrays import FloatArray
 from probevo.estimation import gauss_newton
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement, Variable
+from probevo.measurements.base import (
+    Measurement,
+    Values,
+    Variable,
+    VectorMeasurement,
+)
+from probevo.measurements.north import NORTH
 from probevo.measurements.pose_prior import PosePrior
 
 LEAST_SIGMA = np.array([1e-6, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
 """Standard deviation to which the first pose is known, m and rad: it is the world's origin by
 definition, but a prior needs a covariance that can be inverted."""
+POSE = 6
+HEADING_KNOWN_FROM_RAD = 0.5
+"""Standard deviation of the first camera's heading below which a measurement may be linearised at
+its mean."""
+HEADINGS = 8
+"""Headings that are tried where none is known."""
+
+
+@dataclass(frozen=True)
+class FurtherState:
+    """A vector that is estimated with the pose, such as the heading of the first camera."""
+
+    variable: Variable
+    value: FloatArray
+    """[n]."""
 
 
 @dataclass(frozen=True)
 class PoseFilter:
-    """A Gaussian estimate of the pose of the current camera; the world is the first camera."""
+    """A Gaussian estimate of the pose of the current camera; the world is the first camera.
+
+    Further states are estimated with it. They do not change by themselves, and come behind the pose
+    in the joint covariance of 6 + n.
+    """
 
     T_world_cam: FloatArray
     """[4, 4], m."""
     own_cov: FloatArray
-    """Covariance of the left perturbation ξ = [ρ; φ] of T_cam_world without the common-mode part,
-    [6, 6], m and rad."""
+    """Covariance of the left perturbation ξ = [ρ; φ] of T_cam_world, and of the further states,
+    without the common-mode part, [6 + n, 6 + n], m and rad."""
     common_mode: FloatArray
-    """How the common-mode errors of all steps so far move it, [6, 3]: they add up along the
+    """How the common-mode errors of all steps so far move it, [6 + n, 3]: they add up along the
     path."""
     is_corrected: bool = False
     """Whether a measurement of the pose has corrected it. From then on the cross-covariances of
     steps with the path before them are neglected: they refer to the path as it was."""
+    further: tuple[FurtherState, ...] = ()
 
     @staticmethod
     def at_origin() -> PoseFilter:
@@ -43,43 +69,192 @@ class PoseFilter:
         )
 
     @property
+    def joint_cov(self) -> FloatArray:
+        """Covariance of the pose and the further states, [6 + n, 6 + n]."""
+        return self.own_cov + self.common_mode @ self.common_mode.T
+
+    @property
     def cov(self) -> FloatArray:
         """Covariance of the left perturbation ξ of T_cam_world, [6, 6], m and rad."""
-        return self.own_cov + self.common_mode @ self.common_mode.T
+        return self.joint_cov[:POSE, :POSE]
+
+    def slice_of(self, variable: Variable) -> slice | None:
+        """Return where a further state lies in the joint covariance; None if there is none."""
+        start = POSE
+        for state in self.further:
+            stop = start + len(state.value)
+            if state.variable == variable:
+                return slice(start, stop)
+            start = stop
+        return None
+
+    def values(self, pose: Variable) -> Values:
+        """Return the estimates by their variables, the pose under the name that is given."""
+        found = {pose: se3.inverse(self.T_world_cam)}
+        return found | {state.variable: state.value for state in self.further}
+
+    def with_state(self, variable: Variable, value: FloatArray, cov: FloatArray) -> PoseFilter:
+        """Return the filter with one more state, [n], of which this prior is all that is known."""
+        before = len(self.own_cov)
+        size = before + len(value)
+        own_cov = np.zeros((size, size))
+        own_cov[:before, :before] = self.own_cov
+        own_cov[before:, before:] = cov
+        return replace(
+            self,
+            own_cov=own_cov,
+            common_mode=np.vstack([self.common_mode, np.zeros((len(value), 3))]),
+            further=(*self.further, FurtherState(variable, value)),
+        )
+
+    def moved_to(self, pose: PoseFilter) -> PoseFilter:
+        """Return the filter with another estimate of the pose, on which the further states do not
+        depend."""
+        own_cov = self.own_cov.copy()
+        own_cov[:POSE, :POSE] = pose.own_cov
+        common_mode = self.common_mode.copy()
+        common_mode[:POSE] = pose.common_mode
+        return replace(self, T_world_cam=pose.T_world_cam, own_cov=own_cov, common_mode=common_mode)
 
     def advanced(self, motion: MotionEstimate) -> PoseFilter:
         """Return the pose after a step: P = Ad P Adᵀ + cov + X + Xᵀ, X the cross-covariance."""
-        adjoint = se3.adjoint(motion.T_curr_prev)
+        adjoint = np.eye(len(self.own_cov))
+        adjoint[:POSE, :POSE] = se3.adjoint(motion.T_curr_prev)
         # Common-mode errors are the same in all steps: their roots add up, not their covariances.
         step_cov = motion.cov - motion.common_mode @ motion.common_mode.T
-        own_cov = adjoint @ self.own_cov @ adjoint.T + step_cov
+        own_cov = adjoint @ self.own_cov @ adjoint.T
+        own_cov[:POSE, :POSE] += step_cov
         if not self.is_corrected:
-            own_cov = own_cov + motion.path_cross_cov + motion.path_cross_cov.T
-        return PoseFilter(
+            own_cov[:POSE, :POSE] += motion.path_cross_cov + motion.path_cross_cov.T
+        common_mode = adjoint @ self.common_mode
+        common_mode[:POSE] += motion.common_mode
+        return replace(
+            self,
             T_world_cam=self.T_world_cam @ se3.inverse(motion.T_curr_prev),
             own_cov=own_cov,
-            common_mode=adjoint @ self.common_mode + motion.common_mode,
-            is_corrected=self.is_corrected,
+            common_mode=common_mode,
         )
+
+    @property
+    def knows_heading(self) -> bool:
+        """Whether measurements against north may be linearised: their heading is known."""
+        at = self.slice_of(NORTH)
+        if at is None:
+            return True
+        return bool(self.joint_cov[at, at][2, 2] < HEADING_KNOWN_FROM_RAD**2)
+
+    def innovation(
+        self, measurement: VectorMeasurement, pose: Variable
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what is measured minus what is predicted, [d], and its covariance, [d, d]."""
+        values = self.values(pose)
+        columns = np.zeros((len(measurement.covariance), len(self.own_cov)))
+        for variable, jacobian in zip(
+            measurement.variables, measurement.jacobians(values), strict=True
+        ):
+            at = slice(0, POSE) if variable == pose else self.slice_of(variable)
+            if at is not None:
+                columns[:, at] = jacobian
+        covariance = columns @ self.joint_cov @ columns.T + measurement.covariance
+        return measurement.residual(values), covariance
 
     def updated(self, measurements: Sequence[Measurement], pose: Variable) -> PoseFilter:
         """Return the pose given measurements of it: one Gauss–Newton solve with this as prior.
 
         With Λ the measurements' information, P⁺ = (P⁻¹ + Λ)⁻¹, and an error ξ before is A ξ after,
         A = P⁺ P⁻¹. So the common-mode part shrinks by A, and the rest of P⁺ is the pose's own.
+
+        Where the heading of the first camera is unknown, the solve starts from several.
         """
         if not measurements:
             return self
-        prior_cov = self.cov + np.diag(LEAST_SIGMA**2)
+        prior_cov = self.joint_cov
+        prior_cov[range(POSE), range(POSE)] += LEAST_SIGMA**2
         T_cam_world = se3.inverse(self.T_world_cam)
-        prior = PosePrior(pose, T_cam_world, prior_cov)
-        optimum = gauss_newton.minimize([prior, *measurements], {pose: T_cam_world}, [pose])
-        information = gauss_newton.information(optimum.measurements, optimum.values, [pose])
-        cov = np.linalg.inv(information)
-        common_mode = cov @ np.linalg.solve(prior_cov, self.common_mode)
+        prior: VectorMeasurement = PosePrior(pose, T_cam_world, prior_cov)
+        if self.further:
+            prior = _JointPrior(pose, T_cam_world, self.further, prior_cov)
+        free = prior.variables
+        optimum = min(
+            (
+                gauss_newton.minimize([prior, *measurements], start, free)
+                for start in self._starts(pose)
+            ),
+            key=lambda found: sum(each.linearize(found.values).cost for each in found.measurements),
+        )
+        information = gauss_newton.information(optimum.measurements, optimum.values, free)
+        cov = _inverse(information)
+        common_mode = cov @ _inverse(prior_cov) @ self.common_mode
         return PoseFilter(
             T_world_cam=se3.inverse(optimum.values[pose]),
             own_cov=cov - common_mode @ common_mode.T,
             common_mode=common_mode,
             is_corrected=True,
+            further=tuple(
+                replace(state, value=optimum.values[state.variable]) for state in self.further
+            ),
         )
+
+    def _starts(self, pose: Variable) -> list[Values]:
+        """Return where to start: at the estimate, and with other headings if none is known."""
+        values = self.values(pose)
+        if self.knows_heading:
+            return [values]
+        turns = np.linspace(0.0, 2.0 * np.pi, HEADINGS, endpoint=False)
+        return [{**values, NORTH: values[NORTH] + np.array([0.0, 0.0, turn])} for turn in turns]
+
+
+class _JointPrior(VectorMeasurement):
+    """A Gaussian prior on a pose and further states, with all cross-covariances.
+
+    Args:
+        pose: the variable.
+        T_cam_world: its mean, [4, 4].
+        further: the other states with their means, n numbers in all.
+        covariance: joint, [6 + n, 6 + n], the pose first.
+    """
+
+    def __init__(
+        self,
+        pose: Variable,
+        T_cam_world: FloatArray,
+        further: tuple[FurtherState, ...],
+        covariance: FloatArray,
+    ) -> None:
+        super().__init__(0.5 * (covariance + covariance.T))
+        self._information = _inverse(self.covariance)
+        self._pose_prior = PosePrior(pose, T_cam_world, np.eye(POSE))
+        self.further = further
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """The pose, and the others."""
+        return (*self._pose_prior.variables, *(state.variable for state in self.further))
+
+    def residual(self, values: Values) -> FloatArray:
+        """Return mean minus value of each, [6 + n]."""
+        others = [state.value - values[state.variable] for state in self.further]
+        return np.concatenate([self._pose_prior.residual(values), *others])
+
+    def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
+        """Return ∂e/∂ξ, by central differences, and −1 for the others."""
+        size = len(self.covariance)
+        of_pose = np.zeros((size, POSE))
+        of_pose[:POSE] = self._pose_prior.jacobians(values)[0]
+        found = [of_pose]
+        start = POSE
+        for state in self.further:
+            stop = start + len(state.value)
+            column = np.zeros((size, stop - start))
+            column[start:stop] = -np.eye(stop - start)
+            found.append(column)
+            start = stop
+        return tuple(found)
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a covariance or information whose units differ by many decades."""
+    sigma = 1.0 / np.sqrt(np.diagonal(matrix))
+    units = np.outer(sigma, sigma)
+    inverse: FloatArray = np.linalg.inv(matrix * units) * units
+    return inverse

@@ -7,6 +7,7 @@ from one live pose to the next, so that they compound to it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -57,6 +58,25 @@ def live_pose(window: Window) -> PoseFilter:
     return PoseFilter(
         T_world_cam=newest.T_world_cam, own_cov=newest.cov, common_mode=np.zeros((6, 3))
     )
+
+
+def live_advance(motion: MotionEstimate, window: Window) -> Callable[[PoseFilter], PoseFilter]:
+    """Return how a filter of the pose advances by a step of the live path.
+
+    As long as no sensor has corrected it, it is the window's own pose.
+
+    Args:
+        motion: the step (``live_motion``).
+        window: after the step.
+    """
+    newest = live_pose(window)
+
+    def advance(pose: PoseFilter) -> PoseFilter:
+        if pose.is_corrected:
+            return pose.advanced(motion)
+        return pose.moved_to(newest)
+
+    return advance
 
 
 def _positive_part(matrix: np.ndarray) -> np.ndarray:

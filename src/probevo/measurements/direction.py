@@ -104,8 +104,11 @@ class Direction(VectorMeasurement):
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
         """Return ∂e/∂ξ of the pose, [2, 6], and that of the attitude against north, [2, 3].
 
-        Log_u(p) = (θ/sin θ)(p − cos θ u), and ∂/∂p = (θ/sin θ)(1 − u uᵀ) − ((sin θ − θ cos θ)/sin³θ)
-        (p − cos θ u) uᵀ; p moves by φ × p with the attitude.
+        With Log_u(p) = (θ/sin θ)(p − cos θ u), its derivative by p is
+
+            (θ/sin θ)(1 − u uᵀ) − ((sin θ − θ cos θ)/sin³θ)(p − cos θ u) uᵀ,
+
+        and p moves by φ × p with the attitude.
         """
         C_cam_world = values[self.pose][:3, :3]
         predicted = C_cam_world @ self._in_world(values)

@@ -1,0 +1,87 @@
+"""What a sensor beside the camera is: asked once a frame, it returns measurements or a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from probevo.errors import InputError
+from probevo.measurements.base import Measurement, Variable
+from probevo.measurements.north import NORTH
+from probevo.sequences.frame import Frame
+
+
+@dataclass(frozen=True)
+class NoMeasurement:
+    """A sensor has nothing to say of a frame."""
+
+    reason: str
+    """Why, in a few words that runs count by: ``no fix``, ``night``."""
+
+
+Sensor = Callable[[Frame, Frame], Sequence[Measurement] | NoMeasurement]
+"""Maps the previous and the current frame to measurements of their poses, ``pose_of(frame.index)``,
+or says why it has none.
+
+Those that constrain both poses enter the solve of the motion. Those of the current pose, and of
+``NORTH``, correct the pose in the world. A step may be repeated, so that a sensor does not remember
+what it was asked: it looks up what it measured at the time of the frame."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What one sensor returned for a frame."""
+
+    name: str
+    measurements: tuple[Measurement, ...] = ()
+    reason: str | None = None
+    """Why there is no measurement, if it says so."""
+
+    def of_pose(self, pose: Variable) -> tuple[Measurement, ...]:
+        """Return the measurements of this pose alone, or of it and north."""
+        return tuple(one for one in self.measurements if {pose, NORTH} >= set(one.variables))
+
+    def of_motion(self, pose: Variable) -> tuple[Measurement, ...]:
+        """Return the others, which also depend on the previous pose."""
+        return tuple(one for one in self.measurements if not {pose, NORTH} >= set(one.variables))
+
+
+def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> Reading:
+    """Ask a sensor about a frame.
+
+    Raises:
+        InputError: it returns something else than measurements or a reason. Whatever else it raises
+            is left as it is.
+    """
+    answer = sensor(prev_frame, frame)
+    if isinstance(answer, NoMeasurement):
+        return Reading(name, reason=answer.reason)
+    if not isinstance(answer, list | tuple):
+        what = f"it returned {type(answer).__name__}."
+        raise InputError(f"sensor {name}", what, "It returns a list, or NoMeasurement(reason).")
+    for measurement in answer:
+        if not hasattr(measurement, "linearize") or not hasattr(measurement, "variables"):
+            what = f"it returned a list with {type(measurement).__name__}."
+            raise InputError(f"sensor {name}", what, "Its items are measurements.")
+    return Reading(name, tuple(answer))
+
+
+def sensor_names(sensors: Sequence[Sensor]) -> tuple[str, ...]:
+    """Return a name for each sensor: its own ``name``, that of the function or of the class.
+
+    Sensors of one name are numbered.
+
+    Raises:
+        InputError: one cannot be called.
+    """
+    names: list[str] = []
+    for sensor in sensors:
+        if not callable(sensor):
+            what = f"{type(sensor).__name__} cannot be called."
+            cure = "A sensor is a function of the previous and the current frame."
+            raise InputError("sensors", what, cure)
+        name = getattr(sensor, "name", None) or getattr(sensor, "__name__", type(sensor).__name__)
+        name = str(name)
+        same = sum(known == name or known.startswith(f"{name} ") for known in names)
+        names.append(f"{name} {same + 1}" if same else name)
+    return tuple(names)
