@@ -175,13 +175,11 @@ class PoseFilter:
         if self.further:
             prior = _JointPrior(pose, T_cam_world, self.further, prior_cov)
         free = prior.variables
-        optimum = min(
-            (
-                gauss_newton.minimize([prior, *measurements], start, free)
-                for start in self._starts(pose)
-            ),
-            key=lambda found: sum(each.linearize(found.values).cost for each in found.measurements),
-        )
+        found = [
+            gauss_newton.minimize([prior, *measurements], start, free)
+            for start in self._starts(pose)
+        ]
+        optimum = found[0] if len(found) == 1 else min(found, key=_cost)
         information = gauss_newton.information(optimum.measurements, optimum.values, free)
         cov = _inverse(information)
         common_mode = cov @ _inverse(prior_cov) @ self.common_mode
@@ -250,6 +248,11 @@ class _JointPrior(VectorMeasurement):
             found.append(column)
             start = stop
         return tuple(found)
+
+
+def _cost(optimum: gauss_newton.Optimum) -> float:
+    """Return the cost of all measurements where a solve ended."""
+    return sum(one.linearize(optimum.values).cost for one in optimum.measurements)
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ Measurements of the motion enter the solve of the step; of them, only the innova
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -44,22 +44,20 @@ from probevo.measurements.sensor import Reading
 
 GATE = 1e-4
 """Probability of an innovation as large as one that is turned away."""
-LIE = 1e-6
-"""Probability of an estimated offset as large as one that excludes a sensor."""
+LIE = 1e-5
+"""Probability of an estimated offset as large as one that excludes a sensor. It also has to be
+larger than the standard deviation that the sensor claims: a smaller one does little harm."""
 OFFSET_VARIANCE = 100.0
 """Prior variance of an offset, in variances of the sensor."""
-OFFSET_WALK = 1.0 / 400.0
+OFFSET_WALK = 1.0 / 2500.0
 """Variance by which an offset may change from one measurement to the next, in variances of the
-sensor; so some twenty measurements count, and a sensor that fails late is found as early."""
+sensor; so some fifty measurements count, and a sensor that fails late is found, too."""
 USUAL = 3.5
 """What an innovation may add to the sum, of which χ²(2) has 2 on average."""
 MOST_OF_ONE = 12.0
 """What one innovation can add at most; a few wild ones are not a lie."""
 ALARM = 39.0
 """The sum that excludes a sensor: by chance, once in a million measurements."""
-
-OFFSET = "offset"
-"""Kind of the variables of offsets."""
 
 
 class _Tested(NamedTuple):
@@ -168,7 +166,7 @@ class SensorFusion:
                     ),
                     sum_above=_sum_above(memory.sum_above, dims, squared),
                 )
-                suspects += _suspects(memory, index)
+                suspects += _suspects(memory, index, measured[index])
             elif memory.excluded is None:
                 others = _joined(measured)
                 memory = replace(
@@ -309,11 +307,8 @@ def _tested_with_offset(
         pose: the pose of the frame.
         north: prior of the attitude of the world against north.
     """
-    offset: list[Measurement] = []
-    for place, measurement in enumerate(measurements):
-        if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
-            continue
-        variable = Variable(kind=f"{OFFSET} {len(measurement.covariance)}", frame=place)
+    offset: list[WithOffset] = []
+    for variable, measurement in _with_offsets(measurements):
         at = pose_filter.slice_of(variable)
         if at is None:
             pose_filter = pose_filter.with_state(
@@ -327,6 +322,15 @@ def _tested_with_offset(
             pose_filter = replace(pose_filter, own_cov=own_cov)
         offset.append(WithOffset(measurement, variable))
     return _tested(pose_filter, [*offset, *others], pose, north).pose
+
+
+def _with_offsets(
+    measurements: Sequence[Measurement],
+) -> Iterator[tuple[Variable, VectorMeasurement]]:
+    """Yield those measurements whose offset is estimated, each with its variable."""
+    for place, measurement in enumerate(measurements):
+        if isinstance(measurement, VectorMeasurement) and not measurement.has_own_loss:
+            yield Variable(kind=f"offset {len(measurement.covariance)}", frame=place), measurement
 
 
 class WithOffset(VectorMeasurement):
@@ -356,22 +360,27 @@ class WithOffset(VectorMeasurement):
         return (*self.measurement.jacobians(values), -np.eye(len(self.covariance)))
 
 
-def _suspects(memory: SensorMemory, index: int) -> list[_Suspect]:
-    """Return the tests that a sensor has failed."""
+def _suspects(
+    memory: SensorMemory, sensor: int, measurements: Sequence[Measurement]
+) -> list[_Suspect]:
+    """Return the tests that a sensor has failed with these measurements."""
     found = []
-    for state in memory.with_offset.further:
-        at = memory.with_offset.slice_of(state.variable)
-        if at is None or not state.variable.kind.startswith(OFFSET):
+    values = {state.variable: state.value for state in memory.with_offset.further}
+    for variable, measurement in _with_offsets(measurements):
+        at = memory.with_offset.slice_of(variable)
+        if at is None:
             continue
+        offset = values[variable]
         cov = memory.with_offset.joint_cov[at, at]
-        squared = float(state.value @ np.linalg.solve(cov, state.value))
-        ratio = squared / float(chdtri(len(state.value), LIE))
-        if ratio > 1.0:
-            size = float(np.linalg.norm(state.value))
-            found.append(_Suspect(index, ratio, f"a constant offset of {size:.2g} (rad or m)"))
+        squared = float(offset @ np.linalg.solve(cov, offset))
+        claimed = float(offset @ np.linalg.solve(measurement.covariance, offset))
+        ratio = squared / float(chdtri(len(offset), LIE))
+        if ratio > 1.0 and claimed > 1.0:
+            size = float(np.linalg.norm(offset))
+            found.append(_Suspect(sensor, ratio, f"a constant offset of {size:.2g} (rad or m)"))
     if memory.sum_above > ALARM:
         shows = "innovations larger than its covariance explains"
-        found.append(_Suspect(index, memory.sum_above / ALARM, shows))
+        found.append(_Suspect(sensor, memory.sum_above / ALARM, shows))
     return found
 
 

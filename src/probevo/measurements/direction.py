@@ -8,9 +8,12 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.geometry import so3
 from probevo.measurements.base import Values, Variable, VectorMeasurement
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
 
+LARGEST_ANGLE_RAD = 3.0
+"""Beyond, the derivative across grows without bound."""
 LEAST_SINE = 1e-12
 """Sine of an angle below which two directions are the same, or opposite."""
 
@@ -18,10 +21,11 @@ LEAST_SINE = 1e-12
 class Direction(VectorMeasurement):
     """A unit vector u measured in the camera, of a direction d known elsewhere (thesis chapter 5).
 
-    With p = C d the predicted direction, the residual is −Bᵀ Log_u(p): the angle between the two,
-    in the tangent plane of the sphere at u. Its axes B are those of azimuth and zenith, az =
-    atan2(x, z) and zen = acos(−y). There, unlike in the angles themselves, nothing is singular
-    where the zenith is measured, and no angle wraps.
+    With p = C d the predicted direction, the residual is Bᵀ Log_p(u): the angle between the two, in
+    the tangent plane of the sphere at p. Its axes B are the directions of azimuth and zenith angle,
+    az = atan2(x, z) and zen = acos(−y). Unlike the angles, it does not wrap. The plane is that at p
+    and not at u, whose noise would turn the axes, and with them the Jacobians: where an offset of
+    the sensor is estimated, that pushes it away in some hundred measurements.
 
     Args:
         pose: pose of the camera.
@@ -53,7 +57,6 @@ class Direction(VectorMeasurement):
         self.in_camera = _unit(in_camera, "in_camera")
         self.known = _unit(known, "known")
         self.north = north
-        self._axes = tangent_axes(self.in_camera)
 
     @staticmethod
     def of_angles(
@@ -92,29 +95,36 @@ class Direction(VectorMeasurement):
         return (self.pose,) if self.north is None else (self.pose, self.north)
 
     def residual(self, values: Values) -> FloatArray:
-        """Return −Bᵀ Log_u(p), [2], rad."""
+        """Return Bᵀ Log_p(u), [2], rad."""
         predicted = values[self.pose][:3, :3] @ self._in_world(values)
         cosine = float(self.in_camera @ predicted)
-        sine = float(np.linalg.norm(np.cross(self.in_camera, predicted)))
+        in_plane = tangent_axes(predicted).T @ self.in_camera
+        sine = math.hypot(in_plane[0], in_plane[1])
         if sine < LEAST_SINE:
             # Opposite to what was measured: any way around is as short.
             return np.zeros(2) if cosine > 0.0 else np.array([math.pi, 0.0])
-        return -(math.atan2(sine, cosine) / sine) * (self._axes.T @ predicted)
+        residual: FloatArray = math.atan2(sine, cosine) / sine * in_plane
+        return residual
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
         """Return ∂e/∂ξ of the pose, [2, 6], and that of the attitude against north, [2, 3].
 
-        With Log_u(p) = (θ/sin θ)(p − cos θ u), its derivative by p is
-
-            (θ/sin θ)(1 − u uᵀ) − ((sin θ − θ cos θ)/sin³θ)(p − cos θ u) uᵀ,
-
-        and p moves by φ × p with the attitude.
+        It is the derivative in the tangent plane: as p moves, the axes move without turning about
+        it. Their turn would change neither the length of e nor any cost, but the information.
+        Towards u, e shrinks as p moves; across, by θ/tan θ of that, with θ its length.
         """
         C_cam_world = values[self.pose][:3, :3]
         predicted = C_cam_world @ self._in_world(values)
-        of_predicted = self._by_predicted(predicted)
+        residual = self.residual(values)
+        angle = float(np.linalg.norm(residual))
+        shrinks = np.eye(2)
+        if angle > 1e-6:
+            towards = residual / angle
+            across = angle / math.tan(min(angle, LARGEST_ANGLE_RAD))
+            shrinks = across * np.eye(2) + (1.0 - across) * np.outer(towards, towards)
+        of_predicted = -shrinks @ tangent_axes(predicted).T
         of_pose = np.zeros((2, 6))
-        of_pose[:, 3:] = -of_predicted @ np.cross(predicted, np.eye(3)).T
+        of_pose[:, 3:] = -of_predicted @ so3.wedge(predicted)
         if self.north is None:
             return (of_pose,)
         of_enu = jacobian_of_enu(values[self.north], self.known)
@@ -125,17 +135,6 @@ class Direction(VectorMeasurement):
             return self.known
         in_world: FloatArray = attitude_of_enu(values[self.north]) @ self.known
         return in_world
-
-    def _by_predicted(self, predicted: FloatArray) -> FloatArray:
-        """Return ∂e/∂p, [2, 3]."""
-        cosine = float(self.in_camera @ predicted)
-        sine = float(np.linalg.norm(np.cross(self.in_camera, predicted)))
-        in_plane = self._axes.T @ predicted
-        if sine < 1e-4:  # the series, whose next terms are of the second order
-            return -(self._axes.T - np.outer(in_plane, self.in_camera) / 3.0)
-        angle = math.atan2(sine, cosine)
-        bend = (sine - angle * cosine) / sine**3
-        return -(angle / sine * self._axes.T - bend * np.outer(in_plane, self.in_camera))
 
 
 def of_azimuth_and_zenith(azimuth_rad: float, zenith_rad: float) -> FloatArray:

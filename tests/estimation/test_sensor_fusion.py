@@ -1,0 +1,298 @@
+"""Fusion of sensors: the Cramér–Rao bound, lies, dropouts, and a heading that nobody knows."""
+
+import numpy as np
+import pytest
+
+import probevo as pv
+from intervals import chi2_interval
+from probevo.arrays import FloatArray
+from probevo.config import NorthConfig
+from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
+from probevo.estimation.sensor_fusion import SensorFusion, motion_innovations_squared
+from probevo.geometry import se3, so3
+from probevo.measurements import Measurement, pose_of
+from probevo.measurements.direction import Direction, tangent_axes
+from probevo.measurements.heading import Heading
+from probevo.measurements.north import NORTH, attitude_of_enu
+from probevo.measurements.sensor import NoMeasurement, Reading
+from probevo.measurements.travelled_distance import TravelledDistance
+from worlds import CAMERA, FORWARD, drive
+
+STEP_COV = np.diag([1e-4, 1e-4, 1e-4, 3e-6, 3e-6, 3e-6])
+SIGMA_RAD = np.deg2rad(10.0)
+NUM_FRAMES = 400
+EVERY = 5
+
+
+def true_path(rng: np.random.Generator, num_frames: int = NUM_FRAMES) -> FloatArray:
+    """T_cam_world of a camera that drives and swings left and right."""
+    steps = np.zeros((num_frames - 1, 6))
+    steps[:, 2] = -0.5
+    steps[:, 4] = 0.03 * np.sin(np.arange(num_frames - 1) / 15.0 + rng.uniform(0.0, 6.0))
+    poses = [np.eye(4)]
+    for step in steps:
+        poses.append(se3.exp(step) @ poses[-1])
+    return np.array(poses)
+
+
+def motion(T_curr_prev: FloatArray) -> MotionEstimate:
+    return MotionEstimate(T_curr_prev, STEP_COV, Status.OK, num_tracks=100)
+
+
+class Sun:
+    """A sun sensor with noise, or one that lies."""
+
+    def __init__(
+        self,
+        poses: FloatArray,
+        rng: np.random.Generator,
+        fault: str | None = None,
+        from_index: int = 0,
+    ) -> None:
+        self.poses = poses
+        self.rng = rng
+        self.fault = fault
+        self.from_index = from_index
+        self.in_world = np.array([0.6, -0.1, 0.8])
+        self.in_world /= np.linalg.norm(self.in_world)
+
+    def read(self, index: int) -> Reading:
+        if index % EVERY:
+            return Reading("sun", reason="between sightings")
+        u = self.poses[index, :3, :3] @ self.in_world
+        if index >= self.from_index:
+            if self.fault == "offset":
+                u = so3.exp(np.array([0.0, np.deg2rad(20.0), 0.0])) @ u
+            if self.fault == "inverted":
+                u = u * [-1.0, 1.0, 1.0]
+            if self.fault == "stuck":
+                u = self.poses[self.from_index, :3, :3] @ self.in_world
+        u = so3.exp(np.cross(u, tangent_axes(u) @ (SIGMA_RAD * self.rng.normal(size=2)))) @ u
+        measured = Direction(pose_of(index), u, self.in_world, SIGMA_RAD**2 * np.eye(2))
+        return Reading("sun", (measured,))
+
+
+def fuse(
+    poses: FloatArray, steps: list[MotionEstimate], sensors: list[object], north: NorthConfig
+) -> tuple[list[SensorFusion], list[tuple[SensorOutcome, ...]]]:
+    names = ["sun", "gps"][: len(sensors)]
+    fusion = SensorFusion.at_origin(names)
+    states = []
+    outcomes = []
+    for index, step in enumerate(steps, start=1):
+        fusion = fusion.advanced(lambda pose, step=step: pose.advanced(step))
+        readings = [sensor.read(index) for sensor in sensors]
+        fusion, outcome = fusion.updated(readings, pose_of(index), north, motion_squared={})
+        states.append(fusion)
+        outcomes.append(outcome)
+    return states, outcomes
+
+
+def noisy_steps(poses: FloatArray, rng: np.random.Generator) -> list[MotionEstimate]:
+    true = poses[1:] @ se3.inverse(poses[:-1])
+    errors = rng.multivariate_normal(np.zeros(6), STEP_COV, len(true))
+    return [motion(se3.exp(error) @ T) for error, T in zip(errors, true, strict=True)]
+
+
+def attitude_error(state: SensorFusion, T_cam_world: FloatArray) -> FloatArray:
+    """In the world's axes, [3], rad."""
+    return so3.log(state.pose.T_world_cam[:3, :3] @ T_cam_world[:3, :3])
+
+
+def heading_rms(states: list[SensorFusion], poses: FloatArray) -> float:
+    errors = [attitude_error(state, T)[1] for state, T in zip(states, poses[1:], strict=True)]
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def test_the_attitude_reaches_its_fisher_bound_and_is_consistent() -> None:
+    """RMS over 16 drives and the second half of their frames, within 20 % of the bound; the claimed
+    covariance is the bound within 10 %."""
+    squares = []
+    bounds = []
+    claims = []
+    nees = []
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        poses = true_path(rng)
+        sun = Sun(poses, rng)
+        states, outcomes = fuse(poses, noisy_steps(poses, rng), [sun], NorthConfig())
+        assert all(outcome[0].state != "excluded" for outcome in outcomes)
+        cov = np.zeros((6, 6))
+        for index, state in enumerate(states, start=1):
+            T = poses[index]
+            adjoint = se3.adjoint(T @ se3.inverse(poses[index - 1]))
+            cov = adjoint @ cov @ adjoint.T + STEP_COV
+            u = T[:3, :3] @ sun.in_world
+            H = np.hstack([np.zeros((2, 3)), tangent_axes(u).T @ so3.wedge(u)])
+            if index % EVERY == 0:
+                gain = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + SIGMA_RAD**2 * np.eye(2))
+                cov = cov - gain @ H @ cov
+            if index > NUM_FRAMES // 2:
+                down = T[:3, 1]
+                squares.append(attitude_error(state, T)[1] ** 2)
+                bounds.append(down @ cov[3:, 3:] @ down)
+                claims.append(down @ state.pose.cov[3:, 3:] @ down)
+        error = T[:3, :3] @ attitude_error(states[-1], T)
+        nees.append(error @ np.linalg.solve(states[-1].pose.cov[3:, 3:], error))
+    assert np.sqrt(np.mean(squares) / np.mean(bounds)) == pytest.approx(1.0, abs=0.2)
+    assert np.sqrt(np.mean(claims) / np.mean(bounds)) == pytest.approx(1.0, abs=0.1)
+    low, high = chi2_interval(dof=3, count=16, confidence=0.999)
+    assert low < np.mean(nees) < high
+
+
+@pytest.mark.parametrize("from_index", [0, 150], ids=["from the start", "later"])
+@pytest.mark.parametrize("fault", ["offset", "inverted", "stuck"])
+def test_a_sensor_that_lies_is_excluded_and_forgotten(fault: str, from_index: int) -> None:
+    """From then on the pose is, to the byte, that without it. What a sensor that was honest for
+    thirty sightings has pulled until it is found out cannot be undone; one that lies from the
+    start has pulled little."""
+    rng = np.random.default_rng(5)
+    poses = true_path(rng)
+    steps = noisy_steps(poses, rng)
+    sun = Sun(poses, rng, fault, from_index)
+    states, outcomes = fuse(poses, steps, [sun], NorthConfig())
+    without, _ = fuse(poses, steps, [], NorthConfig())
+    last = outcomes[-1][0]
+    assert last.state == "excluded"
+    assert last.reason
+    np.testing.assert_array_equal(states[-1].pose.T_world_cam, without[-1].pose.T_world_cam)
+    np.testing.assert_array_equal(states[-1].pose.cov, without[-1].pose.cov)
+    if from_index == 0:
+        assert heading_rms(states, poses) <= 1.05 * heading_rms(without, poses)
+
+
+def test_an_honest_sensor_is_not_excluded() -> None:
+    """In none of 15 drives of 80 sightings."""
+    for seed in range(15):
+        rng = np.random.default_rng(100 + seed)
+        poses = true_path(rng)
+        _, outcomes = fuse(poses, noisy_steps(poses, rng), [Sun(poses, rng)], NorthConfig())
+        assert outcomes[-1][0].state != "excluded"
+
+
+class Gps:
+    """A heading from north with dropouts; the first camera heads 100°."""
+
+    def __init__(self, poses: FloatArray, rng: np.random.Generator, heading_deg: float) -> None:
+        self.poses = poses
+        self.rng = rng
+        self.C_world_enu = attitude_of_enu(np.array([0.0, 0.0, np.deg2rad(heading_deg)]))
+
+    def read(self, index: int) -> Reading:
+        if index % 50 > 30:
+            return Reading("gps", reason="no fix")
+        east, north, _ = self.C_world_enu.T @ self.poses[index, 2, :3]
+        heading = np.arctan2(east, north) + np.deg2rad(2.0) * self.rng.normal()
+        return Reading("gps", (Heading(pose_of(index), heading, np.deg2rad(2.0), north=NORTH),))
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 100.0, 179.0, -135.0])
+def test_an_unknown_heading_is_found_with_its_covariance(heading_deg: float) -> None:
+    """The heading of the first camera is a state: it is known as well as the measurements say, and
+    the drift is bounded beside it."""
+    rng = np.random.default_rng(3)
+    poses = true_path(rng)
+    gps = Gps(poses, rng, heading_deg)
+    states, outcomes = fuse(poses, noisy_steps(poses, rng), [gps], NorthConfig())
+    assert outcomes[-1][0].state != "excluded"
+    assert {outcome[0].reason for outcome in outcomes if outcome[0].state == "silent"} == {"no fix"}
+    pose = states[-1].pose
+    at = pose.slice_of(NORTH)
+    assert at is not None
+    sigma = np.sqrt(pose.joint_cov[at, at][2, 2])
+    assert sigma < np.deg2rad(1.0)
+    found = np.rad2deg(pose.further[0].value[2]) - heading_deg
+    assert abs(np.remainder(found + 180.0, 360.0) - 180.0) < 4.0 * np.rad2deg(sigma)
+    down = poses[-1, :3, 1]
+    claimed = np.sqrt(down @ pose.cov[3:, 3:] @ down)
+    assert abs(attitude_error(states[-1], poses[-1])[1]) < 4.0 * claimed
+    assert claimed < np.sqrt(NUM_FRAMES * STEP_COV[4, 4])
+
+
+def test_of_two_sensors_the_honest_one_stays() -> None:
+    rng = np.random.default_rng(8)
+    poses = true_path(rng)
+    north = NorthConfig(heading_deg=40.0, heading_sigma_deg=0.5, tilt_sigma_deg=0.5)
+    sensors = [Sun(poses, rng, "offset"), Gps(poses, rng, 40.0)]
+    states, outcomes = fuse(poses, noisy_steps(poses, rng), sensors, north)
+    assert outcomes[-1][0].state == "excluded"
+    assert outcomes[-1][1].state != "excluded"
+    assert abs(attitude_error(states[-1], poses[-1])[1]) < np.deg2rad(2.0)
+
+
+def test_wild_measurements_now_and_then_are_gated_and_no_lie() -> None:
+    """One in fifteen is 90° off."""
+    rng = np.random.default_rng(9)
+    poses = true_path(rng)
+    steps = noisy_steps(poses, rng)
+    sun = Sun(poses, rng)
+
+    class Wild:
+        def read(self, index: int) -> Reading:
+            reading = sun.read(index)
+            if not reading.measurements or index % (15 * EVERY):
+                return reading
+            (one,) = reading.measurements
+            turned = so3.exp(np.array([0.0, np.pi / 2.0, 0.0])) @ one.in_camera
+            return Reading("sun", (Direction(one.pose, turned, one.known, one.covariance),))
+
+    states, outcomes = fuse(poses, steps, [Wild()], NorthConfig())
+    gated = [index for index, one in enumerate(outcomes, start=1) if one[0].state == "gated"]
+    assert set(range(75, NUM_FRAMES, 75)) <= set(gated)
+    assert len(gated) <= NUM_FRAMES // 75 + 1
+    assert outcomes[-1][0].state != "excluded"
+    clean, _ = fuse(poses, steps, [Sun(poses, np.random.default_rng(10))], NorthConfig())
+    assert np.trace(states[-1].pose.cov) < 1.1 * np.trace(clean[-1].pose.cov)
+
+
+def test_the_innovation_of_a_solve_is_that_before_it() -> None:
+    """For a linear measurement of a motion with a Gaussian prior, in closed form."""
+    rng = np.random.default_rng(11)
+    root = rng.normal(scale=0.05, size=(6, 6))
+    P = root @ root.T
+    T_prior = FORWARD
+    one = TravelledDistance(1.3, 0.1, pose_of(0))
+    (J,) = one.jacobians({pose_of(0): T_prior})
+    S = J @ P @ J.T + one.covariance
+    gain = P @ J.T / S
+    innovation = one.residual({pose_of(0): T_prior})
+    # The residual falls as J grows: e(Exp(ξ) T) = e + J ξ, so the update is against it.
+    T_after = se3.exp(-gain @ innovation) @ T_prior
+    cov = (np.eye(6) - gain @ J) @ P
+    (squared,) = motion_innovations_squared([one], T_after, pose_of(0), cov=cov)
+    assert squared == pytest.approx(float(innovation @ innovation) / S.item(), rel=0.02)
+
+
+WHEEL_SIGMA_M = 0.02
+
+
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_wheels_that_lie_are_excluded(estimator: str) -> None:
+    """They say that the vehicle goes backwards. The path is as good as without them."""
+    frames = drive(np.random.default_rng(1), 40, points=60)
+    config = {"estimator": estimator, "window": {"frames": 4}}
+
+    def wheels(prev_frame: pv.Frame, frame: pv.Frame) -> list[Measurement] | NoMeasurement:
+        if frame.index % 4 == 0:
+            return NoMeasurement("no pulse")
+        return [
+            TravelledDistance(
+                sign * 1.2, WHEEL_SIGMA_M, pose_of(frame.index), pose_of(prev_frame.index)
+            )
+        ]
+
+    lengths = {}
+    for sign in (1.0, -1.0, 0.0):
+        sensors = [wheels] if sign else []
+        odometry = pv.StereoOdometry(CAMERA, config=config, sensors=sensors)
+        estimates = [odometry.step(frame) for frame in frames]
+        lengths[sign] = [np.linalg.norm(one.T_curr_prev[:3, 3]) for one in estimates[1:]]
+        assert all(one.status is Status.OK for one in estimates[1:])
+        if sensors:
+            is_excluded = estimates[-1].sensors[0].state == "excluded"
+            assert is_excluded == (sign < 0.0)
+    true_m = np.linalg.norm(FORWARD[:3, 3])
+    error = {
+        sign: np.sqrt(np.mean((np.array(found) - true_m) ** 2)) for sign, found in lengths.items()
+    }
+    assert error[-1.0] <= 1.05 * error[0.0]
