@@ -425,7 +425,7 @@ class StereoOdometry:
             fusion = fusion.advanced(live_advance(motion, window))
             clock.lap("window")
         else:
-            fusion = fusion.advanced(lambda pose: pose.advanced(motion))
+            fusion = fusion.after(motion)
         fusion, outcomes = self._fuse(fusion, frame, visual, measured)
         pose = fusion.pose
         estimate = replace(

@@ -159,7 +159,7 @@ def fused_path(drive: SunDrive, sensor: SunSensor | None) -> SunPath:
     for prev_frame, frame, motion in zip(
         drive.frames[:-1], drive.frames[1:], drive.motions[1:], strict=True
     ):
-        fusion = fusion.advanced(lambda pose, motion=motion: pose.advanced(motion))
+        fusion = fusion.after(motion)
         if sensor is not None and excluded_at is None:
             reading = read_sensor(sensor.name, sensor, prev_frame, frame)
             fusion, _ = fusion.updated(

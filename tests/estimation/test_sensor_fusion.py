@@ -1,5 +1,8 @@
 """Fusion of sensors: the Cramér–Rao bound, lies, dropouts, and a heading that nobody knows."""
 
+from collections.abc import Sequence
+from typing import Protocol
+
 import numpy as np
 import pytest
 
@@ -22,6 +25,12 @@ STEP_COV = np.diag([1e-4, 1e-4, 1e-4, 3e-6, 3e-6, 3e-6])
 SIGMA_RAD = np.deg2rad(10.0)
 NUM_FRAMES = 400
 EVERY = 5
+
+
+class Reads(Protocol):
+    """A simulated sensor."""
+
+    def read(self, index: int) -> Reading: ...
 
 
 def true_path(rng: np.random.Generator, num_frames: int = NUM_FRAMES) -> FloatArray:
@@ -73,14 +82,14 @@ class Sun:
 
 
 def fuse(
-    poses: FloatArray, steps: list[MotionEstimate], sensors: list[object], north: NorthConfig
+    poses: FloatArray, steps: list[MotionEstimate], sensors: Sequence[Reads], north: NorthConfig
 ) -> tuple[list[SensorFusion], list[tuple[SensorOutcome, ...]]]:
     names = ["sun", "gps"][: len(sensors)]
     fusion = SensorFusion.at_origin(names)
     states = []
     outcomes = []
     for index, step in enumerate(steps, start=1):
-        fusion = fusion.advanced(lambda pose, step=step: pose.advanced(step))
+        fusion = fusion.after(step)
         readings = [sensor.read(index) for sensor in sensors]
         fusion, outcome = fusion.updated(readings, pose_of(index), north, motion_squared={})
         states.append(fusion)
@@ -233,6 +242,7 @@ def test_wild_measurements_now_and_then_are_gated_and_no_lie() -> None:
             if not reading.measurements or index % (15 * EVERY):
                 return reading
             (one,) = reading.measurements
+            assert isinstance(one, Direction)
             turned = so3.exp(np.array([0.0, np.pi / 2.0, 0.0])) @ one.in_camera
             return Reading("sun", (Direction(one.pose, turned, one.known, one.covariance),))
 

@@ -93,7 +93,8 @@ def test_the_gradient_of_a_direction_is_that_of_half_its_squared_angle(seed: int
     """So the turn of the axes, which the Jacobian leaves out, has no part in it."""
     rng = np.random.default_rng(seed)
     values = {POSE: se3.exp(rng.normal(size=6)), NORTH: rng.normal(scale=[0.3, 0.3, 2.0])}
-    direction = Direction(POSE, *rng.normal(size=(2, 3)), 0.01 * np.eye(2), north=NORTH)
+    u, d = rng.normal(size=(2, 3))
+    direction = Direction(POSE, u, d, 0.01 * np.eye(2), north=NORTH)
     residual = direction.residual(values)
     for found, numeric in zip(
         direction.jacobians(values), numeric_jacobians(direction, values), strict=True

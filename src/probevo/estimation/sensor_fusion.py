@@ -29,7 +29,7 @@ from scipy.special import chdtrc, chdtri
 
 from probevo.arrays import FloatArray
 from probevo.config import NorthConfig
-from probevo.estimation.motion_estimate import SensorOutcome
+from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.measurements.base import (
     Measurement,
@@ -117,6 +117,10 @@ class SensorFusion:
                 for memory in self.memories
             ),
         )
+
+    def after(self, motion: MotionEstimate) -> SensorFusion:
+        """Return the state after the motion of two frames."""
+        return self.advanced(lambda pose: pose.advanced(motion))
 
     def is_excluded(self, name: str) -> bool:
         """Return whether the sensor of that name is excluded."""
@@ -414,6 +418,8 @@ def motion_innovations_squared(
         curr: the pose that it solved for; any other, of the previous frame, is the identity.
         cov: its covariance, [6, 6].
     """
+    if not measurements:
+        return []
     values = {variable: np.eye(4) for one in measurements for variable in one.variables}
     values[curr] = T_curr_prev
     information = np.linalg.inv(cov)
