@@ -11,6 +11,7 @@ import tyro
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
 from probevo_paper.figure_5_config import BlurConfig
+from probevo_paper.sun_config import SunConfig
 from probevo_paper.table_1_2_config import Table12Config
 from probevo_paper.table_1_3_config import Table13Config
 from probevo_paper.table_i_config import TableIConfig
@@ -89,6 +90,19 @@ class Table13Arguments:
 
 
 @dataclass(frozen=True)
+class SunArguments:
+    """What a simulated sun sensor takes off the drift: thesis section 5.7.
+
+    With 0°, 10°, 20° and 30° of noise in every first, fifth and tenth frame, beside the Cramér–Rao
+    bound, and with sensors that lie. Writes sun.csv, sun.json and sun.txt.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results. What an earlier run of the experiment left there is replaced."""
+    settings: Annotated[SunConfig, tyro.conf.arg(name="")] = field(default_factory=SunConfig)
+
+
+@dataclass(frozen=True)
 class PaperArguments:
     """Repeat an experiment of the papers. `probevo paper EXPERIMENT --help` shows its options."""
 
@@ -96,7 +110,8 @@ class PaperArguments:
         Annotated[BlurArguments, tyro.conf.subcommand("blur")]
         | Annotated[TableIArguments, tyro.conf.subcommand("table-i")]
         | Annotated[Table12Arguments, tyro.conf.subcommand("table-1.2")]
-        | Annotated[Table13Arguments, tyro.conf.subcommand("table-1.3")],
+        | Annotated[Table13Arguments, tyro.conf.subcommand("table-1.3")]
+        | Annotated[SunArguments, tyro.conf.subcommand("sun")],
         tyro.conf.arg(name=""),
     ]
 
@@ -112,7 +127,7 @@ def main(words: list[str]) -> None:
 
 
 def _repeat(
-    arguments: BlurArguments | TableIArguments | Table12Arguments | Table13Arguments,
+    arguments: BlurArguments | TableIArguments | Table12Arguments | Table13Arguments | SunArguments,
 ) -> list[str]:
     """Repeat the experiment, and return the lines to print."""
     # The experiments are imported here, since help and mistakes should not wait for OpenCV.
@@ -122,7 +137,16 @@ def _repeat(
         return _table_i(arguments)
     if isinstance(arguments, Table12Arguments):
         return _table_1_2(arguments)
+    if isinstance(arguments, SunArguments):
+        return _sun(arguments)
     return _table_1_3(arguments)
+
+
+def _sun(arguments: SunArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    from probevo_paper.command_sun import repeat_experiment
+
+    return repeat_experiment(settings, arguments.out)
 
 
 def _figure_5(arguments: BlurArguments) -> list[str]:

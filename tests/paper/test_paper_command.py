@@ -56,6 +56,7 @@ def test_a_file_in_the_way_is_left_alone(
         (["table-i", "--out", "x"], "--kitti"),
         (["table-1.2"], "--out"),
         (["table-1.3"], "--out"),
+        (["sun"], "--out"),
     ],
 )
 def test_words_that_cannot_be_read_exit_with_2(
