@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -23,6 +23,7 @@ from probevo.estimation.window import SmoothedPose, Window
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.files import remove_stale, write_atomically, written_together
 from probevo.lock import locked
+from probevo.measurements.sensor import Sensor
 from probevo.noise.base import NoiseModel
 from probevo.noise.named import noise_model, portable
 from probevo.odometry import StereoOdometry
@@ -72,6 +73,8 @@ def run_sequence(
     config: RunConfig | Mapping[str, Any] | None,
     out: Path | str,
     on_step: Callable[[MotionEstimate], None] | None = None,
+    *,
+    sensors: Iterable[Sensor] = (),
 ) -> Run:
     """Run the odometry over a recording and write all results into a folder.
 
@@ -90,6 +93,7 @@ def run_sequence(
         config: all settings, or a dictionary of those that differ from the defaults.
         out: folder for the files; created if it is missing.
         on_step: called with the estimate of each frame, the first one included.
+        sensors: sensors beside the camera; the path that is written is corrected by them.
 
     Returns:
         What was estimated, and its comparison with the truth.
@@ -111,7 +115,7 @@ def run_sequence(
     if config.viewer is not None:
         check_viewer_path(config.viewer, "--viewer")
     with locked(out):
-        return _run(sequence, config, out, noise=noise, on_step=on_step)
+        return _run(sequence, config, out, noise=noise, on_step=on_step, sensors=tuple(sensors))
 
 
 def _run(
@@ -121,10 +125,11 @@ def _run(
     *,
     noise: NoiseModel,
     on_step: Callable[[MotionEstimate], None] | None,
+    sensors: tuple[Sensor, ...],
 ) -> Run:
     """Run the odometry and write the results, while no other process writes into the folder."""
     num_frames = min(len(sequence), config.max_frames or len(sequence))
-    odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config=config)
+    odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config=config, sensors=sensors)
     recorder = RunRecorder()
     pictures = _Pictures.spread_over(num_frames)
     smoothed = SmoothedPath()

@@ -61,7 +61,8 @@ def repeat_experiment(settings: SunConfig, out: Path) -> list[str]:
         table(TABLE_HEAD, [cells(row, rows[0]) for row in rows]),
         "",
         f"{settings.drives} drives of {way_m:,.0f} m, sun {settings.elevation_deg:g}° high."
-        " Heading: RMS over all frames; × without: at the end; bound: Cramér–Rao; excluded after so many sightings.",
+        " Heading: RMS over all frames; × without: at the end; bound: Cramér–Rao; excluded"
+        " after so many sightings.",
     ]
     write_atomically(out / "sun.txt", "\n".join([*lines, ""]))
     write_atomically(out / "sun.csv", _csv(rows))

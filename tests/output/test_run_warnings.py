@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
+import probevo as pv
 from probevo.estimation.motion_estimate import Status
-from probevo.output.run_warnings import imu_warning, status_warning, timing_warning
+from probevo.geometry import se3
+from probevo.measurements import pose_of
+from probevo.measurements.heading import Heading
+from probevo.measurements.sensor import NoMeasurement
+from probevo.output.run_result import RunRecorder
+from probevo.output.run_warnings import imu_warning, run_warnings, status_warning, timing_warning
+from worlds import CAMERA, FORWARD, drive
 
 
 @pytest.mark.parametrize("status", [s for s in Status if s not in (Status.FIRST, Status.OK)])
@@ -14,6 +21,39 @@ def test_the_status_that_prevails_is_named(status: Status) -> None:
     assert said is not None
     assert said.startswith("Only 1 of 4 steps are OK")
     assert f"Most others are {status.name.replace('_', ' ').lower()}," in said
+
+
+def test_a_sensor_that_lies_is_named_with_its_frame() -> None:
+    """In the warnings, the facts of the report, and among the faults of metrics.json; the path that
+    is written is the corrected one, as long as the sensor was used."""
+    frames = drive(np.random.default_rng(0), 30, points=60)
+    true = [np.linalg.matrix_power(FORWARD, index) for index in range(30)]
+    recorder = RunRecorder()
+
+    def compass(prev_frame: pv.Frame, frame: pv.Frame) -> list[Heading] | NoMeasurement:
+        if frame.index == 3:
+            return NoMeasurement("no fix")
+        east = true[frame.index].T[:3, :3] @ [0.0, 0.0, 1.0]
+        heading = np.arctan2(east[0], east[2]) + (1.0 if frame.index > 10 else 0.0)
+        return [Heading(pose_of(frame.index), heading, 0.05)]
+
+    odometry = pv.StereoOdometry(CAMERA, sensors=[compass])
+    for frame in frames:
+        recorder.add(frame.stamp_ns, odometry.step(frame))
+    result = recorder.result()
+    use = result.sensors["compass"]
+    assert (use.used, use.silent) == (9, {"no fix": 1})
+    assert use.gated + use.excluded == 19
+    assert use.excluded_at is not None
+    assert use.excluded_at >= 11
+    warning = run_warnings(result)["A sensor lies"]
+    assert f"compass is excluded from frame {use.excluded_at} on: " in warning
+    assert result.faults["steps_without_compass"] == use.excluded
+    assert "9 steps used it, " in str(use)
+    assert not np.array_equal(result.T_world_cam[10], se3.chain_motions(result.T_curr_prev)[10])
+    np.testing.assert_allclose(
+        result.T_world_cam[29], se3.chain_motions(result.T_curr_prev)[29], atol=1e-9
+    )
 
 
 def test_half_of_the_steps_are_enough() -> None:

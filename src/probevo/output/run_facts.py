@@ -44,6 +44,7 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         "Noise model": config.noise,
         **rig,
         **domain,
+        **{f"Sensor {name}": str(use) for name, use in result.sensors.items()},
         "OpenCV threads": str(cv2.getNumThreads()),
         "probevo": __version__,
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any
 
@@ -14,12 +14,54 @@ from numpy.typing import ArrayLike
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
-from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 
 SIGMA_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 """Names of the standard deviations of ξ = [ρ; φ] along the axes of the current camera."""
+
+
+@dataclass(frozen=True)
+class SensorUse:
+    """What became of one sensor beside the camera, in steps of a run."""
+
+    used: int = 0
+    gated: int = 0
+    """Steps whose measurements were turned away."""
+    silent: Mapping[str, int] = field(default_factory=dict)
+    """Steps without a measurement, by the reason that the sensor gave."""
+    excluded: int = 0
+    """Steps after it was found to lie, that one included."""
+    excluded_at: int | None = None
+    """Index of the frame from which on; None if it was not excluded."""
+    reason: str | None = None
+    """What showed that it lies."""
+
+    def and_then(self, outcome: SensorOutcome, frame: int) -> SensorUse:
+        """Return the same with one more step."""
+        if outcome.state == "used":
+            return replace(self, used=self.used + 1)
+        if outcome.state == "gated":
+            return replace(self, gated=self.gated + 1)
+        if outcome.state == "silent":
+            reason = outcome.reason or "no reason given"
+            return replace(self, silent={**self.silent, reason: self.silent.get(reason, 0) + 1})
+        return replace(
+            self,
+            excluded=self.excluded + 1,
+            excluded_at=frame if self.excluded_at is None else self.excluded_at,
+            reason=outcome.reason,
+        )
+
+    def __str__(self) -> str:
+        """Return it in one line."""
+        parts = [f"{self.used:,} steps used it"]
+        parts += [f"{self.gated:,} turned it away"] if self.gated else []
+        parts += [f"{count:,} without: {reason}" for reason, count in self.silent.items()]
+        if self.excluded_at is not None:
+            parts.append(f"excluded from frame {self.excluded_at} on: {self.reason}")
+        return ", ".join(parts)
 
 
 @dataclass(frozen=True)
@@ -77,19 +119,22 @@ class RunResult:
     unusable: dict[str, int] = field(default_factory=dict)
     """Samples and features that could not be used, counted by what was wrong with them
     (``MotionEstimate.missing``)."""
+    sensors: dict[str, SensorUse] = field(default_factory=dict)
+    """What became of each sensor beside the camera, by name."""
 
     @property
     def faults(self) -> dict[str, int]:
         """Count all faults of the run by name; empty if there were none.
 
         They are frames that were lost, by the stamps; steps that were not solved, by their status;
-        and what was ``unusable``.
+        steps without a sensor that was found to lie; and what was ``unusable``.
         """
         counts = {"lost_frames": self._lost_frames()}
         for status in Status:
             if status not in (Status.FIRST, Status.OK):
                 counts[f"steps_{status.name.lower()}"] = int((self.status == status).sum())
-        return {name: count for name, count in (counts | self.unusable).items() if count}
+        without = {f"steps_without_{name}": use.excluded for name, use in self.sensors.items()}
+        return {name: count for name, count in (counts | without | self.unusable).items() if count}
 
     @property
     def out_of_domain(self) -> float | None:
@@ -207,6 +252,9 @@ class RunRecorder:
         self._stage_ms: dict[str, _Rows] = {}
         self._rejected: Counter[str] = Counter()
         self._unusable: Counter[str] = Counter()
+        self._sensors: dict[str, SensorUse] = {}
+        self._poses = _Rows(np.float64, 16)
+        """T_world_cam of each frame, where sensors correct it."""
 
     def add(
         self,
@@ -263,6 +311,10 @@ class RunRecorder:
             # "3 of 20 IMU samples without …" becomes imu_samples_without_…
             count, _, _, what = text.split(" ", 3)
             self._unusable[re.sub(r"[^a-z]+", "_", what.lower()).strip("_")] += int(count)
+        for outcome in motion.sensors:
+            use = self._sensors.get(outcome.name, SensorUse())
+            self._sensors[outcome.name] = use.and_then(outcome, len(self._counts) - 1)
+        self._poses.add(motion.T_world_cam.ravel())
 
     def result(self) -> RunResult:
         """Collect all that was recorded so far."""
@@ -274,7 +326,7 @@ class RunRecorder:
         T_curr_prev = numbers[:, :16].reshape(-1, 4, 4)
         return RunResult(
             stamps_ns=stamps_ns,
-            T_world_cam=se3.chain_motions(T_curr_prev)[: len(counts)],
+            T_world_cam=self._path(T_curr_prev)[: len(counts)],
             T_curr_prev=T_curr_prev,
             cov=numbers[:, 16:52].reshape(-1, 6, 6),
             common_mode=numbers[:, 52:70].reshape(-1, 6, 3),
@@ -286,9 +338,17 @@ class RunRecorder:
             total_ms=numbers[:, 106].copy(),
             rejected=dict(self._rejected),
             unusable=dict(self._unusable),
+            sensors=dict(self._sensors),
             num_used=num_used,
             num_out_of_domain=np.maximum(outside, 0) if (outside >= 0).any() else None,
         )
+
+    def _path(self, T_curr_prev: FloatArray) -> FloatArray:
+        """Return T_world_cam of the frames, [N, 4, 4]: the motions compounded, unless sensors have
+        corrected the poses."""
+        if self._sensors:
+            return np.asarray(self._poses.table().reshape(-1, 4, 4))
+        return se3.chain_motions(T_curr_prev)
 
 
 class _Rows:

@@ -40,6 +40,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "IMU": imu_warning(result.imu_left_out),
         "Scale": scale_warning(result, truth),
         "Out of domain": domain_warning(result.out_of_domain),
+        "A sensor lies": sensor_warning(result),
     }
     return {heading: text for heading, text in warnings.items() if text}
 
@@ -80,6 +81,18 @@ def imu_warning(reason: str | None) -> str | None:
     if not reason:
         return None
     return f"The IMU {reason}. The path is that of the images: see `probevo info SEQUENCE`."
+
+
+def sensor_warning(result: RunResult) -> str | None:
+    """Name the sensors that were found to lie, and what shows it; None if there are none."""
+    texts = [
+        f"{name} is excluded from frame {use.excluded_at} on: {use.reason}."
+        for name, use in result.sensors.items()
+        if use.excluded_at is not None
+    ]
+    if not texts:
+        return None
+    return " ".join(texts) + " The path is that without it. Is it mounted as it says?"
 
 
 def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
