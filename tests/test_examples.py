@@ -253,3 +253,17 @@ class NoiseOfResiduals:
 
     def check_camera(self, camera: pv.StereoCamera) -> None:
         """Any will do."""
+
+
+def test_own_sensors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both sensors are used, the dropouts are counted, and the heading is known better."""
+    config = PointConfig(landmarks=400, noise=PointNoise(law="constant"))
+    write_points(simulate_points(config, 6.0, np.random.default_rng(0)), tmp_path / "points.npz")
+    load("07_own_sensors.py").main(str(tmp_path / "points.npz"))
+    alone, together, gps, wheels = capsys.readouterr().out.splitlines()
+    assert alone.startswith("no sensor: heading off by ")
+    assert together.startswith("gps and wheels: heading off by ")
+    claimed = [float(line.split("±")[1].rstrip("°")) for line in (alone, together)]
+    assert claimed[1] < claimed[0]
+    assert gps == "  gps: 41 steps used it, 19 without: no fix"
+    assert wheels == "  wheels: 60 steps used it"

@@ -9,19 +9,31 @@ from probevo.measurements.base import (
     VectorMeasurement,
     pose_of,
 )
+from probevo.measurements.direction import Direction
+from probevo.measurements.heading import Heading
+from probevo.measurements.north import NORTH
 from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_rotation import RelativeRotation
+from probevo.measurements.sensor import NoMeasurement
 from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.sun import sun_in_enu
+from probevo.measurements.travelled_distance import TravelledDistance
 
 __all__ = [
+    "NORTH",
+    "Direction",
+    "Heading",
     "Linearization",
     "Measurement",
+    "NoMeasurement",
     "Outcome",
     "PosePrior",
     "RelativeRotation",
     "StereoObservations",
+    "TravelledDistance",
     "Values",
     "Variable",
     "VectorMeasurement",
     "pose_of",
+    "sun_in_enu",
 ]
