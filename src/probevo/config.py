@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from typing import Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
-from probevo.arrays import FloatArray
 from probevo.settings import Settings
 
 MAX_DIFFERENCE_OF = {"two-frame": 6.0, "window": 20.0}
 """Default of ``max_difference`` by estimator, grey levels. For a window, 20, 40 and 255 are alike;
 two frames lose up to a quarter in rotation on some recordings, and gain a fifth on others."""
-UNKNOWN_HEADING_RAD = 100.0
-"""Standard deviation of a heading of which nothing is known."""
 
 
 class TrackingConfig(Settings):
@@ -271,20 +266,6 @@ class NorthConfig(Settings):
         le=90,
         description="By how much the first camera is not level; a car's camera is within 1 to 2.",
     )
-
-    @property
-    def mean(self) -> FloatArray:
-        """Mean of the variable ``NORTH``, [3], rad."""
-        return np.array([0.0, 0.0, math.radians(self.heading_deg or 0.0)])
-
-    @property
-    def cov(self) -> FloatArray:
-        """Its covariance, [3, 3], rad²; that of an unknown heading is of many turns."""
-        tilt = math.radians(self.tilt_sigma_deg)
-        heading = math.radians(self.heading_sigma_deg)
-        if self.heading_deg is None:
-            heading = UNKNOWN_HEADING_RAD
-        return np.diag([tilt**2, tilt**2, heading**2])
 
 
 class OdometryConfig(Settings):

@@ -59,6 +59,9 @@ MOST_OF_ONE = 12.0
 ALARM = 39.0
 """The sum that excludes a sensor: by chance, once in a million measurements."""
 
+UNKNOWN_HEADING_RAD = 100.0
+"""Standard deviation of a heading of which nothing is known: many turns."""
+
 
 class _Tested(NamedTuple):
     """A filter after measurements, with what became of each of them."""
@@ -261,7 +264,8 @@ def _tested(
     if not measurements:
         return _Tested(pose_filter, (), ())
     if pose_filter.slice_of(NORTH) is None and any(NORTH in one.variables for one in measurements):
-        pose_filter = pose_filter.with_state(NORTH, north.mean, north.cov)
+        mean, cov = _prior_of(north)
+        pose_filter = pose_filter.with_state(NORTH, mean, cov)
     kept: list[Measurement] = []
     squares: list[float | None] = []
     weights: list[float] = []
@@ -280,6 +284,16 @@ def _tested(
         squares.append(squared)
         weights.append(weight)
     return _Tested(pose_filter.updated(kept, pose), tuple(squares), tuple(weights))
+
+
+def _prior_of(north: NorthConfig) -> tuple[FloatArray, FloatArray]:
+    """Return mean, [3], and covariance, [3, 3], of the attitude against north, rad."""
+    tilt = math.radians(north.tilt_sigma_deg)
+    heading = math.radians(north.heading_sigma_deg)
+    if north.heading_deg is None:
+        heading = UNKNOWN_HEADING_RAD
+    mean = np.array([0.0, 0.0, math.radians(north.heading_deg or 0.0)])
+    return mean, np.diag([tilt**2, tilt**2, heading**2])
 
 
 def _innovation_squared(
