@@ -217,6 +217,29 @@ def test_noise_that_is_larger_than_predicted_enlarges_the_covariance() -> None:
     assert low < np.mean(nees) < 7.5
 
 
+@pytest.mark.parametrize("num_outliers", [0, 40])
+def test_a_motion_that_few_confirm_is_claimed_with_care(num_outliers: int) -> None:
+    """Twice as much noise as the model says: less than a third of the features agree as well as the
+    model wants. Their covariance alone would have a NEES of 9; it is on the safe side instead."""
+    nees = []
+    num_few = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        tracks = seen_twice(rng, 100, sigma_px=0.4, depth_m=(4.0, 10.0))
+        tracks.curr_px[:num_outliers] += 4.0 * rng.normal(size=(num_outliers, 4))
+        visual = estimate(tracks, noise=StudentT(5.0, 0.04 * np.eye(4)))
+        assert visual.status is Status.OK
+        if visual.num_inliers < visual.num_used / 3:
+            num_few += 1
+            solution = visual.accepted_solution
+            nees.append(
+                float(normalized_error_squared(FORWARD, solution.T_curr_prev, solution.cov))
+            )
+    assert num_few > 50
+    assert 1.0 < np.mean(nees) < 6.0
+    assert max(nees) < 20.0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_features_that_agree_on_nothing_stay_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)

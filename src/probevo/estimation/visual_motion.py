@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +37,9 @@ from probevo.tracking.tracks import Tracks
 LARGEST_SCALE = 30.0
 """Factor by which the variances may be larger than predicted; that is 5 times σ, or 1 px with
 ``student-t``. Features that differ by more rather do not agree."""
+FEWEST_TRUSTED = 1.0 / 3.0
+"""Share of the tracks used whose residuals are usual, below which the noise is larger than
+predicted. Where the prediction holds, it is half or more."""
 RAREST = 0.001
 """Probability of a residual as large as that of a track, below which the track does not agree."""
 MOTIONS_DIFFER_FROM = 22.46
@@ -98,6 +102,16 @@ class VisualMotion:
     def num_iterations(self) -> int:
         """Iterations of the last solve."""
         return self.solution.iterations if self.solution else 0
+
+
+class _FittingNoise(NamedTuple):
+    """Noise as large as the residuals of N tracks."""
+
+    agree: BoolArray
+    """Which tracks agree with the motion under it, [N]."""
+    noise: StereoNoise
+    factor: float
+    """How much larger its variances are than predicted, 1 at least."""
 
 
 @dataclass(frozen=True)
@@ -189,13 +203,20 @@ class VisualEstimator:
             curr=priors.curr,
         )
         if self._is_noisier_than_expected(estimate):
-            agree, all_noise = self._noise_that_fits(
+            fitting = self._noise_that_fits(
                 tracks, phi, estimate.solution.T_curr_prev, jitter_cov=priors.jitter_cov
             )
-            if are_enough(agree, self._config):
-                used = agree
+            if num_trusted(estimate) >= self._config.solver.min_tracks:
+                # They fix the motion, but show too little noise: those that agree with it by chance
+                # have chosen it. The covariance is that of all of them, and rather too large.
+                factor = fitting.factor if are_enough(fitting.agree, self._config) else 1.0
+                factor = max(factor, _scale_shown(estimate.solution.squared, noise))
+                solution = estimate.solution
+                estimate = replace(estimate, solution=replace(solution, cov=factor * solution.cov))
+            elif are_enough(fitting.agree, self._config):
+                used = fitting.agree
                 inliers = tracks.kept(used)
-                noise = all_noise.subset(np.flatnonzero(used))
+                noise = fitting.noise.subset(np.flatnonzero(used))
                 estimate = self._estimator.estimate(
                     inliers,
                     noise,
@@ -243,11 +264,10 @@ class VisualEstimator:
     def _is_noisier_than_expected(self, estimate: Estimate) -> bool:
         """Whether the features agree on a motion, but few with the size of the noise.
 
-        That is no reason to refuse them: the covariances are enlarged to what the residuals show.
+        That is no reason to refuse them: the covariance is enlarged to what the residuals show.
         """
-        num_trusted = int((estimate.weights >= INLIER_FROM).sum())
-        is_robust = self._config.solver.loss == "noise"
-        return is_robust and num_trusted < self._config.solver.min_tracks
+        fewest = max(self._config.solver.min_tracks, FEWEST_TRUSTED * len(estimate.weights))
+        return self._config.solver.loss == "noise" and num_trusted(estimate) < fewest
 
     def _noise_that_fits(
         self,
@@ -256,9 +276,9 @@ class VisualEstimator:
         T_curr_prev: FloatArray,
         *,
         jitter_cov: FloatArray | None,
-    ) -> tuple[BoolArray, StereoNoise]:
-        """Return which of N tracks agree with a motion, [N], under noise that is as large as their
-        residuals, and that noise. None agree if it were ``LARGEST_SCALE``.
+    ) -> _FittingNoise:
+        """Return which of N tracks agree with a motion under noise that is as large as their
+        residuals. None agree if it were larger than ``LARGEST_SCALE``.
 
         Those that RANSAC has rejected count, too: what is within its threshold, around the motion
         of a few, is no random sample. It would show less noise than there is, and confirm the few.
@@ -269,11 +289,11 @@ class VisualEstimator:
         )
         squared = solve_reprojection(observations, guess=T_curr_prev, max_iterations=0).squared
         dof = np.broadcast_to(noise.dof, (len(tracks),))
-        factor = max(1.0, scale_of_residuals(squared, dof))
+        factor = _scale_shown(squared, noise)
         agree = (squared < BEHIND) & (tail_probability_of(squared / factor, dof) > RAREST)
         if factor > LARGEST_SCALE:
             agree[:] = False
-        return agree, noise.scaled(np.full(len(tracks), factor))
+        return _FittingNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
 
     def _right_sigma_px(self, jitter_cov: FloatArray | None) -> float:
         """Return the standard deviation of the offset by which the rig's yaw moves all u_r from one
@@ -309,6 +329,22 @@ class VisualEstimator:
             plain.T_curr_prev[None], solution.T_curr_prev[None], cov[None]
         )[0]
         return solution.T_curr_prev if squared < MOTIONS_DIFFER_FROM else plain.T_curr_prev
+
+
+def num_trusted(estimate: Estimate) -> int:
+    """Return the number of tracks whose residuals are usual."""
+    return int((estimate.weights >= INLIER_FROM).sum())
+
+
+def _scale_shown(squared: FloatArray, noise: StereoNoise) -> float:
+    """Return how much larger the variance of N residuals is than their noise says, 1 at least.
+
+    Args:
+        squared: eᵀ Σ⁻¹ e of each, [N].
+        noise: their noise.
+    """
+    dof = np.broadcast_to(noise.dof, (len(squared),))
+    return max(1.0, scale_of_residuals(squared, dof))
 
 
 def _of_two_frames(
