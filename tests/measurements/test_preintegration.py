@@ -166,6 +166,16 @@ def test_samples_that_do_not_cover_the_interval_give_a_reason(
     assert reason in found.reason
 
 
+def test_packets_that_are_held_over_intervals_count_once() -> None:
+    """Three packets at the rate of the frames are six samples, but too few."""
+    ends_ns = START_NS + np.array([-20_000_000, 50_000_000, 120_000_000])
+    stamps_ns = np.stack([ends_ns - 70_000_000 + 1, ends_ns], axis=1).ravel()
+    packets = ImuSamples(stamps_ns, np.zeros((6, 3)), np.zeros((6, 3)))
+    found = preintegrate(packets, START_NS, END_NS, CALIBRATION)
+    assert isinstance(found, NoPreintegration)
+    assert "usable samples" in found.reason
+
+
 def test_no_accelerometer_is_a_reason() -> None:
     imu = samples(np.zeros(3), np.full(3, np.nan))
     found = preintegrate(imu, START_NS, END_NS, CALIBRATION)

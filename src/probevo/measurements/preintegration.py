@@ -25,6 +25,8 @@ from probevo.sequences.validation import LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S
 FEWEST_SAMPLES = 5
 """Least number of samples that cover an interval. Fewer, as those of an inertial navigation system
 at the rate of the frames, do not show how the acceleration changes between them."""
+HELD_NS = 1_000
+"""Stamps that are not farther apart are of one sample, which is held over an interval."""
 LONGEST_HOLE = 3.0
 """Longest time without a sample, in usual distances of samples."""
 NO_BIAS = np.zeros(6)
@@ -143,12 +145,15 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     """Return why samples with these stamps do not cover an interval; nothing if they do."""
     first = max(int(np.searchsorted(stamps_ns, start_ns, side="right")) - 1, 0)
     covering = stamps_ns[first : int(np.searchsorted(stamps_ns, end_ns, side="left")) + 1]
-    if len(covering) < FEWEST_SAMPLES:
-        return f"has {len(covering)} usable samples of the interval; {FEWEST_SAMPLES} are needed"
     between_ns = np.diff(covering)
+    # A packet that holds the mean over its interval stands at both of its ends, and counts once.
+    apart_ns = between_ns[np.abs(between_ns) > HELD_NS]
+    num_samples = len(apart_ns) + min(len(covering), 1)
+    if num_samples < FEWEST_SAMPLES:
+        return f"has {num_samples} usable samples of the interval; {FEWEST_SAMPLES} are needed"
     if between_ns.min() <= 0:
         return "has samples whose stamps do not ascend"
-    usual_ns = float(np.median(between_ns))
+    usual_ns = float(np.median(apart_ns))
     hole_ns = max(
         float(between_ns.max()), float(covering[0] - start_ns), float(end_ns - covering[-1])
     )
