@@ -11,6 +11,7 @@ import tyro
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
 from probevo_paper.figure_5_config import BlurConfig
+from probevo_paper.hydranet_config import HydranetConfig
 from probevo_paper.sun_config import SunConfig
 from probevo_paper.table_1_2_config import Table12Config
 from probevo_paper.table_1_3_config import Table13Config
@@ -103,6 +104,21 @@ class SunArguments:
 
 
 @dataclass(frozen=True)
+class HydranetArguments:
+    """Networks that know how wrong they are, beside dropout and ensembles: thesis chapter 7.
+
+    Needs the extra nets. Writes hydranet with both tables as .txt, each repetition as .csv and
+    .json, and the networks into models/; a second call goes on where the first was stopped.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results. What an earlier run of the experiment left there is replaced."""
+    settings: Annotated[HydranetConfig, tyro.conf.arg(name="")] = field(
+        default_factory=HydranetConfig
+    )
+
+
+@dataclass(frozen=True)
 class PaperArguments:
     """Repeat an experiment of the papers. `probevo paper EXPERIMENT --help` shows its options."""
 
@@ -111,7 +127,8 @@ class PaperArguments:
         | Annotated[TableIArguments, tyro.conf.subcommand("table-i")]
         | Annotated[Table12Arguments, tyro.conf.subcommand("table-1.2")]
         | Annotated[Table13Arguments, tyro.conf.subcommand("table-1.3")]
-        | Annotated[SunArguments, tyro.conf.subcommand("sun")],
+        | Annotated[SunArguments, tyro.conf.subcommand("sun")]
+        | Annotated[HydranetArguments, tyro.conf.subcommand("hydranet")],
         tyro.conf.arg(name=""),
     ]
 
@@ -127,7 +144,12 @@ def main(words: list[str]) -> None:
 
 
 def _repeat(
-    arguments: BlurArguments | TableIArguments | Table12Arguments | Table13Arguments | SunArguments,
+    arguments: BlurArguments
+    | TableIArguments
+    | Table12Arguments
+    | Table13Arguments
+    | SunArguments
+    | HydranetArguments,
 ) -> list[str]:
     """Repeat the experiment, and return the lines to print."""
     # The experiments are imported here, since help and mistakes should not wait for OpenCV.
@@ -139,7 +161,16 @@ def _repeat(
         return _table_1_2(arguments)
     if isinstance(arguments, SunArguments):
         return _sun(arguments)
+    if isinstance(arguments, HydranetArguments):
+        return _hydranet(arguments)
     return _table_1_3(arguments)
+
+
+def _hydranet(arguments: HydranetArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    from probevo_paper.command_hydranet import repeat_experiments
+
+    return repeat_experiments(settings, arguments.out)
 
 
 def _sun(arguments: SunArguments) -> list[str]:

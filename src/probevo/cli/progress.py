@@ -14,7 +14,7 @@ LINE_EVERY_S = 30.0
 
 
 @contextmanager
-def progress_bar(name: str, starting: str) -> Iterator[Show]:
+def progress_bar(name: str, starting: str, unit: str = "frames") -> Iterator[Show]:
     """Show a progress bar with the rate and the remaining time; it disappears at the end.
 
     Where stderr is no terminal, it writes a line with the same every half a minute instead.
@@ -22,6 +22,7 @@ def progress_bar(name: str, starting: str) -> Iterator[Show]:
     Args:
         name: what is in progress.
         starting: text shown instead until the first frame is done.
+        unit: what is counted.
     """
     from rich.console import Console
     from rich.progress import (
@@ -34,7 +35,7 @@ def progress_bar(name: str, starting: str) -> Iterator[Show]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _log_lines(name)
+        yield _log_lines(name, unit)
         return
     progress = Progress(
         TextColumn("{task.description}"),
@@ -53,12 +54,12 @@ def progress_bar(name: str, starting: str) -> Iterator[Show]:
             progress.update(task, description=name, completed=done, total=total)
             speed = progress.tasks[0].speed
             if speed is not None:  # it is known from the second frame on
-                progress.update(task, rate=f"{speed:.1f} frames/s")
+                progress.update(task, rate=f"{speed:.1f} {unit}/s")
 
         yield show
 
 
-def _log_lines(name: str) -> Show:
+def _log_lines(name: str, unit: str) -> Show:
     """Return what writes a line to stderr every half a minute."""
     start_s = monotonic()
     last_s = start_s
@@ -72,7 +73,7 @@ def _log_lines(name: str) -> Show:
         last_s = now_s
         rate = done / (now_s - start_s)
         left_s = (total - done) / rate
-        text = f"{done} of {total} frames, {rate:.1f} frames/s, {left_s:.0f} s left"
+        text = f"{done} of {total} {unit}, {rate:.1f} {unit}/s, {left_s:.0f} s left"
         print(f"probevo: {name}: {text}", file=sys.stderr, flush=True)
 
     return show

@@ -1,0 +1,263 @@
+"""Training of networks: seeded, with the same bytes on a CPU however often it was stopped.
+
+Several experiments, each with its own data and seed, are trained at once, and so are the networks of
+an ensemble: all arrays of networks and optimiser have leading dimensions [S, M, ...], for S
+experiments of M networks. What is random in an epoch depends on the seed and its number alone, so
+that networks, optimiser and the number of epochs are all that a training has to remember.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+
+from probevo import __version__
+from probevo.errors import InputError
+from probevo.nets import methods
+from probevo.nets.methods import Build, Method
+from probevo.nets.network_file import read_facts, read_network_file, write_network_file
+from probevo.nets.networks import Network
+from probevo.nets.target_space import TargetSpace
+
+Show = Callable[[int, int], None]
+"""A function of the number of epochs done and of their total number."""
+_INITIAL, _EPOCHS, _HELD_OUT = range(3)
+"""Which stream of random numbers a key is for."""
+
+
+@dataclass(frozen=True)
+class LearningPlan:
+    """How long and with which optimiser networks are trained; the same plan gives the same bytes."""
+
+    epochs: int
+    batch: int
+    optimizer: Literal["adam", "sgd"] = "adam"
+    learning_rate: float = 1e-4
+    momentum: float = 0.0
+    """Of "sgd" only."""
+    shuffle: bool = True
+    """Whether each epoch takes the data in another order. What does not fill a batch is left out."""
+    patience: int | None = None
+    """Epochs without a smaller loss on the data left out after which the training stops; then, and
+    at the end, the best networks so far count. None: all epochs, and the last networks count."""
+    keep_every: int = 10
+    """Epochs between two writings of the file."""
+    seed: int = 0
+
+
+class TrainingData(NamedTuple):
+    """What S experiments of M networks are trained on."""
+
+    inputs: jax.Array
+    """[S, N, i]"""
+    targets: jax.Array
+    """Of each network and head, [S, M, N, H, o]."""
+    samples: jax.Array
+    """Which of the data each network is trained on, in this order, [S, M, N], int32."""
+    held_out_inputs: jax.Array
+    """[S, N', i]; N' may be 0 where there is no ``patience``."""
+    held_out_targets: jax.Array
+    """True values, [S, N', o]."""
+
+
+class LearningState(NamedTuple):
+    """All that a training remembers between two epochs."""
+
+    networks: Network
+    optimizer: optax.OptState
+    best: Network
+    epoch: jax.Array
+    """Number of epochs that are done, int32."""
+    best_loss: jax.Array
+    """Smallest loss on the data left out."""
+    num_worse: jax.Array
+    """Epochs since then, int32."""
+
+
+def learn(
+    method: Method,
+    space: TargetSpace,
+    build: Build,
+    *,
+    data: TrainingData,
+    plan: LearningPlan,
+    file: Path | None = None,
+    show: Show | None = None,
+) -> Network:
+    """Train the networks of a method; return them with leading dimensions [S, M, ...].
+
+    Args:
+        method: the method.
+        space: what is regressed.
+        build: makes one network of the method.
+        data: training data, and data left out.
+        plan: how long, and with which optimiser.
+        file: where to keep the work so far, and in the end the networks alone. A training that was
+            stopped goes on from there, and one that is finished is not repeated.
+        show: called after each epoch, for the progress on screen.
+
+    Raises:
+        InputError: the file is of another plan or method, damaged, or cannot be written.
+    """
+    _check(data, plan)
+    optimizer = _optimizer(plan)
+    state = _initial_state(method, build, optimizer, data=data, plan=plan)
+    facts = {"method": asdict(method), "plan": asdict(plan), "probevo": __version__}
+    if file is not None and file.exists():
+        found = read_facts(file)
+        if {name: found.get(name) for name in facts} != facts:
+            what = "holds networks of another method, plan or version of probevo."
+            raise InputError(file, what, "Delete it, or name another file.")
+        if found.get("is_finished"):
+            return read_network_file(file, state.networks)
+        state = read_network_file(file, state)
+
+    run_epoch = _compiled_epoch(space, optimizer, plan)
+    while not _is_finished(state, plan):
+        state = run_epoch(state, data, jax.random.key(plan.seed))
+        epoch = int(state.epoch)
+        if file is not None and epoch % plan.keep_every == 0 and not _is_finished(state, plan):
+            write_network_file(file, state, {**facts, "is_finished": False})
+        if show is not None:
+            show(epoch, plan.epochs)
+    trained = state.networks if plan.patience is None else state.best
+    if file is not None:
+        ended = {"is_finished": True, "epochs": int(state.epoch)}
+        write_network_file(file, trained, {**facts, **ended})
+    return trained
+
+
+def _check(data: TrainingData, plan: LearningPlan) -> None:
+    """Refuse a plan that the data do not allow."""
+    num_data = data.inputs.shape[1]
+    if not 1 <= plan.batch <= num_data:
+        what = f"is {plan.batch}; there are {num_data} data to train on."
+        raise InputError("batch", what, "Take a smaller batch, or more data.")
+    if plan.patience is not None and data.held_out_inputs.shape[1] == 0:
+        raise InputError("patience", "is given, but no data are left out.", "Leave some out.")
+
+
+def _optimizer(plan: LearningPlan) -> optax.GradientTransformation:
+    if plan.optimizer == "adam":
+        return optax.adam(plan.learning_rate)
+    return optax.sgd(plan.learning_rate, momentum=plan.momentum)
+
+
+def _initial_state(
+    method: Method,
+    build: Build,
+    optimizer: optax.GradientTransformation,
+    *,
+    data: TrainingData,
+    plan: LearningPlan,
+) -> LearningState:
+    """Return the state before the first epoch."""
+    num_experiments, num_networks = data.samples.shape[:2]
+    key = jax.random.fold_in(jax.random.key(plan.seed), _INITIAL)
+    keys = jax.random.split(key, (num_experiments, num_networks))
+    networks = eqx.filter_vmap(eqx.filter_vmap(partial(build, method)))(keys)
+    # Types that JAX calls weak would become strong in the first epoch, and the second be compiled
+    # once more.
+    networks = jax.tree.map(lambda array: jnp.asarray(array, array.dtype), networks)
+    initialize = jax.vmap(jax.vmap(optimizer.init))
+    return LearningState(
+        networks,
+        initialize(networks),
+        best=networks,
+        epoch=jnp.zeros((), jnp.int32),
+        best_loss=jnp.array(jnp.inf, jnp.float32),
+        num_worse=jnp.zeros((), jnp.int32),
+    )
+
+
+def _is_finished(state: LearningState, plan: LearningPlan) -> bool:
+    is_stale = plan.patience is not None and int(state.num_worse) >= plan.patience
+    return is_stale or int(state.epoch) >= plan.epochs
+
+
+def _compiled_epoch(
+    space: TargetSpace, optimizer: optax.GradientTransformation, plan: LearningPlan
+) -> Callable[[LearningState, TrainingData, jax.Array], LearningState]:
+    """Return a compiled function of state, data and key of the seed: the state an epoch later."""
+
+    def train_one(
+        network: Network, optimizer_state: Any, data: tuple[jax.Array, ...], key: jax.Array
+    ) -> tuple[Network, Any]:
+        """Train one network for an epoch."""
+        inputs, targets, chosen = data
+        num_batches = len(chosen) // plan.batch
+        key_of_order, key_of_dropout = jax.random.split(key)
+        order = chosen
+        if plan.shuffle:
+            order = jax.random.permutation(key_of_order, chosen)
+        batches = order[: num_batches * plan.batch].reshape(num_batches, plan.batch)
+        keys = jax.random.split(key_of_dropout, num_batches)
+
+        def step(carry: Any, batch: Any) -> tuple[Any, None]:
+            current, current_state = carry
+            rows, batch_key = batch
+            gradient = jax.grad(
+                lambda trained: methods.loss(
+                    space, trained, inputs[rows], targets[rows], key=batch_key
+                )
+            )(current)
+            update, new_state = optimizer.update(gradient, current_state, current)
+            return (optax.apply_updates(current, update), new_state), None
+
+        (trained, trained_state), _ = jax.lax.scan(
+            step, (network, optimizer_state), (batches, keys)
+        )
+        return trained, trained_state
+
+    over_networks = jax.vmap(train_one, in_axes=(0, 0, (None, 0, 0), 0))
+    over_experiments = jax.vmap(over_networks)
+
+    @jax.jit
+    def run_epoch(state: LearningState, data: TrainingData, key: jax.Array) -> LearningState:
+        """Train all networks for an epoch, and evaluate them on the data left out."""
+        epoch_key = jax.random.fold_in(jax.random.fold_in(key, _EPOCHS), state.epoch)
+        keys = jax.random.split(epoch_key, data.samples.shape[:2])
+        networks, optimizer_state = over_experiments(
+            state.networks,
+            state.optimizer,
+            (data.inputs, data.targets, data.samples),
+            keys,
+        )
+        following = state._replace(
+            networks=networks, optimizer=optimizer_state, epoch=state.epoch + 1
+        )
+        if plan.patience is None:
+            return following
+        held_out_key = jax.random.fold_in(key, _HELD_OUT)
+        held_out_loss = _held_out_loss(space, networks, data, key=held_out_key)
+        is_better = held_out_loss < state.best_loss
+        best = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), networks, state.best)
+        return following._replace(
+            best=best,
+            best_loss=jnp.where(is_better, held_out_loss, state.best_loss),
+            num_worse=jnp.where(is_better, 0, state.num_worse + 1),
+        )
+
+    return run_epoch
+
+
+def _held_out_loss(
+    space: TargetSpace, networks: Network, data: TrainingData, *, key: jax.Array
+) -> jax.Array:
+    """Return the mean loss of all networks on the data left out, whose targets have no noise."""
+
+    def one(network: Network, inputs: jax.Array, targets: jax.Array) -> jax.Array:
+        return methods.loss(space, network, inputs, targets[:, None, :], key=key)
+
+    over_networks = jax.vmap(one, in_axes=(0, None, None))
+    over_experiments = jax.vmap(over_networks)
+    losses = over_experiments(networks, data.held_out_inputs, data.held_out_targets)
+    return jnp.mean(losses)

@@ -1,0 +1,181 @@
+"""Ways to learn how uncertain an estimate is, as values of one kind: loss and prediction of each.
+
+All of them predict several estimates for one input: of networks trained apart, of passes with
+different dropout, or of heads. The mean of these is the estimate. Its covariance is their spread,
+plus the covariance that the network has learned to give, if it has.
+
+===========  ==================================================================================
+dropout      one network with dropout in the prediction, too (Gal & Ghahramani 2016)
+ensemble     networks trained apart, each on a bootstrap sample (Lakshminarayanan et al. 2017)
+sigma        one network that learns a covariance (Nix & Weigend 1994)
+hydra        one trunk with several heads, each with targets of its own noise (thesis chapter 7)
+hydra-sigma  hydra with a head that learns a covariance (thesis chapter 7)
+===========  ==================================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.nets.networks import Network
+from probevo.nets.target_space import TargetSpace
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a network is trained, and what of its estimates makes the covariance."""
+
+    name: str
+    networks: int = 1
+    """Networks trained apart."""
+    bootstrap: bool = False
+    """Whether each is trained on a bootstrap sample of the data, drawn with replacement."""
+    passes: int = 1
+    """Predictions with different dropout."""
+    dropout: float = 0.0
+    """Rate of the dropout."""
+    heads: int = 1
+    learns_covariance: bool = False
+    target_sigma: float = 0.0
+    """Standard deviation of the noise that is added to the targets of each head or network."""
+
+    @property
+    def num_estimates(self) -> int:
+        """Number K of estimates for one input."""
+        return self.networks * self.passes * self.heads
+
+
+class Build(Protocol):
+    """A function that makes the network of a method."""
+
+    def __call__(self, method: Method, key: jax.Array) -> Network:
+        """Return the network with initial weights."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Estimates with covariances, [..., N]."""
+
+    mean: FloatArray
+    """Estimates, [..., N, o]."""
+    learned: FloatArray
+    """Covariance that the network gives, [..., N, d, d]; zero where it learns none."""
+    spread: FloatArray
+    """Covariance of the K estimates about their mean, [..., N, d, d]; zero if K is 1."""
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Σ = Σ_d + 1/(K−1) Σ φ φᵀ, [..., N, d, d]."""
+        return self.learned + self.spread
+
+
+def loss(
+    space: TargetSpace, network: Network, inputs: jax.Array, targets: jax.Array, key: jax.Array
+) -> jax.Array:
+    """Return the mean loss of one network over a batch.
+
+    It is ½ φᵀ Σ⁻¹ φ + ½ log|Σ| where the network learns a covariance, and φᵀ φ where it does not.
+
+    Args:
+        space: what is regressed.
+        network: the network.
+        inputs: [B, i].
+        targets: of each head, [B, H, o].
+        key: of the dropout.
+    """
+    keys = jax.random.split(key, len(inputs))
+    outputs, raw = jax.vmap(network)(inputs, keys)
+    errors = space.difference(space.estimate(outputs), targets)
+    if raw is None:
+        return jnp.mean(jnp.sum(errors**2, axis=-1))
+    whitened, half_log_det = space.whiten(raw[:, None, :], errors)
+    return jnp.mean(0.5 * jnp.sum(whitened**2, axis=-1) + half_log_det)
+
+
+def head_targets(
+    method: Method, space: TargetSpace, targets: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return the targets of each head, with the noise that this method adds to them.
+
+    Args:
+        method: the method.
+        space: what is regressed.
+        targets: true values, [N, o].
+        rng: of the noise, which is drawn once and stays the same through the training.
+
+    Returns:
+        Targets [networks, N, H, o].
+    """
+    shape = (method.networks, len(targets), method.heads)
+    repeated = np.broadcast_to(targets[None, :, None, :], (*shape, targets.shape[1]))
+    if method.target_sigma == 0.0:
+        return repeated
+    errors = rng.normal(0.0, method.target_sigma, (*shape, space.dof))
+    return np.asarray(space.perturb(jnp.asarray(repeated), jnp.asarray(errors)))
+
+
+def samples(method: Method, num_data: int, rng: np.random.Generator) -> np.ndarray:
+    """Return which of the data each network is trained on, [networks, N], int32."""
+    if method.bootstrap:
+        drawn = rng.integers(num_data, size=(method.networks, num_data))
+        return drawn.astype(np.int32)
+    return np.tile(np.arange(num_data, dtype=np.int32), (method.networks, 1))
+
+
+def estimates(
+    method: Method, space: TargetSpace, networks: Network, inputs: jax.Array, key: jax.Array
+) -> tuple[jax.Array, jax.Array | None]:
+    """Return all estimates of each input, [N, K, o], and outputs of covariance heads or None.
+
+    Args:
+        method: the method.
+        space: what is regressed.
+        networks: its networks; their arrays have a leading dimension [networks, ...].
+        inputs: [N, i].
+        key: of the dropout.
+
+    Returns:
+        Estimates [N, K, o], and the outputs of covariance heads [N, networks × passes, c].
+    """
+
+    def one(network: Network, x: jax.Array, pass_key: jax.Array) -> tuple[jax.Array, ...]:
+        outputs, raw = network(x, pass_key)
+        return (space.estimate(outputs),) if raw is None else (space.estimate(outputs), raw)
+
+    keys = jax.random.split(key, (method.networks, method.passes, len(inputs)))
+    over_inputs = eqx.filter_vmap(one, in_axes=(None, 0, 0))
+    over_passes = eqx.filter_vmap(over_inputs, in_axes=(None, None, 0))
+    over_networks = eqx.filter_vmap(over_passes, in_axes=(eqx.if_array(0), None, 0))
+    found, *raw = over_networks(networks, inputs, keys)
+    by_input = jnp.moveaxis(found, 2, 0).reshape(len(inputs), -1, space.num_outputs)
+    if not raw:
+        return by_input, None
+    return by_input, jnp.moveaxis(raw[0], 2, 0).reshape(len(inputs), -1, space.num_covariance)
+
+
+def prediction(space: TargetSpace, found: jax.Array, raw: jax.Array | None) -> Prediction:
+    """Return mean and covariance of the estimates of each input, in float64.
+
+    Args:
+        space: what is regressed.
+        found: estimates, [..., N, K, o].
+        raw: outputs of covariance heads, [..., N, *, c]; their covariances are averaged.
+    """
+    mean = space.mean(found)
+    errors = np.asarray(space.difference(found, mean[..., None, :]), np.float64)
+    num_estimates = errors.shape[-2]
+    spread = errors.mT @ errors / max(num_estimates - 1, 1)
+    if raw is None:
+        learned = np.zeros_like(spread)
+    else:
+        learned = space.covariance(np.asarray(raw)).mean(axis=-3)
+    if num_estimates == 1:
+        spread = np.zeros_like(spread)
+    return Prediction(np.asarray(mean, np.float64), learned, spread)

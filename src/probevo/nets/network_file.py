@@ -1,0 +1,123 @@
+"""Networks and unfinished trainings on disk: safetensors with JSON facts and a checksum.
+
+A file holds plain arrays, never code. Whoever reads it makes the same structure first, and fills in
+the arrays.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from probevo.arrays import AnyArray
+from probevo.errors import InputError
+from probevo.files import check_regular, write_atomically
+
+FORMAT = "probevo-network"
+"""Name of the one entry of the metadata, a JSON object: with several, their order would vary."""
+MOST_BYTES = 10_000_000_000
+CURE = "Delete it, and train again."
+
+Tree = TypeVar("Tree")
+
+
+def write_network_file(path: Path, tree: Any, facts: Mapping[str, Any]) -> None:
+    """Write the arrays of a structure, completely or not at all; the same give the same bytes.
+
+    Args:
+        path: the file.
+        tree: networks, states of optimisers, or a tuple of such.
+        facts: JSON values.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    arrays = named_arrays(tree)
+    text = json.dumps(facts, sort_keys=True, allow_nan=False)
+    entry = json.dumps({"checksum": _checksum(text, arrays), "facts": text}, sort_keys=True)
+    write_atomically(path, save(arrays, {FORMAT: entry}))
+
+
+def read_facts(path: Path) -> dict[str, Any]:
+    """Read what a file says of itself.
+
+    Raises:
+        InputError: the file cannot be read, is none of networks, or is damaged.
+    """
+    return _read(path)[0]
+
+
+def read_network_file(path: Path, tree: Tree) -> Tree:
+    """Return a structure with the arrays of a file in place of its own.
+
+    Args:
+        path: the file.
+        tree: a structure of the same arrays; only their names, shapes and types are used.
+
+    Raises:
+        InputError: the file cannot be read, is damaged, or has other arrays.
+    """
+    arrays = _read(path)[1]
+    expected = named_arrays(tree)
+    for name, array in expected.items():
+        found = arrays.get(name)
+        if found is None or found.shape != array.shape or found.dtype != array.dtype:
+            has = "is missing" if found is None else f"is {found.dtype} {list(found.shape)}"
+            what = f"{has}; expected {array.dtype} {list(array.shape)}."
+            raise InputError(f"{path}: {name}", what, CURE)
+    if len(arrays) > len(expected):
+        surplus = sorted(set(arrays) - set(expected))[0]
+        raise InputError(f"{path}: {surplus}", "is an array that this network lacks.", CURE)
+    leaves, structure = jax.tree_util.tree_flatten_with_path(tree)
+    filled = [jax.numpy.asarray(arrays[_name(place)]) for place, _ in leaves]
+    restored: Tree = jax.tree_util.tree_unflatten(structure, filled)
+    return restored
+
+
+def named_arrays(tree: Any) -> dict[str, AnyArray]:
+    """Return the arrays of a structure by the names of their places, sorted."""
+    leaves = jax.tree_util.tree_flatten_with_path(tree)[0]
+    arrays = {_name(place): np.asarray(leaf) for place, leaf in leaves}
+    return dict(sorted(arrays.items()))
+
+
+def _name(place: Any) -> str:
+    return str(jax.tree_util.keystr(place))
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+    """Read and check all of a file."""
+    check_regular(path, MOST_BYTES)
+    try:
+        with safe_open(path, framework="numpy") as file:
+            entry = json.loads((file.metadata() or {})[FORMAT])
+            arrays = {name: file.get_tensor(name) for name in sorted(file.keys())}
+        text = entry["facts"]
+        facts = json.loads(text)
+        claimed = entry["checksum"]
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}.", CURE) from error
+    except KeyError as error:
+        raise InputError(path, f"is no network of probevo: it lacks {error}.", CURE) from error
+    except (SafetensorError, TypeError, ValueError) as error:
+        raise InputError(path, f"is damaged, or no network: {error}.", CURE) from error
+    if not isinstance(facts, dict) or claimed != _checksum(text, arrays):
+        raise InputError(path, "damaged: its content does not match its checksum.", CURE)
+    return facts, arrays
+
+
+def _checksum(text: str, arrays: Mapping[str, AnyArray]) -> str:
+    """Compute SHA-256 over the facts, and the names, types, shapes and bytes of sorted arrays."""
+    shapes = [[name, array.dtype.name, list(array.shape)] for name, array in arrays.items()]
+    digest = hashlib.sha256(json.dumps([text, shapes]).encode())
+    for array in arrays.values():
+        digest.update(array.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,155 @@
+"""What a network regresses, and what it says of its own error: a number, or a rotation.
+
+The head of a network gives numbers without meaning. A target space makes an estimate of them, and a
+covariance that is positive definite whatever the weights are. Errors are tangent vectors.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from probevo.arrays import AnyArray, FloatArray
+from probevo.nets import quaternions
+
+LEAST_VARIANCE = 1e-6
+"""Of a number; as published."""
+LEAST_SIGMA_RAD = 1e-4
+MOST_SIGMA_RAD = math.pi
+"""Standard deviations of rotations lie between these two before axes are mixed."""
+FIRST_SIGMA_RAD = 0.5
+"""What a head that gives zeros means. Small ones make the first steps of a training huge."""
+
+
+class TargetSpace(Protocol):
+    """A space of estimates with differences; leading dimensions are batches."""
+
+    num_outputs: int
+    """Numbers that a head gives for an estimate."""
+    dof: int
+    """Dimension d of an error."""
+    num_covariance: int
+    """Numbers that a covariance head gives."""
+
+    def estimate(self, outputs: jax.Array) -> jax.Array:
+        """Return the estimates, [..., num_outputs], that a head's outputs mean."""
+
+    def difference(self, estimates: jax.Array, targets: jax.Array) -> jax.Array:
+        """Return the errors of estimates, [..., d]."""
+
+    def perturb(self, targets: jax.Array, errors: jax.Array) -> jax.Array:
+        """Return the targets moved by errors, [..., num_outputs]."""
+
+    def mean(self, estimates: jax.Array) -> jax.Array:
+        """Return the mean of K estimates each, [..., K, num_outputs] to [..., num_outputs]."""
+
+    def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the errors in units of their σ, [..., d], and ½ log|Σ|, [...].
+
+        Args:
+            raw: outputs of the covariance head, [..., num_covariance].
+            errors: [..., d].
+        """
+
+    def covariance(self, raw: AnyArray) -> FloatArray:
+        """Return Σ, [..., d, d], that the outputs of a covariance head mean."""
+
+
+class NumberTargets:
+    """Real numbers, whose variance is softplus(raw) + 1e-6, as published."""
+
+    num_outputs = 1
+    dof = 1
+    num_covariance = 1
+
+    def estimate(self, outputs: jax.Array) -> jax.Array:
+        """Return the outputs."""
+        return outputs
+
+    def difference(self, estimates: jax.Array, targets: jax.Array) -> jax.Array:
+        """Return estimated minus true."""
+        return estimates - targets
+
+    def perturb(self, targets: jax.Array, errors: jax.Array) -> jax.Array:
+        """Return the sums."""
+        return targets + errors
+
+    def mean(self, estimates: jax.Array) -> jax.Array:
+        """Return the arithmetic mean."""
+        return jnp.mean(estimates, axis=-2)
+
+    def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return e / σ and log σ."""
+        variance = jax.nn.softplus(raw) + LEAST_VARIANCE
+        return errors * jax.lax.rsqrt(variance), 0.5 * jnp.log(variance[..., 0])
+
+    def covariance(self, raw: AnyArray) -> FloatArray:
+        """Return the variance, [..., 1, 1]."""
+        variance = np.logaddexp(0.0, np.asarray(raw, np.float64)) + LEAST_VARIANCE
+        return variance[..., None]
+
+
+class RotationTargets:
+    """Rotations as unit quaternions; the error is φ = Log(q ⊗ q*⁻¹), rad, a left perturbation.
+
+    Of the six outputs of a covariance head, three give σ on a logarithmic scale between 1e-4 rad and
+    π, and three a unit lower triangular matrix U with entries between −1 and 1. The information is
+    Σ⁻¹ = Uᵀ diag(1/σ²) U: positive definite, with a bounded condition number, for any weights.
+    """
+
+    num_outputs = 4
+    dof = 3
+    num_covariance = 6
+
+    def estimate(self, outputs: jax.Array) -> jax.Array:
+        """Return the outputs as unit quaternions."""
+        return quaternions.normalized(outputs)
+
+    def difference(self, estimates: jax.Array, targets: jax.Array) -> jax.Array:
+        """Return φ = Log(q ⊗ q*⁻¹); the signs of both quaternions do not matter."""
+        return quaternions.log(quaternions.product(estimates, quaternions.inverse(targets)))
+
+    def perturb(self, targets: jax.Array, errors: jax.Array) -> jax.Array:
+        """Return Exp(φ) ⊗ q*."""
+        return quaternions.product(quaternions.exp(errors), targets)
+
+    def mean(self, estimates: jax.Array) -> jax.Array:
+        """Return the eigenvector of Σ q qᵀ with the largest eigenvalue."""
+        return quaternions.mean(estimates)
+
+    def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return diag(1/σ) U φ, and Σ log σ."""
+        log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., :3] + _FIRST)
+        lower = jnp.tanh(raw[..., 3:])
+        x = errors[..., 0]
+        y = errors[..., 1] + lower[..., 0] * errors[..., 0]
+        z = errors[..., 2] + lower[..., 1] * errors[..., 0] + lower[..., 2] * errors[..., 1]
+        mixed = jnp.stack([x, y, z], axis=-1)
+        return mixed * jnp.exp(-log_sigma), jnp.sum(log_sigma, axis=-1)
+
+    def covariance(self, raw: AnyArray) -> FloatArray:
+        """Return Σ = U⁻¹ diag(σ²) U⁻ᵀ, [..., 3, 3], rad², in float64."""
+        raw = np.asarray(raw, np.float64)
+        # A logistic function without overflow.
+        share = 0.5 * (1.0 + np.tanh(0.5 * (raw[..., :3] + _FIRST)))
+        sigma_rad = np.exp(_LOG_LEAST + _LOG_RANGE * share)
+        lower = np.tanh(raw[..., 3:])
+        unit = np.zeros((*raw.shape[:-1], 3, 3))
+        unit[..., [0, 1, 2], [0, 1, 2]] = 1.0
+        unit[..., 1, 0] = lower[..., 0]
+        unit[..., 2, 0] = lower[..., 1]
+        unit[..., 2, 1] = lower[..., 2]
+        root = np.linalg.inv(unit) * sigma_rad[..., None, :]
+        covariance: FloatArray = root @ root.mT
+        return covariance
+
+
+_LOG_LEAST = math.log(LEAST_SIGMA_RAD)
+_LOG_RANGE = math.log(MOST_SIGMA_RAD / LEAST_SIGMA_RAD)
+_SHARE = math.log(FIRST_SIGMA_RAD / LEAST_SIGMA_RAD) / _LOG_RANGE
+_FIRST = math.log(_SHARE / (1.0 - _SHARE))
+"""Added to the outputs for σ, so that zeros mean ``FIRST_SIGMA_RAD``."""
