@@ -202,6 +202,17 @@ def test_the_core_needs_neither_simulation_nor_experiments_nor_output() -> None:
     assert not found
 
 
+def test_only_the_experiments_import_the_networks() -> None:
+    """They need JAX, which is an extra; and they build on little of the core."""
+    graph = imports_by_unit()
+    assert "nets" in graph
+    importers = {unit for unit in graph if "nets" in graph[unit]}
+    assert importers <= {"probevo_paper"}
+    allowed = {"arrays", "errors", "files", "geometry", "probevo"}
+    found = [line for unit in set(graph["nets"]) - allowed for line in graph["nets"][unit]]
+    assert not found
+
+
 def test_nothing_imports_the_command_line() -> None:
     """Except ``python -m probevo``, and the commands that lie beside the core."""
     found = [

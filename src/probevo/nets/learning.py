@@ -1,7 +1,7 @@
 """Training of networks: seeded, with the same bytes on a CPU however often it was stopped.
 
-Several experiments, each with its own data and seed, are trained at once, and so are the networks of
-an ensemble: all arrays of networks and optimiser have leading dimensions [S, M, ...], for S
+Several experiments, each with its own data, are trained at once, and so are the networks of an
+ensemble: all arrays of networks and optimiser have leading dimensions [S, M, ...], for S
 experiments of M networks. What is random in an epoch depends on the seed and its number alone, so
 that networks, optimiser and the number of epochs are all that a training has to remember.
 """
@@ -9,8 +9,8 @@ that networks, optimiser and the number of epochs are all that a training has to
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -35,7 +35,7 @@ _INITIAL, _EPOCHS, _HELD_OUT = range(3)
 
 @dataclass(frozen=True)
 class LearningPlan:
-    """How long and with which optimiser networks are trained; the same plan gives the same bytes."""
+    """How long and with which optimiser networks are trained."""
 
     epochs: int
     batch: int
@@ -44,7 +44,7 @@ class LearningPlan:
     momentum: float = 0.0
     """Of "sgd" only."""
     shuffle: bool = True
-    """Whether each epoch takes the data in another order. What does not fill a batch is left out."""
+    """Whether each epoch has another order of the data. What does not fill a batch is left out."""
     patience: int | None = None
     """Epochs without a smaller loss on the data left out after which the training stops; then, and
     at the end, the best networks so far count. None: all epochs, and the last networks count."""
@@ -120,7 +120,7 @@ def learn(
             return read_network_file(file, state.networks)
         state = read_network_file(file, state)
 
-    run_epoch = _compiled_epoch(space, optimizer, plan)
+    run_epoch = _compiled_epoch(space, _same_epochs(plan))
     while not _is_finished(state, plan):
         state = run_epoch(state, data, jax.random.key(plan.seed))
         epoch = int(state.epoch)
@@ -183,10 +183,21 @@ def _is_finished(state: LearningState, plan: LearningPlan) -> bool:
     return is_stale or int(state.epoch) >= plan.epochs
 
 
+def _same_epochs(plan: LearningPlan) -> LearningPlan:
+    """Return the plan that stands for all those whose epochs are compiled to the same."""
+    patience = None if plan.patience is None else 0
+    return replace(plan, epochs=0, keep_every=0, seed=0, patience=patience)
+
+
+@cache
 def _compiled_epoch(
-    space: TargetSpace, optimizer: optax.GradientTransformation, plan: LearningPlan
+    space: TargetSpace, plan: LearningPlan
 ) -> Callable[[LearningState, TrainingData, jax.Array], LearningState]:
-    """Return a compiled function of state, data and key of the seed: the state an epoch later."""
+    """Return a compiled function of state, data and key of the seed: the state an epoch later.
+
+    It is kept for other trainings in the same process, since compiling takes seconds.
+    """
+    optimizer = _optimizer(plan)
 
     def train_one(
         network: Network, optimizer_state: Any, data: tuple[jax.Array, ...], key: jax.Array

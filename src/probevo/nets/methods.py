@@ -66,7 +66,8 @@ class Prediction:
     mean: FloatArray
     """Estimates, [..., N, o]."""
     learned: FloatArray
-    """Covariance that the network gives, [..., N, d, d]; zero where it learns none."""
+    """Covariance that the network gives, [..., N, d, d]; where it learns none, the least one, so
+    that few estimates do not make a singular Σ."""
     spread: FloatArray
     """Covariance of the K estimates about their mean, [..., N, d, d]; zero if K is 1."""
 
@@ -129,6 +130,7 @@ def samples(method: Method, num_data: int, rng: np.random.Generator) -> np.ndarr
     return np.tile(np.arange(num_data, dtype=np.int32), (method.networks, 1))
 
 
+@eqx.filter_jit
 def estimates(
     method: Method, space: TargetSpace, networks: Network, inputs: jax.Array, key: jax.Array
 ) -> tuple[jax.Array, jax.Array | None]:
@@ -173,7 +175,7 @@ def prediction(space: TargetSpace, found: jax.Array, raw: jax.Array | None) -> P
     num_estimates = errors.shape[-2]
     spread = errors.mT @ errors / max(num_estimates - 1, 1)
     if raw is None:
-        learned = np.zeros_like(spread)
+        learned = np.broadcast_to(space.least_variance * np.eye(space.dof), spread.shape)
     else:
         learned = space.covariance(np.asarray(raw)).mean(axis=-3)
     if num_estimates == 1:

@@ -97,8 +97,9 @@ def rotate(q: jax.Array, points: jax.Array) -> jax.Array:
 def mean(quaternions: jax.Array) -> jax.Array:
     """Return the mean of H quaternions each, [..., H, 4] to [..., 4]; w ≥ 0.
 
-    It is the eigenvector of Σ q qᵀ with the largest eigenvalue (Markley et al. 2007), which minimises
-    the sum of squared chordal distances between rotations, and takes q and −q as the same.
+    It is the eigenvector of Σ q qᵀ with the largest eigenvalue (Markley et al. 2007), which
+    minimises the sum of squared chordal distances between rotations, and takes q and −q as the
+    same.
     """
     outer = jnp.einsum("...hi,...hj->...ij", quaternions, quaternions)
     vectors = jnp.linalg.eigh(outer)[1]

@@ -34,6 +34,8 @@ class TargetSpace(Protocol):
     """Dimension d of an error."""
     num_covariance: int
     """Numbers that a covariance head gives."""
+    least_variance: float
+    """Along each axis, of any prediction."""
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return the estimates, [..., num_outputs], that a head's outputs mean."""
@@ -65,6 +67,7 @@ class NumberTargets:
     num_outputs = 1
     dof = 1
     num_covariance = 1
+    least_variance = LEAST_VARIANCE
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return the outputs."""
@@ -96,14 +99,15 @@ class NumberTargets:
 class RotationTargets:
     """Rotations as unit quaternions; the error is φ = Log(q ⊗ q*⁻¹), rad, a left perturbation.
 
-    Of the six outputs of a covariance head, three give σ on a logarithmic scale between 1e-4 rad and
-    π, and three a unit lower triangular matrix U with entries between −1 and 1. The information is
-    Σ⁻¹ = Uᵀ diag(1/σ²) U: positive definite, with a bounded condition number, for any weights.
+    Of the six outputs of a covariance head, three give σ on a logarithmic scale between 1e-4 rad
+    and π, and three a unit lower triangular matrix U with entries between −1 and 1. The information
+    is Σ⁻¹ = Uᵀ diag(1/σ²) U: positive definite, with a bounded condition number, for any weights.
     """
 
     num_outputs = 4
     dof = 3
     num_covariance = 6
+    least_variance = LEAST_SIGMA_RAD**2
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return the outputs as unit quaternions."""

@@ -1,0 +1,36 @@
+"""The extra ``nets``: what is said without it, and that nothing else imports JAX."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from probevo.cli.main import main
+from probevo.nets import extra
+
+
+def test_a_missing_package_is_named_with_its_cure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(extra, "find_spec", lambda name: None if name == "jax" else object())
+    assert main(["paper", "hydranet", "--out", str(tmp_path / "out")]) == 2
+    shown = capsys.readouterr().err
+    assert "paper hydranet: networks need the package jax." in shown
+    assert "pip install 'probevo[nets]'" in shown
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import probevo, probevo.runner, probevo.nets, probevo_paper.command",
+        "from probevo.cli.main import main\ntry: main(['paper', 'hydranet', '--help'])\n"
+        "except SystemExit: pass",
+    ],
+)
+def test_nothing_else_imports_jax(code: str) -> None:
+    ask = "import sys\nassert not {'jax', 'equinox', 'optax'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", f"{code}\n{ask}"], check=True, capture_output=True)

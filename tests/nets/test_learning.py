@@ -1,0 +1,154 @@
+"""The training: the same bytes for the same seed, stopped or not, and refusals of wrong files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo.errors import InputError
+
+jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
+pytest.importorskip("equinox")
+
+from nets.small_networks import METHODS, PLAN, build, data  # noqa: E402
+from probevo.nets import methods  # noqa: E402
+from probevo.nets.learning import LearningPlan, learn  # noqa: E402
+from probevo.nets.methods import Method  # noqa: E402
+from probevo.nets.network_file import named_arrays, read_facts  # noqa: E402
+from probevo.nets.target_space import RotationTargets  # noqa: E402
+
+SPACE = RotationTargets()
+HYDRA_SIGMA = METHODS[-1]
+
+
+def train(
+    method: Method, file: Path | None, plan: LearningPlan = PLAN, stop_after: int | None = None
+) -> dict[str, np.ndarray]:
+    """Return the arrays of the trained networks."""
+
+    def stop(epoch: int, total: int) -> None:
+        if epoch == stop_after:
+            raise KeyboardInterrupt
+
+    networks = learn(method, SPACE, build, data=data(method), plan=plan, file=file, show=stop)
+    return named_arrays(networks)
+
+
+@pytest.mark.parametrize(
+    "method", [METHODS[0], METHODS[1], HYDRA_SIGMA], ids=lambda method: method.name
+)
+def test_a_training_that_was_stopped_ends_with_the_same_bytes(
+    method: Method, tmp_path: Path
+) -> None:
+    """It stops between two writings of its file, so that an epoch is repeated."""
+    whole = tmp_path / "whole.safetensors"
+    parts = tmp_path / "parts.safetensors"
+    train(method, whole)
+    for epoch in (3, 5):
+        with pytest.raises(KeyboardInterrupt):
+            train(method, parts, stop_after=epoch)
+        assert not read_facts(parts)["is_finished"]
+    train(method, parts)
+    assert parts.read_bytes() == whole.read_bytes()
+
+
+def test_another_seed_gives_other_networks() -> None:
+    one = train(HYDRA_SIGMA, None)
+    same = train(HYDRA_SIGMA, None)
+    other = train(HYDRA_SIGMA, None, plan=replace(PLAN, seed=1))
+    assert all(np.array_equal(one[name], same[name]) for name in one)
+    assert not any(np.array_equal(one[name], other[name]) for name in one if "weight" in name)
+
+
+def test_a_finished_training_is_not_repeated(tmp_path: Path) -> None:
+    file = tmp_path / "done.safetensors"
+    first = train(HYDRA_SIGMA, file)
+    again = train(HYDRA_SIGMA, file, stop_after=1)
+    assert all(np.array_equal(first[name], again[name]) for name in first)
+
+
+def test_networks_of_another_plan_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "done.safetensors"
+    train(HYDRA_SIGMA, file)
+    for method, plan in ((HYDRA_SIGMA, replace(PLAN, epochs=7)), (METHODS[2], PLAN)):
+        with pytest.raises(InputError, match="another method, plan or version"):
+            train(method, file, plan=plan)
+
+
+@pytest.mark.parametrize("place", [0, 200, -1])
+def test_a_damaged_file_is_refused(place: int, tmp_path: Path) -> None:
+    file = tmp_path / "done.safetensors"
+    train(HYDRA_SIGMA, file)
+    content = bytearray(file.read_bytes())
+    content[place] ^= 0xFF
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=r"done\.safetensors"):
+        train(HYDRA_SIGMA, file)
+
+
+def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    from safetensors.numpy import save_file
+
+    file = tmp_path / "other.safetensors"
+    save_file({"a": np.zeros(3)}, file)
+    with pytest.raises(InputError, match="no network of probevo"):
+        train(METHODS[2], file)
+
+
+def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
+    """With a rate that makes things worse soon, the loss on the data left out decides."""
+    file = tmp_path / "best.safetensors"
+    plan = LearningPlan(epochs=500, batch=16, learning_rate=3e-2, patience=4, seed=3)
+    seen = []
+    networks = learn(
+        HYDRA_SIGMA,
+        SPACE,
+        build,
+        data=data(HYDRA_SIGMA),
+        plan=plan,
+        file=file,
+        show=lambda epoch, total: seen.append((epoch, total)),
+    )
+    epochs = read_facts(file)["epochs"]
+    assert 4 < epochs < 500
+    assert seen == [(epoch, 500) for epoch in range(1, epochs + 1)]
+    # The best networks are those of a training that ends four epochs earlier.
+    best = learn(
+        HYDRA_SIGMA,
+        SPACE,
+        build,
+        data=data(HYDRA_SIGMA),
+        plan=replace(plan, epochs=epochs - 4, patience=None),
+    )
+    one = named_arrays(networks)
+    other = named_arrays(best)
+    assert all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_a_plan_that_the_data_do_not_allow_is_refused() -> None:
+    with pytest.raises(InputError, match="there are 300 data"):
+        train(HYDRA_SIGMA, None, plan=replace(PLAN, batch=301))
+    without = data(HYDRA_SIGMA)
+    nothing = without._replace(held_out_inputs=without.held_out_inputs[:, :0])
+    with pytest.raises(InputError, match="no data are left out"):
+        learn(HYDRA_SIGMA, SPACE, build, data=nothing, plan=replace(PLAN, patience=2))
+
+
+@pytest.mark.parametrize("method", [METHODS[1], HYDRA_SIGMA], ids=lambda method: method.name)
+def test_it_learns_rotations(method: Method) -> None:
+    """Inputs are rotation vectors with 0.02 rad of noise; the error falls to a quarter."""
+    given = data(method)
+
+    def mean_error_deg(epochs: int) -> float:
+        networks = learn(method, SPACE, build, data=given, plan=replace(PLAN, epochs=epochs))
+        first = jax.tree.map(lambda array: array[0], networks)
+        inputs = given.held_out_inputs[0]
+        found, raw = methods.estimates(method, SPACE, first, inputs, jax.random.key(0))
+        mean = jax.numpy.asarray(methods.prediction(SPACE, found, raw).mean)
+        errors = SPACE.difference(mean, given.held_out_targets[0])
+        return float(np.degrees(np.linalg.norm(errors, axis=-1)).mean())
+
+    assert mean_error_deg(200) < 0.25 * mean_error_deg(1)
