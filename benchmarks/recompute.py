@@ -243,6 +243,7 @@ FIGURES = (
         "python benchmarks/kernel_streets.py city residential road",
         minutes=120,
     ),
+    Figure("hydranet", ("docs/nets.md",), "probevo paper hydranet --out hydranet", minutes=30),
     Figure("table-1.3", ("docs/probe-gk.md",), "probevo paper table-1.3 --out t13", minutes=30),
     Figure(
         "training-scale",

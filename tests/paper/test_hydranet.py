@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +13,26 @@ from scipy.spatial.transform import Rotation
 
 from probevo.cli.main import main
 
-pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
+jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
 pytest.importorskip("equinox")
 
-from probevo_paper import hydranet_numbers, hydranet_orbit
-from probevo_paper.hydranet_config import HydranetConfig
+from probevo_paper import hydranet_numbers, hydranet_orbit  # noqa: E402
+from probevo_paper.hydranet_config import HydranetConfig  # noqa: E402
 
 SMALL = ["--repetitions", "2", "--epochs", "3", "--poses", "100", "--orbit-epochs", "2"]
 SMALLER_NETWORKS = ["--heads", "3", "--networks", "2"]
 
 
+@pytest.fixture
+def compiled_quickly() -> Iterator[None]:
+    """Compile without optimisations: in a fifth of the time."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("compiled_quickly")
 def test_it_writes_both_tables_and_resumes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

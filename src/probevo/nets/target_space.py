@@ -37,6 +37,9 @@ class TargetSpace(Protocol):
     least_variance: float
     """Along each axis, of any prediction."""
 
+    def __hash__(self) -> int:
+        """Return the hash: what is compiled for a space is kept."""
+
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return the estimates, [..., num_outputs], that a head's outputs mean."""
 
