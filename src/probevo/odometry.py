@@ -498,6 +498,7 @@ class StereoOdometry:
             tracks,
             visual.noise,
             two_frames=by_itself,
+            jitter_cov=None if observed.rig is None else observed.rig.jitter.cov,
             measurements=measurements,
         )
 

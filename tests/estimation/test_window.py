@@ -10,13 +10,14 @@ from scipy.optimize import least_squares
 from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.camera.rig_calibration import disparity_basis
+from probevo.camera.rig_jitter import jitter_offsets
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
 from probevo.estimation.window_motion import live_motion
-from probevo.estimation.window_numba import POSE, RIG
+from probevo.estimation.window_numba import JITTER, POSE, RIG
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
@@ -30,6 +31,7 @@ from worlds import CAMERA, FORWARD, drive
 
 SIGMA_PX = 0.3
 TAU_PX = 0.4
+JITTER_SIGMA_RAD = np.deg2rad(0.03)
 
 
 def estimator(
@@ -92,10 +94,12 @@ def windows_of(
     return windows
 
 
-def residuals_of(window: Window, x: FloatArray, correlation: float = 0.0) -> FloatArray:
+def residuals_of(
+    window: Window, x: FloatArray, correlation: float = 0.0, jitter: FloatArray | None = None
+) -> FloatArray:
     """Return the white residuals of all observations and priors, by the definition.
 
-    x moves the poses after the first, the rig, and the landmarks.
+    x moves the poses after the first, the rig, and the landmarks; the jitters, [K, 3], are given.
     """
     count = len(window)
     poses = np.concatenate([np.zeros(POSE), x[: POSE * (count - 1)]]).reshape(-1, POSE)
@@ -116,6 +120,11 @@ def residuals_of(window: Window, x: FloatArray, correlation: float = 0.0) -> Flo
     v_k = CAMERA.fv_px * h[:, 1] / h[:, 2] + CAMERA.cv_px
     rig_error = disparity_basis(np.column_stack([u_k, v_k, u_k, v_k]), CAMERA) @ rig
     predicted = np.column_stack([u_k, v_k, u_k - d / h[:, 2] - error + rig_error, v_k])
+    of_jitter = np.zeros(0)
+    if jitter is not None:
+        offsets = jitter_offsets(np.column_stack([u_k, v_k, u_k - d / h[:, 2], v_k]), CAMERA)
+        predicted[:, 2:] += (offsets @ jitter[observations.slot][..., None])[..., 0]
+        of_jitter = np.linalg.solve(np.linalg.cholesky(window.jitter_cov), jitter.T).ravel()
     of_errors = np.sqrt(window.landmarks.error_information) * state[:, 3]
     white = (observations.pixels - predicted) / SIGMA_PX
     # An AR(1) process is white once the part that the error before predicts is taken away.
@@ -123,7 +132,7 @@ def residuals_of(window: Window, x: FloatArray, correlation: float = 0.0) -> Flo
     is_first[observations.start[:-1]] = True
     innovations = (white - correlation * np.roll(white, 1, axis=0)) / np.sqrt(1.0 + correlation)
     innovations[is_first] = white[is_first] * np.sqrt(1.0 - correlation)
-    return np.concatenate([innovations.ravel(), of_errors])
+    return np.concatenate([innovations.ravel(), of_errors, of_jitter])
 
 
 def batch(window: Window, correlation: float) -> tuple[Window, FloatArray]:
@@ -144,8 +153,8 @@ def batch(window: Window, correlation: float) -> tuple[Window, FloatArray]:
 
 @pytest.mark.parametrize("correlation", [0.0, 0.7])
 def test_normal_equations_are_those_of_numeric_jacobians(correlation: float) -> None:
-    """Hessian and gradient of poses and rig, after the landmarks are eliminated by a dense Schur
-    complement, in the middle of a window whose landmarks have not converged."""
+    """Hessian and gradient of poses and rig, after landmarks and jitters are eliminated by a dense
+    Schur complement, in the middle of a window whose landmarks have not converged."""
     frames = drive(np.random.default_rng(50), 5, points=25, sigma_px=SIGMA_PX)
     by = estimator(frames=9, calibrates=True, correlation=correlation)
     window = windows_of(frames, by, tau_px=TAU_PX)[-1]
@@ -160,15 +169,24 @@ def test_normal_equations_are_those_of_numeric_jacobians(correlation: float) -> 
         T_linear=T_cam_world,
         landmarks=window.landmarks._replace(state=state),
     )
-    window = replace(window, rig=np.zeros(RIG))  # that β(x) moves with the pose is ignored
+    # That β(x), and what a jitter does, move with the pose is ignored.
+    window = replace(
+        window,
+        rig=np.zeros(RIG),
+        jitter=np.zeros((5, JITTER)),
+        jitter_cov=JITTER_SIGMA_RAD**2 * np.diag([0.25, 1.0, 0.5]),
+    )
     system = by._system(window)
     count = POSE * 4 + RIG + 4 * len(window.ids)
-    here = residuals_of(window, np.zeros(count), correlation)
-    jacobian = np.empty((len(here), count))
-    for column, step in enumerate(1e-5 * np.eye(count)):
-        ahead = residuals_of(window, step, correlation)
-        change = ahead - residuals_of(window, -step, correlation)
-        jacobian[:, column] = change / 2e-5
+
+    def residuals(x: FloatArray) -> FloatArray:
+        jitter = 1e-3 * x[count:].reshape(5, JITTER)  # in thousandths, for the differences' sake
+        return residuals_of(window, x[:count], correlation, jitter)
+
+    here = residuals(np.zeros(count + 5 * JITTER))
+    jacobian = np.empty((len(here), count + 5 * JITTER))
+    for column, step in enumerate(1e-5 * np.eye(count + 5 * JITTER)):
+        jacobian[:, column] = (residuals(step) - residuals(-step)) / 2e-5
     full = jacobian.T @ jacobian
     descent = -jacobian.T @ here
     kept = slice(0, POSE * 4 + RIG)
@@ -294,6 +312,46 @@ def test_relative_poses_are_consistent(dof: float, tau_px: float) -> None:
     low, high = chi2_interval(dof=6, count=drives)
     for found in squared.values():
         assert low < np.mean(found) < high
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_with_jitter_of_the_rig_relative_poses_are_consistent(knows: bool) -> None:
+    """As above, for a right camera that turns by 0.03° in every frame. Windows that do not know of
+    it claim far too much."""
+    drives = 40
+    cov = JITTER_SIGMA_RAD**2 * np.eye(JITTER)
+    squared = []
+    for seed in range(drives):
+        rng = np.random.default_rng([62, seed])
+        frames = [_jittered(frame, rng) for frame in drive(rng, 16, points=60, sigma_px=SIGMA_PX)]
+        by = estimator(frames=9)
+        window = Window.at_first_frame(frames[0].index)
+        for prev, curr in pairwise(frames):
+            tracks = tracks_between(prev, curr)
+            window = by.with_features(
+                window,
+                curr.index,
+                tracks,
+                noise_of(len(tracks)),
+                two_frames=step_to(curr.index, FORWARD),
+                jitter_cov=cov if knows else None,
+            )
+        T, relative_cov = window.relative(8, 4)
+        expected = np.linalg.matrix_power(FORWARD, 4)
+        squared.append(normalized_error_squared(T[None], expected[None], relative_cov[None])[0])
+    low, high = chi2_interval(dof=6, count=drives)
+    if knows:
+        assert low < np.mean(squared) < high
+    else:
+        assert np.mean(squared) > 2.0 * high
+
+
+def _jittered(frame: Frame, rng: np.random.Generator) -> Frame:
+    """Return the frame as a right camera sees it that is turned against the left one."""
+    assert frame.features is not None
+    pixels = frame.features.pixels.copy()
+    pixels[:, 2:] += jitter_offsets(pixels, CAMERA) @ (JITTER_SIGMA_RAD * rng.normal(size=JITTER))
+    return replace(frame, features=replace(frame.features, pixels=pixels))
 
 
 def _noisy(

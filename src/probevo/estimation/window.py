@@ -14,12 +14,14 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
-from probevo.estimation.window_numba import POSE, RIG, WindowLandmarks, WindowObservations
+from probevo.estimation.window_numba import JITTER, POSE, RIG, WindowLandmarks, WindowObservations
 from probevo.geometry import se3
 
 if TYPE_CHECKING:
     from probevo.estimation.inertial import Inertial
 
+RIGID_SIGMA_RAD = 1e-9
+"""Standard deviation of the jitter of a rig that is said to be flawless, rad."""
 ORIGIN_SIGMA = 1e-7
 """Standard deviation of the first pose, m and rad: it is the origin, but for rounding."""
 
@@ -61,6 +63,10 @@ class Window:
     contains it."""
     rig: FloatArray
     """Disparity errors of the rig, (b₀, b₁, b₂), [3], px."""
+    jitter: FloatArray
+    """Jitter ω of each frame, [K, 3], rad (``camera.rig_jitter``)."""
+    jitter_cov: FloatArray
+    """Its prior covariance S, [3, 3], rad²."""
     prior: MarginalPrior
     ids: IntArray
     """Identity of each landmark, [L]."""
@@ -85,6 +91,8 @@ class Window:
             T_cam_world=np.eye(4)[None],
             T_linear=np.eye(4)[None],
             rig=np.zeros(RIG),
+            jitter=np.zeros((1, JITTER)),
+            jitter_cov=RIGID_SIGMA_RAD**2 * np.eye(JITTER),
             prior=MarginalPrior(information, np.zeros(POSE + RIG)),
             ids=np.zeros(0, np.int64),
             landmarks=WindowLandmarks(np.zeros((0, 4)), np.zeros(0)),
@@ -126,6 +134,13 @@ class Window:
     def num_seen(self) -> IntArray:
         """In how many frames of the window each landmark was seen, [L]."""
         return np.diff(self.observations.start)
+
+    @property
+    def age(self) -> IntArray:
+        """How many frames after its landmark's first one each observation is, [M]."""
+        first = self.observations.slot[self.observations.start[:-1]]
+        age: IntArray = self.observations.slot - np.repeat(first, self.num_seen)
+        return age
 
     @property
     def landmark_rows(self) -> IntArray:

@@ -9,6 +9,12 @@ and landmarks, and p(b) of the rig, the window maximises
 
 The Schur complement of the normal equations onto b is p(b). It is divided by c in each step, and so
 is what the prior of the window contains.
+
+The jitter of the rig in each frame, ω_k ~ N(0, S), is eliminated from the normal equations once all
+landmarks are. When landmarks leave the window, they take what they say of it along, so that the
+prior and the landmarks that remain each have a jitter of their own for one and the same frame. If
+G groups of landmarks say the same with variances G S, together they say it with S: those that leave
+do so with G S.
 """
 
 from __future__ import annotations
@@ -26,6 +32,8 @@ from probevo.estimation import inertial
 from probevo.estimation.inertial_states import InertialSystem
 from probevo.estimation.window import MarginalPrior, Window, merged, selected
 from probevo.estimation.window_numba import (
+    FRAME,
+    JITTER,
     LANDMARK,
     POSE,
     RIG,
@@ -68,6 +76,16 @@ class Adjustment:
 
 
 @dataclass(frozen=True)
+class _JitterElimination:
+    """What finds the jitters once poses and rig are known: ω' − ω = offset − gain · step."""
+
+    offset: FloatArray
+    """[3K], rad."""
+    gain: FloatArray
+    """[3K, 6K + 3]."""
+
+
+@dataclass(frozen=True)
 class _System:
     """The normal equations of a window at its current values."""
 
@@ -75,6 +93,7 @@ class _System:
     cost: float
     equations: NormalEquations
     elimination: Elimination
+    jitter: _JitterElimination
     inertial: InertialSystem | None
 
 
@@ -106,6 +125,7 @@ class WindowEstimator:
         noise: StereoNoise,
         *,
         two_frames: RelativePose,
+        jitter_cov: FloatArray | None = None,
         measurements: Sequence[Measurement] = (),
     ) -> Window:
         """Return the window with one more frame and adjusted, no longer than the settings say.
@@ -120,8 +140,11 @@ class WindowEstimator:
                 calibration, disparities not.
             noise: of these N tracks.
             two_frames: the motion between these two frames by itself, with its covariance.
+            jitter_cov: covariance S of the rig's jitter, [3, 3], rad²; as before, if there is none.
             measurements: further measurements of the poses of the window.
         """
+        if jitter_cov is not None:
+            window = replace(window, jitter_cov=jitter_cov)
         extended = self.with_frame(window, frame, two_frames.T_curr_prev, tracks, noise)
         try:
             adjusted = self.adjusted(self.with_measurements(extended, measurements)).window
@@ -254,6 +277,7 @@ class WindowEstimator:
             frames=np.append(window.frames, frame),
             T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
             T_linear=np.concatenate([window.T_linear, T_new[None]]),
+            jitter=np.concatenate([window.jitter, np.zeros((1, JITTER))]),
             prior=_with_pose(window.prior),
             ids=np.concatenate([window.ids, tracks.ids[is_new]]),
             landmarks=landmarks,
@@ -329,11 +353,14 @@ class WindowEstimator:
         is_last = np.zeros(len(rows), np.bool_)
         is_last[observations.start[1:] - 1] = True
         begins_anew = is_last & is_alive[rows]
+        seen_at_age = np.bincount(window.age, minlength=1)
+        groups = max(1.0, seen_at_age.sum() ** 2 / max(1, (seen_at_age**2).sum()))
         system = self._system(
             replace(
                 window,
                 observations=selected(observations, is_old[rows]),
                 landmarks=_selected_landmarks(window.landmarks, is_old),
+                jitter_cov=groups * window.jitter_cov,
                 inertial=None,
             )
         )
@@ -357,6 +384,7 @@ class WindowEstimator:
             frames=window.frames[1:],
             T_cam_world=window.T_cam_world[1:],
             T_linear=window.T_linear[1:],
+            jitter=window.jitter[1:],
             prior=prior,
             ids=window.ids[stays],
             landmarks=_selected_landmarks(window.landmarks._replace(state=state), stays),
@@ -377,15 +405,18 @@ class WindowEstimator:
     def _system(self, window: Window) -> _System:
         """Form the normal equations of a window, its prior included."""
         num_frames = len(window)
-        size = POSE * num_frames + RIG
+        size = FRAME * num_frames + RIG
         num_observations = len(window.observations.slot)
         num_landmarks = len(window.landmarks.state)
         # Ad(T_ka) = Ad(T_k) Ad(T_a)⁻¹.
         adjoint = se3.adjoint(window.T_linear)
         inverse = se3.adjoint(se3.inverse(window.T_linear))
+        adjoints = np.zeros((num_frames, num_frames, FRAME, FRAME))
+        adjoints[..., :POSE, :POSE] = adjoint[:, None] @ inverse[None, :]
         geometry = WindowGeometry(
             T_cam_world=window.T_cam_world,
-            adjoints=np.ascontiguousarray(adjoint[:, None] @ inverse[None, :]),
+            adjoints=adjoints,
+            jitter=window.jitter,
             rig=window.rig,
             intrinsics=self._intrinsics,
         )
@@ -393,7 +424,7 @@ class WindowEstimator:
         towards_prior = window.prior.vector - window.prior.information @ x
         equations = NormalEquations(hessian=np.zeros((size, size)), gradient=np.zeros(size))
         elimination = Elimination(
-            coupling=np.empty((num_observations, LANDMARK, POSE)),
+            coupling=np.empty((num_observations, LANDMARK, FRAME)),
             rig_coupling=np.empty((num_landmarks, LANDMARK, RIG)),
             inverse=np.empty((num_landmarks, LANDMARK, LANDMARK)),
             gradient=np.empty((num_landmarks, LANDMARK)),
@@ -407,9 +438,10 @@ class WindowEstimator:
             equations=equations,
             elimination=elimination,
         )
-        cost -= 0.5 * float(x @ (window.prior.vector + towards_prior))
-        hessian = equations.hessian + window.prior.information
-        gradient = equations.gradient + towards_prior
+        without_jitter, jitter, jitter_cost = _without_jitter(window, equations)
+        cost += jitter_cost - 0.5 * float(x @ (window.prior.vector + towards_prior))
+        hessian = without_jitter.hessian + window.prior.information
+        gradient = without_jitter.gradient + towards_prior
         of_imu = inertial.system_of(window)
         if of_imu is not None:
             reduced, reduced_gradient = of_imu.reduced()
@@ -421,6 +453,7 @@ class WindowEstimator:
             cost=cost,
             equations=NormalEquations(hessian=hessian, gradient=gradient),
             elimination=elimination,
+            jitter=jitter,
             inertial=of_imu,
         )
 
@@ -460,8 +493,15 @@ class WindowEstimator:
     def _moved(self, system: _System, step: FloatArray) -> Window:
         """Return the window after a step of poses and rig; the landmarks follow."""
         window = system.window
+        jitter_step = system.jitter.offset - system.jitter.gain @ step
+        at_jitter, at_others = _places(len(window))
+        whole_step = np.empty(FRAME * len(window) + RIG)
+        whole_step[at_jitter] = jitter_step
+        whole_step[at_others] = step
         state = np.empty_like(window.landmarks.state)
-        move_landmarks(window.landmarks.state, window.observations, system.elimination, step, state)
+        move_landmarks(
+            window.landmarks.state, window.observations, system.elimination, whole_step, state
+        )
         T_cam_world = se3.exp(step[:-RIG].reshape(-1, POSE)) @ window.T_cam_world
         # A pose of which the prior says nothing yet may be linearised where it is.
         is_fixed = np.diagonal(window.prior.information)[:-RIG:POSE] > 0.0
@@ -470,9 +510,48 @@ class WindowEstimator:
             T_cam_world=T_cam_world,
             T_linear=np.where(is_fixed[:, None, None], window.T_linear, T_cam_world),
             rig=window.rig + step[-RIG:],
+            jitter=window.jitter + jitter_step.reshape(-1, JITTER),
             inertial=inertial.after_step(window, system.inertial, step),
             landmarks=window.landmarks._replace(state=state),
         )
+
+
+def _places(num_frames: int) -> tuple[IntArray, IntArray]:
+    """Return where the jitters lie in a vector of frames and rig, [3K], and all else, [6K + 3]."""
+    size = FRAME * num_frames + RIG
+    is_jitter = np.zeros(size, np.bool_)
+    is_jitter[: FRAME * num_frames].reshape(-1, FRAME)[:, POSE:] = True
+    return np.flatnonzero(is_jitter), np.flatnonzero(~is_jitter)
+
+
+def _without_jitter(
+    window: Window, equations: NormalEquations
+) -> tuple[NormalEquations, _JitterElimination, float]:
+    """Eliminate the jitters of all frames, with their prior N(0, S).
+
+    Args:
+        window: K frames.
+        equations: of their poses, jitters and the rig, without the prior.
+
+    Returns:
+        The equations of poses and rig, what finds the jitters, and the cost of their prior.
+    """
+    jitter, others = _places(len(window))
+    information = np.kron(np.eye(len(window)), np.linalg.inv(window.jitter_cov))
+    towards_prior = -information @ window.jitter.ravel()
+    of_jitter = equations.hessian[np.ix_(jitter, jitter)] + information
+    coupling = equations.hessian[np.ix_(jitter, others)]
+    gradient = equations.gradient[jitter] + towards_prior
+    solved = np.linalg.solve(of_jitter, np.column_stack([coupling, gradient]))
+    gain = solved[:, :-1]
+    offset = solved[:, -1]
+    hessian = equations.hessian[np.ix_(others, others)] - coupling.T @ gain
+    reduced = NormalEquations(
+        hessian=0.5 * (hessian + hessian.T),
+        gradient=equations.gradient[others] - coupling.T @ offset,
+    )
+    cost = -0.5 * float(window.jitter.ravel() @ towards_prior)
+    return reduced, _JitterElimination(offset=offset, gain=gain), cost
 
 
 def _rows_of(window: Window, ids: IntArray) -> IntArray:

@@ -5,10 +5,13 @@ a, the first that saw it, and the disparity error δ that all its observations h
 time-correlated one of the noise model). With m = ((u − c_u)/f_u, (v − c_v)/f_v, 1) and the inverse
 depth ρ = d/(f_u b), it is h/ρ in frame k, where
 
-    h = C_ka m + ρ t_ka,    prediction = (u_k, v_k, u_k − d/h_z − δ + β(x)ᵀb, v_k).
+    h = C_ka m + ρ t_ka,    prediction = (u_k, v_k, u_k − d/h_z − δ + β(x)ᵀb + δu_r, v_k + δv_r).
 
 β(x) = (1, x, x²) and b are the disparity errors of the rig (``camera.rig_calibration``). Nothing is
 divided by d, so that a landmark at infinity is nothing special.
+
+In each frame the right camera is turned against the left one by a small jitter ω_k, which moves
+what it sees by (δu_r, δv_r) = O ω_k (``camera.rig_jitter``).
 
 Poses T_cam_world are perturbed on the left. Where ξ_ka moves a prediction by J, the poses of frame
 and anchor move it by J and −J Ad(T_ka). The adjoint is that of fixed linearisation points, which
@@ -49,14 +52,16 @@ from probevo.measurements.robust_loss_numba import (
 
 POSE = 6
 """Degrees of freedom of a pose."""
+JITTER = 3
+"""Those of the jitter of a frame, ω = (pitch, yaw, roll)."""
+FRAME = POSE + JITTER
+"""Those of a frame, its pose first."""
 RIG = 3
 """Those of the rig's disparity errors."""
 LANDMARK = 4
 """Those of a landmark."""
 PIXELS = 4
 """Coordinates of an observation."""
-ROWS = 3
-"""Those that are predicted differently: u_l, v and u_r. v_r has the prediction of v_l."""
 LEAST_DEPTH = 1e-3
 """Share of its depth in the anchor frame at which a landmark counts as behind the camera."""
 LARGEST_SHIFT_PX = 30.0
@@ -72,7 +77,10 @@ class WindowGeometry(NamedTuple):
     T_cam_world: FloatArray
     """Poses, [K, 4, 4], m."""
     adjoints: FloatArray
-    """Ad(T_ka) at the linearisation points, for frame k and anchor a, [K, K, 6, 6]."""
+    """Ad(T_ka) at the linearisation points, for frame k and anchor a, [K, K, 9, 9]: how the
+    anchor's pose enters (ξ_ka, ω_k). Zero for the jitters."""
+    jitter: FloatArray
+    """ω of each frame, [K, 3], rad."""
     rig: FloatArray
     """b, [3], px."""
     intrinsics: FloatArray
@@ -107,19 +115,23 @@ class WindowLandmarks(NamedTuple):
 
 
 class NormalEquations(NamedTuple):
-    """Normal equations of K poses and the rig: hessian · step = gradient."""
+    """Normal equations: hessian · step = gradient.
+
+    Those of ``accumulate`` are for K frames, (ξ, ω) of each, and the rig: size S = 9K + 3. With
+    the jitters eliminated, they are for K poses and the rig: S = 6K + 3.
+    """
 
     hessian: FloatArray
-    """[6K + 3, 6K + 3]."""
+    """[S, S]."""
     gradient: FloatArray
-    """[6K + 3]."""
+    """[S]."""
 
 
 class Elimination(NamedTuple):
     """What finds the L landmarks once the poses are known, and how well their observations fit."""
 
     coupling: FloatArray
-    """Information between a landmark and the pose of each of its M observations, [M, 4, 6]; the
+    """Information between a landmark and the frame of each of its M observations, [M, 4, 9]; the
     first is the anchor's."""
     rig_coupling: FloatArray
     """The same for the rig, [L, 4, 3]."""
@@ -152,32 +164,28 @@ class _Problem(NamedTuple):
 
 
 class _Track(NamedTuple):
-    """The observations of one landmark, linearised; work space for up to K of them.
-
-    Both v of an observation have the same prediction, and are added up: information is about (u_l,
-    v, u_r).
-    """
+    """The observations of one landmark, linearised; work space for up to K of them."""
 
     ray: FloatArray
     """h, [K, 3]: the direction to the landmark, its depth in the anchor frame being 1."""
     error: FloatArray
     """Measured minus predicted, [K, 4], px."""
-    pose: FloatArray
-    """Jacobian of the predicted (u_l, v, u_r) for ξ_ka, [K, 3, 6]."""
+    frame: FloatArray
+    """Jacobian of the prediction for ζ = (ξ_ka, ω_k), [K, 4, 9]."""
     landmark: FloatArray
-    """The same for the landmark, [K, 3, 4]."""
+    """The same for the landmark, [K, 4, 4]."""
     rig: FloatArray
     """The same for the rig, of u_r alone, [K, 3]."""
     information: FloatArray
-    """Diagonal blocks of Σ⁻¹, [K, 3, 3]."""
+    """Diagonal blocks of Σ⁻¹, [K, 4, 4]."""
     cross: FloatArray
-    """Blocks of Σ⁻¹ between an observation and the one before it, [K, 3, 3]."""
+    """Blocks of Σ⁻¹ between an observation and the one before it, [K, 4, 4]."""
     pull: FloatArray
-    """Σ⁻¹ e, [K, 3]."""
+    """Σ⁻¹ e, [K, 4]."""
     weighted_landmark: FloatArray
-    """Σ⁻¹ times the Jacobians for the landmark, [K, 3, 4]."""
+    """Σ⁻¹ times the Jacobians for the landmark, [K, 4, 4]."""
     weighted_rig: FloatArray
-    """Σ⁻¹ times the Jacobians for the rig, [K, 3, 3]."""
+    """Σ⁻¹ times the Jacobians for the rig, [K, 4, 3]."""
 
 
 class _Trust(NamedTuple):
@@ -193,16 +201,19 @@ class _Trust(NamedTuple):
 
 
 class _Pairs(NamedTuple):
-    """Normal equations of the relative motions ξ_ka of all pairs of frame and anchor."""
+    """Normal equations of ζ = (ξ_ka, ω_k) for all pairs of frame and anchor.
+
+    In its anchor frame, a landmark is where it is, whatever the pose: only the jitter counts.
+    """
 
     hessian: FloatArray
-    """[K, K, 6, 6]; lower triangles."""
+    """[K, K, 9, 9]; lower triangles."""
     gradient: FloatArray
-    """[K, K, 6]."""
+    """[K, K, 9]."""
     rig: FloatArray
-    """Information between motion and rig, [K, K, 6, 3]."""
+    """Information between ζ and the rig, [K, K, 9, 3]."""
     cross: FloatArray
-    """Information between the motion to a frame and that to the frame before it, [K, K, 6, 6]."""
+    """Information between ζ of a frame and that of the frame before it, [K, K, 9, 9]."""
 
 
 @compiled
@@ -238,23 +249,23 @@ def accumulate(
     track = _Track(
         ray=np.zeros((num_frames, 3)),
         error=np.zeros((num_frames, PIXELS)),
-        pose=np.zeros((num_frames, ROWS, POSE)),
-        landmark=np.zeros((num_frames, ROWS, LANDMARK)),
+        frame=np.zeros((num_frames, PIXELS, FRAME)),
+        landmark=np.zeros((num_frames, PIXELS, LANDMARK)),
         rig=np.zeros((num_frames, RIG)),
-        information=np.zeros((num_frames, ROWS, ROWS)),
-        cross=np.zeros((num_frames, ROWS, ROWS)),
-        pull=np.zeros((num_frames, ROWS)),
-        weighted_landmark=np.zeros((num_frames, ROWS, LANDMARK)),
-        weighted_rig=np.zeros((num_frames, ROWS, RIG)),
+        information=np.zeros((num_frames, PIXELS, PIXELS)),
+        cross=np.zeros((num_frames, PIXELS, PIXELS)),
+        pull=np.zeros((num_frames, PIXELS)),
+        weighted_landmark=np.zeros((num_frames, PIXELS, LANDMARK)),
+        weighted_rig=np.zeros((num_frames, PIXELS, RIG)),
     )
     pairs = _Pairs(
-        hessian=np.zeros((num_frames, num_frames, POSE, POSE)),
-        gradient=np.zeros((num_frames, num_frames, POSE)),
-        rig=np.zeros((num_frames, num_frames, POSE, RIG)),
-        cross=np.zeros((num_frames, num_frames, POSE, POSE)),
+        hessian=np.zeros((num_frames, num_frames, FRAME, FRAME)),
+        gradient=np.zeros((num_frames, num_frames, FRAME)),
+        rig=np.zeros((num_frames, num_frames, FRAME, RIG)),
+        cross=np.zeros((num_frames, num_frames, FRAME, FRAME)),
     )
     own = np.zeros((LANDMARK, LANDMARK))
-    wide = np.zeros((LANDMARK, POSE * num_frames + RIG))
+    wide = np.zeros((LANDMARK, FRAME * num_frames + RIG))
     cost = 0.0
     for row in range(len(landmarks.state)):
         squared = _linearize_track(row, problem, track, elimination.squared)
@@ -298,6 +309,7 @@ def _project(
     state: FloatArray,
     T_ka: FloatArray,
     geometry: WindowGeometry,
+    slot: int,
     pixels: FloatArray,
     ray: FloatArray,
     error: FloatArray,
@@ -318,10 +330,17 @@ def _project(
     v = fv * ray[1] / hz + cv
     rig = geometry.rig
     rig_error = rig[0] + x * (rig[1] + x * rig[2])
+    u_r = u - disparity / hz - state[3] + rig_error
+    # The jitter of the right camera, which sees the landmark at (x_r, y).
+    x_r = x - disparity / (hz * fu)
+    y = ray[1] / hz
+    pitch, yaw, roll = geometry.jitter[slot]
+    u_r += fu * (-x_r * y * pitch + (1.0 + x_r * x_r) * yaw - y * roll)
+    v_r = v + fv * (-(1.0 + y * y) * pitch + x_r * y * yaw + x_r * roll)
     error[0] = pixels[0] - u
     error[1] = pixels[1] - v
-    error[2] = pixels[2] - (u - disparity / hz - state[3] + rig_error)
-    error[3] = pixels[3] - v
+    error[2] = pixels[2] - u_r
+    error[3] = pixels[3] - v_r
     return True
 
 
@@ -356,6 +375,7 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
             state,
             T,
             problem.geometry,
+            slot=observations.slot[m],
             pixels=observations.pixels[m],
             ray=track.ray[k],
             error=error,
@@ -371,14 +391,14 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
         is_inner = 0 < k < count - 1
         diagonal = (1.0 + rho * rho if is_inner else 1.0) / (1.0 + rho)
         total += diagonal * squared[m]
-        _fill_rows(information, diagonal, track.information[k])
+        _fill_scaled(information, diagonal, track.information[k])
         _add_pull(information, diagonal, error, track.pull[k])
         if k == 0 or rho == 0.0 or squared[m - 1] == BEHIND_CAMERA:
             continue
         beside = -rho / (1.0 + rho)
         between = observations.root[m] @ observations.root[m - 1].T
         total += 2.0 * beside * _product(error, between, track.error[k - 1])
-        _fill_rows(between, beside, track.cross[k])
+        _fill_scaled(between, beside, track.cross[k])
         _add_pull(between, beside, track.error[k - 1], track.pull[k])
         _add_pull(between.T, beside, error, track.pull[k - 1])
     _weigh_jacobians(track, count)
@@ -396,39 +416,29 @@ def _product(left: FloatArray, information: FloatArray, right: FloatArray) -> fl
 
 
 @compiled
-def _fill_rows(information: FloatArray, scale: float, rows: FloatArray) -> None:
-    """Fill the information about (u_l, v, u_r), [3, 3], from that about the pixels, [4, 4]."""
-    for i in range(ROWS):
-        for j in range(ROWS):
-            rows[i, j] = information[i, j]
-    # v_r adds to the row and the column of v_l.
-    for j in range(ROWS):
-        rows[1, j] += information[3, j]
-    for i in range(ROWS):
-        rows[i, 1] += information[i, 3]
-    rows[1, 1] += information[3, 3]
-    for i in range(ROWS):
-        for j in range(ROWS):
-            rows[i, j] *= scale
+def _fill_scaled(information: FloatArray, scale: float, scaled: FloatArray) -> None:
+    """Fill a matrix, [4, 4], times a factor."""
+    for i in range(PIXELS):
+        for j in range(PIXELS):
+            scaled[i, j] = scale * information[i, j]
 
 
 @compiled
 def _add_pull(information: FloatArray, scale: float, error: FloatArray, pull: FloatArray) -> None:
-    """Add what an error, [4], pulls at (u_l, v, u_r), [3]."""
+    """Add scale · W e, [4]."""
     for i in range(PIXELS):
-        row = 1 if i == 3 else i
         for j in range(PIXELS):
-            pull[row] += scale * information[i, j] * error[j]
+            pull[i] += scale * information[i, j] * error[j]
 
 
 @compiled
 def _weigh_jacobians(track: _Track, count: int) -> None:
     """Fill Σ⁻¹ times the Jacobians for landmark and rig."""
     for k in range(count):
-        for i in range(ROWS):
+        for i in range(PIXELS):
             for j in range(LANDMARK):
                 total = 0.0
-                for n in range(ROWS):
+                for n in range(PIXELS):
                     total += track.information[k, i, n] * track.landmark[k, n, j]
                     if k > 0:
                         total += track.cross[k, i, n] * track.landmark[k - 1, n, j]
@@ -499,23 +509,34 @@ def _linearize(
     v_z = -v_y * y
     d_z = -disparity / (hz * hz)
     r_z = u_z - d_z  # ∂u_r/∂h_z
-    # A motion moves h by ρ δt + φ × h.
-    pose = track.pose[k]
-    pose[0, 0] = u_x * inverse_depth
-    pose[0, 2] = u_z * inverse_depth
-    pose[0, 3] = u_z * hy
-    pose[0, 4] = u_x * hz - u_z * hx
-    pose[0, 5] = -u_x * hy
-    pose[1, 1] = v_y * inverse_depth
-    pose[1, 2] = v_z * inverse_depth
-    pose[1, 3] = v_z * hy - v_y * hz
-    pose[1, 4] = -v_z * hx
-    pose[1, 5] = v_y * hx
-    pose[2, 0] = pose[0, 0]
-    pose[2, 2] = r_z * inverse_depth
-    pose[2, 3] = r_z * hy
-    pose[2, 4] = u_x * hz - r_z * hx
-    pose[2, 5] = -u_x * hy
+    frame = track.frame[k]
+    if k > 0:
+        # A motion moves h by ρ δt + φ × h.
+        frame[0, 0] = u_x * inverse_depth
+        frame[0, 2] = u_z * inverse_depth
+        frame[0, 3] = u_z * hy
+        frame[0, 4] = u_x * hz - u_z * hx
+        frame[0, 5] = -u_x * hy
+        frame[1, 1] = v_y * inverse_depth
+        frame[1, 2] = v_z * inverse_depth
+        frame[1, 3] = v_z * hy - v_y * hz
+        frame[1, 4] = -v_z * hx
+        frame[1, 5] = v_y * hx
+        frame[2, 0] = frame[0, 0]
+        frame[2, 2] = r_z * inverse_depth
+        frame[2, 3] = r_z * hy
+        frame[2, 4] = u_x * hz - r_z * hx
+        frame[2, 5] = -u_x * hy
+        for j in range(1, POSE):
+            frame[3, j] = frame[1, j]
+    # The jitter moves what the right camera sees; that this depends on the pose is ignored.
+    x_r = x - disparity / (hz * fu)
+    frame[2, 6] = -fu * x_r * y
+    frame[2, 7] = fu * (1.0 + x_r * x_r)
+    frame[2, 8] = -fu * y
+    frame[3, 6] = -fv * (1.0 + y * y)
+    frame[3, 7] = fv * x_r * y
+    frame[3, 8] = fv * x_r
     # u, v and d of the landmark move h along columns of T_ka.
     landmark = track.landmark[k]
     for j in range(3):
@@ -525,6 +546,7 @@ def _linearize(
         landmark[0, j] = u_x * scale * T_ka[0, column] + u_z * h_z
         landmark[1, j] = v_y * scale * T_ka[1, column] + v_z * h_z
         landmark[2, j] = landmark[0, j] - d_z * h_z
+        landmark[3, j] = landmark[1, j]
     landmark[2, 2] -= 1.0 / hz
     landmark[2, 3] = -1.0
 
@@ -553,7 +575,7 @@ def _add_landmark_and_rig(
     rig0 = len(equations.gradient) - RIG
     for k in range(count):
         for i in range(LANDMARK):
-            for n in range(ROWS):
+            for n in range(PIXELS):
                 jacobian = track.landmark[k, n, i]
                 gradient[i] += trust.weight * jacobian * track.pull[k, n]
                 for j in range(i + 1):
@@ -570,63 +592,61 @@ def _add_landmark_and_rig(
 
 @compiled
 def _add_motions(row: int, problem: _Problem, track: _Track, trust: _Trust, pairs: _Pairs) -> None:
-    """Add the observations of a landmark to the equations of the motions from its anchor frame.
-
-    In its anchor frame itself, a landmark is where it is, whatever the pose.
-    """
+    """Add the observations of a landmark to the equations of the motions from its anchor frame,
+    and of the jitters."""
     first = problem.observations.start[row]
     count = problem.observations.start[row + 1] - first
     anchor = problem.observations.slot[first]
-    for k in range(1, count):
+    for k in range(count):
         slot = problem.observations.slot[first + k]
         hessian = pairs.hessian[slot, anchor]
         gradient = pairs.gradient[slot, anchor]
         rig = pairs.rig[slot, anchor]
-        for i in range(POSE):
-            for n in range(ROWS):
-                jacobian = track.pose[k, n, i]
+        for i in range(FRAME):
+            for n in range(PIXELS):
+                jacobian = track.frame[k, n, i]
                 gradient[i] += trust.weight * jacobian * track.pull[k, n]
                 for j in range(RIG):
                     rig[i, j] += trust.curvature * jacobian * track.weighted_rig[k, n, j]
-            for n in range(ROWS):
+            for n in range(PIXELS):
                 weighted = 0.0
-                for q in range(ROWS):
-                    weighted += track.pose[k, q, i] * track.information[k, q, n]
+                for q in range(PIXELS):
+                    weighted += track.frame[k, q, i] * track.information[k, q, n]
                 weighted *= trust.curvature
                 for j in range(i + 1):
-                    hessian[i, j] += weighted * track.pose[k, n, j]
-        if k > 1 and problem.noise.correlation > 0.0:
+                    hessian[i, j] += weighted * track.frame[k, n, j]
+        if k > 0 and problem.noise.correlation > 0.0:
             cross = pairs.cross[slot, anchor]
-            for i in range(POSE):
-                for n in range(ROWS):
+            for i in range(FRAME):
+                for n in range(PIXELS):
                     weighted = 0.0
-                    for q in range(ROWS):
-                        weighted += track.pose[k, q, i] * track.cross[k, q, n]
+                    for q in range(PIXELS):
+                        weighted += track.frame[k, q, i] * track.cross[k, q, n]
                     weighted *= trust.curvature
-                    for j in range(POSE):
-                        cross[i, j] += weighted * track.pose[k - 1, n, j]
+                    for j in range(FRAME):
+                        cross[i, j] += weighted * track.frame[k - 1, n, j]
 
 
 @compiled
 def _couple(
     row: int, problem: _Problem, track: _Track, curvature: float, coupling: FloatArray
 ) -> None:
-    """Fill the information between a landmark and the poses of its observations, [M, 4, 6]."""
+    """Fill the information between a landmark and the frames of its observations, [M, 4, 9]."""
     first = problem.observations.start[row]
     count = problem.observations.start[row + 1] - first
     anchor = problem.observations.slot[first]
     of_anchor = coupling[first]
-    of_anchor[:] = 0.0
-    for k in range(1, count):
+    for k in range(count):
         own = coupling[first + k]
+        own[:] = 0.0
         adjoint = problem.geometry.adjoints[problem.observations.slot[first + k], anchor]
         for i in range(LANDMARK):
-            for j in range(POSE):
-                own[i, j] = 0.0
-            for n in range(ROWS):
+            for n in range(PIXELS):
                 weighted = curvature * track.weighted_landmark[k, n, i]
-                for j in range(POSE):
-                    own[i, j] += weighted * track.pose[k, n, j]
+                for j in range(FRAME):
+                    own[i, j] += weighted * track.frame[k, n, j]
+            if k == 0:
+                continue  # its pose does not matter there
             for n in range(POSE):
                 for j in range(POSE):
                     of_anchor[i, j] -= own[i, n] * adjoint[n, j]
@@ -643,7 +663,7 @@ def _eliminate(
 ) -> None:
     """Eliminate one landmark: subtract Bᵀ A⁻¹ B of its information A, [4, 4], and its coupling B.
 
-    With A = R Rᵀ and Y = R⁻¹ B that is Yᵀ Y; only blocks of poses that saw it, and of the rig, are
+    With A = R Rᵀ and Y = R⁻¹ B that is Yᵀ Y; only blocks of frames that saw it, and of the rig, are
     touched.
     """
     slots = problem.observations.slot
@@ -657,14 +677,14 @@ def _eliminate(
                 total -= root[i, n] * root[j, n]
             root[i, j] = math.sqrt(max(total, 1e-12)) if i == j else total / root[j, j]
     _fill_inverse(root, elimination.inverse[row])
-    num_poses = end - first
-    width = POSE * num_poses + RIG
+    num_frames = end - first
+    width = FRAME * num_frames + RIG
     for i in range(LANDMARK):
-        for m in range(num_poses):
-            for j in range(POSE):
-                wide[i, POSE * m + j] = elimination.coupling[first + m, i, j]
+        for m in range(num_frames):
+            for j in range(FRAME):
+                wide[i, FRAME * m + j] = elimination.coupling[first + m, i, j]
         for j in range(RIG):
-            wide[i, POSE * num_poses + j] = elimination.rig_coupling[row, i, j]
+            wide[i, FRAME * num_frames + j] = elimination.rig_coupling[row, i, j]
     reduced = np.zeros(LANDMARK)
     for i in range(LANDMARK):
         reduced[i] = elimination.gradient[row, i]
@@ -677,21 +697,21 @@ def _eliminate(
             wide[i, j] /= root[i, i]
     # Frames ascend, so that this fills the lower triangle; the rig comes last.
     rig0 = len(equations.gradient) - RIG
-    for p in range(num_poses + 1):
-        row0 = rig0 if p == num_poses else POSE * slots[first + p]
-        for i in range(RIG if p == num_poses else POSE):
-            y0 = wide[0, POSE * p + i]
-            y1 = wide[1, POSE * p + i]
-            y2 = wide[2, POSE * p + i]
-            y3 = wide[3, POSE * p + i]
+    for p in range(num_frames + 1):
+        row0 = rig0 if p == num_frames else FRAME * slots[first + p]
+        for i in range(RIG if p == num_frames else FRAME):
+            y0 = wide[0, FRAME * p + i]
+            y1 = wide[1, FRAME * p + i]
+            y2 = wide[2, FRAME * p + i]
+            y3 = wide[3, FRAME * p + i]
             equations.gradient[row0 + i] -= (
                 y0 * reduced[0] + y1 * reduced[1] + y2 * reduced[2] + y3 * reduced[3]
             )
             target = equations.hessian[row0 + i]
             for q in range(p + 1):
-                column0 = rig0 if q == num_poses else POSE * slots[first + q]
-                for j in range(RIG if q == num_poses else POSE):
-                    k = POSE * q + j
+                column0 = rig0 if q == num_frames else FRAME * slots[first + q]
+                for j in range(RIG if q == num_frames else FRAME):
+                    k = FRAME * q + j
                     target[column0 + j] -= (
                         y0 * wide[0, k] + y1 * wide[1, k] + y2 * wide[2, k] + y3 * wide[3, k]
                     )
@@ -716,15 +736,15 @@ def _fill_inverse(root: FloatArray, inverse: FloatArray) -> None:
 
 @compiled
 def _add_pairs(pairs: _Pairs, adjoints: FloatArray, equations: NormalEquations) -> None:
-    """Add the equations of relative motions to those of poses: ξ_ka = ξ_k − Ad(T_ka) ξ_a."""
+    """Add the equations of pairs to those of frames: ξ_ka = ξ_k − Ad(T_ka) ξ_a."""
     rig0 = len(equations.gradient) - RIG
     num_frames = len(adjoints)
     for k in range(num_frames):
-        for a in range(k):
+        for a in range(k + 1):
             of_motion = pairs.hessian[k, a]
-            if of_motion[0, 0] == 0.0:
+            if of_motion[-1, -1] == 0.0:
                 continue  # no landmark of this anchor was seen there
-            for i in range(POSE):
+            for i in range(FRAME):
                 for j in range(i):
                     of_motion[j, i] = of_motion[i, j]
             adjoint = adjoints[k, a]
@@ -732,17 +752,17 @@ def _add_pairs(pairs: _Pairs, adjoints: FloatArray, equations: NormalEquations) 
             of_anchor = adjoint.T @ of_both
             gradient = adjoint.T @ pairs.gradient[k, a]
             rig = adjoint.T @ pairs.rig[k, a]
-            for i in range(POSE):
-                equations.gradient[POSE * k + i] += pairs.gradient[k, a, i]
-                equations.gradient[POSE * a + i] -= gradient[i]
-                for j in range(POSE):
-                    equations.hessian[POSE * k + i, POSE * k + j] += of_motion[i, j]
-                    equations.hessian[POSE * a + i, POSE * a + j] += of_anchor[i, j]
-                    equations.hessian[POSE * k + i, POSE * a + j] -= of_both[i, j]
+            for i in range(FRAME):
+                equations.gradient[FRAME * k + i] += pairs.gradient[k, a, i]
+                equations.gradient[FRAME * a + i] -= gradient[i]
+                for j in range(FRAME):
+                    equations.hessian[FRAME * k + i, FRAME * k + j] += of_motion[i, j]
+                    equations.hessian[FRAME * a + i, FRAME * a + j] += of_anchor[i, j]
+                    equations.hessian[FRAME * k + i, FRAME * a + j] -= of_both[i, j]
                 for j in range(RIG):
-                    equations.hessian[rig0 + j, POSE * k + i] += pairs.rig[k, a, i, j]
-                    equations.hessian[rig0 + j, POSE * a + i] -= rig[i, j]
-            if a + 1 < k:
+                    equations.hessian[rig0 + j, FRAME * k + i] += pairs.rig[k, a, i, j]
+                    equations.hessian[rig0 + j, FRAME * a + i] -= rig[i, j]
+            if a < k:
                 _add_neighbours(k, a, pairs.cross[k, a], adjoints, equations)
 
 
@@ -755,12 +775,12 @@ def _add_neighbours(
     of_prev = cross @ adjoints[p, a]
     of_curr = cross.T @ adjoints[k, a]
     of_anchor = adjoints[k, a].T @ of_prev
-    for i in range(POSE):
-        for j in range(POSE):
-            equations.hessian[POSE * k + i, POSE * p + j] += cross[i, j]
-            equations.hessian[POSE * k + i, POSE * a + j] -= of_prev[i, j]
-            equations.hessian[POSE * p + i, POSE * a + j] -= of_curr[i, j]
-            equations.hessian[POSE * a + i, POSE * a + j] += of_anchor[i, j] + of_anchor[j, i]
+    for i in range(FRAME):
+        for j in range(FRAME):
+            equations.hessian[FRAME * k + i, FRAME * p + j] += cross[i, j]
+            equations.hessian[FRAME * k + i, FRAME * a + j] -= of_prev[i, j]
+            equations.hessian[FRAME * p + i, FRAME * a + j] -= of_curr[i, j]
+            equations.hessian[FRAME * a + i, FRAME * a + j] += of_anchor[i, j] + of_anchor[j, i]
 
 
 @compiled
@@ -771,13 +791,13 @@ def move_landmarks(
     step: FloatArray,
     moved: FloatArray,
 ) -> None:
-    """Fill the landmarks after a step of poses and rig, [L, 4], by back-substitution.
+    """Fill the landmarks after a step of frames and rig, [L, 4], by back-substitution.
 
     Args:
         state: the landmarks before, [L, 4].
         observations: M observations of them.
         elimination: what ``accumulate`` left there.
-        step: of poses and rig, [6K + 3].
+        step: of frames and rig, [9K + 3].
         moved: receives the landmarks, [L, 4].
     """
     rig0 = len(step) - RIG
@@ -788,10 +808,10 @@ def move_landmarks(
             for j in range(RIG):
                 rest[i] -= elimination.rig_coupling[row, i, j] * step[rig0 + j]
         for m in range(observations.start[row], observations.start[row + 1]):
-            pose0 = POSE * observations.slot[m]
+            frame0 = FRAME * observations.slot[m]
             for i in range(LANDMARK):
-                for j in range(POSE):
-                    rest[i] -= elimination.coupling[m, i, j] * step[pose0 + j]
+                for j in range(FRAME):
+                    rest[i] -= elimination.coupling[m, i, j] * step[frame0 + j]
         for i in range(LANDMARK):
             moved[row, i] = state[row, i]
             for j in range(LANDMARK):
