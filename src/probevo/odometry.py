@@ -105,23 +105,22 @@ class StereoOdometry:
             self._state = self._first_state(frame)
             return MotionEstimate.first(missing)
         clock = StageClock(decode=frame.decode_ms)
-        state = replace(state, window=inertial.with_samples(state.window, state.frame, frame))
         prediction = state.predict(frame, self.imu)  # from gyro and last velocity
         observed = self._observe(state, frame, prediction, clock=clock)  # pixels → tracks → φ
         measured = self._measure(state, frame, prediction)  # gyro, and sensors plugged in
         visual = self._solve(  # consensus, noise of each track, motion
             state, frame, prediction, observed=observed, measured=measured, clock=clock
         )
-        learned = self._learn(state, prediction, observed, visual)  # rig, gyro bias, velocity
-        estimate, after = self._concluded(
-            state, frame, observed, measured=measured, visual=visual, learned=learned, clock=clock
+        estimate, after = self._conclude(  # learn from it, advance the pose
+            state,
+            frame,
+            prediction,
+            observed=observed,
+            measured=measured,
+            visual=visual,
+            clock=clock,
         )
-        estimate = replace(
-            estimate,
-            stage_ms=clock.times_ms,
-            missing=missing,
-            imu_left_out=inertial.reason_left_out(after.window),
-        )
+        estimate = replace(estimate, missing=missing)
         self._state = after
         return estimate
 
@@ -303,6 +302,66 @@ class StereoOdometry:
             clock=clock,
         )
 
+    def _conclude(
+        self,
+        state: OdometryState,
+        frame: Frame,
+        prediction: Prediction,
+        *,
+        observed: _Observed,
+        measured: _Measured,
+        visual: VisualMotion,
+        clock: StageClock,
+    ) -> tuple[MotionEstimate, OdometryState]:
+        """Learn from the step, and propagate the pose to this frame.
+
+        Returns:
+            The estimate, and the state after the step.
+        """
+        learned = self._learn(state, prediction, observed, visual)
+        motion = learned.motion
+        clock.lap("learn")
+        window = None
+        fusion = state.fusion
+        if prediction.window is not None:  # the two-frame motion is where its adjustment starts
+            window = self._adjust(
+                prediction.window,
+                frame,
+                motion,
+                observed=observed,
+                visual=visual,
+                measurements=measured.of_motion,
+            )
+            motion = live_motion(motion, prediction.window, window)
+            fusion = fusion.advanced(live_advance(motion, window))
+            clock.lap("window")
+        else:
+            fusion = fusion.after(motion)
+        fusion, outcomes = self._fuse(fusion, frame, visual, measured)
+        pose = fusion.pose
+        estimate = replace(
+            motion,
+            T_world_cam=pose.T_world_cam,
+            pose_cov=pose.cov,
+            sensors=outcomes,
+            imu_left_out=inertial.reason_left_out(window),
+            stage_ms=clock.times_ms,
+        )
+        after = OdometryState(
+            frame=frame,
+            tracking=learned.tracking,
+            observations=state.observations.with_frame(observed.for_store(frame, visual)),
+            rig=learned.rig,
+            gyro_bias=learned.gyro_bias,
+            motion_model=learned.motion_model,
+            disparities=learned.disparities,
+            residuals=learned.residuals,
+            fusion=fusion,
+            step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
+            window=window,
+        )
+        return estimate, after
+
     def _learn(
         self,
         state: OdometryState,
@@ -395,56 +454,6 @@ class StereoOdometry:
             disparities=DisparityFilter.none(),
             residuals=LastResiduals.none(),
         )
-
-    def _concluded(
-        self,
-        state: OdometryState,
-        frame: Frame,
-        observed: _Observed,
-        *,
-        measured: _Measured,
-        visual: VisualMotion,
-        learned: _Learned,
-        clock: StageClock,
-    ) -> tuple[MotionEstimate, OdometryState]:
-        """Propagate the pose to this frame; return the estimate, and the state after the step."""
-        motion = learned.motion
-        clock.lap("learn")
-        window = None
-        fusion = state.fusion
-        if state.window is not None:  # the two-frame motion is where its adjustment starts
-            window = self._adjust(
-                state.window,
-                frame,
-                motion,
-                observed=observed,
-                visual=visual,
-                measurements=measured.of_motion,
-            )
-            motion = live_motion(motion, state.window, window)
-            fusion = fusion.advanced(live_advance(motion, window))
-            clock.lap("window")
-        else:
-            fusion = fusion.after(motion)
-        fusion, outcomes = self._fuse(fusion, frame, visual, measured)
-        pose = fusion.pose
-        estimate = replace(
-            motion, T_world_cam=pose.T_world_cam, pose_cov=pose.cov, sensors=outcomes
-        )
-        after = OdometryState(
-            frame=frame,
-            tracking=learned.tracking,
-            observations=state.observations.with_frame(observed.for_store(frame, visual)),
-            rig=learned.rig,
-            gyro_bias=learned.gyro_bias,
-            motion_model=learned.motion_model,
-            disparities=learned.disparities,
-            residuals=learned.residuals,
-            fusion=fusion,
-            step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
-            window=window,
-        )
-        return estimate, after
 
     def _fuse(
         self, fusion: SensorFusion, frame: Frame, visual: VisualMotion, measured: _Measured

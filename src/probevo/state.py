@@ -11,7 +11,7 @@ from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.inertial import Inertial, trusts_gyro, uses_imu
+from probevo.estimation.inertial import Inertial, trusts_gyro, uses_imu, with_samples
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.sensor_fusion import SensorFusion
@@ -62,6 +62,8 @@ class Prediction:
     """The same as a measurement, with the covariance of its noise and its bias."""
     gyro_bias: GyroBias | None
     """Estimate of the gyro's bias at the current frame."""
+    window: Window | None
+    """The window with what its IMU has measured since its last frame; None without a window."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,9 @@ class OdometryState:
             imu: calibration of the IMU, if there is one.
         """
         duration_s = 1e-9 * (frame.stamp_ns - self.frame.stamp_ns)
+        window = self.window
+        if window is not None:
+            window = with_samples(window, self.frame, frame)
         gyro = None
         bias = None
         rotation = None
@@ -162,9 +167,9 @@ class OdometryState:
                 )
         without_gyro = self.motion_model.predict(duration_s, None)
         motion = without_gyro
-        if rotation is not None and trusts_gyro(self.window):
+        if rotation is not None and trusts_gyro(window):
             motion = self.motion_model.predict(duration_s, rotation)
-            if uses_imu(self.window):
+            if uses_imu(window):
                 motion = replace(motion, without_gyro=without_gyro)
         return Prediction(
             duration_s=duration_s,
@@ -172,6 +177,7 @@ class OdometryState:
             gyro=gyro,
             rotation=rotation,
             gyro_bias=bias,
+            window=window,
         )
 
 

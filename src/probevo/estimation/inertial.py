@@ -117,15 +117,15 @@ class Inertial:
         )
 
 
-def with_samples(window: Window | None, prev: Frame, frame: Frame) -> Window | None:
+def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
     """Return the window with what the IMU measured after its last frame.
 
     Args:
-        window: K frames; None without one.
+        window: K frames.
         prev: the last of them.
         frame: the one that comes, with the samples between the two.
     """
-    if window is None or window.inertial is None or window.inertial.refused:
+    if window.inertial is None or window.inertial.refused:
         return window
     inertial = window.inertial
     if inertial.is_used and not any(inertial.factors):

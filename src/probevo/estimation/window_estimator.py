@@ -542,7 +542,9 @@ def _without_jitter(
     of_jitter = equations.hessian[np.ix_(jitter, jitter)] + information
     coupling = equations.hessian[np.ix_(jitter, others)]
     gradient = equations.gradient[jitter] + towards_prior
-    solved = np.linalg.solve(of_jitter, np.column_stack([coupling, gradient]))
+    solved = np.asarray(
+        np.linalg.solve(of_jitter, np.column_stack([coupling, gradient])), np.float64
+    )
     gain = solved[:, :-1]
     offset = solved[:, -1]
     hessian = equations.hessian[np.ix_(others, others)] - coupling.T @ gain
