@@ -27,7 +27,7 @@ def compiled(function: Function) -> Function:
     return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
-def _compiled_with_free_order(function: Function) -> Function:
+def compiled_with_free_order(function: Function) -> Function:
     """Compile a loop of one single sum, whose terms may be added in any order.
 
     The processor then adds many at once. The function must call no other compiled one.
@@ -36,7 +36,7 @@ def _compiled_with_free_order(function: Function) -> Function:
     return cast(Function, compile_(function))
 
 
-@_compiled_with_free_order
+@compiled_with_free_order
 def dot_float32(a: AnyArray, b: AnyArray) -> np.float32:
     """Return the inner product of two contiguous vectors of float32 of the same length."""
     total = np.float32(0.0)

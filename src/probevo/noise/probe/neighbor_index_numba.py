@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled
+from probevo.compiled import compiled, compiled_with_free_order
 
 if TYPE_CHECKING:
     from probevo.noise.probe.neighbor_index import NeighborIndex
@@ -86,20 +86,14 @@ def _mean_of_smallest(squared: SingleArray, value: SingleArray, wanted: int) -> 
     The threshold is found by bisection, since counting vectorises and sorting does not. Samples
     whose distance equals the threshold all count.
     """
-    one = np.float32(1.0)
-    zero = np.float32(0.0)
-    total = np.float32(0.0)
-    for i in range(len(squared)):
-        total += squared[i]
     # The first bracket ends at four times the mean; if it holds too few, it is extended to the sum
     # of all, which no distance exceeds.
-    low = zero
+    total = np.float32(_sum_within(squared, squared, np.float32(np.inf)))
+    low = np.float32(0.0)
     high = np.float32(4.0) * total / np.float32(len(squared))
     for iteration in range(BISECTIONS):
         middle = high if iteration == 0 else np.float32(0.5) * (low + high)
-        below = zero
-        for i in range(len(squared)):
-            below += one if squared[i] <= middle else zero
+        below = _count_within(squared, middle)
         if iteration == 0 and below < wanted:
             low = high
             high = total
@@ -109,11 +103,23 @@ def _mean_of_smallest(squared: SingleArray, value: SingleArray, wanted: int) -> 
             low = middle
         if below == wanted:
             break
-    # Mean over all samples within the threshold, without a branch.
-    sum_of_values = zero
-    number = zero
+    number = _count_within(squared, high)
+    return float(_sum_within(squared, value, high) / np.float32(number))
+
+
+@compiled
+def _count_within(squared: SingleArray, threshold: np.float32) -> int:
+    """Count the squared distances that are no larger than the threshold."""
+    count = np.int32(0)
     for i in range(len(squared)):
-        counts = one if squared[i] <= high else zero
-        sum_of_values += counts * value[i]
-        number += counts
-    return float(sum_of_values / number)
+        count += np.int32(1) if squared[i] <= threshold else np.int32(0)
+    return int(count)
+
+
+@compiled_with_free_order
+def _sum_within(squared: SingleArray, value: SingleArray, threshold: np.float32) -> np.float32:
+    """Add up the values whose squared distances are no larger than the threshold."""
+    total = np.float32(0.0)
+    for i in range(len(squared)):
+        total += value[i] if squared[i] <= threshold else np.float32(0.0)
+    return np.float32(total)
