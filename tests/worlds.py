@@ -168,3 +168,18 @@ class Homesick(StudentT):
     def predict(self, predictors: FloatArray) -> StereoNoise:
         outside = np.arange(len(predictors)) % 3 == 0
         return replace(super().predict(predictors), out_of_domain=outside)
+
+
+def tracks_between(prev: Frame, curr: Frame) -> Tracks:
+    """Return the landmarks that two frames see."""
+    assert prev.features is not None
+    assert curr.features is not None
+    ids, of_prev, of_curr = np.intersect1d(
+        prev.features.ids, curr.features.ids, return_indices=True
+    )
+    return Tracks(
+        prev_px=prev.features.pixels[of_prev],
+        curr_px=curr.features.pixels[of_curr],
+        ids=ids,
+        age=np.full(len(ids), 2),
+    )

@@ -32,8 +32,7 @@ from probevo.noise import StudentT
 from probevo.odometry import StereoOdometry
 from probevo.sequences.frame import Frame, ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
-from probevo.tracking.tracks import Tracks
-from worlds import CAMERA, blind_frame
+from worlds import CAMERA, blind_frame, tracks_between
 
 SIGMA_PX = 0.3
 
@@ -229,20 +228,6 @@ def _gauge(window: Window, states: InertialStates) -> FloatArray:
     of_frames[:, :3, 3:] = so3.wedge(states.velocity_linear)
     inertial[:GRAVITY_DIMENSIONS, 3:] = -states.across.T
     return np.vstack([poses, np.zeros((3, POSE)), inertial])
-
-
-def tracks_between(prev: Frame, curr: Frame) -> Tracks:
-    assert prev.features is not None
-    assert curr.features is not None
-    ids, of_prev, of_curr = np.intersect1d(
-        prev.features.ids, curr.features.ids, return_indices=True
-    )
-    return Tracks(
-        prev_px=prev.features.pixels[of_prev],
-        curr_px=curr.features.pixels[of_curr],
-        ids=ids,
-        age=np.full(len(ids), 2),
-    )
 
 
 def adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:

@@ -26,8 +26,7 @@ from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_pose import RelativePose
 from probevo.noise import StereoNoise, StudentT
 from probevo.sequences.frame import Frame
-from probevo.tracking.tracks import Tracks
-from worlds import CAMERA, FORWARD, drive
+from worlds import CAMERA, FORWARD, drive, tracks_between
 
 SIGMA_PX = 0.3
 TAU_PX = 0.4
@@ -53,20 +52,6 @@ def estimator(
 def noise_of(count: int, *, dof: float = np.inf, tau_px: float = 0.0) -> StereoNoise:
     noise = StudentT(dof=dof, scale=SIGMA_PX**2 * np.eye(4)).predict(np.zeros((count, 0)))
     return replace(noise, time_correlated=np.full(count, tau_px**2)) if tau_px else noise
-
-
-def tracks_between(prev: Frame, curr: Frame) -> Tracks:
-    assert prev.features is not None
-    assert curr.features is not None
-    ids, of_prev, of_curr = np.intersect1d(
-        prev.features.ids, curr.features.ids, return_indices=True
-    )
-    return Tracks(
-        prev_px=prev.features.pixels[of_prev],
-        curr_px=curr.features.pixels[of_curr],
-        ids=ids,
-        age=np.full(len(ids), 2),
-    )
 
 
 def step_to(frame: int, T_curr_prev: FloatArray) -> RelativePose:
