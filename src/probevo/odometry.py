@@ -11,6 +11,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.rig_jitter import LEARNED_FRAMES, RigJitter
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
@@ -31,6 +32,7 @@ from probevo.measurements.gyro import GyroBias
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import Reading, Sensor, read_sensor, sensor_names
 from probevo.noise import NoiseModel
+from probevo.noise.jitter_array import learned_jitter_cov
 from probevo.predictors import PredictionSpace, Step, space_for
 from probevo.python_arguments import as_camera, as_config, as_noise
 from probevo.sequences.frame import Frame, is_repeated
@@ -162,7 +164,9 @@ class StereoOdometry:
     def rig(self) -> RigCalibration | None:
         """What it has learned of the rectification's errors; None without self-calibration."""
         if self._state is None:
-            return RigCalibration.initial() if self.config.self_calibration else None
+            if not self.config.self_calibration:
+                return None
+            return RigCalibration.initial(self._initial_jitter())
         return self._state.rig
 
     @property
@@ -213,7 +217,15 @@ class StereoOdometry:
             config=self.config,
             num_columns=len(self.predictors.columns),
             sensor_names=self._sensor_names,
+            jitter=self._initial_jitter(),
         )
+
+    def _initial_jitter(self) -> RigJitter:
+        """Return what the noise model has learned of the rig's jitter, or else the wide prior."""
+        learned = learned_jitter_cov(self.noise)
+        if learned is None:
+            return RigJitter.initial()
+        return RigJitter.initial(learned, LEARNED_FRAMES)
 
     def _observe(
         self, state: OdometryState, frame: Frame, prediction: Prediction, *, clock: StageClock

@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.rig_jitter import RigJitter
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.inertial import Inertial, trusts_gyro, uses_imu, with_samples
@@ -104,6 +105,7 @@ class OdometryState:
         config: OdometryConfig,
         num_columns: int,
         sensor_names: Sequence[str] = (),
+        jitter: RigJitter | None = None,
     ) -> OdometryState:
         """Return the state after the first frame.
 
@@ -114,12 +116,13 @@ class OdometryState:
             config: all settings.
             num_columns: M of the prediction space.
             sensor_names: of the sensors beside the camera.
+            jitter: the prior of the rig's jitter; by default that of an unknown rig.
         """
         return OdometryState(
             frame=frame,
             tracking=tracking,
             observations=ObservationStore().with_frame(tracking.observations(frame)),
-            rig=RigCalibration.initial() if config.self_calibration else None,
+            rig=RigCalibration.initial(jitter) if config.self_calibration else None,
             gyro_bias=GyroBias.initial(imu) if imu else None,
             motion_model=MotionModel.at_start(config.motion_model),
             disparities=DisparityFilter.none(),

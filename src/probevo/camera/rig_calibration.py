@@ -65,13 +65,18 @@ class RigCalibration:
     """How far the rig moves from frame to frame."""
 
     @staticmethod
-    def initial() -> RigCalibration:
-        """Return the prior: no correction, with the standard deviations above."""
+    def initial(jitter: RigJitter | None = None) -> RigCalibration:
+        """Return the prior: no correction, with the standard deviations above.
+
+        Args:
+            jitter: the prior of the jitter; by default that of an unknown rig.
+        """
         return RigCalibration(
             rows=np.zeros(6),
             rows_information=np.diag(ROW_SIGMA_PX**-2.0),
             disparity=np.zeros(2),
             disparity_information=np.diag(DISPARITY_SIGMA_PX**-2.0),
+            jitter=RigJitter.initial() if jitter is None else jitter,
         )
 
     @property

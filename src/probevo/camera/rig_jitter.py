@@ -33,6 +33,9 @@ PRIOR_FRAMES = 1.0
 EM_STEP_EXPONENT = 0.7
 """The n-th step of on-line EM goes n^−0.7 of the way (Cappé & Moulines 2009, who need an exponent
 in (0.5, 1]): with 1/n, the first frames, which were weighed by a wrong S, would count for ever."""
+LEARNED_FRAMES = 10.0
+"""How many frames a covariance counts for that a noise model has learned: the rig may have been
+mounted anew since."""
 MOST_FRAMES = 300.0
 """Beyond so many frames, old ones are forgotten: mounts warm up, and roads change."""
 LEAST_SIGMA_RAD = 1e-6

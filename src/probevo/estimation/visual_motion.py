@@ -204,7 +204,7 @@ class VisualEstimator:
         )
         if self._is_noisier_than_expected(estimate):
             fitting = self._noise_that_fits(
-                tracks, phi, estimate.solution.T_curr_prev, jitter_cov=priors.jitter_cov
+                tracks, phi, estimate.solution.T_curr_prev, jitter_cov=noise.jitter_cov
             )
             if num_trusted(estimate) >= self._config.solver.min_tracks:
                 # They fix the motion, but show too little noise: those that agree with it by chance

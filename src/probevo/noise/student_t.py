@@ -12,9 +12,10 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from probevo.arrays import FloatArray
+from probevo.arrays import AnyArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.noise.base import RefersTo, StereoNoise, disparity_variance
+from probevo.noise.jitter_array import jitter_arrays, jitter_cov_of
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
 from probevo.noise.student_t_fit import fit_static
@@ -44,6 +45,8 @@ class StudentT:
         time_correlation_ratio: standard deviation of the disparity error that is common to both
             frames, over that of the one that is independent in each. By default 0 for a given
             scale. Noise that refers to the residual has none.
+        jitter_cov: covariance of the rig's jitter (``camera.rig_jitter``), [3, 3], rad²; None if it
+            is not known. ``fit`` does not estimate it.
     """
 
     columns: tuple[str, ...] = ()
@@ -57,6 +60,7 @@ class StudentT:
         camera: StereoCamera | None = None,
         training: Mapping[str, Any] | None = None,
         time_correlation_ratio: float | None = None,
+        jitter_cov: FloatArray | None = None,
     ) -> None:
         # The default ratio belongs to the default scale.
         if time_correlation_ratio is None:
@@ -70,6 +74,7 @@ class StudentT:
         self.camera = camera
         self.training = training or {}
         self.time_correlation_ratio = time_correlation_ratio
+        self.jitter_cov = jitter_cov
         # What ``predict`` uses; ``fit`` replaces it.
         self.dof_ = dof
         self.scale_ = scale
@@ -105,6 +110,7 @@ class StudentT:
             bias=np.zeros((count, 4)),
             refers_to=self.refers_to,
             time_correlated=time_correlated,
+            jitter_cov=self.jitter_cov,
         )
 
     def check_camera(self, camera: StereoCamera) -> None:
@@ -123,7 +129,8 @@ class StudentT:
             "time_correlation_ratio": self.time_correlation_ratio,
             **origin_facts(self.camera, self.training),
         }
-        return ModelFile("student-t", {"scale": np.asarray(self.scale_, dtype=np.float64)}, facts)
+        arrays: dict[str, AnyArray] = {"scale": np.asarray(self.scale_, dtype=np.float64)}
+        return ModelFile("student-t", arrays | jitter_arrays(self.jitter_cov), facts)
 
     @staticmethod
     def from_file(file: ModelFile) -> StudentT:
@@ -146,6 +153,7 @@ class StudentT:
             camera=facts.camera,
             training=facts.training,
             time_correlation_ratio=facts.time_correlation_ratio,
+            jitter_cov=jitter_cov_of(file),
         )
 
 

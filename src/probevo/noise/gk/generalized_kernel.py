@@ -28,6 +28,7 @@ from probevo.noise.gk.centers import Centers
 from probevo.noise.gk.hyperparameter_search import check_given, choose_shape
 from probevo.noise.gk.model_facts import KernelFacts, Variant, check_arrays
 from probevo.noise.gk.posterior import KernelPosterior, KernelSamples, KernelShape
+from probevo.noise.jitter_array import jitter_arrays, jitter_cov_of
 from probevo.noise.metric import Metric
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import origin_facts, refuse_other_camera
@@ -65,6 +66,8 @@ class GeneralizedKernel:
             hold.
         time_correlation_ratio: standard deviation of the disparity error that is common to both
             frames, over that of the one that is independent in each; ``fit`` does not estimate it.
+        jitter_cov: covariance of the rig's jitter (``camera.rig_jitter``), [3, 3], rad²; None if it
+            is not known. ``fit`` does not estimate it.
     """
 
     def __init__(
@@ -82,6 +85,7 @@ class GeneralizedKernel:
         camera: StereoCamera | None = None,
         training: Mapping[str, Any] | None = None,
         time_correlation_ratio: float = 0.0,
+        jitter_cov: FloatArray | None = None,
     ) -> None:
         self.variant = variant
         self.neighbors = neighbors
@@ -95,6 +99,7 @@ class GeneralizedKernel:
         self.camera = camera
         self.training = training or {}
         self.time_correlation_ratio = time_correlation_ratio
+        self.jitter_cov = jitter_cov
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -206,6 +211,7 @@ class GeneralizedKernel:
             refers_to=self.refers_to,
             out_of_domain=out_of_domain,
             time_correlated=time_correlated,
+            jitter_cov=self.jitter_cov,
         )
 
     def _coordinates(self, predictors: FloatArray) -> FloatArray:
@@ -320,7 +326,7 @@ class GeneralizedKernel:
             "samples": self.samples_,
             **origin_facts(self.camera, self.training),
         }
-        return ModelFile("gk", arrays, facts)
+        return ModelFile("gk", arrays | jitter_arrays(self.jitter_cov), facts)
 
     @staticmethod
     def from_file(file: ModelFile) -> GeneralizedKernel:
@@ -337,6 +343,7 @@ class GeneralizedKernel:
             camera=facts.camera,
             training=facts.training,
             time_correlation_ratio=facts.time_correlation_ratio,
+            jitter_cov=jitter_cov_of(file),
         )
         model.metric_ = Metric(
             columns=facts.columns,

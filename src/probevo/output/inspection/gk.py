@@ -40,6 +40,7 @@ from probevo.output.inspection.training_facts import (
     END_ERROR,
     em_figure,
     em_table,
+    learned_jitter_text,
     noise_of_text,
     origin,
     scale_table,
@@ -104,6 +105,7 @@ def summary(model: GeneralizedKernel) -> TrainingSummary:
         f" {shape.prior_counts:g} errors"
     )
     facts["correlated"] = f"in time: {time_correlation_text(model.time_correlation_ratio)}"
+    facts["rig"] = learned_jitter_text(model.jitter_cov)
     gain = gained(searches)
     if gain is not None:
         facts["gain"] = (
@@ -221,6 +223,7 @@ def _facts(view: CentersView) -> dict[str, str]:
     facts["ρ"] = f"{readable(shape.reach)} standard deviations"
     facts["Centers"] = f"{len(view.places):,}"
     facts["Time-correlated error"] = time_correlation_text(model.time_correlation_ratio)
+    facts["Rig"] = learned_jitter_text(model.jitter_cov)
     facts["ν of the prior"] = readable(float(model.prior_.dof[0]))
     facts["Noise of"] = noise_of_text(model.refers_to)
     gain = gained(model.training.get("searches", {}))

@@ -12,6 +12,7 @@ from probevo.output.inspection.training_facts import (
     END_ERROR,
     em_figure,
     em_table,
+    learned_jitter_text,
     noise_of_text,
     origin,
     scale_table,
@@ -52,6 +53,7 @@ def sections(subject: Subject) -> Findings:
             "Trained on": origin(training) or "not known",
             "ν": readable(model.dof_),
             "Time-correlated error": time_correlation_text(model.time_correlation_ratio),
+            "Rig": learned_jitter_text(model.jitter_cov),
             "Noise of": noise_of_text(model.refers_to),
         },
         pictures=pictures,
@@ -66,6 +68,7 @@ def summary(model: StudentT) -> TrainingSummary:
             "trained on": origin(model.training),
             "ν": f"{model.dof_:.3g}",
             "correlated": f"in time: {time_correlation_text(model.time_correlation_ratio)}",
+            "rig": learned_jitter_text(model.jitter_cov),
         },
         paragraphs=(
             scale_table(model.scale_).as_text(),

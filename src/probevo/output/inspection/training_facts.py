@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from probevo.arrays import FloatArray
+from probevo.output.run_facts import jitter_text
 from probevo.output.svg import BLUE, MUTED, ORANGE, WIDTH_IN
 from probevo.output.table import UNKNOWN_TEXT, Column, Row, Table, text_table
 
@@ -98,6 +99,13 @@ def time_correlation_text(ratio: float) -> str:
     if not ratio:
         return "none"
     return f"σ of {ratio:.2g} times that of what is new of a disparity's error in a frame"
+
+
+def learned_jitter_text(jitter_cov: FloatArray | None) -> str:
+    """Describe the jitter of the rig that a model has learned, by its covariance, [3, 3], rad²."""
+    if jitter_cov is None:
+        return "not learned"
+    return f"the right camera {jitter_text(np.sqrt(np.diagonal(jitter_cov)))}"
 
 
 def noise_of_text(refers_to: str) -> str:

@@ -44,6 +44,9 @@ class ErrorSamples:
     profile: FloatArray
     """Likelihood of each residual as a function of the time correlation, [N, 4], see
     ``time_correlation_profile``."""
+    jitter_moments: FloatArray
+    """Second moment of the change of the rig's jitter in each step, [K, 3, 3], rad²; none where the
+    noise has no jitter."""
     gaps_m: FloatArray
     """Distance between the estimated and the true end of each drive whose ends are known."""
 
@@ -118,6 +121,7 @@ def gather_error_samples(
         groups=np.concatenate([part.groups for part in parts]),
         log_likelihood=np.concatenate([part.log_likelihood for part in parts]),
         profile=np.concatenate([part.profile for part in parts]),
+        jitter_moments=np.concatenate([part.jitter_moments for part in parts]),
         gaps_m=np.concatenate([part.gaps_m for part in parts]),
     )
     if not len(samples.errors):
@@ -158,6 +162,7 @@ def _samples_of_drive(task: _Task) -> ErrorSamples:
         groups=task.number * BLOCKS_A_DRIVE + block,
         log_likelihood=found.log_likelihood,
         profile=found.profile,
+        jitter_moments=found.jitter_moments,
         gaps_m=np.array([gap_m] if np.isfinite(gap_m) else []),
     )
 

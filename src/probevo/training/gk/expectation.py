@@ -15,6 +15,7 @@ from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
 from probevo.noise.base import StereoNoise
 from probevo.training.gk.conditioning import conditioned
 from probevo.training.gk.feature_errors import FeatureErrors, errors_of
+from probevo.training.gk.jitter import CommonUnknowns
 from probevo.training.gk.time_correlation import time_correlation_profile
 from probevo.training.supervised_drive import SupervisedDrive
 
@@ -147,8 +148,9 @@ def feature_errors(
             # Features behind the camera have no information.
             is_in_front = solution.information[:, 0, 0] > 0.0
             kept = np.flatnonzero(is_in_front & is_drawn[step.used])
-            cov = posterior.cov[step.index]
-            errors, spread, log_likelihood = errors_of(solution, step.noise, cov, chosen=kept)
+            common = CommonUnknowns.of(solution, posterior.cov[step.index])
+            errors, spread, log_likelihood = errors_of(solution, step.noise, common, chosen=kept)
+            moments = [] if solution.jitter is None else [common.second_moment(solution.jitter)]
 
             # The profile in closed form holds only for tracks without a known past.
             profile = time_correlation_profile(solution, step.noise, kept)
@@ -162,6 +164,7 @@ def feature_errors(
                     spread=spread,
                     log_likelihood=log_likelihood,
                     profile=profile,
+                    jitter_moments=np.reshape(moments, (-1, 3, 3)),
                 )
             )
         first_feature += len(step.phi)

@@ -4,7 +4,8 @@ Each iteration has two steps:
 
 - E-step: the motions of all drives given the noise model, fused with whatever truth is known, and
   the errors of the features at these motions (``expectation``).
-- M-step: the noise model that is fitted to these errors.
+- M-step: the noise model that is fitted to these errors, and the covariance of the rig's jitter
+  (``training.gk.jitter``).
 
 If the truth is exact, the motions are known, and one iteration suffices (PROBE-GK Alg. 1). The
 noise starts as the static Student-t, which is itself fitted by EM. This is EM in spirit: motions
@@ -20,9 +21,11 @@ from typing import Any
 
 import numpy as np
 
+from probevo.arrays import FloatArray
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.student_t import StudentT
 from probevo.training.gk.error_samples import ErrorSamples, gather_error_samples
+from probevo.training.gk.jitter import initial_covariance, learned_covariance
 from probevo.training.gk.time_correlation import smallest_likely_ratio
 from probevo.training.settings import TrainSettings
 from probevo.training.trainer import TrainingContext
@@ -52,6 +55,7 @@ def learn_student_t(context: TrainingContext) -> StudentT:
         camera=context.drives[0].camera,
         training={"iterations": []},
         time_correlation_ratio=0.0,
+        jitter_cov=_initial_jitter(context.settings),
     )
     uncorrelated = model
     for number in range(num_static_iterations(context.settings)):
@@ -66,6 +70,7 @@ def learn_student_t(context: TrainingContext) -> StudentT:
             samples = gather_error_samples(context, model, context.progress.within_iteration)
             # M-step: the Student-t of these errors, whose uncertainty is their spread.
             model.fit(samples.phi, samples.errors, error_cov=samples.spread)
+            model.jitter_cov = updated_jitter(model.jitter_cov, samples)
             if number >= STATIC_ITERATIONS:
                 model.time_correlation_ratio = updated_time_correlation(
                     model.time_correlation_ratio, samples
@@ -125,6 +130,7 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
                     0.5 + 0.5 * done / max(total, 1)
                 ),
             )
+            model.jitter_cov = updated_jitter(previous.jitter_cov, samples)
             if previous.time_correlation_ratio:
                 model.time_correlation_ratio = updated_time_correlation(
                     previous.time_correlation_ratio, samples
@@ -159,6 +165,16 @@ def updated_time_correlation(previous: float, samples: ErrorSamples) -> float:
     return TIME_CORRELATION_STEP * (previous + smallest_likely_ratio(samples.profile))
 
 
+def updated_jitter(previous: FloatArray | None, samples: ErrorSamples) -> FloatArray | None:
+    """Return the covariance of the rig's jitter that the samples show, [3, 3], rad².
+
+    The previous one, where no step shows any: a rig that is taken as rigid has none.
+    """
+    if not len(samples.jitter_moments):
+        return previous
+    return learned_covariance(samples.jitter_moments)
+
+
 def num_static_iterations(settings: TrainSettings) -> int:
     """Return how many EM iterations the static Student-t takes."""
     return STATIC_ITERATIONS * (2 if settings.gk.learns_time_correlation else 1)
@@ -167,6 +183,17 @@ def num_static_iterations(settings: TrainSettings) -> int:
 def num_iterations(settings: TrainSettings) -> int:
     """Return how many EM iterations the generalized kernel takes, the static ones included."""
     return num_static_iterations(settings) + settings.gk.iterations
+
+
+def _initial_jitter(settings: TrainSettings) -> FloatArray | None:
+    """Return the covariance of the jitter to begin with, [3, 3], rad²; None if it is not learned.
+
+    That is for a rig that is taken as calibrated, for an alignment, which knows of no common error,
+    and where a bias is learned, which moves all features in the same way.
+    """
+    odometry = settings.odometry
+    learns = odometry.self_calibration and odometry.solver.method == "reprojection"
+    return initial_covariance() if learns and not settings.gk.bias else None
 
 
 def json_without_infinity(values: Mapping[str, Any]) -> dict[str, Any]:

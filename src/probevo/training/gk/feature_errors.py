@@ -11,6 +11,7 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.noise.base import StereoNoise, log_density
 from probevo.training.gk.feature_errors_numba import ErrorArrays, ResidualArrays, rescale_errors
+from probevo.training.gk.jitter import CommonUnknowns
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,9 @@ class FeatureErrors:
     profile: FloatArray
     """Likelihood of each residual as a function of the time correlation, [m, 4], see
     ``time_correlation_profile``."""
+    jitter_moments: FloatArray
+    """Second moment of the change of the rig's jitter in each step that was solved for it, [K, 3,
+    3], rad²."""
 
     @staticmethod
     def none(columns: int) -> FeatureErrors:
@@ -44,6 +48,7 @@ class FeatureErrors:
             spread=np.zeros((0, 4, 4)),
             log_likelihood=np.zeros(0),
             profile=np.zeros((0, 4)),
+            jitter_moments=np.zeros((0, 3, 3)),
         )
 
     @staticmethod
@@ -57,11 +62,12 @@ class FeatureErrors:
             spread=np.concatenate([part.spread for part in parts]),
             log_likelihood=np.concatenate([part.log_likelihood for part in parts]),
             profile=np.concatenate([part.profile for part in parts]),
+            jitter_moments=np.concatenate([part.jitter_moments for part in parts]),
         )
 
 
 def errors_of(
-    solution: ReprojectionSolution, noise: StereoNoise, cov: FloatArray, chosen: IntArray
+    solution: ReprojectionSolution, noise: StereoNoise, common: CommonUnknowns, chosen: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute the errors of m features as the noise describes them, and their likelihoods.
 
@@ -72,18 +78,18 @@ def errors_of(
     Args:
         solution: the motion, given or solved for.
         noise: the noise of its N features.
-        cov: covariance of the motion, [6, 6].
+        common: the motion and what else all features have in common, with its covariance.
         chosen: which features are wanted, [m].
 
     Returns:
-        errors [m, 4], px; their covariance by that of the motion, [m, 4, 4], px²; log density of
+        errors [m, 4], px; their covariance by that of ``common``, [m, 4, 4], px²; log density of
         the residuals, [m], nats.
     """
     count = len(chosen)
     features = ResidualArrays(
         information=solution.information[chosen],
         residuals=solution.residuals[chosen],
-        jacobian=solution.jacobian[chosen],
+        jacobian=common.jacobian[chosen],
         scale=noise.scale[chosen],
     )
     out = ErrorArrays(
@@ -92,7 +98,7 @@ def errors_of(
         squared=np.empty(count),
         log_det=np.empty(count),
     )
-    rescale_errors(features, cov, noise.refers_to == "observation", out)
+    rescale_errors(features, common.cov, noise.refers_to == "observation", out)
     # The likelihood is that of the residual, not of the rescaled error.
     log_likelihood = log_density(out.squared, out.log_det, noise.dof[chosen])
     return out.errors + noise.bias[chosen], out.spread, log_likelihood

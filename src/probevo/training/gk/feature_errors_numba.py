@@ -20,7 +20,7 @@ class ResidualArrays(NamedTuple):
     residuals: FloatArray
     """Residual e of each feature, bias removed, [m, 4], px."""
     jacobian: FloatArray
-    """Derivative J of the prediction by the motion, [m, 4, 6], px/m and px/rad."""
+    """Derivative J of the prediction by the K unknowns that all features share, [m, 4, K]."""
     scale: FloatArray
     """Predicted scale R, [m, 4, 4], px²."""
 
@@ -31,7 +31,7 @@ class ErrorArrays(NamedTuple):
     errors: FloatArray
     """Error of each feature, bias removed, [m, 4], px."""
     spread: FloatArray
-    """Covariance of each error that the uncertainty of the motion causes, [m, 4, 4], px²."""
+    """Covariance of each error that the uncertainty of these unknowns causes, [m, 4, 4], px²."""
     squared: FloatArray
     """Squared Mahalanobis distance eᵀ Σ⁻¹ e, [m]."""
     log_det: FloatArray
@@ -42,7 +42,7 @@ class ErrorArrays(NamedTuple):
 def rescale_errors(
     features: ResidualArrays, cov: FloatArray, is_of_observation: bool, out: ErrorArrays
 ) -> None:
-    """Fill in the errors of all features, cov [6, 6] being the covariance of the motion.
+    """Fill in the errors of all features, cov [K, K] being the covariance of what they share.
 
     Where Σ⁻¹ is singular, Σ is taken to be R. A singular scale is made regular.
     """
@@ -55,9 +55,10 @@ def rescale_errors(
     sigma = np.empty((4, 4))
     lower = np.zeros((4, 4))
     root = np.zeros((4, 4))
-    white = np.empty((4, 7))  # Σ^-½ e and Σ^-½ J, side by side
-    back = np.empty((4, 7))  # the same in the size of an error
-    times_cov = np.empty((4, 6))  # the part of J times the covariance of the motion
+    num_common = len(cov)
+    white = np.empty((4, 1 + num_common))  # Σ^-½ e and Σ^-½ J, side by side
+    back = np.empty((4, 1 + num_common))  # the same in the size of an error
+    times_cov = np.empty((4, num_common))  # the part of J times the covariance
     for n in range(len(residuals)):
         # Cholesky factors of Σ and R.
         if not invert_symmetric_4(information[n], sigma, lower):
@@ -72,9 +73,9 @@ def rescale_errors(
         determinant = 1.0
         for i in range(4):
             white[i, 0] = residuals[n, i]
-            for j in range(6):
+            for j in range(num_common):
                 white[i, 1 + j] = jacobian[n, i, j]
-            for k in range(7):
+            for k in range(1 + num_common):
                 for j in range(i):
                     white[i, k] -= lower[i, j] * white[j, k]
                 white[i, k] /= lower[i, i]
@@ -84,7 +85,7 @@ def rescale_errors(
         out.log_det[n] = 2.0 * math.log(determinant)
         # Colour them by R^½ if the noise is that of observations, and propagate the covariance.
         for i in range(4):
-            for k in range(7):
+            for k in range(1 + num_common):
                 back[i, k] = (
                     0.0
                     if is_of_observation
@@ -95,12 +96,12 @@ def rescale_errors(
                 for j in range(i + 1 if is_of_observation else 0):
                     back[i, k] += root[i, j] * white[j, k]
             errors[n, i] = back[i, 0]
-            for k in range(6):
+            for k in range(num_common):
                 times_cov[i, k] = 0.0
-                for j in range(6):
+                for j in range(num_common):
                     times_cov[i, k] += back[i, 1 + j] * cov[j, k]
             for j in range(i + 1):
                 total = 0.0
-                for k in range(6):
+                for k in range(num_common):
                     total += times_cov[i, k] * back[j, 1 + k]
                 spread[n, i, j] = spread[n, j, i] = total

@@ -1,0 +1,75 @@
+"""EM of the rig's jitter: what the features of a drive show of it at the drive's motions.
+
+In each frame the right camera is turned by ω ~ N(0, S) (``camera.rig_jitter``). The E-step solves
+for the jitter η of both frames of a step at its motion, whose own uncertainty moves η with it. Of
+two frames only the change ω' − ω° is seen well; its variance is 2 S, so that the M-step is
+
+    S = ½ · mean of E[(ω' − ω°)(ω' − ω°)ᵀ]
+
+over all steps. A step that shows nothing of the jitter has the expectation 2 S, and holds S.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.rig_jitter import LEAST_SIGMA_RAD, RigJitter
+from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter
+
+MOTION_DIM = 6
+
+
+class CommonUnknowns(NamedTuple):
+    """What all features of a step have in common: its motion, and the jitter of the rig."""
+
+    jacobian: FloatArray
+    """Derivative of the prediction by (ξ, η), [N, 4, 12], or by ξ alone, [N, 4, 6]."""
+    cov: FloatArray
+    """Their covariance, [12, 12] or [6, 6]."""
+
+    @staticmethod
+    def of(solution: ReprojectionSolution, motion_cov: FloatArray) -> CommonUnknowns:
+        """Return them, given a solve at a known motion and what is not known of that, [6, 6]."""
+        if solution.jitter is None:
+            return CommonUnknowns(solution.jacobian, motion_cov)
+        gain, rest = _given_motion(solution.jitter)
+        cross = gain @ motion_cov
+        cov = np.block([[motion_cov, cross.T], [cross, rest + cross @ gain.T]])
+        return CommonUnknowns(solution.full_jacobian, cov)
+
+    def second_moment(self, jitter: SolvedJitter) -> FloatArray:
+        """Return E[(ω' − ω°)(ω' − ω°)ᵀ] of the jitter's change, [3, 3], rad²."""
+        unknown = jitter.unknown
+        change = np.hstack([unknown.curr_root, -unknown.prev.root])
+        mean = change @ jitter.eta - unknown.prev.mean
+        moment: FloatArray = np.outer(mean, mean)
+        return moment + change @ self.cov[MOTION_DIM:, MOTION_DIM:] @ change.T
+
+
+def learned_covariance(second_moments: FloatArray) -> FloatArray:
+    """Return S, [3, 3], rad², from the second moments of at least one change, [K, 3, 3]: M-step."""
+    cov: FloatArray = 0.5 * second_moments.mean(axis=0)
+    cov = 0.5 * (cov + cov.T)
+    return cov + LEAST_SIGMA_RAD**2 * np.eye(3)
+
+
+def initial_covariance() -> FloatArray:
+    """Return the S that the first E-step is given, [3, 3], rad²: that of an unknown rig."""
+    return RigJitter.initial().cov
+
+
+def _given_motion(jitter: SolvedJitter) -> tuple[FloatArray, FloatArray]:
+    """Return dη/dξ, [6, 6], and the covariance of η at a known motion, [6, 6].
+
+    Where the features do not fix the motion, η is what it was before: N(0, I), whatever the motion.
+    """
+    cov = jitter.cov
+    if not np.isfinite(cov).all():
+        return np.zeros((6, MOTION_DIM)), np.eye(6)
+    of_motion = cov[:MOTION_DIM, :MOTION_DIM]
+    cross = cov[:MOTION_DIM, MOTION_DIM:]
+    gain: FloatArray = np.linalg.solve(of_motion, cross).astype(float).T
+    return gain, cov[MOTION_DIM:, MOTION_DIM:] - gain @ cross
