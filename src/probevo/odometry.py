@@ -499,7 +499,8 @@ class StereoOdometry:
     ) -> Window:
         """Adjust the last frames together, starting from the motion that two of them have shown.
 
-        Without a solve, the dead-reckoned motion counts as a measurement, unless there is an IMU.
+        Without a solve, the dead-reckoned motion counts as a measurement, unless there is an IMU
+        that knows it better.
         """
         by_itself = RelativePose(
             motion.T_curr_prev,
@@ -508,7 +509,6 @@ class StereoOdometry:
             prev=pose_of(int(window.frames[-1])),
         )
         if visual.status is not Status.OK or visual.noise is None:
-            by_itself = inertial.predicted_motion(window) or by_itself
             return self._window.without_features(window, frame.index, by_itself, measurements)
         tracks = observed.tracked.tracks.kept(visual.used)
         if observed.rig is not None:

@@ -368,6 +368,58 @@ def test_an_imu_that_contradicts_the_images_is_not_used(change: Change) -> None:
     assert "check the" in estimates[-1].imu_left_out
 
 
+def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:
+    """After a blackout that the IMU has bridged, it begins to lie. It is left out while the window
+    still holds the dark frames; the poses stay known, and the newest motions are as accurate."""
+    frames, truth = drive_of(42, 26)
+    changed = list(frames)
+    for k in (13, 14):
+        changed[k] = replace(blind_frame(k), imu=frames[k].imu)
+    for k in range(15, 26):
+        imu = frames[k].imu
+        assert imu is not None
+        changed[k] = replace(frames[k], imu=in_degrees(imu))
+    by = odometry()
+    windows = []
+    estimates = []
+    for frame in changed:
+        estimates.append(by.step(frame))
+        windows.append(by.window)
+    lied = []
+    for k, window in enumerate(windows):
+        if window is not None and window.inertial is not None and window.inertial.refused:
+            lied.append(k)
+    assert by.window is not None
+    before = windows[lied[0] - 1]
+    assert before is not None
+    assert {13, 14} <= set(before.frames.tolist())
+    for k in range(lied[0], 26):
+        assert estimates[k].status is Status.OK
+        motion = se3.inverse(truth[k]) @ truth[k - 1]
+        error = se3.log(estimates[k].T_curr_prev @ se3.inverse(motion))
+        assert error @ np.linalg.solve(estimates[k].cov, error) < 30.0
+    sigma_m = np.sqrt(np.trace(estimates[-1].pose_cov[:3, :3]))
+    way = se3.inverse(truth[-1]) @ estimates[-1].T_world_cam
+    assert np.linalg.norm(way[:3, 3]) < 3.0 * sigma_m
+
+
+def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known() -> None:
+    """While neither image nor sample has shown the velocity, σ grows as by the motion model, and
+    no state overflows; afterwards the IMU is used again."""
+    frames, _ = drive_of(43, 36)
+    changed = list(frames)
+    for k in range(12, 18):
+        changed[k] = replace(blind_frame(k), imu=None if k == 12 else frames[k].imu)
+    by = odometry()
+    estimates = [by.step(frame) for frame in changed]
+    for estimate in estimates[13:18]:
+        assert "velocity" in estimate.imu_left_out
+        assert np.sqrt(estimate.cov[:3, :3].trace()) < 5.0
+    assert np.sqrt(estimates[18].pose_cov[:3, :3].trace()) < 10.0
+    assert not estimates[-1].imu_left_out
+    assert estimates[-1].status is Status.OK
+
+
 @pytest.mark.parametrize("size_rad_s", [1.0, 5.0, 1000.0])
 def test_a_spike_of_one_sample_is_left_out(size_rad_s: float) -> None:
     """The error at the end is within 1.1 times that without the spike, or within a fifth of σ."""

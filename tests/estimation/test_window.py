@@ -16,6 +16,7 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
+from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_motion import live_motion
 from probevo.estimation.window_numba import JITTER, POSE, RIG
 from probevo.evaluation.consistency import drift_covariances
@@ -420,7 +421,7 @@ def test_a_measurement_of_a_pose_draws_the_window_to_it() -> None:
     window = windows_of(frames, by)[-1]
     moved = se3.exp(np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])) @ window.T_cam_world[-1]
     at_end = PosePrior(pose_of(3), moved, 1e-12 * np.eye(6))
-    adjusted = by.adjusted(by.with_measurements(window, [at_end])).window
+    adjusted = by.adjusted(with_measurements(window, [at_end])).window
     error = se3.log(adjusted.T_cam_world[-1] @ se3.inverse(moved))
     assert np.abs(error).max() < 1e-3
     assert (np.diag(adjusted.pose(-1).cov) < 1e-11).all()

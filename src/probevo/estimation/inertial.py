@@ -28,7 +28,8 @@ from probevo.estimation.inertial_states import (
     without_first_frame,
 )
 from probevo.estimation.window import MarginalPrior, Window
-from probevo.estimation.window_numba import NormalEquations
+from probevo.estimation.window_measurements import with_measurements
+from probevo.estimation.window_numba import POSE, NormalEquations
 from probevo.geometry import se3
 from probevo.measurements.base import pose_of
 from probevo.measurements.preintegration import NoPreintegration, Preintegration, preintegrate
@@ -97,6 +98,16 @@ class Inertial:
         if len(self.squared) < FEWEST_TESTED:
             return self.excess_at_start
         return float(np.median(self.squared)) / MEDIAN_SQUARED
+
+    @property
+    def mean_excess(self) -> float:
+        """By how much the variances of the last factors were too small, those left out included.
+
+        A step that no image has tested may be as wrong as any of these.
+        """
+        if not self.squared:
+            return self.excess_at_start
+        return max(1.0, float(np.mean(self.squared)) / POSE)
 
     @property
     def noise_factor(self) -> float:
@@ -202,12 +213,33 @@ def gated(window: Window, seen: RelativePose) -> Window:
     return replace(window, inertial=inertial)
 
 
-def predicted_motion(window: Window) -> RelativePose | None:
-    """Return the motion that the IMU predicts to the frame that comes, if it does."""
+def where_better_than(window: Window, motion: RelativePose) -> Window:
+    """Return the window without the pending factor, if that knows less of the next motion.
+
+    So it is while the velocity is unknown, as after a step without samples.
+
+    Args:
+        window: K frames, with what the IMU measured since.
+        motion: to the frame that comes, by other means.
+    """
+    inertial = window.inertial
+    if inertial is None or not inertial.is_used or inertial.pending is None:
+        return window
+    if inertial.prediction is not None:
+        variance = np.trace(inertial.prediction.cov[:3, :3])
+        if variance < np.trace(motion.covariance[:3, :3]):
+            return window
+    note = "does not know its velocity in this step"
+    unused = replace(inertial, pending=None, prediction=None, note=note)
+    return replace(window, inertial=unused)
+
+
+def predicted_motion(window: Window) -> FloatArray | None:
+    """Return the motion T_curr_prev that the IMU predicts to the frame that comes, [4, 4], m, if it
+    does."""
     if window.inertial is None or window.inertial.prediction is None:
         return None
-    T_curr_prev, cov, _ = window.inertial.prediction
-    return RelativePose(T_curr_prev, cov, curr=pose_of(0), prev=pose_of(int(window.frames[-1])))
+    return window.inertial.prediction.T_curr_prev
 
 
 def reason_left_out(window: Window | None) -> str:
@@ -234,8 +266,11 @@ def reason_not_used(window: Window | None) -> str | None:
 def without_inertial(window: Window, note: str, *, refused: bool = True) -> Window:
     """Return the window with its inertial states marginalised.
 
+    Frames that nothing but the IMU connects keep the motion between them, with a covariance that is
+    inflated by what the tests of the IMU have shown; without it, their poses would be unknown.
+
     Args:
-        window: K frames.
+        window: K frames with their covariance.
         note: why, as the end of "the IMU …".
         refused: whether the IMU is left out for good, or starts anew.
     """
@@ -250,7 +285,35 @@ def without_inertial(window: Window, note: str, *, refused: bool = True) -> Wind
     information = window.prior.information + hessian
     vector = window.prior.vector + gradient + hessian @ window.offsets()
     prior = replace(window.prior, information=information, vector=vector)
-    return replace(window, prior=prior, inertial=left_out)
+    return with_measurements(
+        replace(window, prior=prior, inertial=left_out),
+        _motions_by_imu_only(window, inertial.mean_excess),
+    )
+
+
+def _motions_by_imu_only(window: Window, inflation: float) -> list[RelativePose]:
+    """Return the motions between successive frames that nothing but the IMU connects.
+
+    Args:
+        window: K frames with their covariance.
+        inflation: of the covariance of each motion.
+    """
+    motions = []
+    for slot in range(1, len(window)):
+        here = window.pose_slice(slot)
+        before = window.pose_slice(slot - 1)
+        if window.has_common_landmarks(slot) or window.prior.information[here, before].any():
+            continue
+        T_curr_prev, cov = window.relative(slot, slot - 1)
+        motions.append(
+            RelativePose(
+                T_curr_prev,
+                inflation * cov,
+                curr=pose_of(int(window.frames[slot])),
+                prev=pose_of(int(window.frames[slot - 1])),
+            )
+        )
+    return motions
 
 
 def extended(window: Window) -> Window:

@@ -516,4 +516,5 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     relative = sensitivity[:POSE]
     relative[:, :POSE] -= se3.adjoint(T_curr_prev)
     noise = (inverse @ factor.cov @ inverse.T)[:POSE, :POSE]
-    return InertialPrediction(T_curr_prev, relative @ cov @ relative.T + noise, velocity)
+    motion_cov = relative @ cov @ relative.T + noise
+    return InertialPrediction(T_curr_prev, 0.5 * (motion_cov + motion_cov.T), velocity)

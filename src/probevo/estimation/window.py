@@ -152,6 +152,14 @@ class Window:
         """Place in the window of the last frame that saw each landmark, [L]."""
         return self.observations.slot[self.observations.start[1:] - 1]
 
+    def has_common_landmarks(self, slot: int) -> bool:
+        """Return whether a landmark is seen both from the frame at this place and from the one
+        before it."""
+        slots = self.observations.slot
+        rows = self.landmark_rows
+        is_pair = (rows[1:] == rows[:-1]) & (slots[1:] == slot) & (slots[:-1] == slot - 1)
+        return bool(is_pair.any())
+
     def relative(self, slot: int, other: int) -> tuple[FloatArray, FloatArray]:
         """Return the motion T_slot_other between two frames of the window, and its covariance.
 

@@ -31,6 +31,7 @@ from probevo.config import OdometryConfig
 from probevo.estimation import inertial
 from probevo.estimation.inertial_states import InertialSystem
 from probevo.estimation.window import MarginalPrior, Window, merged, selected
+from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_numba import (
     FRAME,
     JITTER,
@@ -47,7 +48,7 @@ from probevo.estimation.window_numba import (
     move_landmarks,
 )
 from probevo.geometry import se3
-from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.base import Measurement
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.noise.base import StereoNoise
@@ -147,7 +148,7 @@ class WindowEstimator:
             window = replace(window, jitter_cov=jitter_cov)
         extended = self.with_frame(window, frame, two_frames.T_curr_prev, tracks, noise)
         try:
-            adjusted = self.adjusted(self.with_measurements(extended, measurements)).window
+            adjusted = self.adjusted(with_measurements(extended, measurements)).window
         except np.linalg.LinAlgError:
             return self.without_features(window, frame, two_frames, measurements)
         if not self._fixes_newest(adjusted):
@@ -163,7 +164,7 @@ class WindowEstimator:
     ) -> Window:
         """Return the window with one more frame, which no feature connects with the others.
 
-        Where an IMU does, the motion is only a first guess.
+        Either the motion counts, or what the IMU has measured meanwhile, whichever is known better.
 
         Args:
             window: K frames.
@@ -172,10 +173,14 @@ class WindowEstimator:
             measurements: further measurements of the poses of the window.
         """
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
-        extended = self.with_frame(window, frame, motion.T_curr_prev, Tracks.none(), none)
+        window = inertial.where_better_than(window, motion)
+        guess = inertial.predicted_motion(window)
+        if guess is None:
+            guess = motion.T_curr_prev
+        extended = self.with_frame(window, frame, guess, Tracks.none(), none)
         if not inertial.bridges_newest(extended):
             measurements = [*measurements, motion]
-        measured = self.with_measurements(extended, measurements)
+        measured = with_measurements(extended, measurements)
         try:
             adjusted = self.adjusted(measured).window
             if np.isfinite(adjusted.cov).all() or not inertial.uses_imu(window):
@@ -283,31 +288,6 @@ class WindowEstimator:
             landmarks=landmarks,
             observations=merged(window.observations, new, np.concatenate([rows[is_new], rows])),
         )
-
-    def with_measurements(self, window: Window, measurements: Sequence[Measurement]) -> Window:
-        """Return the window with measurements of its poses, linearised at their current values.
-
-        Args:
-            window: K frames.
-            measurements: of variables ``pose_of(frame)``, of frames of the window only.
-        """
-        if not measurements:
-            return window
-        values = {
-            pose_of(int(frame)): T
-            for frame, T in zip(window.frames, window.T_cam_world, strict=True)
-        }
-        information = window.prior.information.copy()
-        vector = window.prior.vector.copy()
-        x = window.offsets()
-        for measurement in measurements:
-            linear = measurement.linearize(values)
-            # Where its variables lie in the joint vector; all are poses.
-            first = [POSE * window.slot(variable.frame) for variable in measurement.variables]
-            joint = (np.array(first)[:, None] + np.arange(POSE)).ravel()
-            information[np.ix_(joint, joint)] += linear.hessian
-            vector[joint] += linear.gradient + linear.hessian @ x[joint]
-        return replace(window, prior=MarginalPrior(information, vector))
 
     def adjusted(self, window: Window) -> Adjustment:
         """Minimise the cost over poses, rig and landmarks by damped Fisher scoring.
