@@ -323,6 +323,13 @@ def setting_error(
     """
     unknown_first = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
     faults = [(".".join(map(str, fault["loc"])), fault) for fault in unknown_first]
+    # Of a list with a wrong item, pydantic also says that it has too few right ones.
+    keys = [key for key, _ in faults]
+    faults = [
+        (key, fault)
+        for key, fault in faults
+        if fault["type"] != "too_short" or not any(other.startswith(f"{key}.") for other in keys)
+    ]
     texts = [_fault_text(spelled(key) if key else "", fault) for key, fault in faults[:MOST_FAULTS]]
     if len(faults) > MOST_FAULTS:
         texts.append(f"and {len(faults) - MOST_FAULTS} more")
@@ -332,7 +339,7 @@ def setting_error(
     if first_fault["type"] == "extra_forbidden":
         cure = _nearest_keys(first_key, known)
     else:
-        cure = known.get(first_key, "")
+        cure = known.get(first_key, "") or known.get(first_key.rpartition(".")[0], "")
     return InputError(where, "; ".join(texts) + ".", cure)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
@@ -59,7 +60,9 @@ def checked(settings: Model) -> Model:
     """
 
     def as_flag(key: str) -> str:
-        return f"--{key.replace('_', '-')}"
+        # Items of a list have no flag of their own.
+        name = re.sub(r"\.\d+$", "", key)
+        return f"--{name.replace('_', '-')}"
 
     try:
         return type(settings).model_validate(settings.model_dump())

@@ -26,6 +26,7 @@ COMMANDS = {
     "info": "probevo.cli.info",
     "calibrate-check": "probevo.cli.calibrate_check",
     "convert": "probevo.cli.convert",
+    "fetch": "probevo.cli.fetch",
     "simulate": "probevo_sim.command",
     "stress": "probevo.cli.stress",
     "paper": "probevo_paper.command",
@@ -53,6 +54,8 @@ and estimates the covariance of each step.
       say what a recording itself tells of its calibration, with the cure
   probevo convert SEQUENCE --out PATH
       write a recording as a folder of images or as a bag, or a run as a bag of its odometry
+  probevo fetch NAME
+      download public recordings: KITTI, EuRoC, TUM-VI, TartanAir
   probevo simulate WORLD --out DIR
       simulate a recording of a world, point or scene, with exact ground truth
   probevo stress SEQUENCE --out DIR

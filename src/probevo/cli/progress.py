@@ -11,6 +11,8 @@ Show = Callable[[int, int], None]
 """A function of the number of frames done and of their total number."""
 LINE_EVERY_S = 30.0
 """Time between two lines in a log; what ends sooner writes none."""
+NUM_SLOW = 3
+"""Frames at the start that say nothing of the others: meanwhile, code may be compiled."""
 
 
 @contextmanager
@@ -48,12 +50,19 @@ def progress_bar(name: str, starting: str, unit: str = "frames") -> Iterator[Sho
     )
     with progress:
         task = progress.add_task(starting, total=None, rate="")
+        num_shown = 0
 
         def show(done: int, total: int) -> None:
-            """Move the bar, and tell the rate from the second frame on."""
+            """Move the bar, and tell the rate once the slow frames at the start are over."""
+            nonlocal num_shown
+            num_shown += 1
+            if num_shown <= NUM_SLOW:
+                # This also forgets the times so far.
+                progress.reset(task, description=name, completed=done, total=total)
+                return
             progress.update(task, description=name, completed=done, total=total)
             speed = progress.tasks[0].speed
-            if speed is not None:  # it is known from the second frame on
+            if speed is not None:
                 progress.update(task, rate=f"{speed:.1f} {unit}/s")
 
         yield show
@@ -61,19 +70,24 @@ def progress_bar(name: str, starting: str, unit: str = "frames") -> Iterator[Sho
 
 def _log_lines(name: str, unit: str) -> Show:
     """Return what writes a line to stderr every half a minute."""
-    start_s = monotonic()
-    last_s = start_s
+    last_s = monotonic()
+    num_shown = 0
+    start = (0, last_s)
 
     def show(done: int, total: int) -> None:
         """Write a line, unless the last one is less than half a minute old."""
-        nonlocal last_s
+        nonlocal last_s, num_shown, start
         now_s = monotonic()
+        num_shown += 1
+        if num_shown <= NUM_SLOW:
+            start = (done, now_s)
         if now_s - last_s < LINE_EVERY_S or done == 0:
             return
         last_s = now_s
-        rate = done / (now_s - start_s)
-        left_s = (total - done) / rate
-        text = f"{done} of {total} {unit}, {rate:.1f} {unit}/s, {left_s:.0f} s left"
+        text = f"{done} of {total} {unit}"
+        if done > start[0] and now_s > start[1]:
+            rate = (done - start[0]) / (now_s - start[1])
+            text += f", {rate:.1f} {unit}/s, {(total - done) / rate:.0f} s left"
         print(f"probevo: {name}: {text}", file=sys.stderr, flush=True)
 
     return show

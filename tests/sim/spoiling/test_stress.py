@@ -171,6 +171,7 @@ def test_wrong_settings_are_refused(
     assert main(["stress", str(recording), "--out", str(tmp_path / "out"), *flags]) == 2
     text = capsys.readouterr().err
     assert all(word in text for word in words)
+    assert "at least 1 item" not in text  # an empty list, where an item is wrong
     assert not (tmp_path / "out").exists()
 
 

@@ -1,0 +1,1 @@
+"""Downloading of public recordings: what there is, transfer with resumption, and unpacking."""

@@ -1,0 +1,144 @@
+"""Fetching of a data set: all of its archives, checked and unpacked, complete or absent."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from probevo.errors import InputError
+from probevo.fetch.catalogue import Dataset
+from probevo.fetch.download import Fetched, checked_copy, download
+from probevo.fetch.unpack import unpack_all
+from probevo.files import check_folder
+from probevo.lock import locked
+
+RECORD = "fetched.json"
+"""File in the folder of a data set that says from where it came."""
+ARCHIVES = "archives"
+"""Folder of what is downloaded, until it is unpacked."""
+OnProgress = Callable[[str, int, int], None]
+"""A function of what is in progress, of the bytes that are done, and of their number or 0."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A data set on disk."""
+
+    folder: Path
+    recordings: tuple[Path, ...]
+    """Folders that ``probevo run`` opens."""
+    files: tuple[Fetched, ...]
+    """Its archives; empty if it was there before."""
+
+
+def fetch(
+    dataset: Dataset,
+    out: Path,
+    have: Path | None = None,
+    on_progress: OnProgress = lambda name, done, total: None,
+    *,
+    keep_archives: bool = False,
+    wait_s: float = 1.0,
+) -> Result:
+    """Download and unpack a data set into ``out / dataset.name``, unless it is there.
+
+    An interrupted call is continued by the next one.
+
+    Args:
+        dataset: what to fetch.
+        out: folder for data sets.
+        have: an archive of it that is already on disk, or a folder with some of them; they are
+            checked and unpacked, and stay.
+        on_progress: called as bytes arrive.
+        keep_archives: whether those that were downloaded stay, too.
+        wait_s: time before a second attempt.
+
+    Raises:
+        InputError: it could not be fetched, or is damaged; nothing is then where it should be.
+    """
+    target = out / dataset.name
+    if (target / RECORD).is_file():
+        return Result(target, _recordings(dataset, target), files=())
+    if target.exists():
+        what = "this folder exists, but was not written by probevo fetch."
+        raise InputError(target, what, "Choose another folder with --out, or remove that one.")
+    check_folder(out, "--out")
+    given = _given(dataset, have)
+    with locked(out / ARCHIVES):
+        folder = out / ARCHIVES / dataset.name.replace("/", "-")
+        files = []
+        for file in dataset.files:
+            if file.name in given:
+                files.append(checked_copy(file, given[file.name]))
+                continue
+            folder.mkdir(parents=True, exist_ok=True)
+            name = file.name
+
+            def show(done: int, total: int, name: str = name) -> None:
+                on_progress(name, done, total)
+
+            files.append(download(file, folder, show, wait_s))
+        _unpack(dataset, files, target, on_progress)
+        if not keep_archives:
+            for fetched in files:
+                if fetched.path.parent == folder:
+                    fetched.path.unlink()
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+    return Result(target, _recordings(dataset, target), files=tuple(files))
+
+
+def _given(dataset: Dataset, have: Path | None) -> dict[str, Path]:
+    """Return the archives that the user has, by their names.
+
+    Raises:
+        InputError: there is none of them.
+    """
+    if have is None:
+        return {}
+    folder = have if have.is_dir() else have.parent
+    names = [file.name for file in dataset.files]
+    found = {name: folder / name for name in names if (folder / name).is_file()}
+    if have.is_file() and have.name not in names and len(names) == 1:
+        found = {names[0]: have}  # under a name of the user's
+    if not found:
+        what = f"there is no archive of {dataset.name}."
+        raise InputError(have, what, f"Expected {', '.join(names)}, or the folder with it.")
+    return found
+
+
+def _unpack(dataset: Dataset, files: list[Fetched], target: Path, on_progress: OnProgress) -> None:
+    """Unpack all archives, and write from where they came."""
+    count = 0
+
+    def on_file(name: str) -> None:
+        nonlocal count
+        count += 1
+        on_progress("unpacking", count, 0)
+
+    target.parent.mkdir(parents=True, exist_ok=True)
+    record = {
+        "name": dataset.name,
+        "licence": dataset.licence,
+        "page": dataset.page,
+        "files": [
+            {
+                "name": fetched.path.name,
+                "url": fetched.url,
+                "bytes": fetched.size,
+                "sha256": fetched.sha256,
+                "matches_a_published_checksum": fetched.is_verified,
+            }
+            for fetched in files
+        ],
+    }
+    extra = {RECORD: json.dumps(record, indent=1) + "\n"}
+    unpack_all([fetched.path for fetched in files], target, extra, on_file)
+
+
+def _recordings(dataset: Dataset, folder: Path) -> tuple[Path, ...]:
+    if dataset.recordings == ".":
+        return (folder,)
+    return tuple(sorted(path for path in folder.glob(dataset.recordings) if path.is_dir()))

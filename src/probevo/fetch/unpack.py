@@ -1,0 +1,128 @@
+"""Unpacking of archives from elsewhere, into a folder that appears whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+import stat
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import IO
+
+from probevo.errors import InputError
+
+DAMAGED = "Remove it, and fetch it again."
+FAULTS = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, NotImplementedError)
+"""What the libraries raise for an archive that is damaged, or of a kind that they do not know."""
+
+
+def unpack_all(
+    archives: list[Path],
+    target: Path,
+    extra: dict[str, str],
+    on_file: Callable[[str], None] = lambda name: None,
+) -> None:
+    """Unpack archives into one folder, which must not exist; zip files inside of them, too.
+
+    Only files and folders are written, and all of them below the folder. It appears when all is
+    unpacked.
+
+    Args:
+        archives: .zip and .tar files.
+        target: the folder.
+        extra: content of further files, by their names.
+        on_file: called with the name of each file.
+
+    Raises:
+        InputError: an archive is damaged or leads out of the folder, or there is no room.
+    """
+    partial = target.with_name(f"{target.name}.part")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    try:
+        for archive in archives:
+            _unpack(archive, partial, on_file)
+        for inner in sorted(partial.rglob("*.zip")):
+            _unpack(inner, inner.parent, on_file)
+            inner.unlink()
+        for name, content in extra.items():
+            (partial / name).write_text(content, "utf-8")
+        partial.replace(target)
+    except OSError as error:
+        raise InputError(target, f"cannot be written: {error.strerror}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _unpack(archive: Path, folder: Path, on_file: Callable[[str], None]) -> None:
+    try:
+        with _opened(archive) as members:
+            for name, size, content in members:
+                place = _place(archive, folder, name)
+                _check_space(folder, size)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                with content() as source, place.open("wb") as out:
+                    shutil.copyfileobj(source, out)
+                on_file(name)
+    except FAULTS as error:
+        raise InputError(archive, f"this archive is damaged: {error}.", DAMAGED) from error
+
+
+_Member = tuple[str, int, Callable[[], IO[bytes]]]
+
+
+@contextmanager
+def _opened(archive: Path) -> Iterator[Iterator[_Member]]:
+    """Give name, size and content of each regular file of an archive."""
+    if zipfile.is_zipfile(archive):
+        with zipfile.ZipFile(archive) as packed:
+            yield _zip_members(packed)
+    else:
+        with tarfile.open(archive) as packed_tar:
+            yield _tar_members(packed_tar)
+
+
+def _zip_members(packed: zipfile.ZipFile) -> Iterator[_Member]:
+    for info in packed.infolist():
+        kind = stat.S_IFMT(info.external_attr >> 16)
+        if not info.is_dir() and kind in (0, stat.S_IFREG):
+
+            def content(info: zipfile.ZipInfo = info) -> IO[bytes]:
+                return packed.open(info)
+
+            yield info.filename, info.file_size, content
+
+
+def _tar_members(packed: tarfile.TarFile) -> Iterator[_Member]:
+    for info in packed:
+        if info.isreg():
+
+            def content(info: tarfile.TarInfo = info) -> IO[bytes]:
+                file = packed.extractfile(info)
+                if file is None:  # which cannot be, of a regular file
+                    raise tarfile.ReadError(f"{info.name} has no content")
+                return file
+
+            yield info.name, info.size, content
+
+
+def _place(archive: Path, folder: Path, name: str) -> Path:
+    """Return where a file of an archive shall be.
+
+    Raises:
+        InputError: outside of the folder.
+    """
+    parts = PurePosixPath(name.replace("\\", "/")).parts
+    if not parts or parts[0] == "/" or ".." in parts or ":" in parts[0] or "\0" in name:
+        raise InputError(archive, f"it holds the file {name!r}, outside of its folder.", DAMAGED)
+    return folder.joinpath(*parts)
+
+
+def _check_space(folder: Path, size: int) -> None:
+    free = shutil.disk_usage(folder).free
+    if size > free:
+        what = f"{size / 1e9:.1f} GB are needed, and {free / 1e9:.1f} GB are free."
+        raise InputError(folder, what, "Choose another folder with --out.")
