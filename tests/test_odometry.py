@@ -702,3 +702,23 @@ def test_drift_on_kitti_06(data_root: Path) -> None:
 def test_rotation_on_kitti_raw_0005(data_root: Path) -> None:
     path = data_root / "kitti_raw/2011_09_26/2011_09_26_drive_0005_sync"
     assert (metrics_of(path).short_r_deg_per_m or np.inf) <= 0.016
+
+
+def test_the_first_steps_of_a_loose_rig_are_covered() -> None:
+    """The right camera turns by 2 px of yaw from frame to frame, 20 times the prior. A step that
+    shows it is solved again with what it shows, so that it claims enough: the median of twenty
+    worlds is 4.9, where 5.3 is consistent; it was 9.4."""
+    squared = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        frames = list(drive(rng, 2))
+        for frame in frames:
+            features = frame.features
+            assert features is not None
+            features.pixels[:, 2] += 2.0 * rng.normal()
+        odometry = pv.StereoOdometry(CAMERA)
+        step = [odometry.step(frame) for frame in frames][-1]
+        assert step.status is pv.Status.OK
+        error = motion_error(step.T_curr_prev)
+        squared.append(error @ np.linalg.solve(step.cov, error))
+    assert np.median(squared) < 7.0

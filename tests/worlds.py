@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.rig_calibration import disparity_basis, row_basis
+from probevo.camera.rig_calibration import RigCalibration, disparity_basis, row_basis
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
 from probevo.noise import StereoNoise, StudentT
@@ -104,7 +104,11 @@ def misrectified(
     seen = pixels.copy()
     true_minus_measured = disparity_basis(pixels, CAMERA) @ np.r_[b0_px, disparity_px]
     seen[:, 2] += true_minus_measured
-    seen[:, 3] += row_basis(pixels, CAMERA) @ rows_px
+    _, y = CAMERA.normalized(pixels[:, 0], pixels[:, 1])
+    seen[:, 2] -= (
+        replace(RigCalibration.initial(), rows=rows_px).roll_px * CAMERA.fu_px / CAMERA.fv_px * y
+    )
+    seen[:, 3] += row_basis(seen, CAMERA) @ rows_px
     return seen
 
 

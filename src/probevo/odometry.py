@@ -45,6 +45,9 @@ from probevo.tracking.last_residuals import LastResiduals
 from probevo.tracking.observations import FrameObservations
 from probevo.tracking.preparation import with_prepared_images
 
+MOST_REPEATED_SOLVES = 3
+"""How often a step is solved again, at most, because its tracks show more jitter of the rig."""
+
 
 class StereoOdometry:
     """Relative motion of a stereo camera, one frame at a time (PROBE Fig. 1; thesis Fig. 4.1).
@@ -298,21 +301,39 @@ class StereoOdometry:
         measured: _Measured,
         clock: StageClock,
     ) -> VisualMotion:
-        """Estimate the motion from the tracks and what else was measured of it."""
-        return self._visual.estimate(
-            observed.tracks,
-            observed.phi,
-            MotionPriors(
-                prediction=prediction.motion,
-                gyro=prediction.rotation,
-                disparities=state.disparities,
-                measurements=measured.of_motion,
-                curr=pose_of(frame.index),
-                jitter_cov=observed.rig.jitter.cov if observed.rig is not None else None,
-            ),
-            rng=np.random.default_rng([self.config.seed, frame.index]),
-            clock=clock,
+        """Estimate the motion from the tracks and what else was measured of it.
+
+        Where the tracks show more jitter of the rig than was expected, they are solved again with
+        what they show, as they are in the first frames of a rig that is looser than the prior.
+        """
+        priors = MotionPriors(
+            prediction=prediction.motion,
+            gyro=prediction.rotation,
+            disparities=state.disparities,
+            measurements=measured.of_motion,
+            curr=pose_of(frame.index),
+            jitter_cov=observed.rig.jitter.cov if observed.rig is not None else None,
         )
+        for _ in range(1 + MOST_REPEATED_SOLVES):
+            visual = self._visual.estimate(
+                observed.tracks,
+                observed.phi,
+                priors,
+                rng=np.random.default_rng([self.config.seed, frame.index]),
+                clock=clock,
+            )
+            shown = self._jitter_shown(observed, visual)
+            if shown is None or not shown.exceeds(priors.jitter_cov):
+                break
+            priors = replace(priors, jitter_cov=shown.cov)
+        return visual
+
+    def _jitter_shown(self, observed: _Observed, visual: VisualMotion) -> RigJitter | None:
+        """Return the rig's jitter after a step; None where the step teaches nothing."""
+        if observed.rig is None or visual.two_frames_only is None:
+            return None
+        used = observed.tracks.kept(visual.used)
+        return update_rig(observed.rig, used, visual.two_frames_only, self.camera)[0].jitter
 
     def _conclude(
         self,

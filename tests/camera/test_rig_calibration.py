@@ -61,6 +61,31 @@ def test_rows_of_one_frame_are_least_squares_under_the_prior() -> None:
     np.testing.assert_allclose(rig.rows, rows, atol=0.005)
 
 
+def test_the_roll_of_the_right_image_is_undone() -> None:
+    """A right camera that is rolled by 0.5° moves u_r by up to 2 px. Its rows show the roll, and of
+    the disparity's error less than 0.1 px is left."""
+    rng = np.random.default_rng(8)
+    clean = seen_twice(rng, 1000).curr_px
+    roll_rad = np.deg2rad(0.5)
+    seen = clean.copy()
+    center_px = np.array([CAMERA.cu_px, CAMERA.cv_px])
+    turn = np.array([[np.cos(roll_rad), -np.sin(roll_rad)], [np.sin(roll_rad), np.cos(roll_rad)]])
+    seen[:, 2:] = (clean[:, 2:] - center_px) @ turn.T + center_px
+    rig = RigCalibration.initial()
+    for _ in range(5):
+        rig = rig.with_rows(seen, CAMERA)
+    np.testing.assert_allclose(rig.roll_px, CAMERA.fv_px * roll_rad, rtol=0.05)
+    corrected = rig.corrected(seen, CAMERA)
+    assert np.abs(seen[:, 2] - clean[:, 2]).max() > 1.0
+    assert np.abs(corrected[:, 2] - clean[:, 2]).max() < 0.1
+    assert np.abs(corrected[:, 3] - clean[:, 3]).max() < 0.1
+
+
+def test_what_a_lens_leaves_in_the_rows_moves_no_disparity() -> None:
+    rig = replace(RigCalibration.initial(), rows=np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0]))
+    assert rig.roll_px < 0.01
+
+
 def test_wrong_matches_hardly_move_the_rows() -> None:
     rng = np.random.default_rng(6)
     pixels = misrectified(seen_twice(rng, 500).curr_px)

@@ -39,3 +39,11 @@ def test_a_step_that_shows_nothing_leaves_it() -> None:
     jitter = RigJitter.initial()
     after = jitter.with_change(2.0 * jitter.cov)
     np.testing.assert_allclose(after.cov, jitter.cov, atol=1e-12)
+
+
+def test_a_covariance_is_exceeded_by_a_variance_that_is_noticeably_larger() -> None:
+    jitter = RigJitter.initial(np.diag([1e-8, 4e-8, 2e-8]))
+    assert not jitter.exceeds(jitter.cov)
+    assert not jitter.exceeds(2.0 * jitter.cov)
+    assert not jitter.exceeds(None)
+    assert jitter.exceeds(np.diag([1e-8, 1e-8, 2e-8]))

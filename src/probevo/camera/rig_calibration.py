@@ -7,6 +7,7 @@ that of the baseline alone. Real pairs do neither. The correction is a smooth fu
 - rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y², from the tracks' stereo matches; no
   motion is needed. On KITTI a₄ is about 6.8 px on two calibrations of different days, and modelling
   it takes the scatter of v_r − v_l from 0.39 to 0.15 px.
+  A right image that is rolled has a large a₁, and moves u_r by −a₁ y, too, which is corrected.
 - disparity: true minus measured = b₀ + b₁ x + b₂ x², from how well the features agree on one motion
   (``estimation.rig_update``). On KITTI b₂ is 1.7 to 2.1 px: points at the sides seem too far, which
   on a motorway, where the useful points are at the sides, lengthens every step.
@@ -47,6 +48,8 @@ CORRELATED_FEATURES = 20.0
 """How many features count as one: neighbours have common errors, and the same points come back
 frame after frame."""
 ROW_ITERATIONS = 3
+ROLL = 1
+"""Index of the rows' coefficient that a roll of the right image makes."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,17 @@ class RigCalibration:
         )
 
     @property
+    def roll_px(self) -> float:
+        """The part of a₁ that is a roll of the right image, f_v ω_z, px.
+
+        Lenses leave an a₁ of about ``ROW_SIGMA_PX`` as well, which moves no u_r. What is larger is
+        a roll: the mean of a Gaussian of that standard deviation being taken off one that is as
+        wide as a₁ itself.
+        """
+        squared = float(self.rows[ROLL]) ** 2
+        return float(self.rows[ROLL]) * squared / (squared + float(ROW_SIGMA_PX[ROLL]) ** 2)
+
+    @property
     def disparity_cov(self) -> FloatArray:
         """Covariance of (b₀, b₁, b₂), [3, 3], px²."""
         covariance = np.zeros((3, 3))
@@ -89,15 +103,16 @@ class RigCalibration:
 
     def corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
         """Return observations [N, 4], px, with u_r and v_r as a flawless rectification has them."""
-        corrected: FloatArray = pixels.copy()
+        corrected = self.with_rows_corrected(pixels, camera)
         corrected[:, 2] -= disparity_basis(pixels, camera)[:, 1:] @ self.disparity
-        corrected[:, 3] -= row_basis(pixels, camera) @ self.rows
         return corrected
 
     def with_rows_corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-        """Return observations [N, 4], px, of which only v_r is as a flawless rectification has
-        it."""
+        """Return observations [N, 4], px, corrected by what the rows alone show: v_r, and u_r by
+        the roll of the right image."""
         corrected: FloatArray = pixels.copy()
+        _, y = camera.normalized(pixels[:, 0], pixels[:, 1])
+        corrected[:, 2] += self.roll_px * camera.fu_px / camera.fv_px * y
         corrected[:, 3] -= row_basis(pixels, camera) @ self.rows
         return corrected
 
@@ -135,9 +150,11 @@ class RigCalibration:
 
 
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-    """Return (1, x, y, x², xy, y²) at the left observations of N features, [N, 6]."""
+    """Return (1, x, y, x², xy, y²) at N features, [N, 6]: x of the right image where it stands for
+    the roll, and x and y of the left image."""
     x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
-    return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    x_right, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
+    return np.column_stack([np.ones_like(x), x_right, y, x * x, x * y, y * y])
 
 
 def disparity_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:

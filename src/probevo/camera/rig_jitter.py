@@ -33,6 +33,8 @@ PRIOR_FRAMES = 1.0
 EM_STEP_EXPONENT = 0.7
 """The n-th step of on-line EM goes n^−0.7 of the way (Cappé & Moulines 2009, who need an exponent
 in (0.5, 1]): with 1/n, the first frames, which were weighed by a wrong S, would count for ever."""
+LARGER = 1.5
+"""Factor between two variances of the jitter from which a motion differs noticeably."""
 LEARNED_FRAMES = 10.0
 """How many frames a covariance counts for that a noise model has learned: the rig may have been
 mounted anew since."""
@@ -68,6 +70,10 @@ class RigJitter:
         """Standard deviation of (pitch, yaw, roll), [3], rad."""
         sigma: FloatArray = np.sqrt(np.diagonal(self.cov))
         return sigma
+
+    def exceeds(self, cov: FloatArray | None) -> bool:
+        """Return whether a variance is more than ``LARGER`` times that of a covariance, [3, 3]."""
+        return cov is not None and bool((np.diagonal(self.cov) > LARGER * np.diagonal(cov)).any())
 
     def with_change(self, second_moment: FloatArray) -> RigJitter:
         """Update S with what one step shows of the change ω_k − ω_{k−1} (one step of on-line EM).
