@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -106,8 +107,8 @@ class FolderCalibration(CalibrationModel):
 
 
 @dataclass(frozen=True)
-class _Cameras:
-    """The cameras of a folder, and what their file says of the IMU."""
+class Cameras:
+    """The cameras of a recording, and what their file says of the IMU."""
 
     camera: StereoCamera
     rectification: Rectification | None
@@ -146,7 +147,11 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
     pictures = _list_pictures(path, options.rate_hz)
     stamps_ns = pictures.stamps_ns
 
-    cameras = _cameras(path, options.calibration, pictures.left_files[0])
+    def size_px() -> tuple[int, int]:
+        height, width = read_gray_of_any_depth(pictures.left_files[0]).shape
+        return width, height
+
+    cameras = read_cameras(path, options.calibration, size_px)
     imu = with_noise_of(cameras.imu, options.imu_noise)
     imu_stream = _read_imu(path, cameras, stamps_ns)
     return StereoRecording(
@@ -247,20 +252,26 @@ def _pictures_by_stamps(path: Path) -> _Pictures:
     )
 
 
-def _cameras(path: Path, calibration: Path | None, first_image: Path) -> _Cameras:
+def read_cameras(
+    folder: Path, calibration: Path | None, size_px: Callable[[], tuple[int, int]]
+) -> Cameras:
     """Read the calibration of the cameras: probevo's own, or one of raw images.
+
+    Args:
+        folder: where ``calib.yaml`` is.
+        calibration: another file; None for that one.
+        size_px: returns (width, height) of an image, if that is asked for.
 
     Raises:
         InputError: the file is missing or faulty.
     """
-    own_file = path / "calib.yaml"
+    own_file = folder / "calib.yaml"
     if calibration is None and own_file.exists() and is_stereo_calibration(own_file):
         calibration = own_file
     if calibration is not None:
-        height, width = read_gray_of_any_depth(first_image).shape
-        raw = read_stereo_calibration(calibration, (width, height))
+        raw = read_stereo_calibration(calibration, size_px())
         rectification = raw.rectification()
-        return _Cameras(
+        return Cameras(
             camera=rectification.camera,
             rectification=rectification,
             imu=raw.imu(rectification.C_rect_left),
@@ -277,7 +288,7 @@ def _cameras(path: Path, calibration: Path | None, first_image: Path) -> _Camera
     )
     check_camera(camera, own_file)
     imu = own.imu.calibration(str(own_file)) if own.imu is not None else None
-    return _Cameras(camera=camera, rectification=None, imu=imu, where=own_file)
+    return Cameras(camera=camera, rectification=None, imu=imu, where=own_file)
 
 
 def _read_calibration(path: Path) -> FolderCalibration:
@@ -306,7 +317,7 @@ def _read_calibration(path: Path) -> FolderCalibration:
     return validated(content, FolderCalibration, path, cure)
 
 
-def _read_imu(path: Path, cameras: _Cameras, frames_ns: IntArray) -> ImuStream | None:
+def _read_imu(path: Path, cameras: Cameras, frames_ns: IntArray) -> ImuStream | None:
     """Read the IMU's samples; None without an IMU.
 
     Raises:

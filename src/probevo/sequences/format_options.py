@@ -65,6 +65,18 @@ class FolderOptions(Settings):
     )
 
 
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov")
+
+
+class VideoOptions(Settings):
+    """The options of the format video."""
+
+    calibration: Path | None = Field(
+        None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
+    )
+    rate_hz: float | None = Field(None, gt=0.0, description="Frames a second: positive.")
+
+
 class RateOptions(Settings):
     """The options of formats whose files have no times."""
 

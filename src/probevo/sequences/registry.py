@@ -20,10 +20,12 @@ from pydantic import ValidationError
 
 from probevo.errors import InputError, brief
 from probevo.sequences.format_options import (
+    VIDEO_SUFFIXES,
     FolderOptions,
     KittiFlowOptions,
     RateOptions,
     RosbagOptions,
+    VideoOptions,
 )
 from probevo.settings import Settings
 
@@ -174,6 +176,12 @@ def _open_rosbag(path: Path, **options: Any) -> Sequence:
     return open_rosbag(path, RosbagOptions(**options))
 
 
+def _open_video(path: Path, **options: Any) -> Sequence:
+    from probevo.sequences.video import open_video
+
+    return open_video(path, VideoOptions(**options))
+
+
 _BUILT_IN = (
     SequenceFormat(
         name="kitti-raw",
@@ -225,6 +233,14 @@ _BUILT_IN = (
         folder_signs=("frames/rgb/Camera_0",),
         open=_open_virtual_kitti,
         options=RateOptions,
+    ),
+    SequenceFormat(  # before folder, whose calib.yaml it has, too
+        name="video",
+        summary="a video with left and right image side by side, or a folder with two videos",
+        folder_signs=tuple(f"left{suffix}" for suffix in VIDEO_SUFFIXES),
+        file_suffixes=VIDEO_SUFFIXES,
+        open=_open_video,
+        options=VideoOptions,
     ),
     SequenceFormat(
         name="folder",
