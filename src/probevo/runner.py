@@ -33,7 +33,7 @@ from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.motions_file import write_motions
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult
-from probevo.output.viewer_file import check_viewer_path, write_viewer_file
+from probevo.output.viewer_file import ViewerFile, check_viewer_path, opened_viewer
 from probevo.python_arguments import as_path
 from probevo.run_checks import check_run
 from probevo.run_config import RunConfig, as_run_config, config_text
@@ -114,8 +114,16 @@ def run_sequence(
         check_bag_path(config.write, "--write")
     if config.viewer is not None:
         check_viewer_path(config.viewer, "--viewer")
-    with locked(out):
-        return _run(sequence, config, out, noise=noise, on_step=on_step, sensors=tuple(sensors))
+    with locked(out), opened_viewer(config.viewer) as viewer:
+        return _run(
+            sequence,
+            config,
+            out,
+            noise=noise,
+            on_step=on_step,
+            sensors=tuple(sensors),
+            viewer=viewer,
+        )
 
 
 def _run(
@@ -126,6 +134,7 @@ def _run(
     noise: NoiseModel,
     on_step: Callable[[MotionEstimate], None] | None,
     sensors: tuple[Sensor, ...],
+    viewer: ViewerFile | None,
 ) -> Run:
     """Run the odometry and write the results, while no other process writes into the folder."""
     num_frames = min(len(sequence), config.max_frames or len(sequence))
@@ -146,6 +155,8 @@ def _run(
             pictures.add(frame, odometry)
             smoothed.add(odometry.window)
             timing.add(frame)
+            if viewer is not None:
+                viewer.add(frame, odometry)
 
             # Swapped images have mostly negative disparities; a few frames are enough to see it.
             num_matches += count_matches(odometry.tracks)
@@ -161,11 +172,11 @@ def _run(
         result = _result(recorder, odometry, smoothed, timing=timing)
         if len(result) > 1:
             result = replace(result, stopped=_reason(stop))
-            _write_results(out, sequence, config, result=result, pictures=pictures)
+            _write_results(out, sequence, config, result=result, pictures=pictures, viewer=viewer)
             stop.add_note(f"The results of the first {len(result)} frames are in {out}.")
         raise
     result = _result(recorder, odometry, smoothed, timing=timing)
-    return _write_results(out, sequence, config, result=result, pictures=pictures)
+    return _write_results(out, sequence, config, result=result, pictures=pictures, viewer=viewer)
 
 
 def _result(
@@ -194,7 +205,13 @@ def _reason(stop: BaseException) -> str:
 
 
 def _write_results(
-    out: Path, sequence: Sequence, config: RunConfig, result: RunResult, pictures: _Pictures
+    out: Path,
+    sequence: Sequence,
+    config: RunConfig,
+    *,
+    result: RunResult,
+    pictures: _Pictures,
+    viewer: ViewerFile | None,
 ) -> Run:
     """Write all files of a run, and remove those of an earlier run that this one does not write."""
     # Only now: importing Matplotlib would delay the first frame.
@@ -255,8 +272,8 @@ def _write_results(
             )
     if config.write is not None:
         write_odometry_bag(config.write, result, config.ros, camera=sequence.camera)
-    if config.viewer is not None:
-        write_viewer_file(config.viewer, result, truth)
+    if viewer is not None:
+        viewer.finish(result, truth)
     if result.smoothed is None:
         remove_stale(out / SMOOTHED_TUM)
         remove_stale(out / SMOOTHED_KITTI)

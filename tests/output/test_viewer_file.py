@@ -8,9 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from cli.rendering import write_wall
+from probevo.cli.main import main
 from probevo.errors import InputError
+from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.output.run_result import RunResult
 from probevo.output.viewer_file import write_viewer_file
+from probevo.runner import run_sequence
+from probevo.sequences import open_sequence
+from sequences.recordings import write_folder_sequence
 
 ENTITIES = {
     "/world",
@@ -26,18 +32,96 @@ ENTITIES = {
 }
 
 
-def test_every_entity_is_read_back(tmp_path: Path, make_run: Callable[..., RunResult]) -> None:
+OF_FRAMES = {
+    "/world/camera/image",
+    "/world/camera/image/features",
+    "/world/camera/landmarks",
+}
+"""What each frame shows; only while a run goes on."""
+FRAMES = 5
+
+
+def rows(path: Path) -> dict[str, int]:
+    """The number of rows of each entity of a file, by the SDK's reader."""
     pytest.importorskip("rerun")
     from rerun.chunk import RrdReader
 
+    found: dict[str, int] = {}
+    for chunk in RrdReader(path).stream():
+        if not chunk.entity_path.startswith("/__"):
+            found[chunk.entity_path] = found.get(chunk.entity_path, 0) + chunk.num_rows
+    return found
+
+
+def timelines(path: Path) -> set[str]:
+    """The timelines of a file."""
+    from rerun.chunk import RrdReader
+
+    return {name for chunk in RrdReader(path).stream() for name in chunk.timeline_names}
+
+
+def test_a_run_writes_what_its_frames_show(tmp_path: Path) -> None:
+    """Image, features and landmarks of each frame, beside the path; with a window, it smoothed."""
+    pytest.importorskip("rerun")
+    wall = open_sequence(write_wall(tmp_path / "wall", FRAMES))
+    path = tmp_path / "run.rrd"
+    run_sequence(wall, {"viewer": path, "estimator": "window"}, tmp_path / "out")
+    found = rows(path)
+    assert set(found) == (ENTITIES | OF_FRAMES | {"/world/smoothed"}) - {"/status"}
+    assert found["/world/camera/image/features"] == FRAMES
+    assert found["/world/camera/landmarks"] == FRAMES
+    assert found["/world/camera/image"] >= FRAMES
+    assert found["/world/camera"] == FRAMES
+    assert {"frame", "time"} <= timelines(path)
+    later = tmp_path / "later.rrd"
+    assert main(["convert", str(tmp_path / "out"), "--out", str(later)]) == 0
+    assert set(rows(later)) == set(found) - OF_FRAMES - {"/world/truth"}
+
+
+def test_the_imu_is_shown(tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    recording = open_sequence(write_folder_sequence(tmp_path / "recording"))
+    path = tmp_path / "run.rrd"
+    run_sequence(recording, {"viewer": path}, tmp_path / "out")
+    found = rows(path)
+    assert found["/imu/gyro_rad_s"] == found["/imu/accel_m_s2"] == len(recording) - 1
+
+
+def test_a_run_that_is_stopped_has_a_file_of_its_frames_so_far(tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    wall = open_sequence(write_wall(tmp_path / "wall", FRAMES))
+    path = tmp_path / "run.rrd"
+    seen = []
+
+    def stop(motion: MotionEstimate) -> None:
+        seen.append(motion)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_sequence(wall, {"viewer": path}, tmp_path / "out", stop)
+    assert rows(path)["/world/camera"] == 3
+
+
+def test_a_run_without_any_result_leaves_no_file(tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    wall = open_sequence(write_wall(tmp_path / "wall", FRAMES))
+
+    def stop(motion: MotionEstimate) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_sequence(wall, {"viewer": tmp_path / "run.rrd"}, tmp_path / "out", stop)
+    assert [path.name for path in tmp_path.iterdir()] == ["wall"]
+
+
+def test_every_entity_is_read_back(tmp_path: Path, make_run: Callable[..., RunResult]) -> None:
+    pytest.importorskip("rerun")
     run = make_run(45)
     path = tmp_path / "run.rrd"
     write_viewer_file(path, run, run.T_world_cam)
     assert [each.name for each in tmp_path.iterdir()] == ["run.rrd"]
-    rows: dict[str, int] = {}
-    for chunk in RrdReader(path).stream():
-        rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + chunk.num_rows
-    found = {name: count for name, count in rows.items() if not name.startswith("/__")}
+    found = rows(path)
     assert set(found) == ENTITIES
     assert found["/world/camera"] == found["/world/camera_3_sigma"] == 45
     assert found["/step/tracks"] == 44

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,9 +14,11 @@ from probevo.errors import InputError
 from probevo.run_config import ReadSettings, RosSettings
 
 if TYPE_CHECKING:
+    from probevo.output.run_result import RunResult
     from probevo.sequences import Sequence
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+VIEWER_SUFFIX = ".rrd"
 MOTIONS = "motions.npz"
 """What makes a folder that of a run."""
 
@@ -26,13 +28,14 @@ class ConvertArguments:
     """Writes a recording in another format: a folder of images, or a bag of ROS 1 or ROS 2.
 
     Images are written rectified, without loss. Of the --out folder of `probevo run`, it writes a
-    bag of the odometry.
+    bag of the odometry, or a file .rrd for the Rerun viewer.
     """
 
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
     """Folder of the recording, a bag, or the folder of a run."""
     out: Annotated[Path, tyro.conf.arg(metavar="PATH")]
-    """What to write: a file .bag (ROS 1), .mcap or .db3 (ROS 2), or else a folder of images."""
+    """What to write: a file .bag (ROS 1), .mcap or .db3 (ROS 2), or else a folder of images; of a
+    run also .rrd."""
     compressed: bool = False
     """Write the images of a bag as PNG: half the size, slower, and nothing is lost."""
     max_frames: int | None = None
@@ -108,16 +111,40 @@ def _write(
 
 
 def _convert_run(arguments: ConvertArguments, ros: RosSettings) -> None:
-    """Write the odometry of a finished run as a bag.
+    """Write the odometry of a finished run as a bag, or for the viewer.
 
     Raises:
-        InputError: its motions are damaged, or the bag cannot be written.
+        InputError: its motions are damaged, or the file cannot be written.
     """
     from probevo.output.bag_writer import check_bag_path
     from probevo.output.motions_file import read_motions
     from probevo.output.odometry_bag import write_odometry_bag
+    from probevo.output.viewer_file import write_viewer_file
 
-    check_bag_path(arguments.out, "--out")
+    if arguments.out.suffix != VIEWER_SUFFIX:
+        check_bag_path(arguments.out, "--out")
     result = read_motions(arguments.source / MOTIONS)
-    write_odometry_bag(arguments.out, result, ros)
+    if arguments.out.suffix == VIEWER_SUFFIX:
+        write_viewer_file(arguments.out, with_smoothed(result, arguments.source))
+    else:
+        write_odometry_bag(arguments.out, result, ros)
     print(f"odometry of {len(result)} frames written: {arguments.out}")
+
+
+def with_smoothed(result: RunResult, folder: Path) -> RunResult:
+    """Return a run with the smoothed path that lies in its folder, if there is one.
+
+    Raises:
+        InputError: its file is damaged, or is that of another run.
+    """
+    from probevo.runner import SMOOTHED_KITTI
+    from probevo.sequences.pose_files import read_kitti_poses
+
+    path = folder / SMOOTHED_KITTI
+    if not path.is_file():
+        return result
+    smoothed = read_kitti_poses(path)
+    if len(smoothed) != len(result):
+        what = f"it has {len(smoothed)} poses, and {MOTIONS} {len(result)} frames."
+        raise InputError(path, what, "Are they of one run?")
+    return replace(result, smoothed=smoothed)

@@ -1,26 +1,34 @@
-"""A run as a recording of the Rerun viewer (``.rrd``): path, pose with its covariance, status.
+"""A run as a recording of the Rerun viewer (``.rrd``): images, features, path, covariances, status.
 
 The extra ``viewer`` installs ``rerun-sdk``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probevo.arrays import FloatArray
+from probevo.arrays import AnyArray, FloatArray, Image
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import Status
 from probevo.files import check_folder, written_together
+from probevo.odometry import StereoOdometry
+from probevo.output.drawing import TRUST_COLORS_BGR
 from probevo.output.report_data import Drift, drift_of
 from probevo.output.run_result import RunResult
+from probevo.sequences.frame import Frame
 
 SUFFIX = ".rrd"
 BLUE_RGB = (23, 105, 170)
+GREEN_RGB = (44, 140, 90)
 GREY_RGB = (139, 149, 161)
+JPEG_QUALITY = 80
 NUM_SIGMAS = 3.0
 """Half axes of the ellipsoids, in standard deviations."""
 
@@ -42,12 +50,138 @@ def check_viewer_path(path: Path, option: str) -> None:
         raise InputError(option, "the viewer needs the package rerun-sdk.", cure) from error
 
 
-def write_viewer_file(path: Path, result: RunResult, truth: FloatArray | None = None) -> None:
-    """Write a run; ``rerun FILE`` shows it, on the timelines ``frame`` and ``time``.
+class ViewerFile:
+    """A run that is written while it goes on; ``rerun FILE`` shows it.
 
-    Entities: ``world/estimate`` and ``world/truth`` (the paths), ``world/camera`` (the pose of each
-    frame), ``world/camera_3_sigma`` (ellipsoid of its position), ``step/…`` (standard deviations,
-    tracks, inliers), and ``status`` (a line for each step that is not OK).
+    Its timelines are ``frame`` and ``time``. Entities of each frame, as it is processed:
+    ``world/camera/image`` (JPEG), ``world/camera/image/features`` (coloured by weight, from
+    distrusted red to trusted blue-green), ``world/camera/landmarks`` (the points of the solve, in
+    the same colours), ``imu/gyro_rad_s`` and ``imu/accel_m_s2`` (means since the frame before).
+
+    Of the whole run, at its end: ``world/estimate``, ``world/smoothed`` and ``world/truth`` (the
+    paths; the estimate is the live one), ``world/camera`` (the pose of each frame),
+    ``world/camera_3_sigma`` (ellipsoid of its position), ``step/…`` (standard deviations, tracks,
+    inliers), and ``status`` (a line for each step that is not OK).
+
+    The file appears when it is finished, with the name that was asked for.
+
+    Args:
+        path: a file ``.rrd``.
+
+    Raises:
+        InputError: rerun-sdk is not installed, or the file cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        check_viewer_path(path, str(path))
+        import rerun as rr
+
+        self._rr = rr
+        self._written = ExitStack()
+        self._partial = self._written.enter_context(written_together(path.parent)) / path.name
+        self._recording: Any = rr.RecordingStream("probevo", recording_id=path.stem)
+        self._recording.save(self._partial)
+        self._recording.log("world", rr.ViewCoordinates.RDF, static=True)
+        self._first_ns: int | None = None
+        self._is_open = True
+
+    def add(self, frame: Frame, odometry: StereoOdometry) -> None:
+        """Add what a frame shows, after the step of it."""
+        if self._first_ns is None:
+            self._first_ns = frame.stamp_ns
+        self._set_time(frame.index, 1e-9 * (frame.stamp_ns - self._first_ns))
+        if frame.left is not None:
+            self._add_image(frame.left, odometry)
+        colors = _colors(odometry.weights)
+        features = self._rr.Points2D(odometry.tracks.curr_px[:, :2], colors=colors, radii=2.0)
+        self._recording.log("world/camera/image/features", features)
+        landmarks = odometry.landmarks
+        weights = odometry.weights[np.isin(odometry.tracks.ids, landmarks.ids)]
+        points = self._rr.Points3D(landmarks.points_m, colors=_colors(weights))
+        self._recording.log("world/camera/landmarks", points)
+        if frame.imu is not None and len(frame.imu.stamps_ns):
+            gyro = self._rr.Scalars(frame.imu.gyro_rad_s.mean(axis=0))
+            self._recording.log("imu/gyro_rad_s", gyro)
+            accel = self._rr.Scalars(frame.imu.accel_m_s2.mean(axis=0))
+            self._recording.log("imu/accel_m_s2", accel)
+
+    def finish(self, result: RunResult, truth: FloatArray | None = None) -> None:
+        """Add the whole run, and give the file its name.
+
+        Args:
+            result: the run.
+            truth: true poses T_world_cam, [N, 4, 4], m, in any world frame; NaN where unknown.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        rr = self._rr
+        drift = drift_of(result, truth)
+        self._recording.log("world/estimate", _line(rr, drift.T_world_cam, BLUE_RGB), static=True)
+        if result.smoothed is not None:
+            line = _line(rr, result.smoothed, GREEN_RGB)
+            self._recording.log("world/smoothed", line, static=True)
+        if drift.T_world_cam_true is not None:
+            line = _line(rr, drift.T_world_cam_true, GREY_RGB)
+            self._recording.log("world/truth", line, static=True)
+        for index in range(len(result)):
+            self._set_time(index, float(drift.time_s[index]))
+            _log_pose(rr, self._recording, drift, index=index)
+            if index > 0:
+                _log_step(rr, self._recording, result, step=index - 1)
+        self._close()
+
+    def discard(self) -> None:
+        """Write no file, unless it is finished."""
+        if self._is_open:
+            self._recording.disconnect()
+            self._partial.unlink(missing_ok=True)
+            self._close()
+
+    def _close(self) -> None:
+        self._is_open = False
+        self._recording.flush()
+        self._recording.disconnect()
+        self._written.close()
+
+    def _set_time(self, index: int, time_s: float) -> None:
+        self._recording.set_time("frame", sequence=index)
+        self._recording.set_time("time", duration=time_s)
+
+    def _add_image(self, left: Image, odometry: StereoOdometry) -> None:
+        """Add a left image, and with it the camera that took it."""
+        camera = odometry.camera
+        height, width = left.shape
+        pinhole = self._rr.Pinhole(
+            focal_length=(camera.fu_px, camera.fv_px),
+            principal_point=(camera.cu_px, camera.cv_px),
+            resolution=(width, height),
+        )
+        self._recording.log("world/camera/image", pinhole)
+        data = cv2.imencode(".jpg", left, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+        encoded = self._rr.EncodedImage(contents=data, media_type="image/jpeg")
+        self._recording.log("world/camera/image", encoded)
+
+
+@contextmanager
+def opened_viewer(path: Path | None) -> Iterator[ViewerFile | None]:
+    """Give a file for the viewer, which is discarded unless it is finished; None without a path.
+
+    Raises:
+        InputError: rerun-sdk is not installed, or the file cannot be written.
+    """
+    if path is None:
+        yield None
+        return
+    viewer = ViewerFile(path)
+    try:
+        yield viewer
+    finally:
+        viewer.discard()
+
+
+def write_viewer_file(path: Path, result: RunResult, truth: FloatArray | None = None) -> None:
+    """Write a finished run, without what its frames showed.
 
     Args:
         path: a file ``.rrd``.
@@ -57,26 +191,15 @@ def write_viewer_file(path: Path, result: RunResult, truth: FloatArray | None = 
     Raises:
         InputError: rerun-sdk is not installed, or the file cannot be written.
     """
-    check_viewer_path(path, str(path))
-    import rerun as rr
+    with opened_viewer(path) as viewer:
+        if viewer is not None:
+            viewer.finish(result, truth)
 
-    drift = drift_of(result, truth)
-    with written_together(path.parent) as folder:
-        recording = rr.RecordingStream("probevo", recording_id=path.stem)
-        recording.save(folder / path.name)
-        recording.log("world", rr.ViewCoordinates.RDF, static=True)
-        recording.log("world/estimate", _line(rr, drift.T_world_cam, BLUE_RGB), static=True)
-        if drift.T_world_cam_true is not None:
-            line = _line(rr, drift.T_world_cam_true, GREY_RGB)
-            recording.log("world/truth", line, static=True)
-        for index in range(len(result)):
-            recording.set_time("frame", sequence=index)
-            recording.set_time("time", duration=float(drift.time_s[index]))
-            _log_pose(rr, recording, drift, index=index)
-            if index > 0:
-                _log_step(rr, recording, result, step=index - 1)
-        recording.flush()
-        recording.disconnect()
+
+def _colors(weights: FloatArray) -> AnyArray:
+    """Return the colours of weights from 0 to 1, [N, 3], RGB."""
+    classes = np.clip(weights * len(TRUST_COLORS_BGR), 0, len(TRUST_COLORS_BGR) - 1)
+    return np.asarray(TRUST_COLORS_BGR[classes.astype(np.int64), ::-1], np.uint8)
 
 
 def _line(rr: Any, T_world_cam: FloatArray, color: tuple[int, int, int]) -> Any:
