@@ -179,5 +179,5 @@ def test_a_run_as_a_data_frame_and_in_a_notebook(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["z_m"], result.T_world_cam[:, 2, 3])
     np.testing.assert_array_equal(table["sigma_x_m"][1:], np.sqrt(result.cov[:, 0, 0]))
     np.testing.assert_array_equal(table.index, result.stamps_ns)
-    assert repr(result) == f"RunResult({', '.join(f'{n} {t}' for n, t in result._facts())})"
+    assert repr(result) == f"RunResult({', '.join(f'{n} {t}' for n, t in result.facts())})"
     assert "<th>steps</th><td>3 OK</td>" in result._repr_html_()

@@ -30,9 +30,10 @@ from probevo.odometry import StereoOdometry
 from probevo.output.bag_writer import check_bag_path
 from probevo.output.drawing import draw_tracks
 from probevo.output.files import write_json, write_kitti_poses, write_tum
+from probevo.output.headline import headline_drift
 from probevo.output.motions_file import write_motions
 from probevo.output.run_facts import run_facts
-from probevo.output.run_result import RunRecorder, RunResult
+from probevo.output.run_result import RunRecorder, RunResult, facts_table
 from probevo.output.viewer_file import ViewerFile, check_viewer_path, opened_viewer
 from probevo.python_arguments import as_path
 from probevo.run_checks import check_run
@@ -55,7 +56,7 @@ NUM_PICTURES = 4
 """Frames that the report shows with their tracks."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """The results of a run over N frames."""
 
@@ -66,6 +67,29 @@ class Run:
     """True poses T_world_cam of the frames, [N, 4, 4], m; NaN where unknown."""
     pictures: tuple[tuple[str, bytes], ...] = ()
     """Caption and JPEG file of a few frames with their tracks."""
+
+    def __repr__(self) -> str:
+        """Return what a glance should show, in one line."""
+        return f"Run({', '.join(f'{name} {text}' for name, text in self._facts())})"
+
+    def _repr_html_(self) -> str:
+        """Return the same as a table, for notebooks."""
+        return facts_table(self._facts())
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return name and text of what a glance should show: the run, and its errors if known."""
+        facts = self.result.facts()
+        metrics = self.metrics
+        if metrics is None:
+            return facts
+        drift = headline_drift(metrics)
+        if drift is not None:
+            facts.append(("drift", f"{drift.translation_percent:.3g} % over {drift.segments} m"))
+        if metrics.final_error_m is not None:
+            facts.append(("error at the end", f"{metrics.final_error_m:.3g} m"))
+        if metrics.anees is not None:
+            facts.append(("NEES", f"{metrics.anees:.3g} (6 is consistent)"))
+        return facts
 
 
 def run_sequence(

@@ -173,15 +173,11 @@ class RunResult:
 
     def __repr__(self) -> str:
         """Return the number of frames, the duration, the path and the statuses, in one line."""
-        return f"RunResult({', '.join(f'{name} {text}' for name, text in self._facts())})"
+        return f"RunResult({', '.join(f'{name} {text}' for name, text in self.facts())})"
 
     def _repr_html_(self) -> str:
         """Return the same as a table, for notebooks."""
-        rows = "".join(
-            f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>"
-            for name, text in self._facts()
-        )
-        return f"<table>{rows}</table>"
+        return facts_table(self.facts())
 
     def to_dataframe(self) -> Any:
         """Return a pandas DataFrame with a row a frame: pose, motion, its σ, and its status.
@@ -225,7 +221,7 @@ class RunResult:
             return 0
         return int(np.maximum(np.round(steps_ns / np.median(steps_ns)) - 1.0, 0.0).sum())
 
-    def _facts(self) -> list[tuple[str, str]]:
+    def facts(self) -> list[tuple[str, str]]:
         """Return name and text of what a glance should show."""
         duration_s = 1e-9 * float(self.stamps_ns[-1] - self.stamps_ns[0]) if len(self) else 0.0
         path_m = float(np.linalg.norm(self.T_curr_prev[:, :3, 3], axis=1).sum())
@@ -236,6 +232,14 @@ class RunResult:
             ("path", f"{path_m:.4g} m"),
             ("steps", ", ".join(f"{count} {name}" for name, count in counts.most_common())),
         ]
+
+
+def facts_table(facts: list[tuple[str, str]]) -> str:
+    """Return names and texts as a table in HTML."""
+    rows = "".join(
+        f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in facts
+    )
+    return f"<table>{rows}</table>"
 
 
 class RunRecorder:
