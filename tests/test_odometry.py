@@ -298,6 +298,33 @@ def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     assert motions[11].status is OK
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_images_that_stand_still_but_for_noise_are_treated_as_dropped_frames(
+    tmp_path: Path, seed: int
+) -> None:
+    """An encoder repeats a pair for seven frames, with ±1 grey level of noise: longer than it takes
+    to give up a motion model that refuses all solves."""
+    sequence = pv.open_sequence(write_wall(tmp_path / "wall", 16))
+    frames = list(sequence)
+    rng = np.random.default_rng(seed)
+    for k in range(6, 13):
+        noisy = []
+        for image in (frames[5].left, frames[5].right):
+            assert image is not None
+            levels = image.astype(np.int64) + rng.integers(-1, 2, image.shape)
+            noisy.append(np.clip(levels, 0, 255).astype(np.uint8))
+        frames[k] = replace(frames[k], left=noisy[0], right=noisy[1])
+    # A camera that is too heavy to stop within a step.
+    heavy = {"acceleration_m_s2": 0.1, "angular_acceleration_rad_s2": 0.1}
+    odometry = pv.StereoOdometry(sequence.camera, config={"motion_model": heavy})
+    motions = [odometry.step(frame) for frame in frames]
+    true = relative_motions(sequence.truth.T_world_cam)
+    assert {motion.status for motion in motions[6:13]} == {pv.Status.TOO_FEW_TRACKS}
+    for motion, T_true in zip(motions[6:13], true[5:12], strict=True):
+        assert normalized_error_squared(T_true, motion.T_curr_prev, motion.cov) < 22.5
+    assert motions[-1].status is OK
+
+
 def test_images_of_a_camera_at_rest_may_be_equal(tmp_path: Path) -> None:
     """As a simulator gives them, without noise."""
     sequence = pv.open_sequence(write_wall(tmp_path / "wall", 2))

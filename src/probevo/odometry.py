@@ -35,7 +35,7 @@ from probevo.noise import NoiseModel
 from probevo.noise.jitter_array import learned_jitter_cov
 from probevo.predictors import PredictionSpace, Step, space_for
 from probevo.python_arguments import as_camera, as_config, as_noise
-from probevo.sequences.frame import Frame, is_repeated
+from probevo.sequences.frame import Frame, is_repeated, looks_repeated
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
 from probevo.stage_clock import StageClock
@@ -236,8 +236,8 @@ class StereoOdometry:
         """Find the features again, correct them, and compute their predictors."""
         starts = state.motion_model.starts(prediction.duration_s, prediction.motion)
         starts += rotated_starts(prediction.motion, state.frame, frame, self.camera)
-        if state.motion_model.is_moving and is_repeated(state.frame, frame):
-            # A frozen image: the features have moved on unseen.
+        is_frozen = _is_frozen(state, frame, prediction)
+        if is_frozen:  # the features have moved on unseen
             tracked = Tracked.nothing(state.tracking)
         else:
             tracked = track_from_best_start(
@@ -266,7 +266,7 @@ class StereoOdometry:
             )
         )
         clock.lap("predict")
-        return _Observed(tracked=tracked, rig=rig, tracks=tracks, phi=phi)
+        return _Observed(tracked=tracked, rig=rig, tracks=tracks, phi=phi, is_frozen=is_frozen)
 
     def _measure(self, state: OdometryState, frame: Frame, prediction: Prediction) -> _Measured:
         """Ask gyro and sensors.
@@ -391,6 +391,7 @@ class StereoOdometry:
             residuals=learned.residuals,
             fusion=fusion,
             step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
+            is_frozen=observed.is_frozen,
             window=window,
         )
         return estimate, after
@@ -545,6 +546,20 @@ class StereoOdometry:
         )
 
 
+def _is_frozen(state: OdometryState, frame: Frame, prediction: Prediction) -> bool:
+    """Return whether the images stand still though the camera moves.
+
+    They are the same bytes, or the same but for noise, and the camera was too fast to have come to
+    rest within the step. From then on they are frozen until they change.
+    """
+    if not state.motion_model.is_moving:
+        return False
+    if is_repeated(state.frame, frame):
+        return True
+    cannot_rest = prediction.motion.fails_gate(np.eye(4), np.zeros((6, 6)))
+    return (state.is_frozen or cannot_rest) and looks_repeated(state.frame, frame)
+
+
 @dataclass(frozen=True)
 class _Observed:
     """What the images of a frame show, before a motion is estimated."""
@@ -557,6 +572,8 @@ class _Observed:
     """Corrected by the rig's calibration."""
     phi: FloatArray
     """Their places in the prediction space, [N, M]."""
+    is_frozen: bool
+    """Whether the images stand still though the camera moves, so that there are no tracks."""
 
     def for_store(self, frame: Frame, visual: VisualMotion) -> FrameObservations:
         """Return the raw observations, with the noise that was predicted for those used."""

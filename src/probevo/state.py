@@ -93,6 +93,8 @@ class OdometryState:
     sensor that corrects it."""
     step: StepFeatures
     """The features of the last step."""
+    is_frozen: bool
+    """Whether the images have stood still in the last step though the camera moved."""
     window: Window | None
     """The last frames and their landmarks; None for the two-frame estimator."""
 
@@ -129,6 +131,7 @@ class OdometryState:
             residuals=LastResiduals.none(),
             fusion=SensorFusion.at_origin(sensor_names),
             step=StepFeatures.none(num_columns),
+            is_frozen=False,
             window=_first_window(frame, imu, config) if config.estimator == "window" else None,
         )
 

@@ -15,6 +15,7 @@ from probevo.config import MAX_DIFFERENCE_OF, TrackingConfig
 from probevo.sequences.frame import Frame
 from probevo.sequences.prepared_images import PreparedImages
 from probevo.tracking.anchor_patches import AnchorPatches
+from probevo.tracking.contrast import with_contrast_of
 from probevo.tracking.detection import corners_in_free_cells, non_overlapping
 from probevo.tracking.lucas_kanade import track_points
 from probevo.tracking.preparation import prepare_images
@@ -148,7 +149,7 @@ class ImageTracker:
         rejected["left the view"] += len(prev) - len(visible)
         # From there, Lucas–Kanade from frame to frame.
         tracked = track_points(
-            prev.left,
+            with_contrast_of(prev.left, left),
             left,
             prev.pixels[visible, :2],
             start_px=predicted_px[visible],

@@ -1,0 +1,89 @@
+"""After a jump of the exposure, points are tracked as before."""
+
+import cv2
+import numpy as np
+import pytest
+
+import probevo as pv
+from probevo.arrays import Image
+from probevo.config import TrackingConfig
+from probevo.sequences.frame import Frame
+from probevo.sequences.prepared_images import Pyramid
+from probevo.tracking.contrast import with_contrast_of
+from probevo.tracking.image_tracker import ImageTracker
+from probevo.tracking.lucas_kanade import build_pyramid
+from probevo.tracking.tracker import TrackingState
+
+CONFIG = TrackingConfig()
+SIZE_PX = (480, 240)
+DISPARITY_PX = 16
+
+
+def textured(seed: int = 0) -> Image:
+    """Smooth random texture, wider than the camera sees."""
+    width, height = SIZE_PX
+    noise = np.random.default_rng(seed).normal(size=(height, width + 64))
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
+    return np.clip(110.0 + 40.0 * smooth / smooth.std(), 0.0, 255.0).astype(np.uint8)
+
+
+def exposed(image: Image, gain: float) -> Image:
+    return np.clip(np.rint(gain * image), 0.0, 255.0).astype(np.uint8)
+
+
+def pyramid(image: Image) -> Pyramid:
+    return build_pyramid(image, CONFIG)
+
+
+@pytest.mark.parametrize("gain", [0.3, 0.6, 2.0])
+def test_the_contrast_becomes_that_of_the_other_image(gain: float) -> None:
+    """Where none of the grey levels is clipped: mean and standard deviation of all levels."""
+    image = pyramid(exposed(textured(), min(gain, 1.0)))
+    template = pyramid(exposed(textured(), min(1.0, 1.0 / gain)))
+    for level, wanted in zip(with_contrast_of(template, image), image, strict=True):
+        assert abs(level.mean() - wanted.mean()) < 1.0
+        assert abs(level.std() - wanted.std()) < 1.0
+
+
+@pytest.mark.parametrize("gain", [0.9, 1.1])
+def test_usual_changes_leave_an_image_as_it_is(gain: float) -> None:
+    template = pyramid(textured())
+    assert with_contrast_of(template, pyramid(exposed(textured(), gain))) is template
+
+
+def test_without_contrast_there_is_nothing_to_adapt() -> None:
+    """An empty pyramid, as before the first frame; a black image on either side."""
+    black = pyramid(np.zeros_like(textured()))
+    image = pyramid(textured())
+    assert with_contrast_of((), image) == ()
+    assert with_contrast_of(image, black) is image
+    assert with_contrast_of(black, image) is black
+
+
+@pytest.mark.parametrize("gain", [0.3, 0.5])
+def test_tracks_survive_a_jump_of_the_exposure(gain: float) -> None:
+    """Down and up again, a camera that moves by three pixels keeps nine tenths of the tracks that
+    it keeps in constant light."""
+    width, _ = SIZE_PX
+    camera = pv.StereoCamera.centered(400.0, 0.2, SIZE_PX)
+    texture = textured()
+    tracker = ImageTracker(camera, CONFIG)
+
+    def num_tracks(gains: list[float]) -> list[int]:
+        """Return how many tracks each frame but the first has."""
+        state = TrackingState.none()
+        counts = []
+        for index, each in enumerate(gains):
+            left = exposed(texture[:, 3 * index : 3 * index + width], each)
+            right = exposed(texture[:, 3 * index + DISPARITY_PX :][:, :width], each)
+            frame = Frame(index, 100_000_000 * index, left=left, right=right)
+            tracked = tracker.track(state, frame, np.eye(4))
+            state = tracked.state
+            counts.append(len(tracked.tracks))
+        return counts[1:]
+
+    steady = num_tracks([1.0, 1.0, 1.0])
+    flickering = num_tracks([1.0, gain, 1.0])
+    assert min(steady) > 100
+    for count, usual in zip(flickering, steady, strict=True):
+        assert count > 0.9 * usual
