@@ -18,10 +18,12 @@ from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.estimation.inertial import reason_not_used
-from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import SmoothedPose, Window
+from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.files import remove_stale, write_atomically, written_together
+from probevo.geometry import se3
 from probevo.lock import locked
 from probevo.measurements.sensor import Sensor
 from probevo.noise.base import NoiseModel
@@ -193,29 +195,50 @@ def _run(
     except BaseException as stop:
         # Keep what was computed, whatever the reason. The first frame is no motion, and must not
         # replace the results of an earlier run.
-        result = _result(recorder, odometry, smoothed, timing=timing)
+        result = _result(sequence, recorder, odometry, smoothed=smoothed, timing=timing)
         if len(result) > 1:
             result = replace(result, stopped=_reason(stop))
             _write_results(out, sequence, config, result=result, pictures=pictures, viewer=viewer)
             stop.add_note(f"The results of the first {len(result)} frames are in {out}.")
         raise
-    result = _result(recorder, odometry, smoothed, timing=timing)
+    result = _result(sequence, recorder, odometry, smoothed=smoothed, timing=timing)
     return _write_results(out, sequence, config, result=result, pictures=pictures, viewer=viewer)
 
 
 def _result(
-    recorder: RunRecorder, odometry: StereoOdometry, smoothed: SmoothedPath, *, timing: PairTiming
+    sequence: Sequence,
+    recorder: RunRecorder,
+    odometry: StereoOdometry,
+    *,
+    smoothed: SmoothedPath,
+    timing: PairTiming,
 ) -> RunResult:
-    """Return what was recorded, how far the rig moves by the last estimate, the smoothed path, and
-    whether left and right images belong together."""
+    """Return what was recorded, how far the rig moves by the last estimate, the smoothed path,
+    whether left and right images belong together, and what the accelerometer says of the scale."""
     rig = odometry.rig
     sigma_rad = None if rig is None else rig.jitter.sigma_rad
+    result = recorder.result()
     return replace(
-        recorder.result(),
+        result,
+        accelerometer_scale=_accelerometer_scale(sequence, result),
         jitter_sigma_rad=sigma_rad,
         smoothed=smoothed.poses(odometry.window),
         right_late_frames=timing.right_late_frames,
         imu_left_out=reason_not_used(odometry.window),
+    )
+
+
+def _accelerometer_scale(sequence: Sequence, result: RunResult) -> AccelerometerScale | None:
+    """Compare the path with the samples of the recording, if it has them at their own rate."""
+    stream = getattr(sequence, "imu_stream", None)
+    if stream is None or sequence.imu is None or len(result) < 2:
+        return None
+    return accelerometer_scale(
+        result.stamps_ns,
+        se3.chain_motions(result.T_curr_prev),
+        result.status == Status.OK,
+        stream=stream,
+        calibration=sequence.imu,
     )
 
 

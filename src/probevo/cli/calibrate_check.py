@@ -15,7 +15,7 @@ from probevo.errors import InputError
 from probevo.run_config import ReadSettings
 
 if TYPE_CHECKING:
-    from probevo.arrays import FloatArray, IntArray
+    from probevo.arrays import BoolArray, FloatArray, IntArray
     from probevo.camera.rig_calibration import RigCalibration
     from probevo.camera.stereo import StereoCamera
     from probevo.evaluation.calibration_quantities import Quantity
@@ -64,8 +64,10 @@ def report(sequence: Sequence, max_frames: int) -> list[str]:
     Raises:
         InputError: the recording is too short or too poor in features to say anything, or faulty.
     """
+    from probevo.evaluation.accelerometer_scale import accelerometer_scale
     from probevo.evaluation.calibration_quantities import (
         SELF_CALIBRATED,
+        accelerometer_scale_quantity,
         gravity_quantity,
         gyro_quantities,
         rig_quantities,
@@ -79,9 +81,7 @@ def report(sequence: Sequence, max_frames: int) -> list[str]:
     num_frames = len(seen.T_world_cam)
     lines = [f"recording: {sequence.path}, {num_frames} frames, {len(seen.rotation_rad)} solved"]
     notes = []
-    if sequence.truth is None:
-        notes.append("Scale: no true poses, so that nothing tells it.")
-    else:
+    if sequence.truth is not None:
         known = sequence.truth.T_world_cam[: len(seen.T_world_cam)]
         found = scale_quantity(seen.T_world_cam, known)
         quantities += [found] if found else []
@@ -95,11 +95,21 @@ def report(sequence: Sequence, max_frames: int) -> list[str]:
         quantities += gyro
         gravity = gravity_quantity(stream, sequence.imu)
         quantities += [gravity] if gravity else []
+        scale = accelerometer_scale(
+            sequence.stamps_ns[:num_frames],
+            seen.T_world_cam,
+            seen.is_ok,
+            stream=stream,
+            calibration=sequence.imu,
+        )
+        quantities += [accelerometer_scale_quantity(scale)] if scale else []
         if not gyro:
             notes.append("IMU: its samples cover too few solved steps.")
         elif any(_is_marked(quantity, len(quantities)) for quantity in gyro[:3]):
             matrix = "; ".join(" ".join(f"{value:+.6f}" for value in row) for row in C_cam_imu)
             notes.append(f"The rotation in T_cam_imu that agrees with the images: {matrix}.")
+    if not any(quantity.name.startswith("scale") for quantity in quantities):
+        notes.append("Scale: neither true poses nor an accelerometer tell it.")
     marked = [quantity for quantity in quantities if _is_marked(quantity, len(quantities))]
     cells = [quantity.texts(is_marked=quantity in marked) for quantity in quantities]
     lines += ["", *table(("quantity", "value", "σ", "unit", "z"), cells).splitlines(), ""]
@@ -126,6 +136,8 @@ class _Seen:
     """Its self-calibration at the end."""
     T_world_cam: FloatArray
     """Poses, [N, 4, 4], m."""
+    is_ok: BoolArray
+    """Whether each step was solved, [N − 1]."""
     between_ns: IntArray
     """Stamps of the two frames of each solved step, [K, 2]."""
     rotation_rad: FloatArray
@@ -149,12 +161,14 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
     odometry = StereoOdometry(sequence.camera)
     camera = sequence.camera
     motions = []
+    solved = []
     matches = np.zeros(2, int)
     steps: list[_Step] = []
     prev_ns = 0
     for frame in islice(sequence, max_frames):
         motion = odometry.step(frame)
         motions.append(motion.T_curr_prev)
+        solved.append(motion.status is Status.OK)
         tracks = odometry.tracks
         if len(motions) <= FRAMES_TO_SEE + 1:
             matches += count_matches(tracks)
@@ -178,6 +192,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
         rows=rows,
         rig=odometry.rig or RigCalibration.initial(),
         T_world_cam=se3.chain_motions(motions[1:]),
+        is_ok=np.array(solved[1:], np.bool_),
         between_ns=np.array([step.between_ns for step in steps], np.int64),
         rotation_rad=np.array([step.rotation_rad for step in steps]),
     )

@@ -62,6 +62,7 @@ def main(words: list[str]) -> None:
 
     # Only now, after the arguments are known to be good: these imports take time.
     from probevo.output.run_warnings import (
+        accelerometer_warning,
         imu_warning,
         scale_warning,
         status_warning,
@@ -77,6 +78,7 @@ def main(words: list[str]) -> None:
         timing_warning(run.result.right_late_frames),
         imu_warning(run.result.imu_left_out),
         scale_warning(run.result, run.truth),
+        accelerometer_warning(run.result.accelerometer_scale),
     )
     for warning in warnings:
         if warning:

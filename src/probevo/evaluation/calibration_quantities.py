@@ -9,6 +9,7 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
+from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.clustered_regression import two_sided_p
 from probevo.evaluation.gyro_check import LAG, MOUNTING, SCALE, check_gyro
 from probevo.evaluation.row_check import DELAY, RowSamples, check_rows
@@ -140,6 +141,22 @@ def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Qua
         100.0 * sigma,
         "%",
         p_value=two_sided_p((ratio - 1.0) / sigma, count - 1),
+        cure=cure,
+    )
+
+
+def accelerometer_scale_quantity(scale: AccelerometerScale) -> Quantity:
+    """Describe how long the path is against what the accelerometer measured."""
+    cure = (
+        f"the path is {scale.ratio:.4f} times as long as the accelerometer says. If that is in"
+        f" m/s², divide baseline_m by {scale.ratio:.4f}; a wrong focal length does the same."
+    )
+    return Quantity(
+        "scale against accelerometer",
+        100.0 * (scale.ratio - 1.0),
+        100.0 * scale.sigma,
+        "%",
+        p_value=scale.p_value,
         cure=cure,
     )
 

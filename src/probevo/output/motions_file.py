@@ -12,6 +12,7 @@ import numpy as np
 
 from probevo.arrays import AnyArray
 from probevo.errors import InputError
+from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.files import write_atomically
 from probevo.geometry import se3
 from probevo.npz import NO_NPZ, read_npz
@@ -57,6 +58,9 @@ def write_motions(path: Path, result: RunResult) -> None:
         arrays["right_late_frames"] = np.array(result.right_late_frames, dtype=np.int64)
     if result.imu_left_out is not None:
         arrays["imu_left_out"] = np.array(result.imu_left_out)
+    scale = result.accelerometer_scale
+    if scale is not None:
+        arrays["accelerometer_scale"] = np.array([scale.ratio, scale.sigma, scale.count])
     if result.stopped is not None:
         arrays["stopped"] = np.array(result.stopped)
     buffer = io.BytesIO()
@@ -126,11 +130,19 @@ def read_motions(path: Path | str) -> RunResult:
         if "right_late_frames" in arrays
         else 0,
         imu_left_out=str(arrays["imu_left_out"]) if "imu_left_out" in arrays else None,
+        accelerometer_scale=_scale(path, arrays),
         stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
         jitter_sigma_rad=_take(path, arrays, "jitter_sigma_rad", shape=(3,))
         if "jitter_sigma_rad" in arrays
         else None,
     )
+
+
+def _scale(path: Path, arrays: dict[str, AnyArray]) -> AccelerometerScale | None:
+    if "accelerometer_scale" not in arrays:
+        return None
+    ratio, sigma, count = _take(path, arrays, "accelerometer_scale", shape=(3,)).tolist()
+    return AccelerometerScale(ratio, sigma, int(count))
 
 
 def _take(

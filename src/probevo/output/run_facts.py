@@ -33,6 +33,10 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
             f"{jitter_text(result.jitter_sigma_rad)}; all disparities of a frame are off by"
             f" {readable(offset_px)} px"
         )
+    scale = {}
+    found = result.accelerometer_scale
+    if found is not None:
+        scale["Scale"] = f"{found.ratio:.3f} ± {found.sigma:.3f} of that by the accelerometer"
     return {
         "Recording": str(sequence.path),
         "Format": sequence.format,
@@ -44,6 +48,7 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         "Noise model": config.noise,
         **rig,
         **domain,
+        **scale,
         **{f"Sensor {name}": str(use) for name, use in result.sensors.items()},
         "OpenCV threads": str(cv2.getNumThreads()),
         "probevo": __version__,

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
+from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 
@@ -116,6 +117,9 @@ class RunResult:
     imu_left_out: str | None = None
     """Why the window did not use the IMU at the end of the run; None if it did, or there was
     none."""
+    accelerometer_scale: AccelerometerScale | None = None
+    """Length of the path by the images over that by the accelerometer; None if that is not
+    known."""
     unusable: dict[str, int] = field(default_factory=dict)
     """Samples and features that could not be used, counted by what was wrong with them
     (``MotionEstimate.missing``)."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.motion_estimate import Status
+from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
@@ -14,6 +15,8 @@ FEWEST_OK = 0.5
 """Share of steps that have to be OK for a run to be usable."""
 MAX_SCALE_ERROR = 0.04
 """Largest plausible error of the scale; a calibrated baseline is good to 1 %."""
+MAX_ACCELEROMETER_ERROR = 0.03
+"""The same where the accelerometer tells it, whose own scale is good to 1 %."""
 FEWEST_FOR_SCALE = 5
 """Steps that the scale needs."""
 _CAUSES = {
@@ -39,6 +42,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Right images of other frames": timing_warning(result.right_late_frames),
         "IMU": imu_warning(result.imu_left_out),
         "Scale": scale_warning(result, truth),
+        "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
         "Out of domain": domain_warning(result.out_of_domain),
         "A sensor lies": sensor_warning(result),
     }
@@ -81,6 +85,20 @@ def imu_warning(reason: str | None) -> str | None:
     if not reason:
         return None
     return f"The IMU {reason}. The path is that of the images: see `probevo info SEQUENCE`."
+
+
+def accelerometer_warning(scale: AccelerometerScale | None) -> str | None:
+    """Warn if the path is longer or shorter than the accelerometer says; else None."""
+    if scale is None:
+        return None
+    off = abs(scale.ratio - 1.0)
+    if off < MAX_ACCELEROMETER_ERROR or off <= 3.0 * scale.sigma:
+        return None
+    return (
+        f"The path is {scale.ratio:.3f} ± {scale.sigma:.3f} times as long as the accelerometer"
+        f" says. If that is in m/s², divide baseline_m by {scale.ratio:.3f}; a wrong focal length"
+        " does the same."
+    )
 
 
 def sensor_warning(result: RunResult) -> str | None:
