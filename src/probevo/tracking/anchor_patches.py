@@ -2,7 +2,9 @@
 
 A window that is tracked from one frame to the next drifts where it approaches, rotates or is
 slanted, since its edges do not move as its centre does; and the drift accumulates along a track. An
-affine alignment with the anchor patch, the window of the first observation, does not drift.
+alignment with the anchor patch, the window of the first observation, does not drift. Its map is a
+plane's: affine, as found in the image, under the perspective that the motion and the slope of the
+disparity predict (``surface_motion``).
 """
 
 from __future__ import annotations
@@ -17,13 +19,15 @@ from probevo.tracking.anchor_patches_numba import (
     Alignment,
     Anchors,
     align_patches,
+    compose_perspectives,
     cut_patches,
     divide_maps,
     multiply_maps,
 )
+from probevo.tracking.surface_motion import SurfaceMotion
 
 SIGMA_IN_TIME = 0.03
-"""Standard deviation of an affine map's change from frame to frame, beyond its scale."""
+"""Standard deviation of an affine map's change from frame to frame, beyond what is predicted."""
 SIGMA_IN_STEREO = 0.1
 """Standard deviation of the change of the affine map between left and right image."""
 MAX_GROWTH = 1.5
@@ -52,6 +56,8 @@ class AnchorPatches:
     """Offset of the feature from that whole pixel, (u, v), [N, 2], px."""
     affine: FloatArray
     """Affine map of each patch to the last left image, about the feature, [N, 2, 2]."""
+    perspective: FloatArray
+    """Perspective of each patch in the last images, about the feature, [N, 2], 1/px."""
     right_from_left: FloatArray
     """Affine map of the last left image to the last right image, about the feature, [N, 2, 2]."""
 
@@ -69,12 +75,21 @@ class AnchorPatches:
         cut_patches(left, center, patch)
         identity = np.tile(np.eye(2), (len(pixels), 1, 1))
         return AnchorPatches(
-            patch=patch, offset_px=pixels - center, affine=identity, right_from_left=identity
+            patch=patch,
+            offset_px=pixels - center,
+            affine=identity,
+            perspective=np.zeros((len(pixels), 2)),
+            right_from_left=identity,
         )
 
     def __len__(self) -> int:
         """Return the number of features, N."""
         return len(self.offset_px)
+
+    @property
+    def disparity_slope(self) -> FloatArray:
+        """Derivatives of the disparity by (u, v) around each feature, [N, 2]."""
+        return np.array([1.0, 0.0]) - self.right_from_left[:, 0]
 
     def subset(self, keep: BoolArray | IntArray) -> AnchorPatches:
         """Select some features by a mask, [N], or by indices."""
@@ -82,6 +97,7 @@ class AnchorPatches:
             patch=self.patch[keep],
             offset_px=self.offset_px[keep],
             affine=self.affine[keep],
+            perspective=self.perspective[keep],
             right_from_left=self.right_from_left[keep],
         )
 
@@ -91,10 +107,11 @@ class AnchorPatches:
             patch=np.concatenate([self.patch, others.patch]),
             offset_px=np.concatenate([self.offset_px, others.offset_px]),
             affine=np.concatenate([self.affine, others.affine]),
+            perspective=np.concatenate([self.perspective, others.perspective]),
             right_from_left=np.concatenate([self.right_from_left, others.right_from_left]),
         )
 
-    def align_left(self, left: Image, pixels: FloatArray, growth: FloatArray) -> AlignedPatches:
+    def align_left(self, left: Image, pixels: FloatArray, motion: SurfaceMotion) -> AlignedPatches:
         """Align the patches with the next left image.
 
         Where the alignment fails, the feature stays at its predicted place. There, and where the
@@ -103,12 +120,15 @@ class AnchorPatches:
         Args:
             left: the image, [height, width], uint8.
             pixels: predicted features (u, v), [N, 2], px.
-            growth: predicted scale of a surface that faces the camera, relative to the previous
-                frame, [N].
+            motion: predicted motion of the windows since the previous frame.
         """
-        # A surface that faces the camera grows by the ratio of its depths; that is where to start.
-        scale = np.clip(growth, 1 / MAX_GROWTH, MAX_GROWTH)[:, None, None]
-        aligned = self._align(left, pixels, scale * self.affine, sigma=SIGMA_IN_TIME)
+        # A motion that is predicted wrongly may have any scale.
+        bounded = np.clip(motion.growth, 1 / MAX_GROWTH, MAX_GROWTH) / motion.growth
+        predicted = np.empty((len(self), 2, 2))
+        multiply_maps(bounded[:, None, None] * motion.affine, self.affine, predicted)
+        perspective = np.empty((len(self), 2))
+        compose_perspectives(motion.perspective, self.affine, self.perspective, perspective)
+        aligned = self._align(left, pixels, predicted, perspective, sigma=SIGMA_IN_TIME)
         affine = aligned.affine
         # Find the patches whose anchor does not hold any more, by failure or by area
         area = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
@@ -122,7 +142,10 @@ class AnchorPatches:
         patch[lost] = fresh.patch
         offset_px[lost] = fresh.offset_px
         affine[lost] = fresh.affine
-        patches = replace(self, patch=patch, offset_px=offset_px, affine=affine)
+        perspective[lost] = fresh.perspective
+        patches = replace(
+            self, patch=patch, offset_px=offset_px, affine=affine, perspective=perspective
+        )
         return AlignedPatches(aligned.pixels, aligned.difference, patches)
 
     def align_right(self, right: Image, pixels: FloatArray) -> AlignedPatches:
@@ -139,17 +162,27 @@ class AnchorPatches:
         # changes from frame to frame: the angle between both views of a surface stays.
         predicted = np.empty((len(self), 2, 2))
         multiply_maps(self.right_from_left, self.affine, predicted)
-        aligned = self._align(right, pixels, predicted, sigma=SIGMA_IN_STEREO)
+        # Both images have the same depths, and so the same perspective.
+        aligned = self._align(right, pixels, predicted, self.perspective, sigma=SIGMA_IN_STEREO)
         right_from_left = self.right_from_left.copy()
         divide_maps(aligned.affine, self.affine, aligned.difference, right_from_left)
         patches = replace(self, right_from_left=right_from_left)
         return AlignedPatches(aligned.pixels, aligned.difference, patches)
 
     def _align(
-        self, image: Image, pixels: FloatArray, predicted_affine: FloatArray, sigma: float
+        self,
+        image: Image,
+        pixels: FloatArray,
+        predicted_affine: FloatArray,
+        perspective: FloatArray,
+        *,
+        sigma: float,
     ) -> Alignment:
         anchors = Anchors(
-            patch=self.patch, offset_px=self.offset_px, predicted_affine=predicted_affine
+            patch=self.patch,
+            offset_px=self.offset_px,
+            predicted_affine=predicted_affine,
+            perspective=perspective,
         )
         alignment = Alignment(
             pixels=pixels.copy(),

@@ -1,7 +1,8 @@
 """Compiled loops of anchor patches: cutting them out of an image, and aligning them with another.
 
 The alignment is an inverse-compositional Gauss–Newton over affine maps (Baker, Matthews,
-"Lucas–Kanade 20 years on: a unifying framework", IJCV 2004). The pixels of a patch are held in one
+"Lucas–Kanade 20 years on: a unifying framework", IJCV 2004), under a perspective that is given. The
+pixels of a patch are held in one
 row. Indices are unsigned where speed matters: for signed ones, Numba handles negative values.
 """
 
@@ -21,6 +22,9 @@ MAX_STEP_PX = 0.05
 """The alignment has converged when its step is shorter; if it never is, it has failed."""
 MAX_MOVE_PX = 2.0
 """The alignment has failed when it goes farther than this from the predicted place."""
+MAX_FORESHORTENING = 0.5
+"""A surface so slanted that its scale changes by more than this from the middle of its patch to the
+border is not believed."""
 
 
 class Anchors(NamedTuple):
@@ -32,6 +36,8 @@ class Anchors(NamedTuple):
     """Offset of the feature from the middle of its patch, [N, 2], px."""
     predicted_affine: FloatArray
     """Predicted affine map Â of the patch to the image, [N, 2, 2]."""
+    perspective: FloatArray
+    """Perspective g of the patch in the image, [N, 2], 1/px."""
 
 
 class Alignment(NamedTuple):
@@ -53,6 +59,8 @@ class Template(NamedTuple):
 
     position: FloatArray
     """x of each pixel, from the feature, [2, area], px."""
+    foreshortened: FloatArray
+    """x / (1 + g·x) of each pixel, [2, area], px."""
     brightness: FloatArray
     """Grey level of each pixel, [area]."""
     steepest_descent: FloatArray
@@ -93,6 +101,21 @@ def multiply_maps(outer: FloatArray, inner: FloatArray, product: FloatArray) -> 
 
 
 @compiled
+def compose_perspectives(
+    outer: FloatArray, affine: FloatArray, inner: FloatArray, composed: FloatArray
+) -> None:
+    """Set composed[n] = inner[n] + affine[n]ᵀ outer[n], all [N, 2] but the affine maps, [N, 2, 2].
+
+    That is the perspective of a map with the affine part ``affine`` and the perspective ``inner``,
+    followed by one with the perspective ``outer``.
+    """
+    for n in range(len(composed)):
+        for j in range(2):
+            carried = affine[n, 0, j] * outer[n, 0] + affine[n, 1, j] * outer[n, 1]
+            composed[n, j] = inner[n, j] + carried
+
+
+@compiled
 def divide_maps(
     product: FloatArray, inner: FloatArray, difference: FloatArray, outer: FloatArray
 ) -> None:
@@ -116,8 +139,8 @@ def divide_maps(
 def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Alignment) -> None:
     """Align patches with an image by inverse-compositional Gauss–Newton over affine maps.
 
-    A map takes x, px from the feature, to p + A x. The cost is the sum over the patch of
-    (image(p + A x) − patch(x))² / BRIGHTNESS_NOISE², plus the prior ‖Â⁻¹ A − I‖² / sigma².
+    A map takes x, px from the feature, to y = p + A x / (1 + g·x). The cost is the sum over the
+    patch of (image(y) − patch(x))² / BRIGHTNESS_NOISE², plus the prior ‖Â⁻¹ A − I‖² / sigma².
 
     Args:
         image: [height, width], uint8.
@@ -130,6 +153,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
     flat_image = image.ravel()
     area = (anchors.patch.shape[1] - 2) * (anchors.patch.shape[2] - 2)
     template = Template(
+        np.empty((2, area), np.float32),
         np.empty((2, area), np.float32),
         np.empty(area, np.float32),
         np.empty((6, area), np.float32),
@@ -152,6 +176,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
         alignment.difference[n] = np.inf
         # Linearize the patch instead of the image: the information matrix is then constant
         _linearize(anchors.patch[n], anchors.offset_px[n], template, information=information)
+        reach_px = _foreshorten(anchors.perspective[n], template)
         # The prior holds S, not t: where a patch is, is what is looked for.
         for k in range(2, 6):
             information[k, k] += prior
@@ -159,7 +184,9 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
             continue
         for _ in range(MAX_ITERATIONS):
             near = abs(u - pixels[n, 0]) < MAX_MOVE_PX and abs(v - pixels[n, 1]) < MAX_MOVE_PX
-            if not (near and _warp((u, v), A, template.position, shape=image.shape, warped=warped)):
+            if not near or not _warp(
+                (u, v), A, template.foreshortened, reach_px, shape=image.shape, warped=warped
+            ):
                 break
             # Solve the normal equations for the step (t, S)
             _subtract(flat_image, image.shape[1], warped, template.brightness, error=error)
@@ -227,10 +254,36 @@ def _linearize(
 
 
 @compiled
+def _foreshorten(perspective: FloatArray, template: Template) -> tuple[float, float]:
+    """Fill x / (1 + g·x) of a template, and return bounds of its two coordinates, px.
+
+    Where g·x would be beyond ±MAX_FORESHORTENING, the perspective g is not believed, and not used.
+    """
+    x = template.position
+    foreshortened = template.foreshortened
+    # The patch's corner is less than a pixel farther than its first pixel
+    reach_u = abs(x[0, 0]) + 1.0
+    reach_v = abs(x[1, 0]) + 1.0
+    most = abs(perspective[0]) * reach_u + abs(perspective[1]) * reach_v
+    if not most < MAX_FORESHORTENING:
+        foreshortened[:] = x
+        return reach_u, reach_v
+    one = np.float32(1.0)
+    g_u = np.float32(perspective[0])
+    g_v = np.float32(perspective[1])
+    for i in range(x.shape[1]):
+        scale = one / (one + g_u * x[0, i] + g_v * x[1, i])
+        foreshortened[0, i] = scale * x[0, i]
+        foreshortened[1, i] = scale * x[1, i]
+    return reach_u / (1.0 - most), reach_v / (1.0 - most)
+
+
+@compiled
 def _warp(
     center: tuple[float, float],
     A: FloatArray,
     position: FloatArray,
+    reach_px: tuple[float, float],
     shape: tuple[int, int],
     warped: WarpedPixels,
 ) -> bool:
@@ -240,6 +293,7 @@ def _warp(
         center: p = (u, v), px.
         A: [2, 2].
         position: x, [2, area], px.
+        reach_px: bounds of the coordinates of x.
         shape: (height, width) of the image.
         warped: out.
     """
@@ -248,9 +302,7 @@ def _warp(
     corner = warped.corner
     fraction = warped.fraction
     # So far inside, no pixel needs a check of its own in the loop below.
-    # Reach of the patch from p: its corner is less than a pixel farther than the first pixel
-    x = abs(position[0, 0]) + 1.0
-    y = abs(position[1, 0]) + 1.0
+    x, y = reach_px
     reach_u = abs(A[0, 0]) * x + abs(A[0, 1]) * y
     reach_v = abs(A[1, 0]) * x + abs(A[1, 1]) * y
     if not (u >= reach_u and v >= reach_v and u + reach_u < width - 1 and v + reach_v < height - 1):

@@ -19,11 +19,10 @@ from probevo.tracking.contrast import with_contrast_of
 from probevo.tracking.detection import corners_in_free_cells, non_overlapping
 from probevo.tracking.lucas_kanade import track_points
 from probevo.tracking.preparation import prepare_images
+from probevo.tracking.surface_motion import move_surfaces
 from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
 
-LEAST_SCALED_DEPTH = 0.05
-"""A point that comes nearer than this share of its depth in one step cannot be predicted."""
 BORDER_PX = 5.0
 """Nearer to the border, a window has too little of the image."""
 
@@ -143,16 +142,19 @@ class ImageTracker:
         """Find the features of the previous frame in the current left image."""
         left = images.left
         image = left[0]
+        patches = prev.patches
+        if patches is None:
+            patches = AnchorPatches.cut(image, np.zeros((0, 2)), self._config.window_px)
         # Where the motion takes them.
-        predicted_px, growth, ahead = _predict(prev.pixels, T_curr_prev, self._camera)
-        visible = np.flatnonzero(ahead & _inside(predicted_px, image))
+        motion = move_surfaces(prev.pixels, patches.disparity_slope, T_curr_prev, self._camera)
+        visible = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))
         rejected["left the view"] += len(prev) - len(visible)
         # From there, Lucas–Kanade from frame to frame.
         tracked = track_points(
             with_contrast_of(prev.left, left),
             left,
             prev.pixels[visible, :2],
-            start_px=predicted_px[visible],
+            start_px=motion.pixels[visible],
             config=self._config,
         )
         inside = _inside(tracked.pixels, image)
@@ -163,25 +165,23 @@ class ImageTracker:
             inside &= unmasked
         similar = _similar(tracked.difference, inside, self._config)
         rejected["looks different"] += int((inside & ~similar).sum())
-        prev = prev.subset(visible[similar])
-        growth = growth[visible[similar]]
-        # Drift along the track is undone by the affine fit to the anchor patch.
-        patches = prev.patches
-        if patches is None:
-            patches = AnchorPatches.cut(image, np.zeros((0, 2)), self._config.window_px)
-        aligned = patches.align_left(image, tracked.pixels[similar], growth)
+        prev = replace(prev, patches=None).subset(visible[similar])
+        patches = patches.subset(visible[similar])
+        motion = motion.subset(visible[similar])
+        # Drift along the track is undone by the fit to the anchor patch.
+        aligned = patches.align_left(image, tracked.pixels[similar], motion)
         matches_anchor = np.isfinite(aligned.difference)
         difference = np.where(matches_anchor, aligned.difference, tracked.difference[similar])
         # Of two features that have met, the older one stays: it comes first.
         separate = non_overlapping(aligned.pixels, image.shape, self._config)
         rejected["met another"] += int((~separate).sum())
-        prev = replace(prev, patches=None).subset(separate)
+        prev = prev.subset(separate)
         prev_disparity_px = np.maximum(prev.pixels[:, 0] - prev.pixels[:, 2], 0.0)
         return _FoundInTime(
             prev=prev,
             left_px=aligned.pixels[separate],
             patches=aligned.patches.subset(separate),
-            disparity_px=growth[separate] * prev_disparity_px,
+            disparity_px=motion.growth[separate] * prev_disparity_px,
             difference=difference[separate],
             matches_anchor=matches_anchor[separate],
         )
@@ -248,19 +248,6 @@ class ImageTracker:
         disparity_px = left_px[:, 0] - right_px[:, 0]
         has_disparity: BoolArray = disparity_px >= self._config.min_disparity_px
         return same_row, has_disparity
-
-
-def _predict(
-    pixels: FloatArray, T_curr_prev: FloatArray, camera: StereoCamera
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return where a motion takes features [N, 4]: (u, v) [N, 2], their growth [N], and which are
-    ahead of the camera [N]."""
-    q, _ = camera.moved_rays(pixels, T_curr_prev)
-    ahead: BoolArray = q[2] > LEAST_SCALED_DEPTH
-    growth = 1.0 / np.where(ahead, q[2], 1.0)
-    u = camera.fu_px * q[0] * growth + camera.cu_px
-    v = camera.fv_px * q[1] * growth + camera.cv_px
-    return np.column_stack([u, v]), growth, ahead
 
 
 @compiled
