@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 import probevo as pv
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.tracking import Tracks
 from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
@@ -21,6 +21,8 @@ HALF_PX = 7
 """Half a window, in which features must be on one surface."""
 FLAT_PX = 0.05
 """A surface is one whose disparities differ from a plane by less than this."""
+LEAST_DISPARITY_PX = 0.2
+"""Farther points tell nothing."""
 GROUND_PX = 15
 """Features count as on the ground from so many rows below the horizon on."""
 FULL = RigConfig(width_px=1242, height_px=375, focal_px=720.0)
@@ -34,6 +36,19 @@ def residual_maker() -> FloatArray:
     return np.eye(len(basis)) - basis @ np.linalg.pinv(basis)
 
 
+def is_on_one_surface(disparity_px: FloatArray, pixels: FloatArray) -> BoolArray:
+    """Return which windows around pixels [N, 2] show a single plane, [N].
+
+    Features at an edge of depth have no one disparity.
+    """
+    u, v = np.round(pixels).astype(int).T
+    size = 2 * HALF_PX + 1
+    padded = np.pad(disparity_px, HALF_PX, mode="edge")
+    window = sliding_window_view(padded, (size, size))[v, u].reshape(len(u), -1)
+    flat: BoolArray = np.abs(window @ residual_maker()).max(axis=1) < FLAT_PX
+    return flat & (disparity_px[v, u] > LEAST_DISPARITY_PX)
+
+
 def errors(scene: SceneRecording, index: int, tracks: Tracks, weights: FloatArray) -> FloatArray:
     """Return the errors of trusted features that are on one surface, [K, 3].
 
@@ -43,12 +58,8 @@ def errors(scene: SceneRecording, index: int, tracks: Tracks, weights: FloatArra
     truth = scene.pixel_truth(index - 1)
     u, v = np.round(tracks.prev_px[:, :2]).astype(int).T
 
-    # Features at an edge of depth have no one disparity: the window around each must be a plane.
-    size = 2 * HALF_PX + 1
-    disparity = np.pad(truth.disparity_px, HALF_PX, mode="edge")
-    window = sliding_window_view(disparity, (size, size))[v, u].reshape(len(u), -1)
-    is_flat = np.abs(window @ residual_maker()).max(axis=1) < FLAT_PX
-    kept = is_flat & (truth.disparity_px[v, u] > 0.2) & (weights > TRUSTED)
+    is_flat = is_on_one_surface(truth.disparity_px, tracks.prev_px[:, :2])
+    kept = is_flat & (weights > TRUSTED)
 
     # The truth between pixels, where the features are.
     at_px = tracks.prev_px[:, :2].astype(np.float32).reshape(-1, 1, 2)

@@ -161,6 +161,7 @@ FIGURES = (
     Figure("points", ("docs/simulation.md",), "python benchmarks/points.py", minutes=3),
     Figure("rendering", ("docs/simulation.md",), "python benchmarks/rendering.py", minutes=15),
     Figure("effects", ("docs/simulation.md",), "python benchmarks/effects.py 2", minutes=40),
+    Figure("feature-drift", ("docs/accuracy.md",), "python benchmarks/feature_drift.py", minutes=4),
     Figure(
         "feature-errors", ("docs/simulation.md",), "python benchmarks/feature_errors.py", minutes=10
     ),
