@@ -111,8 +111,8 @@ def test_errors_do_not_accumulate_over_many_frames(patches: AnchorPatches) -> No
     assert np.median(np.abs(pixels - moved(GRID, previous, np.zeros(2)))[inside]) < 0.03
 
 
-@pytest.mark.parametrize("believed", [True, False], ids=["perspective", "affine"])
-def test_the_road_is_found_where_it_is(patches: AnchorPatches, believed: bool) -> None:
+@pytest.mark.parametrize("with_perspective", [True, False], ids=["perspective", "affine"])
+def test_the_road_is_found_where_it_is(patches: AnchorPatches, with_perspective: bool) -> None:
     """The lower half of a window on the road grows more than the upper one.
 
     Under the perspective that this gives, features are found to hundredths of a pixel; an affine
@@ -127,14 +127,14 @@ def test_the_road_is_found_where_it_is(patches: AnchorPatches, believed: bool) -
         points = feature + y / (1.0 - y @ g)[..., None]
         image = np.clip(np.round(texture(points)), 0, 255).astype(np.uint8)
         motion = grown(feature[None], 1.0)
-        if believed:
+        if with_perspective:
             motion = motion._replace(perspective=g[None])
         found, _, after = patches.subset(np.array([k])).align_left(image, feature[None], motion)
         errors.append(found[0] - feature)
-        if believed:
+        if with_perspective:
             np.testing.assert_array_equal(after.perspective[0], g)
     down = np.array(errors)[:, 1]
-    if believed:
+    if with_perspective:
         assert abs(np.mean(down)) < 0.01
         assert np.median(np.abs(down)) < 0.03
     else:
@@ -155,7 +155,7 @@ def test_perspectives_add_up_along_a_track(patches: AnchorPatches) -> None:
     np.testing.assert_allclose(after.perspective, expected, rtol=1e-12)
 
 
-def test_a_slant_beyond_belief_is_not_used(patches: AnchorPatches) -> None:
+def test_a_slant_too_large_to_be_true_is_not_used(patches: AnchorPatches) -> None:
     absurd = grown(GRID, 1.0)._replace(perspective=np.full((len(GRID), 2), 1.0))
     plain = patches.align_left(FIRST, GRID + 0.2, grown(GRID, 1.0))
     np.testing.assert_array_equal(patches.align_left(FIRST, GRID + 0.2, absurd)[0], plain[0])

@@ -24,7 +24,7 @@ MAX_MOVE_PX = 2.0
 """The alignment has failed when it goes farther than this from the predicted place."""
 MAX_FORESHORTENING = 0.5
 """A surface so slanted that its scale changes by more than this from the middle of its patch to the
-border is not believed."""
+border is taken for one that faces the camera."""
 
 
 class Anchors(NamedTuple):
@@ -257,7 +257,7 @@ def _linearize(
 def _foreshorten(perspective: FloatArray, template: Template) -> tuple[float, float]:
     """Fill x / (1 + g·x) of a template, and return bounds of its two coordinates, px.
 
-    Where g·x would be beyond ±MAX_FORESHORTENING, the perspective g is not believed, and not used.
+    Where g·x might be beyond ±MAX_FORESHORTENING, g is taken for 0.
     """
     x = template.position
     foreshortened = template.foreshortened
