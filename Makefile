@@ -3,19 +3,30 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check density bench docs docs-figures fuzz clean
+# The tests start hundreds of processes; without this, each of them may compile all sources again.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: demo test check style types tests density bench docs docs-figures fuzz clean
 
 # Two simulated drives, learn from one, compare the noise models on both.
 demo: $(VENV)/.installed
 	$(BIN)/probevo demo --out out/demo
 
-test: check
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --durations 15
+# Mypy, which uses one core, runs beside the tests.
+test: style
+	$(MAKE) --jobs 2 types tests
 
-check: $(VENV)/.installed
+check: style types
+
+style: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(VENV)/.installed
 	$(BIN)/mypy
+
+tests: $(VENV)/.installed
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --durations 15
 
 # How densely the code is packed; fails beyond the bounds.
 density: $(VENV)/.installed
