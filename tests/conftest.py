@@ -6,6 +6,10 @@ from pathlib import Path
 
 import pytest
 
+# Workers of xdist and subprocesses inherit this. With threads, OpenBLAS makes an eigendecomposition
+# of size 40 wait for 10 ms instead of 0.1 where all cores are busy, as they are with the tests.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 
 @pytest.fixture(scope="session")
 def data_root() -> Path:
