@@ -59,6 +59,7 @@ class _Layout:
     def of(
         measurements: Sequence[Measurement], values: Values, free: Sequence[Variable]
     ) -> _Layout:
+        """Place the blocks of each measurement among those of the free variables."""
         blocks, dof = blocks_of(free, values)
         placements = []
         for measurement in measurements:

@@ -72,6 +72,7 @@ def live_advance(motion: MotionEstimate, window: Window) -> Callable[[PoseFilter
     newest = live_pose(window)
 
     def advance(pose: PoseFilter) -> PoseFilter:
+        """Carry a corrected pose on by the motion; any other is where the window has it."""
         if pose.is_corrected:
             return pose.advanced(motion)
         return pose.moved_to(newest)

@@ -11,21 +11,27 @@ from probevo.compiled import compiled
 
 
 @compiled
+def exp_coefficients(squared: float) -> tuple[float, float, float]:
+    """Return sin φ / φ, (1 − cos φ) / φ² and (φ − sin φ) / φ³ for φ², rad².
+
+    With the matrix Φ of the cross product by the rotation vector, Exp is I + a Φ + b Φ² and its
+    left Jacobian I + b Φ + c Φ² (thesis eqs. 2.3, 2.15).
+    """
+    if squared < 1e-6:  # series: the next terms are below the last bit
+        return 1.0 - squared / 6.0, 0.5 - squared / 24.0, 1.0 / 6.0 - squared / 120.0
+    angle = math.sqrt(squared)
+    a = math.sin(angle) / angle
+    return a, (1.0 - math.cos(angle)) / squared, (1.0 - a) / squared
+
+
+@compiled
 def perturb(xi: FloatArray, T: FloatArray, T_out: FloatArray) -> None:
     """Fill T_out with Exp(ξ) T, for ξ = [ρ; φ] (thesis eqs. 2.3, 2.14, 2.15)."""
     x = xi[3]
     y = xi[4]
     z = xi[5]
     squared = x * x + y * y + z * z
-    if squared < 1e-6:  # series: the next terms are below the last bit
-        a = 1.0 - squared / 6.0
-        b = 0.5 - squared / 24.0
-        c = 1.0 / 6.0 - squared / 120.0
-    else:
-        angle = math.sqrt(squared)
-        a = math.sin(angle) / angle
-        b = (1.0 - math.cos(angle)) / squared
-        c = (1.0 - a) / squared
+    a, b, c = exp_coefficients(squared)
     wedge = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     wedge_2 = np.array(
         [

@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
+from probevo.geometry.se3_numba import exp_coefficients
 
 
 class MeanSamples(NamedTuple):
@@ -41,15 +42,7 @@ class PreintegrationSums(NamedTuple):
 def fill_exp(x: float, y: float, z: float, C: FloatArray, J: FloatArray) -> None:
     """Fill C with Exp(φ) and J with the right Jacobian J_r(φ), both [3, 3], for φ = (x, y, z)."""
     squared = x * x + y * y + z * z
-    if squared < 1e-6:  # series: the next terms are below the last bit
-        a = 1.0 - squared / 6.0
-        b = 0.5 - squared / 24.0
-        c = 1.0 / 6.0 - squared / 120.0
-    else:
-        angle = math.sqrt(squared)
-        a = math.sin(angle) / angle
-        b = (1.0 - math.cos(angle)) / squared
-        c = (1.0 - a) / squared
+    a, b, c = exp_coefficients(squared)
     wedge = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     for i in range(3):
         for j in range(3):
