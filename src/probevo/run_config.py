@@ -199,6 +199,13 @@ class RunConfig(CommonRunSettings):
             " or the path of a learned model (.safetensors)."
         ),
     )
+    sensor: tuple[Path, ...] = Field(
+        (),
+        description=(
+            "Learned sensors beside the camera: files of `probevo train --kind rotation` (extra"
+            " nets)."
+        ),
+    )
     write: Path | None = Field(
         None,
         description=(
@@ -215,6 +222,7 @@ OWN_KEYS = (
     "sequence",
     "format",
     "noise",
+    "sensor",
     "max_frames",
     "imu",
     "calibration",

@@ -40,6 +40,7 @@ from probevo.output.viewer_file import ViewerFile, check_viewer_path, opened_vie
 from probevo.python_arguments import as_path
 from probevo.run_checks import check_run
 from probevo.run_config import RunConfig, as_run_config, config_text
+from probevo.sensor_kinds import load_sensors
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.without_imu import WithoutImu
 from probevo.tracking.left_right import (
@@ -119,7 +120,8 @@ def run_sequence(
         config: all settings, or a dictionary of those that differ from the defaults.
         out: folder for the files; created if it is missing.
         on_step: called with the estimate of each frame, the first one included.
-        sensors: sensors beside the camera; the path that is written is corrected by them.
+        sensors: sensors beside the camera and those that ``config.sensor`` names; the path that is
+            written is corrected by them.
 
     Returns:
         What was estimated, and its comparison with the truth.
@@ -127,7 +129,7 @@ def run_sequence(
     Raises:
         InputError: a file of the recording is damaged, the left and right images are swapped,
             ``out`` is not writable or another process is writing into it, the noise model is
-            unknown, or ``check_run`` refuses the run.
+            unknown, a sensor cannot be loaded, or ``check_run`` refuses the run.
     """
     # Check everything that can be checked before the first frame.
     out = as_path(out, "out")
@@ -140,6 +142,7 @@ def run_sequence(
         check_bag_path(config.write, "--write")
     if config.viewer is not None:
         check_viewer_path(config.viewer, "--viewer")
+    used = (*load_sensors(config.sensor, sequence.camera), *sensors)
     with locked(out), opened_viewer(config.viewer) as viewer:
         return _run(
             sequence,
@@ -147,7 +150,7 @@ def run_sequence(
             out,
             noise=noise,
             on_step=on_step,
-            sensors=tuple(sensors),
+            sensors=used,
             viewer=viewer,
         )
 
@@ -269,6 +272,7 @@ def _write_results(
     absolute = {
         "sequence": (config.sequence or sequence.path).resolve(),
         "noise": portable(config.noise),
+        "sensor": tuple(path.resolve() for path in config.sensor),
         "calibration": config.calibration and config.calibration.resolve(),
         "imu_noise": config.imu_noise and config.imu_noise.resolve(),
         "truth": config.truth and config.truth.resolve(),

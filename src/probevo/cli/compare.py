@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,6 +47,9 @@ class CompareArguments:
     """The estimators: fixed, student-t and model files (.safetensors), as in `probevo run`, and
     aggressive, which is fixed with RANSAC at a confidence of 0.9999. With the default settings,
     fixed and aggressive are the nominal and the aggressive estimator of PROBE."""
+    sensor: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="MODEL…", help_behavior_hint="")] = ()
+    """Learned sensors, as in `probevo run`: each estimator runs without them, and with all of
+    them."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Settings as YAML, such as the config.yaml of an earlier run."""
     threads: int = 1
@@ -74,6 +77,8 @@ class Estimator:
     noise: str
     """A name or a model file, as for --noise of ``probevo run``."""
     settings: OdometryConfig
+    sensors: tuple[Path, ...] = ()
+    """Files of learned sensors."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +109,10 @@ def main(words: list[str]) -> None:
 
     with locked(arguments.out):
         recordings = open_recordings(arguments.sequences, settings)
-        jobs = plan(recordings, estimators_of(arguments.noise, settings), arguments.out)
+        estimators = estimators_of(arguments.noise, settings)
+        if arguments.sensor:
+            estimators = with_sensors(estimators, arguments.sensor)
+        jobs = plan(recordings, estimators, arguments.out)
         comparison = run_all(
             jobs, arguments.threads, lambda done: _write(arguments.out, done), out=arguments.out
         )
@@ -169,6 +177,16 @@ def estimators_of(specs: Sequence[str], settings: CommonRunSettings) -> list[Est
     return estimators
 
 
+def with_sensors(estimators: Sequence[Estimator], sensors: tuple[Path, ...]) -> list[Estimator]:
+    """Return each estimator without and with the sensors."""
+    names = " + ".join(path.stem for path in sensors)
+    pairs = []
+    for estimator in estimators:
+        fused = replace(estimator, name=f"{estimator.name} + {names}", sensors=sensors)
+        pairs += [estimator, fused]
+    return pairs
+
+
 def aggressive(settings: OdometryConfig) -> OdometryConfig:
     """Return the settings with the RANSAC confidence of PROBE's aggressive estimator."""
     ransac = settings.ransac.model_copy(update={"confidence": AGGRESSIVE_CONFIDENCE})
@@ -185,12 +203,13 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
 
     Raises:
         InputError: a noise model is unknown or cannot be loaded, or a model or a setting does not
-            fit a recording.
+            fit a recording; a sensor cannot be loaded, or does not fit the camera.
     """
     from probevo.noise.named import noise_model, portable
     from probevo.noise.origin import learned_from
     from probevo.output.comparison import numbered
     from probevo.run_checks import check_run
+    from probevo.sensor_kinds import load_sensors
 
     models = {
         estimator.name: noise_model(estimator.noise, others=(AGGRESSIVE,))
@@ -203,6 +222,10 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
         path = recording.sequence.path.resolve()
         model = models[estimator.name]
         config = run_config(estimator.settings, path, portable(estimator.noise))
+        if estimator.sensors:
+            load_sensors(estimator.sensors, recording.sequence.camera)
+            absolute = tuple(sensor.resolve() for sensor in estimator.sensors)
+            config = config.model_copy(update={"sensor": absolute})
         check_run(recording.sequence, config, model)
         jobs.append(
             Job(

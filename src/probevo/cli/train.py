@@ -1,4 +1,4 @@
-"""``probevo train``: learn a noise model from recordings."""
+"""``probevo train``: learn a noise model, or a sensor, from recordings."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import tyro
 from probevo.cli.arguments import checked, parse
 from probevo.cli.train_summary import summary
 from probevo.errors import InputError
+from probevo.sensor_kinds import SENSOR_KINDS, SensorKind, resolve
 from probevo.training.settings import TrainSettings
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ class TrainArguments:
 
     --kind chooses the model. The options from --base to --exponent are only for knn, those of the
     section gk for the other two kinds; an option that a kind does not use is refused.
+
+    --kind rotation learns a sensor instead, for `probevo run … --sensor MODEL` (extra nets). Its
+    options are those of the section nets. The recordings named last are left out, to calibrate it.
     """
 
     sequences: Annotated[
@@ -67,10 +71,45 @@ def main(words: list[str]) -> None:
             "has no meaning with --cluster, which uses all workers of the cluster.",
             "Remove one of the two flags.",
         )
+    if settings.kind in SENSOR_KINDS:
+        if arguments.jobs != 1 or arguments.cluster:
+            what = f"--kind {settings.kind} is trained in one process."
+            raise InputError("--jobs and --cluster", what, "Leave them out.")
+        kind = SENSOR_KINDS[settings.kind]
+        lines = train_sensor_with_progress(kind, arguments.sequences, settings, arguments.out)
+        print("\n".join(lines))
+        return
     model = train_with_progress(
         arguments.sequences, settings, arguments.out, jobs=arguments.jobs, cluster=arguments.cluster
     )
     print("\n".join(summary(model, arguments.out)))
+
+
+def train_sensor_with_progress(
+    kind: SensorKind, recordings: tuple[Path, ...], settings: TrainSettings, out: Path
+) -> list[str]:
+    """Learn a sensor from recordings with a progress bar on stderr; return the lines to print."""
+    import cv2
+
+    from probevo.cli.progress import progress_bar
+    from probevo.sequences import open_sequence
+    from probevo.training.settings_check import check_sensor_settings
+
+    check_sensor_settings(settings)
+    train = resolve(kind.trainer)
+    cv2.setNumThreads(1)
+    opened = [open_sequence(path) for path in recordings]
+    try:
+        with progress_bar(f"training {out.name}", "reading the recordings") as show:
+            lines: list[str] = train(
+                opened, settings.nets, out, max_frames=settings.max_frames, on_progress=show
+            )
+    except KeyboardInterrupt as stop:
+        stop.add_note(
+            f"What was done is kept in {out}.work; the same command continues from there."
+        )
+        raise
+    return [*lines, "", f"sensor: {out}", f"next: probevo run SEQUENCE --sensor {out} --out DIR"]
 
 
 def train_with_progress(

@@ -156,7 +156,7 @@ def estimates(
     over_passes = eqx.filter_vmap(over_inputs, in_axes=(None, None, 0))
     over_networks = eqx.filter_vmap(over_passes, in_axes=(eqx.if_array(0), None, 0))
     found, *raw = over_networks(networks, inputs, keys)
-    by_input = jnp.moveaxis(found, 2, 0).reshape(len(inputs), -1, space.num_outputs)
+    by_input = jnp.moveaxis(found, 2, 0).reshape(len(inputs), -1, space.size)
     if not raw:
         return by_input, None
     return by_input, jnp.moveaxis(raw[0], 2, 0).reshape(len(inputs), -1, space.num_covariance)

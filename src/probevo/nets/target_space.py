@@ -30,6 +30,8 @@ class TargetSpace(Protocol):
 
     num_outputs: int
     """Numbers that a head gives for an estimate."""
+    size: int
+    """Numbers of an estimate."""
     dof: int
     """Dimension d of an error."""
     num_covariance: int
@@ -41,16 +43,16 @@ class TargetSpace(Protocol):
         """Return the hash: what is compiled for a space is kept."""
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
-        """Return the estimates, [..., num_outputs], that a head's outputs mean."""
+        """Return the estimates, [..., size], that a head's outputs mean."""
 
     def difference(self, estimates: jax.Array, targets: jax.Array) -> jax.Array:
         """Return the errors of estimates, [..., d]."""
 
     def perturb(self, targets: jax.Array, errors: jax.Array) -> jax.Array:
-        """Return the targets moved by errors, [..., num_outputs]."""
+        """Return the targets moved by errors, [..., size]."""
 
     def mean(self, estimates: jax.Array) -> jax.Array:
-        """Return the mean of K estimates each, [..., K, num_outputs] to [..., num_outputs]."""
+        """Return the mean of K estimates each, [..., K, size] to [..., size]."""
 
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the errors in units of their σ, [..., d], and ½ log|Σ|, [...].
@@ -68,6 +70,7 @@ class NumberTargets:
     """Real numbers, whose variance is softplus(raw) + 1e-6, as published."""
 
     num_outputs = 1
+    size = 1
     dof = 1
     num_covariance = 1
     least_variance = LEAST_VARIANCE
@@ -108,9 +111,11 @@ class RotationTargets:
     """
 
     num_outputs = 4
+    size = 4
     dof = 3
     num_covariance = 6
     least_variance = LEAST_SIGMA_RAD**2
+    first_sigma_rad = FIRST_SIGMA_RAD
 
     def estimate(self, outputs: jax.Array) -> jax.Array:
         """Return the outputs as unit quaternions."""
@@ -130,7 +135,7 @@ class RotationTargets:
 
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return diag(1/σ) U φ, and Σ log σ."""
-        log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., :3] + _FIRST)
+        log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., :3] + self._first)
         lower = jnp.tanh(raw[..., 3:])
         x = errors[..., 0]
         y = errors[..., 1] + lower[..., 0] * errors[..., 0]
@@ -142,7 +147,7 @@ class RotationTargets:
         """Return Σ = U⁻¹ diag(σ²) U⁻ᵀ, [..., 3, 3], rad², in float64."""
         raw = np.asarray(raw, np.float64)
         # A logistic function without overflow.
-        share = 0.5 * (1.0 + np.tanh(0.5 * (raw[..., :3] + _FIRST)))
+        share = 0.5 * (1.0 + np.tanh(0.5 * (raw[..., :3] + self._first)))
         sigma_rad = np.exp(_LOG_LEAST + _LOG_RANGE * share)
         lower = np.tanh(raw[..., 3:])
         unit = np.zeros((*raw.shape[:-1], 3, 3))
@@ -154,9 +159,35 @@ class RotationTargets:
         covariance: FloatArray = root @ root.mT
         return covariance
 
+    @property
+    def _first(self) -> float:
+        """What is added to the outputs for σ, so that zeros mean ``first_sigma_rad``."""
+        share = math.log(self.first_sigma_rad / LEAST_SIGMA_RAD) / _LOG_RANGE
+        return math.log(share / (1.0 - share))
+
+
+class SmallRotationTargets(RotationTargets):
+    """Rotations from one image to the next: a head gives a rotation vector in units of 0.01 rad.
+
+    Near the identity this is better conditioned than a quaternion whose length does not matter.
+    """
+
+    num_outputs = 3
+    first_sigma_rad = 2e-3
+    unit_rad = 0.01
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other is of the same class: then all is the same."""
+        return type(other) is type(self)
+
+    def __hash__(self) -> int:
+        """Return the hash of the class."""
+        return hash(type(self))
+
+    def estimate(self, outputs: jax.Array) -> jax.Array:
+        """Return q = Exp(0.01 o), [..., 4], of outputs [..., 3]."""
+        return quaternions.exp(self.unit_rad * outputs)
+
 
 _LOG_LEAST = math.log(LEAST_SIGMA_RAD)
 _LOG_RANGE = math.log(MOST_SIGMA_RAD / LEAST_SIGMA_RAD)
-_SHARE = math.log(FIRST_SIGMA_RAD / LEAST_SIGMA_RAD) / _LOG_RANGE
-_FIRST = math.log(_SHARE / (1.0 - _SHARE))
-"""Added to the outputs for σ, so that zeros mean ``FIRST_SIGMA_RAD``."""

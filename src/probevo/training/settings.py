@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from probevo.config import GyroConfig, OdometryConfig, RansacConfig
+from probevo.network_settings import NetworkSettings
 from probevo.settings import Settings
 
 SupervisionName = Literal["gt", "sparse", "position", "loop", "none"]
@@ -185,7 +186,9 @@ class TrainSettings(Settings):
         description=(
             "Kind of noise model. knn is PROBE: weights from the nearest neighbours in the"
             " prediction space; gk is PROBE-GK: a covariance and a loss of its own for each"
-            " feature; student-t one for all, fitted to the same data."
+            " feature; student-t one for all, fitted to the same data. rotation is no noise model,"
+            " but a sensor for `probevo run --sensor`: a network of the rotation between two left"
+            " images (HydraNet)."
         ),
     )
     supervision: SupervisionName = Field(
@@ -274,6 +277,8 @@ class TrainSettings(Settings):
     )
     # PROBE-GK, and what all kinds share.
     gk: KernelSettings = KernelSettings()
+    # Networks that measure.
+    nets: NetworkSettings = NetworkSettings()
     max_frames: int | None = Field(None, ge=2, description="Of each recording, use so many frames.")
     odometry: OdometryConfig = OdometryConfig()
 

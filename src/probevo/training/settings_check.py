@@ -8,6 +8,9 @@ from probevo.errors import InputError
 from probevo.training.settings import TrainSettings
 from probevo.training.trainer import trainer_of
 
+OF_SENSORS = ("kind", "nets", "max_frames")
+"""Fields of ``TrainSettings`` that the training of a sensor uses."""
+
 
 def check_settings(settings: TrainSettings) -> None:
     """Refuse what the kind of model cannot do, and what it would silently ignore.
@@ -43,6 +46,8 @@ def check_settings(settings: TrainSettings) -> None:
 
     # A setting of another kind counts as given if it differs from its default.
     default = TrainSettings()
+    if settings.nets != default.nets:
+        raise InputError("--nets", f"--kind {kind} is no network.", "Leave its options out.")
     for name, cure in trainer.unused_settings.items():
         value_of = attrgetter(name)
         if value_of(settings) != value_of(default):
@@ -51,3 +56,17 @@ def check_settings(settings: TrainSettings) -> None:
 
     # What remains concerns this kind only.
     trainer.check(settings)
+
+
+def check_sensor_settings(settings: TrainSettings) -> None:
+    """Refuse settings that the training of a sensor would silently ignore.
+
+    Raises:
+        InputError: names the first of them.
+    """
+    default = TrainSettings()
+    for name in TrainSettings.model_fields:
+        if name not in OF_SENSORS and getattr(settings, name) != getattr(default, name):
+            flag = "--" + name.replace("_", "-")
+            what = f"--kind {settings.kind} does not take it: it is no noise model."
+            raise InputError(flag, what, "Leave it out.")

@@ -1,0 +1,195 @@
+"""A small network over a field of cells, which begins as a linear regression.
+
+The flow of a camera that turns is nearly a linear function of its rotation, so that a linear
+regression on the flow comes close already. It is fitted in closed form, and stays as it is. The
+trained part is what the heads add to it, and the covariance.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.nets.methods import Method
+from probevo.nets.networks import Network, PReluHead, plain_dropout
+from probevo.nets.target_space import TargetSpace
+
+PATCH = 4
+"""Rows and columns of cells that the first layer sees at once."""
+POOL = 2
+"""Rows and columns of cells that the linear regression takes the mean of."""
+NUM_FLOW = 2
+"""Channels of the flow, which come first; the linear regression takes no others."""
+PATCH_UNITS = (32, 16)
+"""Units of the two layers that each patch goes through."""
+FEATURES = 64
+HIDDEN = 32
+"""Units of the hidden layer of each head."""
+SMALL = 0.1
+"""Factor on the first weights of the last layers: the heads begin near the regression."""
+RIDGE = 1e-3
+"""Of the linear regression, in the units of the standardised flow, per datum."""
+
+
+class LinearFit(NamedTuple):
+    """A linear regression on the standardised flow, in arrays of NumPy or JAX."""
+
+    weights: Any
+    """[o, 2 · rows/2 · columns/2]"""
+    offset: Any
+    """[o]"""
+
+
+class FieldTrunk(eqx.Module):
+    """Two layers over each patch of cells, the same for all, and one over all of them, with ReLU.
+
+    The last layer sees all places apart, since what a flow means depends on where it is. The first
+    of the features are those of the linear regression.
+    """
+
+    mean: jax.Array
+    """Of each input channel over the training data, [C, 1, 1]."""
+    scale: jax.Array
+    """One over the standard deviation, [C, 1, 1]."""
+    linear: LinearFit
+    patch_layers: list[eqx.nn.Linear]
+    last: eqx.nn.Linear
+    dropout: float = eqx.field(static=True)
+
+    def __init__(
+        self, shape: tuple[int, int, int], num_linear: int, dropout: float, *, key: jax.Array
+    ) -> None:
+        channels, rows, columns = shape
+        patches = (rows // PATCH) * (columns // PATCH)
+        sizes = (channels * PATCH**2, *PATCH_UNITS)
+        keys = jax.random.split(key, len(sizes))
+        self.mean = jnp.zeros((channels, 1, 1))
+        self.scale = jnp.ones((channels, 1, 1))
+        pooled = NUM_FLOW * (rows // POOL) * (columns // POOL)
+        self.linear = LinearFit(jnp.zeros((num_linear, pooled)), jnp.zeros(num_linear))
+        self.patch_layers = [
+            eqx.nn.Linear(sizes[k], sizes[k + 1], key=keys[k]) for k in range(len(sizes) - 1)
+        ]
+        self.last = eqx.nn.Linear(patches * sizes[-1], FEATURES, key=keys[-1])
+        self.dropout = dropout
+
+    def __call__(self, inputs: jax.Array, key: jax.Array) -> jax.Array:
+        """Return the features of one field [C, rows, columns]: the linear ones, then 64 others."""
+        # Statistics of the data, and what was fitted to them, are no weights.
+        mean, scale, linear = jax.lax.stop_gradient((self.mean, self.scale, self.linear))
+        field = (inputs - mean) * scale
+        first = linear.weights @ pooled_flow(field[None])[0] + linear.offset
+        features = _patches(field)
+        for layer in self.patch_layers:
+            features = jax.nn.relu(jax.vmap(layer)(features))
+        active = jax.nn.relu(self.last(features.ravel()))
+        return jnp.concatenate([first, plain_dropout(active, self.dropout, key)])
+
+
+class FieldHead(eqx.Module):
+    """What a network adds to the linear regression."""
+
+    correction: PReluHead
+    num_linear: int = eqx.field(static=True)
+
+    def __call__(self, features: jax.Array, key: jax.Array) -> jax.Array:
+        """Return the outputs, [o]."""
+        return features[: self.num_linear] + self.correction(features, key)
+
+
+def field_network(
+    method: Method, space: TargetSpace, fields: FloatArray, linear: LinearFit, key: jax.Array
+) -> Network:
+    """Return a network over fields, with initial weights.
+
+    Args:
+        method: says how many heads it has, and whether one gives the covariance.
+        space: says how many numbers they give.
+        fields: training data, [N, C, rows, columns], by which each channel is standardised.
+        linear: the regression that all heads begin with.
+        key: of the weights.
+    """
+    key_of_trunk, key_of_heads, key_of_covariance = jax.random.split(key, 3)
+    _, channels, rows, columns = fields.shape
+    num_linear = space.num_outputs
+    trunk = FieldTrunk((channels, rows, columns), num_linear, method.dropout, key=key_of_trunk)
+    mean, scale = standardisation(fields)
+    trunk = eqx.tree_at(
+        lambda tree: (tree.mean, tree.scale, tree.linear),
+        trunk,
+        (
+            jnp.asarray(mean, jnp.float32),
+            jnp.asarray(scale, jnp.float32),
+            LinearFit(*(jnp.asarray(array, jnp.float32) for array in linear)),
+        ),
+    )
+    num_features = num_linear + FEATURES
+
+    def head(head_key: jax.Array) -> FieldHead:
+        sizes = (num_features, HIDDEN, space.num_outputs)
+        return FieldHead(
+            _small_at_first(PReluHead(sizes, method.dropout, key=head_key)), num_linear
+        )
+
+    covariance_head = None
+    if method.learns_covariance:
+        sizes = (num_features, HIDDEN, space.num_covariance)
+        covariance_head = _small_at_first(PReluHead(sizes, 0.0, key=key_of_covariance))
+    return Network(
+        trunk=trunk,
+        heads=eqx.filter_vmap(head)(jax.random.split(key_of_heads, method.heads)),
+        covariance_head=covariance_head,
+    )
+
+
+def linear_fit(fields: FloatArray, targets: FloatArray) -> LinearFit:
+    """Return the ridge regression of targets, [N, o], on the flow of fields, [N, C, rows, columns].
+
+    It is that of the standardised flow, as the network has it.
+    """
+    mean, scale = standardisation(fields)
+    flow = np.asarray(pooled_flow((fields - mean) * scale), np.float64)
+    design = np.hstack([flow, np.ones((len(flow), 1))])
+    normal = design.T @ design
+    ridge = RIDGE * len(design) * np.eye(design.shape[1])
+    ridge[-1, -1] = 0.0
+    solved = np.linalg.solve(normal + ridge, design.T @ targets)
+    return LinearFit(solved[:-1].T, solved[-1])
+
+
+def standardisation(fields: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of each channel, and one over its standard deviation, [C, 1, 1] each."""
+    mean = fields.mean(axis=(0, 2, 3), dtype=np.float64)
+    spread = np.sqrt(np.mean((fields - mean[:, None, None]) ** 2, axis=(0, 2, 3), dtype=np.float64))
+    return mean[:, None, None], 1.0 / (spread[:, None, None] + 1e-6)
+
+
+def pooled_flow(fields: FloatArray | jax.Array) -> FloatArray | jax.Array:
+    """Return the flow of fields, [N, C, rows, columns], as means of 2 × 2 cells, [N, *]."""
+    flow = fields[:, :NUM_FLOW]
+    count, channels, rows, columns = flow.shape
+    shape = (count, channels, rows // POOL, POOL, columns // POOL, POOL)
+    return flow.reshape(shape).mean(axis=(3, 5)).reshape(count, -1)
+
+
+def _patches(field: jax.Array) -> jax.Array:
+    """Return the patches of a field [C, rows, columns], [patches, C · 16]."""
+    channels, rows, columns = field.shape
+    parts = field.reshape(channels, rows // PATCH, PATCH, columns // PATCH, PATCH)
+    return parts.transpose(1, 3, 0, 2, 4).reshape(-1, channels * PATCH**2)
+
+
+def _small_at_first(head: PReluHead) -> PReluHead:
+    """Return a head whose last layer has small weights, and no offset."""
+    last = head.last
+    small: PReluHead = eqx.tree_at(
+        lambda tree: (tree.last.weight, tree.last.bias),
+        head,
+        (SMALL * last.weight, jnp.zeros(last.weight.shape[0])),
+    )
+    return small

@@ -1,0 +1,176 @@
+"""What a network sees of two images of one camera: the optical flow on a grid of viewing rays.
+
+Images of any pinhole camera are resampled to one small virtual camera, in which dense optical flow
+is computed (Kroeger et al. 2016) and averaged over cells. Flow is in normalised coordinates, x =
+(u − c_u)/f_u, so that neither focal length nor image size matter, and a network learned with one
+camera sees with another, as long as that covers the same field of view.
+
+A rotation moves each ray by an amount that depends on the rotation alone, and on no depth. So a
+field of flow can be rotated further, as a camera would have seen it (``rotated``): from one pair of
+images come any number of training data with exact targets.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+
+from probevo.arrays import AnyArray, FloatArray, Image
+from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
+
+FOCAL_PX = 180.0
+"""Of the virtual camera: half that of the rendered scenes, a quarter of KITTI's."""
+SIZE_PX = (288, 80)
+"""Width and height of its images: x from −0.8 to 0.8, y from −0.22 to 0.22."""
+CELL_PX = 4
+"""The flow is averaged over cells of this size."""
+CELLS = (SIZE_PX[1] // CELL_PX, SIZE_PX[0] // CELL_PX)
+"""Rows and columns of cells."""
+CHANNELS = 4
+"""Flow along x and y, mismatch and contrast."""
+LEAST_LEVELS = 2.0
+"""Added to grey levels before their logarithm is taken: quantisation and noise of a dark image."""
+
+
+def virtual_view(image: Image, camera: StereoCamera) -> Image:
+    """Return what the virtual camera sees of an image, [80, 288], uint8.
+
+    Raises:
+        InputError: the camera's field of view is smaller than that of the virtual one.
+    """
+    check_field_of_view(camera)
+    to_source = np.array(
+        [
+            [camera.fu_px / FOCAL_PX, 0.0, camera.cu_px - camera.fu_px * _center()[0] / FOCAL_PX],
+            [0.0, camera.fv_px / FOCAL_PX, camera.cv_px - camera.fv_px * _center()[1] / FOCAL_PX],
+        ]
+    )
+    # A pixel of the virtual camera is the mean of those it covers, by and large.
+    sigma_px = 0.4 * max(camera.fu_px / FOCAL_PX, 1.0)
+    blurred = cv2.GaussianBlur(image, (0, 0), sigma_px)
+    view = cv2.warpAffine(
+        blurred,
+        to_source,
+        SIZE_PX,
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray(view, np.uint8)
+
+
+def check_field_of_view(camera: StereoCamera) -> None:
+    """Refuse a camera that does not see all rays of the virtual one.
+
+    Raises:
+        InputError: it has no images, or says how far it has to see.
+    """
+    if camera.size_px is None:
+        raise InputError("camera", "there are no images.", "Networks need images.")
+    x, y = (center / FOCAL_PX for center in _center())
+    width_px, height_px = camera.size_px
+    left, right = camera.cu_px / camera.fu_px, (width_px - 1 - camera.cu_px) / camera.fu_px
+    top, bottom = camera.cv_px / camera.fv_px, (height_px - 1 - camera.cv_px) / camera.fv_px
+    if min(left, right) < x or min(top, bottom) < y:
+        what = (
+            f"it sees {left:.2f} to the left, {right:.2f} to the right, {top:.2f} up and"
+            f" {bottom:.2f} down, in units of the focal length."
+        )
+        raise InputError("camera", what, f"The networks look {x:.2f} to the sides, {y:.2f} up.")
+
+
+def field_of_images(prev: Image, curr: Image, camera: StereoCamera) -> FloatArray:
+    """Return what a network sees of two images of a camera, [4, rows, columns], float32.
+
+    Raises:
+        InputError: the camera's field of view is smaller than that of the virtual one.
+    """
+    return flow_field(virtual_view(prev, camera), virtual_view(curr, camera))
+
+
+def flow_field(prev: Image, curr: Image) -> FloatArray:
+    """Return what a network sees of two images of the virtual camera, [4, rows, columns], float32.
+
+    The channels are the flow along x and y of each cell, from the previous to the current image, in
+    normalised coordinates; the logarithm of how far grey levels differ once the flow is taken back
+    (mismatch); and the logarithm of how far they vary within the cell (contrast). The last two tell
+    where the flow can be trusted.
+    """
+    start = np.zeros((*prev.shape, 2), np.float32)  # overwritten
+    flow_px = np.asarray(_flow_estimator().calc(prev, curr, start))
+    columns, rows = _pixels()
+    moved = cv2.remap(curr, columns + flow_px[..., 0], rows + flow_px[..., 1], cv2.INTER_LINEAR)
+    difference = np.abs(moved.astype(np.float32) - prev)
+    levels = prev.astype(np.float32)
+    mean = _cell_means(levels)
+    variance = np.maximum(_cell_means(levels**2) - mean**2, 0.0)
+    field = [
+        _cell_means(flow_px[..., 0]) / FOCAL_PX,
+        _cell_means(flow_px[..., 1]) / FOCAL_PX,
+        np.log(_cell_means(difference) + LEAST_LEVELS),
+        np.log(np.sqrt(variance) + LEAST_LEVELS),
+    ]
+    return np.stack(field).astype(np.float32)
+
+
+def rotated(fields: FloatArray, rotations: FloatArray) -> FloatArray:
+    """Return fields of flow, [N, 4, rows, columns], as if the camera had then turned further.
+
+    Args:
+        fields: as ``flow_field`` gives them.
+        rotations: C by which the current camera is turned, p' = C p, [N, 3, 3].
+    """
+    rays = cell_rays()
+    x = rays[0] + fields[:, 0]
+    y = rays[1] + fields[:, 1]
+    seen = np.stack([x, y, np.ones_like(x)], axis=1)
+    turned = np.einsum("nij,njrc->nirc", rotations, seen)
+    moved = fields.copy()
+    moved[:, 0] = turned[:, 0] / turned[:, 2] - rays[0]
+    moved[:, 1] = turned[:, 1] / turned[:, 2] - rays[1]
+    return moved
+
+
+def mirrored(fields: FloatArray) -> FloatArray:
+    """Return fields, [N, 4, rows, columns], of the mirrored world: left and right exchanged.
+
+    The rotation (φ_x, φ_y, φ_z) of the camera becomes (φ_x, −φ_y, −φ_z).
+    """
+    flipped = fields[..., ::-1].copy()
+    flipped[:, 0] *= -1.0
+    return flipped
+
+
+@cache
+def cell_rays() -> FloatArray:
+    """Return the normalised coordinates x and y of the centre of each cell, [2, rows, columns]."""
+    columns, rows = _pixels()
+    x = (_cell_means(columns) - _center()[0]) / FOCAL_PX
+    y = (_cell_means(rows) - _center()[1]) / FOCAL_PX
+    return np.stack([x, y])
+
+
+def _center() -> tuple[float, float]:
+    """Return the principal point of the virtual camera, px."""
+    return 0.5 * (SIZE_PX[0] - 1), 0.5 * (SIZE_PX[1] - 1)
+
+
+@cache
+def _pixels() -> tuple[FloatArray, FloatArray]:
+    """Return the columns and the rows of all pixels, [80, 288] each, float32."""
+    columns, rows = np.meshgrid(np.arange(SIZE_PX[0]), np.arange(SIZE_PX[1]))
+    return columns.astype(np.float32), rows.astype(np.float32)
+
+
+@cache
+def _flow_estimator() -> cv2.DISOpticalFlow:
+    return cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+
+
+def _cell_means(values: AnyArray) -> FloatArray:
+    """Return the mean of each cell, [rows, columns], of values of all pixels."""
+    parts = values.reshape(CELLS[0], CELL_PX, CELLS[1], CELL_PX)
+    means: FloatArray = parts.mean(axis=(1, 3))
+    return means

@@ -1,0 +1,172 @@
+"""Pairs of consecutive images of a recording as a network sees them, with their true rotations."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from collections.abc import Sequence as Collection
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.errors import InputError
+from probevo.files import write_atomically
+from probevo.geometry import so3
+from probevo.nets.flow_field import (
+    check_field_of_view,
+    field_of_images,
+    mirrored,
+    rotated,
+)
+from probevo.npz import NO_NPZ, read_npz
+from probevo.sequences.base import Sequence
+
+FURTHER_SIGMA_RAD = np.radians([0.15, 0.5, 0.15])
+"""Standard deviations by which copies are rotated further, about x, y and z."""
+FURTHER_SPREAD = 1.0
+"""Of the logarithm of a factor on them: many small rotations, a few large ones."""
+MOST_FURTHER_RAD = 0.06
+"""No axis is rotated more: at a tenth of a second, a turn of 34° a second."""
+MIRROR = np.array([1.0, -1.0, -1.0])
+"""What a mirror does to a rotation vector, if x is what it inverts."""
+
+
+@dataclass(frozen=True)
+class ImagePairs:
+    """N pairs of consecutive images."""
+
+    fields: FloatArray
+    """As ``flow_field`` gives them, [N, 4, rows, columns], float32."""
+    rotations: FloatArray
+    """True rotation vectors φ = Log(C_curr_prev), [N, 3], rad."""
+
+    def __len__(self) -> int:
+        """Return N."""
+        return len(self.fields)
+
+    @staticmethod
+    def joined(parts: Collection[ImagePairs]) -> ImagePairs:
+        """Return the pairs of several recordings, one after the other."""
+        return ImagePairs(
+            np.concatenate([part.fields for part in parts]),
+            np.concatenate([part.rotations for part in parts]),
+        )
+
+    def multiplied(self, copies: int, rng: np.random.Generator) -> ImagePairs:
+        """Return the pairs and their mirror images, and further copies that turn more.
+
+        Args:
+            copies: how often each is there; the first is as it was.
+            rng: of the rotations of the others.
+        """
+        fields = np.concatenate([self.fields, mirrored(self.fields)])
+        rotations = np.concatenate([self.rotations, MIRROR * self.rotations])
+        parts = [ImagePairs(fields, rotations)]
+        C_curr_prev = so3.exp(rotations)
+        for _ in range(copies - 1):
+            factor = np.exp(rng.normal(0.0, FURTHER_SPREAD, (len(fields), 1)))
+            further = factor * rng.normal(0.0, FURTHER_SIGMA_RAD, (len(fields), 3))
+            C = so3.exp(np.clip(further, -MOST_FURTHER_RAD, MOST_FURTHER_RAD))
+            turned = so3.log(C @ C_curr_prev)
+            parts.append(ImagePairs(rotated(fields, C).astype(np.float32), turned))
+        return ImagePairs.joined(parts)
+
+
+def read_pairs(
+    sequence: Sequence, num_frames: int, on_frame: Callable[[int], None] | None = None
+) -> ImagePairs:
+    """Go through a recording, and return the pairs whose true rotation is known.
+
+    An image that repeats the previous one shows no motion, and makes no pair.
+
+    Args:
+        sequence: the recording.
+        num_frames: frames to read.
+        on_frame: called with the number of frames done.
+
+    Raises:
+        InputError: it has no images or no truth, a camera that sees too little, or a faulty frame.
+    """
+    T_world_cam = _true_poses(sequence)
+    is_known = np.asarray(np.isfinite(T_world_cam).all(axis=(1, 2)))
+    fields = []
+    rotations = []
+    prev_left = None
+    for frame in islice(sequence, num_frames):
+        if frame.left is None:
+            raise InputError(sequence.path, "there are no images.", "Networks need images.")
+        k = frame.index
+        is_pair = prev_left is not None and not np.array_equal(prev_left, frame.left)
+        if is_pair and is_known[k - 1 : k + 1].all():
+            C_world_prev, C_world_curr = T_world_cam[k - 1 : k + 1, :3, :3]
+            fields.append(field_of_images(prev_left, frame.left, sequence.camera))
+            rotations.append(so3.log(C_world_curr.T @ C_world_prev))
+        prev_left = frame.left
+        if on_frame is not None:
+            on_frame(k + 1)
+    if not fields:
+        what = "no two successive frames have a true pose."
+        raise InputError(sequence.path, what, "Give a recording with ground truth.")
+    return ImagePairs(np.array(fields), np.array(rotations))
+
+
+def check_recording(sequence: Sequence) -> None:
+    """Refuse a recording that networks cannot learn rotations from.
+
+    Raises:
+        InputError: it has no images, too small a field of view, or no true poses.
+    """
+    _true_poses(sequence)
+
+
+def _true_poses(sequence: Sequence) -> FloatArray:
+    """Return T_world_cam of a recording that networks can learn from, [K, 4, 4].
+
+    Raises:
+        InputError: as ``check_recording`` raises.
+    """
+    try:
+        check_field_of_view(sequence.camera)
+    except InputError as error:
+        raise InputError(sequence.path, f"{error.where}: {error.what}", error.cure) from error
+    if sequence.truth is None:
+        what = "there are no true poses."
+        raise InputError(sequence.path, what, "Give a recording with ground truth.")
+    return sequence.truth.T_world_cam
+
+
+def facts_of(sequence: Sequence, num_frames: int) -> dict[str, Any]:
+    """Return what identifies a recording and its truth, in plain values."""
+    truth = b"" if sequence.truth is None else sequence.truth.T_world_cam[:num_frames].tobytes()
+    return {
+        "name": sequence.path.resolve().name,
+        "frames": num_frames,
+        "first_and_last_ns": sequence.stamps_ns[[0, num_frames - 1]].tolist(),
+        "camera": [np.asarray(value).tolist() for value in vars(sequence.camera).values()],
+        "truth": hashlib.sha256(truth).hexdigest(),
+    }
+
+
+def write_pairs(path: Path, pairs: ImagePairs) -> None:
+    """Write pairs to a file, completely or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    content = BytesIO()
+    np.savez(content, fields=pairs.fields, rotations=pairs.rotations)
+    write_atomically(path, content.getvalue())
+
+
+def read_pairs_file(path: Path) -> ImagePairs | None:
+    """Return the pairs of a file; None where it is missing or damaged."""
+    try:
+        arrays = read_npz(path)
+        return ImagePairs(arrays["fields"], arrays["rotations"])
+    except (*NO_NPZ, KeyError):
+        return None

@@ -1,0 +1,90 @@
+"""The registry of learned sensors: the name of each kind, its loader and its trainer.
+
+Networks need the extra ``nets``. What they need is imported only when one is loaded or trained, and
+nothing else of probevo names their modules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from collections.abc import Sequence as Collection
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
+from probevo.measurements.sensor import Sensor
+
+_REQUIRE = "probevo.nets.extra:require_nets"
+_READ_FACTS = "probevo.nets.network_file:read_facts"
+
+
+@dataclass(frozen=True)
+class SensorKind:
+    """One kind of learned sensor; functions are written as ``module:function``."""
+
+    name: str
+    """Name of the kind in ``--kind`` and in the file of a sensor."""
+    summary: str
+    """One line for help texts."""
+    sensor: str
+    """Function of the path of a file and a camera that returns the sensor."""
+    trainer: str
+    """Function that learns one from recordings and writes its file: ``train_rotation``."""
+    inspection: str
+    """Function of the path of a file and recordings that returns the sections of its page."""
+
+
+SENSOR_KINDS: Mapping[str, SensorKind] = {
+    kind.name: kind
+    for kind in (
+        SensorKind(
+            name="rotation",
+            summary="HydraNet: the rotation from one left image to the next",
+            sensor="probevo.nets.rotation_sensor:RotationSensor.load",
+            trainer="probevo.nets.rotation_training:train_rotation",
+            inspection="probevo.output.inspection.rotation:inspect_rotation",
+        ),
+    )
+}
+
+
+def load_sensors(paths: Collection[Path], camera: StereoCamera) -> tuple[Sensor, ...]:
+    """Return the sensors of files, for images of a camera.
+
+    Raises:
+        InputError: a file is named twice, cannot be read, or holds no sensor; the camera is not one
+            for it; or JAX, the extra ``nets``, is not installed.
+    """
+    resolved = [path.resolve() for path in paths]
+    for path in resolved:
+        if resolved.count(path) > 1:
+            raise InputError("--sensor", f"{path} is given twice.", "Name it once.")
+    return tuple(resolve(kind_of_file(path).sensor)(path, camera) for path in paths)
+
+
+def kind_of_file(path: Path) -> SensorKind:
+    """Return the kind of sensor that a file holds.
+
+    Raises:
+        InputError: it cannot be read, holds no sensor, or the extra ``nets`` is not installed.
+    """
+    resolve(_REQUIRE)("--sensor")
+    name = resolve(_READ_FACTS)(path).get("kind")
+    if name not in SENSOR_KINDS:
+        known = ", ".join(SENSOR_KINDS)
+        what = f"it holds no sensor of a known kind, but {name!r}."
+        raise InputError(path, what, f"Known are {known}: probevo train … --kind {known}.")
+    return SENSOR_KINDS[name]
+
+
+def resolve(function: str) -> Callable[..., Any]:
+    """Import a function that is written as ``module:function``, or ``module:class.function``."""
+    module, _, names = function.partition(":")
+    found: Any = import_module(module)
+    for name in names.split("."):
+        found = getattr(found, name)
+    function_found: Callable[..., Any] = found
+    return function_found

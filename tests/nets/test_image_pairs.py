@@ -1,0 +1,70 @@
+"""Pairs of images of a recording: true rotations, copies that turn further, files, refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.rendering import FOCAL_PX, STEP, write_wall
+from nets.small_pairs import small_pairs
+from probevo.errors import InputError
+from probevo.geometry import so3
+from probevo.nets.flow_field import rotated
+from probevo.nets.image_pairs import facts_of, read_pairs, read_pairs_file, write_pairs
+from probevo.sequences import open_sequence
+
+
+def test_the_rotations_are_those_of_the_truth(tmp_path: Path) -> None:
+    pairs = read_pairs(open_sequence(write_wall(tmp_path, frames=5)), 4)
+    assert len(pairs) == 3
+    np.testing.assert_allclose(pairs.rotations, np.tile(STEP[3:], (3, 1)), atol=1e-9)
+
+
+def test_the_flow_is_that_of_the_images(tmp_path: Path) -> None:
+    """A wall 8 m away that is approached by 0.15 m: mostly the rotation moves it."""
+    pairs = read_pairs(open_sequence(write_wall(tmp_path, frames=3)), 3)
+    by_rotation = rotated(np.zeros_like(pairs.fields), so3.exp(pairs.rotations))
+    remaining = np.abs(pairs.fields[:, :2] - by_rotation[:, :2])
+    assert np.median(remaining) < 2.0 / FOCAL_PX
+
+
+def test_copies_have_the_field_of_their_rotation() -> None:
+    """The flow of a copy, turned back by its own rotation, is that of the pair without rotation."""
+    pairs = small_pairs(6)
+    copies = pairs.multiplied(3, np.random.default_rng(0))
+    assert len(copies) == 6 * 2 * 3
+    np.testing.assert_array_equal(copies.fields[:6], pairs.fields)
+    back = rotated(copies.fields.astype(float), so3.exp(copies.rotations).mT)
+    for k in range(12):
+        for copy in (1, 2):
+            np.testing.assert_allclose(back[12 * copy + k], back[k], atol=1e-6)
+
+
+def test_a_file_gives_the_pairs_back_and_a_damaged_one_none(tmp_path: Path) -> None:
+    pairs = small_pairs(3)
+    file = tmp_path / "pairs.npz"
+    write_pairs(file, pairs)
+    found = read_pairs_file(file)
+    np.testing.assert_array_equal(found.fields, pairs.fields)
+    np.testing.assert_array_equal(found.rotations, pairs.rotations)
+    file.write_bytes(file.read_bytes()[:200])
+    assert read_pairs_file(file) is None
+    assert read_pairs_file(tmp_path / "missing.npz") is None
+
+
+def test_a_recording_without_truth_is_refused(tmp_path: Path) -> None:
+    sequence = open_sequence(write_wall(tmp_path, frames=3, truth=False))
+    with pytest.raises(InputError, match="no true poses"):
+        read_pairs(sequence, 3)
+
+
+def test_other_truth_is_another_recording(tmp_path: Path) -> None:
+    """The facts, by which work of an earlier training is found again, differ."""
+    folder = write_wall(tmp_path, frames=3)
+    before = facts_of(open_sequence(folder), 3)
+    assert facts_of(open_sequence(folder), 3) == before
+    poses = (folder / "poses.txt").read_text().splitlines()
+    (folder / "poses.txt").write_text("\n".join([poses[0], poses[2], poses[2]]) + "\n")
+    assert facts_of(open_sequence(folder), 3) != before

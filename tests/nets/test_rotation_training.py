@@ -1,0 +1,241 @@
+"""Networks of rotations from recordings: trained, stopped, resumed, calibrated, and as sensors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
+pytest.importorskip("equinox")
+
+from cli.rendering import write_wall  # noqa: E402
+from nets.small_pairs import NOISE, small_pairs  # noqa: E402
+from probevo.cli.main import main  # noqa: E402
+from probevo.errors import InputError  # noqa: E402
+from probevo.geometry import so3  # noqa: E402
+from probevo.measurements.sensor import NoMeasurement  # noqa: E402
+from probevo.nets.image_pairs import ImagePairs  # noqa: E402
+from probevo.nets.rotation_network import RotationNetwork  # noqa: E402
+from probevo.nets.rotation_sensor import RotationSensor  # noqa: E402
+from probevo.nets.rotation_training import calibrated, errors_of, train_rotation  # noqa: E402
+from probevo.network_settings import NetworkSettings  # noqa: E402
+from probevo.sensor_kinds import load_sensors  # noqa: E402
+from probevo.sequences import open_sequence  # noqa: E402
+
+FRAMES = 13
+SETTINGS = NetworkSettings(epochs=3, copies=3, batch=16, heads=4)
+
+
+@pytest.fixture(scope="module")
+def walls(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two recordings of the same wall."""
+    root = tmp_path_factory.mktemp("walls")
+    return [write_wall(root / name, frames=FRAMES) for name in ("one", "other")]
+
+
+@pytest.fixture(scope="module")
+def model(walls: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("model") / "rotation.safetensors"
+    train_rotation([open_sequence(wall) for wall in walls], SETTINGS, out)
+    return out
+
+
+def test_the_file_gives_the_network_back(model: Path, tmp_path: Path) -> None:
+    network = RotationNetwork.load(model)
+    pairs = small_pairs(4)
+    copy = tmp_path / "copy.safetensors"
+    network.save(copy)
+    assert copy.read_bytes() == model.read_bytes()
+    again = RotationNetwork.load(copy).estimate(pairs.fields)
+    np.testing.assert_array_equal(network.estimate(pairs.fields).q_curr_prev, again.q_curr_prev)
+    assert network.facts["learned_from"] == ["one"]
+    assert network.facts["left_out"] == ["other"]
+    assert not model.with_name(model.name + ".work").exists()
+
+
+@pytest.mark.parametrize("stop_at", [5, 2 * FRAMES, 3 * FRAMES + 1])
+def test_a_training_that_was_stopped_ends_with_the_same_bytes(
+    walls: list[Path], model: Path, tmp_path: Path, stop_at: int
+) -> None:
+    """Stopped while it reads, before the first epoch, and after the second."""
+
+    def stop(done: int, total: int) -> None:
+        assert total == 2 * FRAMES * (1 + SETTINGS.epochs)
+        if done >= stop_at:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "rotation.safetensors"
+    recordings = [open_sequence(wall) for wall in walls]
+    with pytest.raises(KeyboardInterrupt):
+        train_rotation(recordings, SETTINGS, out, on_progress=stop)
+    assert not out.exists()
+    train_rotation(recordings, SETTINGS, out)
+    assert out.read_bytes() == model.read_bytes()
+
+
+def test_the_covariance_is_scaled_to_errors_in_blocks(model: Path) -> None:
+    """Errors that are the same for ten pairs need ten times the variance of independent ones."""
+    network = RotationNetwork.load(model)
+    plain = RotationNetwork(network.networks, network.domain, {**network.facts, "scale": 1.0})
+    pairs = small_pairs(200, seed=5, turn_rad=0.002)
+    estimated = plain.estimate(pairs.fields)
+    C = so3.exp(_rotation_vectors(estimated.q_curr_prev))
+    rng = np.random.default_rng(0)
+    root = np.linalg.cholesky(estimated.covariance)
+    same = np.repeat(rng.normal(size=(20, 3)), 10, axis=0)
+    truth = so3.log(so3.exp(-np.einsum("nij,nj->ni", root, same)) @ C)
+    with_truth = ImagePairs(pairs.fields, truth)
+    names = [{"name": "one"}, {"name": "two"}]
+    found = calibrated(plain, [with_truth], recordings=names, settings=SETTINGS)
+    assert found.facts["scale_single"] == pytest.approx(1.0, abs=0.5)
+    ratio = found.facts["scale_blocks"] / found.facts["scale_single"]
+    assert 6.0 < ratio < 12.0
+    assert found.facts["scale"] == found.facts["scale_blocks"]
+
+
+def test_what_it_has_not_seen_is_widened_and_in_the_end_not_measured(
+    model: Path, walls: list[Path]
+) -> None:
+    network = RotationNetwork.load(model)
+    sequence = open_sequence(walls[0])
+    sensor = RotationSensor(network, sequence.camera, "rotation")
+    frames = list(sequence)
+    (measured,) = sensor(frames[3], frames[4])
+    assert measured.variables[1].frame == 4
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, (2, *frames[0].left.shape), dtype=np.uint8)
+    strange = [_with_left(frames[k], noise[k]) for k in (0, 1)]
+    answer = sensor(*strange)
+    if isinstance(answer, NoMeasurement):
+        assert answer.reason == "out of its domain"
+    else:
+        claimed = np.trace(answer[0].covariance)
+        assert claimed > 4.0 * np.trace(measured.covariance)
+
+
+def test_a_frame_without_an_image_gives_no_measurement(model: Path, walls: list[Path]) -> None:
+    sequence = open_sequence(walls[0])
+    sensor = RotationSensor.load(model, sequence.camera)
+    frame = next(iter(sequence))
+    answer = sensor(frame, _with_left(frame, None))
+    assert isinstance(answer, NoMeasurement)
+    assert answer.reason == "no image"
+
+
+def test_train_run_and_compare_with_the_sensor(
+    walls: list[Path], model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command trains the same bytes; a run uses the sensor, and its config repeats the run."""
+    out = tmp_path / "rotation.safetensors"
+    options = ["--nets.epochs", "3", "--nets.copies", "3", "--nets.batch", "16"]
+    words = ["--kind", "rotation", "--nets.heads", "4", *options, "--out", str(out)]
+    assert main(["train", *map(str, walls), *words]) == 0
+    shown = capsys.readouterr().out
+    assert "left out:     other" in shown
+    assert out.read_bytes() == model.read_bytes()
+
+    run = tmp_path / "run"
+    assert main(["run", str(walls[0]), "--sensor", str(out), "--out", str(run)]) == 0
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert metrics["faults"]["steps_without_rotation"] == 0
+    again = tmp_path / "again"
+    assert main(["run", "--config", str(run / "config.yaml"), "--out", str(again)]) == 0
+    assert (again / "trajectory.tum").read_bytes() == (run / "trajectory.tum").read_bytes()
+
+    compared = tmp_path / "compared"
+    words = ["--noise", "student-t", "--sensor", str(out), "--out", str(compared)]
+    assert main(["compare", str(walls[0]), *words]) == 0
+    assert "student-t + rotation" in capsys.readouterr().out
+
+
+def test_errors_are_those_of_left_perturbations(model: Path) -> None:
+    """An estimate that is C_true turned by φ has the error φ."""
+    network = RotationNetwork.load(model)
+    pairs = small_pairs(5)
+    C = so3.exp(_rotation_vectors(network.estimate(pairs.fields).q_curr_prev))
+    phi = np.array([0.01, -0.02, 0.015])
+    truth = so3.log(so3.exp(-phi) @ C)
+    errors, _ = errors_of(network, ImagePairs(pairs.fields, truth))
+    np.testing.assert_allclose(errors, np.tile(phi, (5, 1)), atol=1e-5)
+    assert NOISE > 0.0
+
+
+@pytest.mark.parametrize(
+    ("recordings", "settings", "message"),
+    [
+        ([0], {}, "the last 1 would be left out"),
+        ([0, 1], {"left_out": 2}, "the last 2 would be left out"),
+        ([0, 0], {}, "named twice"),
+    ],
+)
+def test_recordings_that_do_not_suffice_are_refused(
+    walls: list[Path],
+    tmp_path: Path,
+    recordings: list[int],
+    settings: dict[str, int],
+    message: str,
+) -> None:
+    opened = [open_sequence(walls[k]) for k in recordings]
+    with pytest.raises(InputError, match=message):
+        train_rotation(opened, NetworkSettings(**settings), tmp_path / "model.safetensors")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "flag"),
+    [
+        (["--contrast", "1"], "--contrast"),
+        (["--supervision", "none"], "--supervision"),
+        (["--jobs", "2"], "--jobs"),
+        (["--gk.centers", "7"], "--gk"),
+    ],
+)
+def test_settings_of_noise_models_are_refused(
+    walls: list[Path],
+    tmp_path: Path,
+    words: list[str],
+    flag: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = str(tmp_path / "model.safetensors")
+    assert main(["train", *map(str, walls), "--kind", "rotation", *words, "--out", out]) == 2
+    assert flag in capsys.readouterr().err
+
+
+def test_settings_of_networks_are_refused_by_noise_models(
+    walls: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "model.safetensors")
+    assert main(["train", *map(str, walls), "--nets.heads", "7", "--out", out]) == 2
+    assert "--nets: --kind knn is no network" in capsys.readouterr().err
+
+
+def test_files_that_are_no_sensors_are_refused(
+    walls: list[Path], model: Path, tmp_path: Path
+) -> None:
+    camera = open_sequence(walls[0]).camera
+    with pytest.raises(InputError, match="given twice"):
+        load_sensors([model, model], camera)
+    with pytest.raises(InputError, match=r"missing\.safetensors"):
+        load_sensors([tmp_path / "missing.safetensors"], camera)
+    damaged = tmp_path / "damaged.safetensors"
+    content = bytearray(model.read_bytes())
+    content[-5] ^= 1
+    damaged.write_bytes(content)
+    with pytest.raises(InputError, match="checksum"):
+        load_sensors([damaged], camera)
+
+
+def _rotation_vectors(q: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(q, scalar_first=True).as_rotvec()
+
+
+def _with_left(frame: object, left: object) -> object:
+    from dataclasses import replace
+
+    return replace(frame, left=left, prepared=None)
