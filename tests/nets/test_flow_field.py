@@ -26,7 +26,7 @@ PHI = np.array([0.004, -0.012, 0.006])
 
 def far_scene(camera: StereoCamera, C_curr_prev: FloatArray) -> Image:
     """A scene at infinity, as a camera sees it that has turned: a texture on the unit sphere."""
-    width_px, height_px = camera.size_px
+    width_px, height_px = camera.size_px or (0, 0)
     columns, rows = np.meshgrid(np.arange(width_px), np.arange(height_px))
     x, y = camera.normalized(columns.astype(float), rows.astype(float))
     first = np.einsum("ji,jrc->irc", C_curr_prev, np.stack([x, y, np.ones_like(x)]))

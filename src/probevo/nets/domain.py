@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import FloatArray
+from probevo.arrays import AnyArray, FloatArray
 
 SHRINKAGE = 0.01
 """Share of the mean variance that is added to each: features that hardly vary decide nothing."""
@@ -22,11 +22,11 @@ class Domain(NamedTuple):
     Its arrays are of single precision, as they are in the file.
     """
 
-    mean: FloatArray
+    mean: AnyArray
     """[f]"""
-    information: FloatArray
+    information: AnyArray
     """Inverse of the covariance, [f, f]."""
-    limit: FloatArray
+    limit: AnyArray
     """Squared Mahalanobis distance of the usual, [], as of data left out."""
 
     @staticmethod
@@ -37,9 +37,13 @@ class Domain(NamedTuple):
         covariance = np.atleast_2d(np.cov(features, rowvar=False))
         covariance += SHRINKAGE * np.trace(covariance) / len(covariance) * np.eye(len(covariance))
         information = np.linalg.inv(covariance)
-        domain = Domain(_single(mean), _single(information), _single(np.ones(())))
+        domain = Domain(
+            np.asarray(mean, np.float32),
+            np.asarray(information, np.float32),
+            np.ones((), np.float32),
+        )
         limit = np.quantile(domain.distance_squared(left_out), USUAL_SHARE)
-        return domain._replace(limit=_single(limit))
+        return domain._replace(limit=np.asarray(limit, np.float32))
 
     def distance_squared(self, features: FloatArray) -> FloatArray:
         """Return the squared Mahalanobis distance of features [N, f] from the mean, [N]."""
@@ -54,9 +58,3 @@ class Domain(NamedTuple):
         deviation grows with the distance: the variance as d² over the limit.
         """
         return np.maximum(self.distance_squared(features) / self.limit, 1.0)
-
-
-def _single(values: FloatArray | np.floating) -> FloatArray:
-    """Return values in single precision."""
-    rounded: FloatArray = np.asarray(values, np.float32)  # type: ignore[assignment]
-    return rounded

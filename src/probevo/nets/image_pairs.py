@@ -101,8 +101,8 @@ def read_pairs(
         if frame.left is None:
             raise InputError(sequence.path, "there are no images.", "Networks need images.")
         k = frame.index
-        is_pair = prev_left is not None and not np.array_equal(prev_left, frame.left)
-        if is_pair and is_known[k - 1 : k + 1].all():
+        is_repeated = prev_left is None or np.array_equal(prev_left, frame.left)
+        if prev_left is not None and not is_repeated and is_known[k - 1 : k + 1].all():
             C_world_prev, C_world_curr = T_world_cam[k - 1 : k + 1, :3, :3]
             fields.append(field_of_images(prev_left, frame.left, sequence.camera))
             rotations.append(so3.log(C_world_curr.T @ C_world_prev))

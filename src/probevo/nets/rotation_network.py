@@ -133,7 +133,11 @@ def empty_networks(method: Method) -> Network:
 def empty_domain() -> Domain:
     """Return a structure to read a file into."""
     num_features = SPACE.num_outputs + FEATURES
-    return Domain(np.zeros(num_features), np.eye(num_features), np.ones(()))
+    single = (
+        np.asarray(array, np.float32)
+        for array in (np.zeros(num_features), np.eye(num_features), np.ones(()))
+    )
+    return Domain(*single)
 
 
 def trunk_features(networks: Network, fields: FloatArray) -> FloatArray:
