@@ -370,7 +370,9 @@ class StereoOdometry:
             clock.lap("window")
         else:
             fusion = fusion.after(motion)
-        fusion, outcomes = self._fuse(fusion, frame, visual, measured)
+        fusion, outcomes = self._fuse(
+            fusion, frame, visual, readings=_readings_used(measured, frame, visual, window)
+        )
         pose = fusion.pose
         estimate = replace(
             motion,
@@ -490,24 +492,30 @@ class StereoOdometry:
         )
 
     def _fuse(
-        self, fusion: SensorFusion, frame: Frame, visual: VisualMotion, measured: _Measured
+        self,
+        fusion: SensorFusion,
+        frame: Frame,
+        visual: VisualMotion,
+        *,
+        readings: Sequence[Reading],
     ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
-        """Correct the pose by what the sensors measured of it, and test them."""
+        """Correct the pose by what the sensors measured of it, and test them.
+
+        Without a solve, measurements of the motion have no innovation to test.
+        """
         if not self.sensors:
             return fusion, ()
         pose = pose_of(frame.index)
-        motion_squared = {}
-        if visual.status is Status.OK:
-            solution = visual.accepted_solution
-            motion_squared = {
-                reading.name: motion_innovations_squared(
-                    reading.of_motion(pose), solution.T_curr_prev, pose, cov=solution.cov
+        motion_squared: dict[str, list[float | None]] = {}
+        for reading in readings:
+            of_motion = reading.of_motion(pose)
+            motion_squared[reading.name] = [None] * len(of_motion)
+            if visual.status is Status.OK:
+                solution = visual.accepted_solution
+                motion_squared[reading.name] = motion_innovations_squared(
+                    of_motion, solution.T_curr_prev, pose, cov=solution.cov
                 )
-                for reading in measured.readings
-            }
-        return fusion.updated(
-            measured.readings, pose, self.config.north, motion_squared=motion_squared
-        )
+        return fusion.updated(readings, pose, self.config.north, motion_squared=motion_squared)
 
     def _adjust(
         self,
@@ -592,6 +600,26 @@ class _Measured:
     """What enters the solve: the gyro's rotation, and what sensors measured of the motion."""
     readings: list[Reading]
     """What each sensor returned."""
+
+
+def _readings_used(
+    measured: _Measured, frame: Frame, visual: VisualMotion, window: Window | None
+) -> list[Reading]:
+    """Return what of the readings was used: of the motion, nothing if it was dead-reckoned.
+
+    The window uses measurements of the motion also where the images fix none.
+    """
+    if visual.status is Status.OK or window is not None:
+        return measured.readings
+    pose = pose_of(frame.index)
+    used = []
+    for reading in measured.readings:
+        of_pose = reading.of_pose(pose)
+        reason = reading.reason
+        if reading.measurements and not of_pose:
+            reason = "dead-reckoned step"
+        used.append(Reading(reading.name, of_pose, reason))
+    return used
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,10 @@ from probevo.measurements import Measurement, pose_of
 from probevo.measurements.direction import Direction, tangent_axes
 from probevo.measurements.heading import Heading
 from probevo.measurements.north import NORTH, attitude_of_enu
+from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.sensor import NoMeasurement, Reading
 from probevo.measurements.travelled_distance import TravelledDistance
-from worlds import CAMERA, FORWARD, drive
+from worlds import CAMERA, FORWARD, blind_frame, drive
 
 STEP_COV = np.diag([1e-4, 1e-4, 1e-4, 3e-6, 3e-6, 3e-6])
 SIGMA_RAD = np.deg2rad(10.0)
@@ -306,3 +307,26 @@ def test_wheels_that_lie_are_excluded(estimator: str) -> None:
         sign: np.sqrt(np.mean((np.array(found) - true_m) ** 2)) for sign, found in lengths.items()
     }
     assert error[-1.0] <= 1.05 * error[0.0]
+
+
+@pytest.mark.parametrize(("estimator", "state"), [("two-frame", "silent"), ("window", "used")])
+def test_a_measured_motion_has_nothing_to_be_tested_against_where_nothing_is_seen(
+    estimator: str, state: str
+) -> None:
+    """Two-frame steps are dead-reckoned without it, and say so; the window uses it."""
+    frames = drive(np.random.default_rng(1), 10, points=60)
+    frames += [blind_frame(10 + k) for k in range(3)]
+
+    def turns(prev_frame: pv.Frame, frame: pv.Frame) -> list[Measurement]:
+        curr = pose_of(frame.index)
+        cov = 1e-6 * np.eye(3)
+        return [RelativeRotation(FORWARD[:3, :3], cov, curr, pose_of(prev_frame.index))]
+
+    config = {"estimator": estimator, "window": {"frames": 4}}
+    odometry = pv.StereoOdometry(CAMERA, config=config, sensors=[turns])
+    estimates = [odometry.step(frame) for frame in frames]
+    assert [one.sensors[0].state for one in estimates[1:10]] == ["used"] * 9
+    for blind in estimates[10:]:
+        assert blind.status is Status.TOO_FEW_TRACKS
+        assert blind.sensors[0].state == state
+        assert blind.sensors[0].reason == ("dead-reckoned step" if state == "silent" else None)

@@ -12,7 +12,7 @@ SHRINKAGE = 0.01
 """Share of the mean variance that is added to each: features that hardly vary decide nothing."""
 USUAL_SHARE = 0.99
 """Share of the data left out that counts as within the domain."""
-FARTHEST = 30.0
+FARTHEST = 16.0
 """Widening beyond which a network has nothing to say."""
 
 
@@ -54,7 +54,8 @@ class Domain(NamedTuple):
     def widening(self, features: FloatArray) -> FloatArray:
         """Return the factors, [N], ≥ 1, on the covariances of inputs with features [N, f].
 
-        Within the domain it is 1. Outside, where an error is an extrapolation, its standard
-        deviation grows with the distance: the variance as d² over the limit.
+        Within the domain it is 1. Outside, the standard deviation grows as the squared distance
+        does beyond the limit.
         """
-        return np.maximum(self.distance_squared(features) / self.limit, 1.0)
+        beyond = self.distance_squared(features) / float(self.limit)
+        return np.maximum(beyond, 1.0) ** 2
