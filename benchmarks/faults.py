@@ -2,12 +2,12 @@
 
     python benchmarks/faults.py [--kills 50] [--seed 0]
 
-After each kill -9 of train, run, compare and convert, the results must be complete or absent. The
-same command then gives the bytes of an undisturbed one, and leaves nothing else; convert refuses to
-replace a file that is complete. In each place where something is missing (memory, file handles,
-room on the disk, leave to write, a terminal, ...), a command ends with the exit code 0, or with 2
-and a message, and earlier results stay. POSIX only; a full disk and a read-only one need Linux's
-unshare.
+After each kill -9 of train, run, compare, convert and fetch (of an archive on disk), the results
+must be complete or absent. The same command then gives the bytes of an undisturbed one, and leaves
+nothing else; convert refuses to replace a file that is complete. In each place where something is
+missing (memory, file handles, room on the disk, leave to write, a terminal, ...), a command ends
+with the exit code 0, or with 2 and a message, and earlier results stay. POSIX only; a full disk and
+a read-only one need Linux's unshare.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ COMMANDS = {
     "run": "run DRIVE --out OUT",
     "compare": "compare DRIVE --noise fixed student-t --out OUT",
     "convert": "convert RUN --out OUT/odometry.bag",
+    "fetch": "fetch euroc/V1_01_easy --have ARCHIVE --accept-licence --out OUT",
 }
 SAME_BYTES = (
     "m.safetensors",
@@ -41,6 +43,8 @@ SAME_BYTES = (
     "config.yaml",
     "table.tex",
     ".bag",
+    ".png",
+    "fetched.json",
 )
 """Files without times in them."""
 PLACES = {
@@ -72,7 +76,12 @@ PLACES = {
 
 
 def words_of(command: str, drive: Path, out: Path) -> list[str]:
-    places = {"DRIVE": drive, "RUN": drive.with_suffix(".run"), "OUT": out}
+    places = {
+        "DRIVE": drive,
+        "RUN": drive.with_suffix(".run"),
+        "ARCHIVE": drive.with_suffix(".zip"),
+        "OUT": out,
+    }
     for name, place in places.items():
         command = command.replace(name, shlex.quote(str(place)))
     return [*PROBEVO, *shlex.split(command)]
@@ -185,6 +194,9 @@ def main() -> int:
         drive = Path(name) / "drive.npz"
         config = PointConfig(radius_m=3.0, landmarks=400)
         write_points(simulate_points(config, duration_s=4.0, rng=rng), drive)
+        with zipfile.ZipFile(drive.with_suffix(".zip"), "w") as packed:
+            for number in range(2000):
+                packed.writestr(f"mav0/cam0/data/{number}.png", rng.bytes(20_000))
         run = words_of(COMMANDS["run"], drive, drive.with_suffix(".run"))
         subprocess.run(run, check=True, capture_output=True)
         faults = kill(Path(name), drive, -(-given.kills // len(COMMANDS)), rng)

@@ -38,7 +38,7 @@ from memory import SOURCES, back_and_forth, resident_mb
 
 import probevo as pv
 from probevo.allocator import keep_freed_memory
-from probevo.arrays import IntArray
+from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.runner import run_sequence
@@ -143,7 +143,14 @@ class Watch:
     minutes: float
     start_s: float = field(default_factory=time.monotonic)
     samples: list[tuple[float, float, float, float]] = field(default_factory=list)
-    step_ms: list[float] = field(default_factory=list)
+    num_steps: int = 0
+    times_ms: FloatArray = field(default_factory=lambda: np.full(1_000_000, np.nan))
+    """Of all steps; as large from the beginning as it will ever be."""
+
+    @property
+    def step_ms(self) -> FloatArray:
+        """Times of the steps so far."""
+        return self.times_ms[: self.num_steps]
 
     def is_over(self) -> bool:
         """Whether the minutes are over."""
@@ -151,11 +158,12 @@ class Watch:
 
     def add(self, step_ms: float) -> None:
         """Take one step."""
-        self.step_ms.append(step_ms)
-        if len(self.step_ms) % EVERY == 0:
+        self.times_ms[self.num_steps] = step_ms
+        self.num_steps += 1
+        if self.num_steps % EVERY == 0:
             threads = len(os.listdir("/proc/self/task"))  # noqa: PTH208
             handles = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
-            self.samples.append((len(self.step_ms), resident_mb(), threads, handles))
+            self.samples.append((self.num_steps, resident_mb(), threads, handles))
 
     def facts(self) -> dict[str, Any]:
         """Return what was found."""
@@ -164,7 +172,7 @@ class Watch:
         per_frame = float(np.polyfit(frames[late], memory[late], 1)[0])
         median_ms, high_ms = np.percentile(self.step_ms, [50.0, 99.9])
         return {
-            "frames": len(self.step_ms),
+            "frames": self.num_steps,
             "minutes": (time.monotonic() - self.start_s) / 60.0,
             "slope_from_frame": int(frames[late][0]),
             "memory_mb_per_hour": 3600.0 * RATE_HZ * per_frame,

@@ -10,7 +10,7 @@ import pytest
 from inertial_worlds import CALIBRATION, GRAVITY, SmoothPath, inertial_drive
 from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
-from probevo.estimation.inertial import Inertial, started, with_samples
+from probevo.estimation.inertial import Inertial, started, uses_imu, with_samples
 from probevo.estimation.inertial_states import (
     GRAVITY as GRAVITY_DIMENSIONS,
 )
@@ -418,6 +418,24 @@ def test_a_blackout_without_samples_is_dead_reckoned_until_the_velocity_is_known
     assert np.sqrt(estimates[18].pose_cov[:3, :3].trace()) < 10.0
     assert not estimates[-1].imu_left_out
     assert estimates[-1].status is Status.OK
+
+
+def test_an_imu_that_cannot_be_tested_waits() -> None:
+    """Where rounding has left the poses' covariance indefinite, the images go on without it."""
+    frames, _ = drive_of(44, 12)
+    by = odometry()
+    for frame in frames:
+        by.step(frame)
+    window = by.window
+    assert window is not None
+    assert window.inertial is not None
+    untested = replace(window, inertial=window.inertial.without_states("", refused=False))
+    assert uses_imu(started(untested))
+    broken = started(replace(untested, cov=-untested.cov))
+    assert not uses_imu(broken)
+    assert broken.inertial is not None
+    assert "cannot be tested" in broken.inertial.note
+    assert not broken.inertial.refused
 
 
 @pytest.mark.parametrize("size_rad_s", [1.0, 5.0, 1000.0])

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 import threading
+import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
@@ -20,6 +21,8 @@ class Host:
         self.breaks_after: list[int] = []
         """Bytes after which the next answers break off, one for each answer."""
         self.has_ranges = True
+        self.pause_s = 0.0
+        """Pause after each 64 kB."""
         self.asked: list[tuple[str, str]] = []
         """Path and Range of each request."""
         host = self
@@ -64,7 +67,12 @@ class Host:
         end = len(data)
         if self.breaks_after:
             end = min(end, start + self.breaks_after.pop(0))
-        request.wfile.write(data[start:end])
+        for at in range(start, end, 1 << 16):
+            try:
+                request.wfile.write(data[at : min(at + (1 << 16), end)])
+            except OSError:  # whoever asked is gone
+                return
+            time.sleep(self.pause_s)
 
     def close(self) -> None:
         self.server.shutdown()

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -58,6 +61,32 @@ def test_an_interrupted_download_goes_on_in_the_next_call(hosts: Hosts, tmp_path
     assert not (tmp_path / "data.zip").exists()
     assert download(remote(f"{host.url}/data.zip"), tmp_path).path.read_bytes() == DATA
     assert [span for _, span in host.asked] == ["", f"bytes={CHUNK}-"]
+
+
+def test_after_a_kill_the_download_goes_on(hosts: Hosts, tmp_path: Path) -> None:
+    """kill -9 in the middle: nothing with the file's name is there, and what came is kept."""
+    host = hosts({"/data.zip": DATA})
+    host.pause_s = 0.05
+    script = (
+        "import sys; from pathlib import Path; from probevo.fetch.catalogue import RemoteFile;"
+        " from probevo.fetch.download import download;"
+        " download(RemoteFile('data.zip', (sys.argv[1],)), Path(sys.argv[2]))"
+    )
+    url = f"{host.url}/data.zip"
+    process = subprocess.Popen([sys.executable, "-c", script, url, str(tmp_path)])
+    part = tmp_path / "data.zip.part"
+    until_s = time.monotonic() + 30.0
+    while (not part.exists() or part.stat().st_size < CHUNK) and time.monotonic() < until_s:
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert not (tmp_path / "data.zip").exists()
+    kept = part.stat().st_size
+    assert kept >= CHUNK
+    host.pause_s = 0.0
+    assert download(remote(url), tmp_path).path.read_bytes() == DATA
+    assert host.asked[-1][1] == f"bytes={kept}-"
+    assert [path.name for path in tmp_path.iterdir()] == ["data.zip"]
 
 
 def test_a_host_without_ranges_sends_all_of_it_again(hosts: Hosts, tmp_path: Path) -> None:

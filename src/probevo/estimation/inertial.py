@@ -58,6 +58,10 @@ NO_SOLUTION = "is left out from here on: with it, the window has no solution"
 """Why an IMU is left out where the normal equations with its states are singular."""
 
 
+UNTESTABLE = "cannot be tested: the covariance of the poses is too large to be accurate"
+"""Why an IMU is not used where its factors are lost in rounding."""
+
+
 @dataclass(frozen=True)
 class Inertial:
     """The IMU of a window with K frames."""
@@ -352,7 +356,11 @@ def started(window: Window) -> Window:
     factors = [factor for factor in inertial.factors if factor is not None]
     if len(window) < FRAMES_AT_START or len(factors) < len(inertial.factors):
         return window
-    fit = fit_inertial_states(window, factors, inertial.calibration)
+    try:
+        fit = fit_inertial_states(window, factors, inertial.calibration)
+    except np.linalg.LinAlgError:
+        # Far from the origin, rounding of the poses' covariance exceeds what a factor measures.
+        return replace(window, inertial=replace(inertial, note=UNTESTABLE))
     reason = fit.reason_against(LARGEST_EXCESS)
     if not reason:
         states = with_gravity_of_known_length(fit.states)

@@ -149,11 +149,11 @@ class WindowEstimator:
         extended = self.with_frame(window, frame, two_frames.T_curr_prev, tracks, noise)
         try:
             adjusted = self.adjusted(with_measurements(extended, measurements)).window
+            if self._fixes_newest(adjusted):
+                return self._shortened(self._with_inertial_start(adjusted))
         except np.linalg.LinAlgError:
-            return self.without_features(window, frame, two_frames, measurements)
-        if not self._fixes_newest(adjusted):
-            return self.without_features(window, frame, two_frames, measurements)
-        return self._shortened(self._with_inertial_start(adjusted))
+            pass
+        return self.without_features(window, frame, two_frames, measurements)
 
     def without_features(
         self,
