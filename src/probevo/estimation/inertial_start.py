@@ -79,6 +79,9 @@ def fit_inertial_states(
         window: K poses, from images alone.
         factors: between all successive frames, [K − 1].
         calibration: of the IMU; its bias sigmas are the prior.
+
+    Raises:
+        numpy.linalg.LinAlgError: the covariance of the poses is indefinite, by rounding.
     """
     count = len(window)
     first = np.arange(count - 1)
@@ -112,7 +115,10 @@ def fit_inertial_states(
             design[9 * at + 6 : 9 * at + 9, -3:] = -0.5 * factor.duration_s**2 * C_i
             noise[here, here] = factor.cov
         whole = noise + by_pose @ window.cov @ by_pose.T
-        scale = 1.0 / np.sqrt(np.diagonal(whole))
+        variance = np.diagonal(whole)
+        if not (variance > 0.0).all():
+            raise np.linalg.LinAlgError("the covariance of the poses is indefinite")
+        scale = 1.0 / np.sqrt(variance)
         root = np.linalg.cholesky(whole * scale[:, None] * scale)
         white_design = np.linalg.solve(root, design * scale[:, None])
         white_residual = np.linalg.solve(root, residual.ravel() * scale)
