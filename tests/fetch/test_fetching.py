@@ -52,6 +52,12 @@ def test_all_archives_become_one_folder_once(hosts: Hosts, tmp_path: Path) -> No
     assert len(host.asked) == 2
 
 
+def test_where_nothing_arrives_nothing_is_left(hosts: Hosts, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="404"):
+        fetch(dataset_at(hosts({}).url), tmp_path, wait_s=0.0)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_has_arrived_is_kept_until_the_rest_comes(hosts: Hosts, tmp_path: Path) -> None:
     host = hosts({"/a.zip": FILES["/a.zip"]})
     with pytest.raises(InputError, match="404"):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from probevo.errors import InputError
@@ -69,23 +71,21 @@ def fetch(
     with locked(out / ARCHIVES):
         folder = out / ARCHIVES / dataset.name.replace("/", "-")
         files = []
-        for file in dataset.files:
-            if file.name in given:
-                files.append(checked_copy(file, given[file.name]))
-                continue
-            folder.mkdir(parents=True, exist_ok=True)
-            name = file.name
-
-            def show(done: int, total: int, name: str = name) -> None:
-                on_progress(name, done, total)
-
-            files.append(download(file, folder, show, wait_s))
-        _unpack(dataset, files, target, on_progress)
-        if not keep_archives:
-            for fetched in files:
-                if fetched.path.parent == folder:
-                    fetched.path.unlink()
-            if folder.is_dir() and not any(folder.iterdir()):
+        try:
+            for file in dataset.files:
+                if file.name in given:
+                    files.append(checked_copy(file, given[file.name]))
+                else:
+                    folder.mkdir(parents=True, exist_ok=True)
+                    show = partial(on_progress, file.name)
+                    files.append(download(file, folder, show, wait_s))
+            _unpack(dataset, files, target, on_progress)
+            if not keep_archives:
+                for fetched in files:
+                    if fetched.path.parent == folder:
+                        fetched.path.unlink()
+        finally:
+            with suppress(OSError):  # it is not there, or holds what has arrived
                 folder.rmdir()
     return Result(target, _recordings(dataset, target), files=tuple(files))
 
