@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
+from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import LEARNED_FRAMES, RigJitter
 from probevo.camera.stereo import StereoCamera
@@ -26,6 +27,7 @@ from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, Visu
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
 from probevo.estimation.window_motion import live_advance, live_motion
+from probevo.geometry import se3
 from probevo.landmarks import Landmarks, triangulated
 from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
 from probevo.measurements.gyro import GyroBias
@@ -113,7 +115,7 @@ class StereoOdometry:
         prediction = state.predict(frame, self.imu)  # from gyro and last velocity
         observed = self._observe(state, frame, prediction, clock=clock)  # pixels → tracks → φ
         measured = self._measure(state, frame, prediction)  # gyro, and sensors plugged in
-        visual = self._solve(  # consensus, noise of each track, motion
+        observed, visual = self._solve(  # consensus, noise of each track, motion
             state, frame, prediction, observed=observed, measured=measured, clock=clock
         )
         estimate, after = self._conclude(  # learn from it, advance the pose
@@ -249,12 +251,11 @@ class StereoOdometry:
                 config=self.config,
             )
         clock.lap("track")
-        rig = state.rig
-        tracks = tracked.tracks
-        if rig is not None:
-            rig = rig.with_rows(tracks.curr_px, self.camera)
-            tracks = tracks.corrected(rig, self.camera)
+        twist_s = None if state.motion_model.speed_is_unknown else state.motion_model.twist_s
+        corrected = self._corrected(tracked.tracks, state.rig, twist_s, twist_s)
+        if state.rig is not None:
             clock.lap("calibrate")
+        tracks = corrected.tracks
         phi = self.predictors(
             Step(
                 tracks,
@@ -266,7 +267,37 @@ class StereoOdometry:
             )
         )
         clock.lap("predict")
-        return _Observed(tracked=tracked, rig=rig, tracks=tracks, phi=phi, is_frozen=is_frozen)
+        return _Observed(tracked, corrected, phi, is_frozen)
+
+    def _corrected(
+        self,
+        tracks: Tracks,
+        rig: RigCalibration | None,
+        prev_twist_s: FloatArray | None,
+        curr_twist_s: FloatArray | None,
+    ) -> _Corrected:
+        """Correct raw tracks by the rig's calibration, and learn of its rows from them.
+
+        Args:
+            tracks: as tracked.
+            rig: the calibration before this frame.
+            prev_twist_s: twist a second at the previous frame, [6]; None if it is not known.
+            curr_twist_s: that at this frame.
+        """
+        if rig is None:
+            return _Corrected(simultaneous=tracks, tracks=tracks, rig=None, delay_s=0.0)
+        delay_s = 0.0
+        simultaneous = tracks
+        if prev_twist_s is not None and curr_twist_s is not None:
+            delay_s = rig.delay.delay_s
+            simultaneous = replace(
+                tracks,
+                prev_px=rig.delay.corrected(tracks.prev_px, prev_twist_s, self.camera),
+                curr_px=rig.delay.corrected(tracks.curr_px, curr_twist_s, self.camera),
+            )
+        rig = rig.with_rows(simultaneous.curr_px, self.camera)
+        corrected = simultaneous.corrected(rig, self.camera)
+        return _Corrected(simultaneous, corrected, rig, delay_s)
 
     def _measure(self, state: OdometryState, frame: Frame, prediction: Prediction) -> _Measured:
         """Ask gyro and sensors.
@@ -300,11 +331,14 @@ class StereoOdometry:
         observed: _Observed,
         measured: _Measured,
         clock: StageClock,
-    ) -> VisualMotion:
+    ) -> tuple[_Observed, VisualMotion]:
         """Estimate the motion from the tracks and what else was measured of it.
 
-        Where the tracks show more jitter of the rig than was expected, they are solved again with
-        what they show, as they are in the first frames of a rig that is looser than the prior.
+        Where right images are exposed at another time, where they would have been seen depends on
+        the motion itself: the tracks are corrected by the motion that was found, and solved again.
+
+        Returns:
+            the tracks as they were solved, and their motion.
         """
         priors = MotionPriors(
             prediction=prediction.motion,
@@ -312,20 +346,43 @@ class StereoOdometry:
             disparities=state.disparities,
             measurements=measured.of_motion,
             curr=pose_of(frame.index),
-            jitter_cov=observed.rig.jitter.cov if observed.rig is not None else None,
         )
+        visual = self._solve_with_jitter(frame, observed, priors, clock)
+        if visual.status is not Status.OK or not is_noticeable(observed.delay_s):
+            return observed, visual
+        last_twist_s = state.motion_model.twist_s
+        twist_s = se3.log(visual.accepted_solution.T_curr_prev) / prediction.duration_s
+        # The twist is the mean of a step; at its ends there is half of the change.
+        corrected = self._corrected(
+            observed.tracked.tracks,
+            state.rig,
+            0.5 * (last_twist_s + twist_s),
+            1.5 * twist_s - 0.5 * last_twist_s,
+        )
+        observed = replace(observed, corrected=corrected)
+        return observed, self._solve_with_jitter(frame, observed, priors, clock)
+
+    def _solve_with_jitter(
+        self, frame: Frame, observed: _Observed, priors: MotionPriors, clock: StageClock
+    ) -> VisualMotion:
+        """Estimate the motion from the tracks.
+
+        Where the tracks show more jitter of the rig than was expected, they are solved again with
+        what they show, as they are in the first frames of a rig that is looser than the prior.
+        """
+        jitter_cov = observed.rig.jitter.cov if observed.rig is not None else None
         for _ in range(1 + MOST_REPEATED_SOLVES):
             visual = self._visual.estimate(
                 observed.tracks,
                 observed.phi,
-                priors,
+                replace(priors, jitter_cov=jitter_cov),
                 rng=np.random.default_rng([self.config.seed, frame.index]),
                 clock=clock,
             )
             shown = self._jitter_shown(observed, visual)
-            if shown is None or not shown.exceeds(priors.jitter_cov):
+            if shown is None or not shown.exceeds(jitter_cov):
                 break
-            priors = replace(priors, jitter_cov=shown.cov)
+            jitter_cov = shown.cov
         return visual
 
     def _jitter_shown(self, observed: _Observed, visual: VisualMotion) -> RigJitter | None:
@@ -429,6 +486,14 @@ class StereoOdometry:
         if rig is not None and visual.two_frames_only is not None:
             used = observed.tracks.kept(visual.used)
             rig, common_mode = update_rig(rig, used, visual.two_frames_only, self.camera)
+            rig = rig.with_delay(
+                observed.tracked.tracks.curr_px[visual.used],
+                se3.log(T_curr_prev) / prediction.duration_s,
+                self.camera,
+            )
+            if state.rig is not None and rig.delay.differs_from(observed.delay_s):
+                # The tracks were those of another delay, and teach nothing but the delay.
+                rig = replace(state.rig, delay=rig.delay)
         cov = solution.cov + common_mode @ common_mode.T
         residuals = LastResiduals.none()
         if self.predictors.depends_on_previous_motion:
@@ -540,7 +605,7 @@ class StereoOdometry:
         )
         if visual.status is not Status.OK or visual.noise is None:
             return self._window.without_features(window, frame.index, by_itself, measurements)
-        tracks = observed.tracked.tracks.kept(visual.used)
+        tracks = observed.corrected.simultaneous.kept(visual.used)
         if observed.rig is not None:
             tracks = tracks.with_rows_corrected(observed.rig, self.camera)
         return self._window.with_features(
@@ -569,19 +634,45 @@ def _is_frozen(state: OdometryState, frame: Frame, prediction: Prediction) -> bo
 
 
 @dataclass(frozen=True)
+class _Corrected:
+    """The tracks of a frame, corrected by the rig's calibration."""
+
+    simultaneous: Tracks
+    """With right observations as of the time of the left ones, but otherwise raw."""
+    tracks: Tracks
+    """Corrected by all of the calibration."""
+    rig: RigCalibration | None
+    """With the rows of this frame's stereo matches."""
+    delay_s: float
+    """The delay of the right images that was taken off; 0 while the speed is not known."""
+
+
+@dataclass(frozen=True)
 class _Observed:
     """What the images of a frame show, before a motion is estimated."""
 
     tracked: Tracked
     """Raw."""
-    rig: RigCalibration | None
-    """With the rows of this frame's stereo matches."""
-    tracks: Tracks
-    """Corrected by the rig's calibration."""
+    corrected: _Corrected
     phi: FloatArray
-    """Their places in the prediction space, [N, M]."""
+    """Places of the tracks in the prediction space, [N, M]."""
     is_frozen: bool
     """Whether the images stand still though the camera moves, so that there are no tracks."""
+
+    @property
+    def tracks(self) -> Tracks:
+        """The tracks, corrected by the rig's calibration."""
+        return self.corrected.tracks
+
+    @property
+    def rig(self) -> RigCalibration | None:
+        """The calibration, with the rows of this frame's stereo matches."""
+        return self.corrected.rig
+
+    @property
+    def delay_s(self) -> float:
+        """The delay of the right images that was taken off."""
+        return self.corrected.delay_s
 
     def for_store(self, frame: Frame, visual: VisualMotion) -> FrameObservations:
         """Return the raw observations, with the noise that was predicted for those used."""

@@ -225,6 +225,7 @@ def _result(
         result,
         accelerometer_scale=_accelerometer_scale(sequence, result),
         jitter_sigma_rad=sigma_rad,
+        right_delay_s=0.0 if rig is None else rig.delay.delay_s,
         smoothed=smoothed.poses(odometry.window),
         right_late_frames=timing.right_late_frames,
         imu_left_out=reason_not_used(odometry.window),

@@ -30,6 +30,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.exposure_delay import ExposureDelay
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.rig_rows_numba import RowOffsetNoise, add_row_equations
 from probevo.camera.stereo import StereoCamera
@@ -47,6 +48,7 @@ ROW_DOF = 5.0
 CORRELATED_FEATURES = 20.0
 """How many features count as one: neighbours have common errors, and the same points come back
 frame after frame."""
+ROW_NOISE = RowOffsetNoise(sigma_px=ROW_SCATTER_PX, dof=ROW_DOF, correlated=CORRELATED_FEATURES)
 ROW_ITERATIONS = 3
 ROLL = 1
 """Index of the rows' coefficient that a roll of the right image makes."""
@@ -66,6 +68,8 @@ class RigCalibration:
     """Inverse covariance of the disparity's coefficients, [2, 2], px⁻²."""
     jitter: RigJitter = field(default_factory=RigJitter.initial)
     """How far the rig moves from frame to frame."""
+    delay: ExposureDelay = field(default_factory=lambda: ExposureDelay(ROW_SIGMA_PX))
+    """How much later right images are exposed than left ones."""
 
     @staticmethod
     def initial(jitter: RigJitter | None = None) -> RigCalibration:
@@ -120,7 +124,6 @@ class RigCalibration:
         """Update the rows' coefficients with the raw stereo matches [N, 4], px, of one frame."""
         basis = row_basis(pixels, camera)
         offsets = pixels[:, 3] - pixels[:, 1]
-        noise = RowOffsetNoise(sigma_px=ROW_SCATTER_PX, dof=ROW_DOF, correlated=CORRELATED_FEATURES)
         prior_gradient = self.rows_information @ self.rows
         rows = self.rows
         information = self.rows_information
@@ -132,12 +135,26 @@ class RigCalibration:
                 basis,
                 offsets,
                 rows,
-                noise=noise,
+                noise=ROW_NOISE,
                 information=information,
                 gradient=gradient,
             )
             rows = np.linalg.solve(information, gradient).astype(float)
         return replace(self, rows=rows, rows_information=information)
+
+    def with_delay(
+        self, pixels: FloatArray, twist_s: FloatArray, camera: StereoCamera
+    ) -> RigCalibration:
+        """Update the delay of the right image with the raw stereo matches [N, 4], px, of one frame.
+
+        Args:
+            pixels: the matches.
+            twist_s: Log(T_curr_prev) a second at that frame, [6], m/s and rad/s.
+            camera: the rectified camera.
+        """
+        basis = row_basis(pixels, camera)
+        updated = self.delay.updated(pixels, basis, twist_s, camera=camera, noise=ROW_NOISE)
+        return replace(self, delay=updated)
 
     def with_disparity(self, information: FloatArray, gradient: FloatArray) -> RigCalibration:
         """Update b₁, b₂ with the normal equations of a motion's residuals, [2, 2] and [2].

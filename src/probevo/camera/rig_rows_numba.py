@@ -7,9 +7,6 @@ from typing import NamedTuple
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
 
-NUM_COEFFICIENTS = 6
-"""a₀ … a₅ of 1, x, y, x², x y, y²."""
-
 
 class RowOffsetNoise(NamedTuple):
     """The Student-t noise of row offsets around their model."""
@@ -35,24 +32,25 @@ def add_row_equations(
     """Add the normal equations of N row offsets, each under a Student-t around the coefficients.
 
     Args:
-        basis: (1, x, y, x², x y, y²) of each, [N, 6].
+        basis: what the K coefficients multiply at each, [N, K]: (1, x, y, x², x y, y²), and more.
         offsets: v_r − v_l of each, [N], px.
-        coefficients: a₀ … a₅ at which the weights are taken, [6], px.
+        coefficients: a₀ … a₅, px, and more, at which the weights are taken, [K].
         noise: of the offsets.
-        information: Σ w B Bᵀ is added to it, [6, 6], px⁻².
-        gradient: Σ w B (v_r − v_l) is added to it, [6], px⁻¹.
+        information: Σ w B Bᵀ is added to it, [K, K], px⁻².
+        gradient: Σ w B (v_r − v_l) is added to it, [K], px⁻¹.
     """
     # Neighbours err alike: as many as ``correlated`` of them weigh as much as one.
+    count = len(coefficients)
     variance = noise.sigma_px**2 * noise.correlated
     for n in range(len(offsets)):
         predicted = 0.0
-        for i in range(NUM_COEFFICIENTS):
+        for i in range(count):
             predicted += basis[n, i] * coefficients[i]
         squared = ((offsets[n] - predicted) / noise.sigma_px) ** 2
         # IRLS weight of a Student-t in one dimension: (ν + 1)/(ν + s), over the variance.
         weight = (noise.dof + 1.0) / (noise.dof + squared) / variance
-        for i in range(NUM_COEFFICIENTS):
+        for i in range(count):
             weighted = weight * basis[n, i]
             gradient[i] += weighted * offsets[n]
-            for j in range(NUM_COEFFICIENTS):
+            for j in range(count):
                 information[i, j] += weighted * basis[n, j]

@@ -138,10 +138,11 @@ def summary(run: Run, out: Path) -> list[str]:
     """Return a few lines on the results of a run."""
     import numpy as np
 
+    from probevo.camera.exposure_delay import is_noticeable
     from probevo.estimation.motion_estimate import Status
     from probevo.output.domain import domain_text, domain_warning
     from probevo.output.headline import headline_drift
-    from probevo.output.run_facts import jitter_text
+    from probevo.output.run_facts import delay_text, jitter_text
     from probevo.output.table import readable
 
     result = run.result
@@ -168,6 +169,8 @@ def summary(run: Run, out: Path) -> list[str]:
 
     if result.jitter_sigma_rad is not None and len(result) > 1:
         lines.append(f"the rig {jitter_text(result.jitter_sigma_rad)}")
+    if is_noticeable(result.right_delay_s):
+        lines.append(delay_text(result.right_delay_s))
     if result.out_of_domain is not None:
         warning = domain_warning(result.out_of_domain)
         if warning:

@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo import __version__
 from probevo.arrays import FloatArray, IntArray
+from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.output.domain import domain_text
@@ -33,6 +34,8 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
             f"{jitter_text(result.jitter_sigma_rad)}; all disparities of a frame are off by"
             f" {readable(offset_px)} px"
         )
+    if is_noticeable(result.right_delay_s):
+        rig["Exposures"] = delay_text(result.right_delay_s)
     scale = {}
     found = result.accelerometer_scale
     if found is not None:
@@ -104,6 +107,15 @@ def jitter_text(sigma_rad: FloatArray) -> str:
     """Say how far the rig moves: σ of the right camera's pitch, yaw and roll, [3]."""
     pitch, yaw, roll = (readable(math.degrees(angle)) for angle in sigma_rad)
     return f"moves from frame to frame by σ = {pitch}° in pitch, {yaw}° in yaw, {roll}° in roll"
+
+
+def delay_text(delay_s: float) -> str:
+    """Say how far apart the two exposures are, given how much later the right one is, s."""
+    late = "later" if delay_s > 0.0 else "earlier"
+    return (
+        f"right images are exposed {1e3 * abs(delay_s):.1f} ms {late} than left ones, which is"
+        " corrected"
+    )
 
 
 def imu_use_text(sequence: Sequence, config: RunConfig) -> str:

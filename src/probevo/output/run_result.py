@@ -111,6 +111,9 @@ class RunResult:
     jitter_sigma_rad: FloatArray | None = None
     """Standard deviation by which the right camera's pitch, yaw and roll against the left one are
     off in each frame, as estimated at the end, [3]; None without self-calibration."""
+    right_delay_s: float = 0.0
+    """Time by which right images are exposed later than left ones, within a frame, as it was
+    corrected at the end; negative if they are exposed earlier."""
     right_late_frames: int = 0
     """Frames by which the right images are late, as ``PairTiming`` finds it; negative if the left
     ones are, and 0 also where nothing is known."""
