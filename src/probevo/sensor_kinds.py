@@ -13,12 +13,27 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from probevo.arrays import FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.measurements.sensor import Sensor
 
+_MARK = b'"probevo-network"'
+_LONGEST_HEADER = 1_000_000
 _REQUIRE = "probevo.nets.extra:require_nets"
 _READ_FACTS = "probevo.nets.network_file:read_facts"
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Errors of N measurements of a sensor on a recording, and what it claims of them."""
+
+    errors: FloatArray
+    """[N, d], rad."""
+    covariances: FloatArray
+    """[N, d, d], rad²."""
+    num_out_of_domain: int
+    """Measurements whose covariance was widened."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +48,8 @@ class SensorKind:
     """Function of the path of a file and a camera that returns the sensor."""
     trainer: str
     """Function that learns one from recordings and writes its file: ``train_rotation``."""
-    inspection: str
-    """Function of the path of a file and recordings that returns the sections of its page."""
+    errors: str
+    """Function of the path of a file and a recording with truth that returns ``SensorErrors``."""
 
 
 SENSOR_KINDS: Mapping[str, SensorKind] = {
@@ -45,7 +60,7 @@ SENSOR_KINDS: Mapping[str, SensorKind] = {
             summary="HydraNet: the rotation from one left image to the next",
             sensor="probevo.nets.rotation_sensor:RotationSensor.load",
             trainer="probevo.nets.rotation_training:train_rotation",
-            inspection="probevo.output.inspection.rotation:inspect_rotation",
+            errors="probevo.nets.rotation_training:errors_on",
         ),
     )
 }
@@ -78,6 +93,16 @@ def kind_of_file(path: Path) -> SensorKind:
         what = f"it holds no sensor of a known kind, but {name!r}."
         raise InputError(path, what, f"Known are {known}: probevo train … --kind {known}.")
     return SENSOR_KINDS[name]
+
+
+def is_sensor_file(path: Path) -> bool:
+    """Return whether a file is that of a network, by its header; JAX is not needed."""
+    try:
+        with path.open("rb") as stream:
+            size = int.from_bytes(stream.read(8), "little")
+            return _MARK in stream.read(min(size, _LONGEST_HEADER))
+    except OSError:
+        return False
 
 
 def resolve(function: str) -> Callable[..., Any]:

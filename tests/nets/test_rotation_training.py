@@ -147,6 +147,13 @@ def test_train_run_and_compare_with_the_sensor(
     assert main(["run", "--config", str(run / "config.yaml"), "--out", str(again)]) == 0
     assert (again / "trajectory.tum").read_bytes() == (run / "trajectory.tum").read_bytes()
 
+    seen = tmp_path / "seen"
+    assert main(["inspect", str(walls[1]), "--model", str(out), "--out", str(seen)]) == 0
+    assert "Errors within their regions" in (seen / "inspection.html").read_text()
+    assert f"Measurements: {FRAMES - 1}" in capsys.readouterr().out
+    assert main(["inspect", "--model", str(out), "--out", str(seen)]) == 2
+    assert "a sensor is inspected on a recording" in capsys.readouterr().err
+
     compared = tmp_path / "compared"
     words = ["--noise", "student-t", "--sensor", str(out), "--out", str(compared)]
     assert main(["compare", str(walls[0]), *words]) == 0

@@ -15,6 +15,7 @@ from probevo.cli.arguments import checked, parse
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.run_config import FORMAT_HELP
+from probevo.sensor_kinds import is_sensor_file, kind_of_file, resolve
 
 if TYPE_CHECKING:
     from probevo.noise.base import LearnedNoiseModel
@@ -31,6 +32,9 @@ class InspectArguments:
     what the model makes of them, weights or σ and ν: the features of frame K in the colour of their
     values. Without MODEL, it shows the predictors alone; without SEQUENCE, the model alone. The
     recording is run from its start up to frame K, with the model, since features are followed.
+
+    If MODEL is a learned sensor, the page shows its errors on SEQUENCE, which has true poses,
+    against the σ that it claims.
     """
 
     sequence: Annotated[
@@ -62,6 +66,9 @@ def main(words: list[str]) -> None:
     arguments = parse(InspectArguments, words, "inspect", default=default)
     settings = checked(arguments.settings)
     _check(arguments)
+    if arguments.model is not None and is_sensor_file(arguments.model):
+        _inspect_sensor(arguments, arguments.model)
+        return
     from probevo.lock import locked
     from probevo.noise.model_io import load_model
     from probevo.output.inspection.subject import Subject
@@ -78,6 +85,30 @@ def main(words: list[str]) -> None:
             frame = frame_view(arguments.sequence, arguments, settings, model=model)
         subject = Subject(name=name, model=model, frame=frame, units=known_units())
         print(write(arguments.out, subject))
+
+
+def _inspect_sensor(arguments: InspectArguments, model: Path) -> None:
+    """Write the page on a learned sensor, from its errors on a recording with truth.
+
+    Raises:
+        InputError: no recording is named, or a frame or predictors are.
+    """
+    if arguments.sequence is None:
+        cure = "Name one with true poses: `probevo inspect SEQUENCE --model MODEL --out DIR`."
+        raise InputError("SEQUENCE", "a sensor is inspected on a recording.", cure)
+    if arguments.frame is not None or arguments.predictors:
+        what = "a sensor has neither a frame nor predictors."
+        raise InputError("--frame and --predictors", what, "Leave them out.")
+    from probevo.lock import locked
+    from probevo.output.inspection.sensor import write_sensor_inspection
+    from probevo.sequences import open_sequence
+
+    sequence = open_sequence(arguments.sequence, arguments.format)
+    recording = sequence.path.resolve().name
+    with locked(arguments.out):
+        errors = resolve(kind_of_file(model).errors)(model, sequence)
+        lines = write_sensor_inspection(arguments.out, model.name, recording, errors=errors)
+    print("\n".join(lines))
 
 
 def _check(arguments: InspectArguments) -> None:

@@ -47,6 +47,7 @@ from probevo.nets.rotation_network import (
     trunk_features,
 )
 from probevo.network_settings import NetworkSettings
+from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
 
 BLOCK = 10
@@ -242,6 +243,19 @@ def errors_of(network: RotationNetwork, pairs: ImagePairs) -> tuple[FloatArray, 
     q_true = jnp.asarray(_quaternions(pairs.rotations))
     errors = SPACE.difference(jnp.asarray(found.q_curr_prev), q_true)
     return np.asarray(errors, np.float64), found.covariance
+
+
+def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
+    """Return the errors of a network on a recording with truth.
+
+    Raises:
+        InputError: the file cannot be read, or the recording lacks images or truth.
+    """
+    network = RotationNetwork.load(path)
+    pairs = read_pairs(sequence, len(sequence))
+    errors, covariances = errors_of(network, pairs)
+    widening = network.estimate(pairs.fields).widening
+    return SensorErrors(errors, covariances, int(np.sum(widening > 1.0)))
 
 
 def calibrated(

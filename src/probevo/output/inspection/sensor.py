@@ -1,0 +1,118 @@
+"""The page on a learned sensor: its errors against the σ that it claims, on a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import chi2
+
+from probevo.arrays import FloatArray
+from probevo.output.inspection.plots import NARROW_IN
+from probevo.output.page import grid, panel, table_panel, write_page
+from probevo.output.svg import BLUE, GREY, figure_style
+from probevo.output.table import text_table
+from probevo.sensor_kinds import SensorErrors
+
+SHARES = np.array([0.1, 0.25, 0.5, 0.68, 0.8, 0.9, 0.95, 0.99])
+"""Regions whose share of errors is shown."""
+BINS = 5
+"""Groups of equal size, by claimed σ."""
+
+
+def write_sensor_inspection(
+    out: Path, name: str, recording: str, *, errors: SensorErrors
+) -> list[str]:
+    """Write the page ``inspection.html``; return the lines to print.
+
+    Args:
+        out: its folder.
+        name: of the sensor's file.
+        recording: name of the recording.
+        errors: of the sensor on it.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    covered = coverage_of(errors)
+    rows = [(f"{share:.0%}", f"{found:.0%}") for share, found in zip(SHARES, covered, strict=True)]
+    scale = float(np.mean(squared_of(errors)) / errors.errors.shape[1])
+    rms_deg = np.degrees(np.sqrt(np.mean(errors.errors**2, axis=0)))
+    claimed_deg = np.degrees(np.sqrt(np.mean(_variances(errors), axis=0)))
+    facts = {
+        "Recording": recording,
+        "Measurements": f"{len(errors.errors):,}",
+        "RMS error about x, y, z": ", ".join(f"{value:.3f}°" for value in rms_deg),
+        "Claimed σ, RMS": ", ".join(f"{value:.3f}°" for value in claimed_deg),
+        "φᵀ Σ⁻¹ φ / d, mean": f"{scale:.2f} (1 is consistent, more is overconfident)",
+        "Out of its domain": f"{errors.num_out_of_domain:,} of {len(errors.errors):,} widened",
+    }
+    table = text_table(("region", "errors within"), rows)
+    with figure_style():
+        curve = panel("Calibration", "Consistent is on the grey line.", _calibration(covered))
+        against = panel(
+            "Error against claimed σ",
+            "RMS of all axes, in groups of equal size; consistent is on the grey line.",
+            _against_claimed(errors),
+        )
+    sections = [grid([curve, against]), table_panel("Errors within their regions", [], table)]
+    page = out / "inspection.html"
+    write_page(page, f"What {name} measures", facts, sections)
+    return [
+        *(f"{key}: {value}" for key, value in facts.items()),
+        "",
+        table.as_text(),
+        f"page: {page}",
+    ]
+
+
+def squared_of(errors: SensorErrors) -> FloatArray:
+    """Return φᵀ Σ⁻¹ φ of each measurement, [N]."""
+    weighted = np.linalg.solve(errors.covariances, errors.errors[..., None])[..., 0]
+    squared: FloatArray = np.sum(errors.errors * weighted, axis=-1)
+    return squared
+
+
+def coverage_of(errors: SensorErrors) -> FloatArray:
+    """Return the share of errors within the regions that should hold ``SHARES`` of them."""
+    bounds = chi2.ppf(SHARES, errors.errors.shape[1])
+    covered: FloatArray = np.mean(squared_of(errors)[:, None] <= bounds, axis=0)
+    return covered
+
+
+def claimed_and_found(errors: SensorErrors) -> tuple[FloatArray, FloatArray]:
+    """Return RMS claimed σ and RMS error of groups of equal size by claimed σ, all axes as one."""
+    variances = _variances(errors).ravel()
+    order = np.argsort(variances, kind="stable")
+    groups = [group for group in np.array_split(order, BINS) if len(group)]
+    squares = (errors.errors**2).ravel()
+    claimed = [np.sqrt(np.mean(variances[group])) for group in groups]
+    found = [np.sqrt(np.mean(squares[group])) for group in groups]
+    return np.array(claimed), np.array(found)
+
+
+def _variances(errors: SensorErrors) -> FloatArray:
+    """Return the claimed variances of each axis, [N, d]."""
+    variances: FloatArray = np.diagonal(errors.covariances, axis1=1, axis2=2)
+    return variances
+
+
+def _calibration(covered: FloatArray) -> Figure:
+    figure = Figure(figsize=(NARROW_IN, 2.9))
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color=GREY, lw=0.8)
+    axes.plot(SHARES, covered, color=BLUE, marker="o", ms=4, lw=1.5)
+    axes.set(xlabel="share that the region should hold", ylabel="share that it holds")
+    return figure
+
+
+def _against_claimed(errors: SensorErrors) -> Figure:
+    claimed, found = np.degrees(claimed_and_found(errors))
+    figure = Figure(figsize=(NARROW_IN, 2.9))
+    axes = figure.subplots()
+    reach = [min(claimed.min(), found.min()), max(claimed.max(), found.max())]
+    axes.plot(reach, reach, color=GREY, lw=0.8)
+    axes.plot(claimed, found, color=BLUE, marker="o", ms=4, lw=1.5)
+    axes.set(xlabel="claimed σ, °", ylabel="RMS error, °", xscale="log", yscale="log")
+    return figure

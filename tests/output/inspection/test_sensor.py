@@ -1,0 +1,55 @@
+"""The page on a learned sensor: a consistent one lies on the grey lines, others do not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probevo.output.inspection.sensor import (
+    SHARES,
+    claimed_and_found,
+    coverage_of,
+    write_sensor_inspection,
+)
+from probevo.sensor_kinds import SensorErrors, is_sensor_file
+
+
+def errors_of(factor: float) -> SensorErrors:
+    """Errors with σ between 0.1 and 1 mrad, times a factor."""
+    rng = np.random.default_rng(0)
+    sigma = rng.uniform(1e-4, 1e-3, (4000, 3))
+    errors = factor * sigma * rng.normal(size=(4000, 3))
+    return SensorErrors(errors, sigma[:, :, None] ** 2 * np.eye(3), num_out_of_domain=7)
+
+
+def test_a_consistent_sensor_lies_on_the_lines() -> None:
+    errors = errors_of(1.0)
+    np.testing.assert_allclose(coverage_of(errors), SHARES, atol=0.03)
+    claimed, found = claimed_and_found(errors)
+    np.testing.assert_allclose(found, claimed, rtol=0.05)
+    assert (np.diff(claimed) > 0.0).all()
+
+
+def test_an_overconfident_one_does_not() -> None:
+    errors = errors_of(2.0)
+    assert (coverage_of(errors) < SHARES).all()
+    claimed, found = claimed_and_found(errors)
+    np.testing.assert_allclose(found, 2.0 * claimed, rtol=0.05)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_page_and_the_terminal_say_the_same(tmp_path: Path) -> None:
+    lines = write_sensor_inspection(tmp_path, "turn", "drive", errors=errors_of(2.0))
+    page = (tmp_path / "inspection.html").read_text()
+    for text in ("What turn measures", "7 of 4,000 widened", "1 is consistent"):
+        assert text in page
+    assert "7 of 4,000 widened" in "\n".join(lines)
+    (mean,) = [line for line in lines if "mean" in line]
+    assert float(mean.partition(": ")[2].split()[0]) == pytest.approx(4.0, abs=0.2)
+
+
+def test_other_files_are_no_sensors(tmp_path: Path) -> None:
+    file = tmp_path / "text.safetensors"
+    file.write_bytes(b"nothing of the kind")
+    assert not is_sensor_file(file)
+    assert not is_sensor_file(tmp_path / "missing.safetensors")
