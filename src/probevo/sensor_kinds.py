@@ -11,12 +11,14 @@ from collections.abc import Sequence as Collection
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from probevo.arrays import FloatArray
-from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.measurements.sensor import Sensor
+
+if TYPE_CHECKING:  # the help of a command should not wait for SciPy
+    from probevo.arrays import FloatArray
+    from probevo.camera.stereo import StereoCamera
+    from probevo.measurements.sensor import Sensor
 
 _MARK = b'"probevo-network"'
 _LONGEST_HEADER = 1_000_000
