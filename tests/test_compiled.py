@@ -9,7 +9,7 @@ from numba.core.dispatcher import Dispatcher
 
 import probevo
 import probevo_sim
-from probevo.compiled import dot_float32
+from probevo.compiled import dot_float32, sum_in_lanes
 
 
 def compiled_functions(package: ModuleType) -> dict[str, Dispatcher]:
@@ -41,3 +41,15 @@ def test_inner_product() -> None:
         a = rng.normal(size=n).astype(np.float32)
         b = rng.normal(size=n).astype(np.float32)
         np.testing.assert_allclose(dot_float32(a, b), np.dot(a, b), rtol=1e-5, atol=1e-5)
+
+
+def test_sum_in_lanes() -> None:
+    rng = np.random.default_rng(1)
+    for n in (0, 1, 7, 8, 9, 16, 121):
+        values = rng.normal(size=n)
+        assert abs(sum_in_lanes(values) - values.sum()) < 1e-13
+        lanes = np.zeros(8)
+        for m, value in enumerate(values):
+            lanes[m % 8 if m < n - n % 8 else 0] += value
+        a, b, c, d, e, f, g, h = lanes
+        assert sum_in_lanes(values) == ((a + e) + (c + g)) + ((b + f) + (d + h))

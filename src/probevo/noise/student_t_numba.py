@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled, copy_into, factor, invert_symmetric_4
+from probevo.compiled import compiled, copy_into, factor, invert_symmetric_4, sum_in_lanes
 from probevo.noise.student_t_arrays import ErrorSamples, Neighborhoods, StudentPrior, StudentTs
 
 MIN_DOF = 1.0
@@ -170,18 +170,19 @@ def weighted_log_sum(values: FloatArray, factors: FloatArray, scratch: FloatArra
     for m in range(len(values)):
         split[0, m] = (bits[m] & MANTISSA) | ONE
         split[1, m] = (bits[m] >> 52) | TO_52
-    powers = 0.0
-    rest = 0.0
+    # The terms replace the parts, in loops of their own: a sum would keep them from vectorising.
     for m in range(len(values)):
-        # Two sums: in one, the compiler would merge this constant with those of the series.
-        powers += factors[m] * (scratch[1, m] - (2.0**52 + 1023.0))
+        scratch[1, m] = factors[m] * (scratch[1, m] - (2.0**52 + 1023.0))
+    for m in range(len(values)):
         # ln m, by the series of artanh around m = √2.
         t = (scratch[0, m] - ROOT_2) / (scratch[0, m] + ROOT_2)
         y = t * t
         series = 1.0 + y * (
             1 / 3 + y * (1 / 5 + y * (1 / 7 + y * (1 / 9 + y * (1 / 11 + y * (1 / 13)))))
         )
-        rest += factors[m] * (0.5 * LOG_2 + 2.0 * t * series)
+        scratch[0, m] = factors[m] * (0.5 * LOG_2 + 2.0 * t * series)
+    powers = sum_in_lanes(scratch[1, : len(values)])
+    rest = sum_in_lanes(scratch[0, : len(values)])
     return LOG_2 * powers + rest
 
 
