@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from probevo.camera.stereo import StereoCamera
     from probevo.evaluation.calibration_quantities import Quantity
     from probevo.evaluation.row_check import RowSamples
+    from probevo.odometry import StereoOdometry
     from probevo.sequences import Sequence
 
 MOST_FRAMES = 300
@@ -152,7 +153,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
     """
     import numpy as np
 
-    from probevo.camera.rig_calibration import RigCalibration, row_basis
+    from probevo.camera.rig_calibration import RigCalibration
     from probevo.estimation.motion_estimate import Status
     from probevo.geometry import se3, so3
     from probevo.odometry import StereoOdometry
@@ -177,9 +178,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
                 check_left_right(num_positive, num_negative, sequence.path)
         if motion.status is Status.OK and odometry.rig is not None:
             used = tracks.curr_px[odometry.used]
-            raw = used.copy()
-            # The step has corrected the right rows by the estimate that it then kept.
-            raw[:, 3] += row_basis(used, camera) @ odometry.rig.rows
+            raw = _as_matched(odometry, tracks.ids[odometry.used])
             rotation_rad = so3.log(motion.T_curr_prev[:3, :3])
             steps.append(_Step(raw, used, rotation_rad, between_ns=(prev_ns, frame.stamp_ns)))
         prev_ns = frame.stamp_ns
@@ -196,6 +195,20 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
         between_ns=np.array([step.between_ns for step in steps], np.int64),
         rotation_rad=np.array([step.rotation_rad for step in steps]),
     )
+
+
+def _as_matched(odometry: StereoOdometry, ids: IntArray) -> FloatArray:
+    """Return what the last frame showed of some tracks, given their identities, [N], without any
+    correction, [N, 4], px."""
+    import numpy as np
+
+    if odometry.state is None:
+        return np.zeros((0, 4))
+    seen = odometry.state.observations.frames[-1]
+    order = np.argsort(seen.landmarks)
+    place = np.searchsorted(seen.landmarks, ids, sorter=order)
+    pixels: FloatArray = seen.pixels[order[place]]
+    return pixels
 
 
 class _Step(NamedTuple):
