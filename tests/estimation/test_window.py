@@ -485,3 +485,11 @@ def test_landmarks_of_one_age_still_connect_the_last_frames() -> None:
         cov = np.linalg.inv(hessian)
         assert np.linalg.eigvalsh(cov)[0] > 0.0
         assert np.sqrt(np.diag(cov)[-POSE:]).max() < 0.1
+
+
+def test_a_pose_that_is_kept_keeps_no_window() -> None:
+    """The path of a long run holds a pose of each frame: it must not hold the covariances of all
+    windows with them."""
+    left = Window.at_first_frame(0).pose(0)
+    assert left.cov.base is None
+    assert left.T_world_cam.base is None or left.T_world_cam.base.nbytes <= 16 * 8

@@ -182,7 +182,7 @@ class Window:
         return SmoothedPose(
             frame=int(self.frames[slot]),
             T_world_cam=se3.inverse(self.T_cam_world[slot]),
-            cov=self.cov[at, at],
+            cov=self.cov[at, at].copy(),  # a view would keep the whole window's alive
         )
 
     def offsets(self) -> FloatArray:
