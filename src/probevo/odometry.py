@@ -115,17 +115,11 @@ class StereoOdometry:
         prediction = state.predict(frame, self.imu)  # from gyro and last velocity
         observed = self._observe(state, frame, prediction, clock=clock)  # pixels → tracks → φ
         measured = self._measure(state, frame, prediction)  # gyro, and sensors plugged in
-        observed, visual = self._solve(  # consensus, noise of each track, motion
+        solved = self._solve(  # consensus, noise of each track, motion
             state, frame, prediction, observed=observed, measured=measured, clock=clock
         )
         estimate, after = self._conclude(  # learn from it, advance the pose
-            state,
-            frame,
-            prediction,
-            observed=observed,
-            measured=measured,
-            visual=visual,
-            clock=clock,
+            state, frame, prediction, solved=solved, measured=measured, clock=clock
         )
         estimate = replace(estimate, missing=missing)
         self._state = after
@@ -331,14 +325,11 @@ class StereoOdometry:
         observed: _Observed,
         measured: _Measured,
         clock: StageClock,
-    ) -> tuple[_Observed, VisualMotion]:
+    ) -> _Solved:
         """Estimate the motion from the tracks and what else was measured of it.
 
         Where right images are exposed at another time, where they would have been seen depends on
         the motion itself: the tracks are corrected by the motion that was found, and solved again.
-
-        Returns:
-            the tracks as they were solved, and their motion.
         """
         priors = MotionPriors(
             prediction=prediction.motion,
@@ -347,11 +338,11 @@ class StereoOdometry:
             measurements=measured.of_motion,
             curr=pose_of(frame.index),
         )
-        visual = self._solve_with_jitter(frame, observed, priors, clock)
-        if visual.status is not Status.OK or not is_noticeable(observed.delay_s):
-            return observed, visual
+        solved = self._solve_with_jitter(frame, observed, priors, clock)
+        if solved.visual.status is not Status.OK or not is_noticeable(observed.delay_s):
+            return solved
         last_twist_s = state.motion_model.twist_s
-        twist_s = se3.log(visual.accepted_solution.T_curr_prev) / prediction.duration_s
+        twist_s = se3.log(solved.visual.accepted_solution.T_curr_prev) / prediction.duration_s
         # The twist is the mean of a step; at its ends there is half of the change.
         corrected = self._corrected(
             observed.tracked.tracks,
@@ -360,17 +351,18 @@ class StereoOdometry:
             1.5 * twist_s - 0.5 * last_twist_s,
         )
         observed = replace(observed, corrected=corrected)
-        return observed, self._solve_with_jitter(frame, observed, priors, clock)
+        return self._solve_with_jitter(frame, observed, priors, clock)
 
     def _solve_with_jitter(
         self, frame: Frame, observed: _Observed, priors: MotionPriors, clock: StageClock
-    ) -> VisualMotion:
+    ) -> _Solved:
         """Estimate the motion from the tracks.
 
         Where the tracks show more jitter of the rig than was expected, they are solved again with
         what they show, as they are in the first frames of a rig that is looser than the prior.
         """
-        jitter_cov = observed.rig.jitter.cov if observed.rig is not None else None
+        rig = observed.rig
+        jitter_cov = None if rig is None else rig.jitter.cov
         for _ in range(1 + MOST_REPEATED_SOLVES):
             visual = self._visual.estimate(
                 observed.tracks,
@@ -379,18 +371,14 @@ class StereoOdometry:
                 rng=np.random.default_rng([self.config.seed, frame.index]),
                 clock=clock,
             )
-            shown = self._jitter_shown(observed, visual)
-            if shown is None or not shown.exceeds(jitter_cov):
+            if rig is None or visual.two_frames_only is None:
+                return _Solved(observed, visual, rig=rig, common_mode=np.zeros((6, 3)))
+            used = observed.tracks.kept(visual.used)
+            updated, common_mode = update_rig(rig, used, visual.two_frames_only, self.camera)
+            if not updated.jitter.exceeds(jitter_cov):
                 break
-            jitter_cov = shown.cov
-        return visual
-
-    def _jitter_shown(self, observed: _Observed, visual: VisualMotion) -> RigJitter | None:
-        """Return the rig's jitter after a step; None where the step teaches nothing."""
-        if observed.rig is None or visual.two_frames_only is None:
-            return None
-        used = observed.tracks.kept(visual.used)
-        return update_rig(observed.rig, used, visual.two_frames_only, self.camera)[0].jitter
+            jitter_cov = updated.jitter.cov
+        return _Solved(observed, visual, rig=updated, common_mode=common_mode)
 
     def _conclude(
         self,
@@ -398,9 +386,8 @@ class StereoOdometry:
         frame: Frame,
         prediction: Prediction,
         *,
-        observed: _Observed,
+        solved: _Solved,
         measured: _Measured,
-        visual: VisualMotion,
         clock: StageClock,
     ) -> tuple[MotionEstimate, OdometryState]:
         """Learn from the step, and propagate the pose to this frame.
@@ -408,7 +395,9 @@ class StereoOdometry:
         Returns:
             The estimate, and the state after the step.
         """
-        learned = self._learn(state, prediction, observed, visual)
+        observed = solved.observed
+        visual = solved.visual
+        learned = self._learn(state, prediction, solved)
         motion = learned.motion
         clock.lap("learn")
         window = None
@@ -459,33 +448,25 @@ class StereoOdometry:
         self,
         state: OdometryState,
         prediction: Prediction,
-        observed: _Observed,
-        visual: VisualMotion,
+        solved: _Solved,
     ) -> _Learned:
         """Take the motion that was solved, or else the predicted one, and learn from it."""
-        if visual.status is Status.OK:
-            return self._accept(state, prediction, observed, visual)
-        return self._dead_reckon(state, prediction, observed, visual)
+        if solved.visual.status is Status.OK:
+            return self._accept(state, prediction, solved)
+        return self._dead_reckon(state, prediction, solved.observed, solved.visual)
 
-    def _accept(
-        self,
-        state: OdometryState,
-        prediction: Prediction,
-        observed: _Observed,
-        visual: VisualMotion,
-    ) -> _Learned:
+    def _accept(self, state: OdometryState, prediction: Prediction, solved: _Solved) -> _Learned:
         """Take the solve as the motion, and update gyro bias, rig and motion model by it."""
+        observed = solved.observed
+        visual = solved.visual
         solution = visual.accepted_solution
         T_curr_prev = solution.T_curr_prev
         gyro_bias = prediction.gyro_bias
         if prediction.gyro is not None and gyro_bias is not None:
             learn = gyro_bias.updated if self.config.gyro.prior else gyro_bias.compared
             gyro_bias = learn(prediction.gyro, T_curr_prev[:3, :3], solution.cov[3:, 3:])
-        rig = observed.rig
-        common_mode = np.zeros((6, 3))
+        rig = solved.rig
         if rig is not None and visual.two_frames_only is not None:
-            used = observed.tracks.kept(visual.used)
-            rig, common_mode = update_rig(rig, used, visual.two_frames_only, self.camera)
             rig = rig.with_delay(
                 observed.tracked.tracks.curr_px[visual.used],
                 se3.log(T_curr_prev) / prediction.duration_s,
@@ -494,7 +475,7 @@ class StereoOdometry:
             if state.rig is not None and rig.delay.differs_from(observed.delay_s):
                 # The tracks were those of another delay, and teach nothing but the delay.
                 rig = replace(state.rig, delay=rig.delay)
-        cov = solution.cov + common_mode @ common_mode.T
+        cov = solution.cov + solved.common_mode @ solved.common_mode.T
         residuals = LastResiduals.none()
         if self.predictors.depends_on_previous_motion:
             residuals = LastResiduals.left_by(observed.tracks, visual.T_reference, self.camera)
@@ -505,7 +486,7 @@ class StereoOdometry:
             num_tracks=len(observed.tracks),
             num_inliers=visual.num_inliers,
             iterations=visual.num_iterations,
-            common_mode=common_mode,
+            common_mode=solved.common_mode,
             path_cross_cov=visual.disparities.path_cross_cov,
             num_used=visual.num_used,
             num_out_of_domain=visual.num_out_of_domain,
@@ -681,6 +662,19 @@ class _Observed:
             noise=visual.noise,
             noise_landmarks=self.tracks.ids[visual.used],
         )
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The motion of a step, and what its tracks say of the rig."""
+
+    observed: _Observed
+    """The tracks as they were solved."""
+    visual: VisualMotion
+    rig: RigCalibration | None
+    """The calibration after the step, but for the delay of the right images."""
+    common_mode: FloatArray
+    """Columns along which errors of the calibration before the step move the motion, [6, 3]."""
 
 
 @dataclass(frozen=True)
