@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray
-from probevo.camera.exposure_delay import is_noticeable
+from probevo.camera.exposure_delay import is_noticeable, without_delay
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import LEARNED_FRAMES, RigJitter
 from probevo.camera.stereo import StereoCamera
@@ -286,8 +286,8 @@ class StereoOdometry:
             delay_s = rig.delay.delay_s
             simultaneous = replace(
                 tracks,
-                prev_px=rig.delay.corrected(tracks.prev_px, prev_twist_s, self.camera),
-                curr_px=rig.delay.corrected(tracks.curr_px, curr_twist_s, self.camera),
+                prev_px=without_delay(tracks.prev_px, delay_s, prev_twist_s, self.camera),
+                curr_px=without_delay(tracks.curr_px, delay_s, curr_twist_s, self.camera),
             )
         rig = rig.with_rows(simultaneous.curr_px, self.camera)
         corrected = simultaneous.corrected(rig, self.camera)

@@ -24,6 +24,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.rig_rows_numba import RowOffsetNoise, add_row_equations
 from probevo.camera.stereo import StereoCamera
+from probevo.compiled import compiled
 
 DELAY_SIGMA_S = 0.02
 """Prior standard deviation of τ."""
@@ -39,7 +40,10 @@ DELAY = 6
 
 
 def _prior_information(row_sigma_px: FloatArray) -> FloatArray:
-    return np.diag(np.r_[row_sigma_px, DELAY_SIGMA_S] ** -2.0)
+    information = np.zeros((DELAY + 1, DELAY + 1))
+    np.fill_diagonal(information[:DELAY, :DELAY], row_sigma_px**-2.0)
+    information[DELAY, DELAY] = DELAY_SIGMA_S**-2.0
+    return information
 
 
 @dataclass(frozen=True)
@@ -78,25 +82,6 @@ class ExposureDelay:
     def differs_from(self, delay_s: float) -> bool:
         """Return whether a delay is wrong by more than what a rectification feigns."""
         return is_noticeable(self.delay_s - delay_s)
-
-    def corrected(
-        self, pixels: FloatArray, twist_s: FloatArray, camera: StereoCamera
-    ) -> FloatArray:
-        """Return observations [N, 4], px, with right images as of the time of the left ones.
-
-        Args:
-            pixels: the observations.
-            twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
-            camera: the rectified camera.
-        """
-        corrected: FloatArray = pixels.copy()
-        if not self.estimate_s:
-            return corrected
-        # The disparity, and so the velocity, is only known once the delay is taken off.
-        for _ in range(CORRECTIONS):
-            velocity = right_velocity(corrected, twist_s, camera)
-            corrected[:, 2:] = pixels[:, 2:] - self.delay_s * velocity
-        return corrected
 
     def updated(
         self,
@@ -142,6 +127,27 @@ class ExposureDelay:
         )
 
 
+def without_delay(
+    pixels: FloatArray, delay_s: float, twist_s: FloatArray, camera: StereoCamera
+) -> FloatArray:
+    """Return observations [N, 4], px, with right images as of the time of the left ones.
+
+    Args:
+        pixels: the observations.
+        delay_s: τ.
+        twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
+        camera: the rectified camera.
+    """
+    corrected: FloatArray = pixels.copy()
+    if not delay_s:
+        return corrected
+    # The disparity, and so the velocity, is only known once the delay is taken off.
+    for _ in range(CORRECTIONS):
+        velocity = right_velocity(corrected, twist_s, camera)
+        corrected[:, 2:] = pixels[:, 2:] - delay_s * velocity
+    return corrected
+
+
 def right_velocity(pixels: FloatArray, twist_s: FloatArray, camera: StereoCamera) -> FloatArray:
     """Return (u̇_r, v̇_r) of points at rest, [N, 2], px/s, given observations [N, 4], px.
 
@@ -150,18 +156,33 @@ def right_velocity(pixels: FloatArray, twist_s: FloatArray, camera: StereoCamera
         twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
         camera: the rectified camera.
     """
-    x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
-    x_right, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
-    inverse_depth = (pixels[:, 0] - pixels[:, 2]) / (camera.fu_px * camera.baseline_m)
-    rays = np.column_stack([x, y, np.ones_like(x)])
-    # ṗ over the depth of the point.
-    velocity = np.cross(twist_s[3:], rays) + twist_s[:3] * inverse_depth[:, None]
-    return np.column_stack(
-        [
-            camera.fu_px * (velocity[:, 0] - x_right * velocity[:, 2]),
-            camera.fv_px * (velocity[:, 1] - y * velocity[:, 2]),
-        ]
-    )
+    velocity = np.empty((len(pixels), 2))
+    intrinsics = (camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m)
+    _fill_right_velocity(pixels, twist_s, intrinsics, velocity)
+    return velocity
+
+
+@compiled
+def _fill_right_velocity(
+    pixels: FloatArray,
+    twist_s: FloatArray,
+    intrinsics: tuple[float, float, float, float, float],
+    velocity: FloatArray,
+) -> None:
+    """Fill the velocities, [N, 2], px/s, for intrinsics (f_u, f_v, c_u, c_v, b)."""
+    fu, fv, cu, cv, baseline = intrinsics
+    vx, vy, vz, wx, wy, wz = twist_s
+    for k in range(len(pixels)):
+        x = (pixels[k, 0] - cu) / fu
+        y = (pixels[k, 1] - cv) / fv
+        x_right = (pixels[k, 2] - cu) / fu
+        inverse_depth = (pixels[k, 0] - pixels[k, 2]) / (fu * baseline)
+        # ṗ over the depth of the point: ω × (x, y, 1) + v / Z.
+        px = wy - wz * y + vx * inverse_depth
+        py = wz * x - wx + vy * inverse_depth
+        pz = wx * y - wy * x + vz * inverse_depth
+        velocity[k, 0] = fu * (px - x_right * pz)
+        velocity[k, 1] = fv * (py - y * pz)
 
 
 def is_noticeable(delay_s: float) -> bool:
