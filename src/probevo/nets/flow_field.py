@@ -71,8 +71,10 @@ def check_field_of_view(camera: StereoCamera) -> None:
         raise InputError("camera", "there are no images.", "Networks need images.")
     x, y = (center / FOCAL_PX for center in _center())
     width_px, height_px = camera.size_px
-    left, right = camera.cu_px / camera.fu_px, (width_px - 1 - camera.cu_px) / camera.fu_px
-    top, bottom = camera.cv_px / camera.fv_px, (height_px - 1 - camera.cv_px) / camera.fv_px
+    left = camera.cu_px / camera.fu_px
+    right = (width_px - 1 - camera.cu_px) / camera.fu_px
+    top = camera.cv_px / camera.fv_px
+    bottom = (height_px - 1 - camera.cv_px) / camera.fv_px
     if min(left, right) < x or min(top, bottom) < y:
         what = (
             f"it sees {left:.2f} to the left, {right:.2f} to the right, {top:.2f} up and"
