@@ -22,7 +22,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.rig_rows_numba import RowOffsetNoise, add_row_equations
+from probevo.camera.rig_rows import fit_row_offsets
+from probevo.camera.rig_rows_numba import RowOffsetNoise
 from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
 
@@ -102,24 +103,13 @@ class ExposureDelay:
             noise: of v_r − v_l.
         """
         row_speed_px_s = right_velocity(pixels, twist_s, camera)[:, 1]
-        extended = np.column_stack([basis, row_speed_px_s])
-        offsets = pixels[:, 3] - pixels[:, 1]
-        prior = self.information
-        prior_gradient = prior @ self.coefficients
-        coefficients = self.coefficients
-        information = prior
-        for _ in range(ITERATIONS):  # IRLS
-            information = prior.copy()
-            gradient = prior_gradient.copy()
-            add_row_equations(
-                extended,
-                offsets,
-                coefficients,
-                noise=noise,
-                information=information,
-                gradient=gradient,
-            )
-            coefficients = np.linalg.solve(information, gradient).astype(float)
+        coefficients, information = fit_row_offsets(
+            np.column_stack([basis, row_speed_px_s]),
+            pixels[:, 3] - pixels[:, 1],
+            (self.coefficients, self.information),
+            noise=noise,
+            iterations=ITERATIONS,
+        )
         return ExposureDelay(
             row_sigma_px=self.row_sigma_px,
             coefficients=coefficients,

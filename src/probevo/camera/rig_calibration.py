@@ -32,7 +32,8 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.exposure_delay import ExposureDelay
 from probevo.camera.rig_jitter import RigJitter
-from probevo.camera.rig_rows_numba import RowOffsetNoise, add_row_equations
+from probevo.camera.rig_rows import fit_row_offsets
+from probevo.camera.rig_rows_numba import RowOffsetNoise
 from probevo.camera.stereo import StereoCamera
 
 ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0])
@@ -122,24 +123,13 @@ class RigCalibration:
 
     def with_rows(self, pixels: FloatArray, camera: StereoCamera) -> RigCalibration:
         """Update the rows' coefficients with the raw stereo matches [N, 4], px, of one frame."""
-        basis = row_basis(pixels, camera)
-        offsets = pixels[:, 3] - pixels[:, 1]
-        prior_gradient = self.rows_information @ self.rows
-        rows = self.rows
-        information = self.rows_information
-        # IRLS: the weights of the first frame depend on the coefficients that it teaches.
-        for _ in range(ROW_ITERATIONS):
-            information = self.rows_information.copy()
-            gradient = prior_gradient.copy()
-            add_row_equations(
-                basis,
-                offsets,
-                rows,
-                noise=ROW_NOISE,
-                information=information,
-                gradient=gradient,
-            )
-            rows = np.linalg.solve(information, gradient).astype(float)
+        rows, information = fit_row_offsets(
+            row_basis(pixels, camera),
+            pixels[:, 3] - pixels[:, 1],
+            (self.rows, self.rows_information),
+            noise=ROW_NOISE,
+            iterations=ROW_ITERATIONS,
+        )
         return replace(self, rows=rows, rows_information=information)
 
     def with_delay(
