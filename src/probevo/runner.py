@@ -367,11 +367,12 @@ class _Pictures:
 
     @staticmethod
     def spread_over(num_frames: int) -> _Pictures:
-        # The middles of equal parts of the run; the first frame has no tracks.
+        """Choose the middles of equal parts of a run; its first frame has no tracks."""
         indices = np.linspace(1, num_frames - 1, 2 * NUM_PICTURES + 1)[1::2]
         return _Pictures(frozenset(np.round(indices).astype(int).tolist()))
 
     def add(self, frame: Frame, odometry: StereoOdometry) -> None:
+        """Draw the tracks of a frame, if it is one of those chosen."""
         if frame.index not in self.chosen or frame.left is None:
             return
         tracks = odometry.tracks

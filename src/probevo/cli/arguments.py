@@ -60,7 +60,7 @@ def checked(settings: Model) -> Model:
     """
 
     def as_flag(key: str) -> str:
-        # Items of a list have no flag of their own.
+        """Return the flag of a setting; items of a list have no flag of their own."""
         name = re.sub(r"\.\d+$", "", key)
         return f"--{name.replace('_', '-')}"
 

@@ -114,6 +114,7 @@ def _unpack(dataset: Dataset, files: list[Fetched], target: Path, on_progress: O
     count = 0
 
     def on_file(name: str) -> None:
+        """Report one more file."""
         nonlocal count
         count += 1
         on_progress("unpacking", count, 0)

@@ -213,6 +213,7 @@ def _compiled_epoch(
         keys = jax.random.split(key_of_dropout, num_batches)
 
         def step(carry: Any, batch: Any) -> tuple[Any, None]:
+            """Take one step of the optimiser, by one batch."""
             current, current_state = carry
             rows, batch_key = batch
             gradient = jax.grad(
@@ -266,6 +267,7 @@ def _held_out_loss(
     """Return the mean loss of all networks on the data left out, whose targets have no noise."""
 
     def one(network: Network, inputs: jax.Array, targets: jax.Array) -> jax.Array:
+        """Return the loss of one network."""
         return methods.loss(space, network, inputs, targets[:, None, :], key=key)
 
     over_networks = jax.vmap(one, in_axes=(0, None, None))

@@ -148,6 +148,7 @@ def estimates(
     """
 
     def one(network: Network, x: jax.Array, pass_key: jax.Array) -> tuple[jax.Array, ...]:
+        """Return what one pass through one network makes of one input."""
         outputs, raw = network(x, pass_key)
         return (space.estimate(outputs),) if raw is None else (space.estimate(outputs), raw)
 

@@ -39,6 +39,7 @@ class Network(eqx.Module):
         features = self.trunk(inputs, key_of_trunk)
 
         def call(head: Any) -> jax.Array:
+            """Return what one head makes of the features."""
             outputs: jax.Array = head(features, key_of_heads)
             return outputs
 

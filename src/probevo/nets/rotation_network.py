@@ -124,6 +124,7 @@ def empty_networks(method: Method) -> Network:
     linear = LinearFit(weights, np.zeros(SPACE.num_outputs))
 
     def one(key: jax.Array) -> Network:
+        """Return one network with random weights."""
         return build(method, fields, linear, key)
 
     networks: Network = eqx.filter_vmap(one)(jax.random.split(jax.random.key(0), 1))

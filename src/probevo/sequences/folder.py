@@ -148,6 +148,7 @@ def open_folder(path: Path, options: FolderOptions | None = None) -> StereoRecor
     stamps_ns = pictures.stamps_ns
 
     def size_px() -> tuple[int, int]:
+        """Return width and height of the first image, which is read only if they are needed."""
         height, width = read_gray_of_any_depth(pictures.left_files[0]).shape
         return width, height
 

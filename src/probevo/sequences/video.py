@@ -39,6 +39,7 @@ class VideoRecording(ImageRecording):
         videos = [_Video(file) for file in self.files]
 
         def read(index: int) -> Frame:
+            """Decode one frame, and rectify it."""
             start = perf_counter()
             images = [video.read(index) for video in videos]
             left, right = images if len(images) == 2 else _halves(images[0])
