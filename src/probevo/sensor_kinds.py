@@ -97,6 +97,16 @@ def kind_of_file(path: Path) -> SensorKind:
     return SENSOR_KINDS[name]
 
 
+def trainer_of_sensor(kind: SensorKind) -> Callable[..., Any]:
+    """Return the function that learns a sensor from recordings.
+
+    Raises:
+        InputError: the extra ``nets`` is not installed.
+    """
+    resolve(_REQUIRE)(f"--kind {kind.name}")
+    return resolve(kind.trainer)
+
+
 def is_sensor_file(path: Path) -> bool:
     """Return whether a file is that of a network, by its header; JAX is not needed."""
     try:

@@ -12,15 +12,27 @@ from probevo.cli.main import main
 from probevo.nets import extra
 
 
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (["paper", "hydranet"], "paper hydranet"),
+        (["train", ".", "--kind", "rotation"], "--kind rotation"),
+    ],
+    ids=["experiment", "training"],
+)
 def test_a_missing_package_is_named_with_its_cure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    where: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(extra, "find_spec", lambda name: None if name == "jax" else object())
-    assert main(["paper", "hydranet", "--out", str(tmp_path / "out")]) == 2
+    assert main([*words, "--out", str(tmp_path / "out.safetensors")]) == 2
     shown = capsys.readouterr().err
-    assert "paper hydranet: networks need the package jax." in shown
+    assert f"{where}: networks need the package jax." in shown
     assert "pip install 'probevo[nets]'" in shown
-    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "out.safetensors").exists()
 
 
 @pytest.mark.parametrize(

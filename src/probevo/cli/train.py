@@ -11,7 +11,7 @@ import tyro
 from probevo.cli.arguments import checked, parse
 from probevo.cli.train_summary import summary
 from probevo.errors import InputError
-from probevo.sensor_kinds import SENSOR_KINDS, SensorKind, resolve
+from probevo.sensor_kinds import SENSOR_KINDS, SensorKind, trainer_of_sensor
 from probevo.training.settings import TrainSettings
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def train_sensor_with_progress(
     from probevo.training.settings_check import check_sensor_settings
 
     check_sensor_settings(settings)
-    train = resolve(kind.trainer)
+    train = trainer_of_sensor(kind)
     cv2.setNumThreads(1)
     opened = [open_sequence(path) for path in recordings]
     try:
