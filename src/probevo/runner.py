@@ -226,6 +226,7 @@ def _result(
         accelerometer_scale=_accelerometer_scale(sequence, result),
         jitter_sigma_rad=sigma_rad,
         right_delay_s=0.0 if rig is None else rig.delay.delay_s,
+        focal_length=None if rig is None else rig.focal.error(),
         smoothed=smoothed.poses(odometry.window),
         right_late_frames=timing.right_late_frames,
         imu_left_out=reason_not_used(odometry.window),

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
 from probevo.output.motions_file import read_motions, write_motions
 from probevo.output.run_result import RunResult
@@ -19,6 +20,7 @@ def test_a_run_comes_back_as_it_was(
     run = replace(make_run(count, outside=outside), unusable={"imu_samples_too_large": 3})
     if outside is not None:
         run = replace(run, jitter_sigma_rad=np.array([1e-5, 2e-4, 3e-5]), right_late_frames=-1)
+        run = replace(run, focal_length=FocalLengthError(-0.02, 0.003))
     write_motions(tmp_path / "motions.npz", run)
     back = read_motions(tmp_path / "motions.npz")
     for field in fields(RunResult):

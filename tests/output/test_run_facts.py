@@ -2,7 +2,8 @@
 
 import pytest
 
-from probevo.output.run_facts import delay_text
+from probevo.camera.focal_length import FocalLengthError
+from probevo.output.run_facts import delay_text, focal_text
 
 
 @pytest.mark.parametrize(
@@ -10,3 +11,11 @@ from probevo.output.run_facts import delay_text
 )
 def test_the_delay_is_said_with_its_sign(delay_s: float, text: str) -> None:
     assert f"right images are exposed {text} than left ones" in delay_text(delay_s)
+
+
+def test_the_focal_length_is_said_with_its_sigma() -> None:
+    unknown = focal_text(FocalLengthError(-0.02, 0.01))
+    assert unknown == "as calibrated, as far as turns of the camera show it (σ = 1.00 %)"
+    assert "is 1.98 % shorter than calibrated (σ = 0.300 %)" in focal_text(
+        FocalLengthError(-0.02, 0.003)
+    )

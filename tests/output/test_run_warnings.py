@@ -4,13 +4,20 @@ import numpy as np
 import pytest
 
 import probevo as pv
+from probevo.camera.focal_length import FocalLengthError
 from probevo.estimation.motion_estimate import Status
 from probevo.geometry import se3
 from probevo.measurements import pose_of
 from probevo.measurements.heading import Heading
 from probevo.measurements.sensor import NoMeasurement
 from probevo.output.run_result import RunRecorder
-from probevo.output.run_warnings import imu_warning, run_warnings, status_warning, timing_warning
+from probevo.output.run_warnings import (
+    focal_warning,
+    imu_warning,
+    run_warnings,
+    status_warning,
+    timing_warning,
+)
 from worlds import CAMERA, FORWARD, drive
 
 
@@ -79,3 +86,17 @@ def test_images_of_other_frames_are_named_with_the_cure() -> None:
     assert left.startswith("The left images are 2 frames late")
     assert "2 frames earlier" in left
     assert left.endswith("leave out the first 2 left images.")
+
+
+@pytest.mark.parametrize(
+    ("log_ratio", "sigma", "warned"),
+    [(-0.05, 0.01, True), (-0.05, 0.02, False), (0.03, 0.001, False), (0.0, 0.001, False)],
+)
+def test_a_focal_length_is_warned_of_beyond_chance_and_lenses(
+    log_ratio: float, sigma: float, warned: bool
+) -> None:
+    text = focal_warning(FocalLengthError(log_ratio, sigma))
+    assert (text is not None) == warned
+    if text is not None:
+        assert "4.9 ± 1.0 % shorter than calibrated" in text
+    assert focal_warning(None) is None

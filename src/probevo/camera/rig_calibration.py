@@ -31,6 +31,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.exposure_delay import ExposureDelay
+from probevo.camera.focal_length import FocalLengthEstimate
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.rig_rows import fit_row_offsets
 from probevo.camera.rig_rows_numba import RowOffsetNoise
@@ -71,6 +72,8 @@ class RigCalibration:
     """How far the rig moves from frame to frame."""
     delay: ExposureDelay = field(default_factory=lambda: ExposureDelay(ROW_SIGMA_PX))
     """How much later right images are exposed than left ones."""
+    focal: FocalLengthEstimate = field(default_factory=FocalLengthEstimate.initial)
+    """How far the focal length is off; nothing is corrected by it."""
 
     @staticmethod
     def initial(jitter: RigJitter | None = None) -> RigCalibration:

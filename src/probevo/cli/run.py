@@ -142,7 +142,7 @@ def summary(run: Run, out: Path) -> list[str]:
     from probevo.estimation.motion_estimate import Status
     from probevo.output.domain import domain_text, domain_warning
     from probevo.output.headline import headline_drift
-    from probevo.output.run_facts import delay_text, jitter_text
+    from probevo.output.run_facts import delay_text, focal_text, jitter_text
     from probevo.output.table import readable
 
     result = run.result
@@ -171,6 +171,8 @@ def summary(run: Run, out: Path) -> list[str]:
         lines.append(f"the rig {jitter_text(result.jitter_sigma_rad)}")
     if is_noticeable(result.right_delay_s):
         lines.append(delay_text(result.right_delay_s))
+    if result.focal_length is not None and result.focal_length.is_noticeable:
+        lines.append(f"focal length: {focal_text(result.focal_length)}")
     if result.out_of_domain is not None:
         warning = domain_warning(result.out_of_domain)
         if warning:

@@ -61,6 +61,8 @@ class ReprojectionSolution:
     """Robust weight of each feature against that of a perfect one, [N], in [0, 1]."""
     irls_weight: FloatArray
     """Robust weight w itself, [N]; 0 for a feature that does not contribute."""
+    curvature: FloatArray
+    """Curvature of the loss, w + (2/d) w' s, [N]; 0 for a feature that does not contribute."""
     points: PointPrior
     """The N points, before the solve, as the rig's jitter of the previous frame moves them."""
     refined: FloatArray
@@ -173,6 +175,7 @@ def solve_reprojection(
         squared=features.squared,
         weight=features.weights.relative,
         irls_weight=features.weights.weight,
+        curvature=features.weights.curvature,
         points=features.points,
         refined=propagated.propagated_noise.refined,
         residuals=features.jacobians.residual,

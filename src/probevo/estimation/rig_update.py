@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.focal_length_numba import focal_sensitivity
 from probevo.camera.rig_calibration import RigCalibration, disparity_basis
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.stereo import StereoCamera
+from probevo.camera.transfer_numba import Intrinsics
 from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
 from probevo.tracking.tracks import Tracks
 
@@ -18,14 +20,14 @@ from probevo.tracking.tracks import Tracks
 def update_rig(
     rig: RigCalibration, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
 ) -> tuple[RigCalibration, FloatArray]:
-    """Update the rig's disparity errors and its jitter, and say how the uncertainty of the former
-    moves the motion.
+    """Update the rig's disparity errors, its jitter and the error of its focal length, and say how
+    the uncertainty of the first moves the motion.
 
-    With D = ∂e/∂b and J = −∂e/∂ξ (and −∂e/∂η, where the noise has a jitter), the estimate takes in
-    the part of the residuals that a change of b explains, motion and jitter being eliminated from
-    the joint normal equations (Schur complement). The solution need not be at the optimum, but must
-    use only what these two frames show: the disparity filter was fed with the calibration of its
-    time, and would confirm it.
+    With D = ∂e/∂(b, ε) and J = −∂e/∂ξ (and −∂e/∂η, where the noise has a jitter), the estimate
+    takes in the part of the residuals that a change of b and ε explains, motion and jitter being
+    eliminated from the joint normal equations (Schur complement). The solution need not be at the
+    optimum, but must use only what these two frames show: the disparity filter was fed with the
+    calibration of its time, and would confirm it.
 
     Args:
         rig: the estimate before this step.
@@ -42,28 +44,34 @@ def update_rig(
     """
     if not np.isfinite(solution.cov).all():
         return rig, np.zeros((6, 3))
-    D = disparity_sensitivity(tracks, solution, camera)
+    D = calibration_sensitivity(tracks, solution, camera)
     jacobian = solution.full_jacobian
     weighted_D = solution.whitened(D)
     weighted_e = solution.whitened(solution.residuals[:, :, None])
-    # Normal equations of (ξ, η, b): [[H, C], [Cᵀ, B]], with the gradients of both.
+    # Normal equations of (ξ, η, b, ε): [[H, C], [Cᵀ, B]], with the gradients of both.
     C = sum_products(jacobian, weighted_D)
     B = sum_products(D, weighted_D)
     motion_gradient = sum_products(jacobian, weighted_e)[:, 0]
     if solution.jitter is not None:
         motion_gradient[6:] -= solution.jitter.eta
     rig_gradient = -sum_products(D, weighted_e)[:, 0]
-    # The Schur complement on b; b₀ is not estimated.
+    # The Schur complement on b and ε; b₀ is not estimated.
     gain = np.linalg.solve(solution.full_hessian, C)
     gradient = gain.T @ motion_gradient + rig_gradient
     information = B - C.T @ gain
-    updated = rig.with_disparity(information[1:, 1:], gradient[1:])
+    updated = rig.with_disparity(information[1:3, 1:3], gradient[1:3])
+    # One step with the IRLS weights is too short: the curvature of the loss is less than they.
+    curvature = float(solution.curvature.sum() / solution.irls_weight.sum())
+    focal = rig.focal.with_step(
+        curvature * information[1:, 1:], gradient[1:], np.append(rig.disparity, 0.0)
+    )
+    updated = replace(updated, focal=focal)
     if solution.jitter is not None:
         step = np.linalg.solve(solution.full_hessian, motion_gradient).astype(float)
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
     # A constant error is none that is new in every frame: the jitter must not be expected to take
     # it up, and is held.
-    motion_gain = np.linalg.solve(solution.hessian, C[:6])
+    motion_gain = np.linalg.solve(solution.hessian, C[:6, :3])
     return updated, motion_gain @ np.linalg.cholesky(rig.disparity_cov)
 
 
@@ -90,4 +98,16 @@ def disparity_sensitivity(
     curr_basis = disparity_basis(tracks.curr_px, camera)
     sensitivity: FloatArray = -solution.disparity_jacobian[:, :, None] * prev_basis[:, None]
     sensitivity[:, 2] -= curr_basis
+    return sensitivity
+
+
+def calibration_sensitivity(
+    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
+) -> FloatArray:
+    """Return ∂e/∂(b₀, b₁, b₂, ε), [N, 4, 4]; ε is the error of log f (``camera.focal_length``)."""
+    sensitivity = np.empty((len(tracks), 4, 4))
+    sensitivity[:, :, :3] = disparity_sensitivity(tracks, solution, camera)
+    focal_sensitivity(
+        solution.T_curr_prev, Intrinsics.of(camera), solution.refined, sensitivity[:, :, 3]
+    )
     return sensitivity

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.camera.focal_length import FocalLengthError
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
@@ -87,7 +88,7 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
 
 
 def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
-    """Describe the disparity's errors that the odometry's self-calibration has found.
+    """Describe errors of disparity and focal length that the self-calibration has found.
 
     A constant offset cannot be distinguished from noise, and is not estimated.
     """
@@ -103,7 +104,25 @@ def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
         cure = "points at the sides seem too near or too far, as of a distortion not removed."
         p_value = two_sided_p(value / spread, np.inf)
         quantities.append(Quantity(name, value, spread, "px", p_value=p_value, cure=cure))
-    return quantities
+    return [*quantities, _focal_quantity(rig.focal.error())]
+
+
+def _focal_quantity(error: FocalLengthError) -> Quantity:
+    """Describe the focal length that images show where the camera turns, against the calibrated."""
+    cure = (
+        f"where the camera turns, images show a focal length of {1.0 + 0.01 * error.percent:.4f} of"
+        " the calibrated one. It is wrong, or distortion of the lens is left, which feigns up to"
+        " 3 %: the scale of a gyro decides."
+    )
+    z = error.log_ratio / error.sigma
+    return Quantity(
+        "focal length",
+        error.percent,
+        100.0 * error.sigma,
+        "%",
+        p_value=two_sided_p(z, np.inf),
+        cure=cure,
+    )
 
 
 def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Quantity | None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import AnyArray
+from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.files import write_atomically
@@ -61,6 +62,9 @@ def write_motions(path: Path, result: RunResult) -> None:
     scale = result.accelerometer_scale
     if scale is not None:
         arrays["accelerometer_scale"] = np.array([scale.ratio, scale.sigma, scale.count])
+    focal = result.focal_length
+    if focal is not None:
+        arrays["focal_length"] = np.array([focal.log_ratio, focal.sigma])
     if result.stopped is not None:
         arrays["stopped"] = np.array(result.stopped)
     buffer = io.BytesIO()
@@ -131,6 +135,7 @@ def read_motions(path: Path | str) -> RunResult:
         else 0,
         imu_left_out=str(arrays["imu_left_out"]) if "imu_left_out" in arrays else None,
         accelerometer_scale=_scale(path, arrays),
+        focal_length=_focal_length(path, arrays),
         stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
         jitter_sigma_rad=_take(path, arrays, "jitter_sigma_rad", shape=(3,))
         if "jitter_sigma_rad" in arrays
@@ -143,6 +148,13 @@ def _scale(path: Path, arrays: dict[str, AnyArray]) -> AccelerometerScale | None
         return None
     ratio, sigma, count = _take(path, arrays, "accelerometer_scale", shape=(3,)).tolist()
     return AccelerometerScale(ratio, sigma, int(count))
+
+
+def _focal_length(path: Path, arrays: dict[str, AnyArray]) -> FocalLengthError | None:
+    if "focal_length" not in arrays:
+        return None
+    log_ratio, sigma = _take(path, arrays, "focal_length", shape=(2,)).tolist()
+    return FocalLengthError(log_ratio, sigma)
 
 
 def _take(

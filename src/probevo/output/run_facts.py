@@ -10,6 +10,7 @@ import numpy as np
 from probevo import __version__
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.exposure_delay import is_noticeable
+from probevo.camera.focal_length import FocalLengthError
 from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.output.domain import domain_text
@@ -36,6 +37,8 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         )
     if is_noticeable(result.right_delay_s):
         rig["Exposures"] = delay_text(result.right_delay_s)
+    if result.focal_length is not None and len(result) > 1:
+        rig["Focal length"] = focal_text(result.focal_length)
     scale = {}
     found = result.accelerometer_scale
     if found is not None:
@@ -115,6 +118,18 @@ def delay_text(delay_s: float) -> str:
     return (
         f"right images are exposed {1e3 * abs(delay_s):.1f} ms {late} than left ones, which is"
         " corrected"
+    )
+
+
+def focal_text(error: FocalLengthError) -> str:
+    """Say how far the focal length is off by the images, or how well they show it."""
+    sigma = readable(100.0 * error.sigma)
+    if not error.is_noticeable:
+        return f"as calibrated, as far as turns of the camera show it (σ = {sigma} %)"
+    longer = "longer" if error.percent > 0.0 else "shorter"
+    return (
+        f"where the camera turns, images show one that is {readable(abs(error.percent))} %"
+        f" {longer} than calibrated (σ = {sigma} %): it is wrong, or distortion of the lens is left"
     )
 
 

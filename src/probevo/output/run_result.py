@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
@@ -114,6 +115,8 @@ class RunResult:
     right_delay_s: float = 0.0
     """Time by which right images are exposed later than left ones, within a frame, as it was
     corrected at the end; negative if they are exposed earlier."""
+    focal_length: FocalLengthError | None = None
+    """How far the focal length is off by the images; None without self-calibration."""
     right_late_frames: int = 0
     """Frames by which the right images are late, as ``PairTiming`` finds it; negative if the left
     ones are, and 0 also where nothing is known."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
+from probevo.camera.focal_length import FocalLengthError
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.trajectory_errors import relative_motions
@@ -40,6 +41,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Stopped before the end": stopped,
         "Hardly a step is OK": status_warning(result.status),
         "Right images of other frames": timing_warning(result.right_late_frames),
+        "Focal length": focal_warning(result.focal_length),
         "IMU": imu_warning(result.imu_left_out),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
@@ -77,6 +79,18 @@ def timing_warning(right_late_frames: int) -> str | None:
         f"The {late} images are {frames} late: the rows of a left image agree best with those of"
         f" the right image {frames} {when}. Motions and covariances are wrong. Pair the images by"
         f" their stamps, or leave out {first}."
+    )
+
+
+def focal_warning(error: FocalLengthError | None) -> str | None:
+    """Warn of a focal length that the images contradict by more than a lens could; else None."""
+    if error is None or not error.is_beyond_lenses:
+        return None
+    longer = "longer" if error.percent > 0.0 else "shorter"
+    return (
+        f"Where the camera turns, images show a focal length that is {abs(error.percent):.1f} ±"
+        f" {100.0 * error.sigma:.1f} % {longer} than calibrated. Distances and turns are wrong by"
+        " about as much. Are the intrinsics those of the rectified images, at their resolution?"
     )
 
 
