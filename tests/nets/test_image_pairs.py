@@ -12,7 +12,7 @@ from nets.small_pairs import small_pairs
 from probevo.errors import InputError
 from probevo.geometry import so3
 from probevo.nets.flow_field import rotated
-from probevo.nets.image_pairs import facts_of, read_pairs, read_pairs_file, write_pairs
+from probevo.nets.image_pairs import facts_of, read_pairs
 from probevo.sequences import open_sequence
 
 
@@ -40,18 +40,6 @@ def test_copies_have_the_field_of_their_rotation() -> None:
     for k in range(12):
         for copy in (1, 2):
             np.testing.assert_allclose(back[12 * copy + k], back[k], atol=1e-6)
-
-
-def test_a_file_gives_the_pairs_back_and_a_damaged_one_none(tmp_path: Path) -> None:
-    pairs = small_pairs(3)
-    file = tmp_path / "pairs.npz"
-    write_pairs(file, pairs)
-    found = read_pairs_file(file)
-    np.testing.assert_array_equal(found.fields, pairs.fields)
-    np.testing.assert_array_equal(found.rotations, pairs.rotations)
-    file.write_bytes(file.read_bytes()[:200])
-    assert read_pairs_file(file) is None
-    assert read_pairs_file(tmp_path / "missing.npz") is None
 
 
 def test_a_recording_without_truth_is_refused(tmp_path: Path) -> None:

@@ -89,8 +89,7 @@ def test_the_covariance_is_scaled_to_errors_in_blocks(model: Path) -> None:
     same = np.repeat(rng.normal(size=(20, 3)), 10, axis=0)
     truth = so3.log(so3.exp(-np.einsum("nij,nj->ni", root, same)) @ C)
     with_truth = ImagePairs(pairs.fields, truth)
-    names = [{"name": "one"}, {"name": "two"}]
-    found = calibrated(plain, [with_truth], recordings=names, settings=SETTINGS)
+    found = calibrated(plain, [with_truth])
     assert found.facts["scale_single"] == pytest.approx(1.0, abs=0.5)
     ratio = found.facts["scale_blocks"] / found.facts["scale_single"]
     assert 6.0 < ratio < 12.0

@@ -6,16 +6,13 @@ import hashlib
 from collections.abc import Callable
 from collections.abc import Sequence as Collection
 from dataclasses import dataclass
-from io import BytesIO
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.files import write_atomically
 from probevo.geometry import so3
 from probevo.nets.flow_field import (
     check_field_of_view,
@@ -23,7 +20,6 @@ from probevo.nets.flow_field import (
     mirrored,
     rotated,
 )
-from probevo.npz import NO_NPZ, read_npz
 from probevo.sequences.base import Sequence
 
 FURTHER_SIGMA_RAD = np.radians([0.15, 0.5, 0.15])
@@ -150,23 +146,3 @@ def facts_of(sequence: Sequence, num_frames: int) -> dict[str, Any]:
         "camera": [np.asarray(value).tolist() for value in vars(sequence.camera).values()],
         "truth": hashlib.sha256(truth).hexdigest(),
     }
-
-
-def write_pairs(path: Path, pairs: ImagePairs) -> None:
-    """Write pairs to a file, completely or not at all.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    content = BytesIO()
-    np.savez(content, fields=pairs.fields, rotations=pairs.rotations)
-    write_atomically(path, content.getvalue())
-
-
-def read_pairs_file(path: Path) -> ImagePairs | None:
-    """Return the pairs of a file; None where it is missing or damaged."""
-    try:
-        arrays = read_npz(path)
-        return ImagePairs(arrays["fields"], arrays["rotations"])
-    except (*NO_NPZ, KeyError):
-        return None

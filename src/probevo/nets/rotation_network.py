@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from probevo import __version__
 from probevo.arrays import FloatArray
-from probevo.errors import InputError
-from probevo.nets import methods
-from probevo.nets.domain import FARTHEST, Domain
 from probevo.nets.field_network import FEATURES, LinearFit, field_network
 from probevo.nets.flow_field import CELLS, CHANNELS
 from probevo.nets.methods import Method
-from probevo.nets.network_file import read_facts, read_network_file, write_network_file
 from probevo.nets.networks import Network
 from probevo.nets.target_space import SmallRotationTargets
+from probevo.nets.trained_network import (
+    TrainedNetwork,
+    empty_networks,
+    facts_of_kind,
+    read_arrays,
+)
 
 KIND = "rotation"
 SPACE = SmallRotationTargets()
-CURE = "Train it again: probevo train … --kind rotation."
 
 
 class RotationEstimates(NamedTuple):
@@ -41,19 +38,8 @@ class RotationEstimates(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class RotationNetwork:
-    """A trained network, the domain it was trained on, and the calibration of its covariance."""
-
-    networks: Network
-    """Arrays have a leading dimension of 1: one network."""
-    domain: Domain
-    facts: dict[str, Any]
-    """``method``, ``scale`` and how it was trained; JSON values."""
-
-    @cached_property
-    def method(self) -> Method:
-        """How many heads it has."""
-        return Method(**self.facts["method"])
+class RotationNetwork(TrainedNetwork):
+    """A trained network of rotations."""
 
     def estimate(self, fields: FloatArray) -> RotationEstimates:
         """Return rotations and covariances of N pairs of images.
@@ -61,23 +47,11 @@ class RotationNetwork:
         Args:
             fields: as ``flow_field`` gives them, [N, 4, rows, columns].
         """
-        found, raw, features = _call(
-            self.method, self.networks, jnp.asarray(fields, jnp.float32), jax.random.key(0)
-        )
-        predicted = methods.prediction(SPACE, found, raw)
-        widening = self.domain.widening(np.asarray(features, np.float64))
+        predicted, widening = self.evaluate(SPACE, fields)
         factor = float(self.facts["scale"]) * widening
         return RotationEstimates(
             predicted.mean, factor[:, None, None] * predicted.covariance, widening
         )
-
-    def save(self, path: Path) -> None:
-        """Write it; the same network gives the same bytes.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
-        write_network_file(path, (self.networks, self.domain), self.facts)
 
     @staticmethod
     def load(path: Path) -> RotationNetwork:
@@ -86,19 +60,10 @@ class RotationNetwork:
         Raises:
             InputError: the file cannot be read, is damaged, or holds something else.
         """
-        facts = read_facts(path)
-        try:
-            is_of_kind = facts["kind"] == KIND and float(facts["scale"]) > 0.0
-            method = Method(**facts["method"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                path, f"it is no whole network of rotations ({error}).", CURE
-            ) from error
-        if not is_of_kind:
-            raise InputError(path, f"it is of kind {facts['kind']!r}, not {KIND}.", CURE)
-        empty = (empty_networks(method), empty_domain())
-        networks, domain = read_network_file(path, empty)
-        return RotationNetwork(networks, Domain(*(np.asarray(part) for part in domain)), facts)
+        facts = facts_of_kind(path, KIND)
+        method = Method(**facts["method"])
+        networks, domain = read_arrays(path, _empty(method), SPACE.num_outputs + FEATURES)
+        return RotationNetwork(networks, domain, facts)
 
 
 def method_of(num_heads: int) -> Method:
@@ -106,17 +71,12 @@ def method_of(num_heads: int) -> Method:
     return Method("hydra-sigma", heads=num_heads, learns_covariance=True)
 
 
-def first_facts(method: Method) -> dict[str, Any]:
-    """Return the facts that every file has."""
-    return {"kind": KIND, "method": asdict(method), "probevo": __version__}
-
-
 def build(method: Method, fields: FloatArray, linear: LinearFit, key: jax.Array) -> Network:
     """Return a network with initial weights."""
     return field_network(method, SPACE, fields, linear, key=key)
 
 
-def empty_networks(method: Method) -> Network:
+def _empty(method: Method) -> Network:
     """Return a structure to read a file into."""
     rows, columns = CELLS
     fields = np.zeros((1, CHANNELS, rows, columns))
@@ -127,41 +87,4 @@ def empty_networks(method: Method) -> Network:
         """Return one network with random weights."""
         return build(method, fields, linear, key)
 
-    networks: Network = eqx.filter_vmap(one)(jax.random.split(jax.random.key(0), 1))
-    return networks
-
-
-def empty_domain() -> Domain:
-    """Return a structure to read a file into."""
-    num_features = SPACE.num_outputs + FEATURES
-    single = (
-        np.asarray(array, np.float32)
-        for array in (np.zeros(num_features), np.eye(num_features), np.ones(()))
-    )
-    return Domain(*single)
-
-
-def trunk_features(networks: Network, fields: FloatArray) -> FloatArray:
-    """Return the features, [N, f], that the trunk of one network gives of fields."""
-    return np.asarray(_features(networks, jnp.asarray(fields, jnp.float32)), np.float64)
-
-
-def has_nothing_to_say(widening: float) -> bool:
-    """Return whether an input is so far out of the domain that no covariance holds."""
-    return widening > FARTHEST
-
-
-@eqx.filter_jit
-def _call(
-    method: Method, networks: Network, fields: jax.Array, key: jax.Array
-) -> tuple[jax.Array, jax.Array | None, jax.Array]:
-    """Return estimates, outputs of the covariance head, and features."""
-    found, raw = methods.estimates(method, SPACE, networks, fields, key)
-    return found, raw, _features(networks, fields)
-
-
-@eqx.filter_jit
-def _features(networks: Network, fields: jax.Array) -> jax.Array:
-    first = jax.tree.map(lambda array: array[0], networks)
-    features: jax.Array = jax.vmap(lambda field: first.trunk(field, jax.random.key(0)))(fields)
-    return features
+    return empty_networks(one)

@@ -12,7 +12,8 @@ from probevo.measurements.base import pose_of
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.sensor import NoMeasurement
 from probevo.nets.flow_field import check_field_of_view, field_of_images
-from probevo.nets.rotation_network import RotationNetwork, has_nothing_to_say
+from probevo.nets.rotation_network import RotationNetwork
+from probevo.nets.trained_network import has_nothing_to_say
 from probevo.sequences.frame import Frame
 
 

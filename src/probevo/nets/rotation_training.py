@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable, Mapping
-from collections.abc import Sequence as Collection
-from contextlib import suppress
+from collections.abc import Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,44 +12,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.errors import InputError
-from probevo.files import check_folder, remove_stale
 from probevo.geometry import so3
-from probevo.lock import locked
 from probevo.nets import methods, quaternions
-from probevo.nets.covariance_scale import (
-    covariance_scale,
-    coverage,
-    negative_log_likelihoods,
-)
+from probevo.nets.calibration import BLOCK, Claimed, calibration
 from probevo.nets.domain import Domain
-from probevo.nets.extra import require_nets
 from probevo.nets.field_network import LinearFit, linear_fit, pooled_flow, standardisation
-from probevo.nets.image_pairs import (
-    ImagePairs,
-    check_recording,
-    facts_of,
-    read_pairs,
-    read_pairs_file,
-    write_pairs,
-)
-from probevo.nets.learning import LearningPlan, TrainingData, learn
-from probevo.nets.rotation_network import (
-    SPACE,
-    RotationNetwork,
-    build,
-    first_facts,
-    method_of,
-    trunk_features,
-)
+from probevo.nets.image_pairs import ImagePairs, check_recording, read_pairs
+from probevo.nets.learning import TrainingData
+from probevo.nets.networks import Network
+from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
+from probevo.nets.rotation_network import KIND, SPACE, RotationNetwork, build, method_of
+from probevo.nets.trained_network import first_facts, trunk_features
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
-
-BLOCK = 10
-"""Successive pairs whose errors are added up to see how far they are correlated in time."""
-OnProgress = Callable[[int, int], None]
-"""Takes the number of frames that are done, all epochs counted, and their total."""
 
 
 def train_rotation(
@@ -64,47 +36,23 @@ def train_rotation(
     max_frames: int | None = None,
     on_progress: OnProgress | None = None,
 ) -> list[str]:
-    """Learn rotations from recordings with truth, and write the network.
-
-    What was done so far is kept in a folder beside ``out`` until the end, so that a training that
-    was stopped resumes after the last recording, and after one of the last epochs. On one CPU, the
-    same recordings and settings give the same bytes however often it was stopped.
-
-    Args:
-        recordings: those to learn from; the last ``left_out`` stop the training and calibrate it.
-        settings: all settings.
-        out: the file.
-        max_frames: frames of each recording that are used; None for all.
-        on_progress: called after each frame and each epoch.
+    """Learn rotations from recordings with truth, and write the network (``train_task``).
 
     Returns:
         What was learned, in lines for the terminal.
 
     Raises:
-        InputError: JAX is missing; a recording is faulty, lacks images or truth, is named twice, or
-            sees too little; nothing would remain to learn from; or ``out`` cannot be written to.
+        InputError: as ``train_task`` raises.
     """
-    require_nets("train --kind rotation")
-    _check(recordings, settings)
-    check_folder(out.parent, "--out")
-    if out.is_dir():
-        raise InputError("--out", f"{out} is a folder.", "Give the model file another name.")
-    counts = [min(len(sequence), max_frames or len(sequence)) for sequence in recordings]
-    for sequence, count in zip(recordings, counts, strict=True):
-        if count < BLOCK + 1:
-            what = f"{count} frames are too few."
-            raise InputError(sequence.path, what, f"Give at least {BLOCK + 1}.")
-        check_recording(sequence)
-    folder = out.with_name(out.name + ".work")
-    with locked(folder):
-        network = _train(
-            recordings, counts, settings, folder=folder, on_progress=on_progress or _show_nothing
-        )
-        network.save(out)
-        for file in [*folder.glob("pairs-*.npz"), *folder.glob("network-*.safetensors")]:
-            remove_stale(file)
-    with suppress(OSError):  # it holds files of others
-        folder.rmdir()
+    task = Task(KIND, check=check_recording, samples=ImagePairs, read=read_pairs, train=_train)
+    network = train_task(
+        task,
+        tuple(recordings),
+        settings,
+        out=out,
+        max_frames=max_frames,
+        on_progress=on_progress,
+    )
     return summary(network.facts)
 
 
@@ -122,94 +70,36 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _show_frames(on_progress: OnProgress, done: int, total: int, frames: int) -> None:
-    """Show how many frames are read: those of earlier recordings, and these."""
-    on_progress(done + frames, total)
-
-
-def _show_nothing(done: int, total: int) -> None:
-    """Show no progress."""
-
-
-def _check(recordings: Collection[Sequence], settings: NetworkSettings) -> None:
-    """Refuse recordings that are named twice, or too few.
-
-    Raises:
-        InputError: says which.
-    """
-    paths = [sequence.path.resolve() for sequence in recordings]
-    for path in paths:
-        if paths.count(path) > 1:
-            cure = "Name each once: it would count double."
-            raise InputError(path, "this recording is named twice.", cure)
-    if len(recordings) <= settings.left_out:
-        what = f"{len(recordings)} named, of which the last {settings.left_out} would be left out."
-        cure = "Name more, since the covariance is calibrated on recordings that are left out."
-        raise InputError("SEQUENCE", what, cure)
-
-
-def _train(
-    recordings: Collection[Sequence],
-    counts: list[int],
-    settings: NetworkSettings,
-    *,
-    folder: Path,
-    on_progress: OnProgress,
-) -> RotationNetwork:
-    """Learn the network, while no other process does."""
-    total = sum(counts) * (1 + settings.epochs)
-    facts = [facts_of(sequence, count) for sequence, count in zip(recordings, counts, strict=True)]
-    pairs = []
-    for number, (sequence, count) in enumerate(zip(recordings, counts, strict=True)):
-        done = sum(counts[:number])
-        file = folder / f"pairs-{_digest(facts[number])}.npz"
-        found = read_pairs_file(file)
-        if found is None:
-            found = read_pairs(sequence, count, partial(_show_frames, on_progress, done, total))
-            write_pairs(file, found)
-        pairs.append(found)
-    split = len(pairs) - settings.left_out
-    learned = ImagePairs.joined(pairs[:split]).multiplied(
+def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
+    """Learn the network: a linear regression in closed form, and what the heads add to it."""
+    settings = run.settings
+    learned = ImagePairs.joined(pairs[: run.split]).multiplied(
         settings.copies, np.random.default_rng(settings.seed)
     )
-    left_out = pairs[split:]
-
-    # The network: a linear regression in closed form, then what the heads add to it.
+    left_out = pairs[run.split :]
+    joined = ImagePairs.joined(left_out)
     method = method_of(settings.heads)
     linear = linear_fit(learned.fields, learned.rotations / SPACE.unit_rad)
-    file = folder / f"network-{_digest([facts, settings.model_dump(mode='json')])}.safetensors"
-    of_experiments = learn(
+    networks = run.learn(
         method,
         SPACE,
         partial(_built, fields=learned.fields, linear=linear),
-        data=_data(learned, ImagePairs.joined(left_out), settings),
-        plan=LearningPlan(
-            epochs=settings.epochs,
-            batch=settings.batch,
-            learning_rate=settings.learning_rate,
-            patience=settings.patience,
-            keep_every=1,
-            seed=settings.seed,
-        ),
-        file=file,
-        show=lambda epochs, _: on_progress(sum(counts) * (1 + epochs), total),
+        _data(learned, joined, settings),
     )
-    networks = jax.tree.map(lambda array: array[0], of_experiments)
     domain = Domain.of(
-        trunk_features(networks, learned.fields),
-        trunk_features(networks, ImagePairs.joined(left_out).fields),
+        trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
     )
-    of_linear = linear_errors(linear, learned, ImagePairs.joined(left_out))
+    of_linear = linear_errors(linear, learned, joined)
     first = {
-        **first_facts(method),
+        **first_facts(KIND, method),
         "scale": 1.0,
         "linear_error_deg": float(np.degrees(np.median(np.linalg.norm(of_linear, axis=1)))),
+        **run.facts(),
     }
-    trained = RotationNetwork(networks, domain, first)
-    return calibrated(trained, left_out, recordings=facts, settings=settings)
+    return calibrated(RotationNetwork(networks, domain, first), left_out)
 
 
-def _built(method: methods.Method, key: jax.Array, *, fields: FloatArray, linear: Any) -> Any:
+def _built(method: methods.Method, key: jax.Array, *, fields: FloatArray, linear: Any) -> Network:
     return build(method, fields, linear, key)
 
 
@@ -237,12 +127,12 @@ def linear_errors(linear: LinearFit, learned: ImagePairs, left_out: ImagePairs) 
     return errors
 
 
-def errors_of(network: RotationNetwork, pairs: ImagePairs) -> tuple[FloatArray, FloatArray]:
+def errors_of(network: RotationNetwork, pairs: ImagePairs) -> Claimed:
     """Return φ = Log(C_estimated C_trueᵀ), [N, 3], rad, and the claimed covariances, [N, 3, 3]."""
     found = network.estimate(pairs.fields)
     q_true = jnp.asarray(_quaternions(pairs.rotations))
     errors = SPACE.difference(jnp.asarray(found.q_curr_prev), q_true)
-    return np.asarray(errors, np.float64), found.covariance
+    return Claimed(np.asarray(errors, np.float64), found.covariance)
 
 
 def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
@@ -258,58 +148,20 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     return SensorErrors(errors, covariances, int(np.sum(widening > 1.0)))
 
 
-def calibrated(
-    network: RotationNetwork,
-    left_out: Collection[ImagePairs],
-    *,
-    recordings: list[dict[str, Any]],
-    settings: NetworkSettings,
-) -> RotationNetwork:
+def calibrated(network: RotationNetwork, left_out: Collection[ImagePairs]) -> RotationNetwork:
     """Return the network with the factor on its covariances that recordings left out ask for.
-
-    Errors of successive pairs are correlated: the same street is seen again. A path adds them up,
-    and each measurement enters with a covariance of its own, so that the sum of ten errors has to
-    fit the sum of their covariances, too. The larger of the two factors counts.
 
     Args:
         network: with a factor of 1.
         left_out: recordings that were not learned from.
-        recordings: facts of all recordings, for the file.
-        settings: of the training, for the file.
     """
-    errors = []
-    covariances = []
-    block_errors = []
-    block_covariances = []
-    for pairs in left_out:
-        error, covariance = errors_of(network, pairs)
-        errors.append(error)
-        covariances.append(covariance)
-        blocks = len(error) // BLOCK
-        used = slice(0, blocks * BLOCK)
-        block_errors.append(error[used].reshape(blocks, BLOCK, 3).sum(axis=1))
-        block_covariances.append(covariance[used].reshape(blocks, BLOCK, 3, 3).sum(axis=1))
-    all_errors = np.concatenate(errors)
-    all_covariances = np.concatenate(covariances)
-    single = covariance_scale(all_errors, all_covariances)
-    in_blocks = covariance_scale(np.concatenate(block_errors), np.concatenate(block_covariances))
-    scale = max(single, in_blocks)
-    split = len(recordings) - len(left_out)
-    names = [each["name"] for each in recordings]
-    nll = negative_log_likelihoods(all_errors, scale * all_covariances)
+    claimed = [errors_of(network, pairs) for pairs in left_out]
+    errors = np.concatenate([each.errors for each in claimed])
     facts = {
         **network.facts,
-        "scale": scale,
-        "scale_single": single,
-        "scale_blocks": in_blocks,
-        "error_deg": float(np.degrees(np.median(np.linalg.norm(all_errors, axis=1)))),
-        "error_rms_deg": np.degrees(np.sqrt(np.mean(all_errors**2, axis=0))).tolist(),
-        "nll": float(np.mean(nll)),
-        "coverage_90": coverage(all_errors, scale * all_covariances, 0.9),
-        "learned_from": names[:split],
-        "left_out": names[split:],
-        "num_left_out": len(all_errors),
-        "settings": settings.model_dump(mode="json"),
+        **calibration(claimed).facts(),
+        "error_deg": float(np.degrees(np.median(np.linalg.norm(errors, axis=1)))),
+        "error_rms_deg": np.degrees(np.sqrt(np.mean(errors**2, axis=0))).tolist(),
     }
     return RotationNetwork(network.networks, network.domain, facts)
 
@@ -317,7 +169,3 @@ def calibrated(
 def _quaternions(rotation_vectors: FloatArray) -> FloatArray:
     """Return unit quaternions, [N, 4], scalar first, of rotation vectors, [N, 3], rad."""
     return np.asarray(quaternions.exp(jnp.asarray(rotation_vectors, jnp.float32)))
-
-
-def _digest(facts: Any) -> str:
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]

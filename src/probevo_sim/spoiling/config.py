@@ -12,7 +12,16 @@ EffectName = Literal[
     "shake", "flow_blur", "darkness", "exposure", "occluder", "dirt", "jpeg", "dropped", "frozen"
 ]
 PresetName = Literal[
-    "mixed", "blur", "darkness", "exposure", "occluders", "dirt", "jpeg", "frames", "delay"
+    "mixed",
+    "blur",
+    "darkness",
+    "exposure",
+    "occluders",
+    "dirt",
+    "jpeg",
+    "frames",
+    "delay",
+    "calibration",
 ]
 PRESETS: dict[PresetName, tuple[EffectName, ...]] = {
     "mixed": (
@@ -34,12 +43,16 @@ PRESETS: dict[PresetName, tuple[EffectName, ...]] = {
     "jpeg": ("jpeg",),
     "frames": ("dropped", "frozen"),
     "delay": (),
+    "calibration": (),
 }
 """What a burst may consist of, by the preset's name."""
 StressPreset = Literal[
     "mixed", "blur", "darkness", "exposure", "occluders", "dirt", "jpeg", "frames"
 ]
 """The presets that have a severity."""
+FOCAL_ERROR = 0.03
+RADIAL_DISTORTION = 0.03
+"""Of the preset calibration, unless others are given."""
 CLEAN_START_FRAMES = 5
 """Frames at the start of a recording under stress that are clean: images that are frozen from the
 first frame on are those of a camera at rest."""
@@ -70,6 +83,24 @@ class SpoilConfig(Settings):
         le=100,
         description="Frames by which the right images are late, all along; 1 for preset delay.",
     )
+    focal_error: float = Field(
+        0.0,
+        ge=-0.5,
+        le=0.5,
+        description=(
+            "Share by which the focal length of the calibration is too large, all along; 0.03 for"
+            " preset calibration."
+        ),
+    )
+    radial_distortion: float = Field(
+        0.0,
+        ge=-0.2,
+        le=0.2,
+        description=(
+            "k1 of a radial distortion that the calibration does not know of, all along: x becomes"
+            " x (1 + k1 r²); 0.03 for preset calibration."
+        ),
+    )
 
     @property
     def delay_frames(self) -> int:
@@ -77,6 +108,13 @@ class SpoilConfig(Settings):
         if self.preset == "delay":
             return max(self.right_late_frames, 1)
         return self.right_late_frames
+
+    @property
+    def wrong_calibration(self) -> tuple[float, float]:
+        """The error of the focal length, a share, and the radial distortion k1."""
+        if self.preset == "calibration" and not (self.focal_error or self.radial_distortion):
+            return FOCAL_ERROR, RADIAL_DISTORTION
+        return self.focal_error, self.radial_distortion
 
 
 class StressConfig(Settings):

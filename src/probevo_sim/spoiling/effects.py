@@ -6,9 +6,12 @@ import cv2
 import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray, Image
+from probevo.camera.stereo import StereoCamera
 
 BLUR_INSTANTS = 9
 """Instants of an exposure."""
+UNDISTORTED_BY = 20
+"""Fixed-point iterations that invert a radial distortion; each gains a digit or more."""
 
 
 def shaken(image: Image, way_px: FloatArray) -> Image:
@@ -105,3 +108,34 @@ def compressed(image: Image, quality: int) -> Image:
 def _grey(values: AnyArray) -> Image:
     image: Image = np.clip(np.rint(values), 0, 255).astype(np.uint8)
     return image
+
+
+def distortion_map(camera: StereoCamera, k1: float) -> FloatArray:
+    """Return where each pixel of a distorted image comes from, [2, height, width], px, float32.
+
+    A point at the normalised coordinates x is seen at x (1 + k1 r²), with r² = x² + y².
+
+    Args:
+        camera: of the images without distortion.
+        k1: the coefficient.
+    """
+    width, height = camera.size_px or (0, 0)
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    seen_x = (u - camera.cu_px) / camera.fu_px
+    seen_y = (v - camera.cv_px) / camera.fv_px
+    x = seen_x
+    y = seen_y
+    for _ in range(UNDISTORTED_BY):
+        factor = 1.0 + k1 * (x**2 + y**2)
+        x = seen_x / factor
+        y = seen_y / factor
+    source = [camera.cu_px + camera.fu_px * x, camera.cv_px + camera.fv_px * y]
+    return np.stack(source).astype(np.float32)
+
+
+def distorted(image: Image, source_px: FloatArray) -> Image:
+    """Return an image whose pixels come from these places, [2, height, width], px."""
+    found = cv2.remap(
+        image, source_px[0], source_px[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(found, np.uint8)

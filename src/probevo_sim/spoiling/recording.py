@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from probevo.arrays import FloatArray, Image
+from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.files import write_atomically
 from probevo.output.recording_folder import write_recording_folder
@@ -80,7 +81,7 @@ class SpoiledRecording(ImageRecording):
         return SpoiledRecording(
             path=original.path,
             format=original.format,
-            camera=original.camera,
+            camera=_miscalibrated(original.camera, config),
             stamps_ns=original.stamps_ns[kept],
             imu=original.imu,
             imu_stream=original.imu_stream if isinstance(original, ImageRecording) else None,
@@ -97,12 +98,16 @@ class SpoiledRecording(ImageRecording):
         shown: _Pair | None = None
         imu: ImuSamples | None = None
         count = 0
+        _, k1 = self.config.wrong_calibration
+        source_px = effects.distortion_map(self.original.camera, k1) if k1 else None
         for frame, plan in zip(self.original, self.plans, strict=True):
             if frame.left is None or frame.right is None:
                 what = f"frame {frame.index} has no images."
                 raise InputError(self.path, what, "Only recordings of images can be spoiled.")
             late.append(frame.right)
             pair = _Pair(frame.left, late[0])
+            if source_px is not None:
+                pair = pair.each(lambda image, _: effects.distorted(image, source_px))
             imu = frame.imu if imu is None or frame.imu is None else imu.followed_by(frame.imu)
             if plan.effect != "dropped":
                 is_frozen = plan.effect == "frozen" and shown is not None
@@ -169,6 +174,12 @@ class SpoiledRecording(ImageRecording):
             quality = round(BEST_JPEG + amount * (WORST_JPEG - BEST_JPEG))
             return pair.each(lambda image, _: effects.compressed(image, quality))
         return pair
+
+
+def _miscalibrated(camera: StereoCamera, config: SpoilConfig) -> StereoCamera:
+    """Return a camera with the focal length that the calibration wrongly gives."""
+    factor = 1.0 + config.wrong_calibration[0]
+    return replace(camera, fu_px=factor * camera.fu_px, fv_px=factor * camera.fv_px)
 
 
 def _occluded(pair: _Pair, plan: FramePlan, of_burst: np.random.Generator) -> _Pair:

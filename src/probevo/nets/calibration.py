@@ -1,0 +1,88 @@
+"""The factor on predicted covariances that recordings left out ask for, errors in time included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Collection
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.nets.covariance_scale import covariance_scale, coverage, negative_log_likelihoods
+
+BLOCK = 10
+"""Successive data whose errors are added up to see how far they are correlated in time."""
+
+
+class Claimed(NamedTuple):
+    """Errors on one recording, and the covariances that were claimed for them."""
+
+    errors: FloatArray
+    """[N, d]"""
+    covariances: FloatArray
+    """[N, d, d]"""
+
+
+class Calibration(NamedTuple):
+    """The factor on all covariances, and what remains to be said of errors with it."""
+
+    scale: float
+    """The larger of the two that follow."""
+    scale_single: float
+    """By single errors."""
+    scale_blocks: float
+    """By sums of ten."""
+    nll: float
+    coverage_90: float
+    """Share of single errors within their 90 % region."""
+    num: int
+    """Data left out."""
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the file of a network says of it."""
+        return {
+            "scale": self.scale,
+            "scale_single": self.scale_single,
+            "scale_blocks": self.scale_blocks,
+            "nll": self.nll,
+            "coverage_90": self.coverage_90,
+            "num_left_out": self.num,
+        }
+
+
+def calibration(left_out: Collection[Claimed]) -> Calibration:
+    """Return the factor on covariances, from errors of recordings that were not learned from.
+
+    Errors of successive data are correlated: the same street is seen again. A path adds them up,
+    and each measurement enters with a covariance of its own, so that the sum of ten errors has to
+    fit the sum of their covariances, too. The larger of the two factors counts.
+    """
+    blocks = [blocks_of(each) for each in left_out]
+    all_errors = np.concatenate([each.errors for each in left_out])
+    all_covariances = np.concatenate([each.covariances for each in left_out])
+    single = covariance_scale(all_errors, all_covariances)
+    in_blocks = covariance_scale(
+        np.concatenate([block.errors for block in blocks]),
+        np.concatenate([block.covariances for block in blocks]),
+    )
+    scale = max(single, in_blocks)
+    nll = negative_log_likelihoods(all_errors, scale * all_covariances)
+    return Calibration(
+        scale,
+        single,
+        in_blocks,
+        nll=float(np.mean(nll)),
+        coverage_90=coverage(all_errors, scale * all_covariances, 0.9),
+        num=len(all_errors),
+    )
+
+
+def blocks_of(claimed: Claimed) -> Claimed:
+    """Return the sums of ten successive errors, and of their covariances."""
+    dim = claimed.errors.shape[1]
+    blocks = len(claimed.errors) // BLOCK
+    used = slice(0, blocks * BLOCK)
+    return Claimed(
+        claimed.errors[used].reshape(blocks, BLOCK, dim).sum(axis=1),
+        claimed.covariances[used].reshape(blocks, BLOCK, dim, dim).sum(axis=1),
+    )

@@ -1,0 +1,252 @@
+"""Training of networks from recordings: checked, kept as it goes, resumed, progress shown.
+
+Every kind of network goes through the same steps: recordings → samples → network → calibration on
+recordings left out → file. What differs is a ``Task``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from collections.abc import Sequence as Collection
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import jax
+import numpy as np
+
+from probevo.errors import InputError
+from probevo.files import check_folder, remove_stale, write_atomically
+from probevo.lock import locked
+from probevo.nets.calibration import BLOCK
+from probevo.nets.extra import require_nets
+from probevo.nets.image_pairs import facts_of
+from probevo.nets.learning import LearningPlan, TrainingData, learn
+from probevo.nets.methods import Build, Method
+from probevo.nets.networks import Network
+from probevo.nets.target_space import TargetSpace
+from probevo.nets.trained_network import TrainedNetwork
+from probevo.network_settings import NetworkSettings
+from probevo.npz import NO_NPZ, read_npz
+from probevo.sequences.base import Sequence
+
+OnProgress = Callable[[int, int], None]
+"""Takes the number of frames that are done, all epochs counted, and their total."""
+OnFrame = Callable[[int], None]
+"""Takes the number of frames of a recording that are done."""
+Samples = TypeVar("Samples")
+"""A dataclass whose fields are arrays, one row a datum."""
+
+
+@dataclass(frozen=True)
+class TrainingRun:
+    """What the training of a network is given beside its samples."""
+
+    settings: NetworkSettings
+    recordings: list[dict[str, Any]]
+    """Facts of all recordings, in order; the last ``left_out`` are left out."""
+    num_frames: int
+    """Of all recordings."""
+    folder: Path
+    """Where the work so far is kept."""
+    extra: Any
+    """JSON values on which the network also depends."""
+    on_progress: OnProgress
+
+    @property
+    def split(self) -> int:
+        """Number of recordings that are learned from."""
+        return len(self.recordings) - self.settings.left_out
+
+    @property
+    def total(self) -> int:
+        """Frames to go through, all epochs counted."""
+        return self.num_frames * (1 + self.settings.epochs)
+
+    def learn(
+        self, method: Method, space: TargetSpace, build: Build, data: TrainingData
+    ) -> Network:
+        """Train one network, resuming where an earlier call was stopped.
+
+        Its arrays have a leading dimension of 1.
+        """
+        settings = self.settings
+        key = [self.recordings, settings.model_dump(mode="json"), self.extra]
+        networks = learn(
+            method,
+            space,
+            build,
+            data=data,
+            plan=LearningPlan(
+                epochs=settings.epochs,
+                batch=settings.batch,
+                learning_rate=settings.learning_rate,
+                patience=settings.patience,
+                keep_every=1,
+                seed=settings.seed,
+            ),
+            file=self.folder / f"network-{_digest(key)}.safetensors",
+            show=self._show_epochs,
+        )
+        found: Network = jax.tree.map(lambda array: array[0], networks)
+        return found
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the file of the network says of its training."""
+        names = [each["name"] for each in self.recordings]
+        return {
+            "learned_from": names[: self.split],
+            "left_out": names[self.split :],
+            "settings": self.settings.model_dump(mode="json"),
+        }
+
+    def _show_epochs(self, done: int, total: int) -> None:
+        self.on_progress(self.num_frames * (1 + done), self.total)
+
+
+@dataclass(frozen=True)
+class Task(Generic[Samples]):
+    """What one kind of network adds to the training of all kinds."""
+
+    kind: str
+    check: Callable[[Sequence], None]
+    """Refuses a recording that it cannot learn from."""
+    samples: type[Samples]
+    read: Callable[[Sequence, int, OnFrame], Samples]
+    """Goes through so many frames of a recording."""
+    train: Callable[[list[Samples], TrainingRun], TrainedNetwork]
+    """Learns the network from the samples of each recording, and calibrates it."""
+    extra: Any = None
+    """JSON values on which the samples depend beside the recording."""
+
+
+def train_task(
+    task: Task[Samples],
+    recordings: Collection[Sequence],
+    settings: NetworkSettings,
+    *,
+    out: Path,
+    max_frames: int | None = None,
+    on_progress: OnProgress | None = None,
+) -> TrainedNetwork:
+    """Learn a network from recordings with truth, and write it.
+
+    What was done so far is kept in a folder beside ``out`` until the end, so that a training that
+    was stopped resumes after the last recording, and after one of the last epochs. On one CPU, the
+    same recordings and settings give the same bytes however often it was stopped.
+
+    Args:
+        task: the kind of network.
+        recordings: those to learn from; the last ``left_out`` stop the training and calibrate it.
+        settings: all settings.
+        out: the file.
+        max_frames: frames of each recording that are used; None for all.
+        on_progress: called after each frame and each epoch.
+
+    Raises:
+        InputError: JAX is missing; a recording is faulty, lacks images or truth, is named twice, or
+            sees too little; nothing would remain to learn from; or ``out`` cannot be written to.
+    """
+    require_nets(f"train --kind {task.kind}")
+    _check(recordings, settings)
+    check_folder(out.parent, "--out")
+    if out.is_dir():
+        raise InputError("--out", f"{out} is a folder.", "Give the model file another name.")
+    counts = [min(len(sequence), max_frames or len(sequence)) for sequence in recordings]
+    for sequence, count in zip(recordings, counts, strict=True):
+        if count < BLOCK + 1:
+            what = f"{count} frames are too few."
+            raise InputError(sequence.path, what, f"Give at least {BLOCK + 1}.")
+        task.check(sequence)
+    folder = out.with_name(out.name + ".work")
+    with locked(folder):
+        run = TrainingRun(
+            settings,
+            [facts_of(sequence, count) for sequence, count in zip(recordings, counts, strict=True)],
+            num_frames=sum(counts),
+            folder=folder,
+            extra=task.extra,
+            on_progress=on_progress or _show_nothing,
+        )
+        samples = _read_all(task, recordings, counts, run)
+        network = task.train(samples, run)
+        network.save(out)
+        for file in [*folder.glob("samples-*.npz"), *folder.glob("network-*.safetensors")]:
+            remove_stale(file)
+    with suppress(OSError):  # it holds files of others
+        folder.rmdir()
+    return network
+
+
+def _read_all(
+    task: Task[Samples],
+    recordings: Collection[Sequence],
+    counts: list[int],
+    run: TrainingRun,
+) -> list[Samples]:
+    """Return the samples of each recording, those of an earlier call included."""
+    samples = []
+    for number, (sequence, count) in enumerate(zip(recordings, counts, strict=True)):
+        done = sum(counts[:number])
+        file = run.folder / f"samples-{_digest([run.recordings[number], task.extra])}.npz"
+        found = read_samples(file, task.samples)
+        if found is None:
+            show = partial(_show_frames, run.on_progress, done, run.total)
+            found = task.read(sequence, count, show)
+            write_samples(file, found)
+        samples.append(found)
+    return samples
+
+
+def write_samples(path: Path, samples: Any) -> None:
+    """Write a dataclass of arrays to a file, completely or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    content = BytesIO()
+    np.savez(content, **vars(samples))
+    write_atomically(path, content.getvalue())
+
+
+def read_samples(path: Path, samples: type[Samples]) -> Samples | None:
+    """Return the samples of a file; None where it is missing or damaged."""
+    try:
+        return samples(**read_npz(path))
+    except (*NO_NPZ, TypeError):
+        return None
+
+
+def _show_frames(on_progress: OnProgress, done: int, total: int, frames: int) -> None:
+    """Show how many frames are read: those of earlier recordings, and these."""
+    on_progress(done + frames, total)
+
+
+def _show_nothing(done: int, total: int) -> None:
+    """Show no progress."""
+
+
+def _check(recordings: Collection[Sequence], settings: NetworkSettings) -> None:
+    """Refuse recordings that are named twice, or too few.
+
+    Raises:
+        InputError: says which.
+    """
+    paths = [sequence.path.resolve() for sequence in recordings]
+    for path in paths:
+        if paths.count(path) > 1:
+            cure = "Name each once: it would count double."
+            raise InputError(path, "this recording is named twice.", cure)
+    if len(recordings) <= settings.left_out:
+        what = f"{len(recordings)} named, of which the last {settings.left_out} would be left out."
+        cure = "Name more, since the covariance is calibrated on recordings that are left out."
+        raise InputError("SEQUENCE", what, cure)
+
+
+def _digest(facts: Any) -> str:
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]

@@ -1,0 +1,149 @@
+"""What all trained networks of sensors have in common: evaluation, domain, file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from probevo import __version__
+from probevo.arrays import FloatArray
+from probevo.errors import InputError
+from probevo.nets import methods
+from probevo.nets.domain import FARTHEST, Domain
+from probevo.nets.methods import Method, Prediction
+from probevo.nets.network_file import read_facts, read_network_file, write_network_file
+from probevo.nets.networks import Network
+from probevo.nets.target_space import TargetSpace
+
+
+class Evaluation(NamedTuple):
+    """What a network makes of N inputs."""
+
+    predicted: Prediction
+    """Not yet calibrated."""
+    widening: FloatArray
+    """By how much covariances are multiplied since the input is unlike the training data, [N]."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedNetwork:
+    """A trained network, the domain it was trained on, and the calibration of its covariance."""
+
+    networks: Network
+    """Arrays have a leading dimension of 1: one network."""
+    domain: Domain
+    facts: dict[str, Any]
+    """``kind``, ``method``, ``scale`` and how it was trained; JSON values."""
+
+    @cached_property
+    def method(self) -> Method:
+        """How many heads it has, and whether it learns a covariance."""
+        return Method(**self.facts["method"])
+
+    def evaluate(self, space: TargetSpace, inputs: FloatArray) -> Evaluation:
+        """Return what it makes of N inputs, [N, ...]."""
+        found, raw, features = _call(
+            self.method, space, self.networks, jnp.asarray(inputs, jnp.float32)
+        )
+        widening = self.domain.widening(np.asarray(features, np.float64))
+        return Evaluation(methods.prediction(space, found, raw), widening)
+
+    def save(self, path: Path) -> None:
+        """Write it; the same network gives the same bytes.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        write_network_file(path, (self.networks, self.domain), self.facts)
+
+
+def first_facts(kind: str, method: Method) -> dict[str, Any]:
+    """Return the facts that every file has."""
+    return {"kind": kind, "method": asdict(method), "probevo": __version__}
+
+
+def facts_of_kind(path: Path, kind: str) -> dict[str, Any]:
+    """Read what a file says of itself, and check that it holds a network of this kind.
+
+    Raises:
+        InputError: the file cannot be read, is damaged, or holds something else.
+    """
+    facts = read_facts(path)
+    try:
+        is_of_kind = facts["kind"] == kind and float(facts["scale"]) > 0.0
+        Method(**facts["method"])
+    except (KeyError, TypeError, ValueError) as error:
+        what = f"it is no whole network of kind {kind} ({error})."
+        raise InputError(path, what, cure_of(kind)) from error
+    if not is_of_kind:
+        raise InputError(path, f"it is of kind {facts['kind']!r}, not {kind}.", cure_of(kind))
+    return facts
+
+
+def read_arrays(path: Path, empty: Network, num_features: int) -> tuple[Network, Domain]:
+    """Return networks and domain of a file.
+
+    Args:
+        path: the file.
+        empty: networks of the same structure, with a leading dimension of 1.
+        num_features: that the trunk gives.
+
+    Raises:
+        InputError: the file cannot be read, is damaged, or has other arrays.
+    """
+    networks, domain = read_network_file(path, (empty, empty_domain(num_features)))
+    return networks, Domain(*(np.asarray(part) for part in domain))
+
+
+def empty_networks(build_one: Callable[[jax.Array], Network]) -> Network:
+    """Return a structure to read a file into, of a function that builds one network of a key."""
+    networks: Network = eqx.filter_vmap(build_one)(jax.random.split(jax.random.key(0), 1))
+    return networks
+
+
+def empty_domain(num_features: int) -> Domain:
+    """Return a structure to read a file into."""
+    single = (
+        np.asarray(array, np.float32)
+        for array in (np.zeros(num_features), np.eye(num_features), np.ones(()))
+    )
+    return Domain(*single)
+
+
+def trunk_features(networks: Network, inputs: FloatArray) -> FloatArray:
+    """Return the features, [N, f], that the trunk of one network gives of inputs."""
+    return np.asarray(_features(networks, jnp.asarray(inputs, jnp.float32)), np.float64)
+
+
+def has_nothing_to_say(widening: float) -> bool:
+    """Return whether an input is so far out of the domain that no covariance holds."""
+    return widening > FARTHEST
+
+
+def cure_of(kind: str) -> str:
+    """Return what to do about a file that does not fit."""
+    return f"Train it again: probevo train … --kind {kind}."
+
+
+@eqx.filter_jit
+def _call(
+    method: Method, space: TargetSpace, networks: Network, inputs: jax.Array
+) -> tuple[jax.Array, jax.Array | None, jax.Array]:
+    """Return estimates, outputs of the covariance head, and features."""
+    found, raw = methods.estimates(method, space, networks, inputs, jax.random.key(0))
+    return found, raw, _features(networks, inputs)
+
+
+@eqx.filter_jit
+def _features(networks: Network, inputs: jax.Array) -> jax.Array:
+    first = jax.tree.map(lambda array: array[0], networks)
+    features: jax.Array = jax.vmap(lambda one: first.trunk(one, jax.random.key(0)))(inputs)
+    return features
