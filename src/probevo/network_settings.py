@@ -1,4 +1,4 @@
-"""Settings of the training of networks that measure (``probevo train --kind rotation``)."""
+"""Settings of the training of networks that measure (``probevo train --kind rotation`` …)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,24 @@ class NetworkSettings(Settings):
     )
     batch: int = Field(32, ge=1, le=100_000, description="Data of a step of the optimiser.")
     learning_rate: float = Field(1e-4, gt=0, le=1, description="Of Adam.")
+    rotation_only: bool = Field(
+        False,
+        description="Of correction: correct the rotation alone, the ablation of DPC-Net.",
+    )
+    constant_covariance: bool = Field(
+        False,
+        description=(
+            "Of correction: learn no covariance; that of the training data weighs the loss, and is"
+            " claimed, as in DPC-Net."
+        ),
+    )
     copies: int = Field(
         4,
         ge=1,
         le=1000,
         description=(
-            "Times that each pair of images is used; all but the first are rotated further by a"
-            " random angle, as the camera would have seen it."
+            "Of rotation: times that each pair of images is used; all but the first are rotated"
+            " further by a random angle, as the camera would have seen it."
         ),
     )
     left_out: int = Field(

@@ -18,6 +18,7 @@ from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation import inertial
 from probevo.estimation.disparity_filter import DisparityFilter
+from probevo.estimation.motion_correction import corrected
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.rig_update import update_rig
@@ -30,6 +31,7 @@ from probevo.estimation.window_motion import live_advance, live_motion
 from probevo.geometry import se3
 from probevo.landmarks import Landmarks, triangulated
 from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
+from probevo.measurements.correction import MotionCorrection, read_correction
 from probevo.measurements.gyro import GyroBias
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import Reading, Sensor, read_sensor, sensor_names
@@ -62,7 +64,8 @@ class StereoOdometry:
         config: all settings, or a dictionary of those that differ from the defaults.
         predictors: the prediction space; by default that of the noise model, and any other is an
             InputError.
-        sensors: further sensors, each a ``Sensor``.
+        sensors: further sensors, each a ``Sensor``, and at most one ``MotionCorrection``, which is
+            an InputError with a window.
     """
 
     def __init__(
@@ -73,7 +76,7 @@ class StereoOdometry:
         config: OdometryConfig | Mapping[str, Any] | None = None,
         predictors: PredictionSpace | None = None,
         *,
-        sensors: Sequence[Sensor] = (),
+        sensors: Sequence[Sensor | MotionCorrection] = (),
     ) -> None:
         self.camera = as_camera(camera)
         self.noise = as_noise(noise)
@@ -83,6 +86,7 @@ class StereoOdometry:
         self.predictors = space_for(self.noise.columns, predictors)
         self.sensors = tuple(sensors)
         self._sensor_names = sensor_names(self.sensors)
+        self._check_corrections()
         self._visual = VisualEstimator(
             camera,
             self.noise,
@@ -305,8 +309,8 @@ class StereoOdometry:
             of_motion.append(prediction.rotation)
         readings = []
         for name, sensor in zip(self._sensor_names, self.sensors, strict=True):
-            if state.fusion.is_excluded(name):
-                readings.append(Reading(name))
+            if state.fusion.is_excluded(name) or isinstance(sensor, MotionCorrection):
+                readings.append(Reading(name))  # a correction is asked once there is a motion
                 continue
             reading = read_sensor(name, sensor, state.frame, frame)
             readings.append(reading)
@@ -402,6 +406,7 @@ class StereoOdometry:
         clock.lap("learn")
         window = None
         fusion = state.fusion
+        readings = _readings_used(measured, frame, visual, prediction.window)
         if prediction.window is not None:  # the two-frame motion is where its adjustment starts
             window = self._adjust(
                 prediction.window,
@@ -415,10 +420,9 @@ class StereoOdometry:
             fusion = fusion.advanced(live_advance(motion, window))
             clock.lap("window")
         else:
+            motion, readings = self._correct(state, frame, motion, readings=readings)
             fusion = fusion.after(motion)
-        fusion, outcomes = self._fuse(
-            fusion, frame, visual, readings=_readings_used(measured, frame, visual, window)
-        )
+        fusion, outcomes = self._fuse(fusion, frame, visual, readings=readings)
         pose = fusion.pose
         estimate = replace(
             motion,
@@ -537,6 +541,47 @@ class StereoOdometry:
             residuals=LastResiduals.none(),
         )
 
+    def _correct(
+        self,
+        state: OdometryState,
+        frame: Frame,
+        motion: MotionEstimate,
+        *,
+        readings: list[Reading],
+    ) -> tuple[MotionEstimate, list[Reading]]:
+        """Return the motion as a correction has it, and what sensors returned with what it did.
+
+        Tracking and motion model go on from the motion of the images: their next step is alike.
+        """
+        readings = list(readings)
+        for at, sensor in enumerate(self.sensors):
+            if not isinstance(sensor, MotionCorrection):
+                continue
+            name = self._sensor_names[at]
+            if motion.status is not Status.OK:
+                readings[at] = Reading(name, reason="dead-reckoned step")
+                continue
+            readings[at] = read_correction(
+                sensor, (state.frame, frame), motion.T_curr_prev, name=name, cov=motion.cov
+            )
+            for measurement in readings[at].measurements:
+                motion = corrected(motion, measurement)
+        return motion, readings
+
+    def _check_corrections(self) -> None:
+        """Refuse what a correction cannot be used with.
+
+        Raises:
+            InputError: there are several, or a window.
+        """
+        count = sum(isinstance(sensor, MotionCorrection) for sensor in self.sensors)
+        if count > 1:
+            what = f"{count} of them correct the motion."
+            raise InputError("sensors", what, "Take one: it was learned from what it corrects.")
+        if count and self.config.estimator == "window":
+            what = "a correction of the motion between two frames does not go with a window."
+            raise InputError("sensors", what, "Take --estimator two-frame, or leave it out.")
+
     def _fuse(
         self,
         fusion: SensorFusion,
@@ -553,10 +598,11 @@ class StereoOdometry:
             return fusion, ()
         pose = pose_of(frame.index)
         motion_squared: dict[str, list[float | None]] = {}
-        for reading in readings:
+        for sensor, reading in zip(self.sensors, readings, strict=True):
             of_motion = reading.of_motion(pose)
             motion_squared[reading.name] = [None] * len(of_motion)
-            if visual.status is Status.OK:
+            # A correction has taken the place of the solve, and cannot be tested against it.
+            if visual.status is Status.OK and not isinstance(sensor, MotionCorrection):
                 solution = visual.accepted_solution
                 motion_squared[reading.name] = motion_innovations_squared(
                     of_motion, solution.T_curr_prev, pose, cov=solution.cov

@@ -25,6 +25,7 @@ from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.files import remove_stale, write_atomically, written_together
 from probevo.geometry import se3
 from probevo.lock import locked
+from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.sensor import Sensor
 from probevo.noise.base import NoiseModel
 from probevo.noise.named import noise_model, portable
@@ -101,7 +102,7 @@ def run_sequence(
     out: Path | str,
     on_step: Callable[[MotionEstimate], None] | None = None,
     *,
-    sensors: Iterable[Sensor] = (),
+    sensors: Iterable[Sensor | MotionCorrection] = (),
 ) -> Run:
     """Run the odometry over a recording and write all results into a folder.
 
@@ -162,7 +163,7 @@ def _run(
     *,
     noise: NoiseModel,
     on_step: Callable[[MotionEstimate], None] | None,
-    sensors: tuple[Sensor, ...],
+    sensors: tuple[Sensor | MotionCorrection, ...],
     viewer: ViewerFile | None,
 ) -> Run:
     """Run the odometry and write the results, while no other process writes into the folder."""

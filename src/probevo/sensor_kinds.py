@@ -18,6 +18,7 @@ from probevo.errors import InputError
 if TYPE_CHECKING:  # the help of a command should not wait for SciPy
     from probevo.arrays import FloatArray
     from probevo.camera.stereo import StereoCamera
+    from probevo.measurements.correction import MotionCorrection
     from probevo.measurements.sensor import Sensor
 
 _MARK = b'"probevo-network"'
@@ -31,11 +32,13 @@ class SensorErrors:
     """Errors of N measurements of a sensor on a recording, and what it claims of them."""
 
     errors: FloatArray
-    """[N, d], rad."""
+    """[N, d], rad, or m and rad."""
     covariances: FloatArray
-    """[N, d, d], rad²."""
+    """[N, d, d]."""
     num_out_of_domain: int
     """Measurements whose covariance was widened."""
+    num_lengths: int = 0
+    """Leading components that are lengths, in m instead of rad."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,10 @@ class SensorKind:
     """Function that learns one from recordings and writes its file: ``train_rotation``."""
     errors: str
     """Function of the path of a file and a recording with truth that returns ``SensorErrors``."""
+    settings: tuple[str, ...] = ()
+    """Further settings of a training that the trainer takes by their names, beside ``nets``."""
+    nets: tuple[str, ...] = ()
+    """Settings of networks that only this kind takes."""
 
 
 SENSOR_KINDS: Mapping[str, SensorKind] = {
@@ -63,12 +70,24 @@ SENSOR_KINDS: Mapping[str, SensorKind] = {
             sensor="probevo.nets.rotation_sensor:RotationSensor.load",
             trainer="probevo.nets.rotation_training:train_rotation",
             errors="probevo.nets.rotation_training:errors_on",
+            nets=("copies",),
+        ),
+        SensorKind(
+            name="correction",
+            summary="DPC-Net: how far the motion between two frames is off",
+            sensor="probevo.nets.correction_sensor:CorrectionSensor.load",
+            trainer="probevo.nets.correction_training:train_correction",
+            errors="probevo.nets.correction_training:errors_on",
+            settings=("odometry",),
+            nets=("rotation_only", "constant_covariance"),
         ),
     )
 }
 
 
-def load_sensors(paths: Collection[Path], camera: StereoCamera) -> tuple[Sensor, ...]:
+def load_sensors(
+    paths: Collection[Path], camera: StereoCamera
+) -> tuple[Sensor | MotionCorrection, ...]:
     """Return the sensors of files, for images of a camera.
 
     Raises:

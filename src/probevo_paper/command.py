@@ -10,6 +10,7 @@ import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
+from probevo_paper.dpc_net_config import DpcNetConfig
 from probevo_paper.figure_5_config import BlurConfig
 from probevo_paper.hydranet_config import HydranetConfig
 from probevo_paper.sun_config import SunConfig
@@ -119,6 +120,20 @@ class HydranetArguments:
 
 
 @dataclass(frozen=True)
+class DpcNetArguments:
+    """Motions corrected by a network, with a right and a wrong calibration: thesis chapter 6.
+
+    Beside the mean correction, a linear regression, and the ablation that corrects rotations alone.
+    Needs the extra nets. Writes dpc_net as .txt, .csv and .json, recordings/ and models/, which a
+    second call takes as they are.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results. What an earlier run of the experiment left there is replaced."""
+    settings: Annotated[DpcNetConfig, tyro.conf.arg(name="")] = field(default_factory=DpcNetConfig)
+
+
+@dataclass(frozen=True)
 class PaperArguments:
     """Repeat an experiment of the papers. `probevo paper EXPERIMENT --help` shows its options."""
 
@@ -128,7 +143,8 @@ class PaperArguments:
         | Annotated[Table12Arguments, tyro.conf.subcommand("table-1.2")]
         | Annotated[Table13Arguments, tyro.conf.subcommand("table-1.3")]
         | Annotated[SunArguments, tyro.conf.subcommand("sun")]
-        | Annotated[HydranetArguments, tyro.conf.subcommand("hydranet")],
+        | Annotated[HydranetArguments, tyro.conf.subcommand("hydranet")]
+        | Annotated[DpcNetArguments, tyro.conf.subcommand("dpc-net")],
         tyro.conf.arg(name=""),
     ]
 
@@ -149,7 +165,8 @@ def _repeat(
     | Table12Arguments
     | Table13Arguments
     | SunArguments
-    | HydranetArguments,
+    | HydranetArguments
+    | DpcNetArguments,
 ) -> list[str]:
     """Repeat the experiment, and return the lines to print."""
     # The experiments are imported here, since help and mistakes should not wait for OpenCV.
@@ -163,6 +180,8 @@ def _repeat(
         return _sun(arguments)
     if isinstance(arguments, HydranetArguments):
         return _hydranet(arguments)
+    if isinstance(arguments, DpcNetArguments):
+        return _dpc_net(arguments)
     return _table_1_3(arguments)
 
 
@@ -171,6 +190,16 @@ def _hydranet(arguments: HydranetArguments) -> list[str]:
     from probevo_paper.command_hydranet import repeat_experiments
 
     return repeat_experiments(settings, arguments.out)
+
+
+def _dpc_net(arguments: DpcNetArguments) -> list[str]:
+    settings = checked(arguments.settings)
+    from probevo.nets.extra import require_nets
+
+    require_nets("paper dpc-net")  # before what needs it is imported
+    from probevo_paper.command_dpc_net import repeat_experiment
+
+    return repeat_experiment(settings, arguments.out)
 
 
 def _sun(arguments: SunArguments) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def compiled_quickly() -> Iterator[None]:
     jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
     jax.config.update("jax_disable_most_optimizations", True)

@@ -10,9 +10,9 @@ import pytest
 pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
 pytest.importorskip("equinox")
 
-from nets.small_pairs import small_pairs  # noqa: E402
-from probevo.nets.image_pairs import ImagePairs  # noqa: E402
-from probevo.nets.recorded_training import read_samples, write_samples  # noqa: E402
+from nets.small_pairs import small_pairs
+from probevo.nets.image_pairs import ImagePairs
+from probevo.nets.recorded_training import read_samples, write_samples
 
 
 def test_a_file_gives_the_samples_back_and_a_damaged_one_none(tmp_path: Path) -> None:

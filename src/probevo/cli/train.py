@@ -29,8 +29,9 @@ class TrainArguments:
     --kind chooses the model. The options from --base to --exponent are only for knn, those of the
     section gk for the other two kinds; an option that a kind does not use is refused.
 
-    --kind rotation learns a sensor instead, for `probevo run … --sensor MODEL` (extra nets). Its
-    options are those of the section nets. The recordings named last are left out, to calibrate it.
+    --kind rotation and correction learn a sensor instead, for `probevo run … --sensor MODEL` (extra
+    nets). Its options are those of the section nets, and for correction those of the odometry. The
+    recordings named last are left out, to calibrate it.
     """
 
     sequences: Annotated[
@@ -97,12 +98,18 @@ def train_sensor_with_progress(
 
     check_sensor_settings(settings)
     train = trainer_of_sensor(kind)
+    further = {name: getattr(settings, name) for name in kind.settings}
     cv2.setNumThreads(1)
     opened = [open_sequence(path) for path in recordings]
     try:
         with progress_bar(f"training {out.name}", "reading the recordings") as show:
             lines: list[str] = train(
-                opened, settings.nets, out, max_frames=settings.max_frames, on_progress=show
+                opened,
+                settings.nets,
+                out,
+                max_frames=settings.max_frames,
+                on_progress=show,
+                **further,
             )
     except KeyboardInterrupt as stop:
         stop.add_note(

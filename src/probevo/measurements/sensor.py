@@ -66,17 +66,17 @@ def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> R
     return Reading(name, tuple(answer))
 
 
-def sensor_names(sensors: Sequence[Sensor]) -> tuple[str, ...]:
+def sensor_names(sensors: Sequence[object]) -> tuple[str, ...]:
     """Return a name for each sensor: its own ``name``, that of the function or of the class.
 
     Sensors of one name are numbered.
 
     Raises:
-        InputError: one cannot be called.
+        InputError: one can neither be called nor correct a motion.
     """
     names: list[str] = []
     for sensor in sensors:
-        if not callable(sensor):
+        if not callable(sensor) and not hasattr(sensor, "correct"):
             what = f"{type(sensor).__name__} cannot be called."
             cure = "A sensor is a function of the previous and the current frame."
             raise InputError("sensors", what, cure)

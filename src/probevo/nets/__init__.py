@@ -17,9 +17,12 @@ module                what it holds
 ``image_pairs``       pairs of images of a recording, and copies that turn further
 ``field_network``     a network over such fields, which begins as a linear regression
 ``domain``            whether an input is like those of the training
-``rotation_network``  a trained network of rotations, and its file
-``rotation_sensor``   the same as a sensor of the odometry
-``rotation_training`` recordings → network → calibration
+``trained_network``   what all trained networks have in common: evaluation, domain, file
+``recorded_training`` recordings → samples → network, kept as it goes, for all kinds
+``calibration``       the factor on covariances that recordings left out ask for
+``rotation_…``        network of rotations, its training, and the sensor
+``estimated_steps``   steps of an odometry with their images and true corrections
+``correction_…``      network of corrections, its targets, its training, and the sensor
 ``covariance_scale``  calibration of predicted covariances on data left out
 ``extra``             says what to install where JAX is missing
 ====================  =========================================================================

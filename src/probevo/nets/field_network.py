@@ -16,7 +16,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.nets.methods import Method
-from probevo.nets.networks import Network, PReluHead, plain_dropout
+from probevo.nets.networks import Network, PReluHead, Trunk, plain_dropout
 from probevo.nets.target_space import TargetSpace
 
 PATCH = 4
@@ -84,7 +84,7 @@ class FieldTrunk(eqx.Module):
         mean, scale, linear = jax.lax.stop_gradient((self.mean, self.scale, self.linear))
         field = (inputs - mean) * scale
         first = linear.weights @ pooled_flow(field[None])[0] + linear.offset
-        features = _patches(field)
+        features = patches_of(field)
         for layer in self.patch_layers:
             features = jax.nn.relu(jax.vmap(layer)(features))
         active = jax.nn.relu(self.last(features.ravel()))
@@ -128,21 +128,40 @@ def field_network(
             LinearFit(*(jnp.asarray(array, jnp.float32) for array in linear)),
         ),
     )
-    num_features = num_linear + FEATURES
+    keys = (key_of_heads, key_of_covariance)
+    return network_on(trunk, method, space, keys=keys, num_features=num_linear + FEATURES)
+
+
+def network_on(
+    trunk: Trunk,
+    method: Method,
+    space: TargetSpace,
+    *,
+    keys: tuple[jax.Array, jax.Array],
+    num_features: int,
+) -> Network:
+    """Return a network of a trunk whose first features are a linear regression, and new heads.
+
+    Args:
+        trunk: its first features are as many as the space has outputs.
+        method: says how many heads there are, and whether one gives the covariance.
+        space: says how many numbers they give.
+        keys: of the weights of the heads, and of the covariance head.
+        num_features: that the trunk gives.
+    """
 
     def head(head_key: jax.Array) -> FieldHead:
         sizes = (num_features, HIDDEN, space.num_outputs)
-        return FieldHead(
-            _small_at_first(PReluHead(sizes, method.dropout, key=head_key)), num_linear
-        )
+        correction = small_at_first(PReluHead(sizes, method.dropout, key=head_key))
+        return FieldHead(correction, space.num_outputs)
 
     covariance_head = None
     if method.learns_covariance:
         sizes = (num_features, HIDDEN, space.num_covariance)
-        covariance_head = _small_at_first(PReluHead(sizes, 0.0, key=key_of_covariance))
+        covariance_head = small_at_first(PReluHead(sizes, 0.0, key=keys[1]))
     return Network(
         trunk=trunk,
-        heads=eqx.filter_vmap(head)(jax.random.split(key_of_heads, method.heads)),
+        heads=eqx.filter_vmap(head)(jax.random.split(keys[0], method.heads)),
         covariance_head=covariance_head,
     )
 
@@ -154,7 +173,12 @@ def linear_fit(fields: FloatArray, targets: FloatArray) -> LinearFit:
     """
     mean, scale = standardisation(fields)
     flow = np.asarray(pooled_flow((fields - mean) * scale), np.float64)
-    design = np.hstack([flow, np.ones((len(flow), 1))])
+    return ridge_fit(flow, targets)
+
+
+def ridge_fit(inputs: FloatArray, targets: FloatArray) -> LinearFit:
+    """Return the ridge regression of targets, [N, o], on standardised inputs, [N, i]."""
+    design = np.hstack([inputs, np.ones((len(inputs), 1))])
     normal = design.T @ design
     ridge = RIDGE * len(design) * np.eye(design.shape[1])
     ridge[-1, -1] = 0.0
@@ -177,14 +201,14 @@ def pooled_flow(fields: FloatArray | jax.Array) -> FloatArray | jax.Array:
     return flow.reshape(shape).mean(axis=(3, 5)).reshape(count, -1)
 
 
-def _patches(field: jax.Array) -> jax.Array:
+def patches_of(field: jax.Array) -> jax.Array:
     """Return the patches of a field [C, rows, columns], [patches, C · 16]."""
     channels, rows, columns = field.shape
     parts = field.reshape(channels, rows // PATCH, PATCH, columns // PATCH, PATCH)
     return parts.transpose(1, 3, 0, 2, 4).reshape(-1, channels * PATCH**2)
 
 
-def _small_at_first(head: PReluHead) -> PReluHead:
+def small_at_first(head: PReluHead) -> PReluHead:
     """Return a head whose last layer has small weights, and no offset."""
     last = head.last
     small: PReluHead = eqx.tree_at(

@@ -88,7 +88,7 @@ def read_pairs(
     Raises:
         InputError: it has no images or no truth, a camera that sees too little, or a faulty frame.
     """
-    T_world_cam = _true_poses(sequence)
+    T_world_cam = true_poses(sequence)
     is_known = np.asarray(np.isfinite(T_world_cam).all(axis=(1, 2)))
     fields = []
     rotations = []
@@ -117,10 +117,10 @@ def check_recording(sequence: Sequence) -> None:
     Raises:
         InputError: it has no images, too small a field of view, or no true poses.
     """
-    _true_poses(sequence)
+    true_poses(sequence)
 
 
-def _true_poses(sequence: Sequence) -> FloatArray:
+def true_poses(sequence: Sequence) -> FloatArray:
     """Return T_world_cam of a recording that networks can learn from, [K, 4, 4].
 
     Raises:

@@ -28,16 +28,25 @@ FIRST_SIGMA_RAD = 0.5
 class TargetSpace(Protocol):
     """A space of estimates with differences; leading dimensions are batches."""
 
-    num_outputs: int
-    """Numbers that a head gives for an estimate."""
-    size: int
-    """Numbers of an estimate."""
-    dof: int
-    """Dimension d of an error."""
-    num_covariance: int
-    """Numbers that a covariance head gives."""
-    least_variance: float
-    """Along each axis, of any prediction."""
+    @property
+    def num_outputs(self) -> int:
+        """Numbers that a head gives for an estimate."""
+
+    @property
+    def size(self) -> int:
+        """Numbers of an estimate."""
+
+    @property
+    def dof(self) -> int:
+        """Dimension d of an error."""
+
+    @property
+    def num_covariance(self) -> int:
+        """Numbers that a covariance head gives."""
+
+    @property
+    def least_variance(self) -> float:
+        """Along each axis, of any prediction."""
 
     def __hash__(self) -> int:
         """Return the hash: what is compiled for a space is kept."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from operator import attrgetter
 
 from probevo.errors import InputError
+from probevo.sensor_kinds import SENSOR_KINDS
 from probevo.training.settings import TrainSettings
 from probevo.training.trainer import trainer_of
 
@@ -65,8 +66,15 @@ def check_sensor_settings(settings: TrainSettings) -> None:
         InputError: names the first of them.
     """
     default = TrainSettings()
+    kind = SENSOR_KINDS[settings.kind]
     for name in TrainSettings.model_fields:
-        if name not in OF_SENSORS and getattr(settings, name) != getattr(default, name):
+        if name not in (*OF_SENSORS, *kind.settings) and getattr(settings, name) != getattr(
+            default, name
+        ):
             flag = "--" + name.replace("_", "-")
             what = f"--kind {settings.kind} does not take it: it is no noise model."
             raise InputError(flag, what, "Leave it out.")
+    for name in sorted({name for other in SENSOR_KINDS.values() for name in other.nets}):
+        if name not in kind.nets and getattr(settings.nets, name) != getattr(default.nets, name):
+            flag = "--nets." + name.replace("_", "-")
+            raise InputError(flag, f"--kind {kind.name} does not take it.", "Leave it out.")

@@ -48,6 +48,25 @@ def test_the_page_and_the_terminal_say_the_same(tmp_path: Path) -> None:
     assert float(mean.partition(": ")[2].split()[0]) == pytest.approx(4.0, abs=0.2)
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_lengths_and_angles_have_units_of_their_own(tmp_path: Path) -> None:
+    angles = errors_of(1.0)
+    lengths = 10.0 * angles.errors
+    both = SensorErrors(
+        np.hstack([lengths, angles.errors]),
+        np.tile(np.eye(6), (len(lengths), 1, 1)),
+        num_out_of_domain=0,
+        num_lengths=3,
+    )
+    lines = write_sensor_inspection(tmp_path, "correction", "drive", errors=both)
+    (of_lengths,) = [line for line in lines if line.startswith("RMS error along")]
+    (of_angles,) = [line for line in lines if line.startswith("RMS error about")]
+    first_mm = float(of_lengths.partition(": ")[2].split(" mm")[0])
+    first_deg = float(of_angles.partition(": ")[2].split("°")[0])
+    assert first_mm == pytest.approx(1e4 * np.radians(first_deg), rel=0.05)
+    assert "Error of lengths against claimed" in (tmp_path / "inspection.html").read_text()
+
+
 def test_other_files_are_no_sensors(tmp_path: Path) -> None:
     file = tmp_path / "text.safetensors"
     file.write_bytes(b"nothing of the kind")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import Image
+from probevo.camera.stereo import StereoCamera
 from probevo_sim.spoiling import effects
 
 SHAPE = (60, 90)
@@ -82,3 +83,19 @@ def test_jpeg_loses_more_at_a_lower_quality() -> None:
         for quality in (90, 40, 8)
     ]
     assert lost[0] < lost[1] < lost[2]
+
+
+def test_a_distortion_moves_points_by_its_formula() -> None:
+    """A bright dot at x in the image without distortion is seen at x (1 + k1 r²)."""
+    camera = StereoCamera.centered(100.0, 0.3, (SHAPE[1], SHAPE[0]))
+    image = np.zeros(SHAPE, np.uint8)
+    u, v = 70, 15
+    image[v - 1 : v + 2, u - 1 : u + 2] = 200
+    k1 = 0.2
+    seen = effects.distorted(image, effects.distortion_map(camera, k1)).astype(float)
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    x = np.array([u - camera.cu_px, v - camera.cv_px]) / 100.0
+    expected = np.array([camera.cu_px, camera.cv_px]) + 100.0 * x * (1.0 + k1 * x @ x)
+    found = np.array([(columns * seen).sum(), (rows * seen).sum()]) / seen.sum()
+    np.testing.assert_allclose(found, expected, atol=0.1)
+    assert np.linalg.norm(expected - [u, v]) > 0.5

@@ -79,6 +79,21 @@ def test_late_right_images_are_those_of_earlier_frames(original: Path) -> None:
             assert images_of(frame)[1] == images_of(late[k + 2])[1]
 
 
+def test_a_wrong_calibration_is_that_of_the_preset_or_the_one_given(original: Path) -> None:
+    right = open_sequence(original).camera
+    wrong = spoiled(original, preset="calibration")
+    assert wrong.config.wrong_calibration == (0.03, 0.03)
+    assert wrong.camera.fu_px == pytest.approx(1.03 * right.fu_px)
+    assert wrong.camera.cu_px == right.cu_px
+    longer = spoiled(original, preset="calibration", focal_error=-0.1)
+    assert longer.config.wrong_calibration == (-0.1, 0.0)
+    assert longer.camera.fv_px == pytest.approx(0.9 * right.fv_px)
+    pairs = list(zip(open_sequence(original), longer, strict=True))
+    assert all(images_of(before) == images_of(after) for before, after in pairs)
+    distorted = zip(open_sequence(original), wrong, strict=True)
+    assert all(images_of(before) != images_of(after) for before, after in distorted)
+
+
 def test_an_occluder_has_one_disparity_for_a_whole_burst(original: Path) -> None:
     """What it covers in the right image is what it covers in the left one, moved to the left."""
     recording = spoiled(original, preset="occluders", clean=0.0, severity=1.0)

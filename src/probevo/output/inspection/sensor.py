@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -38,25 +39,25 @@ def write_sensor_inspection(
     covered = coverage_of(errors)
     rows = [(f"{share:.0%}", f"{found:.0%}") for share, found in zip(SHARES, covered, strict=True)]
     scale = float(np.mean(squared_of(errors)) / errors.errors.shape[1])
-    rms_deg = np.degrees(np.sqrt(np.mean(errors.errors**2, axis=0)))
-    claimed_deg = np.degrees(np.sqrt(np.mean(_variances(errors), axis=0)))
     facts = {
         "Recording": recording,
         "Measurements": f"{len(errors.errors):,}",
-        "RMS error about x, y, z": ", ".join(f"{value:.3f}°" for value in rms_deg),
-        "Claimed σ, RMS": ", ".join(f"{value:.3f}°" for value in claimed_deg),
+        **_axis_facts(errors),
         "φᵀ Σ⁻¹ φ / d, mean": f"{scale:.2f} (1 is consistent, more is overconfident)",
         "Out of its domain": f"{errors.num_out_of_domain:,} of {len(errors.errors):,} widened",
     }
     table = text_table(("region", "errors within"), rows)
     with figure_style():
-        curve = panel("Calibration", "Consistent is on the grey line.", _calibration(covered))
-        against = panel(
-            "Error against claimed σ",
-            "RMS of all axes, in groups of equal size; consistent is on the grey line.",
-            _against_claimed(errors),
-        )
-    sections = [grid([curve, against]), table_panel("Errors within their regions", [], table)]
+        panels = [panel("Calibration", "Consistent is on the grey line.", _calibration(covered))]
+        for kind in _kinds_of_axes(errors):
+            panels.append(
+                panel(
+                    f"{kind.name} against claimed σ",
+                    "RMS of all axes, in groups of equal size; consistent is on the grey line.",
+                    _against_claimed(errors, kind),
+                )
+            )
+    sections = [grid(panels), table_panel("Errors within their regions", [], table)]
     page = out / "inspection.html"
     write_page(page, f"What {name} measures", facts, sections)
     return [
@@ -81,15 +82,51 @@ def coverage_of(errors: SensorErrors) -> FloatArray:
     return covered
 
 
-def claimed_and_found(errors: SensorErrors) -> tuple[FloatArray, FloatArray]:
-    """Return RMS claimed σ and RMS error of groups of equal size by claimed σ, all axes as one."""
-    variances = _variances(errors).ravel()
+def claimed_and_found(
+    errors: SensorErrors, axes: slice = slice(None)
+) -> tuple[FloatArray, FloatArray]:
+    """Return RMS claimed σ and RMS error of groups of equal size by claimed σ, axes as one."""
+    variances = _variances(errors)[:, axes].ravel()
     order = np.argsort(variances, kind="stable")
     groups = [group for group in np.array_split(order, BINS) if len(group)]
-    squares = (errors.errors**2).ravel()
+    squares = (errors.errors[:, axes] ** 2).ravel()
     claimed = [np.sqrt(np.mean(variances[group])) for group in groups]
     found = [np.sqrt(np.mean(squares[group])) for group in groups]
     return np.array(claimed), np.array(found)
+
+
+class _KindOfAxes(NamedTuple):
+    """Axes of the errors that have one unit."""
+
+    name: str
+    axes: slice
+    unit: str
+    factor: float
+    """From m or rad to the unit."""
+    label: str
+    """Of the axes, in words."""
+
+
+def _kinds_of_axes(errors: SensorErrors) -> list[_KindOfAxes]:
+    """Return the lengths, if there are any, and the angles."""
+    lengths = errors.num_lengths
+    of_angles = "about x, y, z" if errors.errors.shape[1] - lengths == 3 else "of both angles"
+    angles = _KindOfAxes("Error of angles", slice(lengths, None), "°", 180.0 / np.pi, of_angles)
+    if not lengths:
+        return [angles._replace(name="Error")]
+    return [_KindOfAxes("Error of lengths", slice(lengths), " mm", 1e3, "along x, y, z"), angles]
+
+
+def _axis_facts(errors: SensorErrors) -> dict[str, str]:
+    """Return RMS errors and claimed σ of each axis, as the page names them."""
+    rms = np.sqrt(np.mean(errors.errors**2, axis=0))
+    claimed = np.sqrt(np.mean(_variances(errors), axis=0))
+    facts = {}
+    for kind in _kinds_of_axes(errors):
+        for name, values in (("RMS error", rms), ("Claimed σ, RMS,", claimed)):
+            texts = [f"{kind.factor * value:.3f}{kind.unit}" for value in values[kind.axes]]
+            facts[f"{name} {kind.label}"] = ", ".join(texts)
+    return facts
 
 
 def _variances(errors: SensorErrors) -> FloatArray:
@@ -107,12 +144,13 @@ def _calibration(covered: FloatArray) -> Figure:
     return figure
 
 
-def _against_claimed(errors: SensorErrors) -> Figure:
-    claimed, found = np.degrees(claimed_and_found(errors))
+def _against_claimed(errors: SensorErrors, kind: _KindOfAxes) -> Figure:
+    claimed, found = (kind.factor * values for values in claimed_and_found(errors, kind.axes))
     figure = Figure(figsize=(NARROW_IN, 2.9))
     axes = figure.subplots()
     reach = [min(claimed.min(), found.min()), max(claimed.max(), found.max())]
     axes.plot(reach, reach, color=GREY, lw=0.8)
     axes.plot(claimed, found, color=BLUE, marker="o", ms=4, lw=1.5)
-    axes.set(xlabel="claimed σ, °", ylabel="RMS error, °", xscale="log", yscale="log")
+    unit = kind.unit.strip()
+    axes.set(xlabel=f"claimed σ, {unit}", ylabel=f"RMS error, {unit}", xscale="log", yscale="log")
     return figure

@@ -1,0 +1,301 @@
+"""Training of a network of corrections: recordings → estimated steps → network → calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.config import OdometryConfig
+from probevo.errors import InputError
+from probevo.geometry import se3
+from probevo.nets import methods
+from probevo.nets.calibration import BLOCK, Claimed, blocks_of, calibration
+from probevo.nets.correction_network import (
+    KIND,
+    NUM_REGRESSORS,
+    CorrectionNetwork,
+    Standardisation,
+    build,
+    inputs_of,
+    linear_estimates,
+    linear_fit,
+    standardised,
+)
+from probevo.nets.correction_space import ALL_AXES, ROTATION_AXES, CorrectionTargets
+from probevo.nets.domain import Domain
+from probevo.nets.estimated_steps import EstimatedSteps, read_steps
+from probevo.nets.field_network import LinearFit
+from probevo.nets.image_pairs import check_recording
+from probevo.nets.learning import TrainingData
+from probevo.nets.methods import Method
+from probevo.nets.networks import Network
+from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
+from probevo.nets.trained_network import first_facts, trunk_features
+from probevo.network_settings import NetworkSettings
+from probevo.sensor_kinds import SensorErrors
+from probevo.sequences.base import Sequence
+
+LEAST_STEPS = NUM_REGRESSORS + 1
+"""Steps to learn from, at least: the weights of the regression along one axis."""
+LEAST_SIGMA = np.array([1e-6, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
+"""Standard deviations, m and rad, below which what remains of the training data is rounding."""
+
+
+def train_correction(
+    recordings: Collection[Sequence],
+    settings: NetworkSettings,
+    out: Path,
+    *,
+    odometry: OdometryConfig | None = None,
+    max_frames: int | None = None,
+    on_progress: OnProgress | None = None,
+) -> list[str]:
+    """Learn how far the motions of an odometry are off, and write the network (``train_task``).
+
+    Args:
+        recordings: those to learn from; the last ``left_out`` stop the training and calibrate it.
+        settings: all settings.
+        out: the file.
+        odometry: settings of the odometry; the defaults if left out.
+        max_frames: frames of each recording that are used; None for all.
+        on_progress: called after each frame and each epoch.
+
+    Returns:
+        What was learned, in lines for the terminal.
+
+    Raises:
+        InputError: the odometry has a window, there are too few steps, or as ``train_task`` raises.
+    """
+    config = odometry or OdometryConfig()
+    if config.estimator == "window":
+        what = "corrections are those of the motion between two frames."
+        raise InputError("--odometry.estimator", what, "Leave it out.")
+    task = Task(
+        KIND,
+        check=check_recording,
+        samples=EstimatedSteps,
+        read=partial(read_steps, config=config),
+        train=partial(_train, config=config),
+        extra=config.model_dump(mode="json"),
+    )
+    network = train_task(
+        task,
+        tuple(recordings),
+        settings,
+        out=out,
+        max_frames=max_frames,
+        on_progress=on_progress,
+    )
+    return summary(network.facts)
+
+
+def summary(facts: Mapping[str, Any]) -> list[str]:
+    """Return what the file of a network says of its training, in lines for the terminal."""
+    lines = [
+        f"learned from: {', '.join(facts['learned_from'])}",
+        f"left out:     {', '.join(facts['left_out'])} ({facts['num_left_out']} steps)",
+        f"errors of {BLOCK} successive steps added up, RMS, left out:",
+    ]
+    for name, (length_m, angle_rad) in facts["left_out_rms"].items():
+        lines.append(f"  {name:<18} {1e3 * length_m:7.2f} mm {np.degrees(angle_rad):8.4f}°")
+    return [
+        *lines,
+        f"gain:         × {facts['gain']:.2f} on all corrections",
+        f"covariance:   × {facts['scale']:.2f}, by errors of {BLOCK} successive steps"
+        f" ({facts['scale_single']:.2f} by single ones); then {facts['coverage_90']:.0%} of single"
+        " errors lie in their 90 % region",
+    ]
+
+
+def _train(
+    steps: list[EstimatedSteps], run: TrainingRun, *, config: OdometryConfig
+) -> CorrectionNetwork:
+    """Learn the network: a linear regression in closed form, and what the heads add to it."""
+    settings = run.settings
+    learned = EstimatedSteps.joined(steps[: run.split])
+    left_out = steps[run.split :]
+    joined = EstimatedSteps.joined(left_out)
+    if len(learned) < LEAST_STEPS:
+        what = f"{len(learned)} steps to learn from are too few."
+        raise InputError("SEQUENCE", what, f"Give at least {LEAST_STEPS}.")
+    axes = ROTATION_AXES if settings.rotation_only else ALL_AXES
+    inputs = inputs_of(learned.fields, learned.motions, learned.covariances)
+    inputs_left_out = inputs_of(joined.fields, joined.motions, joined.covariances)
+    standard = standardised(inputs)
+
+    # Units and weights of the loss: the covariance of what the regression leaves of the training
+    # data, since that is what remains to be learned.
+    wanted = learned.corrections[:, axes]
+    in_si = linear_fit(inputs, standard, wanted)
+    remaining = wanted - linear_estimates(inputs, standard, in_si)
+    least = np.diag(LEAST_SIGMA[list(axes)] ** 2)
+    root = np.linalg.cholesky(np.cov(remaining, rowvar=False) + least)
+    space = CorrectionTargets(tuple(map(tuple, root.tolist())), axes)
+    to_units = np.linalg.inv(root)
+    linear = LinearFit(to_units @ in_si.weights, to_units @ in_si.offset)
+
+    method = method_of(settings)
+    networks = run.learn(
+        method,
+        space,
+        partial(_built, space=space, standard=standard, linear=linear),
+        _data(
+            method,
+            space,
+            settings,
+            learned=(inputs, learned.corrections),
+            left_out=(inputs_left_out, joined.corrections),
+        ),
+    )
+    domain = Domain.of(trunk_features(networks, inputs), trunk_features(networks, inputs_left_out))
+    first = {
+        **first_facts(KIND, method),
+        "root": root.tolist(),
+        "axes": list(axes),
+        "scale": 1.0,
+        "gain": 1.0,
+        "constant": wanted.mean(axis=0).tolist(),
+        "odometry": config.model_dump(mode="json"),
+        **run.facts(),
+    }
+    network = calibrated(CorrectionNetwork(networks, domain, first), left_out)
+    constant = np.tile(wanted.mean(axis=0), (len(joined), 1))
+    of_linear = linear_estimates(inputs_left_out, standard, in_si)
+    of_network = network.estimate(inputs_left_out).xi[:, axes]
+    baselines = {
+        "uncorrected": np.zeros_like(constant),
+        "constant": constant,
+        "linear regression": of_linear,
+        "network": of_network,
+    }
+    lengths = [len(part) for part in left_out]
+    rms = {
+        name: _rms(_with_axes(estimated, axes), joined.corrections, lengths)
+        for name, estimated in baselines.items()
+    }
+    facts = {**network.facts, "left_out_rms": rms}
+    return CorrectionNetwork(network.networks, network.domain, facts)
+
+
+def method_of(settings: NetworkSettings) -> Method:
+    """Return the method: hydra-sigma without noise on its targets, or the thesis's constant Σ."""
+    if settings.constant_covariance:
+        return Method("hydra", heads=settings.heads)
+    return Method("hydra-sigma", heads=settings.heads, learns_covariance=True)
+
+
+def _built(
+    method: Method,
+    key: jax.Array,
+    *,
+    space: CorrectionTargets,
+    standard: Standardisation,
+    linear: LinearFit,
+) -> Network:
+    return build(method, space, standard, linear=linear, key=key)
+
+
+def _data(
+    method: Method,
+    space: CorrectionTargets,
+    settings: NetworkSettings,
+    *,
+    learned: tuple[FloatArray, FloatArray],
+    left_out: tuple[FloatArray, FloatArray],
+) -> TrainingData:
+    """Return the data of one network, with leading dimensions of 1, of inputs and corrections."""
+    rng = np.random.default_rng(settings.seed)
+    targets = methods.head_targets(method, space, learned[1], rng)
+    samples = methods.samples(method, len(learned[0]), rng)
+    return TrainingData(
+        inputs=jnp.asarray(learned[0][None], jnp.float32),
+        targets=jnp.asarray(targets[None], jnp.float32),
+        samples=jnp.asarray(samples[None]),
+        held_out_inputs=jnp.asarray(left_out[0][None], jnp.float32),
+        held_out_targets=jnp.asarray(left_out[1][None], jnp.float32),
+    )
+
+
+def errors_of(network: CorrectionNetwork, steps: EstimatedSteps) -> Claimed:
+    """Return g = Log(T_corr T*⁻¹) along the corrected axes, [N, d], and the claimed covariances."""
+    found = network.estimate(inputs_of(steps.fields, steps.motions, steps.covariances))
+    return Claimed(_remaining(found.xi, steps.corrections)[:, network.space.axes], found.covariance)
+
+
+def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
+    """Return the errors of a network on a recording with truth.
+
+    Raises:
+        InputError: the file cannot be read, or the recording lacks images or truth.
+    """
+    network = CorrectionNetwork.load(path)
+    config = OdometryConfig.model_validate(network.facts["odometry"])
+    steps = read_steps(sequence, len(sequence), config=config)
+    claimed = errors_of(network, steps)
+    inputs = inputs_of(steps.fields, steps.motions, steps.covariances)
+    widened = network.estimate(inputs).widening > 1.0
+    num_lengths = 0 if network.space.axes == ROTATION_AXES else 3
+    return SensorErrors(
+        claimed.errors, claimed.covariances, int(np.sum(widened)), num_lengths=num_lengths
+    )
+
+
+def calibrated(
+    network: CorrectionNetwork, left_out: Collection[EstimatedSteps]
+) -> CorrectionNetwork:
+    """Return the network with the factors on corrections and covariances that others ask for.
+
+    The factor on corrections, between 0 and 1, is that of a regression of true on estimated ones,
+    ten successive steps added up: what does not hold on other recordings is taken back.
+
+    Args:
+        network: with factors of 1.
+        left_out: recordings that were not learned from.
+    """
+    axes = network.space.axes
+    information = np.linalg.inv(np.asarray(network.space.root) @ np.asarray(network.space.root).T)
+    both = 0.0
+    own = 0.0
+    for steps in left_out:
+        found = network.estimate(inputs_of(steps.fields, steps.motions, steps.covariances))
+        claimed = Claimed(found.xi[:, axes], found.covariance)
+        estimated = blocks_of(claimed).errors
+        true = blocks_of(Claimed(steps.corrections[:, axes], found.covariance)).errors
+        both += float(np.einsum("ni,ij,nj->", estimated, information, true))
+        own += float(np.einsum("ni,ij,nj->", estimated, information, estimated))
+    gain = float(np.clip(both / own, 0.0, 1.0)) if own > 0.0 else 0.0
+    shrunk = CorrectionNetwork(network.networks, network.domain, {**network.facts, "gain": gain})
+    claimed_all = [errors_of(shrunk, steps) for steps in left_out]
+    facts = {**shrunk.facts, **calibration(claimed_all).facts()}
+    return CorrectionNetwork(network.networks, network.domain, facts)
+
+
+def _remaining(xi: FloatArray, xi_true: FloatArray) -> FloatArray:
+    """Return g = Log(Exp(ξ) Exp(ξ*)⁻¹), [N, 6]."""
+    pairs = zip(xi, xi_true, strict=True)
+    return np.array([se3.log(se3.exp(one) @ se3.exp(-true)) for one, true in pairs])
+
+
+def _with_axes(estimated: FloatArray, axes: tuple[int, ...]) -> FloatArray:
+    """Return corrections, [N, 6], of those along some axes, [N, d]."""
+    xi = np.zeros((len(estimated), 6))
+    xi[:, axes] = estimated
+    return xi
+
+
+def _rms(xi: FloatArray, xi_true: FloatArray, lengths: list[int]) -> tuple[float, float]:
+    """Return the RMS of what remains of ten successive steps added up, m and rad."""
+    remaining = _remaining(xi, xi_true)
+    sums = []
+    for part in np.split(remaining, np.cumsum(lengths)[:-1]):
+        blocks = len(part) // BLOCK
+        sums.append(part[: blocks * BLOCK].reshape(blocks, BLOCK, 6).sum(axis=1))
+    squares = np.mean(np.concatenate(sums) ** 2, axis=0)
+    return float(np.sqrt(squares[:3].sum())), float(np.sqrt(squares[3:].sum()))
