@@ -27,6 +27,15 @@ def compiled(function: Function) -> Function:
     return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
+def compiled_into_callers(function: Function) -> Function:
+    """Make an inner loop a part of each compiled function that calls it.
+
+    For loops so short that handing over their many arrays takes as long as they do.
+    """
+    inline = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+    return cast(Function, inline(function))
+
+
 def compiled_with_free_order(function: Function) -> Function:
     """Compile a loop of one single sum, whose terms may be added in any order.
 

@@ -14,7 +14,7 @@ from probevo.camera.rig_jitter import jitter_offsets
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.window import Window
+from probevo.estimation.window import Window, selected
 from probevo.estimation.window_estimator import WindowEstimator
 from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_motion import live_motion
@@ -144,6 +144,11 @@ def test_normal_equations_are_those_of_numeric_jacobians(correlation: float) -> 
     frames = drive(np.random.default_rng(50), 5, points=25, sigma_px=SIGMA_PX)
     by = estimator(frames=9, calibrates=True, correlation=correlation)
     window = windows_of(frames, by, tau_px=TAU_PX)[-1]
+    # One landmark is seen only once.
+    keep = window.landmark_rows > 0
+    keep[0] = True
+    window = replace(window, observations=selected(window.observations, keep))
+    assert window.num_seen[0] == 1
     rng = np.random.default_rng(51)
     state = window.landmarks.state + 0.1 * rng.normal(size=window.landmarks.state.shape)
     moves = se3.exp(1e-3 * rng.normal(size=(5, POSE)))

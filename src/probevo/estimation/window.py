@@ -100,7 +100,6 @@ class Window:
                 start=np.zeros(1, np.int64),
                 slot=np.zeros(0, np.int64),
                 pixels=np.zeros((0, 4)),
-                information=np.zeros((0, 4, 4)),
                 root=np.zeros((0, 4, 4)),
                 loss_parameter=np.zeros(0),
             ),
@@ -202,7 +201,6 @@ def selected(observations: WindowObservations, keep: BoolArray) -> WindowObserva
         start=_starts(counts[counts > 0]),
         slot=observations.slot[keep],
         pixels=observations.pixels[keep],
-        information=observations.information[keep],
         root=observations.root[keep],
         loss_parameter=observations.loss_parameter[keep],
     )
@@ -226,7 +224,6 @@ def merged(
         start=_starts(np.bincount(all_rows, minlength=num_landmarks)),
         slot=np.concatenate([before.slot, new.slot])[order],
         pixels=np.concatenate([before.pixels, new.pixels])[order],
-        information=np.concatenate([before.information, new.information])[order],
         root=np.concatenate([before.root, new.root])[order],
         loss_parameter=np.concatenate([before.loss_parameter, new.loss_parameter])[order],
     )

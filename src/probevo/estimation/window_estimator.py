@@ -56,8 +56,10 @@ from probevo.tracking.tracks import Tracks
 
 RIG_SIGMA_PX = 1.0
 """Prior standard deviation of b₀, b₁ and b₂."""
-CONVERGED_BELOW = 0.5
-"""A step that lowers the cost by less than this, in nats, is the last one."""
+CONVERGED_BELOW = 0.1
+"""A step after which further ones would lower the cost by less than this, in nats, is the last."""
+LEAST_DAMPING = 1e-4
+"""Share of its diagonal that is first added to the Hessian, after a step that raised the cost."""
 NO_CALIBRATION_SIGMA_PX = 1e-6
 """The same where the rig is said to be flawless."""
 COST_TOLERANCE = 1.0
@@ -258,7 +260,6 @@ class WindowEstimator:
             start=np.zeros(0, np.int64),
             slot=np.concatenate([np.full(len(first_px), last), np.full(len(tracks), last + 1)]),
             pixels=np.concatenate([first_px, tracks.curr_px - noise.bias]),
-            information=information,
             root=np.linalg.cholesky(information),
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
         )
@@ -296,24 +297,32 @@ class WindowEstimator:
         so that a step may raise the cost a little.
         """
         system = self._system(window)
+        moved = window
         damping = 0.0
+        before = 0.0
         iterations = 0
         while iterations < self._config.max_iterations:
             iterations += 1
             step = self._step(system, damping)
+            moved = self._moved(system, step)
+            # Where steps shrink from one to the next by a factor, those still to come gain this.
             decrease = float(step @ system.equations.gradient)
-            trial = self._system(self._moved(system, step))
+            still_to_gain = decrease * min(1.0, decrease / before) if before > 0.0 else decrease
+            before = decrease
+            if damping == 0.0 and still_to_gain < CONVERGED_BELOW:
+                # Cost and curvature hardly change any more, and need not be formed again.
+                break
+            trial = self._system(moved)
             if trial.cost <= system.cost + COST_TOLERANCE:
                 system = trial
-                damping *= 0.1
-                if decrease < CONVERGED_BELOW:
-                    break
+                damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
             else:
-                damping = max(1e-4, 10.0 * damping)
+                damping = max(LEAST_DAMPING, 10.0 * damping)
+                moved = system.window
         cov = self._covariance(system.equations.hessian)
-        of_imu = inertial.covariance_known(system.window, system.inertial, cov)
+        of_imu = inertial.covariance_known(moved, system.inertial, cov)
         return Adjustment(
-            window=replace(system.window, cov=cov, inertial=of_imu),
+            window=replace(moved, cov=cov, inertial=of_imu),
             squared=system.elimination.squared,
             iterations=iterations,
         )

@@ -42,7 +42,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled
+from probevo.compiled import compiled, compiled_into_callers
 from probevo.measurements.robust_loss_numba import (
     STUDENT_T,
     robust_cost,
@@ -62,6 +62,22 @@ LANDMARK = 4
 """Those of a landmark."""
 PIXELS = 4
 """Coordinates of an observation."""
+_COLUMNS = FRAME + LANDMARK + RIG + 1
+"""Columns of a linearised observation: frame, landmark, rig, and the error."""
+_RIG = FRAME + LANDMARK
+"""Where those of the rig begin among them."""
+_ERROR = _RIG + RIG
+"""Which of them is the error."""
+_COMMON = LANDMARK + RIG + 1
+"""Those of states that all observations of a landmark have in common, and the error."""
+_WITH_PREV = FRAME
+"""Where the information between a motion and the one before it begins among the sums of pairs."""
+_WITH_RIG = _WITH_PREV + FRAME
+"""Where that between a motion and the rig begins."""
+_GRADIENT = _WITH_RIG + RIG
+"""Which of the sums of pairs is the gradient."""
+_PAIR = _GRADIENT + 1
+"""Number of sums for each state of a motion."""
 LEAST_DEPTH = 1e-3
 """Share of its depth in the anchor frame at which a landmark counts as behind the camera."""
 LARGEST_SHIFT_PX = 30.0
@@ -88,8 +104,11 @@ class WindowGeometry(NamedTuple):
 
 
 class WindowObservations(NamedTuple):
-    """M observations of L landmarks, sorted by landmark and then by frame: the first of each
-    landmark is in its anchor frame."""
+    """M observations of L landmarks, sorted by landmark and then by frame.
+
+    The first of each landmark is in its anchor frame, and the others are in the frames that follow
+    it, one after the other.
+    """
 
     start: IntArray
     """Where the observations of each landmark begin, and the end of all, [L + 1]."""
@@ -97,10 +116,9 @@ class WindowObservations(NamedTuple):
     """Place of each observation's frame in the window, [M]."""
     pixels: FloatArray
     """(u_l, v_l, u_r, v_r), [M, 4], px; rows corrected by the rig's calibration."""
-    information: FloatArray
-    """Inverse of the scale matrix R of each, at its own time, [M, 4, 4], px⁻²."""
     root: FloatArray
-    """Its Cholesky factor G, R⁻¹ = G Gᵀ, [M, 4, 4], px⁻¹."""
+    """Cholesky factor G of R⁻¹ = G Gᵀ, with the scale matrix R of each at its own time, [M, 4, 4],
+    px⁻¹."""
     loss_parameter: FloatArray
     """ν of a Student-t, or the parameter of another loss, [M]."""
 
@@ -164,28 +182,26 @@ class _Problem(NamedTuple):
 
 
 class _Track(NamedTuple):
-    """The observations of one landmark, linearised; work space for up to K of them."""
+    """The observations of one landmark, linearised; work space for up to K of them.
+
+    The columns are the derivatives of a prediction for ζ = (ξ_ka, ω_k), for the landmark and for
+    the rig, and the error, measured minus predicted. All but the first nine are of states that
+    successive observations have in common.
+    """
 
     ray: FloatArray
-    """h, [K, 3]: the direction to the landmark, its depth in the anchor frame being 1."""
-    error: FloatArray
-    """Measured minus predicted, [K, 4], px."""
-    frame: FloatArray
-    """Jacobian of the prediction for ζ = (ξ_ka, ω_k), [K, 4, 9]."""
-    landmark: FloatArray
-    """The same for the landmark, [K, 4, 4]."""
-    rig: FloatArray
-    """The same for the rig, of u_r alone, [K, 3]."""
-    information: FloatArray
-    """Diagonal blocks of Σ⁻¹, [K, 4, 4]."""
-    cross: FloatArray
-    """Blocks of Σ⁻¹ between an observation and the one before it, [K, 4, 4]."""
-    pull: FloatArray
-    """Σ⁻¹ e, [K, 4]."""
-    weighted_landmark: FloatArray
-    """Σ⁻¹ times the Jacobians for the landmark, [K, 4, 4]."""
-    weighted_rig: FloatArray
-    """Σ⁻¹ times the Jacobians for the rig, [K, 4, 3]."""
+    """h, [3]: the direction to the landmark, its depth in the anchor frame being 1."""
+    raw: FloatArray
+    """In pixels, [K, 4, 17]."""
+    white: FloatArray
+    """The same times Gᵀ, so that each observation by itself has unit covariance, [K, 4, 17]."""
+    innovation: FloatArray
+    """White along the track, too: the common columns of the innovations, [K, 4, 8]."""
+    weighted: FloatArray
+    """The transpose of what makes innovations, times the innovations, [K, 4, 8]: its product with
+    the transpose of a white column is one with Σ⁻¹."""
+    common: FloatArray
+    """Products of the common columns, summed over the innovations, [8, 8]; lower triangle."""
 
 
 class _Trust(NamedTuple):
@@ -200,20 +216,15 @@ class _Trust(NamedTuple):
     with it is Fisher scoring, and the inverse of what adds up is a covariance."""
 
 
-class _Pairs(NamedTuple):
-    """Normal equations of ζ = (ξ_ka, ω_k) for all pairs of frame and anchor.
+class _Workspace(NamedTuple):
+    """Arrays for the elimination of one landmark."""
 
-    In its anchor frame, a landmark is where it is, whatever the pose: only the jitter counts.
-    """
-
-    hessian: FloatArray
-    """[K, K, 9, 9]; lower triangles."""
-    gradient: FloatArray
-    """[K, K, 9]."""
-    rig: FloatArray
-    """Information between ζ and the rig, [K, K, 9, 3]."""
-    cross: FloatArray
-    """Information between ζ of a frame and that of the frame before it, [K, K, 9, 9]."""
+    root: FloatArray
+    """Cholesky factor R of its information, [4, 4]."""
+    wide: FloatArray
+    """R⁻¹ times its coupling to frames, rig and gradient, [4, 9K + 4]."""
+    unit: FloatArray
+    """[4]."""
 
 
 @compiled
@@ -247,37 +258,31 @@ def accumulate(
         T_ka=_relative_poses(geometry.T_cam_world),
     )
     track = _Track(
-        ray=np.zeros((num_frames, 3)),
-        error=np.zeros((num_frames, PIXELS)),
-        frame=np.zeros((num_frames, PIXELS, FRAME)),
-        landmark=np.zeros((num_frames, PIXELS, LANDMARK)),
-        rig=np.zeros((num_frames, RIG)),
-        information=np.zeros((num_frames, PIXELS, PIXELS)),
-        cross=np.zeros((num_frames, PIXELS, PIXELS)),
-        pull=np.zeros((num_frames, PIXELS)),
-        weighted_landmark=np.zeros((num_frames, PIXELS, LANDMARK)),
-        weighted_rig=np.zeros((num_frames, PIXELS, RIG)),
+        ray=np.zeros(3),
+        raw=np.zeros((num_frames, PIXELS, _COLUMNS)),
+        white=np.zeros((num_frames, PIXELS, _COLUMNS)),
+        innovation=np.zeros((num_frames, PIXELS, _COMMON)),
+        weighted=np.zeros((num_frames, PIXELS, _COMMON)),
+        common=np.zeros((_COMMON, _COMMON)),
     )
-    pairs = _Pairs(
-        hessian=np.zeros((num_frames, num_frames, FRAME, FRAME)),
-        gradient=np.zeros((num_frames, num_frames, FRAME)),
-        rig=np.zeros((num_frames, num_frames, FRAME, RIG)),
-        cross=np.zeros((num_frames, num_frames, FRAME, FRAME)),
+    work = _Workspace(
+        root=np.zeros((LANDMARK, LANDMARK)),
+        wide=np.zeros((LANDMARK, FRAME * num_frames + RIG + 1)),
+        unit=np.zeros(LANDMARK),
     )
-    own = np.zeros((LANDMARK, LANDMARK))
-    wide = np.zeros((LANDMARK, FRAME * num_frames + RIG))
+    sums = np.zeros((num_frames, num_frames, FRAME, _PAIR))
+    beside = np.zeros((PIXELS, _PAIR))
     cost = 0.0
     for row in range(len(landmarks.state)):
         squared = _linearize_track(row, problem, track, elimination.squared)
         trust = _trust(row, problem, squared)
         cost += trust.cost
-        _add_landmark_and_rig(
-            row, problem, track, trust=trust, own=own, elimination=elimination, equations=equations
-        )
-        _add_motions(row, problem, track, trust, pairs)
+        _add_common(row, problem, track, trust, elimination, equations=equations)
+        _add_motions(row, problem, track, trust, beside, sums=sums)
         _couple(row, problem, track, trust.curvature, elimination.coupling)
-        _eliminate(row, problem, own, wide=wide, elimination=elimination, equations=equations)
-    _add_pairs(pairs, geometry.adjoints, equations)
+        _factor(trust.curvature, track.common, work, elimination.inverse[row])
+        _eliminate(row, problem, work, elimination=elimination, equations=equations)
+    _add_pairs(sums, geometry.adjoints, equations)
     size = len(equations.gradient)
     for i in range(size):
         for j in range(i):
@@ -304,49 +309,9 @@ def _relative_poses(T_cam_world: FloatArray) -> FloatArray:
     return relative
 
 
-@compiled
-def _project(
-    state: FloatArray,
-    T_ka: FloatArray,
-    geometry: WindowGeometry,
-    slot: int,
-    pixels: FloatArray,
-    ray: FloatArray,
-    error: FloatArray,
-) -> bool:
-    """Fill ray and error of one observation; False if its landmark is behind the camera."""
-    fu, fv, cu, cv, baseline = geometry.intrinsics
-    mx = (state[0] - cu) / fu
-    my = (state[1] - cv) / fv
-    disparity = state[2]
-    inverse_depth = disparity / (fu * baseline)
-    for i in range(3):
-        ray[i] = T_ka[i, 0] * mx + T_ka[i, 1] * my + T_ka[i, 2] + T_ka[i, 3] * inverse_depth
-    hz = ray[2]
-    if not hz > LEAST_DEPTH:
-        return False
-    x = ray[0] / hz
-    u = fu * x + cu
-    v = fv * ray[1] / hz + cv
-    rig = geometry.rig
-    rig_error = rig[0] + x * (rig[1] + x * rig[2])
-    u_r = u - disparity / hz - state[3] + rig_error
-    # The jitter of the right camera, which sees the landmark at (x_r, y).
-    x_r = x - disparity / (hz * fu)
-    y = ray[1] / hz
-    pitch, yaw, roll = geometry.jitter[slot]
-    u_r += fu * (-x_r * y * pitch + (1.0 + x_r * x_r) * yaw - y * roll)
-    v_r = v + fv * (-(1.0 + y * y) * pitch + x_r * y * yaw + x_r * roll)
-    error[0] = pixels[0] - u
-    error[1] = pixels[1] - v
-    error[2] = pixels[2] - u_r
-    error[3] = pixels[3] - v_r
-    return True
-
-
-@compiled
+@compiled_into_callers
 def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatArray) -> float:
-    """Fill the linearised observations of a landmark, and Σ⁻¹ times each of them.
+    """Fill the linearised observations of a landmark and their innovations.
 
     Args:
         row: the landmark.
@@ -359,102 +324,141 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
     """
     observations = problem.observations
     state = problem.landmarks.state[row]
+    intrinsics = problem.geometry.intrinsics
     first = observations.start[row]
     count = observations.start[row + 1] - first
     anchor = observations.slot[first]
-    rho = problem.noise.correlation
     total = 0.0
     for k in range(count):
         m = first + k
-        T = problem.T_ka[observations.slot[m], anchor]
-        error = track.error[k]
-        information = observations.information[m]
-        track.pull[k] = 0.0
-        track.cross[k] = 0.0
-        if not _project(
-            state,
-            T,
-            problem.geometry,
-            slot=observations.slot[m],
-            pixels=observations.pixels[m],
-            ray=track.ray[k],
-            error=error,
-        ):
+        slot = observations.slot[m]
+        T_ka = problem.T_ka[slot, anchor]
+        white = track.white[k]
+        if not _project(state, T_ka, problem.geometry, track.ray):
             # What is behind the camera says nothing.
             squared[m] = BEHIND_CAMERA
             total += BEHIND_CAMERA
-            error[:] = 0.0
-            track.information[k] = 0.0
+            white[:] = 0.0
             continue
-        _linearize(state, T, problem.geometry, track, k)
-        squared[m] = _product(error, information, error)
-        is_inner = 0 < k < count - 1
-        diagonal = (1.0 + rho * rho if is_inner else 1.0) / (1.0 + rho)
-        total += diagonal * squared[m]
-        _fill_scaled(information, diagonal, track.information[k])
-        _add_pull(information, diagonal, error, track.pull[k])
-        if k == 0 or rho == 0.0 or squared[m - 1] == BEHIND_CAMERA:
-            continue
-        beside = -rho / (1.0 + rho)
-        between = observations.root[m] @ observations.root[m - 1].T
-        total += 2.0 * beside * _product(error, between, track.error[k - 1])
-        _fill_scaled(between, beside, track.cross[k])
-        _add_pull(between, beside, track.error[k - 1], track.pull[k])
-        _add_pull(between.T, beside, error, track.pull[k - 1])
-    _weigh_jacobians(track, count)
-    return total
-
-
-@compiled
-def _product(left: FloatArray, information: FloatArray, right: FloatArray) -> float:
-    """Return leftᵀ W right of two vectors [4]."""
-    total = 0.0
-    for i in range(PIXELS):
-        for j in range(PIXELS):
-            total += left[i] * information[i, j] * right[j]
-    return total
-
-
-@compiled
-def _fill_scaled(information: FloatArray, scale: float, scaled: FloatArray) -> None:
-    """Fill a matrix, [4, 4], times a factor."""
-    for i in range(PIXELS):
-        for j in range(PIXELS):
-            scaled[i, j] = scale * information[i, j]
-
-
-@compiled
-def _add_pull(information: FloatArray, scale: float, error: FloatArray, pull: FloatArray) -> None:
-    """Add scale · W e, [4]."""
-    for i in range(PIXELS):
-        for j in range(PIXELS):
-            pull[i] += scale * information[i, j] * error[j]
-
-
-@compiled
-def _weigh_jacobians(track: _Track, count: int) -> None:
-    """Fill Σ⁻¹ times the Jacobians for landmark and rig."""
+        _linearize(state, T_ka, intrinsics, k == 0, ray=track.ray, raw=track.raw[k])
+        _fill_errors(
+            state,
+            problem.geometry,
+            problem.geometry.jitter[slot],
+            pixels=observations.pixels[m],
+            ray=track.ray,
+            raw=track.raw[k],
+        )
+        _whiten(observations.root[m], track.raw[k], white)
+        squared[m] = 0.0
+        for n in range(PIXELS):
+            squared[m] += white[n, _ERROR] * white[n, _ERROR]
+    _fill_innovations(count, problem.noise.correlation, track)
+    last = _COMMON - 1
     for k in range(count):
-        for i in range(PIXELS):
-            for j in range(LANDMARK):
-                total = 0.0
-                for n in range(PIXELS):
-                    total += track.information[k, i, n] * track.landmark[k, n, j]
-                    if k > 0:
-                        total += track.cross[k, i, n] * track.landmark[k - 1, n, j]
-                    if k + 1 < count:
-                        total += track.cross[k + 1, n, i] * track.landmark[k + 1, n, j]
-                track.weighted_landmark[k, i, j] = total
-            for j in range(RIG):
-                total = track.information[k, i, 2] * track.rig[k, j]
-                if k > 0:
-                    total += track.cross[k, i, 2] * track.rig[k - 1, j]
-                if k + 1 < count:
-                    total += track.cross[k + 1, 2, i] * track.rig[k + 1, j]
-                track.weighted_rig[k, i, j] = total
+        for n in range(PIXELS):
+            total += track.innovation[k, n, last] * track.innovation[k, n, last]
+    return total
+
+
+@compiled_into_callers
+def _project(
+    state: FloatArray, T_ka: FloatArray, geometry: WindowGeometry, ray: FloatArray
+) -> bool:
+    """Fill the direction to a landmark in a frame; False if it is behind the camera."""
+    intrinsics = geometry.intrinsics
+    mx = (state[0] - intrinsics[2]) / intrinsics[0]
+    my = (state[1] - intrinsics[3]) / intrinsics[1]
+    inverse_depth = state[2] / (intrinsics[0] * intrinsics[4])
+    for i in range(3):
+        ray[i] = T_ka[i, 0] * mx + T_ka[i, 1] * my + T_ka[i, 2] + T_ka[i, 3] * inverse_depth
+    return bool(ray[2] > LEAST_DEPTH)
+
+
+@compiled_into_callers
+def _fill_errors(
+    state: FloatArray,
+    geometry: WindowGeometry,
+    jitter: FloatArray,
+    pixels: FloatArray,
+    ray: FloatArray,
+    raw: FloatArray,
+) -> None:
+    """Fill the errors of an observation, measured minus predicted, px."""
+    fu = geometry.intrinsics[0]
+    fv = geometry.intrinsics[1]
+    cu = geometry.intrinsics[2]
+    cv = geometry.intrinsics[3]
+    per_depth = 1.0 / ray[2]
+    x = ray[0] * per_depth
+    y = ray[1] * per_depth
+    disparity = state[2] * per_depth
+    u = fu * x + cu
+    v = fv * y + cv
+    rig = geometry.rig
+    rig_error = rig[0] + x * (rig[1] + x * rig[2])
+    # The jitter of the right camera, which sees the landmark at (x_r, y).
+    x_r = x - disparity / fu
+    pitch = jitter[0]
+    yaw = jitter[1]
+    roll = jitter[2]
+    of_jitter_u = fu * (-x_r * y * pitch + (1.0 + x_r * x_r) * yaw - y * roll)
+    of_jitter_v = fv * (-(1.0 + y * y) * pitch + x_r * y * yaw + x_r * roll)
+    raw[0, _ERROR] = pixels[0] - u
+    raw[1, _ERROR] = pixels[1] - v
+    raw[2, _ERROR] = pixels[2] - (u - disparity - state[3] + rig_error + of_jitter_u)
+    raw[3, _ERROR] = pixels[3] - (v + of_jitter_v)
+
+
+@compiled_into_callers
+def _whiten(root: FloatArray, raw: FloatArray, white: FloatArray) -> None:
+    """Fill Gᵀ times the columns of an observation, [4, 17], for its R⁻¹ = G Gᵀ."""
+    for i in range(PIXELS):
+        g0 = root[0, i]
+        g1 = root[1, i]
+        g2 = root[2, i]
+        g3 = root[3, i]
+        for j in range(_COLUMNS):
+            white[i, j] = g0 * raw[0, j] + g1 * raw[1, j] + g2 * raw[2, j] + g3 * raw[3, j]
+
+
+@compiled_into_callers
+def _fill_innovations(count: int, correlation: float, track: _Track) -> None:
+    """Fill the innovations of the common columns, and these weighted.
+
+    z_k = s_k a_k − ρ s a_k₋₁ of the white columns a_k, and in turn s_k z_k − ρ s z_k₊₁.
+    """
+    later = 1.0 / math.sqrt(1.0 + correlation)
+    before = -correlation * later
+    for k in range(count):
+        own = _share_of_own(k, correlation)
+        for n in range(PIXELS):
+            for j in range(_COMMON):
+                track.innovation[k, n, j] = own * track.white[k, n, FRAME + j]
+        if k > 0:
+            for n in range(PIXELS):
+                for j in range(_COMMON):
+                    track.innovation[k, n, j] += before * track.white[k - 1, n, FRAME + j]
+    for k in range(count):
+        own = _share_of_own(k, correlation)
+        for n in range(PIXELS):
+            for j in range(_COMMON):
+                track.weighted[k, n, j] = own * track.innovation[k, n, j]
+        if k + 1 < count:
+            for n in range(PIXELS):
+                for j in range(_COMMON):
+                    track.weighted[k, n, j] += before * track.innovation[k + 1, n, j]
 
 
 @compiled
+def _share_of_own(k: int, correlation: float) -> float:
+    """Return s_k, the factor of observation k in its innovation."""
+    if k == 0:
+        return math.sqrt(1.0 - correlation)
+    return 1.0 / math.sqrt(1.0 + correlation)
+
+
+@compiled_into_callers
 def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
     """Weigh a landmark by how well it fits all its observations, eᵀ Σ⁻¹ e."""
     observations = problem.observations
@@ -484,150 +488,186 @@ def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
     )
 
 
-@compiled
+@compiled_into_callers
 def _linearize(
-    state: FloatArray, T_ka: FloatArray, geometry: WindowGeometry, track: _Track, k: int
+    state: FloatArray,
+    T_ka: FloatArray,
+    intrinsics: FloatArray,
+    is_anchor: bool,
+    ray: FloatArray,
+    raw: FloatArray,
 ) -> None:
-    """Fill the Jacobians of observation k, at the ray where it was projected to."""
-    fu, fv, _, _, baseline = geometry.intrinsics
-    per_disparity = 1.0 / (fu * baseline)
+    """Fill the Jacobians of an observation, [4, 17], at the ray where it was projected to.
+
+    Only entries that are not always zero are written.
+    """
+    fu = intrinsics[0]
+    fv = intrinsics[1]
+    per_u = 1.0 / fu
+    per_v = 1.0 / fv
+    per_disparity = per_u / intrinsics[4]
     disparity = state[2]
     inverse_depth = disparity * per_disparity
-    hx = track.ray[k, 0]
-    hy = track.ray[k, 1]
-    hz = track.ray[k, 2]
-    x = hx / hz
-    y = hy / hz
+    hx = ray[0]
+    hy = ray[1]
+    hz = ray[2]
+    per_depth = 1.0 / hz
+    x = hx * per_depth
+    y = hy * per_depth
     # β(x) is taken where the landmark is seen; that it moves with the pose is ignored.
-    track.rig[k, 0] = 1.0
-    track.rig[k, 1] = x
-    track.rig[k, 2] = x * x
+    raw[2, _RIG] = 1.0
+    raw[2, _RIG + 1] = x
+    raw[2, _RIG + 2] = x * x
     # ∂u/∂h, ∂v/∂h and ∂(d/h_z)/∂h.
-    u_x = fu / hz
+    u_x = fu * per_depth
     u_z = -u_x * x
-    v_y = fv / hz
+    v_y = fv * per_depth
     v_z = -v_y * y
-    d_z = -disparity / (hz * hz)
+    d_z = -disparity * per_depth * per_depth
     r_z = u_z - d_z  # ∂u_r/∂h_z
-    frame = track.frame[k]
-    if k > 0:
+    if not is_anchor:
         # A motion moves h by ρ δt + φ × h.
-        frame[0, 0] = u_x * inverse_depth
-        frame[0, 2] = u_z * inverse_depth
-        frame[0, 3] = u_z * hy
-        frame[0, 4] = u_x * hz - u_z * hx
-        frame[0, 5] = -u_x * hy
-        frame[1, 1] = v_y * inverse_depth
-        frame[1, 2] = v_z * inverse_depth
-        frame[1, 3] = v_z * hy - v_y * hz
-        frame[1, 4] = -v_z * hx
-        frame[1, 5] = v_y * hx
-        frame[2, 0] = frame[0, 0]
-        frame[2, 2] = r_z * inverse_depth
-        frame[2, 3] = r_z * hy
-        frame[2, 4] = u_x * hz - r_z * hx
-        frame[2, 5] = -u_x * hy
+        raw[0, 0] = u_x * inverse_depth
+        raw[0, 2] = u_z * inverse_depth
+        raw[0, 3] = u_z * hy
+        raw[0, 4] = u_x * hz - u_z * hx
+        raw[0, 5] = -u_x * hy
+        raw[1, 1] = v_y * inverse_depth
+        raw[1, 2] = v_z * inverse_depth
+        raw[1, 3] = v_z * hy - v_y * hz
+        raw[1, 4] = -v_z * hx
+        raw[1, 5] = v_y * hx
+        raw[2, 0] = raw[0, 0]
+        raw[2, 2] = r_z * inverse_depth
+        raw[2, 3] = r_z * hy
+        raw[2, 4] = u_x * hz - r_z * hx
+        raw[2, 5] = raw[0, 5]
         for j in range(1, POSE):
-            frame[3, j] = frame[1, j]
+            raw[3, j] = raw[1, j]
     # The jitter moves what the right camera sees; that this depends on the pose is ignored.
-    x_r = x - disparity / (hz * fu)
-    frame[2, 6] = -fu * x_r * y
-    frame[2, 7] = fu * (1.0 + x_r * x_r)
-    frame[2, 8] = -fu * y
-    frame[3, 6] = -fv * (1.0 + y * y)
-    frame[3, 7] = fv * x_r * y
-    frame[3, 8] = fv * x_r
+    x_r = x - disparity * per_depth * per_u
+    raw[2, POSE] = -fu * x_r * y
+    raw[2, POSE + 1] = fu * (1.0 + x_r * x_r)
+    raw[2, POSE + 2] = -fu * y
+    raw[3, POSE] = -fv * (1.0 + y * y)
+    raw[3, POSE + 1] = fv * x_r * y
+    raw[3, POSE + 2] = fv * x_r
     # u, v and d of the landmark move h along columns of T_ka.
-    landmark = track.landmark[k]
     for j in range(3):
         column = 3 if j == 2 else j
-        scale = per_disparity if j == 2 else (1.0 / fu if j == 0 else 1.0 / fv)
+        scale = per_disparity
+        if j == 0:
+            scale = per_u
+        elif j == 1:
+            scale = per_v
         h_z = scale * T_ka[2, column]
-        landmark[0, j] = u_x * scale * T_ka[0, column] + u_z * h_z
-        landmark[1, j] = v_y * scale * T_ka[1, column] + v_z * h_z
-        landmark[2, j] = landmark[0, j] - d_z * h_z
-        landmark[3, j] = landmark[1, j]
-    landmark[2, 2] -= 1.0 / hz
-    landmark[2, 3] = -1.0
+        of_u = u_x * scale * T_ka[0, column] + u_z * h_z
+        of_v = v_y * scale * T_ka[1, column] + v_z * h_z
+        raw[0, FRAME + j] = of_u
+        raw[1, FRAME + j] = of_v
+        raw[2, FRAME + j] = of_u - d_z * h_z
+        raw[3, FRAME + j] = of_v
+    raw[2, FRAME + 2] -= per_depth
+    raw[2, FRAME + 3] = -1.0
 
 
-@compiled
-def _add_landmark_and_rig(
+@compiled_into_callers
+def _add_common(
     row: int,
     problem: _Problem,
     track: _Track,
     trust: _Trust,
-    own: FloatArray,
     elimination: Elimination,
     equations: NormalEquations,
 ) -> None:
-    """Fill the information of a landmark, and add to that of the rig."""
+    """Fill the gradient of a landmark and its information with the rig; add to those of the rig."""
     first = problem.observations.start[row]
     count = problem.observations.start[row + 1] - first
-    gradient = elimination.gradient[row]
-    coupling = elimination.rig_coupling[row]
-    prior = problem.landmarks.error_information[row]
-    own[:] = 0.0
-    own[3, 3] = trust.curvature * prior
-    gradient[:] = 0.0
-    gradient[3] = -trust.weight * prior * problem.landmarks.state[row, 3]
-    coupling[:] = 0.0
-    rig0 = len(equations.gradient) - RIG
+    common = track.common
+    common[:] = 0.0
     for k in range(count):
-        for i in range(LANDMARK):
-            for n in range(PIXELS):
-                jacobian = track.landmark[k, n, i]
-                gradient[i] += trust.weight * jacobian * track.pull[k, n]
-                for j in range(i + 1):
-                    own[i, j] += trust.curvature * jacobian * track.weighted_landmark[k, n, j]
-                for j in range(RIG):
-                    coupling[i, j] += trust.curvature * jacobian * track.weighted_rig[k, n, j]
-        for i in range(RIG):
-            equations.gradient[rig0 + i] += trust.weight * track.rig[k, i] * track.pull[k, 2]
-            for j in range(i + 1):
-                equations.hessian[rig0 + i, rig0 + j] += (
-                    trust.curvature * track.rig[k, i] * track.weighted_rig[k, 2, j]
-                )
+        z = track.innovation[k]
+        for i in range(_COMMON):
+            z0 = z[0, i]
+            z1 = z[1, i]
+            z2 = z[2, i]
+            z3 = z[3, i]
+            for j in range(_COMMON):
+                common[i, j] += z0 * z[0, j] + z1 * z[1, j] + z2 * z[2, j] + z3 * z[3, j]
+    error = _COMMON - 1
+    prior = problem.landmarks.error_information[row]
+    common[3, 3] += prior
+    common[3, error] -= prior * problem.landmarks.state[row, 3]
+    for i in range(LANDMARK):
+        elimination.gradient[row, i] = trust.weight * common[i, error]
+        for j in range(RIG):
+            elimination.rig_coupling[row, i, j] = trust.curvature * common[i, LANDMARK + j]
+    rig0 = len(equations.gradient) - RIG
+    for i in range(RIG):
+        equations.gradient[rig0 + i] += trust.weight * common[LANDMARK + i, error]
+        for j in range(i + 1):
+            equations.hessian[rig0 + i, rig0 + j] += (
+                trust.curvature * common[LANDMARK + i, LANDMARK + j]
+            )
 
 
-@compiled
-def _add_motions(row: int, problem: _Problem, track: _Track, trust: _Trust, pairs: _Pairs) -> None:
+@compiled_into_callers
+def _add_motions(
+    row: int,
+    problem: _Problem,
+    track: _Track,
+    trust: _Trust,
+    factors: FloatArray,
+    sums: FloatArray,
+) -> None:
     """Add the observations of a landmark to the equations of the motions from its anchor frame,
-    and of the jitters."""
+    and of the jitters.
+
+    Args:
+        row: the landmark.
+        problem: all of them.
+        track: its observations.
+        trust: its weights.
+        factors: work space, [4, 22].
+        sums: receives the sums over frame and anchor, [K, K, 9, 22] (``_add_pairs``).
+    """
     first = problem.observations.start[row]
     count = problem.observations.start[row + 1] - first
     anchor = problem.observations.slot[first]
+    correlation = problem.noise.correlation
+    of_next = correlation * correlation / (1.0 + correlation)
+    with_prev = -correlation / (1.0 + correlation)
     for k in range(count):
-        slot = problem.observations.slot[first + k]
-        hessian = pairs.hessian[slot, anchor]
-        gradient = pairs.gradient[slot, anchor]
-        rig = pairs.rig[slot, anchor]
+        white = track.white[k]
+        of_own = _share_of_own(k, correlation) ** 2
+        if k + 1 < count:
+            of_own += of_next
+        for n in range(PIXELS):
+            for j in range(FRAME):
+                factors[n, j] = trust.curvature * of_own * white[n, j]
+            for j in range(RIG):
+                factors[n, _WITH_RIG + j] = trust.curvature * track.weighted[k, n, LANDMARK + j]
+            factors[n, _GRADIENT] = trust.weight * track.weighted[k, n, _COMMON - 1]
+        for n in range(PIXELS):
+            for j in range(FRAME):
+                prev = track.white[k - 1, n, j] if k > 0 else 0.0
+                factors[n, _WITH_PREV + j] = trust.curvature * with_prev * prev
+        target = sums[problem.observations.slot[first + k], anchor]
         for i in range(FRAME):
-            for n in range(PIXELS):
-                jacobian = track.frame[k, n, i]
-                gradient[i] += trust.weight * jacobian * track.pull[k, n]
-                for j in range(RIG):
-                    rig[i, j] += trust.curvature * jacobian * track.weighted_rig[k, n, j]
-            for n in range(PIXELS):
-                weighted = 0.0
-                for q in range(PIXELS):
-                    weighted += track.frame[k, q, i] * track.information[k, q, n]
-                weighted *= trust.curvature
-                for j in range(i + 1):
-                    hessian[i, j] += weighted * track.frame[k, n, j]
-        if k > 0 and problem.noise.correlation > 0.0:
-            cross = pairs.cross[slot, anchor]
-            for i in range(FRAME):
-                for n in range(PIXELS):
-                    weighted = 0.0
-                    for q in range(PIXELS):
-                        weighted += track.frame[k, q, i] * track.cross[k, q, n]
-                    weighted *= trust.curvature
-                    for j in range(FRAME):
-                        cross[i, j] += weighted * track.frame[k - 1, n, j]
+            w0 = white[0, i]
+            w1 = white[1, i]
+            w2 = white[2, i]
+            w3 = white[3, i]
+            for j in range(_PAIR):
+                target[i, j] += (
+                    w0 * factors[0, j]
+                    + w1 * factors[1, j]
+                    + w2 * factors[2, j]
+                    + w3 * factors[3, j]
+                )
 
 
-@compiled
+@compiled_into_callers
 def _couple(
     row: int, problem: _Problem, track: _Track, curvature: float, coupling: FloatArray
 ) -> None:
@@ -638,89 +678,51 @@ def _couple(
     of_anchor = coupling[first]
     for k in range(count):
         own = coupling[first + k]
-        own[:] = 0.0
+        white = track.white[k]
+        for i in range(LANDMARK):
+            w0 = curvature * track.weighted[k, 0, i]
+            w1 = curvature * track.weighted[k, 1, i]
+            w2 = curvature * track.weighted[k, 2, i]
+            w3 = curvature * track.weighted[k, 3, i]
+            for j in range(FRAME):
+                own[i, j] = (
+                    w0 * white[0, j] + w1 * white[1, j] + w2 * white[2, j] + w3 * white[3, j]
+                )
+        if k == 0:
+            continue  # its pose does not matter there
         adjoint = problem.geometry.adjoints[problem.observations.slot[first + k], anchor]
         for i in range(LANDMARK):
-            for n in range(PIXELS):
-                weighted = curvature * track.weighted_landmark[k, n, i]
-                for j in range(FRAME):
-                    own[i, j] += weighted * track.frame[k, n, j]
-            if k == 0:
-                continue  # its pose does not matter there
-            for n in range(POSE):
-                for j in range(POSE):
-                    of_anchor[i, j] -= own[i, n] * adjoint[n, j]
+            for j in range(POSE):
+                of_anchor[i, j] -= (
+                    own[i, 0] * adjoint[0, j]
+                    + own[i, 1] * adjoint[1, j]
+                    + own[i, 2] * adjoint[2, j]
+                    + own[i, 3] * adjoint[3, j]
+                    + own[i, 4] * adjoint[4, j]
+                    + own[i, 5] * adjoint[5, j]
+                )
 
 
-@compiled
-def _eliminate(
-    row: int,
-    problem: _Problem,
-    own: FloatArray,
-    wide: FloatArray,
-    elimination: Elimination,
-    equations: NormalEquations,
+@compiled_into_callers
+def _factor(
+    curvature: float, information: FloatArray, work: _Workspace, inverse: FloatArray
 ) -> None:
-    """Eliminate one landmark: subtract Bᵀ A⁻¹ B of its information A, [4, 4], and its coupling B.
+    """Fill the Cholesky factor of a landmark's information, [4, 4], and its inverse.
 
-    With A = R Rᵀ and Y = R⁻¹ B that is Yᵀ Y; only blocks of frames that saw it, and of the rig, are
-    touched.
+    Args:
+        curvature: factor of the information.
+        information: its lower triangle.
+        work: receives the factor.
+        inverse: receives the inverse, [4, 4].
     """
-    slots = problem.observations.slot
-    first = problem.observations.start[row]
-    end = problem.observations.start[row + 1]
-    root = np.zeros((LANDMARK, LANDMARK))
+    root = work.root
     for i in range(LANDMARK):
         for j in range(i + 1):
-            total = own[i, j]
+            total = curvature * information[i, j]
             for n in range(j):
                 total -= root[i, n] * root[j, n]
             root[i, j] = math.sqrt(max(total, 1e-12)) if i == j else total / root[j, j]
-    _fill_inverse(root, elimination.inverse[row])
-    num_frames = end - first
-    width = FRAME * num_frames + RIG
-    for i in range(LANDMARK):
-        for m in range(num_frames):
-            for j in range(FRAME):
-                wide[i, FRAME * m + j] = elimination.coupling[first + m, i, j]
-        for j in range(RIG):
-            wide[i, FRAME * num_frames + j] = elimination.rig_coupling[row, i, j]
-    reduced = np.zeros(LANDMARK)
-    for i in range(LANDMARK):
-        reduced[i] = elimination.gradient[row, i]
-        for n in range(i):
-            reduced[i] -= root[i, n] * reduced[n]
-            for j in range(width):
-                wide[i, j] -= root[i, n] * wide[n, j]
-        reduced[i] /= root[i, i]
-        for j in range(width):
-            wide[i, j] /= root[i, i]
-    # Frames ascend, so that this fills the lower triangle; the rig comes last.
-    rig0 = len(equations.gradient) - RIG
-    for p in range(num_frames + 1):
-        row0 = rig0 if p == num_frames else FRAME * slots[first + p]
-        for i in range(RIG if p == num_frames else FRAME):
-            y0 = wide[0, FRAME * p + i]
-            y1 = wide[1, FRAME * p + i]
-            y2 = wide[2, FRAME * p + i]
-            y3 = wide[3, FRAME * p + i]
-            equations.gradient[row0 + i] -= (
-                y0 * reduced[0] + y1 * reduced[1] + y2 * reduced[2] + y3 * reduced[3]
-            )
-            target = equations.hessian[row0 + i]
-            for q in range(p + 1):
-                column0 = rig0 if q == num_frames else FRAME * slots[first + q]
-                for j in range(RIG if q == num_frames else FRAME):
-                    k = FRAME * q + j
-                    target[column0 + j] -= (
-                        y0 * wide[0, k] + y1 * wide[1, k] + y2 * wide[2, k] + y3 * wide[3, k]
-                    )
-
-
-@compiled
-def _fill_inverse(root: FloatArray, inverse: FloatArray) -> None:
-    """Fill the inverse of R Rᵀ, [4, 4], for a lower triangular R."""
-    solved = np.zeros(LANDMARK)
+    solved = work.unit
     for column in range(LANDMARK):
         for i in range(LANDMARK):
             total = 1.0 if i == column else 0.0
@@ -734,36 +736,101 @@ def _fill_inverse(root: FloatArray, inverse: FloatArray) -> None:
             inverse[i, column] = total / root[i, i]
 
 
+@compiled_into_callers
+def _eliminate(
+    row: int,
+    problem: _Problem,
+    work: _Workspace,
+    elimination: Elimination,
+    equations: NormalEquations,
+) -> None:
+    """Eliminate one landmark: subtract Bᵀ A⁻¹ B of its information A, [4, 4], and its coupling B.
+
+    With A = R Rᵀ and Y = R⁻¹ B that is Yᵀ Y; only blocks of frames that saw it, and of the rig, are
+    touched.
+    """
+    first = problem.observations.start[row]
+    end = problem.observations.start[row + 1]
+    root = work.root
+    wide = work.wide
+    of_frames = FRAME * (end - first)
+    width = of_frames + RIG
+    for i in range(LANDMARK):
+        for m in range(first, end):
+            into = wide[i, FRAME * (m - first) :]
+            for j in range(FRAME):
+                into[j] = elimination.coupling[m, i, j]
+        for j in range(RIG):
+            wide[i, of_frames + j] = elimination.rig_coupling[row, i, j]
+        wide[i, width] = elimination.gradient[row, i]
+    for i in range(LANDMARK):
+        for n in range(i):
+            factor = root[i, n]
+            for j in range(width + 1):
+                wide[i, j] -= factor * wide[n, j]
+        scale = 1.0 / root[i, i]
+        for j in range(width + 1):
+            wide[i, j] *= scale
+    # The frames of a track follow one another, the rig comes last: this fills the lower triangle.
+    frame0 = FRAME * problem.observations.slot[first]
+    rig0 = len(equations.gradient) - RIG
+    for p in range(width):
+        y0 = wide[0, p]
+        y1 = wide[1, p]
+        y2 = wide[2, p]
+        y3 = wide[3, p]
+        at = frame0 + p if p < of_frames else rig0 + p - of_frames
+        equations.gradient[at] -= (
+            y0 * wide[0, width] + y1 * wide[1, width] + y2 * wide[2, width] + y3 * wide[3, width]
+        )
+        target = equations.hessian[at, frame0:]
+        for q in range(min(p + 1, of_frames)):
+            target[q] -= y0 * wide[0, q] + y1 * wide[1, q] + y2 * wide[2, q] + y3 * wide[3, q]
+        for q in range(of_frames, p + 1):
+            equations.hessian[at, rig0 + q - of_frames] -= (
+                y0 * wide[0, q] + y1 * wide[1, q] + y2 * wide[2, q] + y3 * wide[3, q]
+            )
+
+
 @compiled
-def _add_pairs(pairs: _Pairs, adjoints: FloatArray, equations: NormalEquations) -> None:
-    """Add the equations of pairs to those of frames: ξ_ka = ξ_k − Ad(T_ka) ξ_a."""
+def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: NormalEquations) -> None:
+    """Add the equations of motions to those of frames: ξ_ka = ξ_k − Ad(T_ka) ξ_a.
+
+    In its anchor frame, a landmark is where it is, whatever the pose: only the jitter counts.
+
+    Args:
+        sums: equations of ζ = (ξ_ka, ω_k) for frame k and anchor a, [K, K, 9, 22]: its information
+            by itself, with ζ of the frame before, and with the rig, and its gradient.
+        adjoints: [K, K, 9, 9].
+        equations: receives the sums.
+    """
     rig0 = len(equations.gradient) - RIG
     num_frames = len(adjoints)
     for k in range(num_frames):
         for a in range(k + 1):
-            of_motion = pairs.hessian[k, a]
+            of_motion = np.ascontiguousarray(sums[k, a, :, :FRAME])
             if of_motion[-1, -1] == 0.0:
                 continue  # no landmark of this anchor was seen there
-            for i in range(FRAME):
-                for j in range(i):
-                    of_motion[j, i] = of_motion[i, j]
+            with_rig = np.ascontiguousarray(sums[k, a, :, _WITH_RIG:_GRADIENT])
+            of_gradient = np.ascontiguousarray(sums[k, a, :, _GRADIENT])
             adjoint = adjoints[k, a]
             of_both = of_motion @ adjoint
             of_anchor = adjoint.T @ of_both
-            gradient = adjoint.T @ pairs.gradient[k, a]
-            rig = adjoint.T @ pairs.rig[k, a]
+            gradient = adjoint.T @ of_gradient
+            rig = adjoint.T @ with_rig
             for i in range(FRAME):
-                equations.gradient[FRAME * k + i] += pairs.gradient[k, a, i]
+                equations.gradient[FRAME * k + i] += of_gradient[i]
                 equations.gradient[FRAME * a + i] -= gradient[i]
                 for j in range(FRAME):
                     equations.hessian[FRAME * k + i, FRAME * k + j] += of_motion[i, j]
                     equations.hessian[FRAME * a + i, FRAME * a + j] += of_anchor[i, j]
                     equations.hessian[FRAME * k + i, FRAME * a + j] -= of_both[i, j]
                 for j in range(RIG):
-                    equations.hessian[rig0 + j, FRAME * k + i] += pairs.rig[k, a, i, j]
+                    equations.hessian[rig0 + j, FRAME * k + i] += with_rig[i, j]
                     equations.hessian[rig0 + j, FRAME * a + i] -= rig[i, j]
             if a < k:
-                _add_neighbours(k, a, pairs.cross[k, a], adjoints, equations)
+                with_prev = np.ascontiguousarray(sums[k, a, :, _WITH_PREV:_WITH_RIG])
+                _add_neighbours(k, a, with_prev, adjoints, equations)
 
 
 @compiled
