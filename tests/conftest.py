@@ -6,9 +6,56 @@ from pathlib import Path
 
 import pytest
 
+from compile_once import take_turns
+
 # Workers of xdist and subprocesses inherit this. With threads, OpenBLAS makes an eigendecomposition
 # of size 40 wait for 10 ms instead of 0.1 where all cores are busy, as they are with the tests.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+LONGEST = (
+    *("test_atomic_step.py", "training/gk/test_expectation_maximization.py"),
+    *("nets/test_rotation_training.py", "paper/test_hydranet.py", "test_examples.py"),
+    *("noise/gk/test_generalized_kernel.py", "training/test_training_at_scale.py"),
+    *("cli/test_hostile_folder.py", "nets/test_learning.py", "nets/test_methods.py"),
+    *("test_fuzz.py", "training/test_api.py", "estimation/test_window.py"),
+    *("evaluation/test_accelerometer_scale.py", "sim/scene/test_renderer.py"),
+    *("training/probe/test_selection.py", "sim/scene/test_presets.py", "training/test_workers.py"),
+    *("sim/spoiling/test_stress.py", "paper/test_figure_5.py", "predictors/test_separation.py"),
+)
+"""Files of more than ten seconds of processor time, which several processes begin with."""
+LEAST_PROCESSES = 4
+"""Of ``--numprocesses auto``: some tests wait, and others share the processor with something."""
+
+take_turns()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Return the number of processes for ``--numprocesses auto``; None if the user has set it."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    return max(os.cpu_count() or 1, LEAST_PROCESSES)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest files, so that at the end no process is left with one of them."""
+    tests = Path(__file__).parent
+    rank = {tests / name: place for place, name in enumerate(LONGEST)}
+    missing = [str(path) for path in rank if not path.exists()]
+    if missing:
+        raise pytest.UsageError(f"LONGEST in {__file__} names what is not there: {missing}")
+    items.sort(key=lambda item: rank.get(item.path, len(rank)))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let all processes, and later calls, share what JAX has compiled.
+
+    Networks consist of hundreds of operations that take JAX longer to compile than to compute.
+    """
+    if hasattr(config, "cache"):  # unless started with -p no:cacheprovider
+        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax")))
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 
 @pytest.fixture(scope="session")

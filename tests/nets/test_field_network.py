@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
-pytest.importorskip("equinox")
+eqx = pytest.importorskip("equinox")
 
 from nets.small_pairs import small_pairs  # noqa: E402
 from probevo.nets import methods  # noqa: E402
-from probevo.nets.field_network import linear_fit, pooled_flow, standardisation  # noqa: E402
+from probevo.nets.field_network import (  # noqa: E402
+    LinearFit,
+    linear_fit,
+    pooled_flow,
+    standardisation,
+)
+from probevo.nets.image_pairs import ImagePairs  # noqa: E402
+from probevo.nets.networks import Network  # noqa: E402
 from probevo.nets.rotation_network import SPACE, build, method_of  # noqa: E402
 
 METHOD = method_of(5)
+
+
+def network_of(pairs: ImagePairs, linear: LinearFit) -> Network:
+    """Return a network with initial weights, compiled as a whole."""
+    network: Network = eqx.filter_jit(lambda key: build(METHOD, pairs.fields, linear, key=key))(
+        jax.random.key(0)
+    )
+    return network
 
 
 def test_the_regression_finds_the_rotation() -> None:
@@ -30,7 +47,7 @@ def test_the_regression_finds_the_rotation() -> None:
 def test_a_network_begins_as_the_regression() -> None:
     pairs = small_pairs(60)
     linear = linear_fit(pairs.fields, pairs.rotations / SPACE.unit_rad)
-    network = build(METHOD, pairs.fields, linear, key=jax.random.key(0))
+    network = network_of(pairs, linear)
     outputs, raw = network(jax.numpy.asarray(pairs.fields[0]), jax.random.key(0))
     mean, scale = standardisation(pairs.fields)
     expected = pooled_flow((pairs.fields[:1] - mean) * scale) @ linear.weights.T + linear.offset
@@ -43,14 +60,15 @@ def test_a_network_begins_as_the_regression() -> None:
 def test_training_leaves_the_regression_as_it_is() -> None:
     pairs = small_pairs(20)
     linear = linear_fit(pairs.fields, pairs.rotations / SPACE.unit_rad)
-    network = build(METHOD, pairs.fields, linear, key=jax.random.key(0))
+    network = network_of(pairs, linear)
     q_true = jax.vmap(SPACE.estimate)(jax.numpy.asarray(pairs.rotations / SPACE.unit_rad))
     targets = jax.numpy.repeat(q_true[:, None], 5, axis=1)
-    gradient = jax.grad(
-        lambda trained: methods.loss(
-            SPACE, trained, jax.numpy.asarray(pairs.fields), targets, key=jax.random.key(0)
-        )
-    )(network)
+
+    def loss(trained: Network) -> Any:
+        fields = jax.numpy.asarray(pairs.fields)
+        return methods.loss(SPACE, trained, fields, targets, key=jax.random.key(0))
+
+    gradient = eqx.filter_jit(jax.grad(loss))(network)
     assert not np.asarray(gradient.trunk.linear.weights).any()
     assert not np.asarray(gradient.trunk.mean).any()
     assert np.asarray(gradient.trunk.last.weight).any()
