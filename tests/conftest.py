@@ -23,7 +23,7 @@ LONGEST = (
     *("sim/spoiling/test_stress.py", "paper/test_figure_5.py", "predictors/test_separation.py"),
 )
 """Files of more than ten seconds of processor time, which several processes begin with."""
-LEAST_PROCESSES = 4
+LEAST_PROCESSES = 3
 """Of ``--numprocesses auto``: some tests wait, and others share the processor with something."""
 
 take_turns()

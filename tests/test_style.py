@@ -56,7 +56,7 @@ PACKAGES = [
     *("geometry", "camera", "sequences", "tracking", "predictors", "noise", "measurements"),
     *("estimation", "training", "evaluation", "output", "cli"),
 ]
-OUTER = ("cli", "output", "runner", "run_plot", "__main__")
+OUTER = ("cli", "output", "runner", "replay", "run_plot", "__main__")
 """Units of probevo that are not its core: what a user sees."""
 
 

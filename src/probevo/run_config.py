@@ -214,7 +214,11 @@ class RunConfig(CommonRunSettings):
     )
     ros: RosSettings = Field(RosSettings(), description="Frames of that bag.")
     viewer: Path | None = Field(
-        None, description="Write a file .rrd for the Rerun viewer, too (extra viewer)."
+        None,
+        description=(
+            "Write a file .rrd for the Rerun viewer, too (extra viewer). Without a file, or with"
+            " `window`: open its window."
+        ),
     )
 
 

@@ -37,7 +37,7 @@ from probevo.output.headline import headline_drift
 from probevo.output.motions_file import write_motions
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult, facts_table
-from probevo.output.viewer_file import ViewerFile, check_viewer_path, opened_viewer
+from probevo.output.viewer_file import WINDOW, ViewerFile, check_viewer_path, opened_viewer
 from probevo.python_arguments import as_path
 from probevo.run_checks import check_run
 from probevo.run_config import RunConfig, as_run_config, config_text
@@ -282,7 +282,7 @@ def _write_results(
         "mask_left": config.mask_left and config.mask_left.resolve(),
         "mask_right": config.mask_right and config.mask_right.resolve(),
         "write": config.write and config.write.resolve(),
-        "viewer": config.viewer and config.viewer.resolve(),
+        "viewer": config.viewer and _absolute_viewer(config.viewer),
     }
     settings = config_text(config.model_copy(update=absolute))
     truth = None
@@ -336,6 +336,11 @@ def _write_results(
     if len(result) < 2:
         remove_stale(out / "report.html")
     return Run(result, metrics, truth, pictures=tuple(pictures.drawn))
+
+
+def _absolute_viewer(path: Path) -> Path:
+    """Return an absolute path, unless it means a window."""
+    return path if path == WINDOW else path.resolve()
 
 
 class SmoothedPath:

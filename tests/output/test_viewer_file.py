@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -73,9 +74,67 @@ def test_a_run_writes_what_its_frames_show(tmp_path: Path) -> None:
     assert found["/world/camera/image"] >= FRAMES
     assert found["/world/camera"] == FRAMES
     assert {"frame", "time"} <= timelines(path)
-    later = tmp_path / "later.rrd"
-    assert main(["convert", str(tmp_path / "out"), "--out", str(later)]) == 0
-    assert set(rows(later)) == set(found) - OF_FRAMES - {"/world/truth"}
+
+
+def test_a_finished_run_is_shown_with_its_frames_while_the_recording_is_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same entities and rows as of the run itself; without the recording, those of the path."""
+    pytest.importorskip("rerun")
+    wall = open_sequence(write_wall(tmp_path / "wall", FRAMES))
+    now = tmp_path / "now.rrd"
+    config = {"viewer": now, "estimator": "window", "max_frames": FRAMES - 1}
+    run_sequence(wall, config, tmp_path / "out")
+    words = ["convert", str(tmp_path / "out"), "--out"]
+    assert main([*words, str(tmp_path / "later.rrd")]) == 0
+    assert "changed" not in capsys.readouterr().out
+    assert rows(tmp_path / "later.rrd") == rows(now)
+
+    # Another image in its place is noticed, fewer are refused.
+    for side in ("left", "right"):
+        shutil.copy(wall.path / side / "000003.png", wall.path / side / "000001.png")
+    assert main([*words, str(tmp_path / "other.rrd")]) == 0
+    assert "features are not exactly those" in capsys.readouterr().out
+    shutil.rmtree(wall.path)
+    write_wall(wall.path, 2)
+    assert main([*words, str(tmp_path / "fewer.rrd")]) == 2
+    assert "only 2" in capsys.readouterr().err
+    assert not (tmp_path / "fewer.rrd").exists()
+
+    shutil.rmtree(wall.path)
+    assert main([*words, str(tmp_path / "without.rrd")]) == 0
+    assert "without images and features" in capsys.readouterr().out
+    expected = set(rows(now)) - OF_FRAMES - {"/world/truth"}
+    assert set(rows(tmp_path / "without.rrd")) == expected
+
+
+def test_without_a_file_a_window_is_opened_where_there_is_a_display(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the window would be sent goes to a file here."""
+    rerun = pytest.importorskip("rerun")
+    wall = write_wall(tmp_path / "wall", FRAMES)
+    words = ["run", str(wall), "--viewer", "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert main(words) == 2
+    assert "--viewer: there is no display" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    shown = tmp_path / "shown.rrd"
+    monkeypatch.setattr(rerun.RecordingStream, "spawn", lambda stream: stream.save(shown))
+    assert main(words) == 0
+    assert rows(shown)["/world/camera/image/features"] == FRAMES
+    assert "viewer: window" in (tmp_path / "out" / "config.yaml").read_text()
+
+    def fail(stream: object) -> None:
+        raise RuntimeError("no executable")
+
+    monkeypatch.setattr(rerun.RecordingStream, "spawn", fail)
+    assert main(words) == 2
+    assert "the viewer does not start: no executable" in capsys.readouterr().err
 
 
 def test_the_imu_is_shown(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from probevo.sequences import (
     registry,
     sequence_formats,
 )
+from probevo.sequences.recordings_below import MOST_LOOKED_AT
 from probevo.settings import Settings
 from sequences.damage import assert_refused
 from sequences.recordings import write_folder_sequence, write_kitti_odometry, write_tracks
@@ -44,6 +45,30 @@ def test_folder_of_no_known_format_says_what_was_looked_for(tmp_path: Path) -> N
     assert_refused(
         tmp_path, ["found pictures", "image_00 (kitti-raw)", "calib.yaml or left (folder)"]
     )
+
+
+def test_of_a_folder_above_a_recording_the_recording_is_suggested(tmp_path: Path) -> None:
+    path = write_folder_sequence(tmp_path / "drives" / "monday")
+    (tmp_path / "motions.npz").write_bytes(b"")
+    for above in (path.parent, tmp_path):
+        assert_refused(above, [str(above), "no recording", f"Did you mean {path}?"])
+
+
+def test_of_many_recordings_below_the_first_are_named(tmp_path: Path) -> None:
+    paths = [write_folder_sequence(tmp_path / f"{k}") for k in range(6)]
+    (tmp_path / "run.bag").write_bytes(b"")
+    names = ", ".join(map(str, paths[:4]))
+    assert_refused(tmp_path, [f"Did you mean one of {names} and 3 more below it?"])
+
+
+def test_far_below_and_among_thousands_of_files_nothing_is_searched_for(tmp_path: Path) -> None:
+    deep = write_folder_sequence(tmp_path / "a" / "b" / "c" / "d")
+    assert_refused(tmp_path, ["found a", "image_00 (kitti-raw)"])
+    crowded = tmp_path / "a" / "b"
+    for k in range(MOST_LOOKED_AT):
+        (crowded / f"{k}.txt").touch()
+    assert_refused(crowded, ["no known format"])
+    assert_refused(deep.parent, [f"Did you mean {deep}?"])
 
 
 @pytest.mark.parametrize("format", [None, "folder"])

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 VIEWER_SUFFIX = ".rrd"
+SETTINGS = "config.yaml"
 MOTIONS = "motions.npz"
 """What makes a folder that of a run."""
 
@@ -119,16 +120,51 @@ def _convert_run(arguments: ConvertArguments, ros: RosSettings) -> None:
     from probevo.output.bag_writer import check_bag_path
     from probevo.output.motions_file import read_motions
     from probevo.output.odometry_bag import write_odometry_bag
-    from probevo.output.viewer_file import write_viewer_file
 
     if arguments.out.suffix != VIEWER_SUFFIX:
         check_bag_path(arguments.out, "--out")
     result = read_motions(arguments.source / MOTIONS)
     if arguments.out.suffix == VIEWER_SUFFIX:
-        write_viewer_file(arguments.out, with_smoothed(result, arguments.source))
+        _write_for_viewer(with_smoothed(result, arguments.source), arguments)
     else:
         write_odometry_bag(arguments.out, result, ros)
     print(f"odometry of {len(result)} frames written: {arguments.out}")
+
+
+def _write_for_viewer(result: RunResult, arguments: ConvertArguments) -> None:
+    """Write a run for the viewer, with images and features if its recording is still there.
+
+    Raises:
+        InputError: the recording is damaged, or the file cannot be written.
+    """
+    from probevo.cli.progress import progress_bar
+    from probevo.output.viewer_file import check_viewer_path, write_viewer_file
+    from probevo.replay import write_viewer_file_again
+    from probevo.run_config import read_config
+    from probevo.sequences import open_sequence
+
+    check_viewer_path(arguments.out, "--out")
+    settings_file = arguments.source / SETTINGS
+    config = read_config(settings_file) if settings_file.is_file() else None
+    if config is None or config.sequence is None or not config.sequence.exists():
+        write_viewer_file(arguments.out, result)
+        print("Its recording is not there any more: without images and features.")
+        return
+    sequence = open_sequence(config.sequence, config.format, **config.format_options())
+    if len(sequence) < len(result):
+        what = f"the run has {len(result)} frames, and {config.sequence} only {len(sequence)}."
+        raise InputError(settings_file, what, "Put the recording back as it was, or elsewhere.")
+    num_done = count(1)
+    with progress_bar(sequence.path.name, "reading") as show:
+        is_same = write_viewer_file_again(
+            arguments.out,
+            result,
+            sequence,
+            config,
+            on_frame=lambda: show(next(num_done), len(result)),
+        )
+    if not is_same:
+        print("The recording or probevo has changed since: features are not exactly those.")
 
 
 def with_smoothed(result: RunResult, folder: Path) -> RunResult:

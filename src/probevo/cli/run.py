@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections import Counter
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -48,6 +48,7 @@ class RunArguments:
 
 def main(words: list[str]) -> None:
     """Parse the arguments and run."""
+    words = with_viewer_window(words)
     arguments = parse(RunArguments, words, "run", default=_defaults(words))
     settings = checked(arguments.settings)
     if arguments.sequence is None:
@@ -91,6 +92,16 @@ def main(words: list[str]) -> None:
 def _defaults(words: list[str]) -> RunArguments:
     settings = default_settings(words)
     return RunArguments(sequence=settings.sequence, out=tyro.MISSING, settings=settings)
+
+
+def with_viewer_window(words: list[str]) -> list[str]:
+    """Return the words with the value "window" after a --viewer that has none."""
+    found = []
+    for word, following in pairwise([*words, "--"]):
+        found.append(word)
+        if word == "--viewer" and following.startswith("--"):
+            found.append("window")
+    return found
 
 
 def default_settings(words: list[str]) -> RunConfig:

@@ -1,10 +1,12 @@
-"""A run as a recording of the Rerun viewer (``.rrd``): images, features, path, covariances, status.
+"""A run in the Rerun viewer, or as a file of it (``.rrd``): images, features, path, covariances.
 
 The extra ``viewer`` installs ``rerun-sdk``.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -25,6 +27,8 @@ from probevo.output.run_result import RunResult
 from probevo.sequences.frame import Frame
 
 SUFFIX = ".rrd"
+WINDOW = Path("window")
+"""In place of a file: a window of the viewer, on this machine's display."""
 BLUE_RGB = (23, 105, 170)
 GREEN_RGB = (44, 140, 90)
 GREY_RGB = (139, 149, 161)
@@ -36,13 +40,21 @@ NUM_SIGMAS = 3.0
 def check_viewer_path(path: Path, option: str) -> None:
     """Refuse a path that cannot be written, before anything is computed.
 
+    Args:
+        path: a file ``.rrd``, or ``WINDOW``.
+        option: what names it, for the message.
+
     Raises:
-        InputError: rerun-sdk is not installed, the ending is another one, or the folder is not
-            writable.
+        InputError: rerun-sdk is not installed, the ending is another one, the folder is not
+            writable, or a window is asked for where there is no display.
     """
-    if path.suffix != SUFFIX:
-        raise InputError(option, f"{path} does not end in {SUFFIX}.", "Rerun opens such files.")
-    check_folder(path.parent, option)
+    if path == WINDOW:
+        _check_display(option)
+    elif path.suffix != SUFFIX:
+        cure = f"Name a file {SUFFIX}, which Rerun opens, or none, behind SEQUENCE, for a window."
+        raise InputError(option, f"{path} does not end in {SUFFIX}.", cure)
+    else:
+        check_folder(path.parent, option)
     try:
         import rerun  # noqa: F401
     except ImportError as error:
@@ -50,8 +62,20 @@ def check_viewer_path(path: Path, option: str) -> None:
         raise InputError(option, "the viewer needs the package rerun-sdk.", cure) from error
 
 
+def _check_display(option: str) -> None:
+    """Refuse to open a window where there is no display, such as on a server.
+
+    Raises:
+        InputError: there is none.
+    """
+    has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not has_display:
+        cure = f"Name a file, {option} drive{SUFFIX}, and open it with `rerun` elsewhere."
+        raise InputError(option, "there is no display for a window of the viewer.", cure)
+
+
 class ViewerFile:
-    """A run that is written while it goes on; ``rerun FILE`` shows it.
+    """A run that is written, or shown, while it goes on; ``rerun FILE`` shows a file.
 
     Its timelines are ``frame`` and ``time``. Entities of each frame, as it is processed:
     ``world/camera/image`` (JPEG), ``world/camera/image/features`` (coloured by weight, from
@@ -66,10 +90,11 @@ class ViewerFile:
     The file appears when it is finished, with the name that was asked for.
 
     Args:
-        path: a file ``.rrd``.
+        path: a file ``.rrd``, or ``WINDOW``.
 
     Raises:
-        InputError: rerun-sdk is not installed, or the file cannot be written.
+        InputError: rerun-sdk is not installed, the file cannot be written, or the viewer cannot be
+            started.
     """
 
     def __init__(self, path: Path) -> None:
@@ -78,9 +103,14 @@ class ViewerFile:
 
         self._rr = rr
         self._written = ExitStack()
-        self._partial = self._written.enter_context(written_together(path.parent)) / path.name
-        self._recording: Any = rr.RecordingStream("probevo", recording_id=path.stem)
-        self._recording.save(self._partial)
+        self._partial: Path | None = None
+        if path == WINDOW:
+            self._recording: Any = rr.RecordingStream("probevo")  # a new one for each run
+            _open_window(self._recording)
+        else:
+            self._partial = self._written.enter_context(written_together(path.parent)) / path.name
+            self._recording = rr.RecordingStream("probevo", recording_id=path.stem)
+            self._recording.save(self._partial)
         self._recording.log("world", rr.ViewCoordinates.RDF, static=True)
         self._first_ns: int | None = None
         self._is_open = True
@@ -132,10 +162,11 @@ class ViewerFile:
         self._close()
 
     def discard(self) -> None:
-        """Write no file, unless it is finished."""
+        """Write no file, unless it is finished; a window keeps what it shows."""
         if self._is_open:
             self._recording.disconnect()
-            self._partial.unlink(missing_ok=True)
+            if self._partial is not None:
+                self._partial.unlink(missing_ok=True)
             self._close()
 
     def _close(self) -> None:
@@ -194,6 +225,19 @@ def write_viewer_file(path: Path, result: RunResult, truth: FloatArray | None = 
     with opened_viewer(path) as viewer:
         if viewer is not None:
             viewer.finish(result, truth)
+
+
+def _open_window(recording: Any) -> None:
+    """Start the viewer, and send it the recording from now on.
+
+    Raises:
+        InputError: it does not start.
+    """
+    try:
+        recording.spawn()
+    except (OSError, RuntimeError) as error:
+        cure = f"Name a file, --viewer drive{SUFFIX}, and open it with `rerun`."
+        raise InputError("--viewer", f"the viewer does not start: {error}.", cure) from error
 
 
 def _colors(weights: FloatArray) -> AnyArray:

@@ -27,6 +27,7 @@ from probevo.sequences.format_options import (
     RosbagOptions,
     VideoOptions,
 )
+from probevo.sequences.recordings_below import recordings_below, suggestion
 from probevo.settings import Settings
 
 if TYPE_CHECKING:
@@ -414,6 +415,9 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
         ]
         cure = f"Give a folder, or {', or '.join(kinds)}."
         raise InputError(path, "this file is no recording.", cure)
+    below = recordings_below(path, formats.values())
+    if below:
+        raise InputError(path, "this folder is no recording.", suggestion(below))
     found = sorted(entry.name for entry in path.iterdir())[:MOST_NAMES]
     looked_for = [
         f"{' or '.join(known.folder_signs)} ({known.name})"

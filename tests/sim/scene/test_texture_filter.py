@@ -7,14 +7,15 @@ from probevo.arrays import FloatArray
 from probevo_sim.scene.texture_filter_numba import Footprint, sample, sample_square
 from probevo_sim.scene.textures import SIZE, Texture, make_textures
 
-MIPMAPS = make_textures()
-
 
 def level(texture: Texture, index: int) -> FloatArray:
     """Return one mip level of a texture as an image, from −1 to 1."""
     side = SIZE >> index
-    start = MIPMAPS.level_start[index]
-    return MIPMAPS.texels[texture, start : start + side * side].reshape(side, side) / 127.5 - 1.0
+    start = make_textures().level_start[index]
+    return (
+        make_textures().texels[texture, start : start + side * side].reshape(side, side) / 127.5
+        - 1.0
+    )
 
 
 def mean_over(
@@ -28,7 +29,7 @@ def mean_over(
     b_by_v: float = 0.0,
 ) -> float:
     footprint = Footprint(a, b, a_by_u, a_by_v=a_by_v, b_by_u=b_by_u, b_by_v=b_by_v)
-    return sample(MIPMAPS, int(texture), footprint)
+    return sample(make_textures(), int(texture), footprint)
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (17, 300), (511, 511)])
@@ -80,7 +81,7 @@ def test_growing_footprints_change_the_mean_smoothly() -> None:
 
 def test_the_soft_sample_of_a_soft_texture_is_the_full_one() -> None:
     for side in (1.0, 3.0, 20.0):
-        soft = sample_square(MIPMAPS, int(Texture.BLOTCHES), a=55.5, b=201.5, side=side)
+        soft = sample_square(make_textures(), int(Texture.BLOTCHES), a=55.5, b=201.5, side=side)
         assert soft == pytest.approx(
             mean_over(Texture.BLOTCHES, 55.5, 201.5, a_by_u=side, b_by_v=side), abs=0.05
         )

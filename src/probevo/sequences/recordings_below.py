@@ -1,0 +1,69 @@
+"""Recordings in the folders below one that is none, for the message that refuses it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Protocol
+
+DEEPEST = 3
+"""Folders below the given one that are searched; KITTI raw is two deep, below the date."""
+MOST_LOOKED_AT = 1000
+"""Files and folders after which the search ends: a home folder would take minutes."""
+MOST_NAMED = 4
+
+
+class Recogniser(Protocol):
+    """A recording format, as far as it is needed to recognise a recording."""
+
+    @property
+    def folder_signs(self) -> tuple[str, ...]:
+        """Files or folders by which a folder is recognised."""
+
+    def recognises(self, path: Path) -> bool:
+        """Return whether an existing file or folder looks like a recording."""
+
+
+def recordings_below(path: Path, formats: Iterable[Recogniser]) -> list[Path]:
+    """Return the recordings below a folder, the nearest ones first, in the order of their names.
+
+    Folders that cannot be read, and hidden ones, are passed over.
+
+    Args:
+        path: the folder.
+        formats: the formats to look for. Those without a sign of a folder are left out: a single
+            ``.npz`` file may be anything.
+    """
+    likely = [known for known in formats if known.folder_signs]
+    found: list[Path] = []
+    level = [path]
+    looked_at = 0
+    for _ in range(DEEPEST):
+        following = []
+        for entry in (entry for folder in level for entry in _entries(folder)):
+            looked_at += 1
+            if looked_at > MOST_LOOKED_AT:
+                return found
+            if any(known.recognises(entry) for known in likely):
+                found.append(entry)
+            elif entry.is_dir():
+                following.append(entry)
+        level = following
+    return found
+
+
+def suggestion(found: list[Path]) -> str:
+    """Return what a message says of the recordings below a folder."""
+    if len(found) == 1:
+        return f"Did you mean {found[0]}?"
+    names = ", ".join(str(path) for path in found[:MOST_NAMED])
+    more = len(found) - MOST_NAMED
+    return f"Did you mean one of {names}{f' and {more} more below it' if more > 0 else ''}?"
+
+
+def _entries(folder: Path) -> list[Path]:
+    """Return what a folder holds, but for hidden files; nothing if it cannot be read."""
+    try:
+        return sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+    except OSError:
+        return []
