@@ -1,6 +1,6 @@
 """Measure the time of a frame, decoding included, against a plain OpenCV odometry.
 
-    python benchmarks/speed.py [--repeats 3] [--frames 154]
+    python benchmarks/speed.py [--repeats 3] [--frames 154] [--estimator window]
 
 Measured on one core and on two, and by stage. Ours predicts the noise of each feature from all
 default predictors by a generalized kernel of 2,000 centers. Both odometries read the same files, in
@@ -31,7 +31,7 @@ FIRST = 5
 """Frames of a pass that do not count: there is no motion yet, or compiled code is being loaded."""
 
 
-def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
+def measure(path: Path, cores: int, estimator: str, *, repeats: int, frames: int) -> None:
     """Measure in this process, and print the result as JSON."""
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     import cv2
@@ -48,7 +48,7 @@ def measure(path: Path, cores: int, repeats: int, frames: int) -> None:
     theirs = []
     for _ in range(repeats):
         cv2.setNumThreads(1)
-        ours += gaps(ours_over(sequence, model, stages.append), frames)
+        ours += gaps(ours_over(sequence, model, estimator, stages.append), frames)
         cv2.setNumThreads(cores)
         theirs += gaps(theirs_over(sequence), frames)
     stage_ms = {
@@ -101,13 +101,18 @@ def kernel(sequence: Sequence, frames: int) -> GeneralizedKernel:
 
 
 def ours_over(
-    sequence: Sequence, model: GeneralizedKernel, keep: Callable[[dict[str, float]], None]
+    sequence: Sequence,
+    model: GeneralizedKernel,
+    estimator: str,
+    keep: Callable[[dict[str, float]], None],
 ) -> Iterator[None]:
     """Yield after each motion of probevo; hand the times of its stages to ``keep``."""
     import probevo as pv
     from probevo.tracking.preparation import prepare_ahead
 
-    odometry = pv.StereoOdometry(sequence.camera, model, sequence.imu)
+    odometry = pv.StereoOdometry(
+        sequence.camera, model, sequence.imu, config={"estimator": estimator}
+    )
     for frame in prepare_ahead(sequence, odometry.config.tracking):
         motion = odometry.step(frame)
         if frame.index >= FIRST:
@@ -141,9 +146,12 @@ def gaps(motions: Iterator[None], frames: int) -> list[float]:
     return times[FIRST:]
 
 
-def measure_apart(path: Path, cores: int, repeats: int, frames: int) -> dict[str, Any]:
+def measure_apart(
+    path: Path, cores: int, estimator: str, *, repeats: int, frames: int
+) -> dict[str, Any]:
     """Measure in a process of its own."""
     words = [sys.executable, __file__, "--measure", str(path), str(cores)]
+    words += ["--estimator", estimator]
     words += ["--repeats", str(repeats), "--frames", str(frames)]
     done = subprocess.run(
         words, env=os.environ | THREADS, stdout=subprocess.PIPE, text=True, check=True
@@ -161,18 +169,19 @@ def main() -> None:
     )
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--frames", type=int, default=154)
+    parser.add_argument("--estimator", choices=["two-frame", "window"], default="two-frame")
     parser.add_argument("--measure", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     repeats = arguments.repeats
     frames = arguments.frames
     if arguments.measure:
         path, cores = arguments.measure
-        measure(Path(path), int(cores), repeats, frames)
+        measure(Path(path), int(cores), arguments.estimator, repeats=repeats, frames=frames)
         return
     print(f"{'recording':12} cores  ours  p99  baseline  ratio  p99/median  peak, MB   stages, ms")
     for name, path in available().items():
         for cores in (1, 2):
-            found = measure_apart(path, cores, repeats, frames)
+            found = measure_apart(path, cores, arguments.estimator, repeats=repeats, frames=frames)
             ours = found["ours"]
             p99 = found["p99"]
             theirs = found["theirs"]
