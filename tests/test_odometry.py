@@ -106,13 +106,14 @@ def test_the_doubt_of_the_calibration_makes_the_covariance_no_smaller_than_the_e
 
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_blind_frames_are_dead_reckoned(count: int) -> None:
-    """Three frames in a row with hardly a feature: two steps between them, one before and one after
-    are blind."""
+    """Three frames in a row with hardly a feature: two steps between them and one before are blind,
+    and the one after leads back to the features before."""
     frames = drive(np.random.default_rng(4), 20)
     frames[10:13] = [with_features(frame, count) for frame in frames[10:13]]
     motions = run(frames)
+    statuses = [motion.status for motion in motions[10:14]]
+    assert statuses == [pv.Status.TOO_FEW_TRACKS] * 3 + [pv.Status.RECOVERED]
     for motion in motions[10:14]:
-        assert motion.status is pv.Status.TOO_FEW_TRACKS
         assert is_proper(motion)
         assert volume(motion) > volume(motions[9]) + 6.0
         assert np.linalg.norm(motion_error(motion.T_curr_prev)[:3]) < 0.1
@@ -280,7 +281,7 @@ def test_while_the_gyro_is_not_asked_its_bias_walks_on() -> None:
 
 def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     """A frozen driver repeats a pair three times, and a fourth time the left image only: the motion
-    is dead-reckoned, with an inflated covariance."""
+    is dead-reckoned, with an inflated covariance, until the features before are seen again."""
     sequence = pv.open_sequence(write_wall(tmp_path / "wall", 12))
     frames = list(sequence)
     for k in (6, 7, 8, 9):
@@ -292,7 +293,8 @@ def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
     odometry = pv.StereoOdometry(sequence.camera)
     motions = [odometry.step(frame) for frame in frames]
     true = relative_motions(sequence.truth.T_world_cam)
-    assert {motion.status for motion in motions[6:11]} == {pv.Status.TOO_FEW_TRACKS}
+    assert {motion.status for motion in motions[6:10]} == {pv.Status.TOO_FEW_TRACKS}
+    assert motions[10].status is pv.Status.RECOVERED
     for motion, T_true in zip(motions[6:11], true[5:10], strict=True):
         assert normalized_error_squared(T_true, motion.T_curr_prev, motion.cov) < 22.5
     assert motions[11].status is OK
@@ -609,7 +611,8 @@ def test_features_come_with_the_residual_of_the_step_before() -> None:
 
 
 def test_after_a_refused_step_no_residual_is_known() -> None:
-    """Features swap places in frame 6, and all but five are missing in frame 12."""
+    """Features swap places in frame 6, and all but five are missing in frame 12. The frames
+    behind them lead back to those before, and have their residuals."""
     frames = drive(np.random.default_rng(19), 18)
     features = frames[6].features
     assert features is not None
@@ -619,7 +622,12 @@ def test_after_a_refused_step_no_residual_is_known() -> None:
     steps = last_residuals_of(frames)
     refused = [k for k, (status, _, _) in enumerate(steps) if status not in (OK, FIRST)]
     assert refused == [6, 7, 12, 13]
+    for k in (7, 13):
+        assert steps[k][0] is pv.Status.RECOVERED
+        assert np.isfinite(steps[k][1]).any()
     for k, (_, predicted, expected) in enumerate(steps):
+        if k in (7, 13):
+            continue
         np.testing.assert_allclose(predicted, expected, rtol=1e-9)
         assert np.isnan(predicted).all() == (k <= 1 or k - 1 in refused)
 

@@ -21,6 +21,7 @@ from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_correction import corrected
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.motion_model import MotionModel
+from probevo.estimation.recovery import INLIERS_FACTOR, MOST_DURATION_S, noise_over_frames
 from probevo.estimation.rig_update import update_rig
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
 from probevo.estimation.sensor_fusion import SensorFusion, motion_innovations_squared
@@ -43,12 +44,15 @@ from probevo.sequences.frame import Frame, is_repeated, looks_repeated
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
 from probevo.stage_clock import StageClock
-from probevo.state import OdometryState, Prediction, StepFeatures
+from probevo.state import LastUsable, OdometryState, Prediction, StepFeatures
 from probevo.tracking import Tracked, TrackingState, Tracks, tracker_for
 from probevo.tracking.last_residuals import LastResiduals
 from probevo.tracking.observations import FrameObservations
 from probevo.tracking.preparation import with_prepared_images
 
+LOST = (Status.TOO_FEW_TRACKS, Status.DEGENERATE)
+"""What a step is whose features were lost. One that was refused has features, which contradict the
+prediction or one another, and would do so from any other frame."""
 MOST_REPEATED_SOLVES = 3
 """How often a step is solved again, at most, because its tracks show more jitter of the rig."""
 
@@ -122,6 +126,7 @@ class StereoOdometry:
         solved = self._solve(  # consensus, noise of each track, motion
             state, frame, prediction, observed=observed, measured=measured, clock=clock
         )
+        solved = self._recovered(state, frame, prediction, solved=solved, clock=clock)
         estimate, after = self._conclude(  # learn from it, advance the pose
             state, frame, prediction, solved=solved, measured=measured, clock=clock
         )
@@ -384,6 +389,51 @@ class StereoOdometry:
             jitter_cov = updated.jitter.cov
         return _Solved(observed, visual, rig=updated, common_mode=common_mode)
 
+    def _recovered(
+        self,
+        state: OdometryState,
+        frame: Frame,
+        prediction: Prediction,
+        *,
+        solved: _Solved,
+        clock: StageClock,
+    ) -> _Solved:
+        """Where a step after a dead-reckoned one has no motion, look for the features of the last
+        frame that had one (``estimation.recovery``).
+
+        Returns:
+            The motion from that frame, or the step as it was solved. A window is left to itself.
+        """
+        usable = state.last_usable
+        if (
+            usable is None
+            or state.window is not None
+            or solved.visual.status not in LOST
+            or solved.observed.is_frozen
+            or usable.path.duration_s + prediction.duration_s > MOST_DURATION_S
+        ):
+            return solved
+        motion = usable.path.predicted(prediction.motion, state.motion_model.path_sensitivity)
+        from_usable = replace(
+            prediction,
+            duration_s=usable.path.duration_s + prediction.duration_s,
+            motion=motion,
+            gyro=None,
+            rotation=None,
+        )
+        found = self._solve(
+            usable.state,
+            frame,
+            from_usable,
+            observed=self._observe(usable.state, frame, from_usable, clock=clock),
+            measured=_Measured(of_motion=[], readings=[]),
+            clock=clock,
+        )
+        fewest = INLIERS_FACTOR * self.config.solver.min_tracks
+        if found.visual.status is not Status.OK or found.visual.num_inliers < fewest:
+            return solved
+        return replace(found, from_usable=from_usable)
+
     def _conclude(
         self,
         state: OdometryState,
@@ -406,7 +456,7 @@ class StereoOdometry:
         clock.lap("learn")
         window = None
         fusion = state.fusion
-        readings = _readings_used(measured, frame, visual, prediction.window)
+        readings = _readings_used(measured, frame, solved, prediction.window)
         if prediction.window is not None:  # the two-frame motion is where its adjustment starts
             window = self._adjust(
                 prediction.window,
@@ -422,7 +472,7 @@ class StereoOdometry:
         else:
             motion, readings = self._correct(state, frame, motion, readings=readings)
             fusion = fusion.after(motion)
-        fusion, outcomes = self._fuse(fusion, frame, visual, readings=readings)
+        fusion, outcomes = self._fuse(fusion, frame, solved, readings=readings)
         pose = fusion.pose
         estimate = replace(
             motion,
@@ -445,6 +495,7 @@ class StereoOdometry:
             step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
             is_frozen=observed.is_frozen,
             window=window,
+            last_usable=_last_usable(state, prediction, motion),
         )
         return estimate, after
 
@@ -455,6 +506,19 @@ class StereoOdometry:
         solved: _Solved,
     ) -> _Learned:
         """Take the motion that was solved, or else the predicted one, and learn from it."""
+        usable = state.last_usable
+        if usable is not None and solved.from_usable is not None:
+            learned = self._accept(usable.state, solved.from_usable, solved)
+            path_s = solved.from_usable.duration_s
+            motion = noise_over_frames(learned.motion, state.motion_model.frames_of(path_s))
+            return replace(
+                learned,
+                motion=usable.path.closed(motion),
+                motion_model=state.motion_model.after_recovery(
+                    prediction.duration_s, path_s, motion.T_curr_prev, cov=motion.cov
+                ),
+                residuals=LastResiduals.none(),  # those over several frames are no usual ones
+            )
         if solved.visual.status is Status.OK:
             return self._accept(state, prediction, solved)
         return self._dead_reckon(state, prediction, solved.observed, solved.visual)
@@ -586,7 +650,7 @@ class StereoOdometry:
         self,
         fusion: SensorFusion,
         frame: Frame,
-        visual: VisualMotion,
+        solved: _Solved,
         *,
         readings: Sequence[Reading],
     ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
@@ -602,8 +666,8 @@ class StereoOdometry:
             of_motion = reading.of_motion(pose)
             motion_squared[reading.name] = [None] * len(of_motion)
             # A correction has taken the place of the solve, and cannot be tested against it.
-            if visual.status is Status.OK and not isinstance(sensor, MotionCorrection):
-                solution = visual.accepted_solution
+            if solved.shows_step and not isinstance(sensor, MotionCorrection):
+                solution = solved.visual.accepted_solution
                 motion_squared[reading.name] = motion_innovations_squared(
                     of_motion, solution.T_curr_prev, pose, cov=solution.cov
                 )
@@ -721,6 +785,13 @@ class _Solved:
     """The calibration after the step, but for the delay of the right images."""
     common_mode: FloatArray
     """Columns along which errors of the calibration before the step move the motion, [6, 3]."""
+    from_usable: Prediction | None = None
+    """The prediction from the last usable frame, if the motion leads from there."""
+
+    @property
+    def shows_step(self) -> bool:
+        """Whether the images show the motion from the previous frame to this one."""
+        return self.visual.status is Status.OK and self.from_usable is None
 
 
 @dataclass(frozen=True)
@@ -733,14 +804,24 @@ class _Measured:
     """What each sensor returned."""
 
 
+def _last_usable(
+    state: OdometryState, prediction: Prediction, motion: MotionEstimate
+) -> LastUsable | None:
+    """Return what later frames may be held against, given the motion that a step ended with."""
+    if motion.status in (Status.OK, Status.RECOVERED):
+        return None
+    usable = state.usable
+    return replace(usable, path=usable.path.advanced(prediction.duration_s, motion))
+
+
 def _readings_used(
-    measured: _Measured, frame: Frame, visual: VisualMotion, window: Window | None
+    measured: _Measured, frame: Frame, solved: _Solved, window: Window | None
 ) -> list[Reading]:
     """Return what of the readings was used: of the motion, nothing if it was dead-reckoned.
 
     The window uses measurements of the motion also where the images fix none.
     """
-    if visual.status is Status.OK or window is not None:
+    if solved.shows_step or window is not None:
         return measured.readings
     pose = pose_of(frame.index)
     used = []

@@ -15,6 +15,7 @@ from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.inertial import Inertial, trusts_gyro, uses_imu, with_samples
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.pose_filter import PoseFilter
+from probevo.estimation.recovery import DeadReckonedPath
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.estimation.window import Window
 from probevo.measurements.base import pose_of
@@ -68,6 +69,16 @@ class Prediction:
 
 
 @dataclass(frozen=True)
+class LastUsable:
+    """The last frame with a motion from images, while those after it are dead-reckoned."""
+
+    state: OdometryState
+    """After that frame."""
+    path: DeadReckonedPath
+    """From it to the last frame."""
+
+
+@dataclass(frozen=True)
 class OdometryState:
     """The whole memory of a ``StereoOdometry``: a step computes a new one and assigns it last.
 
@@ -97,6 +108,9 @@ class OdometryState:
     """Whether the images have stood still in the last step though the camera moved."""
     window: Window | None
     """The last frames and their landmarks; None for the two-frame estimator."""
+    last_usable: LastUsable | None = None
+    """Where the path has been dead-reckoned from; None if the last frame has a motion from
+    images."""
 
     @staticmethod
     def at_first_frame(
@@ -139,6 +153,11 @@ class OdometryState:
     def pose(self) -> PoseFilter:
         """Pose of the camera in the world."""
         return self.fusion.pose
+
+    @property
+    def usable(self) -> LastUsable:
+        """The last frame with a motion from images, which may be the last one."""
+        return self.last_usable or LastUsable(self, DeadReckonedPath.none())
 
     def predict(self, frame: Frame, imu: ImuCalibration | None) -> Prediction:
         """Predict the motion to the next frame, from gyro and last velocity (PROBE eqs. 3-4).

@@ -30,7 +30,8 @@ class SensorOutcome:
 class Status(IntEnum):
     """How a motion came about.
 
-    In all but FIRST and OK it is dead-reckoned from gyro and last velocity, and much less certain.
+    In all but FIRST, OK and RECOVERED it is dead-reckoned from gyro and last velocity, and much
+    less certain.
     """
 
     FIRST = 0
@@ -43,6 +44,9 @@ class Status(IntEnum):
     """The solve did not reach an optimum, or one that fails the gate of the motion model."""
     GAP = 5
     """The motion could not be solved, and frames are missing before this one."""
+    RECOVERED = 6
+    """Images show the motion from the last frame that was OK, but not from the previous one. This
+    step is as uncertain as those between; the path is not (``path_cross_cov``)."""
 
 
 @dataclass(frozen=True)

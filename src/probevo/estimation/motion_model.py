@@ -176,6 +176,10 @@ class MotionModel:
         """Return whether frames are missing in a step that long."""
         return self.usual_step_s > 0.0 and duration_s > self.config.gap_factor * self.usual_step_s
 
+    def frames_of(self, duration_s: float) -> float:
+        """Return how many of the usual steps a time has."""
+        return duration_s / self.usual_step_s if self.usual_step_s > 0.0 else 1.0
+
     def after_solve(
         self, duration_s: float, T_curr_prev: FloatArray, cov: FloatArray
     ) -> MotionModel:
@@ -184,6 +188,25 @@ class MotionModel:
             self.config,
             twist_s=se3.log(T_curr_prev) / duration_s,
             twist_sigma_s=np.sqrt(np.diagonal(cov)) / duration_s,
+            usual_step_s=self._usual_step_after(duration_s),
+        )
+
+    def after_recovery(
+        self, duration_s: float, path_s: float, T_curr_usable: FloatArray, cov: FloatArray
+    ) -> MotionModel:
+        """Return the model after a motion over several frames: it shows the mean velocity, and half
+        of the change since is unknown.
+
+        Args:
+            duration_s: time between the last two frames.
+            path_s: time of the whole motion.
+            T_curr_usable: the motion, [4, 4].
+            cov: its covariance, [6, 6].
+        """
+        mean = self.after_solve(path_s, T_curr_usable, cov)
+        return replace(
+            mean,
+            twist_sigma_s=mean._drifted_sigma(0.5 * path_s),
             usual_step_s=self._usual_step_after(duration_s),
         )
 

@@ -156,11 +156,11 @@ def _key_figures(
     if metrics is not None and metrics.anees is not None:
         aside = _consistency_aside(metrics.anees, truth_noise)
         figures.append(KeyFigure("ANEES", readable(metrics.anees), aside=aside))
-    dead_reckoned = int(np.sum(result.status != Status.OK))
-    percent_ok = 100.0 * (1.0 - dead_reckoned / len(result.status))
-    figures.append(
-        KeyFigure("Steps OK", readable(percent_ok), "%", f"{dead_reckoned:,} dead-reckoned")
-    )
+    recovered = int(np.sum(result.status == Status.RECOVERED))
+    dead_reckoned = int(np.sum(result.status != Status.OK)) - recovered
+    percent_ok = 100.0 * float(np.mean(result.status == Status.OK))
+    aside = f"{dead_reckoned:,} dead-reckoned" + (f", {recovered:,} recovered" if recovered else "")
+    figures.append(KeyFigure("Steps OK", readable(percent_ok), "%", aside))
     ms = float(np.median(result.total_ms))
     rate = f"{readable(1000.0 / ms)} frames/s" if ms > 0 else "a frame"
     figures.append(KeyFigure("Median time", readable(ms), "ms", rate))

@@ -25,6 +25,7 @@ STATUS_COLORS = {
     Status.TOO_FEW_TRACKS: "#e0651f",
     Status.NOT_CONVERGED: "#b5446e",
     Status.GAP: "#5b4b8a",
+    Status.RECOVERED: "#4a7fb5",
 }
 
 

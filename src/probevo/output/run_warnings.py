@@ -29,6 +29,7 @@ _CAUSES = {
         "stamps or an IMU in wrong units, a wrong calibration, or frames out of order"
     ),
     Status.GAP: "missing frames, or wrong stamps",
+    Status.RECOVERED: "dark, blurred or frozen pictures between usable ones",
 }
 
 

@@ -1,0 +1,166 @@
+"""Frames that show nothing, and the features that are seen again behind them."""
+
+import numpy as np
+import pytest
+
+import probevo as pv
+from intervals import chi2_interval
+from probevo.arrays import FloatArray
+from probevo.config import OdometryConfig
+from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.estimation.motion_model import MotionModel
+from probevo.estimation.recovery import MOST_DURATION_S, DeadReckonedPath, noise_over_frames
+from probevo.evaluation.consistency import drift_covariances
+from probevo.geometry import se3
+from probevo.geometry.uncertainty import normalized_error_squared
+from worlds import CAMERA, FORWARD, blind_frame, drive
+
+FRAMES = 14
+BLIND = (7, 8, 9)
+"""Frames that show nothing."""
+
+
+def motions_of(frames: list[pv.Frame]) -> list[MotionEstimate]:
+    odometry = pv.StereoOdometry(CAMERA)
+    return [odometry.step(frame) for frame in frames]
+
+
+def drive_with_blind_frames(
+    rng: np.random.Generator, blind: tuple[int, ...] = BLIND
+) -> tuple[list[pv.Frame], FloatArray]:
+    """A drive whose speed and turn rate wander, as a car's do, and its true motions."""
+    changes = rng.normal(size=(FRAMES, 6)) * np.repeat([0.01, 0.001], 3)
+    true = np.array([se3.exp(change) @ FORWARD for change in np.cumsum(changes, axis=0)])
+    frames = drive(rng, FRAMES, true)
+    for index in blind:
+        frames[index] = blind_frame(index)
+    return frames, true[1:]
+
+
+def test_the_first_frame_behind_leads_back_to_the_last_one_before() -> None:
+    frames, true = drive_with_blind_frames(np.random.default_rng(0))
+    motions = motions_of(frames)
+    expected = [pv.Status.TOO_FEW_TRACKS] * 3 + [pv.Status.RECOVERED, pv.Status.OK]
+    assert [motion.status for motion in motions[7:12]] == expected
+    # The path from before to behind is as good as if it had been seen in one piece.
+    found = np.eye(4)
+    exact = np.eye(4)
+    for k in range(7, 11):
+        found = motions[k].T_curr_prev @ found
+        exact = true[k - 1] @ exact
+    assert np.linalg.norm(se3.log(exact @ se3.inverse(found))[:3]) < 0.05
+
+
+@pytest.mark.parametrize("blind", [BLIND, (7, 9)])
+def test_steps_and_path_are_within_their_covariance(blind: tuple[int, ...]) -> None:
+    """Of 40 drives; the last pose, and the step that recovers."""
+    of_step = []
+    of_pose = []
+    for seed in range(40):
+        frames, true = drive_with_blind_frames(np.random.default_rng(seed), blind)
+        steps = motions_of(frames)[1:]
+        recovered = sum(step.status is pv.Status.RECOVERED for step in steps)
+        assert recovered == (1 if blind == BLIND else 2)
+        T_world_cam = np.eye(4)
+        T_world_cam_true = np.eye(4)
+        for step, T_true in zip(steps, true, strict=True):
+            T_world_cam = T_world_cam @ se3.inverse(step.T_curr_prev)
+            T_world_cam_true = T_world_cam_true @ se3.inverse(T_true)
+            if step.status is pv.Status.RECOVERED:
+                of_step.append(normalized_error_squared(T_true, step.T_curr_prev, step.cov))
+        np.testing.assert_allclose(steps[-1].T_world_cam, T_world_cam, atol=1e-9)
+        cov = drift_covariances(
+            np.array([step.T_curr_prev for step in steps]),
+            np.array([step.cov for step in steps]),
+            np.array([step.common_mode for step in steps]),
+            np.array([step.path_cross_cov for step in steps]),
+        )[-1]
+        np.testing.assert_allclose(steps[-1].pose_cov, cov, rtol=1e-6, atol=1e-12)
+        of_pose.append(
+            normalized_error_squared(se3.inverse(T_world_cam_true), se3.inverse(T_world_cam), cov)
+        )
+    # The calibration's uncertainty counts though it is exact here, and the motion model allows for
+    # more than such a car does: conservative, the latter by far.
+    _, high = chi2_interval(6, len(of_pose))
+    assert 1.0 < np.mean(of_pose) < high
+    assert np.mean(of_step) < high
+    assert np.sqrt(np.trace(cov[:3, :3])) < 0.1
+
+
+def test_the_path_is_that_of_a_motion_seen_in_one_piece() -> None:
+    """P = Ad P Adᵀ + S, whatever the dead reckoning claimed in between."""
+    rng = np.random.default_rng(0)
+    before = random_cov(rng, 0.01)
+    path = DeadReckonedPath.none()
+    cov = before
+    for _ in range(3):
+        reckoned = MotionEstimate(
+            FORWARD, random_cov(rng, 0.3), pv.Status.TOO_FEW_TRACKS, num_tracks=0
+        )
+        path = path.advanced(0.1, reckoned)
+        cov = grown(cov, reckoned)
+    assert path.duration_s == pytest.approx(0.3)
+    T_curr_usable = se3.exp(0.01 * rng.normal(size=6)) @ FORWARD @ path.T_prev_usable
+    seen = MotionEstimate(T_curr_usable, random_cov(rng, 0.02), pv.Status.OK, num_tracks=50)
+    step = path.closed(seen)
+    np.testing.assert_allclose(step.T_curr_prev @ path.T_prev_usable, T_curr_usable, atol=1e-12)
+    assert step.status is pv.Status.RECOVERED
+    np.testing.assert_allclose(grown(cov, step), grown(before, seen), atol=1e-12)
+
+
+def random_cov(rng: np.random.Generator, sigma: float) -> FloatArray:
+    root = sigma * rng.normal(size=(6, 6))
+    return root @ root.T
+
+
+def grown(cov: FloatArray, motion: MotionEstimate) -> FloatArray:
+    adjoint = se3.adjoint(motion.T_curr_prev)
+    cross = motion.path_cross_cov
+    return adjoint @ cov @ adjoint.T + motion.cov + cross + cross.T
+
+
+def test_the_prediction_over_several_steps_is_that_of_the_motion_model() -> None:
+    """Its covariance is that of the path which is dead-reckoned once more."""
+    model = MotionModel.at_start(OdometryConfig().motion_model)
+    model = model.after_solve(0.1, FORWARD, 1e-4 * np.eye(6))
+    path = DeadReckonedPath.none()
+    for _ in range(4):
+        prediction = model.predict(0.1, None)
+        reckoned = model.dead_reckoned(prediction, None, refused=False)
+        motion = MotionEstimate(
+            reckoned.T_curr_prev,
+            reckoned.cov,
+            pv.Status.TOO_FEW_TRACKS,
+            num_tracks=0,
+            path_cross_cov=reckoned.path_cross_cov,
+        )
+        predicted = path.predicted(prediction, model.path_sensitivity)
+        path = path.advanced(0.1, motion)
+        model = model.after_dead_reckoning(0.1, prediction)
+        np.testing.assert_allclose(predicted.T_curr_prev, path.T_prev_usable, atol=1e-12)
+        np.testing.assert_allclose(predicted.cov, path.cov, atol=1e-12)
+
+
+def test_features_of_long_ago_are_given_up() -> None:
+    """The same points behind more than three seconds of blindness are those of a new start."""
+    at_rest = np.broadcast_to(np.eye(4), (60, 4, 4))
+    frames = drive(np.random.default_rng(0), 60, np.array(at_rest))
+    for index in range(10, 10 + round(10 * MOST_DURATION_S) + 1):
+        frames[index] = blind_frame(index)
+    statuses = {motion.status for motion in motions_of(frames)}
+    assert pv.Status.RECOVERED not in statuses
+
+
+@pytest.mark.parametrize(("frames", "factor"), [(1.0, 1.0), (2.0, 1.0), (6.0, 3.0)])
+def test_noise_grows_with_frames_but_the_common_mode_does_not(frames: float, factor: float) -> None:
+    common_mode = 0.1 * np.ones((6, 3))
+    own = np.eye(6)
+    motion = MotionEstimate(
+        FORWARD,
+        own + common_mode @ common_mode.T,
+        pv.Status.OK,
+        num_tracks=50,
+        common_mode=common_mode,
+    )
+    found = noise_over_frames(motion, frames).cov
+    np.testing.assert_allclose(found, factor * own + common_mode @ common_mode.T)
