@@ -1,20 +1,24 @@
-"""Kill commands at random moments, and run them in places where something is missing.
+"""Kill commands at random moments, start many at once, and run them where something is missing.
 
-    python benchmarks/faults.py [--kills 50] [--seed 0]
+    python benchmarks/faults.py [--kills 50] [--seed 0] [--only PART] [--folder FOLDER]
 
 After each kill -9 of train, run, compare, convert and fetch (of an archive on disk), the results
 must be complete or absent. The same command then gives the bytes of an undisturbed one, and leaves
-nothing else; convert refuses to replace a file that is complete. In each place where something is
-missing (memory, file handles, room on the disk, leave to write, a terminal, ...), a command ends
-with the exit code 0, or with 2 and a message, and earlier results stay. POSIX only; a full disk and
-a read-only one need Linux's unshare.
+nothing else; convert refuses to replace a file that is complete. Of two and eight at once with the
+same output, at least one succeeds, with the bytes of an undisturbed one, and the others say what is
+in their way. In each place where something is missing (memory, file handles, room on the disk,
+leave to write, a terminal, ...), each command ends with the exit code 0, or with 2 and a message,
+and earlier results stay. POSIX only; a full disk, a read-only one and a system without /tmp need
+Linux's unshare, the last also a ``--folder`` that is not below /tmp.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -36,6 +40,12 @@ COMMANDS = {
     "convert": "convert RUN --out OUT/odometry.bag",
     "fetch": "fetch euroc/V1_01_easy --have ARCHIVE --accept-licence --out OUT",
 }
+IN_PLACES = COMMANDS | {
+    "train-by-two": COMMANDS["train"] + " --jobs 2",
+    "compare-by-two": COMMANDS["compare"] + " --jobs 2",
+}
+WRITERS = (2, 8)
+OTHER_BYTES = "other bytes than without"
 SAME_BYTES = (
     "m.safetensors",
     "trajectory.tum",
@@ -50,7 +60,11 @@ SAME_BYTES = (
 PLACES = {
     "no home": "env -u HOME {run}",
     "home is not there": "HOME=/nonexistent {run}",
-    "no temporary folder": "TMPDIR=/nonexistent {run}",
+    "temporary folder is not there": "TMPDIR=/nonexistent {run}",
+    "no temporary folder": (
+        "unshare -rm bash -c 'for place in /tmp /var/tmp /dev/shm; do mount -t tmpfs -o ro tmpfs"
+        " $place; done; {run}'"
+    ),
     "stdout closed": "{run} >&-",
     "stdout and stderr closed": "{run} >&- 2>&-",
     "stdin closed": "{run} <&-",
@@ -147,40 +161,121 @@ def halves(name: str, out: Path, expected: dict[str, bytes], stages: dict[str, i
     return [f"{key} is not whole" for key, data in found.items() if data != expected.get(key)]
 
 
-def missing(folder: Path, drive: Path) -> list[str]:
-    """Run in places where something is missing; return what went wrong."""
+def together(folder: Path, drive: Path) -> list[str]:
+    """Start several processes with the same output at once; return what went wrong."""
     faults = []
+    for name, command in COMMANDS.items():
+        whole = folder / f"{name}-of-one"
+        subprocess.run(words_of(command, drive, whole), check=True, capture_output=True)
+        expected = content(whole)
+        for number in WRITERS:
+            out = folder / f"{name}-of-{number}"
+            processes = [
+                subprocess.Popen(
+                    words_of(command, drive, out), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+                )
+                for _ in range(number)
+            ]
+            ends = [
+                (process.communicate()[1].decode(), process.returncode) for process in processes
+            ]
+            case = f"{name} by {number}"
+            if all(code != 0 for _, code in ends):
+                faults.append(f"{case}: none succeeds: {ends[0][0].strip()[-300:]}")
+            faults += [
+                f"{case}: exit code {code}: {text.strip()[-300:]}"
+                for text, code in ends
+                if code not in (0, 2) or (code == 2 and not re.search("in use by|exists", text))
+            ]
+            found = content(out)
+            if stable(found) != stable(expected):
+                faults.append(f"{case}: other bytes")
+            if found.keys() != expected.keys():
+                faults.append(f"{case}: left {sorted(found.keys() ^ expected.keys())}")
+            won = sum(code == 0 for _, code in ends)
+            print(f"{case}: {won} wrote, {number - won} were told why not", flush=True)
+    return faults
+
+
+def missing(folder: Path, drive: Path) -> list[str]:
+    """Run commands in places where something is missing; return what went wrong."""
     strange = folder / os.fsdecode(b"dr\xe4ive \n.npz")
     strange.write_bytes(drive.read_bytes())
-    cases = [(name, place, drive) for name, place in PLACES.items()]
-    cases.append(("name that is no UTF-8", "{run}", strange))
-    can_mount = subprocess.run(["unshare", "-rm", "true"], check=False).returncode == 0
-    for name, place, recording in cases:
-        if "unshare" in place and not can_mount:
-            print(f"{name}: not tried, since this system lets nobody mount")
-            continue
-        out = folder / "out-of-places"
-        subprocess.run(words_of(COMMANDS["run"], drive, out), check=True, capture_output=True)
-        before = stable(content(out))
-        whole = content(out).keys()
-        command = shlex.join(words_of(COMMANDS["run"], recording, out))
-        done = subprocess.run(
-            ["bash", "-c", f"set -o pipefail; {place.format(run=command, out=out)}"],
-            check=False,
-            capture_output=True,
-            timeout=300,
-        )
-        has_traceback = b"Traceback" in done.stderr
-        is_silent = done.returncode == 2 and not done.stderr.strip()
-        if has_traceback or is_silent or done.returncode not in (0, 2, 120):
-            last = done.stderr.decode("utf-8", "replace").strip()[-300:]
-            faults.append(f"{name}: exit code {done.returncode}: {last}")
-        if content(out).keys() != whole:
-            faults.append(f"{name}: left {sorted(content(out).keys() ^ whole)}")
-        if stable(content(out)) != before and recording == drive:
-            faults.append(f"{name}: earlier results were damaged")
-        print(f"{name}: exit code {done.returncode}", flush=True)
+    faults = []
+    for name, command in IN_PLACES.items():
+        whole = folder / f"{name}-elsewhere"
+        subprocess.run(words_of(command, drive, whole), check=True, capture_output=True)
+        expected = content(whole)
+        cases = [(place, line, drive) for place, line in PLACES.items()]
+        cases.append(("name that is no UTF-8", "{run}", strange))
+        ends = []
+        for place, line, recording in cases:
+            out = folder / f"{name}-in-places"
+            if not can_be_tried(line, folder):
+                ends.append(f"{place} not tried")
+                continue
+            words = words_of(command, recording, out)
+            found, code = in_place(words, line, out, before=expected)
+            if recording != drive and found == [OTHER_BYTES]:
+                found = []  # they name the recording
+            ends.append(f"{place} {code}")
+            faults += [f"{name}, {place}: {fault}" for fault in found]
+            shutil.rmtree(out)
+        print(f"{name}: exit codes: {', '.join(ends)}", flush=True)
     return faults
+
+
+def can_be_tried(line: str, folder: Path) -> bool:
+    """Return whether this system lets us mount, and leaves the folder where it is."""
+    if "unshare" not in line:
+        return True
+    if "/tmp" in line and Path("/tmp") in folder.resolve().parents:
+        return False
+    return subprocess.run(["unshare", "-rm", "true"], check=False).returncode == 0
+
+
+def in_place(
+    words: list[str], line: str, out: Path, *, before: dict[str, bytes]
+) -> tuple[list[str], int]:
+    """Run a command in a place; return what went wrong, and the exit code.
+
+    Args:
+        words: the command.
+        line: the place, as a line of Bash.
+        out: the output of the command. Unless it refuses to replace anything, its results of an
+            earlier call are there.
+        before: these results.
+    """
+    out.mkdir()
+    is_new = "convert" in words or "fetch" in words
+    if not is_new:
+        for name, data in before.items():
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            (out / name).write_bytes(data)
+    done = subprocess.run(
+        [
+            "bash",
+            "-c",
+            f"set -o pipefail; {line.format(run=shlex.join(words), out=shlex.quote(str(out)))}",
+        ],
+        check=False,
+        capture_output=True,
+        timeout=300,
+    )
+    faults = []
+    text = done.stderr.decode("utf-8", "replace").strip()
+    is_silent = done.returncode == 2 and not text and ">&-" not in line
+    if "Traceback" in text or is_silent or done.returncode not in (0, 2, 120):
+        faults.append(f"exit code {done.returncode}: {text[-600:]}")
+    found = content(out)
+    is_absent = is_new and not found
+    if found.keys() != before.keys() and not is_absent:
+        faults.append(f"left {sorted(found.keys() ^ before.keys())[:5]}")
+    elif stable(found) != stable(before) and not is_absent:
+        faults.append(OTHER_BYTES)
+    if done.returncode == 2:
+        print(f"    {text[:300]!r}", flush=True)
+    return faults, done.returncode
 
 
 def main() -> int:
@@ -188,9 +283,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=50, help="of all commands together")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=("kills", "writers", "places"))
+    parser.add_argument("--folder", type=Path, help="where to work; default: a temporary folder")
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
-    with tempfile.TemporaryDirectory(prefix="faults-") as name:
+    with tempfile.TemporaryDirectory(prefix="faults-", dir=given.folder) as name:
         drive = Path(name) / "drive.npz"
         config = PointConfig(radius_m=3.0, landmarks=400)
         write_points(simulate_points(config, duration_s=4.0, rng=rng), drive)
@@ -199,8 +296,13 @@ def main() -> int:
                 packed.writestr(f"mav0/cam0/data/{number}.png", rng.bytes(20_000))
         run = words_of(COMMANDS["run"], drive, drive.with_suffix(".run"))
         subprocess.run(run, check=True, capture_output=True)
-        faults = kill(Path(name), drive, -(-given.kills // len(COMMANDS)), rng)
-        faults += missing(Path(name), drive)
+        faults = []
+        if given.only in (None, "kills"):
+            faults += kill(Path(name), drive, -(-given.kills // len(COMMANDS)), rng)
+        if given.only in (None, "writers"):
+            faults += together(Path(name), drive)
+        if given.only in (None, "places"):
+            faults += missing(Path(name), drive)
     print("\n".join(faults))
     print(f"{len(faults)} faults")
     return 1 if faults else 0

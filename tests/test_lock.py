@@ -148,24 +148,42 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def finished(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run."""
+    out = tmp_path_factory.mktemp("finished")
+    assert main(["run", str(drive), "--out", str(out)]) == 0
+    return out
+
+
+def words_of(command: str, drive: Path, finished: Path, out: Path | str) -> list[str]:
+    places = {"DRIVE": str(drive), "RUN": str(finished), "OUT": str(out)}
+    words = []
+    for word in COMMANDS[command]:
+        for name, place in places.items():
+            word = word.replace(name, place)
+        words.append(word)
+    return words
+
+
 COMMANDS = {
     "run": ("run", "DRIVE", "--out", "OUT"),
     "compare": ("compare", "DRIVE", "--noise", "fixed", "--out", "OUT"),
     "inspect": ("inspect", "DRIVE", "--out", "OUT"),
     "simulate": ("simulate", "point", "--out", "OUT"),
     "train": ("train", "DRIVE", "--kind", "student-t", "--out", "OUT.safetensors"),
+    "convert": ("convert", "RUN", "--out", "OUT.bag"),
 }
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_that_finds_its_place_in_use_exits_and_says_by_whom(
-    command: str, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, drive: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    words = [
-        word.replace("DRIVE", str(drive)).replace("OUT", str(out)) for word in COMMANDS[command]
-    ]
-    folder = tmp_path / "out.safetensors.work" if command == "train" else out
+    words = words_of(command, drive, finished, out)
+    suffix = {"train": ".safetensors.work", "convert": ".bag.work"}.get(command, "")
+    folder = out.with_name(out.name + suffix)
     with locked(folder):
         assert main(words) == 2
         assert [path.name for path in folder.iterdir()] == [LOCK]
@@ -175,10 +193,9 @@ def test_a_command_that_finds_its_place_in_use_exits_and_says_by_whom(
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_name_that_is_too_long_is_refused(
-    command: str, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, drive: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = str(tmp_path / ("x" * 300))
-    words = [word.replace("DRIVE", str(drive)).replace("OUT", out) for word in COMMANDS[command]]
+    words = words_of(command, drive, finished, tmp_path / ("x" * 300))
     assert main(words) == 2
     assert "too long" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -90,6 +90,7 @@ def regress(
     inputs = jnp.asarray(tests, jnp.float32)
 
     def estimate(trained: Network, key: jax.Array) -> tuple[jax.Array, jax.Array | None]:
+        """Return the estimates of the networks of one repetition."""
         return methods.estimates(method, space, trained, inputs, key)
 
     keys = jax.random.split(jax.random.key(settings.seed), settings.repetitions)
@@ -106,6 +107,7 @@ def build(method: Method, key: jax.Array) -> Network:
     key_of_trunk, key_of_heads, key_of_covariance = jax.random.split(key, 3)
 
     def head(head_key: jax.Array) -> SeluHead:
+        """Return one head with initial weights."""
         return SeluHead((UNITS, UNITS, 1), method.dropout, key=head_key)
 
     return Network(

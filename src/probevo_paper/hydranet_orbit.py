@@ -162,6 +162,7 @@ def build(method: Method, key: jax.Array) -> Network:
     key_of_trunk, key_of_heads, key_of_covariance = jax.random.split(key, 3)
 
     def head(head_key: jax.Array) -> PReluHead:
+        """Return one head with initial weights."""
         sizes = (NUM_INPUTS, HEAD_UNITS, RotationTargets.num_outputs)
         return PReluHead(sizes, method.dropout, key=head_key)
 

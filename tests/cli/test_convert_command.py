@@ -128,6 +128,31 @@ def test_a_file_that_exists_is_never_replaced(
     assert bag.read_bytes() == before
 
 
+def test_a_folder_is_there_when_it_is_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What stops it leaves nothing; what a kill leaves is gone after the next call."""
+    source = write_folder_sequence(tmp_path / "source")
+    out = tmp_path / "out"
+    words = ["convert", str(source), "--out", str(out)]
+
+    def stop(*_: object, **__: object) -> None:
+        assert list((tmp_path / "out.work" / "recording" / "left").iterdir())
+        assert not out.exists()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("probevo.output.recording_folder.write_kitti_poses", stop)
+        assert main(words) == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["source"]
+    left = tmp_path / "out.work" / "recording" / "left"
+    left.mkdir(parents=True)
+    (left / "999999.png").write_bytes(b"")
+    assert main(words) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "source"]
+    assert len(open_sequence(out)) == len(open_sequence(source))
+
+
 def test_an_ending_of_no_bag_is_refused_before_the_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -91,6 +91,7 @@ def _unchecked(info: StructTypeInfo) -> StructConstructorSpec | None:
     ]
 
     def build(**values: Any) -> BaseModel:
+        """Return the settings as they were given; its docstring becomes that of the model."""
         return model.model_construct(**values)
 
     build.__doc__ = model.__doc__

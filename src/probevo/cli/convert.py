@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
+from shutil import rmtree
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
+from probevo.files import CHOOSE_ANOTHER
 from probevo.run_config import ReadSettings, RosSettings
 
 if TYPE_CHECKING:
@@ -57,11 +61,10 @@ def main(words: list[str]) -> None:
     ros = checked(arguments.ros)
     if arguments.max_frames is not None and arguments.max_frames < 1:
         raise InputError("--max-frames", f"is {arguments.max_frames}.", "It must be at least 1.")
-    if arguments.out.is_file():  # it may be a recording, even the source
-        what = f"{arguments.out} exists."
-        raise InputError("--out", what, "Name another file, or remove that one.")
+    _check_new(arguments.out)
     if (arguments.source / MOTIONS).is_file():
-        _convert_run(arguments, ros)
+        with _alone(arguments.out):
+            _convert_run(arguments, ros)
         return
     is_bag = arguments.out.suffix in BAG_SUFFIXES
     if arguments.compressed and not is_bag:
@@ -76,19 +79,54 @@ def main(words: list[str]) -> None:
 
     sequence = open_sequence(arguments.source, settings.format, **settings.format_options())
     num_frames = min(len(sequence), arguments.max_frames or len(sequence))
-    _write(sequence, arguments, num_frames=num_frames, is_bag=is_bag)
+    with _alone(arguments.out) as work:
+        _write(sequence, arguments, work, num_frames=num_frames, is_bag=is_bag)
     print(f"{num_frames} frames written: {arguments.out}")
     if is_bag and sequence.imu is not None:
         print("The noise of the IMU has no place in a bag: give it with --imu-noise.")
 
 
+def _check_new(out: Path) -> None:
+    """Refuse to replace a file: it may be a recording, even the source.
+
+    Raises:
+        InputError: it exists.
+    """
+    if out.is_file():
+        raise InputError("--out", f"{out} exists.", "Name another file, or remove that one.")
+
+
+@contextmanager
+def _alone(out: Path) -> Iterator[Path]:
+    """Give a folder to work in, beside the output, while no other process converts into it.
+
+    Raises:
+        InputError: another one does, or has just finished; or the place is not writable.
+    """
+    from probevo.lock import locked
+
+    work = out.with_name(f"{out.name}.work")
+    try:
+        with locked(work):
+            _check_new(out)
+            yield work
+    finally:
+        with suppress(OSError):  # if a killed process had left it, the lock leaves it, too
+            work.rmdir()
+
+
 def _write(
-    sequence: Sequence, arguments: ConvertArguments, *, num_frames: int, is_bag: bool
+    sequence: Sequence,
+    arguments: ConvertArguments,
+    work: Path,
+    *,
+    num_frames: int,
+    is_bag: bool,
 ) -> None:
-    """Write the recording with a progress bar."""
+    """Write the recording with a progress bar; a folder appears when it is complete."""
     from probevo.cli.progress import progress_bar
     from probevo.output.recording_bag import write_recording_bag
-    from probevo.output.recording_folder import write_recording_folder
+    from probevo.output.recording_folder import check_new_folder, write_recording_folder
 
     num_done = count(1)
     with progress_bar(sequence.path.name, "reading") as show:
@@ -106,9 +144,28 @@ def _write(
                 on_frame=on_frame,
             )
         else:
-            write_recording_folder(
-                arguments.out, sequence, num_frames=num_frames, on_frame=on_frame
-            )
+            check_new_folder(arguments.out)
+            partial = work / "recording"
+            rmtree(partial, ignore_errors=True)  # what a killed process has left
+            try:
+                write_recording_folder(partial, sequence, num_frames=num_frames, on_frame=on_frame)
+                _move(partial, arguments.out)
+            finally:
+                rmtree(partial, ignore_errors=True)
+
+
+def _move(folder: Path, out: Path) -> None:
+    """Give a folder its name, which an empty one may have.
+
+    Raises:
+        InputError: another process has put something there meanwhile.
+    """
+    try:
+        if out.is_dir():
+            out.rmdir()
+        folder.rename(out)
+    except OSError as error:
+        raise InputError(out, f"cannot be written: {error.strerror}", CHOOSE_ANOTHER) from error
 
 
 def _convert_run(arguments: ConvertArguments, ros: RosSettings) -> None:

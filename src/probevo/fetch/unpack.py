@@ -91,6 +91,7 @@ def _zip_members(packed: zipfile.ZipFile) -> Iterator[_Member]:
         if not info.is_dir() and kind in (0, stat.S_IFREG):
 
             def content(info: zipfile.ZipInfo = info) -> IO[bytes]:
+                """Open this member."""
                 return packed.open(info)
 
             yield info.filename, info.file_size, content
@@ -101,6 +102,7 @@ def _tar_members(packed: tarfile.TarFile) -> Iterator[_Member]:
         if info.isreg():
 
             def content(info: tarfile.TarInfo = info) -> IO[bytes]:
+                """Open this member; its content follows that of the one before."""
                 file = packed.extractfile(info)
                 if file is None:  # which cannot be, of a regular file
                     raise tarfile.ReadError(f"{info.name} has no content")

@@ -30,6 +30,16 @@ DENSITIES = (
 IMU_HEADER = "stamp_ns,wx,wy,wz,ax,ay,az"
 
 
+def check_new_folder(folder: Path) -> None:
+    """Refuse a folder that holds something.
+
+    Raises:
+        InputError: it does, or it is a file.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(folder, "this is no empty folder.", "Name a folder that is to be made.")
+
+
 def write_recording_folder(
     folder: Path,
     sequence: Sequence,
@@ -53,8 +63,7 @@ def write_recording_folder(
         InputError: the folder holds something, the recording has no images, one of its files is
             damaged, or a file cannot be written.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(folder, "this is no empty folder.", "Name a folder that is to be made.")
+    check_new_folder(folder)
     samples = imu_samples(sequence)
     frames = islice(sequence, num_frames)
     stamps = []
