@@ -57,6 +57,12 @@ def check_regular(path: Path, most_bytes: int) -> None:
         raise InputError(path, what, "Is it the right file?")
 
 
+def name_as_text(path: Path) -> str:
+    """Return the name of a file or folder, with ? for bytes that are no text: JSON cannot hold
+    them, so that a model whose facts had one could not be read."""
+    return path.resolve().name.encode("utf-8", "replace").decode()
+
+
 def check_folder(folder: Path, option: str) -> None:
     """Refuse a folder into which files cannot be written; nothing is created.
 

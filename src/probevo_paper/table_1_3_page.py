@@ -133,7 +133,7 @@ def _paths_panel(entries: Sequence[Entry], folder: Path) -> Markup:
     links = []
     for entry in entries:
         if entry.report is not None:
-            address = quote(Path(os.path.relpath(entry.report, folder)).as_posix())
+            address = quote(os.fsencode(Path(os.path.relpath(entry.report, folder)).as_posix()))
             links.append(f'<a href="{address}">{escape(entry.estimator)}</a>')
     name = entries[0].sequence
     note = Markup(

@@ -4,10 +4,14 @@ the first run."""
 import csv
 import io
 import json
+import os
 import re
+import shutil
+import sys
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote_to_bytes
 
 import numpy as np
 import pytest
@@ -326,3 +330,14 @@ def test_a_recording_of_one_frame_is_refused(
     np.savez(tmp_path / "one.npz", **kept)
     assert compare_exit(tmp_path / "one.npz", "--out", tmp_path / "out") == 2
     assert "has only one frame" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names")
+def test_a_name_that_is_no_text_is_linked_by_its_bytes(world: Path, tmp_path: Path) -> None:
+    strange = tmp_path / os.fsdecode(b"dr\xe4ive.npz")
+    shutil.copy(world / "a" / "test.npz", strange)
+    out = tmp_path / "out"
+    assert compare_exit(strange, "--out", out, "--noise", "fixed") == 0
+    (link,) = re.findall(r'href="(runs/[^"]*)"', (out / "comparison.html").read_text())
+    assert "dr%E4ive" in link
+    assert (out / unquote_to_bytes(link).decode("utf-8", "surrogateescape")).exists()

@@ -1,5 +1,8 @@
 """The whole training on small recordings: same bytes when resumed, better motions, refusals."""
 
+import os
+import shutil
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -66,6 +69,16 @@ def neighbors_of(path: Path) -> NearestNeighbors:
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
     return tmp_path / "models" / "model.safetensors"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names")
+def test_a_name_that_is_no_text_is_written_with_question_marks(
+    tracks: list[Path], tmp_path: Path
+) -> None:
+    strange = tmp_path / os.fsdecode(b"dr\xe4ive.npz")
+    shutil.copy(tracks[0], strange)
+    out = train([pv.open_sequence(strange)], tmp_path / "model.safetensors")
+    assert neighbors_of(out).training["recordings"][0]["name"] == "dr?ive.npz"
 
 
 def test_the_model_describes_its_training(recordings: list[Sequence], out: Path) -> None:

@@ -63,7 +63,7 @@ def main(words: list[str]) -> None:
         raise InputError("--max-frames", f"is {arguments.max_frames}.", "It must be at least 1.")
     _check_new(arguments.out)
     if (arguments.source / MOTIONS).is_file():
-        with _alone(arguments.out):
+        with _as_only_writer(arguments.out):
             _convert_run(arguments, ros)
         return
     is_bag = arguments.out.suffix in BAG_SUFFIXES
@@ -79,7 +79,7 @@ def main(words: list[str]) -> None:
 
     sequence = open_sequence(arguments.source, settings.format, **settings.format_options())
     num_frames = min(len(sequence), arguments.max_frames or len(sequence))
-    with _alone(arguments.out) as work:
+    with _as_only_writer(arguments.out) as work:
         _write(sequence, arguments, work, num_frames=num_frames, is_bag=is_bag)
     print(f"{num_frames} frames written: {arguments.out}")
     if is_bag and sequence.imu is not None:
@@ -97,7 +97,7 @@ def _check_new(out: Path) -> None:
 
 
 @contextmanager
-def _alone(out: Path) -> Iterator[Path]:
+def _as_only_writer(out: Path) -> Iterator[Path]:
     """Give a folder to work in, beside the output, while no other process converts into it.
 
     Raises:

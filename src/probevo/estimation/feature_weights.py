@@ -65,6 +65,7 @@ def scale_of_residuals(squared: FloatArray, dof: FloatArray) -> float:
         is_rare = _tail_probability(share, nu) < 0.5
         low = np.where(is_rare, share, low)
         high = np.where(is_rare, high, share)
+    # y = ν/(ν + s) solved for s. The median bears outliers up to half of the residuals.
     median = nu * (1.0 - share) / share
     return float(np.median(squared / median))
 

@@ -72,6 +72,7 @@ class _Layout:
         self, measurements: Sequence[Measurement], values: Values, *, newton: bool
     ) -> Linearization:
         """Sum the normal equations of all measurements."""
+        # The usual case, a frame's features and nothing else, is spared the copies.
         if self.is_single:
             return measurements[0].linearize(values, newton=newton)
         total = Linearization(0.0, np.zeros((self.dof, self.dof)), np.zeros(self.dof))
@@ -130,13 +131,18 @@ def minimize(
             system = layout.add_up(measurements, values, newton=False)
             continue
         trial = layout.moved(values, step)
+        # IRLS converges linearly under a loss of heavy tails. Newton's Hessian, which has the
+        # curvature of the loss, makes that quadratic, but is positive definite near the optimum
+        # only.
         trial_newton = accepted > 1 and damping < NEWTON_BELOW
         trial_system = layout.add_up(measurements, trial, newton=trial_newton)
+        # stepᵀ H step for an undamped step: its squared length in standard deviations.
         decrement = float(np.sum(step * system.gradient))
         if not trial_system.cost <= system.cost * (1.0 + 1e-12):
             if not newton and decrement < CONVERGED_BELOW**2:
                 # It is at the optimum; only rounding makes the cost rise, as without noise.
                 return Optimum(values, measurements, iteration, converged=moved <= PROPAGATE_AFTER)
+            # The step went too far: first by a better-natured Hessian, then by a shorter step.
             if newton:
                 newton = False
                 system = layout.add_up(measurements, values, newton=False)
@@ -149,6 +155,8 @@ def minimize(
         damping *= 0.1
         accepted += 1
         moved += decrement
+        # The covariance of a triangulated point depends on the motion. Were it part of the cost,
+        # the solve could make residuals cheap by moving to where they are uncertain.
         if moved > PROPAGATE_AFTER and propagations < MAX_PROPAGATIONS:
             propagations += 1
             moved = 0.0
@@ -180,6 +188,7 @@ def _damped_step(
 ) -> bool:
     """Solve (H + λ diag H) step = gradient; False where that is not positive definite."""
     dof = len(gradient)
+    # Damping by the diagonal (Marquardt) does not depend on the units of metres and radians.
     damped = hessian.copy()
     for i in range(dof):
         damped[i, i] += damping * hessian[i, i]

@@ -71,6 +71,7 @@ def initial_motion(
         )
         if are_enough(consensus.inliers, config):
             break
+    # Otherwise, the robust loss of the solve is left to deal with the outliers.
     inliers = plausible.copy()
     if config.ransac.mode == "reject" or not are_enough(consensus.inliers, config):
         inliers[plausible] = consensus.inliers
@@ -82,7 +83,7 @@ def _rotated_as_predicted(
 ) -> BoolArray:
     """Return which of the N features are seen within an angle of where the rotation alone takes
     them (PROBE V), [N]."""
-    if limit_deg == 0.0:
+    if limit_deg == 0.0:  # as by default: it needs a rotation that is known before
         return np.ones(len(tracks), np.bool_)
     prev_rays = _unit_rays(tracks.prev_px, camera)
     curr_rays = _unit_rays(tracks.curr_px, camera)
@@ -108,6 +109,7 @@ def _centroid_motion(tracks: Tracks, camera: StereoCamera, T_predicted: FloatArr
     prev_disparity = tracks.prev_px[:, 0] - tracks.prev_px[:, 2]
     curr_disparity = tracks.curr_px[:, 0] - tracks.curr_px[:, 2]
     near = np.minimum(prev_disparity, curr_disparity) > NEAR_DISPARITY_PX
+    # The median of one or two points is no better than the prediction.
     if near.sum() < 3:
         return T_predicted
     prev_points = camera.triangulate(tracks.prev_px[near])

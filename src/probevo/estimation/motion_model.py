@@ -55,9 +55,12 @@ class MotionPrediction:
 
     def fails_gate(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
         """Return whether a solved motion with its covariance cannot come from this prediction."""
+        # A gyro may be the one that is wrong: a solve is refused only if the images contradict the
+        # last velocity, too.
         if self.without_gyro is not None and not self.without_gyro.fails_gate(T_curr_prev, cov):
             return False
         innovation = self.innovation(T_curr_prev)
+        # Prediction and solve are independent, so that the innovation has the sum of both.
         squared = innovation @ np.linalg.solve(self.cov + cov, innovation)
         return bool(squared > INNOVATION_GATE)
 
@@ -118,6 +121,7 @@ class MotionModel:
             unmodelled_rad = GYRO_MISALIGNMENT_RAD * np.linalg.norm(angle) + (
                 GYRO_DELAY_S * np.linalg.norm(change_rad_s)
             )
+            # Rotation and translation no longer share the errors of the stamps.
             cov[3:] = 0.0
             cov[:, 3:] = 0.0
             cov[3:, 3:] = gyro.cov + unmodelled_rad**2 * np.eye(3)
@@ -131,6 +135,8 @@ class MotionModel:
         """
         if not self.speed_is_unknown:
             return [prediction.T_curr_prev]
+        # Lucas–Kanade finds a feature only from nearby: those of a fast vehicle are lost if their
+        # search starts from standstill.
         C_curr_prev = prediction.T_curr_prev[:3, :3]
         speeds_m_s = self.config.start_speed_m_s * np.array([0.0, 0.5, 1.0, FASTEST_START])
         return [
@@ -168,6 +174,8 @@ class MotionModel:
             cov = cov + np.outer(innovation, innovation)
         if solution is not None and self.speed_is_unknown:
             T_curr_prev = solution.T_curr_prev
+        # One unknown velocity moves this step and those before it: their errors are correlated, and
+        # a covariance of the path that added up the steps' own would be too small.
         path_before = se3.adjoint(T_curr_prev) @ self.path_sensitivity
         path_cross_cov = path_before @ prediction.velocity_sensitivity.T
         return DeadReckoning(T_curr_prev, cov, path_cross_cov)
@@ -184,6 +192,8 @@ class MotionModel:
         self, duration_s: float, T_curr_prev: FloatArray, cov: FloatArray
     ) -> MotionModel:
         """Return the model after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6]."""
+        # A new velocity, independent of what was dead-reckoned before: ``refusals`` and
+        # ``path_sensitivity`` start anew.
         return MotionModel(
             self.config,
             twist_s=se3.log(T_curr_prev) / duration_s,
@@ -222,6 +232,8 @@ class MotionModel:
         path_before = se3.adjoint(prediction.T_curr_prev) @ self.path_sensitivity
         path_sensitivity = path_before + prediction.velocity_sensitivity
         usual_step_s = self._usual_step_after(duration_s)
+        # A camera that was picked up, or a wrong first solve: what the images say again and again
+        # is right. The twist stays as a guess, but refuses nothing any more.
         if refusals >= MAX_REFUSALS:
             return replace(
                 MotionModel.at_start(self.config),
@@ -239,7 +251,7 @@ class MotionModel:
         )
 
     def _usual_step_after(self, duration_s: float) -> float:
-        if self.is_gap(duration_s):
+        if self.is_gap(duration_s):  # one long step says nothing of the next ones
             return self.usual_step_s
         if self.usual_step_s == 0.0:
             return duration_s
@@ -247,6 +259,8 @@ class MotionModel:
 
     def _drifted_sigma(self, duration_s: float) -> FloatArray:
         """Return the standard deviation of the twist after so much more time, [6]."""
+        # An acceleration that goes on moves the velocity in proportion to the time, not to its
+        # root: a vehicle that brakes keeps braking.
         acceleration = np.repeat(
             [self.config.acceleration_m_s2, self.config.angular_acceleration_rad_s2], 3
         )

@@ -97,11 +97,13 @@ def find_consensus(
     sample_size = 3 if C_curr_prev is None else 1
     count = len(tracks)
     start = np.array(guess)
+    # The sample's translation is solved for; its rotation stays the gyro's.
     if C_curr_prev is not None:
         start[:3, :3] = C_curr_prev
     samples = np.zeros((0, sample_size), dtype=np.int64)
     if count >= sample_size:
         samples = rng.integers(count, size=(num_hypotheses(confidence), sample_size))
+    # (u, v, d) instead of (X, Y, Z): a point kilometres away has a finite disparity.
     disparity = tracks.prev_px[:, 0] - tracks.prev_px[:, 2]
     points = np.column_stack([tracks.prev_px[:, :2], disparity])
     T_curr_prev = np.ascontiguousarray(start)
@@ -159,6 +161,8 @@ def _best_sample(
     sample = PropagatedNoise(
         np.empty((size, 3)), np.zeros((size, 4)), np.zeros((size, 4, 4)), np.zeros((size, 4, 2))
     )
+    # v_r repeats v_l in rectified images. Without it, a sample of three has nine residuals for six
+    # unknowns, and a tilt of the right camera does not pull at the motion.
     for i in range(3):
         sample.information[:, i, i] = 1.0
     sample.information[:, 2, 2] = problem.right_share * problem.right_share
@@ -166,6 +170,7 @@ def _best_sample(
     newton = problem.threshold_px < 0.0  # False; as a literal it would compile the loop once more
     lower = np.zeros((6, 6))
     step = np.zeros(6)
+    # The guess competes: where the motion hardly changes, it is better than a noisy sample.
     best = _truncated_cost(problem, T_start, np.inf, inliers)
     for k in range(len(samples)):
         for i in range(size):
@@ -173,6 +178,7 @@ def _best_sample(
             copy_into(curr[i], problem.curr[samples[k, i]])
         copy_into(T, T_start)
         solvable = True
+        # Samples with an outlier may go anywhere: few steps, no damping, the cost will tell.
         for _ in range(6):
             normal_equations(T, problem.camera, curr, sample, loss, newton, system)
             solvable = solve_positive_definite(
@@ -185,10 +191,12 @@ def _best_sample(
             if np.sum(step * step) < 1e-8:
                 break
         if solvable:
+            # Most samples are given up early: as soon as they cost more than the best one.
             cost = _truncated_cost(problem, T, best, inliers)
             if cost < best:
                 best = cost
                 copy_into(T_best, T)
+    # Samples after the best one have overwritten its inliers.
     _truncated_cost(problem, T_best, np.inf, inliers)
 
 
@@ -206,7 +214,7 @@ def _truncated_cost(
     total = 0.0
     for n in range(len(problem.points)):
         X, Y, Z, rho = transfer(T, problem.camera, problem.points[n])
-        squared = limit
+        squared = limit  # of a point behind the camera, as of any other outlier
         if Z > NEAREST:
             e0 = fu * X / Z + cu - curr[n, 0]
             e1 = fv * Y / Z + cv - curr[n, 1]

@@ -156,6 +156,8 @@ class TwoFrameEstimator:
             others=others,
         )
         weights = feature_weights(solution, noise.dof, self.config.loss)
+        # The solve took all errors for the tracks' own. Those that are common to tracks or frames,
+        # as of the calibration, are accounted for once it is known who is an inlier.
         after = DisparityFilter.none()
         if self._method.filters_disparities:
             solution, after = update_with_common_mode(
@@ -299,6 +301,7 @@ class _Alignment:
                 " the residual.",
                 "Take reprojection, or another noise model.",
             )
+        # A Student-t has the covariance scale · ν/(ν − 2), which is infinite for ν ≤ 2.
         dof = np.maximum(noise.dof, LEAST_ALIGNMENT_DOF)
         cov = noise.scale / (1.0 - 2.0 / dof)[:, None, None]
         aligned = solve_alignment(
@@ -310,6 +313,8 @@ class _Alignment:
             guess=guess,
             max_iterations=config.max_iterations,
         )
+        # Residuals and weights are those of the images, so that statistics and reports mean the
+        # same for either method.
         solution = solve_reprojection(
             observations, guess=aligned.T_curr_prev, others=others, max_iterations=0
         )

@@ -227,6 +227,8 @@ class VisualEstimator:
                 )
         weights[used] = estimate.weights
         solution = estimate.solution
+        # The rig's calibration and the next step's predictors look at what these two frames say of
+        # a feature; its residual against the filtered disparity depends on all frames before.
         two_frames_only = solution
         if estimate.has_history.any() or priors.measurements:
             observations = StereoObservations.of(
@@ -322,6 +324,8 @@ class VisualEstimator:
             others=priors.measurements,
             curr=priors.curr,
         )
+        # Both come from the same tracks: their difference has less than the sum, so that the test
+        # rather keeps the learned one.
         cov = plain.cov + solution.cov
         if not (plain.converged and np.isfinite(cov).all()):
             return solution.T_curr_prev
@@ -369,6 +373,8 @@ def evaluate_status(
     """Return whether a solve fixed all six degrees of freedom, converged, and passes the gate."""
     if not np.isfinite(solution.cov).all():
         return Status.DEGENERATE
+    # The largest eigenvalue, not an entry of the diagonal: the direction that is not fixed may lie
+    # across the axes.
     translation_sigma_m = np.sqrt(np.linalg.eigvalsh(solution.cov[:3, :3])[-1])
     rotation_sigma_rad = np.sqrt(np.linalg.eigvalsh(solution.cov[3:, 3:])[-1])
     if (
@@ -378,6 +384,8 @@ def evaluate_status(
         return Status.DEGENERATE
     if (weights >= INLIER_FROM).sum() < config.solver.min_tracks:
         return Status.TOO_FEW_TRACKS
+    # A solve that converged may have done so to a passing lorry: its tracks agree among themselves,
+    # but not with where the vehicle can be.
     if not solution.converged or prediction.fails_gate(solution.T_curr_prev, solution.cov):
         return Status.NOT_CONVERGED
     return Status.OK

@@ -13,6 +13,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.files import name_as_text
 from probevo.geometry import so3
 from probevo.nets.flow_field import (
     check_field_of_view,
@@ -140,7 +141,7 @@ def facts_of(sequence: Sequence, num_frames: int) -> dict[str, Any]:
     """Return what identifies a recording and its truth, in plain values."""
     truth = b"" if sequence.truth is None else sequence.truth.T_world_cam[:num_frames].tobytes()
     return {
-        "name": sequence.path.resolve().name,
+        "name": name_as_text(sequence.path),
         "frames": num_frames,
         "first_and_last_ns": sequence.stamps_ns[[0, num_frames - 1]].tolist(),
         "camera": [np.asarray(value).tolist() for value in vars(sequence.camera).values()],

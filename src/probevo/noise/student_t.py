@@ -100,6 +100,7 @@ class StudentT:
     def predict(self, predictors: FloatArray) -> StereoNoise:
         """Return the same noise for each of N features, whatever their predictors [N, M]."""
         count = len(predictors)
+        # A view: it is the same matrix for all features.
         scale = np.broadcast_to(np.asarray(self.scale_, dtype=np.float64), (count, 4, 4))
         time_correlated = None
         if self.time_correlation_ratio:

@@ -207,7 +207,7 @@ def _report_link(entry: Entry, folder: Path) -> Cell:
         return Cell("")
     # A browser wants strokes whatever the system's separator, and signs such as # and % quoted.
     path = Path(os.path.relpath(entry.report, folder)).as_posix()
-    return Cell("report", href=quote(path))
+    return Cell("report", href=quote(os.fsencode(path)))  # its bytes may be no UTF-8
 
 
 def label(entry: Entry) -> str:

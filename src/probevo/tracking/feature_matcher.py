@@ -26,6 +26,7 @@ class FeatureMatcher:
         """
         if frame.features is None:
             raise ValueError(f"frame {frame.index} has no features")
+        # NaN: a feature that the front end has lost in one of the images.
         is_finite = np.isfinite(frame.features.pixels).all(axis=1)
         ids = frame.features.ids[is_finite]
         pixels = frame.features.pixels[is_finite]
@@ -41,6 +42,7 @@ class FeatureMatcher:
             age=age[curr_rows],
             rejected={"not finite": int((~is_finite).sum())},
         )
+        # All features of this frame, matched or not: the next frame may have them again.
         alive = TrackingState(
             ids=ids,
             pixels=pixels,

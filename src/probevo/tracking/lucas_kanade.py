@@ -34,6 +34,7 @@ class TrackedPoints(NamedTuple):
 def build_pyramid(image: Image, config: TrackingConfig) -> Pyramid:
     """Build the image pyramid, with as many levels as are asked for and hold a window."""
     levels = [image]
+    # A window that fills its level has no place to move to.
     while len(levels) <= config.pyramid_levels and min(levels[-1].shape) > 2 * config.window_px:
         levels.append(np.asarray(cv2.pyrDown(levels[-1]), dtype=np.uint8))
     return tuple(levels)
@@ -71,6 +72,7 @@ def track_points(
     far = everyone if near is None else np.flatnonzero(~near)
     size = (config.window_px, config.window_px)
     criteria = cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS
+    # From coarse to fine: each level starts where the coarser one has ended.
     for level in reversed(range(len(template))):
         chosen = everyone if level < LEVELS_IF_NEAR else far
         scale = np.float32(0.5**level)

@@ -35,6 +35,8 @@ def prepare_ahead(frames: Iterable[Frame], config: TrackingConfig) -> Iterator[F
         frame = next(source, None)
         return None if frame is None else with_prepared_images(frame, config)
 
+    # One ahead in one thread: the order of the frames is kept, and a live source is not read
+    # farther than it can be used.
     with closing(read_ahead(prepare_next, count(), ahead=1, threads=1)) as ahead:
         for frame in ahead:
             if frame is None:
@@ -59,6 +61,7 @@ def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
         raise ValueError(f"frame {frame.index} has no images")
     if frame.prepared is not None and frame.prepared.config == config:
         return frame.prepared
+    # Corners are looked for where they are tracked: in the filtered image.
     left = build_pyramid(high_pass(frame.left, config), config)
     right = build_pyramid(high_pass(frame.right, config), config)
     left_usable = usable_places(frame.left_mask, config)
@@ -96,4 +99,5 @@ def high_pass(image: Image, config: TrackingConfig) -> Image:
     if config.high_pass_px == 0:
         return image
     mean = cv2.blur(image, (config.high_pass_px, config.high_pass_px))
+    # 128 is the grey of no contrast, so that both signs fit into the bytes that FAST needs.
     return np.asarray(cv2.addWeighted(image, 1.0, mean, -1.0, 128.0), dtype=np.uint8)

@@ -9,7 +9,7 @@ from operator import add
 from pathlib import Path
 
 from probevo.errors import InputError
-from probevo.files import check_folder
+from probevo.files import check_folder, name_as_text
 from probevo.lock import locked
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
@@ -137,7 +137,7 @@ def _train(
     moments = reduce(add, (fact.moments for fact in facts))
     metric = Metric.of_moments(moments, space.columns, space.may_be_undefined)
     described = [
-        {"name": source.path.resolve().name, "frames": source.num_frames, "sha256": fact.digest}
+        {"name": name_as_text(source.path), "frames": source.num_frames, "sha256": fact.digest}
         for source, fact in zip(sources, facts, strict=True)
     ]
     if trainer.thins_steps and settings.supervision == "none":
