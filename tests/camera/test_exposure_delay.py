@@ -15,6 +15,7 @@ from probevo.camera.exposure_delay import (
     without_delay,
 )
 from probevo.camera.rig_calibration import ROW_SIGMA_PX, RigCalibration
+from probevo.camera.rig_jitter import RigJitter, jitter_offsets
 from probevo.geometry import se3
 from probevo.sequences.frame import StereoFeatures
 from worlds import CAMERA, FORWARD, drive, misrectified, motion_error, random_pixels
@@ -103,3 +104,27 @@ def test_the_odometry_is_that_of_cameras_that_are_exposed_together() -> None:
         return float(np.sqrt(np.mean(squares)))
 
     assert rms_m(DELAY_S) < 1.25 * rms_m(0.0)
+
+
+def with_jitter(pixels: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Return the observations [N, 4], px, of a right camera that has turned by small angles."""
+    moved = pixels.copy()
+    moved[:, 2:] += jitter_offsets(pixels, CAMERA) @ angle_rad
+    return moved
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("delay_s", [0.0, DELAY_S])
+def test_a_rig_that_flexes_is_not_taken_for_a_late_one(seed: int, delay_s: float) -> None:
+    """With 0.05° about each axis, anew in each of 40 frames: within 3σ, and what is taken off is
+    the delay, if there is one."""
+    rng = np.random.default_rng(seed)
+    sigma_rad = np.deg2rad(0.05)
+    rig = RigCalibration.initial(RigJitter.initial(sigma_rad**2 * np.eye(3)))
+    for _ in range(40):
+        seen = with_jitter(
+            seen_later(random_pixels(rng, 100), delay_s), sigma_rad * rng.normal(size=3)
+        )
+        rig = rig.with_delay(seen + 0.2 * rng.normal(size=seen.shape), TWIST_S, CAMERA)
+        assert abs(rig.delay.estimate_s - delay_s) < 3.5 * rig.delay.sigma_s
+    assert abs(rig.delay.delay_s - delay_s) < 5e-4

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.rig_rows import fit_row_offsets
+from probevo.camera.rig_rows import OffsetsOfFrame, fit_row_offsets
 from probevo.camera.rig_rows_numba import RowOffsetNoise
 from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
@@ -92,8 +92,12 @@ class ExposureDelay:
         *,
         camera: StereoCamera,
         noise: RowOffsetNoise,
+        jitter_cov: FloatArray,
     ) -> ExposureDelay:
         """Update the estimate by the raw stereo matches of one frame.
+
+        The rig's jitter moves the rows of each frame anew, and a few frames of it look like a
+        delay.
 
         Args:
             pixels: the matches, [N, 4], px.
@@ -101,6 +105,7 @@ class ExposureDelay:
             twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
             camera: the rectified camera.
             noise: of v_r − v_l.
+            jitter_cov: covariance of the rig's jitter, [3, 3], rad².
         """
         row_speed_px_s = right_velocity(pixels, twist_s, camera)[:, 1]
         coefficients, information = fit_row_offsets(
@@ -109,12 +114,23 @@ class ExposureDelay:
             (self.coefficients, self.information),
             noise=noise,
             iterations=ITERATIONS,
+            of_frame=OffsetsOfFrame(_jitter_effect(camera), jitter_cov),
         )
         return ExposureDelay(
             row_sigma_px=self.row_sigma_px,
             coefficients=coefficients,
             learned=information - _prior_information(self.row_sigma_px),
         )
+
+
+def _jitter_effect(camera: StereoCamera) -> FloatArray:
+    """Return how the rig's jitter (pitch, yaw, roll) of a frame moves a₀ … a₅ and τ, [7, 3], px/rad
+    (``rig_jitter``)."""
+    effect = np.zeros((DELAY + 1, 3))
+    effect[[0, 5], 0] = -camera.fv_px
+    effect[4, 1] = camera.fv_px
+    effect[1, 2] = camera.fv_px
+    return effect
 
 
 def without_delay(

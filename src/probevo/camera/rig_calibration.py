@@ -146,7 +146,14 @@ class RigCalibration:
             camera: the rectified camera.
         """
         basis = row_basis(pixels, camera)
-        updated = self.delay.updated(pixels, basis, twist_s, camera=camera, noise=ROW_NOISE)
+        updated = self.delay.updated(
+            pixels,
+            basis,
+            twist_s,
+            camera=camera,
+            noise=ROW_NOISE,
+            jitter_cov=self.jitter.cov,
+        )
         return replace(self, delay=updated)
 
     def with_disparity(self, information: FloatArray, gradient: FloatArray) -> RigCalibration:
