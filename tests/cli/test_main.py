@@ -121,6 +121,20 @@ def test_a_full_disk_behind_stdout_is_said_to_be() -> None:
     assert b"Traceback" not in done.stderr
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell closes the streams")
+def test_closed_streams_lead_nowhere() -> None:
+    """Number 1 is not free for the next file that is opened, here and in other processes."""
+    script = (
+        "import os, sys; from probevo.cli import main as cli; cli.main(['--version']);"
+        " sys.stdout.flush(); sys.stderr.flush();"
+        " sys.exit(0 if os.open(os.devnull, os.O_RDONLY) > 2 and os.get_inheritable(1) else 1)"
+    )
+    command = '"$0" -c "$1" <&- >&- 2>&-'
+    assert (
+        subprocess.run(["sh", "-c", command, sys.executable, script], check=False).returncode == 0
+    )
+
+
 def test_in_a_locale_without_the_letters_of_a_result_they_are_question_marks() -> None:
     script = (
         "from probevo.cli import main as cli; cli._dispatch = lambda words: print('2 \\xb0/m');"

@@ -74,6 +74,14 @@ def test_results_come_in_the_order_of_the_tasks(
     assert mapped(workers) == [number**2 for number in range(7)]
 
 
+def test_where_no_process_can_be_started_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Joblib then has no backend of processes, as without /dev/shm."""
+    joblib_parallel = pytest.importorskip("joblib.parallel")
+    monkeypatch.delitem(joblib_parallel.BACKENDS, "loky")
+    with pytest.raises(InputError, match=r"^--jobs: other processes cannot be used here"):
+        mapped(TWO)
+
+
 def test_of_no_tasks_there_are_no_results(workers: Workers) -> None:
     assert mapped(workers, 0) == []
 

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from importlib import import_module
 from io import TextIOWrapper
+from pathlib import Path
 from threading import current_thread, main_thread
 from types import FrameType
 
@@ -77,6 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Ctrl-C, 143 for SIGTERM. Both signals end a command in the same way.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    _open_standard_streams()
     if isinstance(sys.stdout, TextIOWrapper):
         # In a locale such as C, or of a name that is no text: ? for what cannot be written.
         sys.stdout.reconfigure(errors="replace")
@@ -108,6 +110,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
             _print_error(f"{where}: {error.strerror}.", error)
             return 2
+
+
+def _open_standard_streams() -> None:
+    """Let standard streams that are closed lead nowhere.
+
+    Otherwise a file of ours could become number 1, and get what other code prints; and joblib
+    cannot start a process without a stdout.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest free number is this one.
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+            setattr(sys, name, nowhere)
 
 
 @contextmanager

@@ -163,9 +163,19 @@ def _here(work: Callable[[Any], Any], tasks: Numbered) -> Generator[tuple[int, A
 def _on_this_machine(
     work: Callable[[Any], Any], tasks: Numbered, jobs: int
 ) -> Generator[tuple[int, Any], None, None]:
-    """Do the tasks in other processes of this machine."""
-    import joblib
+    """Do the tasks in other processes of this machine.
 
+    Raises:
+        InputError: this system does not let joblib start any.
+    """
+    import joblib
+    from joblib.parallel import BACKENDS
+
+    # Joblib would go on with threads of this process, which wait for each other.
+    if "loky" not in BACKENDS:
+        what = "other processes cannot be used here: the system has no place for semaphores."
+        cure = "Is /dev/shm there and writable, and JOBLIB_MULTIPROCESSING not 0? Or take --jobs 1."
+        raise InputError("--jobs", what, cure)
     os.environ["PYTHONSAFEPATH"] = "1"  # no module of the working directory is imported
     # One thread each: there are as many processes as cores.
     with joblib.parallel_config("loky", inner_max_num_threads=1):
