@@ -101,6 +101,12 @@ FIGURES = (
         minutes=15,
         needs_data=True,
     ),
+    Figure(
+        "focal-length",
+        ("docs/degradation.md",),
+        "python benchmarks/focal_length.py",
+        minutes=5,
+    ),
     Figure("faults", ("docs/robustness.md",), "python benchmarks/faults.py --kills 40", minutes=15),
     Figure(
         "soak",
