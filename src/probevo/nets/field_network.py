@@ -151,6 +151,7 @@ def network_on(
     """
 
     def head(head_key: jax.Array) -> FieldHead:
+        """Return one head with initial weights, near the regression."""
         sizes = (num_features, HIDDEN, space.num_outputs)
         correction = small_at_first(PReluHead(sizes, method.dropout, key=head_key))
         return FieldHead(correction, space.num_outputs)
