@@ -38,7 +38,7 @@ class NetworkSettings(Settings):
         ge=1,
         le=1000,
         description=(
-            "Of rotation: times that each pair of images is used; all but the first are rotated"
+            "Of rotation and sun: times that all images are used; all but the first are turned"
             " further by a random angle, as the camera would have seen it."
         ),
     )

@@ -143,7 +143,7 @@ def run_sequence(
         check_bag_path(config.write, "--write")
     if config.viewer is not None:
         check_viewer_path(config.viewer, "--viewer")
-    used = (*load_sensors(config.sensor, sequence.camera), *sensors)
+    used = (*load_sensors(config.sensor, sequence), *sensors)
     with locked(out), opened_viewer(config.viewer) as viewer:
         return _run(
             sequence,

@@ -17,9 +17,9 @@ from probevo.errors import InputError
 
 if TYPE_CHECKING:  # the help of a command should not wait for SciPy
     from probevo.arrays import FloatArray
-    from probevo.camera.stereo import StereoCamera
     from probevo.measurements.correction import MotionCorrection
     from probevo.measurements.sensor import Sensor
+    from probevo.sequences.base import Sequence as Recording
 
 _MARK = b'"probevo-network"'
 _LONGEST_HEADER = 1_000_000
@@ -50,7 +50,7 @@ class SensorKind:
     summary: str
     """One line for help texts."""
     sensor: str
-    """Function of the path of a file and a camera that returns the sensor."""
+    """Function of the path of a file and a camera, or a recording, that returns the sensor."""
     trainer: str
     """Function that learns one from recordings and writes its file: ``train_rotation``."""
     errors: str
@@ -59,6 +59,8 @@ class SensorKind:
     """Further settings of a training that the trainer takes by their names, beside ``nets``."""
     nets: tuple[str, ...] = ()
     """Settings of networks that only this kind takes."""
+    is_of_recording: bool = False
+    """Whether the sensor is made for a recording, of which it needs more than the camera."""
 
 
 SENSOR_KINDS: Mapping[str, SensorKind] = {
@@ -81,24 +83,37 @@ SENSOR_KINDS: Mapping[str, SensorKind] = {
             settings=("odometry",),
             nets=("rotation_only", "constant_covariance"),
         ),
+        SensorKind(
+            name="sun",
+            summary="Sun-BCNN: the direction of the sun in a left image",
+            sensor="probevo.nets.sun_sensor:SunFromImages.load",
+            trainer="probevo.nets.sun_training:train_sun",
+            errors="probevo.nets.sun_training:errors_on",
+            nets=("copies",),
+            is_of_recording=True,
+        ),
     )
 }
 
 
 def load_sensors(
-    paths: Collection[Path], camera: StereoCamera
+    paths: Collection[Path], recording: Recording
 ) -> tuple[Sensor | MotionCorrection, ...]:
-    """Return the sensors of files, for images of a camera.
+    """Return the sensors of files, for images of a recording.
 
     Raises:
-        InputError: a file is named twice, cannot be read, or holds no sensor; the camera is not one
-            for it; or JAX, the extra ``nets``, is not installed.
+        InputError: a file is named twice, cannot be read, or holds no sensor; the recording is not
+            one for it; or JAX, the extra ``nets``, is not installed.
     """
     resolved = [path.resolve() for path in paths]
     for path in resolved:
         if resolved.count(path) > 1:
             raise InputError("--sensor", f"{path} is given twice.", "Name it once.")
-    return tuple(resolve(kind_of_file(path).sensor)(path, camera) for path in paths)
+    kinds = [kind_of_file(path) for path in paths]
+    return tuple(
+        resolve(kind.sensor)(path, recording if kind.is_of_recording else recording.camera)
+        for path, kind in zip(paths, kinds, strict=True)
+    )
 
 
 def kind_of_file(path: Path) -> SensorKind:

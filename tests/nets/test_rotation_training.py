@@ -224,17 +224,17 @@ def test_settings_of_networks_are_refused_by_noise_models(
 def test_files_that_are_no_sensors_are_refused(
     walls: list[Path], model: Path, tmp_path: Path
 ) -> None:
-    camera = open_sequence(walls[0]).camera
+    wall = open_sequence(walls[0])
     with pytest.raises(InputError, match="given twice"):
-        load_sensors([model, model], camera)
+        load_sensors([model, model], wall)
     with pytest.raises(InputError, match=r"missing\.safetensors"):
-        load_sensors([tmp_path / "missing.safetensors"], camera)
+        load_sensors([tmp_path / "missing.safetensors"], wall)
     damaged = tmp_path / "damaged.safetensors"
     content = bytearray(model.read_bytes())
     content[-5] ^= 1
     damaged.write_bytes(content)
     with pytest.raises(InputError, match="checksum"):
-        load_sensors([damaged], camera)
+        load_sensors([damaged], wall)
 
 
 def _rotation_vectors(q: np.ndarray) -> np.ndarray:

@@ -223,7 +223,7 @@ def plan(recordings: Sequence[Recording], estimators: Sequence[Estimator], out: 
         model = models[estimator.name]
         config = run_config(estimator.settings, path, portable(estimator.noise))
         if estimator.sensors:
-            load_sensors(estimator.sensors, recording.sequence.camera)
+            load_sensors(estimator.sensors, recording.sequence)
             absolute = tuple(sensor.resolve() for sensor in estimator.sensors)
             config = config.model_copy(update={"sensor": absolute})
         check_run(recording.sequence, config, model)

@@ -167,23 +167,23 @@ def network_on(
     )
 
 
-def linear_fit(fields: FloatArray, targets: FloatArray) -> LinearFit:
+def linear_fit(fields: FloatArray, targets: FloatArray, ridge: float = RIDGE) -> LinearFit:
     """Return the ridge regression of targets, [N, o], on the flow of fields, [N, C, rows, columns].
 
     It is that of the standardised flow, as the network has it.
     """
     mean, scale = standardisation(fields)
     flow = np.asarray(pooled_flow((fields - mean) * scale), np.float64)
-    return ridge_fit(flow, targets)
+    return ridge_fit(flow, targets, ridge)
 
 
-def ridge_fit(inputs: FloatArray, targets: FloatArray) -> LinearFit:
+def ridge_fit(inputs: FloatArray, targets: FloatArray, ridge: float = RIDGE) -> LinearFit:
     """Return the ridge regression of targets, [N, o], on standardised inputs, [N, i]."""
     design = np.hstack([inputs, np.ones((len(inputs), 1))])
     normal = design.T @ design
-    ridge = RIDGE * len(design) * np.eye(design.shape[1])
-    ridge[-1, -1] = 0.0
-    solved = np.linalg.solve(normal + ridge, design.T @ targets)
+    penalty = ridge * len(design) * np.eye(design.shape[1])
+    penalty[-1, -1] = 0.0
+    solved = np.linalg.solve(normal + penalty, design.T @ targets)
     return LinearFit(solved[:-1].T, solved[-1])
 
 

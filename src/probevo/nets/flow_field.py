@@ -106,12 +106,12 @@ def flow_field(prev: Image, curr: Image) -> FloatArray:
     moved = cv2.remap(curr, columns + flow_px[..., 0], rows + flow_px[..., 1], cv2.INTER_LINEAR)
     difference = np.abs(moved.astype(np.float32) - prev)
     levels = prev.astype(np.float32)
-    mean = _cell_means(levels)
-    variance = np.maximum(_cell_means(levels**2) - mean**2, 0.0)
+    mean = cell_means(levels)
+    variance = np.maximum(cell_means(levels**2) - mean**2, 0.0)
     field = [
-        _cell_means(flow_px[..., 0]) / FOCAL_PX,
-        _cell_means(flow_px[..., 1]) / FOCAL_PX,
-        np.log(_cell_means(difference) + LEAST_LEVELS),
+        cell_means(flow_px[..., 0]) / FOCAL_PX,
+        cell_means(flow_px[..., 1]) / FOCAL_PX,
+        np.log(cell_means(difference) + LEAST_LEVELS),
         np.log(np.sqrt(variance) + LEAST_LEVELS),
     ]
     return np.stack(field).astype(np.float32)
@@ -149,8 +149,8 @@ def mirrored(fields: FloatArray) -> FloatArray:
 def cell_rays() -> FloatArray:
     """Return the normalised coordinates x and y of the centre of each cell, [2, rows, columns]."""
     columns, rows = _pixels()
-    x = (_cell_means(columns) - _center()[0]) / FOCAL_PX
-    y = (_cell_means(rows) - _center()[1]) / FOCAL_PX
+    x = (cell_means(columns) - _center()[0]) / FOCAL_PX
+    y = (cell_means(rows) - _center()[1]) / FOCAL_PX
     return np.stack([x, y])
 
 
@@ -171,7 +171,7 @@ def _flow_estimator() -> cv2.DISOpticalFlow:
     return cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
 
 
-def _cell_means(values: AnyArray) -> FloatArray:
+def cell_means(values: AnyArray) -> FloatArray:
     """Return the mean of each cell, [rows, columns], of values of all pixels."""
     parts = values.reshape(CELLS[0], CELL_PX, CELLS[1], CELL_PX)
     means: FloatArray = parts.mean(axis=(1, 3))

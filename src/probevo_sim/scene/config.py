@@ -92,6 +92,29 @@ class Effects(Settings):
     )
 
 
+class Daylight(Settings):
+    """Where the sun stands, and what it does to the sky."""
+
+    azimuth_deg: float | None = Field(
+        None,
+        ge=-360,
+        le=360,
+        description=(
+            "Azimuth of the sun, clockwise from the direction in which the drive starts; left out,"
+            " it is behind the camera."
+        ),
+    )
+    elevation_deg: float = Field(
+        34.377467707849394, ge=15, le=85, description="Height of the sun above the horizon."
+    )
+    glow: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Brightness of the sun's disk and of the sky around it; 0 is an even sky.",
+    )
+
+
 class SceneConfig(Settings):
     """A drive through a simulated place.
 
@@ -123,3 +146,4 @@ class SceneConfig(Settings):
     )
     rig: RigConfig = RigConfig()
     effects: Effects = Effects()
+    daylight: Daylight = Daylight()

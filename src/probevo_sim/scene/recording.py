@@ -56,6 +56,8 @@ class SceneRecording:
     imu_samples: ImuSamples
     """All samples of the drive."""
     truth: GroundTruth | None
+    to_sun: FloatArray
+    """Unit vector towards the sun in the first camera, [3]."""
     path: Path = Path("scene")
     format: str = "scene"
 
@@ -159,6 +161,7 @@ def open_scene(config: SceneConfig) -> SceneRecording:
         imu=_imu_calibration(rig),
         imu_samples=simulate_imu(trajectory, stamps_ns, rig, rng=imu_rng),
         truth=_given_truth(config, route.closed, stamps_ns, T_world_cam=T_world_cam),
+        to_sun=T_world_cam[0, :3, :3].T @ place.world.to_sun,
     )
 
 

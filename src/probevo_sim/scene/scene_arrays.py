@@ -79,6 +79,8 @@ class SceneArrays(NamedTuple):
     """See ``World``."""
     sky_irradiance: float
     """See ``World``."""
+    sky_glow: float
+    """See ``World``."""
     shadow: float
     """Darkness of cast shadows, 0 … 1."""
 
@@ -114,6 +116,7 @@ def scene_arrays(world: World, shadow: float) -> SceneArrays:
         to_sun=world.to_sun,
         sun_irradiance=world.sun_irradiance,
         sky_irradiance=world.sky_irradiance,
+        sky_glow=world.sky_glow,
         shadow=shadow,
     )
 

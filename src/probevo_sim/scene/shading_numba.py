@@ -35,6 +35,13 @@ CLOUD_HEIGHT_TEXELS = 150.0
 """Height of the plane of clouds above the camera, in texels of their texture."""
 CLOUD_CONTRAST = 0.35
 SKY_RADIANCE = 0.85
+GLOW_RADIANCE = 1.2
+"""Of the sky next to the sun at full glow, beside what it is without."""
+GLOW_RAD = 0.35
+"""Angle from the sun over which the glow falls by a factor e."""
+DISK_RAD = 0.02
+"""Radius of the sun's disk: with its halo, which saturates the sensor."""
+DISK_RADIANCE = 5.0
 SWAY_M = 0.12
 """Amplitude with which leaves that repeat sway in the wind."""
 SWAY_RAD_S = 4.5
@@ -76,6 +83,20 @@ def shade_sky(scene: SceneArrays, view: View, footprint_px: float, rays: Rays) -
         # Clouds fade towards the horizon.
         radiance[k] = SKY_RADIANCE * (1.0 + CLOUD_CONTRAST * up / (up + 0.15) * clouds)
         sun_radiance[k] = 0.0
+        if scene.sky_glow > 0.0:
+            ray = (east * up, north * up, C[2, 0] * x + C[2, 1] * y + C[2, 2])
+            radiance[k] += scene.sky_glow * _glow(scene.to_sun, ray)
+
+
+@compiled
+def _glow(to_sun: FloatArray, ray: Vector) -> float:
+    """Return what the sun adds to the radiance of the sky in the direction of a ray."""
+    length = math.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
+    cosine = (to_sun[0] * ray[0] + to_sun[1] * ray[1] + to_sun[2] * ray[2]) / length
+    angle = math.acos(min(max(cosine, -1.0), 1.0))
+    if angle < DISK_RAD:
+        return DISK_RADIANCE
+    return GLOW_RADIANCE * math.exp(-angle / GLOW_RAD)
 
 
 @compiled

@@ -108,6 +108,8 @@ class World:
     That is the radiance which a white Lambertian face reflects; 1 is white in an image."""
     sky_irradiance: float = 0.35
     """Irradiance of the sky on a face that looks up, over π."""
+    sky_glow: float = 0.0
+    """Brightness of the sun's disk and of the sky around it, 0 … 1."""
 
     @property
     def own_vehicle(self) -> int:

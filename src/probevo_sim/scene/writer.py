@@ -26,6 +26,8 @@ RENDERER_VERSION = 1
 
 Increase it with every change that alters an image."""
 SETTINGS_FILE = "scene.yaml"
+SUN_FILE = "sun.txt"
+"""Direction towards the sun, x y z, in the world of the poses: that of the first camera."""
 LAST_FILE = "times.txt"
 """The file that is written last: where it is, the recording is complete."""
 SIDES = ("left", "right")
@@ -178,11 +180,13 @@ def _write_rest(recording: SceneRecording, out: Path) -> None:
     ]
     write_atomically(out / "imu.csv", "\n".join([IMU_HEADER, *lines, ""]))
 
-    # The poses that are given away, and the times.
+    # The poses that are given away, the sun in their world, and the times.
     if recording.truth is not None:
         write_kitti_poses(out / "poses.txt", recording.truth.T_world_cam)
+        write_atomically(out / SUN_FILE, " ".join(map(repr, recording.to_sun.tolist())) + "\n")
     else:
         remove_stale(out / "poses.txt")
+        remove_stale(out / SUN_FILE)
     write_atomically(
         out / LAST_FILE, "".join(f"{stamp}\n" for stamp in recording.stamps_ns.tolist())
     )

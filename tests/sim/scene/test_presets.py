@@ -3,16 +3,18 @@
 from dataclasses import fields
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
 from probevo.camera.stereo import StereoCamera
-from probevo_sim.scene.config import Effects, PresetName, SceneConfig
+from probevo_sim.scene.config import Daylight, Effects, PresetName, SceneConfig
 from probevo_sim.scene.drive import Trajectory
 from probevo_sim.scene.presets import PRESETS
 from probevo_sim.scene.presets.foliage import foliage
 from probevo_sim.scene.presets.place import Place, clear_of_road, stations
+from probevo_sim.scene.recording import open_scene
 from probevo_sim.scene.renderer import Renderer
 from probevo_sim.scene.route import Route
 from probevo_sim.scene.sensor import expose
@@ -233,3 +235,40 @@ def test_stations_are_evenly_spaced_beside_the_road() -> None:
     s = stations(route, 20.0, 0.0, end_m=120.0, spacing_m=5.0)
     apart_m = np.linalg.norm(np.diff(route.place(s, 20.0)[:, :2, 3], axis=0), axis=1)
     np.testing.assert_allclose(apart_m, 5.0, atol=0.6)
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, -120.0])
+def test_the_sun_stands_where_it_is_asked_for(azimuth_deg: float) -> None:
+    """Clockwise from the start of the drive; the camera sees it there, but for its own noise."""
+    daylight = Daylight(azimuth_deg=azimuth_deg, elevation_deg=30.0)
+    scene = open_scene(SceneConfig(distance_m=SHORT_M, daylight=daylight))
+    x, y, z = scene.to_sun
+    assert np.degrees(np.arcsin(-y)) == pytest.approx(30.0, abs=3.0)
+    off_deg = np.degrees(np.arctan2(x, z)) - azimuth_deg
+    assert (off_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=3.0)
+    assert np.linalg.norm(scene.to_sun) == pytest.approx(1.0)
+
+
+def test_without_an_azimuth_the_sun_is_behind_the_camera() -> None:
+    assert open_scene(SceneConfig(distance_m=SHORT_M)).to_sun[2] < -0.3
+
+
+def test_glow_makes_the_sky_brighter_towards_the_sun_and_nothing_else() -> None:
+    config = SceneConfig(distance_m=SHORT_M, daylight=Daylight(azimuth_deg=0.0, elevation_deg=20.0))
+    trajectory = driven("city")
+    daylight = Daylight(azimuth_deg=0.0, elevation_deg=20.0, glow=1.0)
+    glowing = config.model_copy(update={"daylight": daylight})
+    images = [
+        Renderer(rebuilt(each).world, trajectory, SMALL, Effects()).pair(1.0)[0]
+        for each in (config, glowing)
+    ]
+    depth = (
+        Renderer(rebuilt(config).world, trajectory, SMALL, Effects()).pixel_truth(1.0, 1.1).depth_m
+    )
+    more = images[1] - images[0]
+    sky = np.isinf(depth)
+    assert 0.01 < sky.mean() < 0.9
+    assert (more[sky] >= 0.0).all()
+    assert more[sky].max() > 0.3
+    near_sky = cv2.dilate(sky.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    assert np.abs(more[~near_sky]).max() == 0.0

@@ -10,7 +10,7 @@ from probevo.errors import InputError
 from probevo.sequences import open_sequence
 from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
-from probevo_sim.scene.writer import LAST_FILE, SETTINGS_FILE, write_scene
+from probevo_sim.scene.writer import LAST_FILE, SETTINGS_FILE, SUN_FILE, write_scene
 
 CONFIG = SceneConfig(
     preset="road", distance_m=8.0, rig=RigConfig(width_px=96, height_px=48, focal_px=60.0)
@@ -56,6 +56,13 @@ def test_what_is_written_is_what_is_rendered(written: Path, rendered: SceneRecor
         if there.imu is not None and here.imu is not None:
             np.testing.assert_array_equal(there.imu.gyro_rad_s, here.imu.gyro_rad_s)
             np.testing.assert_array_equal(there.imu.accel_m_s2, here.imu.accel_m_s2)
+
+
+def test_the_sun_is_written_with_the_poses(scene: Path, rendered: SceneRecording) -> None:
+    found = np.loadtxt(scene / SUN_FILE)
+    np.testing.assert_array_equal(found, rendered.to_sun)
+    write_scene(CONFIG.model_copy(update={"truth": "none"}), scene)
+    assert not (scene / SUN_FILE).exists()
 
 
 def test_pixel_truth_on_request(tmp_path: Path, rendered: SceneRecording) -> None:

@@ -9,7 +9,7 @@ from itertools import cycle
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo_sim.scene.config import SceneConfig
+from probevo_sim.scene.config import Daylight, SceneConfig
 from probevo_sim.scene.drive import DrivePlan
 from probevo_sim.scene.presets.foliage import foliage
 from probevo_sim.scene.presets.traffic import traffic
@@ -19,8 +19,6 @@ from probevo_sim.scene.solids import Solids, join
 from probevo_sim.scene.textures import Texture
 from probevo_sim.scene.world import Ground, World
 
-SUN_ELEVATION_RAD = 0.6
-"""Height of the sun above the horizon."""
 SUN_ASIDE_RAD = 0.6
 """Azimuth of the sun to the left of the direction back along the drive, on average."""
 SUN_IRRADIANCE = 1.3
@@ -110,9 +108,10 @@ def compose(
         join(parts),
         movers,
         ground,
-        to_sun=_to_sun(route, plan),
+        to_sun=_to_sun(route, plan, config.daylight),
         sun_irradiance=gain * SUN_IRRADIANCE,
         sky_irradiance=gain * SKY_IRRADIANCE,
+        sky_glow=config.daylight.glow,
     )
     if effects.shadows > 0.0:
         own = own_vehicle().of_object(world.own_vehicle)
@@ -239,12 +238,18 @@ def _faded(mark: Solids, road_albedo: float, share: float) -> Solids:
     return replace(mark, albedo=albedo, contrast=share * mark.contrast)
 
 
-def _to_sun(route: Route, plan: DrivePlan) -> FloatArray:
+def _to_sun(route: Route, plan: DrivePlan, daylight: Daylight) -> FloatArray:
     """Return the unit vector towards the sun, [3].
 
-    The sun is behind the camera on average, so that the own vehicle's shadow lies ahead.
+    Unless its azimuth is given, the sun is behind the camera on average, so that the own vehicle's
+    shadow lies ahead.
     """
-    heading = route.heading(np.linspace(plan.start_m, plan.start_m + plan.distance_m, 200))
-    behind = np.angle(-np.exp(1j * heading).mean()) - SUN_ASIDE_RAD
-    flat = np.cos(SUN_ELEVATION_RAD)
-    return np.array([flat * np.cos(behind), flat * np.sin(behind), np.sin(SUN_ELEVATION_RAD)])
+    if daylight.azimuth_deg is None:
+        heading = route.heading(np.linspace(plan.start_m, plan.start_m + plan.distance_m, 200))
+        towards = np.angle(-np.exp(1j * heading).mean()) - SUN_ASIDE_RAD
+    else:
+        start = float(route.heading(np.array([plan.start_m]))[0])
+        towards = start - np.radians(daylight.azimuth_deg)
+    elevation = np.radians(daylight.elevation_deg)
+    flat = np.cos(elevation)
+    return np.array([flat * np.cos(towards), flat * np.sin(towards), np.sin(elevation)])

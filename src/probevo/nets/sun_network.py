@@ -1,0 +1,84 @@
+"""Sun-BCNN, small: the direction of the sun from one image, with its covariance (thesis 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.nets.field_network import FEATURES, LinearFit, field_network
+from probevo.nets.flow_field import CELLS
+from probevo.nets.methods import Method
+from probevo.nets.networks import Network
+from probevo.nets.sun_space import SunTargets
+from probevo.nets.sun_views import CHANNELS
+from probevo.nets.trained_network import (
+    TrainedNetwork,
+    empty_networks,
+    facts_of_kind,
+    read_arrays,
+)
+
+KIND = "sun"
+SPACE = SunTargets()
+
+
+class SunEstimates(NamedTuple):
+    """What a network says of N images."""
+
+    directions: FloatArray
+    """Towards the sun in the camera, unit vectors, [N, 3]."""
+    covariance: FloatArray
+    """In the tangent plane, along azimuth and zenith angle, calibrated and widened, [N, 2, 2]."""
+    widening: FloatArray
+    """By how much the covariance was multiplied since the input is unlike the training data, [N]"""
+
+
+@dataclass(frozen=True, eq=False)
+class SunNetwork(TrainedNetwork):
+    """A trained network of the sun."""
+
+    def estimate(self, fields: FloatArray) -> SunEstimates:
+        """Return directions and covariances of N images.
+
+        Args:
+            fields: as ``sun_field`` gives them, [N, 4, rows, columns].
+        """
+        predicted, widening = self.evaluate(SPACE, fields)
+        factor = float(self.facts["scale"]) * widening
+        return SunEstimates(predicted.mean, factor[:, None, None] * predicted.covariance, widening)
+
+    @staticmethod
+    def load(path: Path) -> SunNetwork:
+        """Read one. A file holds data only; nothing in it is ever executed.
+
+        Raises:
+            InputError: the file cannot be read, is damaged, or holds something else.
+        """
+        facts = facts_of_kind(path, KIND)
+        method = Method(**facts["method"])
+        networks, domain = read_arrays(path, _empty(method), SPACE.num_outputs + FEATURES)
+        return SunNetwork(networks, domain, facts)
+
+
+def build(method: Method, fields: FloatArray, linear: LinearFit, key: jax.Array) -> Network:
+    """Return a network with initial weights."""
+    return field_network(method, SPACE, fields, linear, key=key)
+
+
+def _empty(method: Method) -> Network:
+    """Return a structure to read a file into."""
+    rows, columns = CELLS
+    fields = np.zeros((1, CHANNELS, rows, columns))
+    weights = np.zeros((SPACE.num_outputs, rows * columns // 2))
+    linear = LinearFit(weights, np.zeros(SPACE.num_outputs))
+
+    def one(key: jax.Array) -> Network:
+        """Return one network with random weights."""
+        return build(method, fields, linear, key)
+
+    return empty_networks(one)

@@ -1,0 +1,83 @@
+"""A network of the sun as a sensor: one image in, a ``Direction`` out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from probevo.arrays import FloatArray
+from probevo.camera.stereo import StereoCamera
+from probevo.measurements.base import Variable, pose_of
+from probevo.measurements.direction import Direction
+from probevo.measurements.sensor import NoMeasurement
+from probevo.nets.flow_field import check_field_of_view
+from probevo.nets.sun_network import SunNetwork
+from probevo.nets.sun_views import read_sun, sun_field
+from probevo.nets.trained_network import has_nothing_to_say
+from probevo.sequences.base import Sequence
+from probevo.sequences.frame import Frame
+
+PERIOD_NS = 500_000_000
+"""Time from one measurement to the next: successive images see the same street."""
+
+
+class SunFromImages:
+    """Measures the direction of the sun by a network, twice a second.
+
+    Args:
+        network: the network.
+        camera: the camera of the images, which may be another one than that of the training.
+        known: where the sun stands at a stamp in ns, [3]: in the world, which is the first camera,
+            or with ``north`` in east, north and up, as ``sun_in_enu`` gives it.
+        name: by which the sensor is reported.
+        north: ``NORTH`` if ``known`` is in east, north and up.
+
+    Raises:
+        InputError: the camera sees too little, or gives no images.
+    """
+
+    def __init__(
+        self,
+        network: SunNetwork,
+        camera: StereoCamera,
+        known: Callable[[int], FloatArray],
+        *,
+        name: str = "sun",
+        north: Variable | None = None,
+    ) -> None:
+        check_field_of_view(camera)
+        self.network = network
+        self.camera = camera
+        self.known = known
+        self.name = name
+        self.north = north
+
+    @staticmethod
+    def load(path: Path, sequence: Sequence) -> SunFromImages:
+        """Return the sensor of a file, for a recording whose ``sun.txt`` says where the sun stands.
+
+        Raises:
+            InputError: a file cannot be read, or the camera is not one for it.
+        """
+        in_world = read_sun(sequence.path)
+        network = SunNetwork.load(path)
+        return SunFromImages(network, sequence.camera, lambda _: in_world, name=path.stem)
+
+    def __call__(self, prev_frame: Frame, frame: Frame) -> list[Direction] | NoMeasurement:
+        """Return the direction of the sun with its covariance, or why there is none."""
+        if prev_frame.stamp_ns // PERIOD_NS == frame.stamp_ns // PERIOD_NS:
+            return NoMeasurement("not yet again")
+        if frame.left is None:
+            return NoMeasurement("no image")
+        found = self.network.estimate(sun_field(frame.left, self.camera)[None])
+        if has_nothing_to_say(float(found.widening[0])):
+            return NoMeasurement("out of its domain")
+        correlated = float(self.network.facts["correlation"])
+        measured = Direction(
+            pose_of(frame.index),
+            found.directions[0],
+            self.known(frame.stamp_ns),
+            correlated * found.covariance[0],
+            north=self.north,
+        )
+        return [measured]

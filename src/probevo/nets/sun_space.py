@@ -1,0 +1,110 @@
+"""The direction of the sun as what a network regresses: a unit vector, with errors in two angles.
+
+The error of u is Bᵀ Log_p(u) in the tangent plane at the true direction p, along its azimuth and
+zenith angle, as the residual of ``measurements.direction.Direction``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from probevo.arrays import AnyArray, FloatArray
+
+LEAST_SIGMA_RAD = 0.01
+MOST_SIGMA_RAD = 2.0
+"""Standard deviations before the axes are mixed lie between these two."""
+FIRST_SIGMA_RAD = 0.5
+"""What a head that gives zeros means."""
+LEAST_LENGTH = 1e-9
+"""Added to squared lengths: at the zenith, and where there is no error."""
+
+
+@dataclass(frozen=True)
+class SunTargets:
+    """Unit vectors in the camera. A covariance head gives two numbers for σ, and one for their
+    correlation; the covariance is positive definite for any of them."""
+
+    num_outputs = 3
+    size = 3
+    dof = 2
+    num_covariance = 3
+    least_variance = LEAST_SIGMA_RAD**2
+
+    def estimate(self, outputs: jax.Array) -> jax.Array:
+        """Return the outputs as unit vectors."""
+        return _unit(outputs)
+
+    def difference(self, estimates: jax.Array, targets: jax.Array) -> jax.Array:
+        """Return the errors along azimuth and zenith angle, [..., 2], rad."""
+        x, y, z = targets[..., 0], targets[..., 1], targets[..., 2]
+        level = jnp.sqrt(x**2 + z**2 + LEAST_LENGTH)
+        sine = x / level
+        cosine = z / level
+        u, v, w = estimates[..., 0], estimates[..., 1], estimates[..., 2]
+        of_azimuth = cosine * u - sine * w
+        of_zenith = -y * sine * u + level * v - y * cosine * w
+        across = jnp.sqrt(of_azimuth**2 + of_zenith**2 + LEAST_LENGTH)
+        along = u * x + v * y + w * z
+        factor = jnp.arctan2(across, along) / across
+        return jnp.stack([factor * of_azimuth, factor * of_zenith], axis=-1)
+
+    def perturb(self, targets: jax.Array, errors: jax.Array) -> jax.Array:
+        """Return directions whose azimuth and zenith angle, times its sine, differ by errors."""
+        x, y, z = targets[..., 0], targets[..., 1], targets[..., 2]
+        level = jnp.sqrt(x**2 + z**2 + LEAST_LENGTH)
+        azimuth, zenith = errors[..., 0], errors[..., 1]
+        moved = [
+            x + azimuth * z / level - zenith * y * x / level,
+            y + zenith * level,
+            z - azimuth * x / level - zenith * y * z / level,
+        ]
+        return _unit(jnp.stack(moved, axis=-1))
+
+    def mean(self, estimates: jax.Array) -> jax.Array:
+        """Return the direction of the mean vector."""
+        return _unit(jnp.mean(estimates, axis=-2))
+
+    def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return diag(1/σ) U e, and Σ log σ.
+
+        Their sum, the loss, teaches the covariance alone. The estimate learns from the squared
+        chord between it and the truth, as in Sun-BCNN: by the likelihood, the images that show
+        least of the sun, and are off by up to 180°, would weigh most at first. What is added for
+        that to the second result has a derivative, but is zero.
+        """
+        angle_sq = jnp.sum(errors**2, axis=-1) + LEAST_LENGTH
+        chord_sq = 2.0 - 2.0 * jnp.cos(jnp.sqrt(angle_sq))
+        of_estimate = 0.5 * (chord_sq - jax.lax.stop_gradient(chord_sq)) / FIRST_SIGMA_RAD**2
+        errors = jax.lax.stop_gradient(errors)
+        log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., :2] + _FIRST)
+        second = errors[..., 1] + jnp.tanh(raw[..., 2]) * errors[..., 0]
+        mixed = jnp.stack([errors[..., 0], second], axis=-1)
+        return mixed * jnp.exp(-log_sigma), jnp.sum(log_sigma, axis=-1) + of_estimate
+
+    def covariance(self, raw: AnyArray) -> FloatArray:
+        """Return Σ = U⁻¹ diag(σ²) U⁻ᵀ, [..., 2, 2], rad², in float64."""
+        raw = np.asarray(raw, np.float64)
+        share = 0.5 * (1.0 + np.tanh(0.5 * (raw[..., :2] + _FIRST)))
+        sigma_rad = np.exp(_LOG_LEAST + _LOG_RANGE * share)
+        root = np.zeros((*raw.shape[:-1], 2, 2))
+        root[..., 0, 0] = sigma_rad[..., 0]
+        root[..., 1, 0] = -np.tanh(raw[..., 2]) * sigma_rad[..., 0]
+        root[..., 1, 1] = sigma_rad[..., 1]
+        covariance: FloatArray = root @ root.mT
+        return covariance
+
+
+def _unit(vectors: jax.Array) -> jax.Array:
+    """Return vectors, [..., 3], divided by their lengths."""
+    return vectors * jax.lax.rsqrt(jnp.sum(vectors**2, axis=-1, keepdims=True) + LEAST_LENGTH)
+
+
+_LOG_LEAST = math.log(LEAST_SIGMA_RAD)
+_LOG_RANGE = math.log(MOST_SIGMA_RAD / LEAST_SIGMA_RAD)
+_FIRST_SHARE = math.log(FIRST_SIGMA_RAD / LEAST_SIGMA_RAD) / _LOG_RANGE
+_FIRST = math.log(_FIRST_SHARE / (1.0 - _FIRST_SHARE))

@@ -1,0 +1,194 @@
+"""Training of a network of the sun: recordings → images → network → calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.nets import methods
+from probevo.nets.calibration import BLOCK, Claimed, calibration
+from probevo.nets.covariance_scale import coverage
+from probevo.nets.domain import Domain
+from probevo.nets.field_network import LinearFit, linear_fit, pooled_flow, standardisation
+from probevo.nets.learning import TrainingData
+from probevo.nets.methods import Method
+from probevo.nets.networks import Network
+from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
+from probevo.nets.sun_network import KIND, SPACE, SunNetwork, build
+from probevo.nets.sun_views import SunViews, check_sun_recording, read_views
+from probevo.nets.trained_network import first_facts, trunk_features
+from probevo.network_settings import NetworkSettings
+from probevo.sensor_kinds import SensorErrors
+from probevo.sequences.base import Sequence
+
+RIDGE = 1.0
+"""Of the linear regression: images of one street are alike, and count for few."""
+
+
+def train_sun(
+    recordings: Collection[Sequence],
+    settings: NetworkSettings,
+    out: Path,
+    *,
+    max_frames: int | None = None,
+    on_progress: OnProgress | None = None,
+) -> list[str]:
+    """Learn the direction of the sun from recordings, and write the network (``train_task``).
+
+    Returns:
+        What was learned, in lines for the terminal.
+
+    Raises:
+        InputError: a recording has no ``sun.txt``, or as ``train_task`` raises.
+    """
+    task = Task(KIND, check=check_sun_recording, samples=SunViews, read=read_views, train=_train)
+    network = train_task(
+        task,
+        tuple(recordings),
+        settings,
+        out=out,
+        max_frames=max_frames,
+        on_progress=on_progress,
+    )
+    return summary(network.facts)
+
+
+def summary(facts: Mapping[str, Any]) -> list[str]:
+    """Return what the file of a network says of its training, in lines for the terminal."""
+    baselines = facts["baseline_deg"]
+    return [
+        f"learned from: {len(facts['learned_from'])} recordings",
+        f"left out:     {len(facts['left_out'])} recordings ({facts['num_left_out']} images)",
+        f"error:        median {facts['error_deg']:.1f}°; of the linear regression"
+        f" {baselines['linear regression']:.1f}°, of the mean direction"
+        f" {baselines['mean direction']:.1f}°",
+        f"covariance:   × {facts['scale']:.2f}; {facts['coverage_90']:.0%} of errors lie in their"
+        f" 90 % region; × {facts['correlation']:.2f} where {BLOCK} successive images are fused",
+    ]
+
+
+def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
+    """Learn the network: a linear regression in closed form, and what the heads add to it."""
+    settings = run.settings
+    learned = SunViews.joined(views[: run.split]).multiplied(
+        settings.copies, np.random.default_rng(settings.seed)
+    )
+    left_out = views[run.split :]
+    joined = SunViews.joined(left_out)
+    method = Method("hydra-sigma", heads=settings.heads, learns_covariance=True)
+    linear = linear_fit(learned.fields, learned.directions, RIDGE)
+    networks = run.learn(
+        method,
+        SPACE,
+        partial(_built, fields=learned.fields, linear=linear),
+        _data(method, learned, joined, settings),
+    )
+    domain = Domain.of(
+        trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
+    )
+    first = {
+        **first_facts(KIND, method),
+        "scale": 1.0,
+        "correlation": 1.0,
+        "baseline_deg": {
+            "linear regression": _median_deg(_linear(linear, learned, joined), joined.directions),
+            "mean direction": _median_deg(
+                np.tile(learned.directions.mean(axis=0), (len(joined), 1)), joined.directions
+            ),
+        },
+        **run.facts(),
+    }
+    return calibrated(SunNetwork(networks, domain, first), left_out)
+
+
+def _built(method: Method, key: jax.Array, *, fields: FloatArray, linear: Any) -> Network:
+    return build(method, fields, linear, key)
+
+
+def _data(
+    method: Method, learned: SunViews, left_out: SunViews, settings: NetworkSettings
+) -> TrainingData:
+    """Return the data of one network, with leading dimensions of 1."""
+    rng = np.random.default_rng(settings.seed)
+    targets = methods.head_targets(method, SPACE, learned.directions, rng)
+    samples = methods.samples(method, len(learned), rng)
+    return TrainingData(
+        inputs=jnp.asarray(learned.fields[None], jnp.float32),
+        targets=jnp.asarray(targets[None], jnp.float32),
+        samples=jnp.asarray(samples[None]),
+        held_out_inputs=jnp.asarray(left_out.fields[None], jnp.float32),
+        held_out_targets=jnp.asarray(left_out.directions[None], jnp.float32),
+    )
+
+
+def _linear(linear: LinearFit, learned: SunViews, left_out: SunViews) -> FloatArray:
+    """Return the vectors that the linear regression alone gives, [N, 3]."""
+    mean, scale = standardisation(learned.fields)
+    pooled = np.asarray(pooled_flow((left_out.fields - mean) * scale), np.float64)
+    vectors: FloatArray = pooled @ linear.weights.T + linear.offset
+    return vectors
+
+
+def _median_deg(vectors: FloatArray, directions: FloatArray) -> float:
+    """Return the median angle between vectors and true directions, degrees."""
+    lengths = np.linalg.norm(vectors, axis=1)
+    cosine = np.sum(vectors * directions, axis=1) / np.maximum(lengths, 1e-12)
+    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+
+
+def errors_of(network: SunNetwork, views: SunViews) -> Claimed:
+    """Return the errors along azimuth and zenith angle, [N, 2], rad, and what was claimed."""
+    found = network.estimate(views.fields)
+    errors = SPACE.difference(jnp.asarray(found.directions), jnp.asarray(views.directions))
+    return Claimed(np.asarray(errors, np.float64), found.covariance)
+
+
+def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
+    """Return the errors of a network on a recording with truth.
+
+    Raises:
+        InputError: the file cannot be read, or the recording lacks images, truth or ``sun.txt``.
+    """
+    network = SunNetwork.load(path)
+    views = read_views(sequence, len(sequence))
+    errors, covariances = errors_of(network, views)
+    widening = network.estimate(views.fields).widening
+    return SensorErrors(errors, covariances, int(np.sum(widening > 1.0)))
+
+
+def calibrated(network: SunNetwork, left_out: Collection[SunViews]) -> SunNetwork:
+    """Return the network with the factors on its covariances that recordings left out ask for.
+
+    One makes single errors consistent. The other is by how much more ten successive errors added up
+    ask for: an estimate is wrong for as long as the street is the same, and a path that is
+    corrected again and again has to claim no more than it knows.
+
+    Args:
+        network: with factors of 1.
+        left_out: recordings that were not learned from.
+    """
+    claimed = [errors_of(network, views) for views in left_out]
+    found = calibration(claimed)
+    single = [Claimed(each.errors, found.scale_single * each.covariances) for each in claimed]
+    with_single = calibration(single)
+    angles = np.concatenate([np.linalg.norm(each.errors, axis=1) for each in claimed])
+    facts = {
+        **network.facts,
+        **found.facts(),
+        "scale": found.scale_single,
+        "correlation": max(with_single.scale_blocks, 1.0),
+        "coverage_90": coverage(
+            np.concatenate([each.errors for each in single]),
+            np.concatenate([each.covariances for each in single]),
+            0.9,
+        ),
+        "error_deg": float(np.degrees(np.median(angles))),
+    }
+    return SunNetwork(network.networks, network.domain, facts)

@@ -1,0 +1,176 @@
+"""Single images as a network sees them, with the true direction of the sun.
+
+Where the sun stands is said by ``sun.txt`` in the folder of a recording: a direction towards it, x
+y z, in the world of its true poses, which is the first camera. Rendered scenes have the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence as Collection
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from probevo.arrays import FloatArray, Image
+from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
+from probevo.files import check_regular
+from probevo.geometry import so3
+from probevo.nets.flow_field import CELL_PX, FOCAL_PX, LEAST_LEVELS, cell_means, virtual_view
+from probevo.nets.image_pairs import true_poses
+from probevo.sequences.base import Sequence
+
+SUN_FILE = "sun.txt"
+MOST_BYTES = 10_000
+CURE = "Write the direction towards the sun into it, x y z, in the frame of the first camera."
+CHANNELS = 4
+"""Level, contrast, and gradients along x and y."""
+FEWEST_CELLS = 2
+MOST_CELLS = 8
+"""By which copies are moved sideways: turns of 2.5 to 10°."""
+BLUR_PX = 1.5
+"""Of the image whose gradients are taken."""
+
+
+@dataclass(frozen=True)
+class SunViews:
+    """N images."""
+
+    fields: FloatArray
+    """As ``sun_field`` gives them, [N, 4, rows, columns], float32."""
+    directions: FloatArray
+    """Towards the sun in the camera, unit vectors, [N, 3]."""
+
+    def __len__(self) -> int:
+        """Return N."""
+        return len(self.fields)
+
+    @staticmethod
+    def joined(parts: Collection[SunViews]) -> SunViews:
+        """Return the images of several recordings, one after the other."""
+        return SunViews(
+            np.concatenate([part.fields for part in parts]),
+            np.concatenate([part.directions for part in parts]),
+        )
+
+    def with_mirrored(self) -> SunViews:
+        """Return the images and their mirror images, in which the sun is on the other side."""
+        fields = self.fields[..., ::-1].copy()
+        fields[:, 2] *= -1.0
+        return SunViews(
+            np.concatenate([self.fields, fields]),
+            np.concatenate([self.directions, self.directions * np.array([-1.0, 1.0, 1.0])]),
+        )
+
+    def multiplied(self, copies: int, rng: np.random.Generator) -> SunViews:
+        """Return the images and their mirror images, and further copies that are turned aside.
+
+        A camera that turns about its vertical axis sees a distant street moved sideways, and the
+        sun turned by the same angle. Columns that come into view repeat the last one.
+
+        Args:
+            copies: how often each is there; the first is as it was.
+            rng: of the turns of the others.
+        """
+        views = self.with_mirrored()
+        parts = [views]
+        for _ in range(copies - 1):
+            cells = rng.integers(FEWEST_CELLS, MOST_CELLS + 1, len(views))
+            cells *= rng.choice([-1, 1], len(views))
+            columns = np.arange(views.fields.shape[-1])[None] - cells[:, None]
+            columns = np.clip(columns, 0, views.fields.shape[-1] - 1)
+            fields = np.take_along_axis(views.fields, columns[:, None, None, :], axis=-1)
+            angles = np.arctan(cells * CELL_PX / FOCAL_PX)
+            turn = so3.exp(np.stack([0.0 * angles, angles, 0.0 * angles], axis=1))
+            directions = (turn @ views.directions[..., None])[..., 0]
+            parts.append(SunViews(fields, directions))
+        return SunViews.joined(parts)
+
+
+def sun_field(image: Image, camera: StereoCamera) -> FloatArray:
+    """Return what a network sees of one image, [4, rows, columns], float32.
+
+    The channels are means over cells of the virtual camera's image: the logarithm of the grey level
+    less its mean over the image, so that the exposure does not matter; that of the contrast within
+    the cell; and the gradients of the logarithm along x and y, which tell lit from shaded sides.
+
+    Raises:
+        InputError: the camera's field of view is smaller than that of the virtual one.
+    """
+    levels = virtual_view(image, camera).astype(np.float32)
+    logs = np.log(levels + LEAST_LEVELS)
+    mean = cell_means(levels)
+    variance = np.maximum(cell_means(levels**2) - mean**2, 0.0)
+    smooth = cv2.GaussianBlur(logs, (0, 0), BLUR_PX)
+    along_y, along_x = np.gradient(smooth)
+    field = [
+        cell_means(logs) - logs.mean(),
+        np.log(np.sqrt(variance) + LEAST_LEVELS) - np.log(mean + LEAST_LEVELS),
+        CELL_PX * cell_means(along_x),
+        CELL_PX * cell_means(along_y),
+    ]
+    return np.stack(field).astype(np.float32)
+
+
+def read_views(
+    sequence: Sequence, num_frames: int, on_frame: Callable[[int], None] | None = None
+) -> SunViews:
+    """Go through a recording, and return the images whose true pose is known.
+
+    Args:
+        sequence: the recording.
+        num_frames: frames to read.
+        on_frame: called with the number of frames done.
+
+    Raises:
+        InputError: it has no images, no truth or no ``sun.txt``, a camera that sees too little, or
+            a faulty frame.
+    """
+    in_world = read_sun(sequence.path)
+    T_world_cam = true_poses(sequence)
+    fields = []
+    directions = []
+    for frame in islice(sequence, num_frames):
+        if frame.left is None:
+            raise InputError(sequence.path, "there are no images.", "Networks need images.")
+        C_world_cam = T_world_cam[frame.index, :3, :3]
+        if np.isfinite(C_world_cam).all():
+            fields.append(sun_field(frame.left, sequence.camera))
+            directions.append(C_world_cam.T @ in_world)
+        if on_frame is not None:
+            on_frame(frame.index + 1)
+    return SunViews(np.array(fields), np.array(directions))
+
+
+def check_sun_recording(sequence: Sequence) -> None:
+    """Refuse a recording from which the sun cannot be learned.
+
+    Raises:
+        InputError: it has no images, no truth or no ``sun.txt``, or sees too little.
+    """
+    true_poses(sequence)
+    read_sun(sequence.path)
+
+
+def read_sun(folder: Path) -> FloatArray:
+    """Return the direction towards the sun in the first camera, a unit vector, [3].
+
+    Raises:
+        InputError: there is no such file, or it holds no direction.
+    """
+    path = folder / SUN_FILE
+    if not path.exists():
+        raise InputError(path, "there is no such file.", CURE)
+    check_regular(path, MOST_BYTES)
+    try:
+        direction = np.array([float(word) for word in path.read_text("utf-8").split()])
+    except (OSError, ValueError) as error:
+        raise InputError(path, f"cannot be read: {error}.", CURE) from error
+    if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
+        raise InputError(path, "it holds no direction of three numbers.", CURE)
+    unit: FloatArray = direction / np.linalg.norm(direction)
+    return unit

@@ -1,0 +1,178 @@
+"""Networks of the sun from recordings: trained, resumed, calibrated, and as sensors."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+jax = pytest.importorskip("jax", reason="jax is missing: pip install 'probevo[nets]'")
+pytest.importorskip("equinox")
+
+from cli.rendering import write_wall  # noqa: E402
+from probevo.cli.main import main  # noqa: E402
+from probevo.errors import InputError  # noqa: E402
+from probevo.measurements.direction import Direction  # noqa: E402
+from probevo.measurements.north import NORTH  # noqa: E402
+from probevo.measurements.sensor import NoMeasurement  # noqa: E402
+from probevo.nets.sun_network import SunNetwork  # noqa: E402
+from probevo.nets.sun_sensor import SunFromImages  # noqa: E402
+from probevo.nets.sun_training import calibrated, errors_of, train_sun  # noqa: E402
+from probevo.nets.sun_views import SunViews, read_sun, read_views, sun_field  # noqa: E402
+from probevo.network_settings import NetworkSettings  # noqa: E402
+from probevo.sequences import open_sequence  # noqa: E402
+
+FRAMES = 13
+SETTINGS = NetworkSettings(epochs=2, batch=8, heads=3)
+FLAGS = ["--nets.epochs", "2", "--nets.batch", "8", "--nets.heads", "3"]
+SUN = np.array([0.6, -0.64, 0.48])
+
+
+@pytest.fixture(scope="module")
+def walls(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two recordings of the same wall under the same sun."""
+    root = tmp_path_factory.mktemp("walls")
+    folders = [write_wall(root / name, frames=FRAMES) for name in ("one", "other")]
+    for folder in folders:
+        (folder / "sun.txt").write_text("1.2 -1.28 0.96\n")
+    return folders
+
+
+@pytest.fixture(scope="module")
+def model(walls: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("model") / "sun.safetensors"
+    train_sun([open_sequence(wall) for wall in walls], SETTINGS, out)
+    return out
+
+
+def test_the_directions_are_those_of_the_sun_in_each_camera(walls: list[Path]) -> None:
+    sequence = open_sequence(walls[0])
+    views = read_views(sequence, 5)
+    assert sequence.truth is not None
+    expected = np.swapaxes(sequence.truth.T_world_cam[:5, :3, :3], 1, 2) @ SUN
+    np.testing.assert_allclose(views.directions, expected, atol=1e-12)
+    mirrored = views.with_mirrored()
+    np.testing.assert_allclose(mirrored.directions[5:, 0], -views.directions[:, 0])
+    np.testing.assert_array_equal(mirrored.fields[5:, 0], views.fields[:, 0, :, ::-1])
+    np.testing.assert_array_equal(mirrored.fields[5:, 2], -views.fields[:, 2, :, ::-1])
+
+
+def test_copies_are_turned_with_the_sun(walls: list[Path]) -> None:
+    """What is seen straight ahead is seen at the sun's new place if the sun stands behind it."""
+    views = read_views(open_sequence(walls[0]), 4)
+    ahead = replace(views, directions=np.tile([0.0, 0.0, 1.0], (4, 1)))
+    copies = ahead.multiplied(3, np.random.default_rng(0))
+    assert len(copies) == 4 * 2 * 3
+    for k in range(8, len(copies)):
+        x, _, z = copies.directions[k]
+        cells = round(x / z * 180.0 / 4)
+        assert 2 <= abs(cells) <= 8
+        first = copies.fields[k % 8]
+        kept = slice(max(cells, 0), 72 + min(cells, 0))
+        moved = np.roll(first, cells, axis=-1)
+        np.testing.assert_array_equal(copies.fields[k][..., kept], moved[..., kept])
+
+
+def test_the_exposure_does_not_matter(walls: list[Path]) -> None:
+    sequence = open_sequence(walls[0])
+    image = next(iter(sequence)).left
+    assert image is not None
+    darker = np.rint(0.5 * image).astype(np.uint8)
+    before = sun_field(image, sequence.camera)
+    after = sun_field(darker, sequence.camera)
+    assert np.abs(after - before).mean() < 0.05 * before.std()
+
+
+@pytest.mark.parametrize("content", [None, "", "1 2", "0 0 0", "1 2 nan", "east"])
+def test_a_recording_without_a_direction_is_refused(
+    walls: list[Path], tmp_path: Path, content: str | None
+) -> None:
+    if content is not None:
+        (tmp_path / "sun.txt").write_text(content)
+    with pytest.raises(InputError, match=r"sun\.txt"):
+        read_sun(tmp_path)
+
+
+def test_a_training_that_was_stopped_ends_with_the_same_bytes(
+    walls: list[Path], model: Path, tmp_path: Path
+) -> None:
+    def stop(done: int, total: int) -> None:
+        if done >= 2 * FRAMES + 1:
+            raise KeyboardInterrupt
+
+    recordings = [open_sequence(wall) for wall in walls]
+    out = tmp_path / "sun.safetensors"
+    with pytest.raises(KeyboardInterrupt):
+        train_sun(recordings, SETTINGS, out, on_progress=stop)
+    train_sun(recordings, SETTINGS, out)
+    assert out.read_bytes() == model.read_bytes()
+    network = SunNetwork.load(out)
+    network.save(tmp_path / "copy.safetensors")
+    assert (tmp_path / "copy.safetensors").read_bytes() == model.read_bytes()
+
+
+def test_single_errors_and_sums_of_ten_have_factors_of_their_own(
+    model: Path, walls: list[Path]
+) -> None:
+    """Errors that are the same in ten images ask for ten times the variance in their sum."""
+    trained = SunNetwork.load(model)
+    plain = SunNetwork(trained.networks, trained.domain, {**trained.facts, "scale": 1.0})
+    views = read_views(open_sequence(walls[0]), FRAMES)
+    fields = np.tile(views.fields[:10], (40, 1, 1, 1))
+    found = plain.estimate(fields)
+    root = np.linalg.cholesky(found.covariance)
+    errors = np.repeat(np.random.default_rng(0).normal(0.0, 0.1, (40, 2)), 10, axis=0)
+    from probevo.nets.sun_network import SPACE
+
+    moved = SPACE.perturb(
+        jax.numpy.asarray(found.directions),
+        -jax.numpy.asarray(np.einsum("nij,nj->ni", root, errors)),
+    )
+    views = SunViews(fields, np.asarray(moved, np.float64))
+    again = calibrated(plain, [views])
+    assert again.facts["scale"] == pytest.approx(0.01, rel=0.3)
+    assert again.facts["correlation"] == pytest.approx(10.0, rel=0.2)
+    claimed = errors_of(again, views)
+    np.testing.assert_allclose(
+        claimed.covariances, again.facts["scale"] * found.covariance, rtol=1e-5
+    )
+
+
+def test_it_measures_twice_a_second_and_not_without_an_image(
+    model: Path, walls: list[Path]
+) -> None:
+    sequence = open_sequence(walls[0])
+    sensor = SunFromImages.load(model, sequence)
+    frames = list(sequence)
+    answers = [sensor(frames[k - 1], frames[k]) for k in range(1, FRAMES)]
+    measured = [answer for answer in answers if not isinstance(answer, NoMeasurement)]
+    assert len(measured) == 2
+    assert isinstance(measured[0][0], Direction)
+    np.testing.assert_allclose(measured[0][0].known, SUN, atol=1e-12)
+    blind = replace(frames[5], left=None, prepared=None)
+    assert sensor(frames[4], blind) == NoMeasurement("no image")
+    network = SunNetwork.load(model)
+    in_enu = SunFromImages(network, sequence.camera, lambda _: SUN, north=NORTH)
+    (direction,) = list(in_enu(frames[4], frames[5]))
+    assert NORTH in direction.variables
+
+
+def test_train_run_and_inspect(
+    walls: list[Path], model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "sun.safetensors"
+    words = [*map(str, walls), "--kind", "sun", *FLAGS, "--out", str(out)]
+    assert main(["train", *words]) == 0
+    assert "of the mean direction" in capsys.readouterr().out
+    assert out.read_bytes() == model.read_bytes()
+    run = tmp_path / "run"
+    assert main(["run", str(walls[0]), "--sensor", str(out), "--out", str(run)]) == 0
+    shown = (run / "report.html").read_text()
+    assert re.search(r"Sensor sun.{0,80}2 steps used it", shown, re.DOTALL)
+    capsys.readouterr()
+    seen = tmp_path / "seen"
+    assert main(["inspect", str(walls[1]), "--model", str(out), "--out", str(seen)]) == 0
+    assert "RMS error of both angles" in capsys.readouterr().out
