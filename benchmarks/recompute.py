@@ -251,6 +251,7 @@ FIGURES = (
         minutes=120,
     ),
     Figure("hydranet", ("docs/nets.md",), "probevo paper hydranet --out hydranet", minutes=30),
+    Figure("sun-streets", ("docs/nets.md",), "python benchmarks/sun_streets.py sun", minutes=60),
     Figure("dpc-net", ("docs/nets.md",), "probevo paper dpc-net --out dpc-net", minutes=15),
     Figure("table-1.3", ("docs/probe-gk.md",), "probevo paper table-1.3 --out t13", minutes=30),
     Figure(

@@ -29,9 +29,9 @@ class TrainArguments:
     --kind chooses the model. The options from --base to --exponent are only for knn, those of the
     section gk for the other two kinds; an option that a kind does not use is refused.
 
-    --kind rotation and correction learn a sensor instead, for `probevo run … --sensor MODEL` (extra
-    nets). Its options are those of the section nets, and for correction those of the odometry. The
-    recordings named last are left out, to calibrate it.
+    --kind rotation, correction and sun learn a sensor instead, for `probevo run … --sensor MODEL`
+    (extra nets). Its options are those of the section nets, and for correction those of the
+    odometry. The recordings named last are left out, to calibrate it.
     """
 
     sequences: Annotated[

@@ -186,9 +186,10 @@ class TrainSettings(Settings):
         description=(
             "Kind of noise model. knn is PROBE: weights from the nearest neighbours in the"
             " prediction space; gk is PROBE-GK: a covariance and a loss of its own for each"
-            " feature; student-t one for all, fitted to the same data. rotation is no noise model,"
-            " but a sensor for `probevo run --sensor`: a network of the rotation between two left"
-            " images (HydraNet)."
+            " feature; student-t one for all, fitted to the same data. Others are no noise models,"
+            " but sensors for `probevo run --sensor`: networks of the rotation between two left"
+            " images (rotation, HydraNet), of how far the odometry's own motions are off"
+            " (correction, DPC-Net), and of the direction of the sun (sun, Sun-BCNN)."
         ),
     )
     supervision: SupervisionName = Field(
