@@ -58,7 +58,7 @@ def write_viewer_file_again(
         noise_model(config.noise),
         sequence.imu,
         config=config,
-        sensors=load_sensors(config.sensor, sequence.camera),
+        sensors=load_sensors(config.sensor, sequence),
     )
     motions = []
     viewer = ViewerFile(path)
