@@ -39,6 +39,8 @@ class SensorErrors:
     """Measurements whose covariance was widened."""
     num_lengths: int = 0
     """Leading components that are lengths, in m instead of rad."""
+    saliency: FloatArray | None = None
+    """How much the loss depends on each cell of what the sensor sees, [rows, columns]."""
 
 
 @dataclass(frozen=True)

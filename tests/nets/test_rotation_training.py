@@ -18,10 +18,12 @@ from probevo.cli.main import main  # noqa: E402
 from probevo.errors import InputError  # noqa: E402
 from probevo.geometry import so3  # noqa: E402
 from probevo.measurements.sensor import NoMeasurement  # noqa: E402
+from probevo.nets import methods, quaternions  # noqa: E402
 from probevo.nets.image_pairs import ImagePairs  # noqa: E402
-from probevo.nets.rotation_network import RotationNetwork  # noqa: E402
+from probevo.nets.rotation_network import SPACE, RotationNetwork  # noqa: E402
 from probevo.nets.rotation_sensor import RotationSensor  # noqa: E402
 from probevo.nets.rotation_training import calibrated, errors_of, train_rotation  # noqa: E402
+from probevo.nets.trained_network import saliency  # noqa: E402
 from probevo.network_settings import NetworkSettings  # noqa: E402
 from probevo.sensor_kinds import load_sensors  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
@@ -169,6 +171,27 @@ def test_errors_are_those_of_left_perturbations(model: Path) -> None:
     errors, _ = errors_of(network, ImagePairs(pairs.fields, truth))
     np.testing.assert_allclose(errors, np.tile(phi, (5, 1)), atol=1e-5)
     assert NOISE > 0.0
+
+
+def test_saliency_is_the_derivative_of_the_loss_by_a_cell(model: Path) -> None:
+    network = RotationNetwork.load(model)
+    pairs = small_pairs(1)
+    q_true = np.asarray(quaternions.exp(jax.numpy.asarray(pairs.rotations, jax.numpy.float32)))
+    found = saliency(network, SPACE, pairs.fields, q_true)
+    assert found.shape == pairs.fields.shape[2:]
+    first = jax.tree.map(lambda array: array[0], network.networks)
+    row, column = np.unravel_index(np.argmax(found), found.shape)
+    spread = pairs.fields.std(axis=(0, 2, 3))
+    expected = 0.0
+    for channel in range(4):
+        losses = []
+        for sign in (1.0, -1.0):
+            moved = pairs.fields.copy()
+            moved[0, channel, row, column] += 0.03 * sign * spread[channel]
+            one = methods.loss(SPACE, first, moved, q_true[:, None], key=jax.random.key(0))
+            losses.append(float(one))
+        expected += abs(losses[0] - losses[1]) / 0.06
+    assert found[row, column] == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.parametrize(

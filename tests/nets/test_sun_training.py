@@ -18,7 +18,7 @@ from probevo.errors import InputError  # noqa: E402
 from probevo.measurements.direction import Direction  # noqa: E402
 from probevo.measurements.north import NORTH  # noqa: E402
 from probevo.measurements.sensor import NoMeasurement  # noqa: E402
-from probevo.nets.sun_network import SunNetwork  # noqa: E402
+from probevo.nets.sun_network import SPACE, SunNetwork  # noqa: E402
 from probevo.nets.sun_sensor import SunFromImages  # noqa: E402
 from probevo.nets.sun_training import calibrated, errors_of, train_sun  # noqa: E402
 from probevo.nets.sun_views import SunViews, read_sun, read_views, sun_field  # noqa: E402
@@ -125,8 +125,6 @@ def test_single_errors_and_sums_of_ten_have_factors_of_their_own(
     found = plain.estimate(fields)
     root = np.linalg.cholesky(found.covariance)
     errors = np.repeat(np.random.default_rng(0).normal(0.0, 0.1, (40, 2)), 10, axis=0)
-    from probevo.nets.sun_network import SPACE
-
     moved = SPACE.perturb(
         jax.numpy.asarray(found.directions),
         -jax.numpy.asarray(np.einsum("nij,nj->ni", root, errors)),
@@ -176,3 +174,4 @@ def test_train_run_and_inspect(
     seen = tmp_path / "seen"
     assert main(["inspect", str(walls[1]), "--model", str(out), "--out", str(seen)]) == 0
     assert "RMS error of both angles" in capsys.readouterr().out
+    assert "Saliency" in (seen / "inspection.html").read_text()

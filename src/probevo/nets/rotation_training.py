@@ -22,7 +22,7 @@ from probevo.nets.learning import TrainingData
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
 from probevo.nets.rotation_network import KIND, SPACE, RotationNetwork, build, method_of
-from probevo.nets.trained_network import first_facts, trunk_features
+from probevo.nets.trained_network import first_facts, saliency, trunk_features
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
@@ -145,7 +145,12 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     pairs = read_pairs(sequence, len(sequence))
     errors, covariances = errors_of(network, pairs)
     widening = network.estimate(pairs.fields).widening
-    return SensorErrors(errors, covariances, int(np.sum(widening > 1.0)))
+    return SensorErrors(
+        errors,
+        covariances,
+        int(np.sum(widening > 1.0)),
+        saliency=saliency(network, SPACE, pairs.fields, _quaternions(pairs.rotations)),
+    )
 
 
 def calibrated(network: RotationNetwork, left_out: Collection[ImagePairs]) -> RotationNetwork:

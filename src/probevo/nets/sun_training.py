@@ -23,7 +23,7 @@ from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
 from probevo.nets.sun_network import KIND, SPACE, SunNetwork, build
 from probevo.nets.sun_views import SunViews, check_sun_recording, read_views
-from probevo.nets.trained_network import first_facts, trunk_features
+from probevo.nets.trained_network import first_facts, saliency, trunk_features
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
@@ -160,7 +160,12 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     views = read_views(sequence, len(sequence))
     errors, covariances = errors_of(network, views)
     widening = network.estimate(views.fields).widening
-    return SensorErrors(errors, covariances, int(np.sum(widening > 1.0)))
+    return SensorErrors(
+        errors,
+        covariances,
+        int(np.sum(widening > 1.0)),
+        saliency=saliency(network, SPACE, views.fields, views.directions),
+    )
 
 
 def calibrated(network: SunNetwork, left_out: Collection[SunViews]) -> SunNetwork:

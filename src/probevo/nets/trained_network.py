@@ -123,6 +123,31 @@ def trunk_features(networks: Network, inputs: FloatArray) -> FloatArray:
     return np.asarray(_features(networks, jnp.asarray(inputs, jnp.float32)), np.float64)
 
 
+def saliency(
+    network: TrainedNetwork, space: TargetSpace, fields: FloatArray, targets: FloatArray
+) -> FloatArray:
+    """Return how much the loss depends on each cell, [rows, columns]: |∂loss/∂field|.
+
+    Channels are in units of their standard deviation over these data, and added up; the result is
+    the mean over the data.
+
+    Args:
+        network: of fields.
+        space: what it regresses.
+        fields: [N, C, rows, columns].
+        targets: true values, [N, o].
+    """
+    gradients = _loss_gradients(
+        space,
+        network.networks,
+        jnp.asarray(fields, jnp.float32),
+        jnp.asarray(targets, jnp.float32),
+    )
+    spread = fields.std(axis=(0, 2, 3))[:, None, None]
+    found: FloatArray = np.mean(np.sum(np.abs(gradients) * spread, axis=1), axis=0)
+    return np.asarray(found, np.float64)
+
+
 def has_nothing_to_say(widening: float) -> bool:
     """Return whether an input is so far out of the domain that no covariance holds."""
     return widening > FARTHEST
@@ -147,3 +172,19 @@ def _features(networks: Network, inputs: jax.Array) -> jax.Array:
     first = jax.tree.map(lambda array: array[0], networks)
     features: jax.Array = jax.vmap(lambda one: first.trunk(one, jax.random.key(0)))(inputs)
     return features
+
+
+@eqx.filter_jit
+def _loss_gradients(
+    space: TargetSpace, networks: Network, fields: jax.Array, targets: jax.Array
+) -> jax.Array:
+    """Return ∂loss/∂field of each datum, [N, C, rows, columns]."""
+    first = jax.tree.map(lambda array: array[0], networks)
+
+    def loss(field: jax.Array, target: jax.Array) -> jax.Array:
+        """Return the loss of one datum."""
+        key = jax.random.key(0)
+        return methods.loss(space, first, field[None], target[None, None], key=key)
+
+    gradients: jax.Array = jax.vmap(jax.grad(loss))(fields, targets)
+    return gradients

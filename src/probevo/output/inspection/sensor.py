@@ -57,6 +57,15 @@ def write_sensor_inspection(
                     _against_claimed(errors, kind),
                 )
             )
+        if errors.saliency is not None:
+            panels.append(
+                panel(
+                    "Saliency",
+                    "How much the loss depends on each place of the image: the mean of its"
+                    " derivative's size. Bright places decide.",
+                    _saliency(errors.saliency),
+                )
+            )
     sections = [grid(panels), table_panel("Errors within their regions", [], table)]
     page = out / "inspection.html"
     write_page(page, f"What {name} measures", facts, sections)
@@ -153,4 +162,12 @@ def _against_claimed(errors: SensorErrors, kind: _KindOfAxes) -> Figure:
     axes.plot(claimed, found, color=BLUE, marker="o", ms=4, lw=1.5)
     unit = kind.unit.strip()
     axes.set(xlabel=f"claimed σ, {unit}", ylabel=f"RMS error, {unit}", xscale="log", yscale="log")
+    return figure
+
+
+def _saliency(saliency: FloatArray) -> Figure:
+    figure = Figure(figsize=(NARROW_IN, 1.5))
+    axes = figure.subplots()
+    axes.imshow(saliency, cmap="gray", vmin=0.0, interpolation="nearest", aspect="equal")
+    axes.set(xticks=[], yticks=[])
     return figure
