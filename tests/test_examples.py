@@ -196,7 +196,7 @@ def test_live(
     speed: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each frame is processed or counted as dropped, the last one is never dropped, and the path
-    holds together."""
+    holds together. A busy machine may drop any other, the first one included."""
     example = load("06_live.py")
     monkeypatch.setattr(example, "open_scene", rendered_once)
     example.main(speed)
@@ -206,8 +206,9 @@ def test_live(
     )
     assert processed == len(estimates)
     assert processed + dropped == frames
-    assert [int(line.split()[0]) for line in (estimates[0], estimates[-1])] == [0, frames - 1]
-    assert speed == 50.0 or float(summary.split()[-3]) < 50.0
+    assert int(estimates[-1].split()[0]) == frames - 1
+    assert dropped or int(estimates[0].split()[0]) == 0
+    assert dropped or float(summary.split()[-3]) < 50.0
 
 
 @pytest.mark.parametrize("dof", [5.0, np.inf])
