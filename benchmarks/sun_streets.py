@@ -27,6 +27,7 @@ from probevo.measurements.base import pose_of
 from probevo.measurements.direction import Direction
 from probevo.measurements.sensor import Reading
 from probevo.nets.covariance_scale import coverage
+from probevo.nets.domain import FARTHEST
 from probevo.nets.sun_network import SunNetwork
 from probevo.nets.sun_training import errors_of, train_sun
 from probevo.nets.sun_views import SunViews, read_views, sun_field
@@ -125,6 +126,25 @@ def show_fused(network: SunNetwork, views: list[SunViews]) -> None:
         print(f"a kilometre {label} the sun: heading {found:.2f}° RMS, claimed {claimed:.2f}°")
 
 
+def show_out_of_domain(network: SunNetwork, folder: Path) -> None:
+    """Print by how much covariances are widened at night, in fog, and where nothing is seen."""
+    sequence = open_sequence(folder)
+    images = [frame.left for frame in sequence]
+    rng = np.random.default_rng(0)
+    seen = {
+        "night (5 % of the light, noise of 3 grey levels)": [
+            np.clip(0.05 * image + rng.normal(0.0, 3.0, image.shape), 0, 255) for image in images
+        ],
+        "fog (10 % of the contrast)": [140.0 + 0.1 * image for image in images],
+        "an even grey": [np.full(image.shape, 90.0) for image in images],
+    }
+    for name, spoiled in seen.items():
+        fields = [sun_field(image.astype(np.uint8), sequence.camera) for image in spoiled]
+        widening = network.estimate(np.array(fields)).widening
+        silent = np.mean(widening > FARTHEST)
+        print(f"{name}: covariances × {np.median(widening):.1f}, {silent:.0%} silent")
+
+
 def show_kitti(network: SunNetwork) -> None:
     """Print errors against the ephemeris on raw 0005, and on others how far estimates scatter.
 
@@ -189,6 +209,7 @@ def main() -> None:
     covariances = np.concatenate([each.covariances for each in claimed])
     show_errors("streets not seen before", errors, covariances)
     show_fused(network, views)
+    show_out_of_domain(network, folders[-1])
     show_kitti(network)
 
 
