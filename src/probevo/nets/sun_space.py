@@ -41,11 +41,15 @@ class SunTargets:
 
     def difference(self, estimates: jax.Array, targets: jax.Array) -> jax.Array:
         """Return the errors along azimuth and zenith angle, [..., 2], rad."""
-        x, y, z = targets[..., 0], targets[..., 1], targets[..., 2]
+        x = targets[..., 0]
+        y = targets[..., 1]
+        z = targets[..., 2]
         level = jnp.sqrt(x**2 + z**2 + LEAST_LENGTH)
         sine = x / level
         cosine = z / level
-        u, v, w = estimates[..., 0], estimates[..., 1], estimates[..., 2]
+        u = estimates[..., 0]
+        v = estimates[..., 1]
+        w = estimates[..., 2]
         of_azimuth = cosine * u - sine * w
         of_zenith = -y * sine * u + level * v - y * cosine * w
         across = jnp.sqrt(of_azimuth**2 + of_zenith**2 + LEAST_LENGTH)
@@ -55,9 +59,12 @@ class SunTargets:
 
     def perturb(self, targets: jax.Array, errors: jax.Array) -> jax.Array:
         """Return directions whose azimuth and zenith angle, times its sine, differ by errors."""
-        x, y, z = targets[..., 0], targets[..., 1], targets[..., 2]
+        x = targets[..., 0]
+        y = targets[..., 1]
+        z = targets[..., 2]
         level = jnp.sqrt(x**2 + z**2 + LEAST_LENGTH)
-        azimuth, zenith = errors[..., 0], errors[..., 1]
+        azimuth = errors[..., 0]
+        zenith = errors[..., 1]
         moved = [
             x + azimuth * z / level - zenith * y * x / level,
             y + zenith * level,
