@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.geometry import se3
-from probevo.nets import methods
 from probevo.nets.calibration import BLOCK, Claimed, blocks_of, calibration
 from probevo.nets.correction_network import (
     KIND,
@@ -33,7 +31,6 @@ from probevo.nets.domain import Domain
 from probevo.nets.estimated_steps import EstimatedSteps, read_steps
 from probevo.nets.field_network import LinearFit
 from probevo.nets.image_pairs import check_recording
-from probevo.nets.learning import TrainingData
 from probevo.nets.methods import Method
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
@@ -146,13 +143,8 @@ def _train(
         method,
         space,
         partial(_built, space=space, standard=standard, linear=linear),
-        _data(
-            method,
-            space,
-            settings,
-            learned=(inputs, learned.corrections),
-            left_out=(inputs_left_out, joined.corrections),
-        ),
+        learned=(inputs, learned.corrections),
+        left_out=(inputs_left_out, joined.corrections),
     )
     domain = Domain.of(trunk_features(networks, inputs), trunk_features(networks, inputs_left_out))
     first = {
@@ -200,27 +192,6 @@ def _built(
     linear: LinearFit,
 ) -> Network:
     return build(method, space, standard, linear=linear, key=key)
-
-
-def _data(
-    method: Method,
-    space: CorrectionTargets,
-    settings: NetworkSettings,
-    *,
-    learned: tuple[FloatArray, FloatArray],
-    left_out: tuple[FloatArray, FloatArray],
-) -> TrainingData:
-    """Return the data of one network, with leading dimensions of 1, of inputs and corrections."""
-    rng = np.random.default_rng(settings.seed)
-    targets = methods.head_targets(method, space, learned[1], rng)
-    samples = methods.samples(method, len(learned[0]), rng)
-    return TrainingData(
-        inputs=jnp.asarray(learned[0][None], jnp.float32),
-        targets=jnp.asarray(targets[None], jnp.float32),
-        samples=jnp.asarray(samples[None]),
-        held_out_inputs=jnp.asarray(left_out[0][None], jnp.float32),
-        held_out_targets=jnp.asarray(left_out[1][None], jnp.float32),
-    )
 
 
 def errors_of(network: CorrectionNetwork, steps: EstimatedSteps) -> Claimed:

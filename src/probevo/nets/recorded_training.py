@@ -18,11 +18,14 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.files import check_folder, remove_stale, write_atomically
 from probevo.lock import locked
+from probevo.nets import methods
 from probevo.nets.calibration import BLOCK
 from probevo.nets.extra import require_nets
 from probevo.nets.image_pairs import facts_of
@@ -69,11 +72,22 @@ class TrainingRun:
         return self.num_frames * (1 + self.settings.epochs)
 
     def learn(
-        self, method: Method, space: TargetSpace, build: Build, data: TrainingData
+        self,
+        method: Method,
+        space: TargetSpace,
+        build: Build,
+        *,
+        learned: tuple[FloatArray, FloatArray],
+        left_out: tuple[FloatArray, FloatArray],
     ) -> Network:
         """Train one network, resuming where an earlier call was stopped.
 
-        Its arrays have a leading dimension of 1.
+        Args:
+            method: what is learned, and by how many heads.
+            space: of the targets.
+            build: makes a network to begin with.
+            learned: inputs [N, …] and targets [N, …] to learn from.
+            left_out: the same of what only says when to stop.
         """
         settings = self.settings
         key = [self.recordings, settings.model_dump(mode="json"), self.extra]
@@ -81,7 +95,7 @@ class TrainingRun:
             method,
             space,
             build,
-            data=data,
+            data=_one_network(method, space, settings.seed, learned=learned, left_out=left_out),
             plan=LearningPlan(
                 epochs=settings.epochs,
                 batch=settings.batch,
@@ -107,6 +121,28 @@ class TrainingRun:
 
     def _show_epochs(self, done: int, total: int) -> None:
         self.on_progress(self.num_frames * (1 + done), self.total)
+
+
+def _one_network(
+    method: Method,
+    space: TargetSpace,
+    seed: int,
+    *,
+    learned: tuple[FloatArray, FloatArray],
+    left_out: tuple[FloatArray, FloatArray],
+) -> TrainingData:
+    """Return the data of one experiment of one network: with leading dimensions of 1."""
+    rng = np.random.default_rng(seed)
+    inputs, truth = learned
+    targets = methods.head_targets(method, space, truth, rng)
+    samples = methods.samples(method, len(inputs), rng)
+    return TrainingData(
+        inputs=jnp.asarray(inputs[None], jnp.float32),
+        targets=jnp.asarray(targets[None], jnp.float32),
+        samples=jnp.asarray(samples[None]),
+        held_out_inputs=jnp.asarray(left_out[0][None], jnp.float32),
+        held_out_targets=jnp.asarray(left_out[1][None], jnp.float32),
+    )
 
 
 @dataclass(frozen=True)

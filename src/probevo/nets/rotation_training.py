@@ -18,7 +18,6 @@ from probevo.nets.calibration import BLOCK, Claimed, calibration
 from probevo.nets.domain import Domain
 from probevo.nets.field_network import LinearFit, linear_fit, pooled_flow, standardisation
 from probevo.nets.image_pairs import ImagePairs, check_recording, read_pairs
-from probevo.nets.learning import TrainingData
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
 from probevo.nets.rotation_network import KIND, SPACE, RotationNetwork, build, method_of
@@ -84,7 +83,8 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
         method,
         SPACE,
         partial(_built, fields=learned.fields, linear=linear),
-        _data(learned, joined, settings),
+        learned=(learned.fields, _quaternions(learned.rotations)),
+        left_out=(joined.fields, _quaternions(joined.rotations)),
     )
     domain = Domain.of(
         trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
@@ -101,21 +101,6 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
 
 def _built(method: methods.Method, key: jax.Array, *, fields: FloatArray, linear: Any) -> Network:
     return build(method, fields, linear, key)
-
-
-def _data(learned: ImagePairs, left_out: ImagePairs, settings: NetworkSettings) -> TrainingData:
-    """Return the data of one network, with leading dimensions of 1."""
-    method = method_of(settings.heads)
-    rng = np.random.default_rng(settings.seed)
-    targets = methods.head_targets(method, SPACE, _quaternions(learned.rotations), rng)
-    samples = methods.samples(method, len(learned), rng)
-    return TrainingData(
-        inputs=jnp.asarray(learned.fields[None], jnp.float32),
-        targets=jnp.asarray(targets[None], jnp.float32),
-        samples=jnp.asarray(samples[None]),
-        held_out_inputs=jnp.asarray(left_out.fields[None], jnp.float32),
-        held_out_targets=jnp.asarray(_quaternions(left_out.rotations)[None], jnp.float32),
-    )
 
 
 def linear_errors(linear: LinearFit, learned: ImagePairs, left_out: ImagePairs) -> FloatArray:

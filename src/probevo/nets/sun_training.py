@@ -12,12 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.nets import methods
 from probevo.nets.calibration import BLOCK, Claimed, calibration
 from probevo.nets.covariance_scale import coverage
 from probevo.nets.domain import Domain
 from probevo.nets.field_network import LinearFit, linear_fit, pooled_flow, standardisation
-from probevo.nets.learning import TrainingData
 from probevo.nets.methods import Method
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
@@ -88,7 +86,8 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
         method,
         SPACE,
         partial(_built, fields=learned.fields, linear=linear),
-        _data(method, learned, joined, settings),
+        learned=(learned.fields, learned.directions),
+        left_out=(joined.fields, joined.directions),
     )
     domain = Domain.of(
         trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
@@ -110,22 +109,6 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
 
 def _built(method: Method, key: jax.Array, *, fields: FloatArray, linear: Any) -> Network:
     return build(method, fields, linear, key)
-
-
-def _data(
-    method: Method, learned: SunViews, left_out: SunViews, settings: NetworkSettings
-) -> TrainingData:
-    """Return the data of one network, with leading dimensions of 1."""
-    rng = np.random.default_rng(settings.seed)
-    targets = methods.head_targets(method, SPACE, learned.directions, rng)
-    samples = methods.samples(method, len(learned), rng)
-    return TrainingData(
-        inputs=jnp.asarray(learned.fields[None], jnp.float32),
-        targets=jnp.asarray(targets[None], jnp.float32),
-        samples=jnp.asarray(samples[None]),
-        held_out_inputs=jnp.asarray(left_out.fields[None], jnp.float32),
-        held_out_targets=jnp.asarray(left_out.directions[None], jnp.float32),
-    )
 
 
 def _linear(linear: LinearFit, learned: SunViews, left_out: SunViews) -> FloatArray:
