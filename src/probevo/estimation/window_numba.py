@@ -271,14 +271,14 @@ def accumulate(
         unit=np.zeros(LANDMARK),
     )
     sums = np.zeros((num_frames, num_frames, FRAME, _PAIR))
-    beside = np.zeros((PIXELS, _PAIR))
+    factors = np.zeros((PIXELS, _PAIR))
     cost = 0.0
     for row in range(len(landmarks.state)):
         squared = _linearize_track(row, problem, track, elimination.squared)
         trust = _trust(row, problem, squared)
         cost += trust.cost
         _add_common(row, problem, track, trust, elimination, equations=equations)
-        _add_motions(row, problem, track, trust, beside, sums=sums)
+        _add_motions(row, problem, track, trust, factors, sums=sums)
         _couple(row, problem, track, trust.curvature, elimination.coupling)
         _factor(trust.curvature, track.common, work, elimination.inverse[row])
         _eliminate(row, problem, work, elimination=elimination, equations=equations)
