@@ -239,6 +239,20 @@ def test_a_permanent_fault_is_raised_wherever_it_is_asked_for() -> None:
     assert live.num_failed == MAX_FAILURES
 
 
+def test_frames_that_wait_when_the_callback_fails_count_as_dropped() -> None:
+    def fail(estimate: pv.LiveEstimate) -> None:
+        raise ZeroDivisionError
+
+    odometry = Gated()
+    live = pv.LiveOdometry(odometry, waiting=5, on_estimate=fail)
+    for index in range(4):
+        live.push(blind_frame(index))
+    odometry.go.release()
+    with pytest.raises(ZeroDivisionError):
+        live.close()
+    assert live.num_dropped == 3
+
+
 def test_a_permanent_fault_does_not_hide_another_exception() -> None:
     with pytest.raises(KeyError), dead():
         raise KeyError

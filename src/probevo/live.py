@@ -291,6 +291,7 @@ class LiveOdometry:
             with self._changed:
                 self._closed = True
                 self._ended = True
+                self._num_dropped += len(self._frames)  # a fault leaves what waits unprocessed
                 self._frames.clear()
                 self._changed.notify_all()
 
