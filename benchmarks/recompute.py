@@ -107,6 +107,12 @@ FIGURES = (
         "python benchmarks/focal_length.py",
         minutes=5,
     ),
+    Figure(
+        "ground-height",
+        ("docs/degradation.md",),
+        "python benchmarks/ground_height.py",
+        minutes=5,
+    ),
     Figure("faults", ("docs/robustness.md",), "python benchmarks/faults.py --kills 40", minutes=15),
     Figure(
         "soak",

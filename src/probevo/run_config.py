@@ -206,6 +206,15 @@ class RunConfig(CommonRunSettings):
             " nets)."
         ),
     )
+    camera_height_m: float | None = Field(
+        None,
+        gt=0.0,
+        le=100.0,
+        description=(
+            "Height of the left camera above the ground that it drives over, as measured. It checks"
+            " the baseline, and changes no result."
+        ),
+    )
     write: Path | None = Field(
         None,
         description=(
@@ -227,6 +236,7 @@ OWN_KEYS = (
     "format",
     "noise",
     "sensor",
+    "camera_height_m",
     "max_frames",
     "imu",
     "calibration",

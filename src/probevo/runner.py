@@ -21,6 +21,7 @@ from probevo.estimation.inertial import reason_not_used
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import SmoothedPose, Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
+from probevo.evaluation.ground_height import GroundHeights
 from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.files import remove_stale, write_atomically, written_together
 from probevo.geometry import se3
@@ -173,6 +174,7 @@ def _run(
     pictures = _Pictures.spread_over(num_frames)
     smoothed = SmoothedPath()
     timing = PairTiming(config.tracking)
+    heights = GroundHeights(sequence.camera, config.camera_height_m)
     num_matches = np.zeros(2, np.int64)  # with positive and with negative disparity
     try:
         for frame in prepare_ahead(islice(sequence, num_frames), config.tracking):
@@ -185,6 +187,14 @@ def _run(
             pictures.add(frame, odometry)
             smoothed.add(odometry.window)
             timing.add(frame)
+            seen = odometry.tracks.kept(odometry.used)
+            heights.add(
+                frame.stamp_ns,
+                motion.T_curr_prev,
+                seen.ids,
+                seen.curr_px,
+                is_ok=motion.status is Status.OK,
+            )
             if viewer is not None:
                 viewer.add(frame, odometry)
 
@@ -199,13 +209,17 @@ def _run(
     except BaseException as stop:
         # Keep what was computed, whatever the reason. The first frame is no motion, and must not
         # replace the results of an earlier run.
-        result = _result(sequence, recorder, odometry, smoothed=smoothed, timing=timing)
+        result = _result(
+            sequence, recorder, odometry, smoothed=smoothed, timing=timing, heights=heights
+        )
         if len(result) > 1:
             result = replace(result, stopped=_reason(stop))
             _write_results(out, sequence, config, result=result, pictures=pictures, viewer=viewer)
             stop.add_note(f"The results of the first {len(result)} frames are in {out}.")
         raise
-    result = _result(sequence, recorder, odometry, smoothed=smoothed, timing=timing)
+    result = _result(
+        sequence, recorder, odometry, smoothed=smoothed, timing=timing, heights=heights
+    )
     return _write_results(out, sequence, config, result=result, pictures=pictures, viewer=viewer)
 
 
@@ -216,15 +230,18 @@ def _result(
     *,
     smoothed: SmoothedPath,
     timing: PairTiming,
+    heights: GroundHeights,
 ) -> RunResult:
     """Return what was recorded, how far the rig moves by the last estimate, the smoothed path,
-    whether left and right images belong together, and what the accelerometer says of the scale."""
+    whether left and right images belong together, and what accelerometer and ground say of the
+    scale."""
     rig = odometry.rig
     sigma_rad = None if rig is None else rig.jitter.sigma_rad
     result = recorder.result()
     return replace(
         result,
         accelerometer_scale=_accelerometer_scale(sequence, result),
+        ground_height=heights.height(),
         jitter_sigma_rad=sigma_rad,
         right_delay_s=0.0 if rig is None else rig.delay.delay_s,
         focal_length=None if rig is None else rig.focal.error(),

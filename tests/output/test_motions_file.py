@@ -8,6 +8,7 @@ import pytest
 
 from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
+from probevo.evaluation.ground_height import GroundHeight
 from probevo.output.motions_file import read_motions, write_motions
 from probevo.output.run_result import RunResult
 
@@ -21,6 +22,9 @@ def test_a_run_comes_back_as_it_was(
     if outside is not None:
         run = replace(run, jitter_sigma_rad=np.array([1e-5, 2e-4, 3e-5]), right_late_frames=-1)
         run = replace(run, focal_length=FocalLengthError(-0.02, 0.003))
+        run = replace(run, ground_height=GroundHeight(1.64, 0.01, 12, known_m=1.65))
+    else:
+        run = replace(run, ground_height=GroundHeight(1.64, 0.01, 12))
     write_motions(tmp_path / "motions.npz", run)
     back = read_motions(tmp_path / "motions.npz")
     for field in fields(RunResult):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from probevo.camera.rig_calibration import RigCalibration
     from probevo.camera.stereo import StereoCamera
     from probevo.evaluation.calibration_quantities import Quantity
+    from probevo.evaluation.ground_height import GroundHeight
     from probevo.evaluation.row_check import RowSamples
     from probevo.odometry import StereoOdometry
     from probevo.sequences import Sequence
@@ -111,6 +112,12 @@ def report(sequence: Sequence, max_frames: int) -> list[str]:
             notes.append(f"The rotation in T_cam_imu that agrees with the images: {matrix}.")
     if not any(quantity.name.startswith("scale") for quantity in quantities):
         notes.append("Scale: neither true poses nor an accelerometer tell it.")
+    if seen.height is not None:
+        notes.append(
+            f"Height: the left camera is {seen.height.height_m:.3f} ± {seen.height.sigma_m:.3f} m"
+            " above the ground that it drives over. Measure it: if that is wrong, baseline_m is"
+            " wrong by the same factor."
+        )
     marked = [quantity for quantity in quantities if _is_marked(quantity, len(quantities))]
     cells = [quantity.texts(is_marked=quantity in marked) for quantity in quantities]
     lines += ["", *table(("quantity", "value", "σ", "unit", "z"), cells).splitlines(), ""]
@@ -143,6 +150,8 @@ class _Seen:
     """Stamps of the two frames of each solved step, [K, 2]."""
     rotation_rad: FloatArray
     """Their rotations Log(C_curr_prev), [K, 3], camera frame."""
+    height: GroundHeight | None
+    """Of the left camera above the ground, if that is known."""
 
 
 def _look(sequence: Sequence, max_frames: int) -> _Seen:
@@ -155,12 +164,14 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
 
     from probevo.camera.rig_calibration import RigCalibration
     from probevo.estimation.motion_estimate import Status
+    from probevo.evaluation.ground_height import GroundHeights
     from probevo.geometry import se3, so3
     from probevo.odometry import StereoOdometry
     from probevo.tracking.left_right import FRAMES_TO_SEE, check_left_right, count_matches
 
     odometry = StereoOdometry(sequence.camera)
     camera = sequence.camera
+    heights = GroundHeights(camera)
     motions = []
     solved = []
     matches = np.zeros(2, int)
@@ -176,9 +187,17 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
             if len(motions) == FRAMES_TO_SEE + 1:
                 num_positive, num_negative = matches.tolist()
                 check_left_right(num_positive, num_negative, sequence.path)
+        is_used = odometry.used
+        heights.add(
+            frame.stamp_ns,
+            motion.T_curr_prev,
+            tracks.ids[is_used],
+            tracks.curr_px[is_used],
+            is_ok=motion.status is Status.OK,
+        )
         if motion.status is Status.OK and odometry.rig is not None:
-            used = tracks.curr_px[odometry.used]
-            raw = _as_matched(odometry, tracks.ids[odometry.used])
+            used = tracks.curr_px[is_used]
+            raw = _as_matched(odometry, tracks.ids[is_used])
             rotation_rad = so3.log(motion.T_curr_prev[:3, :3])
             steps.append(_Step(raw, used, rotation_rad, between_ns=(prev_ns, frame.stamp_ns)))
         prev_ns = frame.stamp_ns
@@ -194,6 +213,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
         is_ok=np.array(solved[1:], np.bool_),
         between_ns=np.array([step.between_ns for step in steps], np.int64),
         rotation_rad=np.array([step.rotation_rad for step in steps]),
+        height=heights.height(),
     )
 
 

@@ -64,6 +64,7 @@ def main(words: list[str]) -> None:
     # Only now, after the arguments are known to be good: these imports take time.
     from probevo.output.run_warnings import (
         accelerometer_warning,
+        height_warning,
         imu_warning,
         scale_warning,
         status_warning,
@@ -80,6 +81,7 @@ def main(words: list[str]) -> None:
         imu_warning(run.result.imu_left_out),
         scale_warning(run.result, run.truth),
         accelerometer_warning(run.result.accelerometer_scale),
+        height_warning(run.result.ground_height),
     )
     for warning in warnings:
         if warning:

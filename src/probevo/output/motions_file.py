@@ -14,6 +14,7 @@ from probevo.arrays import AnyArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
+from probevo.evaluation.ground_height import GroundHeight
 from probevo.files import write_atomically
 from probevo.geometry import se3
 from probevo.npz import NO_NPZ, read_npz
@@ -62,6 +63,11 @@ def write_motions(path: Path, result: RunResult) -> None:
     scale = result.accelerometer_scale
     if scale is not None:
         arrays["accelerometer_scale"] = np.array([scale.ratio, scale.sigma, scale.count])
+    height = result.ground_height
+    if height is not None:
+        arrays["ground_height"] = np.array([height.height_m, height.sigma_m, height.num_blocks])
+        if height.known_m is not None:
+            arrays["camera_height_m"] = np.array(height.known_m)
     focal = result.focal_length
     if focal is not None:
         arrays["focal_length"] = np.array([focal.log_ratio, focal.sigma])
@@ -135,6 +141,7 @@ def read_motions(path: Path | str) -> RunResult:
         else 0,
         imu_left_out=str(arrays["imu_left_out"]) if "imu_left_out" in arrays else None,
         accelerometer_scale=_scale(path, arrays),
+        ground_height=_ground_height(path, arrays),
         focal_length=_focal_length(path, arrays),
         stopped=str(arrays["stopped"]) if "stopped" in arrays else None,
         jitter_sigma_rad=_take(path, arrays, "jitter_sigma_rad", shape=(3,))
@@ -179,3 +186,15 @@ def _take(
     if array.dtype.kind not in "if" or not np.isfinite(array).all():
         raise InputError(path, f"{name} holds something that is no finite number", _CURE)
     return array
+
+
+def _ground_height(path: Path, arrays: dict[str, AnyArray]) -> GroundHeight | None:
+    if "ground_height" not in arrays:
+        return None
+    height_m, sigma_m, num_blocks = _take(path, arrays, "ground_height", shape=(3,)).tolist()
+    known_m = None
+    if "camera_height_m" in arrays:
+        known_m = float(_take(path, arrays, "camera_height_m", shape=()))
+    if min(height_m, sigma_m, 1.0 if known_m is None else known_m) <= 0.0:
+        raise InputError(path, "ground_height or camera_height_m is not positive", _CURE)
+    return GroundHeight(height_m, sigma_m, int(num_blocks), known_m=known_m)

@@ -12,6 +12,7 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.focal_length import FocalLengthError
 from probevo.camera.stereo import StereoCamera
+from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.trajectory_errors import path_length
 from probevo.output.domain import domain_text
 from probevo.output.run_result import RunResult
@@ -43,6 +44,10 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
     found = result.accelerometer_scale
     if found is not None:
         scale["Scale"] = f"{found.ratio:.3f} ± {found.sigma:.3f} of that by the accelerometer"
+    height = {}
+    above = result.ground_height
+    if above is not None:
+        height["Height above the ground"] = height_text(above)
     return {
         "Recording": str(sequence.path),
         "Format": sequence.format,
@@ -55,10 +60,17 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         **rig,
         **domain,
         **scale,
+        **height,
         **{f"Sensor {name}": str(use) for name, use in result.sensors.items()},
         "OpenCV threads": str(cv2.getNumThreads()),
         "probevo": __version__,
     }
+
+
+def height_text(height: GroundHeight) -> str:
+    """Describe how high the camera is above the ground that it passed over."""
+    known = "" if height.known_m is None else f"; {height.known_m:g} m by --camera-height-m"
+    return f"{height.height_m:.3f} ± {height.sigma_m:.3f} m by the images{known}"
 
 
 def mask_text(recording: MaskedRecording) -> str:

@@ -18,6 +18,7 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.consistency import drift_covariances
+from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
 
 SIGMA_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -126,6 +127,8 @@ class RunResult:
     accelerometer_scale: AccelerometerScale | None = None
     """Length of the path by the images over that by the accelerometer; None if that is not
     known."""
+    ground_height: GroundHeight | None = None
+    """Height of the camera above the ground by the images; None if that is not known."""
     unusable: dict[str, int] = field(default_factory=dict)
     """Samples and features that could not be used, counted by what was wrong with them
     (``MotionEstimate.missing``)."""

@@ -8,6 +8,7 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
+from probevo.evaluation.ground_height import GroundHeight
 from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.output.domain import domain_warning
 from probevo.output.run_result import RunResult
@@ -18,6 +19,8 @@ MAX_SCALE_ERROR = 0.04
 """Largest plausible error of the scale; a calibrated baseline is good to 1 %."""
 MAX_ACCELEROMETER_ERROR = 0.03
 """The same where the accelerometer tells it, whose own scale is good to 1 %."""
+MAX_HEIGHT_ERROR = 0.03
+"""The same where a known height tells it: a load lowers a car by some 2 cm."""
 FEWEST_FOR_SCALE = 5
 """Steps that the scale needs."""
 _CAUSES = {
@@ -46,6 +49,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "IMU": imu_warning(result.imu_left_out),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
+        "Scale by the camera's height": height_warning(result.ground_height),
         "Out of domain": domain_warning(result.out_of_domain),
         "A sensor lies": sensor_warning(result),
     }
@@ -113,6 +117,20 @@ def accelerometer_warning(scale: AccelerometerScale | None) -> str | None:
         f"The path is {scale.ratio:.3f} ± {scale.sigma:.3f} times as long as the accelerometer"
         f" says. If that is in m/s², divide baseline_m by {scale.ratio:.3f}; a wrong focal length"
         " does the same."
+    )
+
+
+def height_warning(height: GroundHeight | None) -> str | None:
+    """Warn if the camera is higher or lower above the ground than is known; else None."""
+    if height is None or height.known_m is None or height.ratio is None:
+        return None
+    off = abs(height.ratio - 1.0)
+    if off < MAX_HEIGHT_ERROR or off * height.known_m <= 3.0 * height.sigma_m:
+        return None
+    return (
+        f"The camera is {height.height_m:.3f} ± {height.sigma_m:.3f} m above the ground by the"
+        f" images, {height.known_m:g} m by --camera-height-m. If that is right, divide baseline_m"
+        f" by {height.ratio:.3f}: the whole path is wrong by this factor."
     )
 
 

@@ -1,0 +1,167 @@
+"""How high the camera is above the ground that it drives over, which a tape measure knows, too.
+
+A point of the ground that the camera saw ahead lies below it once it gets there. Its distance from
+the path, at right angles to it and downwards, is then the height of the camera. No plane has to be
+fitted, pavements beside the lane do not matter, and neither does the pitch of the camera: only
+points count that the camera passes over, within half its height to the left and to the right.
+
+Height is y = (v − c_v) b/d: it is wrong by the factor by which the baseline is, and a wrong focal
+length leaves it alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.camera.rig_calibration import CONSTANT_SIGMA_PX
+from probevo.camera.stereo import StereoCamera
+from probevo.evaluation.clustered_regression import two_sided_p
+
+FARTHEST = 12.0
+"""Distance ahead of a point that is kept, in units of how far it lies below the camera: farther
+ones are too uncertain."""
+HALF_WIDTH = 0.5
+"""Half the width of the strip below the camera, in units of its height: that of a car's track."""
+BLOCK_NS = 500_000_000
+"""Least duration of a block; heights within one have the motion of the suspension in common."""
+FEWEST_POINTS = 3
+"""Points of a block."""
+FEWEST_BLOCKS = 6
+"""Blocks that a scatter is taken from."""
+LARGEST_SIGMA = 0.03
+"""Of a height that says anything, relative: that of a camera in the hand, or in the air, varies."""
+
+
+@dataclass(frozen=True)
+class GroundHeight:
+    """The height of the left camera above the ground below it, by the images."""
+
+    height_m: float
+    sigma_m: float
+    """With the scatter of blocks, and what an offset of all disparities may add to it."""
+    num_blocks: int
+    known_m: float | None = None
+    """The height that was measured otherwise, if it was."""
+
+    @property
+    def ratio(self) -> float | None:
+        """The height over the known one, which is that of the baselines; None if it is unknown."""
+        return None if self.known_m is None else self.height_m / self.known_m
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of a height at least as far from the known one, if that is the truth."""
+        if self.known_m is None:
+            return None
+        return two_sided_p((self.height_m - self.known_m) / self.sigma_m, self.num_blocks - 1)
+
+
+class GroundHeights:
+    """Collects the heights of a run, frame by frame; keeps 16 bytes of each block.
+
+    Args:
+        camera: the rectified camera.
+        known_m: the height that was measured otherwise, if it was.
+    """
+
+    def __init__(self, camera: StereoCamera, known_m: float | None = None) -> None:
+        self._camera = camera
+        self._known_m = known_m
+        self._ids: IntArray = np.zeros(0, np.int64)
+        self._points_m: FloatArray = np.zeros((0, 3))
+        """Points ahead as last seen, in the frame of the current camera, [N, 3]."""
+        self._disparity_px: FloatArray = np.zeros(0)
+        """Their disparity then, [N]."""
+        self._start_ns = 0
+        """When the current block began."""
+        self._block: list[FloatArray] = []
+        """Height and disparity of the points that were passed in the current block, [2] each."""
+        self._medians: list[FloatArray] = []
+        """Medians of the blocks before, [2] each."""
+
+    def add(
+        self,
+        stamp_ns: int,
+        T_curr_prev: FloatArray,
+        ids: IntArray,
+        pixels: FloatArray,
+        *,
+        is_ok: bool,
+    ) -> None:
+        """Take the next frame.
+
+        Args:
+            stamp_ns: its time.
+            T_curr_prev: the motion to it, [4, 4], m.
+            ids: identities of the tracks that the solve used, [N].
+            pixels: their observations in this frame, corrected, [N, 4], px.
+            is_ok: whether the motion was solved; otherwise all points are forgotten.
+        """
+        if is_ok:
+            self._pass_over(stamp_ns, T_curr_prev)
+        else:
+            self._keep(np.zeros(len(self._ids), np.bool_))
+        self._see(ids, pixels)
+
+    def height(self) -> GroundHeight | None:
+        """Return the height by all blocks that are complete; None if the camera passed over too few
+        points that it had seen, or if its height varies."""
+        count = len(self._medians)
+        if count < FEWEST_BLOCKS:
+            return None
+        height_m, disparity_px = np.array(self._medians).T
+        median_m = float(np.median(height_m))
+        # The variance of a median is that of the mean times π/2, for Gaussian errors.
+        of_scatter = np.sqrt(0.5 * np.pi / count) * float(np.std(height_m, ddof=1)) / median_m
+        of_offset = CONSTANT_SIGMA_PX / float(np.median(disparity_px))
+        sigma = float(np.hypot(of_scatter, of_offset))
+        if not 0.0 < sigma < LARGEST_SIGMA:
+            return None
+        return GroundHeight(median_m, sigma * median_m, count, self._known_m)
+
+    def _pass_over(self, stamp_ns: int, T_curr_prev: FloatArray) -> None:
+        """Carry the points to the current frame, and measure those that were passed meanwhile."""
+        self._points_m = self._points_m @ T_curr_prev[:3, :3].T + T_curr_prev[:3, 3]
+        moved_m = -T_curr_prev[:3, 3]  # from the previous place of the camera to the current one
+        length_m = float(np.linalg.norm(moved_m))
+        if length_m < 1e-6:
+            return
+        ahead = moved_m / length_m
+        aside = np.array([1.0, 0.0, 0.0]) - ahead[0] * ahead
+        if np.linalg.norm(aside) < HALF_WIDTH:  # it moves sideways
+            return
+        aside /= np.linalg.norm(aside)
+        down = np.cross(ahead, aside)
+        along_m = (self._points_m + moved_m) @ ahead  # from the previous place of the camera
+        height_m = self._points_m @ down
+        is_below = np.abs(self._points_m @ aside) < HALF_WIDTH * height_m
+        is_passed = (along_m >= 0.0) & (along_m < length_m)
+        found = is_passed & is_below
+        if found.any() and not self._block:
+            self._start_ns = stamp_ns
+        self._block += list(np.column_stack([height_m[found], self._disparity_px[found]]))
+        if len(self._block) >= FEWEST_POINTS and stamp_ns - self._start_ns >= BLOCK_NS:
+            self._medians.append(np.median(self._block, axis=0))
+            self._block = []
+        self._keep(along_m >= length_m)
+
+    def _see(self, ids: IntArray, pixels: FloatArray) -> None:
+        """Take the points that may be those of the ground ahead, or see them anew."""
+        disparity_px = pixels[:, 0] - pixels[:, 2]
+        is_near = disparity_px > 0.0
+        points_m = self._camera.triangulate(pixels[is_near])
+        is_ground = points_m[:, 2] < FARTHEST * points_m[:, 1]
+        near = np.flatnonzero(is_near)[is_ground]
+        self._keep(~np.isin(self._ids, ids[near]))
+        self._ids = np.concatenate([self._ids, ids[near]])
+        self._points_m = np.concatenate([self._points_m, points_m[is_ground]])
+        self._disparity_px = np.concatenate([self._disparity_px, disparity_px[near]])
+
+    def _keep(self, kept: BoolArray) -> None:
+        """Forget all points but some, given by a mask [N]."""
+        self._ids = self._ids[kept]
+        self._points_m = self._points_m[kept]
+        self._disparity_px = self._disparity_px[kept]
