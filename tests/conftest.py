@@ -48,10 +48,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let all processes, and later calls, share what JAX has compiled.
+    """Let JAX compile quickly, and all processes, and later calls, share what it has compiled.
 
     Networks consist of hundreds of operations that take JAX longer to compile than to compute.
+    Without its emitters of fused operations it compiles them in two thirds of the time.
     """
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
     if hasattr(config, "cache"):  # unless started with -p no:cacheprovider
         os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir("jax")))
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")

@@ -115,7 +115,8 @@ def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
     epochs = read_facts(file)["epochs"]
     assert 4 < epochs < 500
     assert seen == [(epoch, 500) for epoch in range(1, epochs + 1)]
-    # The best networks are those of a training that ends four epochs earlier.
+    # The best networks are those of a training that ends four epochs earlier, but for the rounding
+    # of another compiled epoch; those of the epochs beside it differ by 0.09.
     best = learn(
         HYDRA_SIGMA,
         SPACE,
@@ -123,9 +124,9 @@ def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
         data=data(HYDRA_SIGMA),
         plan=replace(plan, epochs=epochs - 4, patience=None),
     )
-    one = named_arrays(networks)
-    other = named_arrays(best)
-    assert all(np.array_equal(one[name], other[name]) for name in one)
+    expected = named_arrays(best)
+    for name, found in named_arrays(networks).items():
+        np.testing.assert_allclose(found, expected[name], rtol=0.0, atol=1e-3, err_msg=name)
 
 
 def test_a_plan_that_the_data_do_not_allow_is_refused() -> None:
