@@ -18,7 +18,7 @@ from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation import inertial
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.motion_correction import corrected
+from probevo.estimation.motion_correction import corrected, shares_of
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.motion_model import MotionModel
 from probevo.estimation.recovery import INLIERS_FACTOR, MOST_DURATION_S, noise_over_frames
@@ -68,8 +68,7 @@ class StereoOdometry:
         config: all settings, or a dictionary of those that differ from the defaults.
         predictors: the prediction space; by default that of the noise model, and any other is an
             InputError.
-        sensors: further sensors, each a ``Sensor``, and at most one ``MotionCorrection``, which is
-            an InputError with a window.
+        sensors: further sensors, each a ``Sensor``, and at most one ``MotionCorrection``.
     """
 
     def __init__(
@@ -452,16 +451,17 @@ class StereoOdometry:
         observed = solved.observed
         visual = solved.visual
         learned = self._learn(state, prediction, solved)
-        motion = learned.motion
         clock.lap("learn")
         window = None
         fusion = state.fusion
         readings = _readings_used(measured, frame, solved, prediction.window)
+        motion, readings = self._correct(state, frame, learned.motion, readings=readings)
         if prediction.window is not None:  # the two-frame motion is where its adjustment starts
             window = self._adjust(
                 prediction.window,
                 frame,
                 motion,
+                of_images=learned.motion,
                 observed=observed,
                 visual=visual,
                 measurements=measured.of_motion,
@@ -470,7 +470,6 @@ class StereoOdometry:
             fusion = fusion.advanced(live_advance(motion, window))
             clock.lap("window")
         else:
-            motion, readings = self._correct(state, frame, motion, readings=readings)
             fusion = fusion.after(motion)
         fusion, outcomes = self._fuse(fusion, frame, solved, readings=readings)
         pose = fusion.pose
@@ -636,15 +635,12 @@ class StereoOdometry:
         """Refuse what a correction cannot be used with.
 
         Raises:
-            InputError: there are several, or a window.
+            InputError: there are several.
         """
         count = sum(isinstance(sensor, MotionCorrection) for sensor in self.sensors)
         if count > 1:
             what = f"{count} of them correct the motion."
             raise InputError("sensors", what, "Take one: it was learned from what it corrects.")
-        if count and self.config.estimator == "window":
-            what = "a correction of the motion between two frames does not go with a window."
-            raise InputError("sensors", what, "Take --estimator two-frame, or leave it out.")
 
     def _fuse(
         self,
@@ -679,6 +675,7 @@ class StereoOdometry:
         frame: Frame,
         motion: MotionEstimate,
         *,
+        of_images: MotionEstimate,
         observed: _Observed,
         visual: VisualMotion,
         measurements: Sequence[Measurement],
@@ -686,7 +683,17 @@ class StereoOdometry:
         """Adjust the last frames together, starting from the motion that two of them have shown.
 
         Without a solve, the dead-reckoned motion counts as a measurement, unless there is an IMU
-        that knows it better.
+        that knows it better. A corrected one counts beside the features, with which it shares the
+        information of the images.
+
+        Args:
+            window: the window before the step.
+            frame: the new frame.
+            motion: the motion of the last two frames, corrected if there is a correction.
+            of_images: the same without the correction.
+            observed: what the images show.
+            visual: what was solved from them.
+            measurements: further ones of the motion.
         """
         by_itself = RelativePose(
             motion.T_curr_prev,
@@ -696,6 +703,12 @@ class StereoOdometry:
         )
         if visual.status is not Status.OK or visual.noise is None:
             return self._window.without_features(window, frame.index, by_itself, measurements)
+        noise = visual.noise
+        if motion is not of_images:
+            shares = shares_of(of_images, motion, self.config.window.frames)
+            noise = noise.scaled(shares.of_features(visual.weights[visual.used]))
+            by_itself = by_itself.scaled(shares.motion)
+            measurements = [*measurements, by_itself]
         tracks = observed.corrected.simultaneous.kept(visual.used)
         if observed.rig is not None:
             tracks = tracks.with_rows_corrected(observed.rig, self.camera)
@@ -703,7 +716,7 @@ class StereoOdometry:
             inertial.gated(window, by_itself),
             frame.index,
             tracks,
-            visual.noise,
+            noise,
             two_frames=by_itself,
             jitter_cov=None if observed.rig is None else observed.rig.jitter.cov,
             measurements=measurements,

@@ -10,6 +10,7 @@ import cv2
 from probevo import __version__
 from probevo.cli.progress import progress_bar
 from probevo.cli.text import table
+from probevo.config import OdometryConfig
 from probevo.files import write_atomically
 from probevo.nets.correction_training import train_correction
 from probevo.nets.extra import require_nets
@@ -62,7 +63,7 @@ def repeat_experiment(settings: DpcNetConfig, out: Path) -> list[str]:
         }
         for drive in seen[settings.drives + 2 :]:
             print(f"{drive.path.name}, {calibration} calibration: correcting", flush=True)
-            found = drifts(drive, networks)
+            found = drifts(drive, networks, _odometry(settings))
             for method in METHODS:
                 one = found[method]
                 row = (calibration, _street(drive), method)
@@ -118,8 +119,13 @@ def _network(settings: DpcNetConfig, drives: list[Sequence], name: str, out: Pat
     file = out / "models" / f"{label}-{digest}.safetensors"
     if not file.exists():
         with progress_bar(name, "reading the drives") as show:
-            train_correction(drives, nets, file, on_progress=show)
+            train_correction(drives, nets, file, odometry=_odometry(settings), on_progress=show)
     return file
+
+
+def _odometry(settings: DpcNetConfig) -> OdometryConfig:
+    """Return the settings of the odometry that is corrected."""
+    return OdometryConfig(estimator=settings.estimator)
 
 
 def _street(drive: Sequence) -> str:

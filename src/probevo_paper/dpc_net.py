@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.config import OdometryConfig
 from probevo.evaluation.metrics import evaluate
 from probevo.geometry import se3
 from probevo.measurements.base import pose_of
@@ -86,12 +87,15 @@ class BaselineCorrection(MotionCorrection):
         )
 
 
-def drifts(sequence: Sequence, networks: Mapping[str, Path]) -> dict[str, Drift]:
+def drifts(
+    sequence: Sequence, networks: Mapping[str, Path], config: OdometryConfig
+) -> dict[str, Drift]:
     """Return the drift of each method on a drive with truth.
 
     Args:
         sequence: the drive.
         networks: files of the networks of all axes and of the rotation, by method.
+        config: of the odometry.
     """
     network = CorrectionNetwork.load(networks[NETWORK])
     corrections: dict[str, MotionCorrection | None] = {
@@ -101,13 +105,13 @@ def drifts(sequence: Sequence, networks: Mapping[str, Path]) -> dict[str, Drift]
         ROTATION: CorrectionSensor.load(networks[ROTATION], sequence.camera),
         NETWORK: CorrectionSensor.load(networks[NETWORK], sequence.camera),
     }
-    return {name: drift(sequence, correction) for name, correction in corrections.items()}
+    return {name: drift(sequence, config, correction) for name, correction in corrections.items()}
 
 
-def drift(sequence: Sequence, correction: MotionCorrection | None) -> Drift:
+def drift(sequence: Sequence, config: OdometryConfig, correction: MotionCorrection | None) -> Drift:
     """Return the drift of the odometry with a correction."""
     sensors = () if correction is None else (correction,)
-    odometry = StereoOdometry(sequence.camera, imu=sequence.imu, sensors=sensors)
+    odometry = StereoOdometry(sequence.camera, imu=sequence.imu, config=config, sensors=sensors)
     motions = []
     covariances = []
     path = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from probevo.settings import Settings
@@ -15,6 +17,9 @@ class DpcNetConfig(Settings):
         ge=2,
         le=100,
         description="Rendered drives to learn from; streets of a city and of houses take turns.",
+    )
+    estimator: Literal["two-frame", "window"] = Field(
+        "two-frame", description="Of the odometry whose motions are corrected."
     )
     distance_m: float = Field(100.0, ge=20, le=5000, description="Length of each drive, m.")
     focal_error: float = Field(

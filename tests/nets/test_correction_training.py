@@ -148,7 +148,7 @@ def test_the_odometry_takes_the_corrected_motion_with_its_covariance(
 
 def test_every_method_of_the_paper_drifts_as_it_should(walls: list[Path], model: Path) -> None:
     networks = {dpc_net.NETWORK: model, dpc_net.ROTATION: model}
-    found = dpc_net.drifts(open_sequence(walls[2]), networks)
+    found = dpc_net.drifts(open_sequence(walls[2]), networks, pv.OdometryConfig())
     assert tuple(found) == dpc_net.METHODS
     nees = {name: float(drift.anees or 0.0) for name, drift in found.items()}
     assert nees[dpc_net.UNCORRECTED] > 2.0 * nees[dpc_net.CONSTANT] > 0.0
@@ -168,13 +168,35 @@ def test_what_it_cannot_see_it_does_not_correct(walls: list[Path], model: Path) 
     assert answer == NoMeasurement("out of its domain")
 
 
-def test_one_correction_at_most_and_none_with_a_window(walls: list[Path], model: Path) -> None:
+def test_there_is_one_correction_at_most(walls: list[Path], model: Path) -> None:
     camera = open_sequence(walls[0]).camera
     sensor = CorrectionSensor.load(model, camera)
     with pytest.raises(InputError, match="2 of them correct"):
         pv.StereoOdometry(camera, sensors=[sensor, sensor])
-    with pytest.raises(InputError, match="does not go with a window"):
-        pv.StereoOdometry(camera, config={"estimator": "window"}, sensors=[sensor])
+
+
+def test_a_window_learns_from_the_motions_of_two_frames_and_is_corrected(
+    walls: list[Path], tmp_path: Path
+) -> None:
+    """Those of its own odometry, whose tracker has other settings: not the steps of its path."""
+    sequence = open_sequence(walls[2])
+    config = pv.OdometryConfig(estimator="window")
+    steps = read_steps(sequence, FRAMES, config=config)
+    tracking = {"max_difference": config.tracker.max_difference}
+    two_frames = pv.OdometryConfig.model_validate({"tracking": tracking})
+    expected = read_steps(sequence, FRAMES, config=two_frames)
+    np.testing.assert_array_equal(steps.motions, expected.motions)
+    np.testing.assert_array_equal(steps.covariances, expected.covariances)
+
+    out = tmp_path / "window.safetensors"
+    train_correction([open_sequence(wall) for wall in walls], SETTINGS, out, odometry=config)
+    assert CorrectionNetwork.load(out).facts["odometry"]["estimator"] == "window"
+    paths = []
+    for sensors in ([], [CorrectionSensor.load(out, sequence.camera)]):
+        odometry = pv.StereoOdometry(sequence.camera, config=config, sensors=sensors)
+        path = [odometry.step(frame).T_world_cam[:3, 3] for frame in sequence]
+        paths.append(np.linalg.norm(path[-1]))
+    assert paths[1] / paths[0] == pytest.approx(LONGER, abs=0.01)
 
 
 def test_train_run_inspect_and_compare(
@@ -230,7 +252,6 @@ def test_settings_of_other_kinds_are_refused(
         ("correction", ["--nets.copies", "2"]),
         ("rotation", ["--nets.rotation-only"]),
         ("rotation", ["--odometry.seed", "3"]),
-        ("correction", ["--odometry.estimator", "window"]),
     ):
         assert main(["train", *map(str, walls), "--kind", kind, *flag, "--out", out]) == 2
         assert flag[0].split(".")[0] in capsys.readouterr().err

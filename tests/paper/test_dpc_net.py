@@ -37,7 +37,7 @@ def test_every_method_has_a_row_and_a_second_call_trains_nothing(
         out.parent.mkdir(exist_ok=True)
         out.touch()
 
-    def drifts(drive: Any, networks: Any) -> dict[str, dpc_net.Drift]:
+    def drifts(drive: Any, networks: Any, config: Any) -> dict[str, dpc_net.Drift]:
         assert "only" in networks[dpc_net.ROTATION].name
         one = dpc_net.Drift(2.0, 0.01, 7.0)
         found = dict.fromkeys(dpc_net.METHODS, one)

@@ -142,7 +142,8 @@ class WindowEstimator:
             tracks: N tracks between the last of them and the new one; rows corrected by the rig's
                 calibration, disparities not.
             noise: of these N tracks.
-            two_frames: the motion between these two frames by itself, with its covariance.
+            two_frames: the motion between these two frames by itself, with its covariance. It
+                counts beside the features only if it is one of the measurements, too.
             jitter_cov: covariance S of the rig's jitter, [3, 3], rad²; as before, if there is none.
             measurements: further measurements of the poses of the window.
         """
@@ -172,7 +173,7 @@ class WindowEstimator:
             window: K frames.
             frame: index of the new one.
             motion: measured between the last of them and the new one, as by dead reckoning.
-            measurements: further measurements of the poses of the window.
+            measurements: further measurements of the poses of the window; it may be one of them.
         """
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
         window = inertial.where_better_than(window, motion)
@@ -180,7 +181,8 @@ class WindowEstimator:
         if guess is None:
             guess = motion.T_curr_prev
         extended = self.with_frame(window, frame, guess, Tracks.none(), none)
-        if not inertial.bridges_newest(extended):
+        is_among_them = any(one is motion for one in measurements)
+        if not is_among_them and not inertial.bridges_newest(extended):
             measurements = [*measurements, motion]
         measured = with_measurements(extended, measurements)
         try:

@@ -71,9 +71,6 @@ def train_correction(
         InputError: the odometry has a window, there are too few steps, or as ``train_task`` raises.
     """
     config = odometry or OdometryConfig()
-    if config.estimator == "window":
-        what = "corrections are those of the motion between two frames."
-        raise InputError("--odometry.estimator", what, "Leave it out.")
     task = Task(
         KIND,
         check=check_recording,

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from collections.abc import Sequence as Collection
 from dataclasses import dataclass
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,12 +14,14 @@ from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.estimation.motion_estimate import Status
 from probevo.geometry import se3
+from probevo.measurements.correction import MotionCorrection
+from probevo.measurements.sensor import NoMeasurement
 from probevo.nets.flow_field import flow_field, virtual_view
 from probevo.nets.image_pairs import true_poses
 from probevo.odometry import StereoOdometry
 from probevo.sequences.base import Sequence
+from probevo.sequences.frame import Frame
 
 NUM_STEREO = 2
 """Channels of the flow from the left to the right image: disparity, and how far rows differ."""
@@ -48,6 +51,31 @@ class EstimatedSteps:
         return EstimatedSteps(
             **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         )
+
+
+class _Asked(NamedTuple):
+    """The motion of the images in a step that a correction is asked about."""
+
+    T_curr_prev: FloatArray
+    """[4, 4], m."""
+    cov: FloatArray
+    """[6, 6]."""
+
+
+class _Recorder(MotionCorrection):
+    """Notes what a correction is asked about, and corrects nothing."""
+
+    name = "recorder"
+
+    def __init__(self) -> None:
+        self.asked: _Asked | None = None
+
+    def correct(
+        self, prev_frame: Frame, frame: Frame, T_curr_prev: FloatArray, *, cov: FloatArray
+    ) -> NoMeasurement:
+        """Note the motion."""
+        self.asked = _Asked(T_curr_prev, cov)
+        return NoMeasurement("recorded")
 
 
 def stereo_field(prev: Image, left: Image, right: Image) -> FloatArray:
@@ -90,22 +118,25 @@ def read_steps(
             no step that was solved.
     """
     T_world_cam = true_poses(sequence)
-    odometry = StereoOdometry(sequence.camera, imu=sequence.imu, config=config)
+    recorder = _Recorder()
+    odometry = StereoOdometry(sequence.camera, imu=sequence.imu, config=config, sensors=[recorder])
     rows: dict[str, list[FloatArray]] = {name: [] for name in EstimatedSteps.__dataclass_fields__}
     prev_view = None
     for frame in islice(sequence, num_frames):
         if frame.left is None or frame.right is None:
             raise InputError(sequence.path, "there are no images.", "Networks need images.")
-        motion = odometry.step(frame)
+        recorder.asked = None
+        odometry.step(frame)
+        asked = recorder.asked
         left, right = view_pair(frame.left, frame.right, sequence.camera)
         k = frame.index
         is_known = k > 0 and np.isfinite(T_world_cam[k - 1 : k + 1]).all()
-        if prev_view is not None and is_known and motion.status is Status.OK:
+        if prev_view is not None and is_known and asked is not None:
             T_true = se3.inverse(T_world_cam[k]) @ T_world_cam[k - 1]
             rows["fields"].append(stereo_field(prev_view, left, right))
-            rows["motions"].append(se3.log(motion.T_curr_prev))
-            rows["covariances"].append(motion.cov)
-            rows["corrections"].append(se3.log(T_true @ se3.inverse(motion.T_curr_prev)))
+            rows["motions"].append(se3.log(asked.T_curr_prev))
+            rows["covariances"].append(asked.cov)
+            rows["corrections"].append(se3.log(T_true @ se3.inverse(asked.T_curr_prev)))
         prev_view = left
         if on_frame is not None:
             on_frame(k + 1)
