@@ -329,7 +329,7 @@ class LiveSoak:
             self.num_pushed += 1
             if wait:
                 self._wait()
-        except InjectedError:
+        except Exception:  # noqa: BLE001 - ``end`` tells which
             self._begin_anew()
 
     def _wait(self) -> None:
@@ -350,6 +350,10 @@ class LiveSoak:
             live.close()
         except InjectedError as error:
             self.counted[str(error)] += 1
+        except Exception as error:  # noqa: BLE001 - a permanent fault, which is reported
+            frame = self.watch.num_steps
+            self.unexpected.append(f"ended at step {frame}: {type(error).__name__}: {error}")
+            self.odometry._state = None
         failure = live.last_failure
         if failure is not None and not isinstance(failure, InjectedError):
             self.unexpected.append(f"{type(failure).__name__}: {failure}")

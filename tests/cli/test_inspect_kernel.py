@@ -62,7 +62,10 @@ def test_a_frame_as_a_kernel_sees_it(
     html = page_of(tmp_path)
     assert f"<dt>Out of domain</dt><dd>{share[1]} %</dd>" in html
     assert "wall" in html
-    assert titles(html)[:3] == [
+    shown = titles(html)
+    assert shown[0] == "What the model learned"
+    first = shown.index("In this frame")
+    assert shown[first + 1 : first + 4] == [
         "Its features",
         "Predicted σ in this frame",
         "Predicted ν in this frame",
@@ -76,10 +79,11 @@ def test_a_kernel_alone(kernel: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     html = page_of(tmp_path)
     assert "What left.safetensors learned" in html
     assert titles(html) == [
-        "The predictors in figures",
         "What the model learned",
         "x",
         "y",
+        "The predictors in figures",
+        "How it was trained",
         "The prior",
         "Where the centers lie, over the most telling predictors",
     ]
@@ -109,7 +113,7 @@ def test_a_frame_with_a_static_model_shows_predictors_that_it_does_not_take(
     assert inspect(wall, *words, "--out", tmp_path) == 0
     assert {path.stem for path in (tmp_path / "frame-2").iterdir()} == {"x", "y", "blur"}
     html = page_of(tmp_path)
-    assert titles(html) == ["Its features", "The predictors in figures", "The scale matrix"]
+    assert titles(html) == ["The scale matrix", "Its features", "The predictors in figures"]
     assert "all features are alike" in html
 
 

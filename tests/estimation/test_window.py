@@ -14,7 +14,7 @@ from probevo.camera.rig_jitter import jitter_offsets
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.window import Window, selected
+from probevo.estimation.window import MarginalPrior, Window, selected
 from probevo.estimation.window_estimator import WindowEstimator
 from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_motion import live_motion
@@ -418,6 +418,36 @@ def test_a_frame_without_features_is_bridged_by_its_measurement() -> None:
     window = by.with_features(window, 5, tracks, noise, two_frames=step_to(5, FORWARD))
     _, over_gap = window.relative(window.slot(5), window.slot(3))
     assert (np.diag(over_gap) > np.diag(cov) * 0.9).all()
+
+
+def test_a_place_that_is_lost_by_rounding_leaves_the_motions_known() -> None:
+    """As after hundreds of blackouts, where only the motions within the window are known."""
+    by = estimator(6)
+    frames = drive(np.random.default_rng(65), 10, points=80, sigma_px=SIGMA_PX)
+    window = windows_of(frames[:9], by)[-1]
+    known = by.without_features(window, 9, step_to(9, FORWARD))
+    size = len(window.prior.vector)
+    for lost in (0.0, 1e-18):
+        prior = MarginalPrior(lost * window.prior.information, np.zeros(size))
+        found = by.without_features(replace(window, prior=prior), 9, step_to(9, FORWARD))
+        last = len(found) - 1
+        T_last, cov_last = found.relative(last, last - 1)
+        np.testing.assert_allclose(T_last, known.relative(last, last - 1)[0], atol=1e-4)
+        assert np.isfinite(found.cov).all()
+        assert (np.diagonal(found.cov) > 0.0).all()
+        assert np.linalg.eigvalsh(cov_last)[0] > 0.0
+        tracks = tracks_between(frames[8], frames[9])
+        with_features = by.with_features(
+            replace(window, prior=prior),
+            9,
+            tracks,
+            noise_of(len(tracks)),
+            two_frames=step_to(9, FORWARD),
+        )
+        T_seen, cov_seen = with_features.relative(last, last - 1)
+        np.testing.assert_allclose(T_seen, FORWARD, atol=1e-2)
+        # At worst, it is as well known as two frames by themselves show it.
+        assert np.sqrt(cov_seen.diagonal().max()) < 0.11
 
 
 def test_a_measurement_of_a_pose_draws_the_window_to_it() -> None:

@@ -24,7 +24,8 @@ from probevo.output.comparison import (
     verdicts,
 )
 from probevo.output.comparison_page import write_comparison
-from probevo.output.comparison_plots import errors_figure, paths_figure
+from probevo.output.comparison_plots import axes_errors_figure, errors_figure, paths_figure
+from probevo.output.report_data import drift_of
 from probevo.output.run_result import RunResult
 from probevo.output.table import reads_least
 from probevo.output.trial_table import trial_table
@@ -303,6 +304,21 @@ def test_errors_are_those_of_the_positions(entries: tuple[Entry, Entry]) -> None
             position_errors(compared.result.T_world_cam, compared.truth), axis=1
         )
         np.testing.assert_allclose(line.get_ydata(), error_m, atol=1e-9)
+
+
+def test_errors_by_axis_are_those_of_each_run(entries: tuple[Entry, Entry]) -> None:
+    """Six axes, each with the line of zero and one of each estimator."""
+    figure = axes_errors_figure(entries, COLORS)
+    assert len(figure.axes) == 6
+    for i, axes in enumerate(figure.axes):
+        assert [line.get_color() for line in axes.lines[1:]] == ["#111111", "#222222"]
+        for compared, line in zip(entries, axes.lines[1:], strict=True):
+            error = drift_of(compared.result, compared.truth).error
+            assert error is not None
+            shown = np.asarray(line.get_ydata())
+            factor = 1000.0 if axes.get_title().endswith(", mm") else 1.0
+            factor = factor if i < 3 else np.rad2deg(1.0)
+            np.testing.assert_allclose(shown, factor * error[:, i], atol=1e-12)
 
 
 def test_a_name_with_dollars_is_no_mathematics(

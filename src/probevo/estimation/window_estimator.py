@@ -60,6 +60,10 @@ CONVERGED_BELOW = 0.1
 """A step after which further ones would lower the cost by less than this, in nats, is the last."""
 LEAST_DAMPING = 1e-4
 """Share of its diagonal that is first added to the Hessian, after a step that raised the cost."""
+LEAST_SHARE = 1e-12
+"""Least information about the place of a window, over that about the motions within it. It is that
+of hundreds of metres and many turns, where linearisation and rounding mean nothing any more, but
+would spoil the covariances of the motions."""
 NO_CALIBRATION_SIGMA_PX = 1e-6
 """The same where the rig is said to be flawless."""
 COST_TOLERANCE = 1.0
@@ -454,7 +458,11 @@ class WindowEstimator:
         poses = slice(None, -RIG)
         rig = slice(-RIG, None)
         damped = hessian[poses, poses] + damping * np.diag(np.diagonal(hessian)[poses])
-        solved = np.linalg.solve(damped, np.column_stack([hessian[poses, rig], gradient[poses]]))
+        wanted = np.column_stack([hessian[poses, rig], gradient[poses]])
+        try:
+            solved = np.linalg.solve(damped, wanted)
+        except np.linalg.LinAlgError:
+            solved = _inverse(damped) @ wanted
         of_rig = solved[:, :RIG]
         information = hessian[rig, rig] - hessian[rig, poses] @ of_rig
         towards = gradient[rig] - of_rig.T @ gradient[poses]
@@ -468,7 +476,7 @@ class WindowEstimator:
         """Return the joint covariance of poses and rig, [6K + 3, 6K + 3]; the rig's is tempered."""
         poses = slice(None, -RIG)
         rig = slice(-RIG, None)
-        of_poses = np.linalg.inv(hessian[poses, poses])
+        of_poses = _inverse(hessian[poses, poses])
         gain = of_poses @ hessian[poses, rig]
         information = hessian[rig, rig] - hessian[rig, poses] @ gain
         rig_cov = np.linalg.inv(
@@ -559,6 +567,27 @@ def _rows_of(window: Window, ids: IntArray) -> IntArray:
     found = window.ids[alive[place]] == ids
     rows[found] = alive[place[found]]
     return rows
+
+
+def _inverse(hessian: FloatArray) -> FloatArray:
+    """Invert the Hessian of the poses, [6K, 6K].
+
+    The motions within the window are known far better than its place in the world, and after hours
+    with blackouts so much better that both are lost in one inversion. So the oldest pose is held at
+    first, by as much as B, the diagonal of its own block, says. With C the inverse then, and C₀ its
+    columns of the oldest pose, that without is C + C₀ B (B − B C₀₀ B)⁻¹ B C₀ᵀ (Woodbury). The place
+    is at least as well known as ``LEAST_SHARE`` says.
+
+    Raises:
+        numpy.linalg.LinAlgError: the motions are not known.
+    """
+    root = np.sqrt(np.diagonal(hessian)[:POSE])
+    held = hessian.copy()
+    held[:POSE, :POSE] += np.diag(root**2)
+    inverse = np.linalg.inv(held)
+    share, directions = np.linalg.eigh(np.eye(POSE) - root[:, None] * inverse[:POSE, :POSE] * root)
+    moved = inverse[:, :POSE] * root @ directions
+    return np.asarray(inverse + moved / np.maximum(share, LEAST_SHARE) @ moved.T)
 
 
 def _with_pose(prior: MarginalPrior) -> MarginalPrior:

@@ -14,7 +14,7 @@ from probevo.output.comparison import (
     comparison_table,
     verdicts,
 )
-from probevo.output.comparison_plots import errors_figure, paths_figure
+from probevo.output.comparison_plots import axes_errors_figure, errors_figure, paths_figure
 from probevo.output.page import frames_section, grid, heading, panel, table_panel, write_page
 from probevo.output.svg import CYCLE, figure_style
 from probevo.output.table import readable
@@ -93,9 +93,20 @@ def _sequence_sections(
             errors_figure(entries, colors),
             name=f"errors-{number}",
         )
+        by_axis = []
+        if has_truth:
+            by_axis.append(
+                panel(
+                    "Error by axis",
+                    "Pose along each run’s own camera axes; each scale is that of its errors.",
+                    axes_errors_figure(entries, colors),
+                    name=f"axes-{number}",
+                )
+            )
     return [
         heading(entries[0].sequence, aside),
         grid([paths, errors]),
+        *by_axis,
         frames_section(_pictures(entries)),
     ]
 

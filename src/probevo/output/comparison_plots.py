@@ -15,6 +15,7 @@ from probevo.geometry import se3
 from probevo.output.comparison import Entry
 from probevo.output.report_data import Drift, drift_of
 from probevo.output.report_plots import (
+    AXES,
     RASTER_FROM,
     along_path,
     length_unit,
@@ -110,6 +111,43 @@ def errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure
     ]
     handles.append(Line2D([], [], color=MUTED, label="3σ claimed", **_DASHED))
     axes.legend(handles=handles, ncols=5, **LEGEND_ABOVE)
+    return figure
+
+
+def axes_errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
+    """Draw the pose error of each run along each axis of its camera, as large as the errors are.
+
+    Args:
+        entries: runs over one sequence with known truth, each of two frames or more.
+        colors: colour of each estimator, by its name.
+    """
+    drifts = [drift_of(entry.result, entry.truth) for entry in entries]
+    figure = Figure(figsize=(2.0 * WIDTH_IN, 4.2))
+    grid = figure.subplots(2, 3, sharex=True)
+    for i, name in enumerate(AXES):
+        axes = grid[i // 3, i % 3]
+        errors = [np.zeros(1) if drift.error is None else drift.error[:, i] for drift in drifts]
+        largest = max(float(np.nanmax(np.abs(error))) for error in errors)
+        factor, unit = length_unit(largest) if i < 3 else (np.rad2deg(1.0), "deg")
+        axes.axhline(0.0, color=GREY, lw=0.8)
+        for entry, drift, error, width in zip(
+            entries, drifts, errors, _widths(entries), strict=True
+        ):
+            if drift.error is None:
+                continue
+            along, label = along_path(drift)
+            axes.plot(
+                along,
+                error * factor,
+                color=colors[entry.estimator],
+                lw=width,
+                label=_literal(entry.estimator),
+                rasterized=len(along) > RASTER_FROM,
+            )
+            axes.set(xlim=limits_of(along))
+            if i >= 3:
+                axes.set_xlabel(label)
+        axes.set_title(f"{name}, {unit}")
     return figure
 
 

@@ -16,7 +16,8 @@ from probevo.output.svg import BAND, BLUE, GREY, INK, LEGEND_ABOVE, WIDTH_IN
 
 RASTER_FROM = 1500
 """A curve of more points than this is drawn as pixels, to keep the page small."""
-_AXES = ("right x", "down y", "forward z", "pitch x", "yaw y", "roll z")
+AXES = ("right x", "down y", "forward z", "pitch x", "yaw y", "roll z")
+"""The components of an error [ρ; φ], in words."""
 
 
 def trajectory_figure(drift: Drift) -> Figure:
@@ -105,7 +106,7 @@ def axes_figure(drift: Drift) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 4.6))
     grid = figure.subplots(3, 2, sharex=True)
     # Translation in the left column, rotation in the right one.
-    for i, name in enumerate(_AXES):
+    for i, name in enumerate(AXES):
         axes = grid[i % 3, i // 3]
         claimed = 3.0 * drift.sigma[:, i]
         error = None if drift.error is None else drift.error[:, i]

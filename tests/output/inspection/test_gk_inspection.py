@@ -207,13 +207,15 @@ def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(
     assert len(set(page.ids)) == len(page.ids)
     titles = re.findall(r"<h2[^>]*>([^<]*)", html)
     assert titles == [
-        "Its features",
-        "Predicted σ in this frame",
-        "Predicted ν in this frame",
-        "The predictors in figures",
         "What the model learned",
         "holey",
         "x",
+        "The predictors in figures",
+        "In this frame",
+        "Its features",
+        "Predicted σ in this frame",
+        "Predicted ν in this frame",
+        "How it was trained",
         "EM iterations",
         "How it was chosen",
         "The prior",
@@ -245,9 +247,10 @@ def test_a_model_without_a_history_has_a_page_too(view: CentersView, tmp_path: P
     write_inspection(tmp_path, Subject("m", read))
     html = (tmp_path / "inspection.html").read_text()
     assert re.findall(r"<h2[^>]*>([^<]*)", html) == [
-        "The predictors in figures",
         "What the model learned",
         "column 1",
+        "The predictors in figures",
+        "How it was trained",
         "The prior",
     ]
     assert ">bias, px<" in html

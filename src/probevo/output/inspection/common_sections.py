@@ -14,6 +14,9 @@ from probevo.output.inspection.subject import FrameView, Picture
 from probevo.output.page import body_panel, details, pictures, table_panel
 from probevo.output.table import text_table
 
+IN_THE_FRAME = "In this frame"
+HOW_IT_WAS_TRAINED = "How it was trained"
+"""Headings of the parts behind what was learned."""
 _SHORT_HASH = 12
 
 

@@ -9,6 +9,8 @@ from probevo.noise.base import StereoNoise
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.output.feature_pictures import Shades, draw_features, value_shades
 from probevo.output.inspection.common_sections import (
+    HOW_IT_WAS_TRAINED,
+    IN_THE_FRAME,
     percent,
     pictures_section,
     settings_section,
@@ -67,19 +69,23 @@ def sections(subject: Subject) -> Findings:
     table = column_table(view, frame)
     text = table.as_text()
     facts = _facts(view)
-    # First the frame, and its noise beside that of the training data.
+    # First what was learned.
+    with figure_style():
+        shown += _learned_sections(view, frame)
+    shown.append(_columns_section(table, has_frame=frame is not None))
+    # Then the frame, and its noise beside that of the training data.
     if frame is not None and noise is not None:
         outside = percent(share_out_of_domain(noise))
         text += f"\n\nout of domain: {outside} of the features"
         facts = {"Out of domain": outside} | facts
         pictures = frame_pictures(view, frame, noise)
+        shown.append(heading(IN_THE_FRAME, ""))
         shown.append(pictures_section(frame, pictures, _OUT_OF_DOMAIN_REMARK))
         with figure_style():
             shown.append(grid(_frame_panels(view, noise)))
-    # Then the columns in figures, and last the model itself.
-    shown.append(_columns_section(table, has_frame=frame is not None))
+    # Last, where it comes from.
     with figure_style():
-        shown += _model_sections(view, frame)
+        shown += _origin_sections(view, frame)
     return Findings(sections=tuple(shown), text=text, facts=facts, pictures=pictures)
 
 
@@ -270,8 +276,8 @@ def _columns_section(table: Table, *, has_frame: bool) -> Markup:
     return table_panel("The predictors in figures", [note], table.without(*left_out))
 
 
-def _model_sections(view: CentersView, frame: FrameView | None) -> list[Markup]:
-    """Show the noise along each used column, how the model was trained, and where centers lie."""
+def _learned_sections(view: CentersView, frame: FrameView | None) -> list[Markup]:
+    """Show the noise along each used column."""
     note = (
         f"The noise predicted at the {len(view.places):,} centers, which are places of training"
         " samples: medians, and 16 to 84 %, in bins of equally many along each used predictor; all"
@@ -282,11 +288,15 @@ def _model_sections(view: CentersView, frame: FrameView | None) -> list[Markup]:
         note += " and the features of this frame (orange)"
     note += ". What is undefined stands apart at the left."
     courses = [_course_panel(view, k, frame) for k in range(len(view.used))]
-    shown = [
+    return [
         heading("What the model learned", view.name if frame is not None else ""),
         rendered("column_cards", note=note, panels=courses),
-        grid(_origin_panels(view)),
     ]
+
+
+def _origin_sections(view: CentersView, frame: FrameView | None) -> list[Markup]:
+    """Show how the model was trained, and where its centers lie."""
+    shown = [heading(HOW_IT_WAS_TRAINED, ""), grid(_origin_panels(view))]
     if len(view.used) > 1:
         centers_note = "In the colour of their σ."
         if frame is not None:

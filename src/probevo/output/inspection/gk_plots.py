@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,8 @@ from probevo.output.svg import BLUE, CYCLE, GREY, INK, LEGEND_ABOVE, MUTED, ORAN
 
 COLORS = (CYCLE[0], CYCLE[2], CYCLE[3])
 """Colours of the three ``AXES``."""
+_MOST_LETTERS = 8
+"""Of two neighbouring ticks that fit side by side."""
 _LOGARITHMIC = ("σ, px", "ν")
 _NAMES = {"u_l": "$u_l$", "v_l": "$v_l$", "disparity": "disparity"}
 
@@ -143,8 +145,11 @@ def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
         is_weights = name == "weights"
         names = [str(m) if is_weights else _plain(m) for m in search["candidates"]]
         axes.plot(places, search["gains"], color=BLUE, lw=1.4, marker="o", ms=3.5)
+        is_dense = max((len(a) + len(b) for a, b in pairwise(names)), default=0) > _MOST_LETTERS
         turned: dict[str, Any] = (
-            {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if is_weights else {}
+            {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
+            if is_weights or is_dense
+            else {}
         )
         if is_weights:
             names = [names[0], *(f"+ {column}" for column in names[1:])]

@@ -9,6 +9,8 @@ from probevo.arrays import FloatArray
 from probevo.noise.probe.nearest_neighbors import NearestNeighbors
 from probevo.output.feature_pictures import Shades, value_shades, weight_shades
 from probevo.output.inspection.common_sections import (
+    HOW_IT_WAS_TRAINED,
+    IN_THE_FRAME,
     percent,
     pictures_section,
     settings_section,
@@ -64,21 +66,24 @@ def sections(subject: Subject) -> Findings:
     weights = None if frame is None else FrameWeights.of(view.model, frame.phi)
     pictures: dict[str, Picture] = {}
     shown: list[Markup] = []
-    # First the frame, and where it lies among the training data.
-    if frame is not None and weights is not None:
-        pictures = frame_pictures(view, frame, weights)
-        shown.append(pictures_section(frame, pictures))
-        with figure_style():
-            shown.append(grid(_frame_panels(view, weights)))
-    # Then the columns in figures, those of the frame beside those of the training data.
+    # First what was learned: along the columns, and in figures.
+    with figure_style():
+        shown += _learned_sections(view, frame)
     table = column_table(_column_summaries(view, frame))
     whose = "the frame’s features" if frame is not None else "the training samples"
     note = f"Training: mean ± standard deviation of all features. Undefined: share of {whose}."
     left_out = ("unit",) if frame is not None else ("unit", "this frame")
     shown.append(table_panel("The predictors in figures", [note], table.without(*left_out)))
-    # Last the model itself.
+    # Then the frame, and where it lies among the training data.
+    if frame is not None and weights is not None:
+        pictures = frame_pictures(view, frame, weights)
+        shown.append(heading(IN_THE_FRAME, ""))
+        shown.append(pictures_section(frame, pictures))
+        with figure_style():
+            shown.append(grid(_frame_panels(view, weights)))
+    # Last, where it comes from.
     with figure_style():
-        shown += _model_sections(view, frame)
+        shown += _origin_sections(view, frame)
     return Findings(
         sections=tuple(shown), text=table.as_text(), facts=_facts(view), pictures=pictures
     )
@@ -179,10 +184,9 @@ def _range(beta: FloatArray) -> str:
     return f"{readable(low)} to {readable(high)}"
 
 
-def _model_sections(view: ModelView, frame: FrameView | None) -> list[Markup]:
-    """Show how α varies along each column, how the model was trained, and where its data lies."""
-    training = view.model.training
-    settings = training.get("settings", {})
+def _learned_sections(view: ModelView, frame: FrameView | None) -> list[Markup]:
+    """Show how α varies along each column."""
+    settings = view.model.training.get("settings", {})
     note = (
         "By how strongly α varies with each, the strongest first. Above: mean ln(α/ᾱ) of the"
         " training samples in bins of equally many, and two standard errors, for which samples that"
@@ -199,7 +203,15 @@ def _model_sections(view: ModelView, frame: FrameView | None) -> list[Markup]:
         note += _IF_CONTRAST
     note += " What is undefined stands apart at the left; its bar may be cut off."
     profiles = [_profile_panel(view, m, frame) for m in view.order]
+    return [
+        heading("What the model learned", view.name if frame is not None else ""),
+        rendered("column_cards", note=note, panels=profiles),
+    ]
 
+
+def _origin_sections(view: ModelView, frame: FrameView | None) -> list[Markup]:
+    """Show how the model was trained, and where its data lies."""
+    training = view.model.training
     origins = []
     searches = training.get("searches", {})
     if searches:
@@ -215,12 +227,7 @@ def _model_sections(view: ModelView, frame: FrameView | None) -> list[Markup]:
     )
     correlation = correlation_figure(view)
     origins.append(panel("Correlation of the columns", correlation_note, correlation))
-
-    shown = [
-        heading("What the model learned", view.name if frame is not None else ""),
-        rendered("column_cards", note=note, panels=profiles),
-        grid(origins),
-    ]
+    shown = [heading(HOW_IT_WAS_TRAINED, ""), grid(origins)]
     if len(view.columns) > 1:
         pairs_note = "Blue: density of the training samples."
         if frame is not None:

@@ -34,10 +34,6 @@ def sections(subject: Subject) -> Findings:
     training = model.training
     pictures: dict[str, Picture] = {}
     shown: list[Markup] = []
-    if subject.frame is not None:
-        of_frame = predictors.sections(subject, _FRAME_REMARK)
-        pictures = dict(of_frame.pictures)
-        shown += of_frame.sections
     scale = scale_table(model.scale_)
     panels = [table_panel("The scale matrix", [_spread_note(model)], scale)]
     if training.get("iterations"):
@@ -45,7 +41,12 @@ def sections(subject: Subject) -> Findings:
         with figure_style():
             panels.append(panel("EM iterations", em_note, em_figure(training["iterations"])))
     panels.append(training_section(training))
-    shown += [grid(panels), settings_section(training)]
+    shown.append(grid(panels))
+    if subject.frame is not None:
+        of_frame = predictors.sections(subject, _FRAME_REMARK)
+        pictures = dict(of_frame.pictures)
+        shown += of_frame.sections
+    shown.append(settings_section(training))
     return Findings(
         sections=tuple(shown),
         text=f"{scale.as_text()}\nν = {model.dof_:.3g}",
