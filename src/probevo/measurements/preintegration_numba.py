@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.compiled import compiled
+from probevo.compiled import compiled, copy_into
 from probevo.geometry.se3_numba import exp_coefficients
 
 
@@ -73,9 +73,9 @@ def preintegrate_samples(
     half = np.empty((3, 3))
     jacobian = np.empty((3, 3))
     half_jacobian = np.empty((3, 3))
-    turned_by_force = np.empty((3, 3))
     A = np.zeros((9, 9))
     B = np.zeros((9, 6))
+    noisy = np.empty((9, 6))
     rotation = sums.rotation
     for index in range(len(samples.steps_s)):
         dt = samples.steps_s[index]
@@ -93,7 +93,7 @@ def preintegrate_samples(
                 [-force[1], force[0], 0.0],
             ]
         )
-        turned_by_force[:] = -np.dot(middle, wedge)
+        turned_by_force = -np.dot(middle, wedge)
         by_rotation = np.dot(turned_by_force, half.T)
         by_rate = np.dot(turned_by_force, half_jacobian)
         for i in range(3):
@@ -110,13 +110,16 @@ def preintegrate_samples(
                 B[6 + i, j] = by_rate[i, j] * h * 0.5 * dt * dt
                 B[3 + i, 3 + j] = middle[i, j] * dt
                 B[6 + i, 3 + j] = middle[i, j] * 0.5 * dt * dt
-        sums.bias_jacobian[:] = np.dot(A, sums.bias_jacobian) - B
-        noisy = B.copy()
-        noisy[:, :3] *= gyro_density / math.sqrt(dt)
-        noisy[:, 3:] *= accel_density / math.sqrt(dt)
-        sums.cov[:] = np.dot(np.dot(A, sums.cov), A.T) + np.dot(noisy, noisy.T)
+        copy_into(sums.bias_jacobian, np.dot(A, sums.bias_jacobian) - B)
+        gyro_sigma = gyro_density / math.sqrt(dt)
+        accel_sigma = accel_density / math.sqrt(dt)
+        for i in range(9):
+            for j in range(3):
+                noisy[i, j] = B[i, j] * gyro_sigma
+                noisy[i, 3 + j] = B[i, 3 + j] * accel_sigma
+        copy_into(sums.cov, np.dot(np.dot(A, sums.cov), A.T) + np.dot(noisy, noisy.T))
         acceleration = np.dot(middle, force)
         for i in range(3):
             sums.position[i] += sums.velocity[i] * dt + 0.5 * acceleration[i] * dt * dt
             sums.velocity[i] += acceleration[i] * dt
-        rotation[:] = np.dot(rotation, whole)
+        copy_into(rotation, np.dot(rotation, whole))

@@ -235,18 +235,21 @@ def _fill_lists(
     """
     # Clip the ranges to the grid, and make them half-open.
     ranges = np.empty_like(cells)
-    ranges[:, 0] = np.maximum(cells[:, 0], 0)
-    ranges[:, 1] = np.minimum(cells[:, 1], columns - 1) + 1
-    ranges[:, 2] = np.maximum(cells[:, 2], 0)
-    ranges[:, 3] = np.minimum(cells[:, 3], rows - 1) + 1
+    for i in range(len(cells)):
+        ranges[i, 0] = max(cells[i, 0], 0)
+        ranges[i, 1] = min(cells[i, 1], columns - 1) + 1
+        ranges[i, 2] = max(cells[i, 2], 0)
+        ranges[i, 3] = min(cells[i, 3], rows - 1) + 1
 
     # Count the solids of each cell; the cumulative counts are where the lists begin.
     first = np.zeros(columns * rows + 1, np.int64)
     for i in order:
         if wanted[i]:
             for row in range(ranges[i, 2], ranges[i, 3]):
-                first[row * columns + ranges[i, 0] + 1 : row * columns + ranges[i, 1] + 1] += 1
-    first = np.cumsum(first)
+                for cell in range(row * columns + ranges[i, 0], row * columns + ranges[i, 1]):
+                    first[cell + 1] += 1
+    for cell in range(columns * rows):
+        first[cell + 1] += first[cell]
 
     # Fill the lists.
     solids = np.empty(first[-1], np.int64)
