@@ -7,6 +7,7 @@ import pytest
 
 from probevo.arrays import FloatArray, Image
 from probevo.tracking.anchor_patches import MAX_GROWTH, AnchorPatches
+from probevo.tracking.anchor_patches_numba import step_scale
 from probevo.tracking.surface_motion import SurfaceMotion
 
 HEIGHT_PX = 160
@@ -82,6 +83,34 @@ def test_a_patch_is_found_under_an_affine_map(
     assert np.median(np.abs(found - true)) < 0.03
     assert np.median(np.abs(after.affine - A)) < 0.02
     assert np.median(difference) < 2.0
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.6, 50.0), (1.0, 30.0), (1.3, -40.0)])
+def test_an_image_of_another_exposure_is_aligned_as_well(
+    patches: AnchorPatches, gain: float, offset: float
+) -> None:
+    """As patch and image differ by gain and offset, from camera to camera and frame to frame."""
+    A = np.array([[1.05, 0.02], [-0.01, 1.0]])
+    shift = np.array([0.4, -0.3])
+    exposed = np.round(gain * shown(A, shift) + offset)
+    image = np.clip(exposed, 0.0, 255.0).astype(np.uint8)
+    true = moved(GRID, A, shift)
+    found, difference, _ = patches.align_left(image, true + 0.5, grown(GRID, 1.0))
+    assert np.isfinite(difference).mean() > 0.95
+    assert np.median(np.abs(found - true)) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("curvature", "scale"), [(1.0, 1.0), (0.8, 1.25), (1.6, 0.625), (0.2, 2.0), (5.0, 0.5)]
+)
+def test_a_step_is_scaled_by_the_curvature_that_the_last_one_met(
+    curvature: float, scale: float
+) -> None:
+    """The next step is what the last one left over: d − s J d."""
+    last_step = np.array([0.5, -0.2, 0.01, 0.02, 0.0, -0.03])
+    for last_scale in (0.7, 1.0):
+        step = (1.0 - last_scale * curvature) * last_step
+        assert np.isclose(step_scale(last_scale, step, last_step, 5.5), scale)
 
 
 def test_the_subpixel_offset_of_the_anchor_is_kept() -> None:

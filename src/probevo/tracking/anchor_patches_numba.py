@@ -2,12 +2,15 @@
 
 The alignment is an inverse-compositional Gauss–Newton over affine maps (Baker, Matthews,
 "Lucas–Kanade 20 years on: a unifying framework", IJCV 2004), under a perspective that is given. The
-pixels of a patch are held in one
-row. Indices are unsigned where speed matters: for signed ones, Numba handles negative values.
+image may be brighter than the patch and have more contrast: gain and offset are projected out
+(Baker, Gross, Matthews, "Lucas–Kanade 20 years on: part 3", CMU-RI-TR-03-35, 2003). The pixels of a
+patch are held in one row. Indices are unsigned where speed matters: for signed ones, Numba handles
+negative values.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +20,14 @@ from probevo.compiled import compiled, copy_into, dot_float32, factor, substitut
 
 BRIGHTNESS_NOISE = 4.0
 """Standard deviation of a pixel's brightness between two views of the same point, grey levels."""
-MAX_ITERATIONS = 8
+MAX_ITERATIONS = 16
 MAX_STEP_PX = 0.05
-"""The alignment has converged when its step is shorter; if it never is, it has failed."""
+"""The alignment has converged when its step moves no corner of the patch farther; if it never does,
+it has failed."""
+MIN_STEP_SCALE = 0.5
+MAX_STEP_SCALE = 2.0
+"""Factors by which a Gauss–Newton step is shortened where steps oscillate, and lengthened where the
+image has less contrast than the patch, so that one follows the other in the same direction."""
 MAX_MOVE_PX = 2.0
 """The alignment has failed when it goes farther than this from the predicted place."""
 MAX_FORESHORTENING = 0.5
@@ -64,7 +72,10 @@ class Template(NamedTuple):
     brightness: FloatArray
     """Grey level of each pixel, [area]."""
     steepest_descent: FloatArray
-    """Derivatives of the brightness by (t, S), [6, area]."""
+    """Derivatives of the brightness by (t, S), [6, area], as far as no gain or offset of the patch
+    looks the same."""
+    contrast: FloatArray
+    """Brightness less its mean, of length 1, [area]; 0 where the patch is of one brightness."""
 
 
 class WarpedPixels(NamedTuple):
@@ -140,7 +151,8 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
     """Align patches with an image by inverse-compositional Gauss–Newton over affine maps.
 
     A map takes x, px from the feature, to y = p + A x / (1 + g·x). The cost is the sum over the
-    patch of (image(y) − patch(x))² / BRIGHTNESS_NOISE², plus the prior ‖Â⁻¹ A − I‖² / sigma².
+    patch of (image(y) − patch(x))² / BRIGHTNESS_NOISE², with the best gain and offset of the patch,
+    plus the prior ‖Â⁻¹ A − I‖² / sigma².
 
     Args:
         image: [height, width], uint8.
@@ -157,6 +169,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
         np.empty((2, area), np.float32),
         np.empty(area, np.float32),
         np.empty((6, area), np.float32),
+        np.empty(area, np.float32),
     )
     warped = WarpedPixels(np.empty(area, np.int32), np.empty((2, area), np.float32))
     error = np.empty(area, np.float32)
@@ -164,9 +177,11 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
     lower = np.empty((6, 6))
     gradient = np.empty(6)
     step = np.empty(6)
+    last_step = np.empty(6)
     A = np.empty((2, 2))
     # Everything is in units of BRIGHTNESS_NOISE
     prior = (BRIGHTNESS_NOISE / sigma) ** 2
+    corner_px = 0.5 * (anchors.patch.shape[1] - 2)
     for n in range(len(anchors.patch)):
         predicted = anchors.predicted_affine[n]
         copy_into(affine[n], predicted)
@@ -182,7 +197,8 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
             information[k, k] += prior
         if not factor(information, 6, lower):
             continue
-        for _ in range(MAX_ITERATIONS):
+        scale = 1.0
+        for iteration in range(MAX_ITERATIONS):
             near = abs(u - pixels[n, 0]) < MAX_MOVE_PX and abs(v - pixels[n, 1]) < MAX_MOVE_PX
             if not near or not _warp(
                 (u, v), A, template.foreshortened, reach_px, shape=image.shape, warped=warped
@@ -194,13 +210,17 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
                 gradient[k] = dot_float32(template.steepest_descent[k], error)
             _add_prior(prior, A, predicted, gradient=gradient)
             substitute(lower, gradient, step)
+            if iteration > 0:
+                scale = step_scale(scale, step, last_step, corner_px)
+            last_step[:] = step
+            step *= scale
             # Compose the map with the inverse of the step, which was found for the patch and not
             # for the image.
             if not _compose_inverse(A, step):
                 break
             u -= A[0, 0] * step[0] + A[0, 1] * step[1]
             v -= A[1, 0] * step[0] + A[1, 1] * step[1]
-            if step[0] * step[0] + step[1] * step[1] < MAX_STEP_PX * MAX_STEP_PX:
+            if _corner_motion_px(step, corner_px) < MAX_STEP_PX:
                 alignment.difference[n] = np.abs(error).mean()
                 pixels[n, 0] = u
                 pixels[n, 1] = v
@@ -247,10 +267,63 @@ def _linearize(
         descent[3, i] = along * y
         descent[4, i] = down * x
         descent[5, i] = down * y
+    _project_out_brightness(template)
     # Gauss–Newton information of the patch, constant during the alignment
     for m in range(6):
         for n in range(m + 1):
             information[m, n] = information[n, m] = dot_float32(descent[m], descent[n])
+
+
+@compiled
+def _project_out_brightness(template: Template) -> None:
+    """Make the derivatives of a template orthogonal to its contrast and to a constant."""
+    contrast = template.contrast
+    contrast[:] = template.brightness - template.brightness.mean()
+    length = math.sqrt(dot_float32(contrast, contrast))
+    contrast *= np.float32(1.0 / length) if length > 0.0 else np.float32(0.0)
+    for m in range(6):
+        derivative = template.steepest_descent[m]
+        offset = derivative.mean()
+        gain = dot_float32(derivative, contrast)
+        for i in range(len(contrast)):
+            derivative[i] -= offset + gain * contrast[i]
+
+
+@compiled
+def step_scale(
+    last_scale: float, step: FloatArray, last_step: FloatArray, corner_px: float
+) -> float:
+    """Return the factor of a Gauss–Newton step (t, S) that the change since the last one suggests.
+
+    After a step s d, the next one is d' = d − s J d, where J is the ratio of the image's curvature
+    to the patch's. Along d, s d·d / (d·d − d·d') is its inverse (Barzilai, Borwein, "Two-point step
+    size gradient methods", IMA J. Numer. Anal. 1988).
+
+    Args:
+        last_scale: s.
+        step: d', [6].
+        last_step: d, [6].
+        corner_px: distance at which S is compared with t, px.
+    """
+    area = corner_px * corner_px
+    squared = 0.0
+    product = 0.0
+    for k in range(6):
+        weight = 1.0 if k < 2 else area
+        squared += weight * last_step[k] * last_step[k]
+        product += weight * last_step[k] * step[k]
+    change = squared - product
+    if change * MAX_STEP_SCALE <= last_scale * squared:
+        return MAX_STEP_SCALE
+    return max(last_scale * squared / change, MIN_STEP_SCALE)
+
+
+@compiled
+def _corner_motion_px(step: FloatArray, corner_px: float) -> float:
+    """Return a bound of how far a step (t, S) moves the corners of a patch, px."""
+    along = abs(step[0]) + corner_px * (abs(step[2]) + abs(step[3]))
+    down = abs(step[1]) + corner_px * (abs(step[4]) + abs(step[5]))
+    return math.hypot(along, down)
 
 
 @compiled
