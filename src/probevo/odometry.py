@@ -21,7 +21,12 @@ from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.motion_correction import corrected, shares_of
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.motion_model import MotionModel
-from probevo.estimation.recovery import INLIERS_FACTOR, MOST_DURATION_S, noise_over_frames
+from probevo.estimation.recovery import (
+    INLIERS_FACTOR,
+    MOST_DURATION_S,
+    noise_factor,
+    recovered,
+)
 from probevo.estimation.rig_update import update_rig
 from probevo.estimation.search_starts import rotated_starts, track_from_best_start
 from probevo.estimation.sensor_fusion import SensorFusion, motion_innovations_squared
@@ -401,12 +406,13 @@ class StereoOdometry:
         frame that had one (``estimation.recovery``).
 
         Returns:
-            The motion from that frame, or the step as it was solved. A window is left to itself.
+            The motion from that frame, or the step as it was solved. A window with an IMU is left
+            to itself.
         """
         usable = state.last_usable
         if (
             usable is None
-            or state.window is not None
+            or not _reaches(state.window, usable.state.frame)
             or solved.visual.status not in LOST
             or solved.observed.is_frozen
             or usable.path.duration_s + prediction.duration_s > MOST_DURATION_S
@@ -431,7 +437,8 @@ class StereoOdometry:
         fewest = INLIERS_FACTOR * self.config.solver.min_tracks
         if found.visual.status is not Status.OK or found.visual.num_inliers < fewest:
             return solved
-        return replace(found, from_usable=from_usable)
+        frames = state.motion_model.frames_of(from_usable.duration_s)
+        return replace(found, recovery=_Recovery(usable, from_usable, noise_factor(frames)))
 
     def _conclude(
         self,
@@ -462,14 +469,15 @@ class StereoOdometry:
                 frame,
                 motion,
                 of_images=learned.motion,
-                observed=observed,
-                visual=visual,
+                solved=solved,
                 measurements=measured.of_motion,
             )
             motion = live_motion(motion, prediction.window, window)
             fusion = fusion.advanced(live_advance(motion, window))
             clock.lap("window")
         else:
+            if solved.recovery is not None:
+                motion = solved.recovery.usable.path.closed(motion)
             fusion = fusion.after(motion)
         fusion, outcomes = self._fuse(fusion, frame, solved, readings=readings)
         pose = fusion.pose
@@ -494,7 +502,7 @@ class StereoOdometry:
             step=StepFeatures(observed.tracks, observed.phi, visual.used, visual.weights),
             is_frozen=observed.is_frozen,
             window=window,
-            last_usable=_last_usable(state, prediction, motion),
+            last_usable=_last_usable(state, prediction, learned.motion),
         )
         return estimate, after
 
@@ -504,15 +512,18 @@ class StereoOdometry:
         prediction: Prediction,
         solved: _Solved,
     ) -> _Learned:
-        """Take the motion that was solved, or else the predicted one, and learn from it."""
-        usable = state.last_usable
-        if usable is not None and solved.from_usable is not None:
-            learned = self._accept(usable.state, solved.from_usable, solved)
-            path_s = solved.from_usable.duration_s
-            motion = noise_over_frames(learned.motion, state.motion_model.frames_of(path_s))
+        """Take the motion that was solved, or else the predicted one, and learn from it.
+
+        That of a recovery leads from the last usable frame.
+        """
+        recovery = solved.recovery
+        if recovery is not None:
+            learned = self._accept(recovery.usable.state, recovery.prediction, solved)
+            path_s = recovery.prediction.duration_s
+            motion = recovered(learned.motion, recovery.noise_factor)
             return replace(
                 learned,
-                motion=usable.path.closed(motion),
+                motion=motion,
                 motion_model=state.motion_model.after_recovery(
                     prediction.duration_s, path_s, motion.T_curr_prev, cov=motion.cov
                 ),
@@ -676,8 +687,7 @@ class StereoOdometry:
         motion: MotionEstimate,
         *,
         of_images: MotionEstimate,
-        observed: _Observed,
-        visual: VisualMotion,
+        solved: _Solved,
         measurements: Sequence[Measurement],
     ) -> Window:
         """Adjust the last frames together, starting from the motion that two of them have shown.
@@ -689,21 +699,26 @@ class StereoOdometry:
         Args:
             window: the window before the step.
             frame: the new frame.
-            motion: the motion of the last two frames, corrected if there is a correction.
+            motion: the motion that was solved, corrected if there is a correction.
             of_images: the same without the correction.
-            observed: what the images show.
-            visual: what was solved from them.
+            solved: what the images show of it.
             measurements: further ones of the motion.
         """
+        observed = solved.observed
+        visual = solved.visual
+        recovery = solved.recovery
+        prev = int(window.frames[-1]) if recovery is None else recovery.usable.state.frame.index
         by_itself = RelativePose(
             motion.T_curr_prev,
             motion.cov,
             curr=pose_of(frame.index),
-            prev=pose_of(int(window.frames[-1])),
+            prev=pose_of(prev),
         )
         if visual.status is not Status.OK or visual.noise is None:
             return self._window.without_features(window, frame.index, by_itself, measurements)
         noise = visual.noise
+        if recovery is not None:
+            noise = noise.scaled(np.full(len(noise.scale), recovery.noise_factor))
         if motion is not of_images:
             shares = shares_of(of_images, motion, self.config.window.frames)
             noise = noise.scaled(shares.of_features(visual.weights[visual.used]))
@@ -798,13 +813,30 @@ class _Solved:
     """The calibration after the step, but for the delay of the right images."""
     common_mode: FloatArray
     """Columns along which errors of the calibration before the step move the motion, [6, 3]."""
-    from_usable: Prediction | None = None
-    """The prediction from the last usable frame, if the motion leads from there."""
+    recovery: _Recovery | None = None
+    """If the motion leads from the last usable frame instead of the previous one."""
 
     @property
     def shows_step(self) -> bool:
         """Whether the images show the motion from the previous frame to this one."""
-        return self.visual.status is Status.OK and self.from_usable is None
+        return self.visual.status is Status.OK and self.recovery is None
+
+
+@dataclass(frozen=True)
+class _Recovery:
+    """Where the motion of a recovered step leads from."""
+
+    usable: LastUsable
+    """The last frame with a motion from images."""
+    prediction: Prediction
+    """From there to the current frame."""
+    noise_factor: float
+    """Factor of the variance of matches between these two."""
+
+
+def _reaches(window: Window | None, frame: Frame) -> bool:
+    """Return whether a motion from a frame to the next one can enter a window, if there is one."""
+    return window is None or (window.inertial is None and frame.index in window.frames)
 
 
 @dataclass(frozen=True)

@@ -361,15 +361,15 @@ def _absolute_viewer(path: Path) -> Path:
 
 
 class SmoothedPath:
-    """Collects the poses that leave the window, one a step."""
+    """Collects the poses that leave the window."""
 
     def __init__(self) -> None:
         self._left: list[SmoothedPose] = []
 
     def add(self, window: Window | None) -> None:
-        """Take the pose that left the window in the last step, if one did."""
-        if window is not None and window.left is not None:
-            self._left.append(window.left)
+        """Take the poses that left the window in the last step."""
+        if window is not None:
+            self._left += window.left
 
     def poses(self, window: Window | None) -> FloatArray | None:
         """Return T_world_cam of all frames, [N, 4, 4], m, whether they have left the window or are
@@ -377,7 +377,9 @@ class SmoothedPath:
         if window is None:
             return None
         in_window = [window.pose(slot) for slot in range(len(window))]
-        return np.array([pose.T_world_cam for pose in [*self._left, *in_window]])
+        # A blind frame leaves before those that features connect
+        poses = sorted([*self._left, *in_window], key=lambda pose: pose.frame)
+        return np.array([pose.T_world_cam for pose in poses])
 
 
 @dataclass(frozen=True)

@@ -444,6 +444,7 @@ def test_a_place_that_is_lost_by_rounding_leaves_the_motions_known() -> None:
             noise_of(len(tracks)),
             two_frames=step_to(9, FORWARD),
         )
+        last = len(with_features) - 1
         T_seen, cov_seen = with_features.relative(last, last - 1)
         np.testing.assert_allclose(T_seen, FORWARD, atol=1e-2)
         # At worst, it is as well known as two frames by themselves show it.

@@ -1,8 +1,9 @@
 """Recovery: from the last frame with a motion to the first that shows its features again.
 
 Black, frozen or blurred frames are dead-reckoned, and the features are lost in them. What was seen
-in the last usable frame u may be found again in the current frame k, though. That gives T_k_u with
-a covariance S, and with the dead-reckoned T_{k−1}_u the step
+in the last usable frame u may be found again in the current frame k, though. In a window, whose
+landmarks are found again so, these observations connect k with u. Two frames give T_k_u with a
+covariance S, and with the dead-reckoned T_{k−1}_u the step
 
     T_k_{k−1} = T_k_u T_{k−1}_u⁻¹,    ξ = ξ_k_u − Ad(T_k_{k−1}) ξ_{k−1}_u.
 
@@ -82,7 +83,6 @@ class DeadReckonedPath:
             motion,
             T_curr_prev=T_curr_prev,
             cov=motion.cov + reckoned,
-            status=Status.RECOVERED,
             path_cross_cov=motion.path_cross_cov - reckoned,
         )
 
@@ -94,8 +94,14 @@ class DeadReckonedPath:
         return grown
 
 
-def noise_over_frames(motion: MotionEstimate, frames: float) -> MotionEstimate:
-    """Enlarge the covariance of a motion over a number of frames (``FRAMES_OF_NOISE``)."""
-    factor = max(1.0, frames / FRAMES_OF_NOISE)
+def noise_factor(frames: float) -> float:
+    """Return the factor of the variance of matches over a number of frames
+    (``FRAMES_OF_NOISE``)."""
+    return max(1.0, frames / FRAMES_OF_NOISE)
+
+
+def recovered(motion: MotionEstimate, factor: float) -> MotionEstimate:
+    """Return the motion of a recovery, the variance of whose matches has a factor."""
     own = motion.cov - motion.common_mode @ motion.common_mode.T
-    return replace(motion, cov=motion.cov + (factor - 1.0) * own)
+    cov = motion.cov + (factor - 1.0) * own
+    return replace(motion, cov=cov, status=Status.RECOVERED)

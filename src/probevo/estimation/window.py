@@ -63,6 +63,8 @@ class Window:
     contains it."""
     rig: FloatArray
     """Disparity errors of the rig, (b₀, b₁, b₂), [3], px."""
+    is_blind: BoolArray
+    """Which frames no feature connects with others, so that their poses are dead-reckoned, [K]."""
     jitter: FloatArray
     """Jitter ω of each frame, [K, 3], rad (``camera.rig_jitter``)."""
     jitter_cov: FloatArray
@@ -74,8 +76,8 @@ class Window:
     observations: WindowObservations
     cov: FloatArray
     """Joint covariance of the poses' left perturbations and the rig, [6K + 3, 6K + 3]."""
-    left: SmoothedPose | None = None
-    """The pose that left the window in the last step, if one did."""
+    left: tuple[SmoothedPose, ...] = ()
+    """The poses that left the window in the last step."""
     inertial: Inertial | None = None
     """Its IMU, with velocities, biases and gravity; None without one."""
 
@@ -90,6 +92,7 @@ class Window:
             frames=np.array([frame]),
             T_cam_world=np.eye(4)[None],
             T_linear=np.eye(4)[None],
+            is_blind=np.zeros(1, np.bool_),
             rig=np.zeros(RIG),
             jitter=np.zeros((1, JITTER)),
             jitter_cov=RIGID_SIGMA_RAD**2 * np.eye(JITTER),

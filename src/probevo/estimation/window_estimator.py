@@ -143,8 +143,8 @@ class WindowEstimator:
         Args:
             window: K frames.
             frame: index of the new one.
-            tracks: N tracks between the last of them and the new one; rows corrected by the rig's
-                calibration, disparities not.
+            tracks: N tracks between a frame of the window and the new one; rows corrected by the
+                rig's calibration, disparities not.
             noise: of these N tracks.
             two_frames: the motion between these two frames by itself, with its covariance. It
                 counts beside the features only if it is one of the measurements, too.
@@ -153,10 +153,11 @@ class WindowEstimator:
         """
         if jitter_cov is not None:
             window = replace(window, jitter_cov=jitter_cov)
-        extended = self.with_frame(window, frame, two_frames.T_curr_prev, tracks, noise)
+        prev = window.slot(two_frames.variables[0].frame)
+        extended = self.with_frame(window, frame, two_frames.T_curr_prev, tracks, noise, prev=prev)
         try:
             adjusted = self.adjusted(with_measurements(extended, measurements)).window
-            if self._fixes_newest(adjusted):
+            if self._fixes_newest(adjusted, prev):
                 return self._shortened(self._with_inertial_start(adjusted))
         except np.linalg.LinAlgError:
             pass
@@ -176,7 +177,7 @@ class WindowEstimator:
         Args:
             window: K frames.
             frame: index of the new one.
-            motion: measured between the last of them and the new one, as by dead reckoning.
+            motion: measured between one of them and the new one, as by dead reckoning.
             measurements: further measurements of the poses of the window; it may be one of them.
         """
         none = StereoNoise(scale=np.zeros((0, 4, 4)), dof=np.zeros(0), bias=np.zeros((0, 4)))
@@ -184,7 +185,8 @@ class WindowEstimator:
         guess = inertial.predicted_motion(window)
         if guess is None:
             guess = motion.T_curr_prev
-        extended = self.with_frame(window, frame, guess, Tracks.none(), none)
+        prev = window.slot(motion.variables[0].frame)
+        extended = self.with_frame(window, frame, guess, Tracks.none(), none, prev=prev)
         is_among_them = any(one is motion for one in measurements)
         if not is_among_them and not inertial.bridges_newest(extended):
             measurements = [*measurements, motion]
@@ -209,10 +211,10 @@ class WindowEstimator:
         except np.linalg.LinAlgError:
             return inertial.without_inertial(window, inertial.NO_SOLUTION)
 
-    def _fixes_newest(self, window: Window) -> bool:
-        """Return whether the newest motion is known as well as one of two frames has to be."""
-        last = len(window) - 1
-        _, cov = window.relative(last, last - 1)
+    def _fixes_newest(self, window: Window, prev: int) -> bool:
+        """Return whether the motion from a frame to the newest is known as well as one of two
+        frames has to be."""
+        _, cov = window.relative(len(window) - 1, prev)
         if not np.isfinite(cov).all():
             return False
         translation = np.linalg.eigvalsh(cov[:3, :3])
@@ -225,10 +227,23 @@ class WindowEstimator:
         )
 
     def _shortened(self, window: Window) -> Window:
-        """Return the window with no more frames than the settings say."""
-        if len(window) > self._config.frames:
-            return self.without_oldest(window)
-        return replace(window, left=None)
+        """Return the window with no more frames than the settings say.
+
+        Blind frames come on top, as many as other ones at most, until a later frame has features:
+        what was seen before may then be found again. With an IMU, they are frames like others.
+        """
+        window = replace(window, left=())
+        limit = self._config.frames
+        if window.inertial is None:
+            leaving = window.is_blind.copy()
+            leaving[-2:] = False  # the last step leads from one to the other
+            if window.is_blind[-1]:
+                leaving &= np.cumsum(leaving) <= window.is_blind.sum() - limit
+            window = _without_blind(window, leaving)
+            limit += int(window.is_blind.sum())
+        while len(window) > limit:  # one, or more once a blind frame has features after all
+            window = self.without_oldest(window)
+        return window
 
     def with_frame(
         self,
@@ -237,23 +252,28 @@ class WindowEstimator:
         T_curr_prev: FloatArray,
         tracks: Tracks,
         noise: StereoNoise,
+        *,
+        prev: int = -1,
     ) -> Window:
         """Return the window with one more frame, which is not yet adjusted.
 
-        A track whose landmark the last frame of the window saw adds an observation to it; any other
+        A track whose landmark the previous frame saw last adds an observation to it; any other
         begins a landmark with both of its observations. Noise that refers to residuals is halved:
         it is that of two observations.
 
         Args:
             window: K frames.
             frame: index of the new one.
-            T_curr_prev: a guess of the motion from the last of them, [4, 4].
+            T_curr_prev: a guess of the motion from the previous frame, [4, 4].
             tracks: N tracks between these two frames; rows corrected by the rig's calibration,
                 disparities not.
             noise: of these N tracks.
+            prev: place of the previous frame, which is the last one unless those after it are
+                blind.
         """
-        last = len(window) - 1
-        rows = _rows_of(window, tracks.ids)
+        num_frames = len(window)
+        prev %= num_frames
+        rows = _rows_of(window, tracks.ids, prev)
         is_new = rows < 0
         rows[is_new] = len(window.ids) + np.arange(int(is_new.sum()))
         if noise.refers_to == "residual":
@@ -264,7 +284,7 @@ class WindowEstimator:
         information = np.linalg.inv(np.concatenate([prev_scale[is_new], noise.scale]))
         new = WindowObservations(
             start=np.zeros(0, np.int64),
-            slot=np.concatenate([np.full(len(first_px), last), np.full(len(tracks), last + 1)]),
+            slot=np.concatenate([np.full(len(first_px), prev), np.full(len(tracks), num_frames)]),
             pixels=np.concatenate([first_px, tracks.curr_px - noise.bias]),
             root=np.linalg.cholesky(information),
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
@@ -283,12 +303,15 @@ class WindowEstimator:
                 ]
             ),
         )
-        T_new = T_curr_prev @ window.T_cam_world[-1]
+        T_new = T_curr_prev @ window.T_cam_world[prev]
+        is_blind = np.append(window.is_blind, len(tracks) == 0)
+        is_blind[prev] &= len(tracks) == 0
         return replace(
             inertial.extended(window),
             frames=np.append(window.frames, frame),
             T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
             T_linear=np.concatenate([window.T_linear, T_new[None]]),
+            is_blind=is_blind,
             jitter=np.concatenate([window.jitter, np.zeros((1, JITTER))]),
             prior=_with_pose(window.prior),
             ids=np.concatenate([window.ids, tracks.ids[is_new]]),
@@ -362,7 +385,8 @@ class WindowEstimator:
         # At the offsets x, gradient = η − Λ x of the new prior.
         information = system.equations.hessian
         vector = system.equations.gradient + information @ window.offsets()
-        prior = _without_first_pose(information, vector)
+        is_first = np.arange(len(window)) == 0
+        prior = _without_poses(MarginalPrior(information, vector), is_first)
         of_imu = window.inertial
         marginalised = inertial.without_first(window, system.equations)
         if marginalised is not None:
@@ -379,6 +403,7 @@ class WindowEstimator:
             frames=window.frames[1:],
             T_cam_world=window.T_cam_world[1:],
             T_linear=window.T_linear[1:],
+            is_blind=window.is_blind[1:],
             jitter=window.jitter[1:],
             prior=prior,
             ids=window.ids[stays],
@@ -386,7 +411,7 @@ class WindowEstimator:
             observations=kept._replace(slot=kept.slot - 1),
             cov=window.cov[POSE:, POSE:],
             inertial=of_imu,
-            left=window.pose(0),
+            left=(*window.left, window.pose(0)),
         )
 
     def _first_states(self, pixels: FloatArray, rig: FloatArray) -> FloatArray:
@@ -555,10 +580,10 @@ def _without_jitter(
     return reduced, _JitterElimination(offset=offset, gain=gain), cost
 
 
-def _rows_of(window: Window, ids: IntArray) -> IntArray:
-    """Return the landmark of each identity, [N], among those that the last frame saw; −1 for
-    none."""
-    alive = np.flatnonzero(window.last_seen == len(window) - 1)
+def _rows_of(window: Window, ids: IntArray, slot: int) -> IntArray:
+    """Return the landmark of each identity, [N], among those that a frame was the last to see; −1
+    for none."""
+    alive = np.flatnonzero(window.last_seen == slot)
     rows = np.full(len(ids), -1)
     if not len(alive):
         return rows
@@ -601,12 +626,40 @@ def _with_pose(prior: MarginalPrior) -> MarginalPrior:
     return MarginalPrior(information, vector)
 
 
-def _without_first_pose(information: FloatArray, vector: FloatArray) -> MarginalPrior:
-    """Marginalise the first pose: the Schur complement of its block."""
-    gain = np.linalg.solve(information[:POSE, :POSE], information[:POSE, POSE:])
-    rest = information[POSE:, POSE:] - information[POSE:, :POSE] @ gain
+def _without_poses(prior: MarginalPrior, leaving: BoolArray) -> MarginalPrior:
+    """Marginalise the poses of some frames, [K]: the Schur complement of their block."""
+    gone = _of_poses(leaving)
+    information = prior.information
+    gain = np.linalg.solve(information[np.ix_(gone, gone)], information[np.ix_(gone, ~gone)])
+    rest = information[np.ix_(~gone, ~gone)] - information[np.ix_(~gone, gone)] @ gain
     return MarginalPrior(
-        information=0.5 * (rest + rest.T), vector=vector[POSE:] - gain.T @ vector[:POSE]
+        information=0.5 * (rest + rest.T), vector=prior.vector[~gone] - gain.T @ prior.vector[gone]
+    )
+
+
+def _of_poses(frames: BoolArray) -> BoolArray:
+    """Return the places of the poses of some frames, [K], in the joint vector, [6K + 3]."""
+    return np.concatenate([np.repeat(frames, POSE), np.zeros(RIG, np.bool_)])
+
+
+def _without_blind(window: Window, leaving: BoolArray) -> Window:
+    """Marginalise blind frames, [K], which nothing but the prior connects with others."""
+    if not leaving.any():
+        return window
+    kept = ~_of_poses(leaving)
+    num_before = np.cumsum(leaving)
+    observations = window.observations
+    return replace(
+        window,
+        frames=window.frames[~leaving],
+        T_cam_world=window.T_cam_world[~leaving],
+        T_linear=window.T_linear[~leaving],
+        is_blind=window.is_blind[~leaving],
+        jitter=window.jitter[~leaving],
+        prior=_without_poses(window.prior, leaving),
+        observations=observations._replace(slot=observations.slot - num_before[observations.slot]),
+        cov=window.cov[np.ix_(kept, kept)],
+        left=(*window.left, *(window.pose(int(slot)) for slot in np.flatnonzero(leaving))),
     )
 
 
