@@ -19,6 +19,7 @@ from probevo.evaluation.metrics import Metrics, evaluate
 from probevo.evaluation.trajectory_errors import relative_motions
 from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.measurements import NoMeasurement
 from probevo.noise import Fixed, NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.predictors import prediction_space
@@ -290,11 +291,20 @@ def test_duplicate_images_are_treated_as_dropped_frames(tmp_path: Path) -> None:
         assert left is not None
         assert right is not None
         frames[k] = replace(frames[k], left=left.copy(), right=right.copy())
-    odometry = pv.StereoOdometry(sequence.camera)
+    has_images = []
+
+    def sensor(prev_frame: Frame, frame: Frame) -> NoMeasurement:
+        """Note whether there is an image of the time of the previous frame."""
+        assert frame.left is not None
+        has_images.append(prev_frame.left is not None)
+        return NoMeasurement("noted")
+
+    odometry = pv.StereoOdometry(sequence.camera, sensors=[sensor])
     motions = [odometry.step(frame) for frame in frames]
     true = relative_motions(sequence.truth.T_world_cam)
     assert {motion.status for motion in motions[6:10]} == {pv.Status.TOO_FEW_TRACKS}
     assert motions[10].status is pv.Status.RECOVERED
+    assert has_images == [True] * 6 + [False] * 4 + [True]
     for motion, T_true in zip(motions[6:11], true[5:10], strict=True):
         assert normalized_error_squared(T_true, motion.T_curr_prev, motion.cov) < 22.5
     assert motions[11].status is OK

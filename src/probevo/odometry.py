@@ -313,6 +313,9 @@ class StereoOdometry:
         been excluded is not asked. Measurements of the motion have a bounded loss there, so that a
         wrong one has no pull.
         """
+        prev_frame = state.frame
+        if state.is_frozen:  # its images were taken with those of an earlier frame
+            prev_frame = replace(prev_frame, left=None, right=None, prepared=None)
         of_motion: list[Measurement] = []
         if prediction.rotation is not None and self.config.gyro.prior:
             of_motion.append(prediction.rotation)
@@ -321,7 +324,7 @@ class StereoOdometry:
             if state.fusion.is_excluded(name) or isinstance(sensor, MotionCorrection):
                 readings.append(Reading(name))  # a correction is asked once there is a motion
                 continue
-            reading = read_sensor(name, sensor, state.frame, frame)
+            reading = read_sensor(name, sensor, prev_frame, frame)
             readings.append(reading)
             for measurement in reading.of_motion(pose_of(frame.index)):
                 if isinstance(measurement, VectorMeasurement):

@@ -25,9 +25,10 @@ from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.measurements.base import pose_of
 from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_pose import RelativePose
+from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.noise import StereoNoise, StudentT
 from probevo.sequences.frame import Frame
-from worlds import CAMERA, FORWARD, drive, tracks_between
+from worlds import CAMERA, FORWARD, drive, motion_error, tracks_between
 
 SIGMA_PX = 0.3
 TAU_PX = 0.4
@@ -270,6 +271,79 @@ def test_the_window_gains_no_information_about_where_it_is() -> None:
         along_gauge = np.abs(np.einsum("in,ij,jn->n", directions, hessian, directions))
         along_gauge /= np.square(directions).sum(axis=0)
         assert along_gauge.max() < 1e-9 * along_random.min()
+
+
+@pytest.mark.parametrize("kind", [RelativeRotation, RelativePose])
+def test_measured_motions_say_nothing_of_where_the_window_is(
+    kind: type[RelativeRotation] | type[RelativePose],
+) -> None:
+    """Nor do those of poses that have moved away from where they are linearised."""
+    frames = drive(np.random.default_rng(57), 8, points=50, sigma_px=SIGMA_PX)
+    by = estimator(frames=6)
+    window = windows_of(frames, by)[-1]
+    rng = np.random.default_rng(58)
+    moved = se3.exp(0.05 * rng.normal(size=(len(window), 6))) @ window.T_cam_world
+    window = replace(window, T_cam_world=moved)
+    pose_last, pose_before = pose_of(int(window.frames[-1])), pose_of(int(window.frames[-2]))
+    measured: RelativeRotation | RelativePose
+    if kind is RelativeRotation:
+        measured = RelativeRotation(FORWARD[:3, :3], 1e-8 * np.eye(3), pose_last, pose_before)
+    else:
+        measured = RelativePose(FORWARD, 1e-8 * np.eye(6), pose_last, pose_before)
+    after = with_measurements(window, [measured])
+    gained = (after.prior.information - window.prior.information)[:-RIG, :-RIG]
+    directions = se3.adjoint(window.T_linear).reshape(-1, POSE)
+    along_gauge = np.abs(np.einsum("in,ij,jn->n", directions, gained, directions))
+    assert along_gauge.max() < 1e-9 * np.linalg.eigvalsh(gained)[-1]
+    # The residual is that of the poses as they are.
+    x = window.offsets()
+    gradient = after.prior.vector - window.prior.vector
+    gradient[:-RIG] -= gained @ x[:-RIG]
+    values = {pose_of(int(frame)): T for frame, T in zip(window.frames, moved, strict=True)}
+    linear = {
+        pose_of(int(frame)): T for frame, T in zip(window.frames, window.T_linear, strict=True)
+    }
+    jacobian = np.hstack(measured.jacobians(linear))
+    expected = -1e8 * jacobian.T @ measured.residual(values)
+    np.testing.assert_allclose(gradient[-RIG - 2 * POSE : -RIG], expected, rtol=1e-4, atol=1.0)
+
+
+def test_after_a_blackout_measured_rotations_turn_the_window_no_further() -> None:
+    """A prior that knows the rotation of a pose alone holds its linearisation point. With rotations
+    measured, each step is as good as without, though the heading is known to some degrees only."""
+    frames = drive(np.random.default_rng(59), 30, points=80, sigma_px=SIGMA_PX)
+    rng = np.random.default_rng(60)
+    by = estimator(frames=6)
+    errors = {}
+    for measures in (False, True):
+        window = Window.at_first_frame(0)
+        errors[measures] = []
+        for prev, curr in pairwise(frames):
+            k = curr.index
+            if 8 <= k < 12:
+                guess = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.0])) @ FORWARD
+                blind = RelativePose(guess, 3e-3 * np.eye(6), curr=pose_of(k), prev=pose_of(k - 1))
+                window = by.without_features(window, k, blind)
+                continue
+            measured = []
+            if measures:
+                C = se3.exp(1e-3 * rng.normal(size=6))[:3, :3] @ FORWARD[:3, :3]
+                measured = [RelativeRotation(C, 1e-6 * np.eye(3), pose_of(k), pose_of(k - 1))]
+            tracks = tracks_between(prev, curr)
+            before = window
+            window = by.with_features(
+                window,
+                k,
+                tracks,
+                noise_of(len(tracks)),
+                two_frames=step_to(k, FORWARD),
+                measurements=measured,
+            )
+            step = window.T_cam_world[-1] @ se3.inverse(before.T_cam_world[-1])
+            if k > 12:
+                errors[measures].append(np.linalg.norm(motion_error(step)[3:]))
+    assert np.mean(errors[True]) < 1.1 * np.mean(errors[False])
+    assert np.max(errors[True]) < 3e-3
 
 
 def _adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:

@@ -528,7 +528,8 @@ class WindowEstimator:
         )
         T_cam_world = se3.exp(step[:-RIG].reshape(-1, POSE)) @ window.T_cam_world
         # A pose of which the prior says nothing yet may be linearised where it is.
-        is_fixed = np.diagonal(window.prior.information)[:-RIG:POSE] > 0.0
+        known = np.diagonal(window.prior.information)[:-RIG].reshape(-1, POSE)
+        is_fixed = known.max(axis=1) > 0.0
         return replace(
             window,
             T_cam_world=T_cam_world,

@@ -9,11 +9,15 @@ import numpy as np
 
 from probevo.estimation.window import MarginalPrior, Window
 from probevo.estimation.window_numba import POSE
-from probevo.measurements.base import Measurement, pose_of
+from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
 
 
 def with_measurements(window: Window, measurements: Sequence[Measurement]) -> Window:
-    """Return the window with measurements of its poses, linearised at their current values.
+    """Return the window with measurements of its poses, linearised about their current values.
+
+    Their Jacobians are formed at the linearisation points of the poses. At the current values, the
+    directions along which a relative measurement says nothing would be others than those of the
+    prior, and the sum of both would know where in the world the window is.
 
     Args:
         window: K frames.
@@ -21,14 +25,17 @@ def with_measurements(window: Window, measurements: Sequence[Measurement]) -> Wi
     """
     if not measurements:
         return window
-    values = {
-        pose_of(int(frame)): T for frame, T in zip(window.frames, window.T_cam_world, strict=True)
-    }
+    poses = [pose_of(int(frame)) for frame in window.frames]
+    values = dict(zip(poses, window.T_cam_world, strict=True))
+    at_linear = dict(zip(poses, window.T_linear, strict=True))
     information = window.prior.information.copy()
     vector = window.prior.vector.copy()
     x = window.offsets()
     for measurement in measurements:
-        linear = measurement.linearize(values)
+        if isinstance(measurement, VectorMeasurement):
+            linear = measurement.linearize_about(values, jacobians_at=at_linear)
+        else:
+            linear = measurement.linearize(values)
         # Where its variables lie in the joint vector; all are poses.
         first = [POSE * window.slot(variable.frame) for variable in measurement.variables]
         joint = (np.array(first)[:, None] + np.arange(POSE)).ravel()

@@ -212,8 +212,16 @@ class VectorMeasurement(ABC):
 
     def linearize(self, values: Values, *, newton: bool = False) -> Linearization:
         """Return cost and normal equations, the robust weight included."""
+        return self.linearize_about(values, jacobians_at=values)
+
+    def linearize_about(self, values: Values, *, jacobians_at: Values) -> Linearization:
+        """Return cost and normal equations at some values, with the Jacobians at others.
+
+        A window forms the Jacobians of a pose at one and the same point, lest it gain information
+        about where in the world it is.
+        """
         residual = self.residual(values)
-        jacobian = np.hstack(self.jacobians(values))
+        jacobian = np.hstack(self.jacobians(jacobians_at))
         squared = float(residual @ self._information @ residual)
         weighted = self._weight(squared) * jacobian.T @ self._information
         return Linearization(
