@@ -15,7 +15,11 @@ from probevo.config import OdometryConfig
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import MarginalPrior, Window, selected
-from probevo.estimation.window_estimator import WindowEstimator
+from probevo.estimation.window_estimator import (
+    LEAST_INFORMATION,
+    WindowEstimator,
+    _kept_positive,
+)
 from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_motion import live_motion
 from probevo.estimation.window_numba import JITTER, POSE, RIG
@@ -603,3 +607,42 @@ def test_a_pose_that_is_kept_keeps_no_window() -> None:
     left = Window.at_first_frame(0).pose(0)
     assert left.cov.base is None
     assert left.T_world_cam.base is None or left.T_world_cam.base.nbytes <= 16 * 8
+
+
+def test_a_step_is_as_certain_as_the_window_knows_it_wherever_that_is() -> None:
+    """Behind blackouts, which leave the place known to tens of metres and radians."""
+    by = estimator(6)
+    frames = drive(np.random.default_rng(67), 14, points=80, sigma_px=SIGMA_PX)
+    windows = windows_of(frames[:9], by)
+    lost = 1e-9 * windows[-1].prior.information
+    prior = MarginalPrior(lost, np.zeros(len(lost)))
+    windows = [by.adjusted(replace(windows[-1], prior=prior)).window]
+    for prev, curr in pairwise(frames[8:]):
+        tracks = tracks_between(prev, curr)
+        two_frames = step_to(curr.index, FORWARD)
+        windows.append(
+            by.with_features(
+                windows[-1], curr.index, tracks, noise_of(len(tracks)), two_frames=two_frames
+            )
+        )
+    motion = MotionEstimate(np.eye(4), np.eye(6), Status.OK, num_tracks=0)
+    for before, after in pairwise(windows[1:]):
+        assert np.sqrt(after.pose(-1).cov[3:, 3:].diagonal().max()) > 1.0
+        step = live_motion(motion, before, after)
+        _, known = after.relative(len(after) - 1, len(after) - 2)
+        assert (np.sqrt(step.cov.diagonal()) < 5.0 * np.sqrt(known.diagonal())).all()
+        assert (np.sqrt(step.cov.diagonal()) > 0.99 * np.sqrt(known.diagonal())).all()
+
+
+def test_a_prior_that_rounding_has_made_negative_keeps_what_it_says_of_motions() -> None:
+    """Two poses, the motion between which is known; their place is lost."""
+    between = np.kron(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.diag([1e4] * 3 + [1e6] * 3))
+    information = np.zeros((2 * POSE + RIG, 2 * POSE + RIG))
+    information[:-RIG, :-RIG] = between - 1e-7 * np.eye(2 * POSE)
+    prior = _kept_positive(MarginalPrior(information, np.zeros(len(information))))
+    of_poses = prior.information[:-RIG, :-RIG]
+    assert np.linalg.eigvalsh(of_poses)[0] > 0.5 * LEAST_INFORMATION
+    difference = np.kron(np.array([1.0, -1.0]), np.eye(POSE))
+    cov = difference @ np.linalg.inv(of_poses) @ difference.T
+    np.testing.assert_allclose(cov, np.diag([1e-4] * 3 + [1e-6] * 3), rtol=1e-3, atol=1e-9)
+    assert _kept_positive(prior) is prior

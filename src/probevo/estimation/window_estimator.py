@@ -64,6 +64,11 @@ LEAST_SHARE = 1e-12
 """Least information about the place of a window, over that about the motions within it. It is that
 of hundreds of metres and many turns, where linearisation and rounding mean nothing any more, but
 would spoil the covariances of the motions."""
+LEAST_INFORMATION = 1e-6
+"""Least information about the place of a window that is left where rounding has lost it, m⁻²: that
+of a kilometre."""
+LENGTH_M = 10.0
+"""Length by which information about an attitude is compared with that."""
 NO_CALIBRATION_SIGMA_PX = 1e-6
 """The same where the rig is said to be flawless."""
 COST_TOLERANCE = 1.0
@@ -405,7 +410,7 @@ class WindowEstimator:
             T_linear=window.T_linear[1:],
             is_blind=window.is_blind[1:],
             jitter=window.jitter[1:],
-            prior=prior,
+            prior=_kept_positive(prior),
             ids=window.ids[stays],
             landmarks=_selected_landmarks(window.landmarks._replace(state=state), stays),
             observations=kept._replace(slot=kept.slot - 1),
@@ -607,7 +612,10 @@ def _inverse(hessian: FloatArray) -> FloatArray:
     Raises:
         numpy.linalg.LinAlgError: the motions are not known.
     """
-    root = np.sqrt(np.diagonal(hessian)[:POSE])
+    diagonal = np.diagonal(hessian)[:POSE]
+    if not (diagonal > 0.0).all():
+        raise np.linalg.LinAlgError("the oldest pose is not known at all")
+    root = np.sqrt(diagonal)
     held = hessian.copy()
     held[:POSE, :POSE] += np.diag(root**2)
     inverse = np.linalg.inv(held)
@@ -625,6 +633,28 @@ def _with_pose(prior: MarginalPrior) -> MarginalPrior:
     vector = np.zeros(size + POSE)
     vector[kept] = prior.vector
     return MarginalPrior(information, vector)
+
+
+def _kept_positive(prior: MarginalPrior) -> MarginalPrior:
+    """Return the prior with an information about its poses that is positive.
+
+    What it says of the place of the window, beside what it says of the motions within it, may be
+    lost by rounding, and then be negative. It is nothing worse than ``LEAST_INFORMATION``.
+    """
+    poses = np.flatnonzero(np.diagonal(prior.information)[:-RIG])
+    block = np.ix_(poses, poses)
+    of_poses = prior.information[block]
+    unit = np.sqrt(np.maximum(np.diagonal(of_poses), LEAST_INFORMATION))
+    try:
+        np.linalg.cholesky(of_poses / unit[:, None] / unit)
+    except np.linalg.LinAlgError:
+        metres = np.where(poses % POSE < POSE // 2, 1.0, LENGTH_M)
+        values, directions = np.linalg.eigh(of_poses / metres[:, None] / metres)
+        directions = metres[:, None] * directions
+        information = prior.information.copy()
+        information[block] = directions * np.maximum(values, LEAST_INFORMATION) @ directions.T
+        return replace(prior, information=information)
+    return prior
 
 
 def _without_poses(prior: MarginalPrior, leaving: BoolArray) -> MarginalPrior:
@@ -657,7 +687,7 @@ def _without_blind(window: Window, leaving: BoolArray) -> Window:
         T_linear=window.T_linear[~leaving],
         is_blind=window.is_blind[~leaving],
         jitter=window.jitter[~leaving],
-        prior=_without_poses(window.prior, leaving),
+        prior=_kept_positive(_without_poses(window.prior, leaving)),
         observations=observations._replace(slot=observations.slot - num_before[observations.slot]),
         cov=window.cov[np.ix_(kept, kept)],
         left=(*window.left, *(window.pose(int(slot)) for slot in np.flatnonzero(leaving))),

@@ -17,6 +17,10 @@ from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.window import Window
 from probevo.geometry import se3
 
+LARGEST_ATTITUDE_SIGMA_RAD = 0.2
+"""Standard deviation of the attitude in the world up to which covariances of poses in the world
+may be subtracted from each other: beyond, their errors of linearisation exceed the difference."""
+
 
 def live_motion(motion: MotionEstimate, before: Window, after: Window) -> MotionEstimate:
     """Return the step of the live path in place of a motion that two frames alone have shown.
@@ -26,6 +30,9 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     cov(e_k, e_{k−1}) is that of the two poses in the window after the step, and
 
         cov(ε) = cov(ξ_k − Ad ξ_{k−1} after) + Ad (P_{k−1} before − P_{k−1} after) Adᵀ.
+
+    Where the attitude in the world is hardly known, as after many blackouts, P is relative to the
+    oldest frame of the window, of which a new frame tells next to nothing.
 
     Args:
         motion: of the last two frames.
@@ -39,7 +46,13 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     prev_after = after.pose(last - 1).cov
     curr_after = after.pose(last).cov
     _, relative_cov = after.relative(last, last - 1)
-    corrected = adjoint @ (prev_before - prev_after) @ adjoint.T
+    known_better = prev_before - prev_after
+    if np.diagonal(prev_before)[3:].max() > LARGEST_ATTITUDE_SIGMA_RAD**2:
+        oldest = before.slot(int(after.frames[0]))
+        _, from_oldest_before = before.relative(len(before) - 1, oldest)
+        _, from_oldest_after = after.relative(last - 1, 0)
+        known_better = from_oldest_before - from_oldest_after
+    corrected = adjoint @ known_better @ adjoint.T
     cov = relative_cov + _positive_part(corrected)
     # The path's covariance has to come out as that of the window.
     growth = curr_after - adjoint @ prev_before @ adjoint.T
