@@ -127,6 +127,7 @@ def test_a_frame_without_an_image_gives_no_measurement(model: Path, walls: list[
     assert answer.reason == "no image"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_train_run_and_compare_with_the_sensor(
     walls: list[Path], model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

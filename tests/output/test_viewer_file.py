@@ -108,6 +108,7 @@ def test_a_finished_run_is_shown_with_its_frames_while_the_recording_is_there(
     assert set(rows(tmp_path / "without.rrd")) == expected
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_a_file_a_window_is_opened_where_there_is_a_display(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

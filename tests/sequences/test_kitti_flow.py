@@ -46,6 +46,7 @@ def test_the_truth_is_that_of_the_files(year: int, with_occluded: bool, tmp_path
     np.testing.assert_array_equal(truth.flow_px[1:], np.full((47, WIDTH_PX, 2), [-1.5, 2.25]))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_of_several_scenes_one_is_named(tmp_path: Path) -> None:
     write_kitti_flow(tmp_path, scenes=(3, 27))
     assert scene_numbers(tmp_path) == [3, 27]

@@ -97,6 +97,7 @@ def test_a_lossy_video_is_close(name: str, codec: str, wall: Path, tmp_path: Pat
         assert np.abs(frame.left.astype(float) - image).mean() < 8.0
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_it_runs_as_from_images(wall: Path, tmp_path: Path) -> None:
     """The same bytes of the path, where the times are the same."""
     folder = shutil.copytree(wall, tmp_path / "images")
