@@ -9,7 +9,7 @@ from numba.core.dispatcher import Dispatcher
 
 import probevo
 import probevo_sim
-from probevo.compiled import dot_float32, sum_in_lanes
+from probevo.compiled import dot_float32, invert_symmetric_4, sum_in_lanes
 
 
 def compiled_functions(package: ModuleType) -> dict[str, Dispatcher]:
@@ -53,3 +53,21 @@ def test_sum_in_lanes() -> None:
             lanes[m % 8 if m < n - n % 8 else 0] += value
         a, b, c, d, e, f, g, h = lanes
         assert sum_in_lanes(values) == ((a + e) + (c + g)) + ((b + f) + (d + h))
+
+
+def test_an_inverse_is_right_or_refused() -> None:
+    """A matrix whose smallest eigenvalue is lost in rounding has none: eᵀ Σ⁻¹ e might be
+    negative."""
+    rng = np.random.default_rng(2)
+    inverse = np.empty((4, 4))
+    lower = np.zeros((4, 4))
+    half = rng.normal(size=(4, 4))
+    regular = half @ half.T + np.eye(4)
+    assert invert_symmetric_4(regular, inverse, lower)
+    np.testing.assert_allclose(inverse @ regular, np.eye(4), atol=1e-12)
+    assert not invert_symmetric_4(-regular, inverse, lower)
+    for _ in range(100):
+        direction = rng.normal(size=4)
+        outer = np.outer(direction, direction)
+        assert invert_symmetric_4(np.eye(4) + 1e8 * outer, inverse, lower)
+        assert not invert_symmetric_4(np.eye(4) + 1e20 * outer, inverse, lower)

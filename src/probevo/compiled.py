@@ -99,7 +99,8 @@ def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArra
         lower: work space, [4, 4].
 
     Returns:
-        False if the matrix is not positive definite; ``inverse`` is then undefined.
+        False if the matrix is not positive definite to working precision; ``inverse`` is then
+        undefined.
     """
     # Cholesky factor L with L Lᵀ = matrix.
     for i in range(4):
@@ -108,7 +109,7 @@ def invert_symmetric_4(matrix: FloatArray, inverse: FloatArray, lower: FloatArra
             for k in range(j):
                 total -= lower[i, k] * lower[j, k]
             if i == j:
-                if not total > 0.0:
+                if not total > 1e-13 * matrix[i, i]:
                     return False
                 lower[i, i] = math.sqrt(total)
             else:

@@ -116,6 +116,7 @@ def test_a_rate_that_no_camera_has_is_marked(
     assert info(recording, capsys)["! rate"].startswith(f"{rate} is unusual")
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_features_get_questions_of_their_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -212,8 +212,9 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
             substitute(lower, gradient, step)
             if iteration > 0:
                 scale = step_scale(scale, step, last_step, corner_px)
-            last_step[:] = step
-            step *= scale
+            for k in range(6):
+                last_step[k] = step[k]
+                step[k] *= scale
             # Compose the map with the inverse of the step, which was found for the patch and not
             # for the image.
             if not _compose_inverse(A, step):
@@ -278,9 +279,13 @@ def _linearize(
 def _project_out_brightness(template: Template) -> None:
     """Make the derivatives of a template orthogonal to its contrast and to a constant."""
     contrast = template.contrast
-    contrast[:] = template.brightness - template.brightness.mean()
+    mean = template.brightness.mean()
+    for i in range(len(contrast)):
+        contrast[i] = template.brightness[i] - mean
     length = math.sqrt(dot_float32(contrast, contrast))
-    contrast *= np.float32(1.0 / length) if length > 0.0 else np.float32(0.0)
+    to_unit_length = np.float32(1.0 / length) if length > 0.0 else np.float32(0.0)
+    for i in range(len(contrast)):
+        contrast[i] *= to_unit_length
     for m in range(6):
         derivative = template.steepest_descent[m]
         offset = derivative.mean()
@@ -339,7 +344,7 @@ def _foreshorten(perspective: FloatArray, template: Template) -> tuple[float, fl
     reach_v = abs(x[1, 0]) + 1.0
     most = abs(perspective[0]) * reach_u + abs(perspective[1]) * reach_v
     if not most < MAX_FORESHORTENING:
-        foreshortened[:] = x
+        copy_into(foreshortened, x)
         return reach_u, reach_v
     one = np.float32(1.0)
     g_u = np.float32(perspective[0])
