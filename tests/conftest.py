@@ -14,13 +14,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 LONGEST = (
     *("test_atomic_step.py", "training/gk/test_expectation_maximization.py"),
-    *("nets/test_rotation_training.py", "paper/test_hydranet.py", "test_examples.py"),
-    *("noise/gk/test_generalized_kernel.py", "training/test_training_at_scale.py"),
-    *("cli/test_hostile_folder.py", "nets/test_learning.py", "nets/test_methods.py"),
-    *("test_fuzz.py", "training/test_api.py", "estimation/test_window.py"),
-    *("evaluation/test_accelerometer_scale.py", "sim/scene/test_renderer.py"),
-    *("training/probe/test_selection.py", "sim/scene/test_presets.py", "training/test_workers.py"),
-    *("sim/spoiling/test_stress.py", "paper/test_figure_5.py", "predictors/test_separation.py"),
+    *("training/test_training_at_scale.py", "nets/test_rotation_training.py"),
+    *("noise/gk/test_generalized_kernel.py", "nets/test_correction_training.py"),
+    *("test_examples.py", "paper/test_hydranet.py", "training/test_api.py"),
+    *("sim/scene/test_presets.py", "nets/test_learning.py", "sim/scene/test_renderer.py"),
+    *("paper/test_figure_5.py", "evaluation/test_accelerometer_scale.py", "test_odometry.py"),
+    *("predictors/test_separation.py", "cli/test_hostile_folder.py", "test_fuzz.py"),
+    *("training/probe/test_selection.py", "estimation/test_sensor_fusion.py"),
+    *("output/test_report.py", "tracking/test_pair_timing.py", "training/test_workers.py"),
 )
 """Files of more than ten seconds of processor time, which several processes begin with."""
 LEAST_PROCESSES = 3
