@@ -278,7 +278,7 @@ def accumulate(
         trust = _trust(row, problem, squared)
         cost += trust.cost
         _add_common(row, problem, track, trust, elimination, equations=equations)
-        _add_motions(row, problem, track, trust, factors, sums=sums)
+        _add_motions(row, problem, track, trust, factors, sums=sums, equations=equations)
         _couple(row, problem, track, trust.curvature, elimination.coupling)
         _factor(trust.curvature, track.common, work, elimination.inverse[row])
         _eliminate(row, problem, work, elimination=elimination, equations=equations)
@@ -619,9 +619,13 @@ def _add_motions(
     trust: _Trust,
     factors: FloatArray,
     sums: FloatArray,
+    equations: NormalEquations,
 ) -> None:
     """Add the observations of a landmark to the equations of the motions from its anchor frame,
     and of the jitters.
+
+    What correlates an observation with the one before it is part of the sums where that is of the
+    frame before. Behind frames that did not see the landmark it is added by itself.
 
     Args:
         row: the landmark.
@@ -630,6 +634,7 @@ def _add_motions(
         trust: its weights.
         factors: work space, [4, 22].
         sums: receives the sums over frame and anchor, [K, K, 9, 22] (``_add_pairs``).
+        equations: receives what the sums have no place for.
     """
     first = problem.observations.start[row]
     count = problem.observations.start[row + 1] - first
@@ -648,11 +653,25 @@ def _add_motions(
             for j in range(RIG):
                 factors[n, _WITH_RIG + j] = trust.curvature * track.weighted[k, n, LANDMARK + j]
             factors[n, _GRADIENT] = trust.weight * track.weighted[k, n, _COMMON - 1]
+        slot = problem.observations.slot[first + k]
+        prev_slot = problem.observations.slot[first + k - 1] if k > 0 else slot - 1
+        is_next = prev_slot == slot - 1
         for n in range(PIXELS):
             for j in range(FRAME):
-                prev = track.white[k - 1, n, j] if k > 0 else 0.0
+                prev = track.white[k - 1, n, j] if k > 0 and is_next else 0.0
                 factors[n, _WITH_PREV + j] = trust.curvature * with_prev * prev
-        target = sums[problem.observations.slot[first + k], anchor]
+        if not is_next:
+            cross = np.zeros((FRAME, FRAME))
+            for n in range(PIXELS):
+                for i in range(FRAME):
+                    for j in range(FRAME):
+                        product = white[n, i] * track.white[k - 1, n, j]
+                        cross[i, j] += trust.curvature * with_prev * product
+            adjoints = problem.geometry.adjoints
+            _add_neighbours(
+                slot, prev_slot, anchor, cross=cross, adjoints=adjoints, equations=equations
+            )
+        target = sums[slot, anchor]
         for i in range(FRAME):
             w0 = white[0, i]
             w1 = white[1, i]
@@ -753,11 +772,15 @@ def _eliminate(
     end = problem.observations.start[row + 1]
     root = work.root
     wide = work.wide
-    of_frames = FRAME * (end - first)
+    slot = problem.observations.slot
+    span = slot[end - 1] - slot[first] + 1
+    of_frames = FRAME * span
     width = of_frames + RIG
     for i in range(LANDMARK):
+        if span > end - first:  # frames in between did not see it
+            wide[i, :of_frames] = 0.0
         for m in range(first, end):
-            into = wide[i, FRAME * (m - first) :]
+            into = wide[i, FRAME * (slot[m] - slot[first]) :]
             for j in range(FRAME):
                 into[j] = elimination.coupling[m, i, j]
         for j in range(RIG):
@@ -771,8 +794,8 @@ def _eliminate(
         scale = 1.0 / root[i, i]
         for j in range(width + 1):
             wide[i, j] *= scale
-    # The frames of a track follow one another, the rig comes last: this fills the lower triangle.
-    frame0 = FRAME * problem.observations.slot[first]
+    # Frames come in their order, the rig last: this fills the lower triangle.
+    frame0 = FRAME * slot[first]
     rig0 = len(equations.gradient) - RIG
     for p in range(width):
         y0 = wide[0, p]
@@ -830,15 +853,16 @@ def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: NormalEquation
                     equations.hessian[rig0 + j, FRAME * a + i] -= rig[i, j]
             if a < k:
                 with_prev = np.ascontiguousarray(sums[k, a, :, _WITH_PREV:_WITH_RIG])
-                _add_neighbours(k, a, with_prev, adjoints, equations)
+                _add_neighbours(
+                    k, k - 1, a, cross=with_prev, adjoints=adjoints, equations=equations
+                )
 
 
 @compiled
 def _add_neighbours(
-    k: int, a: int, cross: FloatArray, adjoints: FloatArray, equations: NormalEquations
+    k: int, p: int, a: int, cross: FloatArray, adjoints: FloatArray, equations: NormalEquations
 ) -> None:
-    """Add the information between the motions from frame a to frame k and to the one before it."""
-    p = k - 1
+    """Add the information between the motions from frame a to frame k and to frame p before it."""
     of_prev = cross @ adjoints[p, a]
     of_curr = cross.T @ adjoints[k, a]
     of_anchor = adjoints[k, a].T @ of_prev
