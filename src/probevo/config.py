@@ -278,6 +278,13 @@ class OdometryConfig(Settings):
         True,
         description="Estimate the row and disparity errors of the rectification during the run.",
     )
+    any_camera: bool = Field(
+        False,
+        description=(
+            "Take a noise model that was learned with another camera, too, with a warning. Errors"
+            " in pixels may be other ones there."
+        ),
+    )
     tracking: TrackingConfig = TrackingConfig()
     ransac: RansacConfig = RansacConfig()
     solver: SolverConfig = SolverConfig()

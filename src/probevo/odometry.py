@@ -68,7 +68,7 @@ class StereoOdometry:
     Args:
         camera: the rectified camera, as a sequence gives it.
         noise: noise model of the features, or its name or file; the static Student-t by default.
-            One of another camera is an InputError.
+            One of another camera is an InputError unless ``config.any_camera`` accepts it.
         imu: calibration of the IMU whose samples come with the frames, if they do.
         config: all settings, or a dictionary of those that differ from the defaults.
         predictors: the prediction space; by default that of the noise model, and any other is an
@@ -88,9 +88,10 @@ class StereoOdometry:
     ) -> None:
         self.camera = as_camera(camera)
         self.noise = as_noise(noise)
-        self.noise.check_camera(camera)
         self.imu = imu
         self.config = as_config(config)
+        if not self.config.any_camera:
+            self.noise.check_camera(camera)
         self.predictors = space_for(self.noise.columns, predictors)
         self.sensors = tuple(sensors)
         self._sensor_names = sensor_names(self.sensors)

@@ -29,7 +29,7 @@ from probevo.lock import locked
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.sensor import Sensor
 from probevo.noise.base import NoiseModel
-from probevo.noise.named import noise_model, portable
+from probevo.noise.named import noise_model, other_camera, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.bag_writer import check_bag_path
 from probevo.output.drawing import draw_tracks
@@ -247,6 +247,7 @@ def _result(
         focal_length=None if rig is None else rig.focal.error(),
         smoothed=smoothed.poses(odometry.window),
         right_late_frames=timing.right_late_frames,
+        other_camera=other_camera(odometry.noise, sequence.camera),
         imu_left_out=reason_not_used(odometry.window),
     )
 

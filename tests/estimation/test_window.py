@@ -13,6 +13,7 @@ from probevo.camera.rig_calibration import disparity_basis
 from probevo.camera.rig_jitter import jitter_offsets
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
+from probevo.estimation import window_estimator
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import MarginalPrior, Window, selected
 from probevo.estimation.window_estimator import (
@@ -32,6 +33,7 @@ from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.noise import StereoNoise, StudentT
 from probevo.sequences.frame import Frame
+from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, drive, motion_error, tracks_between
 
 SIGMA_PX = 0.3
@@ -648,3 +650,35 @@ def test_a_prior_that_rounding_has_made_negative_keeps_what_it_says_of_motions()
     cov = difference @ np.linalg.inv(of_poses) @ difference.T
     np.testing.assert_allclose(cov, np.diag([1e-4] * 3 + [1e-6] * 3), rtol=1e-3, atol=1e-9)
     assert _kept_positive(prior) is prior
+
+
+def test_a_blind_frame_between_two_that_see_a_landmark_changes_nothing_for_them() -> None:
+    """The normal equations of all other frames are those of a window without it."""
+    frames = drive(np.random.default_rng(66), 6, points=60, sigma_px=SIGMA_PX)
+    by = estimator(frames=9)
+    before = windows_of(frames[:4], by)[-1]
+    seen = tracks_between(frames[3], frames[5])
+    noise = noise_of(len(seen))
+    none = noise_of(0)
+    expected = by.with_frame(before, 5, FORWARD @ FORWARD, seen, noise)
+    blind = by.with_frame(before, 4, FORWARD, Tracks.none(), none)
+    found = by.with_frame(blind, 5, FORWARD @ FORWARD, seen, noise, prev=3)
+    np.testing.assert_array_equal(found.is_blind, [False, False, False, False, True, False])
+    np.testing.assert_array_equal(found.frames, [0, 1, 2, 3, 4, 5])
+    kept = np.delete(np.arange(6 * POSE + RIG), np.arange(4 * POSE, 5 * POSE))
+    wanted = by._system(expected).equations
+    equations = by._system(found).equations
+    scale = np.abs(wanted.hessian).max()
+    np.testing.assert_allclose(
+        equations.hessian[np.ix_(kept, kept)], wanted.hessian, rtol=1e-9, atol=1e-12 * scale
+    )
+    np.testing.assert_allclose(equations.gradient[kept], wanted.gradient, rtol=1e-6, atol=1e-6)
+    assert np.abs(equations.hessian[4 * POSE : 5 * POSE]).max() == 0.0
+    # Marginalised, it takes along what measured nothing but itself.
+    measured = by.adjusted(with_measurements(found, [step_to(4, FORWARD)])).window
+    without = window_estimator._without_blind(measured, found.is_blind)
+    np.testing.assert_allclose(
+        without.prior.information, expected.prior.information, rtol=1e-6, atol=1e-6
+    )
+    np.testing.assert_array_equal(without.frames, expected.frames)
+    np.testing.assert_array_equal(without.observations.slot, expected.observations.slot)

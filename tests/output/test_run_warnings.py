@@ -12,6 +12,7 @@ from probevo.measurements.heading import Heading
 from probevo.measurements.sensor import NoMeasurement
 from probevo.output.run_result import RunRecorder
 from probevo.output.run_warnings import (
+    camera_warning,
     focal_warning,
     imu_warning,
     run_warnings,
@@ -66,6 +67,13 @@ def test_a_sensor_that_lies_is_named_with_its_frame() -> None:
 def test_half_of_the_steps_are_enough() -> None:
     assert status_warning(np.array([Status.OK, Status.GAP])) is None
     assert status_warning(np.zeros(0, np.int64)) is None
+
+
+def test_a_noise_model_of_another_camera_is_named_with_the_difference() -> None:
+    assert camera_warning(None) is None
+    said = camera_warning("it was trained with another camera: this one's baseline is 1 m.")
+    assert said is not None
+    assert said.startswith("Of the noise model: it was trained with another camera: this one's")
 
 
 def test_an_imu_that_was_left_out_is_named_with_the_reason() -> None:

@@ -64,6 +64,7 @@ def main(words: list[str]) -> None:
     # Only now, after the arguments are known to be good: these imports take time.
     from probevo.output.run_warnings import (
         accelerometer_warning,
+        camera_warning,
         height_warning,
         imu_warning,
         scale_warning,
@@ -78,6 +79,7 @@ def main(words: list[str]) -> None:
     warnings = (
         status_warning(run.result.status),
         timing_warning(run.result.right_late_frames),
+        camera_warning(run.result.other_camera),
         imu_warning(run.result.imu_left_out),
         scale_warning(run.result, run.truth),
         accelerometer_warning(run.result.accelerometer_scale),

@@ -33,8 +33,16 @@ def noise_model(spec: str, others: Collection[str] = ()) -> NoiseModel:
     return load_model(Path(spec))
 
 
-def check_model_camera(spec: str, model: NoiseModel, camera: StereoCamera) -> None:
+def check_model_camera(
+    spec: str, model: NoiseModel, camera: StereoCamera, *, or_else: str = ""
+) -> None:
     """Refuse a camera unlike that of the model's training, in an error that names the model file.
+
+    Args:
+        spec: what the user named the model by.
+        model: the model.
+        camera: that of the recording.
+        or_else: what else is a cure, as a sentence.
 
     Raises:
         InputError: the model was learned with another camera.
@@ -44,7 +52,16 @@ def check_model_camera(spec: str, model: NoiseModel, camera: StereoCamera) -> No
     except InputError as error:
         if spec in untrained_names():
             raise
-        raise InputError(spec, error.what, error.cure) from error
+        raise InputError(spec, error.what, f"{error.cure} {or_else}".strip()) from error
+
+
+def other_camera(model: NoiseModel, camera: StereoCamera) -> str | None:
+    """Return in what a camera differs from that of a model's training; None if it does not."""
+    try:
+        model.check_camera(camera)
+    except InputError as error:
+        return error.what
+    return None
 
 
 def portable(spec: str) -> str:

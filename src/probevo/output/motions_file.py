@@ -58,6 +58,8 @@ def write_motions(path: Path, result: RunResult) -> None:
         arrays[_UNUSABLE + name] = np.array(count, dtype=np.int64)
     if result.right_late_frames:
         arrays["right_late_frames"] = np.array(result.right_late_frames, dtype=np.int64)
+    if result.other_camera is not None:
+        arrays["other_camera"] = np.array(result.other_camera)
     if result.imu_left_out is not None:
         arrays["imu_left_out"] = np.array(result.imu_left_out)
     scale = result.accelerometer_scale
@@ -139,6 +141,7 @@ def read_motions(path: Path | str) -> RunResult:
         right_late_frames=int(_take(path, arrays, "right_late_frames", shape=()))
         if "right_late_frames" in arrays
         else 0,
+        other_camera=str(arrays["other_camera"]) if "other_camera" in arrays else None,
         imu_left_out=str(arrays["imu_left_out"]) if "imu_left_out" in arrays else None,
         accelerometer_scale=_scale(path, arrays),
         ground_height=_ground_height(path, arrays),

@@ -121,6 +121,8 @@ class RunResult:
     right_late_frames: int = 0
     """Frames by which the right images are late, as ``PairTiming`` finds it; negative if the left
     ones are, and 0 also where nothing is known."""
+    other_camera: str | None = None
+    """In what the camera differs from that of the noise model's training; None if it does not."""
     imu_left_out: str | None = None
     """Why the window did not use the IMU at the end of the run; None if it did, or there was
     none."""

@@ -46,6 +46,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Hardly a step is OK": status_warning(result.status),
         "Right images of other frames": timing_warning(result.right_late_frames),
         "Focal length": focal_warning(result.focal_length),
+        "Noise model": camera_warning(result.other_camera),
         "IMU": imu_warning(result.imu_left_out),
         "Scale": scale_warning(result, truth),
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
@@ -96,6 +97,16 @@ def focal_warning(error: FocalLengthError | None) -> str | None:
         f"Where the camera turns, images show a focal length that is {abs(error.percent):.1f} ±"
         f" {100.0 * error.sigma:.1f} % {longer} than calibrated. Distances and turns are wrong by"
         " about as much. Are the intrinsics those of the rectified images, at their resolution?"
+    )
+
+
+def camera_warning(difference: str | None) -> str | None:
+    """Warn of a noise model that was learned with another camera, if it differs in something."""
+    if difference is None:
+        return None
+    return (
+        f"Of the noise model: {difference} Its covariances may be too small or too large here:"
+        " `probevo compare` it with student-t, and train one with this camera."
     )
 
 
