@@ -11,6 +11,7 @@ import pytest
 from matplotlib.patches import StepPatch
 
 from output.pages import Balance
+from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.consistency import Consistency
 from probevo.evaluation.metrics import evaluate
 from probevo.output import report
@@ -200,6 +201,22 @@ def test_calibration_is_shown_where_a_step_has_truth(
     )
     page = page_of(run, tmp_path, None if known == "none" else truth)
     assert ("Claim and truth, step by step" in page) is (known == "all")
+
+
+def test_recovered_steps_are_told_from_dead_reckoned_ones(
+    make_run: Callable[..., RunResult],
+) -> None:
+    run = make_run()
+    status = np.zeros_like(run.status) + Status.OK
+    assert "Every step is OK" in report._status_note(replace(run, status=status))
+    status[1] = Status.RECOVERED
+    recovered = report._status_note(replace(run, status=status))
+    assert recovered.startswith("Recovered ones")
+    assert "dead-reckoned" not in recovered
+    status[0] = Status.GAP
+    both = report._status_note(replace(run, status=status))
+    assert "(gap) are dead-reckoned" in both
+    assert "Recovered ones" in both
 
 
 def test_pyplot_is_never_imported() -> None:

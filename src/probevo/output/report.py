@@ -248,16 +248,22 @@ def _figures(
 
 def _status_note(result: RunResult) -> str:
     """Name the statuses other than OK, and explain what the lines of a long run show."""
-    others = [status_label(Status(s)) for s in np.unique(result.status) if s != Status.OK]
+    found = {Status(status) for status in np.unique(result.status)}
+    reckoned = [status_label(status) for status in sorted(found - {Status.OK, Status.RECOVERED})]
     size = group_size(result)
     grouped = f" Line: the fewest tracks of every {size} steps." if size > 1 else ""
-    if not others:
+    if found <= {Status.OK}:
         median = np.median(result.num_tracks)
         return f"Every step is OK; {median:,.0f} tracks in the median.{grouped}"
-    return (
-        f"Steps that are not OK ({', '.join(others)}) are dead-reckoned from the gyro and the last"
-        f" velocity.{grouped}"
-    )
+    note = ""
+    if reckoned:
+        note = (
+            f"Steps without a solve ({', '.join(reckoned)}) are dead-reckoned from the gyro and the"
+            " last velocity."
+        )
+    if Status.RECOVERED in found:
+        note += " Recovered ones lead from the last frame before, and end that uncertainty."
+    return note.strip() + grouped
 
 
 def _stages_note(result: RunResult) -> str:
