@@ -206,7 +206,7 @@ def test_calibration_is_shown_where_a_step_has_truth(
 def test_recovered_steps_are_told_from_dead_reckoned_ones(
     make_run: Callable[..., RunResult],
 ) -> None:
-    run = make_run()
+    run = make_run(10)
     status = np.zeros_like(run.status) + Status.OK
     assert "Every step is OK" in report._status_note(replace(run, status=status))
     status[1] = Status.RECOVERED
