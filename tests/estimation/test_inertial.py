@@ -25,7 +25,7 @@ from probevo.estimation.inertial_states import (
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
-from probevo.estimation.window_numba import POSE
+from probevo.estimation.window_numba import POSE, RIG
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
 from probevo.noise import StudentT
@@ -220,14 +220,14 @@ def test_marginalisation_adds_no_information_about_yaw_and_place() -> None:
 
 
 def _gauge(window: Window, states: InertialStates) -> FloatArray:
-    """Return shifts and turns of the world, in the joint vector, [6K + 3 + 2 + 9K, 6]."""
+    """Return shifts and turns of the world, in the joint vector, [6K + 4 + 2 + 9K, 6]."""
     poses = se3.adjoint(window.T_linear).reshape(-1, POSE)
     inertial = np.zeros((len(states.vector), POSE))
     of_frames = inertial[GRAVITY_DIMENSIONS:].reshape(len(window), STATE, POSE)
     # Under a turn −ω of the world, velocities and gravity move by −ω × v.
     of_frames[:, :3, 3:] = so3.wedge(states.velocity_linear)
     inertial[:GRAVITY_DIMENSIONS, 3:] = -states.across.T
-    return np.vstack([poses, np.zeros((3, POSE)), inertial])
+    return np.vstack([poses, np.zeros((RIG, POSE)), inertial])
 
 
 def adjusted_without_gauge(by: WindowEstimator, window: Window) -> Window:

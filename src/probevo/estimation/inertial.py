@@ -382,7 +382,7 @@ def system_of(window: Window) -> InertialSystem | None:
 
 
 def after_step(window: Window, system: InertialSystem | None, step: FloatArray) -> Inertial | None:
-    """Return the IMU after a step of poses and rig, [6K + 3]; its states follow."""
+    """Return the IMU after a step of poses and rig, [6K + 4]; its states follow."""
     inertial = window.inertial
     if inertial is None or inertial.states is None or system is None:
         return inertial

@@ -55,7 +55,7 @@ class InertialStates:
     gravity_offset: FloatArray
     """δ, [2], rad: gravity is Exp(B δ) of its linearisation point, with B across it."""
     coupling: FloatArray
-    """Part Λ_ip of the joint prior between x and poses and rig, [2 + 9K, 6K + 3]."""
+    """Part Λ_ip of the joint prior between x and poses and rig, [2 + 9K, 6K + 4]."""
     information: FloatArray
     """Part Λ_ii of the joint prior, [2 + 9K, 2 + 9K]."""
     vector: FloatArray
@@ -63,7 +63,7 @@ class InertialStates:
     cov: FloatArray
     """Covariance of x, [2 + 9K, 2 + 9K]."""
     cross_cov: FloatArray
-    """Its cross-covariance with poses and rig, [2 + 9K, 6K + 3]."""
+    """Its cross-covariance with poses and rig, [2 + 9K, 6K + 4]."""
 
     @property
     def gravity(self) -> FloatArray:
@@ -85,7 +85,7 @@ class InertialStates:
 class InertialSystem(NamedTuple):
     """The normal equations of poses, rig and inertial states, without the window's own prior.
 
-    Over p = 6K + 3 degrees of freedom of poses and rig, and q = 2 + 9K inertial ones."""
+    Over p = 6K + 4 degrees of freedom of poses and rig, and q = 2 + 9K inertial ones."""
 
     cost: float
     hessian: FloatArray
@@ -414,7 +414,7 @@ def without_first_frame(
         states: of K frames.
         others: equations of poses and rig from all but ``system``, at the current values.
         system: what inertial states and their prior add, with the first factor alone.
-        x: offsets of poses and rig, [6K + 3], and the inertial vector, [2 + 9K].
+        x: offsets of poses and rig, [6K + 4], and the inertial vector, [2 + 9K].
 
     Returns:
         The prior of the poses that remain and the rig, and the states that remain, with the rest

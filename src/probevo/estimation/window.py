@@ -30,13 +30,13 @@ ORIGIN_SIGMA = 1e-7
 class MarginalPrior:
     """What all that was marginalised says of K poses and the rig: the cost ½ xᵀ Λ x − ηᵀ x.
 
-    x, [6K + 3], holds the poses' offsets Log(T T̄⁻¹) from their linearisation points, and the rig's
-    disparity errors. The prior of the latter is not part of it (``WindowEstimator``)."""
+    x, [6K + 4], holds the poses' offsets Log(T T̄⁻¹) from their linearisation points, and the rig's
+    errors. The prior of the latter is not part of it (``WindowEstimator``)."""
 
     information: FloatArray
-    """Λ, [6K + 3, 6K + 3]."""
+    """Λ, [6K + 4, 6K + 4]."""
     vector: FloatArray
-    """η, [6K + 3]."""
+    """η, [6K + 4]."""
 
 
 class SmoothedPose(NamedTuple):
@@ -62,7 +62,7 @@ class Window:
     """Linearisation points T̄ of the poses, [K, 4, 4]; that of a pose is fixed once the prior
     contains it."""
     rig: FloatArray
-    """Disparity errors of the rig, (b₀, b₁, b₂), [3], px."""
+    """Disparity errors (b₀, b₁, b₂) of the rig in px, and the distortion κ of its lenses, [4]."""
     is_blind: BoolArray
     """Which frames no feature connects with others, so that their poses are dead-reckoned, [K]."""
     jitter: FloatArray
@@ -75,7 +75,7 @@ class Window:
     landmarks: WindowLandmarks
     observations: WindowObservations
     cov: FloatArray
-    """Joint covariance of the poses' left perturbations and the rig, [6K + 3, 6K + 3]."""
+    """Joint covariance of the poses' left perturbations and the rig, [6K + 4, 6K + 4]."""
     left: tuple[SmoothedPose, ...] = ()
     """The poses that left the window in the last step."""
     inertial: Inertial | None = None
@@ -188,7 +188,7 @@ class Window:
         )
 
     def offsets(self) -> FloatArray:
-        """Return x of the prior: offsets of the poses, and the rig, [6K + 3]."""
+        """Return x of the prior: offsets of the poses, and the rig, [6K + 4]."""
         x = np.empty(POSE * len(self) + RIG)
         x[:-RIG] = se3.log(self.T_cam_world @ se3.inverse(self.T_linear)).ravel()
         x[-RIG:] = self.rig

@@ -1,6 +1,7 @@
 """Bundle adjustment of a sliding window, and marginalisation of what leaves it.
 
-The disparity errors b of the rig are estimated with the poses, but trusted less. Errors of
+The errors b of the rig, of its disparities and lenses, are estimated with the poses, but trusted
+less. Errors of
 neighbouring features are alike, and what a frame shows of b, the next ones show again, so that all
 information about b counts for 1/c of what it is (``CORRELATED_FEATURES``). With p(x | b) of poses
 and landmarks, and p(b) of the rig, the window maximises
@@ -36,6 +37,7 @@ from probevo.estimation.window_numba import (
     FRAME,
     JITTER,
     LANDMARK,
+    LENS,
     POSE,
     RIG,
     Elimination,
@@ -54,8 +56,9 @@ from probevo.measurements.robust_loss import RobustLoss
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
-RIG_SIGMA_PX = 1.0
-"""Prior standard deviation of b₀, b₁ and b₂."""
+RIG_SIGMA = np.array([1.0, 1.0, 1.0, 0.02])
+"""Prior standard deviation of b₀, b₁ and b₂, px, and κ: 0.02 moves what is seen 45° from the axis
+by 2 % of the focal length."""
 CONVERGED_BELOW = 0.1
 """A step after which further ones would lower the cost by less than this, in nats, is the last."""
 LEAST_DAMPING = 1e-4
@@ -69,8 +72,8 @@ LEAST_INFORMATION = 1e-6
 of a kilometre."""
 LENGTH_M = 10.0
 """Length by which information about an attitude is compared with that."""
-NO_CALIBRATION_SIGMA_PX = 1e-6
-"""The same where the rig is said to be flawless."""
+FLAWLESS = 1e-6
+"""Factor of these where the rig is said to be flawless."""
 COST_TOLERANCE = 1.0
 """Nats by which a step may raise the cost."""
 LEAST_VARIANCE_PX2 = 1e-12
@@ -94,7 +97,7 @@ class _JitterElimination:
     offset: FloatArray
     """[3K], rad."""
     gain: FloatArray
-    """[3K, 6K + 3]."""
+    """[3K, 6K + 4]."""
 
 
 @dataclass(frozen=True)
@@ -122,9 +125,8 @@ class WindowEstimator:
         self._config = config.window
         self._solver = config.solver
         self._loss = RobustLoss.named(config.solver.loss)
-        self._rig_information = 1.0 / RIG_SIGMA_PX**2
-        if not config.self_calibration:
-            self._rig_information = 1.0 / NO_CALIBRATION_SIGMA_PX**2
+        rig_sigma = RIG_SIGMA if config.self_calibration else FLAWLESS * RIG_SIGMA
+        self._rig_information = np.diag(rig_sigma**-2.0)
         self._intrinsics = np.array(
             [camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m]
         )
@@ -421,10 +423,16 @@ class WindowEstimator:
 
     def _first_states(self, pixels: FloatArray, rig: FloatArray) -> FloatArray:
         """Return the landmarks that N observations, [N, 4], px, show by themselves, [N, 4]."""
+        camera = self._camera
+        x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
+        x_r, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
+        inwards = -rig[LENS] * (x * x + y * y)
+        inwards_r = -rig[LENS] * (x_r * x_r + y * y)
         states = np.zeros((len(pixels), LANDMARK))
-        states[:, :2] = pixels[:, :2]
-        states[:, 2] = pixels[:, 0] - pixels[:, 2]
-        states[:, 2] += disparity_basis(pixels, self._camera) @ rig
+        states[:, 0] = pixels[:, 0] + camera.fu_px * x * inwards
+        states[:, 1] = pixels[:, 1] + camera.fv_px * y * inwards
+        states[:, 2] = states[:, 0] - (pixels[:, 2] + camera.fu_px * x_r * inwards_r)
+        states[:, 2] += disparity_basis(pixels, camera) @ rig[:LENS]
         return states
 
     def _system(self, window: Window) -> _System:
@@ -483,7 +491,7 @@ class WindowEstimator:
         )
 
     def _step(self, system: _System, damping: float) -> FloatArray:
-        """Solve for the step of poses and rig, [6K + 3]; information about the rig is tempered."""
+        """Solve for the step of poses and rig, [6K + 4]; information about the rig is tempered."""
         hessian, gradient = system.equations
         poses = slice(None, -RIG)
         rig = slice(-RIG, None)
@@ -497,21 +505,19 @@ class WindowEstimator:
         information = hessian[rig, rig] - hessian[rig, poses] @ of_rig
         towards = gradient[rig] - of_rig.T @ gradient[poses]
         rig_step = np.linalg.solve(
-            self._rig_information * np.eye(RIG) + information / CORRELATED_FEATURES,
-            towards / CORRELATED_FEATURES - self._rig_information * system.window.rig,
+            self._rig_information + information / CORRELATED_FEATURES,
+            towards / CORRELATED_FEATURES - self._rig_information @ system.window.rig,
         )
         return np.concatenate([solved[:, RIG] - of_rig @ rig_step, rig_step])
 
     def _covariance(self, hessian: FloatArray) -> FloatArray:
-        """Return the joint covariance of poses and rig, [6K + 3, 6K + 3]; the rig's is tempered."""
+        """Return the joint covariance of poses and rig, [6K + 4, 6K + 4]; the rig's is tempered."""
         poses = slice(None, -RIG)
         rig = slice(-RIG, None)
         of_poses = _inverse(hessian[poses, poses])
         gain = of_poses @ hessian[poses, rig]
         information = hessian[rig, rig] - hessian[rig, poses] @ gain
-        rig_cov = np.linalg.inv(
-            self._rig_information * np.eye(RIG) + information / CORRELATED_FEATURES
-        )
+        rig_cov = np.linalg.inv(self._rig_information + information / CORRELATED_FEATURES)
         cov = np.empty_like(hessian)
         cov[poses, poses] = of_poses + gain @ rig_cov @ gain.T
         cov[poses, rig] = -gain @ rig_cov
@@ -547,7 +553,7 @@ class WindowEstimator:
 
 
 def _places(num_frames: int) -> tuple[IntArray, IntArray]:
-    """Return where the jitters lie in a vector of frames and rig, [3K], and all else, [6K + 3]."""
+    """Return where the jitters lie in a vector of frames and rig, [3K], and all else, [6K + 4]."""
     size = FRAME * num_frames + RIG
     is_jitter = np.zeros(size, np.bool_)
     is_jitter[: FRAME * num_frames].reshape(-1, FRAME)[:, POSE:] = True
@@ -669,7 +675,7 @@ def _without_poses(prior: MarginalPrior, leaving: BoolArray) -> MarginalPrior:
 
 
 def _of_poses(frames: BoolArray) -> BoolArray:
-    """Return the places of the poses of some frames, [K], in the joint vector, [6K + 3]."""
+    """Return the places of the poses of some frames, [K], in the joint vector, [6K + 4]."""
     return np.concatenate([np.repeat(frames, POSE), np.zeros(RIG, np.bool_)])
 
 

@@ -10,6 +10,11 @@ depth ρ = d/(f_u b), it is h/ρ in frame k, where
 β(x) = (1, x, x²) and b are the disparity errors of the rig (``camera.rig_calibration``). Nothing is
 divided by d, so that a landmark at infinity is nothing special.
 
+What the rectification has left of the lenses' distortion moves both views of a point outwards by
+κ r² of their distance from the principal point (the first radial term of Brown's model). It is
+taken at the predicted place: at the observed one, whose noise is also in the error, κ and b₁ would
+be biased (with white noise of 0.3 px, κ by eight times its scatter over drives).
+
 In each frame the right camera is turned against the left one by a small jitter ω_k, which moves
 what it sees by (δu_r, δv_r) = O ω_k (``camera.rig_jitter``).
 
@@ -56,8 +61,10 @@ JITTER = 3
 """Those of the jitter of a frame, ω = (pitch, yaw, roll)."""
 FRAME = POSE + JITTER
 """Those of a frame, its pose first."""
-RIG = 3
-"""Those of the rig's disparity errors."""
+RIG = 4
+"""Those of the rig: its disparity errors b₀, b₁, b₂ and the distortion κ of its lenses."""
+LENS = 3
+"""Which of these is κ."""
 LANDMARK = 4
 """Those of a landmark."""
 PIXELS = 4
@@ -98,7 +105,7 @@ class WindowGeometry(NamedTuple):
     jitter: FloatArray
     """ω of each frame, [K, 3], rad."""
     rig: FloatArray
-    """b, [3], px."""
+    """(b₀, b₁, b₂) in px and κ, [4]."""
     intrinsics: FloatArray
     """(f_u, f_v, c_u, c_v) in px and the baseline in m, [5]."""
 
@@ -135,8 +142,8 @@ class WindowLandmarks(NamedTuple):
 class NormalEquations(NamedTuple):
     """Normal equations: hessian · step = gradient.
 
-    Those of ``accumulate`` are for K frames, (ξ, ω) of each, and the rig: size S = 9K + 3. With
-    the jitters eliminated, they are for K poses and the rig: S = 6K + 3.
+    Those of ``accumulate`` are for K frames, (ξ, ω) of each, and the rig: size S = 9K + 4. With
+    the jitters eliminated, they are for K poses and the rig: S = 6K + 4.
     """
 
     hessian: FloatArray
@@ -152,7 +159,7 @@ class Elimination(NamedTuple):
     """Information between a landmark and the frame of each of its M observations, [M, 4, 9]; the
     first is the anchor's."""
     rig_coupling: FloatArray
-    """The same for the rig, [L, 4, 3]."""
+    """The same for the rig, [L, 4, 4]."""
     inverse: FloatArray
     """Inverse information of each landmark for given poses, [L, 4, 4]."""
     gradient: FloatArray
@@ -192,16 +199,16 @@ class _Track(NamedTuple):
     ray: FloatArray
     """h, [3]: the direction to the landmark, its depth in the anchor frame being 1."""
     raw: FloatArray
-    """In pixels, [K, 4, 17]."""
+    """In pixels, [K, 4, 18]."""
     white: FloatArray
-    """The same times Gᵀ, so that each observation by itself has unit covariance, [K, 4, 17]."""
+    """The same times Gᵀ, so that each observation by itself has unit covariance, [K, 4, 18]."""
     innovation: FloatArray
-    """White along the track, too: the common columns of the innovations, [K, 4, 8]."""
+    """White along the track, too: the common columns of the innovations, [K, 4, 9]."""
     weighted: FloatArray
-    """The transpose of what makes innovations, times the innovations, [K, 4, 8]: its product with
+    """The transpose of what makes innovations, times the innovations, [K, 4, 9]: its product with
     the transpose of a white column is one with Σ⁻¹."""
     common: FloatArray
-    """Products of the common columns, summed over the innovations, [8, 8]; lower triangle."""
+    """Products of the common columns, summed over the innovations, [9, 9]; lower triangle."""
 
 
 class _Trust(NamedTuple):
@@ -222,7 +229,7 @@ class _Workspace(NamedTuple):
     root: FloatArray
     """Cholesky factor R of its information, [4, 4]."""
     wide: FloatArray
-    """R⁻¹ times its coupling to frames, rig and gradient, [4, 9K + 4]."""
+    """R⁻¹ times its coupling to frames, rig and gradient, [4, 9K + 5]."""
     unit: FloatArray
     """[4]."""
 
@@ -384,7 +391,7 @@ def _fill_errors(
     ray: FloatArray,
     raw: FloatArray,
 ) -> None:
-    """Fill the errors of an observation, measured minus predicted, px."""
+    """Fill the errors of an observation, measured minus predicted, px; the Jacobians are filled."""
     fu = geometry.intrinsics[0]
     fv = geometry.intrinsics[1]
     cu = geometry.intrinsics[2]
@@ -395,6 +402,7 @@ def _fill_errors(
     disparity = state[2] * per_depth
     u = fu * x + cu
     v = fv * y + cv
+    u_r = u - disparity
     rig = geometry.rig
     rig_error = rig[0] + x * (rig[1] + x * rig[2])
     # The jitter of the right camera, which sees the landmark at (x_r, y).
@@ -404,15 +412,18 @@ def _fill_errors(
     roll = jitter[2]
     of_jitter_u = fu * (-x_r * y * pitch + (1.0 + x_r * x_r) * yaw - y * roll)
     of_jitter_v = fv * (-(1.0 + y * y) * pitch + x_r * y * yaw + x_r * roll)
+    u += rig[LENS] * raw[0, _RIG + LENS]
+    v += rig[LENS] * raw[1, _RIG + LENS]
+    u_r += rig[LENS] * raw[2, _RIG + LENS]
     raw[0, _ERROR] = pixels[0] - u
     raw[1, _ERROR] = pixels[1] - v
-    raw[2, _ERROR] = pixels[2] - (u - disparity - state[3] + rig_error + of_jitter_u)
+    raw[2, _ERROR] = pixels[2] - (u_r - state[3] + rig_error + of_jitter_u)
     raw[3, _ERROR] = pixels[3] - (v + of_jitter_v)
 
 
 @compiled_into_callers
 def _whiten(root: FloatArray, raw: FloatArray, white: FloatArray) -> None:
-    """Fill Gᵀ times the columns of an observation, [4, 17], for its R⁻¹ = G Gᵀ."""
+    """Fill Gᵀ times the columns of an observation, [4, 18], for its R⁻¹ = G Gᵀ."""
     for i in range(PIXELS):
         g0 = root[0, i]
         g1 = root[1, i]
@@ -497,7 +508,7 @@ def _linearize(
     ray: FloatArray,
     raw: FloatArray,
 ) -> None:
-    """Fill the Jacobians of an observation, [4, 17], at the ray where it was projected to.
+    """Fill the Jacobians of an observation, [4, 18], at the ray where it was projected to.
 
     Only entries that are not always zero are written.
     """
@@ -544,8 +555,15 @@ def _linearize(
         raw[2, 5] = raw[0, 5]
         for j in range(1, POSE):
             raw[3, j] = raw[1, j]
-    # The jitter moves what the right camera sees; that this depends on the pose is ignored.
     x_r = x - disparity * per_depth * per_u
+    # κ moves both views outwards; rows are calibrated apart, so that v_r moves as v does.
+    squared = x * x + y * y
+    squared_r = x_r * x_r + y * y
+    raw[0, _RIG + LENS] = fu * x * squared
+    raw[1, _RIG + LENS] = fv * y * squared
+    raw[2, _RIG + LENS] = fu * x_r * squared_r
+    raw[3, _RIG + LENS] = raw[1, _RIG + LENS]
+    # The jitter moves what the right camera sees; that this depends on the pose is ignored.
     raw[2, POSE] = -fu * x_r * y
     raw[2, POSE + 1] = fu * (1.0 + x_r * x_r)
     raw[2, POSE + 2] = -fu * y
@@ -888,7 +906,7 @@ def move_landmarks(
         state: the landmarks before, [L, 4].
         observations: M observations of them.
         elimination: what ``accumulate`` left there.
-        step: of frames and rig, [9K + 3].
+        step: of frames and rig, [9K + 4].
         moved: receives the landmarks, [L, 4].
     """
     rig0 = len(step) - RIG
