@@ -279,7 +279,7 @@ STAGES = {
     "weights": Stage("probevo.estimation.two_frame", "feature_weights"),
     "solve from two frames": Stage("probevo.estimation.visual_motion", "solve_reprojection"),
     "gate": Stage("probevo.estimation.visual_motion", "evaluate_status"),
-    "rig update": Stage("probevo.odometry", "update_rig"),
+    "rig update": Stage("probevo.estimation.self_calibration", "update_rig"),
     "gyro bias update": Stage("probevo.measurements.gyro:GyroBias", "updated"),
     "motion model": Stage("probevo.estimation.motion_model:MotionModel", "after_solve"),
     "dead reckoning": Stage(
@@ -291,7 +291,7 @@ STAGES = {
     "last residuals": Stage("probevo.tracking.last_residuals:LastResiduals", "left_by"),
     "outliers dropped": Stage("probevo.tracking:TrackingState", "without"),
     "pose propagation": Stage("probevo.estimation.pose_filter:PoseFilter", "advanced", first=2),
-    "sensor tests": Stage("probevo.odometry", "motion_innovations_squared"),
+    "sensor tests": Stage("probevo.estimation.sensor_fusion", "motion_innovations_squared"),
     "sensor fusion": Stage("probevo.estimation.sensor_fusion:SensorFusion", "updated"),
     "pose update": Stage("probevo.estimation.pose_filter:PoseFilter", "updated"),
     "window's new frame": Stage(

@@ -13,9 +13,16 @@ from probevo.camera.rig_jitter import RigJitter
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.inertial import Inertial, trusts_gyro, uses_imu, with_samples
+from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.pose_filter import PoseFilter
-from probevo.estimation.recovery import DeadReckonedPath
+from probevo.estimation.recovery import (
+    MOST_DURATION_S,
+    DeadReckonedPath,
+    Recovery,
+    noise_factor,
+)
+from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.estimation.window import Window
 from probevo.measurements.base import pose_of
@@ -54,8 +61,12 @@ class StepFeatures:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prior knowledge of the coming step, before its images are looked at."""
+    """Prior knowledge of the step to a frame, before its images are looked at."""
 
+    state: OdometryState
+    """After the frame that the motion leads from."""
+    frame: Frame
+    """The frame that it leads to."""
     duration_s: float
     motion: MotionPrediction
     gyro: GyroRotation | None
@@ -66,6 +77,46 @@ class Prediction:
     """Estimate of the gyro's bias at the current frame."""
     window: Window | None
     """The window with what its IMU has measured since its last frame; None without a window."""
+
+    def gyro_bias_after(
+        self, solution: ReprojectionSolution, *, enters_solve: bool
+    ) -> GyroBias | None:
+        """Return the estimate of the gyro's bias after an accepted solve; None without an IMU.
+
+        Args:
+            solution: the motion.
+            enters_solve: whether the gyro's rotation was one of its measurements.
+        """
+        if self.gyro is None or self.gyro_bias is None:
+            return self.gyro_bias
+        learn = self.gyro_bias.updated if enters_solve else self.gyro_bias.compared
+        return learn(self.gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
+
+    def from_last_usable(self) -> tuple[Prediction, Recovery] | None:
+        """Predict the motion from the last usable frame instead, whose features may be found again
+        (``estimation.recovery``).
+
+        Returns:
+            The prediction, and how its motion becomes one from the previous frame. None if that
+            frame was a usable one, or the last one has been given up. A window with an IMU is left
+            to itself.
+        """
+        usable = self.state.last_usable
+        if usable is None or not _may_enter(self.state.window, usable.state.frame):
+            return None
+        duration_s = usable.path.duration_s + self.duration_s
+        if duration_s > MOST_DURATION_S:
+            return None
+        model = self.state.motion_model
+        prediction = replace(
+            self,
+            state=usable.state,
+            duration_s=duration_s,
+            motion=usable.path.predicted(self.motion, model.path_sensitivity),
+            gyro=None,
+            rotation=None,
+        )
+        return prediction, Recovery(usable.path, noise_factor(model.frames_of(duration_s)))
 
 
 @dataclass(frozen=True)
@@ -154,10 +205,12 @@ class OdometryState:
         """Pose of the camera in the world."""
         return self.fusion.pose
 
-    @property
-    def usable(self) -> LastUsable:
-        """The last frame with a motion from images, which may be the last one."""
-        return self.last_usable or LastUsable(self, DeadReckonedPath.none())
+    def last_usable_after(self, duration_s: float, motion: MotionEstimate) -> LastUsable | None:
+        """Return the last frame with a motion from images, if the next one does not have one."""
+        if motion.status in (Status.OK, Status.RECOVERED):
+            return None
+        usable = self.last_usable or LastUsable(self, DeadReckonedPath.none())
+        return replace(usable, path=usable.path.advanced(duration_s, motion))
 
     def predict(self, frame: Frame, imu: ImuCalibration | None) -> Prediction:
         """Predict the motion to the next frame, from gyro and last velocity (PROBE eqs. 3-4).
@@ -197,6 +250,8 @@ class OdometryState:
             if uses_imu(window):
                 motion = replace(motion, without_gyro=without_gyro)
         return Prediction(
+            state=self,
+            frame=frame,
             duration_s=duration_s,
             motion=motion,
             gyro=gyro,
@@ -212,3 +267,8 @@ def _first_window(frame: Frame, imu: ImuCalibration | None, config: OdometryConf
     if imu is None or config.window.imu == "off":
         return window
     return replace(window, inertial=Inertial(imu))
+
+
+def _may_enter(window: Window | None, frame: Frame) -> bool:
+    """Return whether a motion from a frame to the next one can enter a window, if there is one."""
+    return window is None or (window.inertial is None and frame.index in window.frames)

@@ -9,7 +9,12 @@ from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.estimation.motion_model import MotionModel
-from probevo.estimation.recovery import MOST_DURATION_S, DeadReckonedPath, noise_factor, recovered
+from probevo.estimation.recovery import (
+    MOST_DURATION_S,
+    DeadReckonedPath,
+    Recovery,
+    noise_factor,
+)
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
@@ -163,7 +168,7 @@ def test_noise_grows_with_frames_but_the_common_mode_does_not(frames: float, fac
         num_tracks=50,
         common_mode=common_mode,
     )
-    found = recovered(motion, noise_factor(frames))
+    found = Recovery(DeadReckonedPath.none(), noise_factor(frames)).accepted(motion)
     assert found.status is pv.Status.RECOVERED
     np.testing.assert_allclose(found.cov, factor * own + common_mode @ common_mode.T)
 

@@ -2,19 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement
 from probevo.measurements.relative_pose import RelativePose
+from probevo.measurements.sensor import Reading
+from probevo.measurements.sensor_suite import SensorSuite
+from probevo.sequences.frame import Frame
 
 LEAST_WEIGHT = 0.01
 """Of a feature that two frames do not trust; its variance in a window does not grow further."""
+
+
+def with_correction(
+    motion: MotionEstimate,
+    readings: Sequence[Reading],
+    suite: SensorSuite,
+    *,
+    frames: tuple[Frame, Frame],
+) -> tuple[MotionEstimate, list[Reading]]:
+    """Return the motion as a correction has it, and what all sensors returned with what it did.
+
+    Tracking and motion model go on from the motion of the images: their next step is alike.
+
+    Args:
+        motion: of the images, or dead-reckoned.
+        readings: of each sensor; that of the correction is empty.
+        suite: the sensors.
+        frames: the previous and the current frame.
+    """
+    prev_frame, frame = frames
+    solved = None
+    if motion.status is Status.OK:
+        solved = (motion.T_curr_prev, motion.cov)
+    correction = suite.read_correction(prev_frame, frame, solved)
+    if correction is None:
+        return motion, list(readings)
+    for measurement in correction.measurements:
+        motion = corrected(motion, measurement)
+    return motion, [correction if one.name == correction.name else one for one in readings]
 
 
 def corrected(motion: MotionEstimate, measurement: Measurement) -> MotionEstimate:

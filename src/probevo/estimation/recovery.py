@@ -30,6 +30,9 @@ FRAMES_OF_NOISE = 2.0
 to grow with the number of frames: on spoiled recordings, the NEES of a recovery did."""
 MOST_DURATION_S = 3.0
 """Time after which the last usable frame is given up: a car has then left what it showed."""
+LOST = (Status.TOO_FEW_TRACKS, Status.DEGENERATE)
+"""What a step is whose features were lost. One that was refused has features, which contradict the
+prediction or one another, and would do so from any other frame."""
 
 
 @dataclass(frozen=True)
@@ -94,14 +97,23 @@ class DeadReckonedPath:
         return grown
 
 
+@dataclass(frozen=True)
+class Recovery:
+    """A motion that leads from the last usable frame instead of the previous one."""
+
+    path: DeadReckonedPath
+    """From the last usable frame to the previous one."""
+    noise_factor: float
+    """Factor of the variance of matches between the last usable frame and the current one."""
+
+    def accepted(self, motion: MotionEstimate) -> MotionEstimate:
+        """Return the motion from the last usable frame under the variance of such matches."""
+        own = motion.cov - motion.common_mode @ motion.common_mode.T
+        cov = motion.cov + (self.noise_factor - 1.0) * own
+        return replace(motion, cov=cov, status=Status.RECOVERED)
+
+
 def noise_factor(frames: float) -> float:
     """Return the factor of the variance of matches over a number of frames
     (``FRAMES_OF_NOISE``)."""
     return max(1.0, frames / FRAMES_OF_NOISE)
-
-
-def recovered(motion: MotionEstimate, factor: float) -> MotionEstimate:
-    """Return the motion of a recovery, the variance of whose matches has a factor."""
-    own = motion.cov - motion.common_mode @ motion.common_mode.T
-    cov = motion.cov + (factor - 1.0) * own
-    return replace(motion, cov=cov, status=Status.RECOVERED)

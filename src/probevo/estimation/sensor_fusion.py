@@ -31,6 +31,7 @@ from probevo.arrays import FloatArray
 from probevo.config import NorthConfig
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome
 from probevo.estimation.pose_filter import PoseFilter
+from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.measurements.base import (
     Measurement,
     Values,
@@ -411,6 +412,30 @@ def _sum_above(before: float, dims: Sequence[int], squares: Sequence[float | Non
         rarity = max(float(chdtrc(dim, squared)), 1e-300)
         total = max(0.0, total + min(-2.0 * math.log(rarity), MOST_OF_ONE) - USUAL)
     return total
+
+
+def solve_innovations_squared(
+    readings: Sequence[Reading], curr: Variable, solution: ReprojectionSolution | None
+) -> dict[str, list[float | None]]:
+    """Return, by sensor, the squared Mahalanobis distances that its measurements of the motion had.
+
+    Without a solve, they have no innovation to test. A correction has taken the place of the solve,
+    and cannot be tested against it.
+
+    Args:
+        readings: of each sensor.
+        curr: the pose of the current frame.
+        solution: the solve, which has used the measurements of the motion; None if there is none.
+    """
+    found: dict[str, list[float | None]] = {}
+    for reading in readings:
+        of_motion = reading.of_motion(curr)
+        found[reading.name] = [None] * len(of_motion)
+        if solution is not None and not reading.corrects:
+            found[reading.name] = motion_innovations_squared(
+                of_motion, solution.T_curr_prev, curr, cov=solution.cov
+            )
+    return found
 
 
 def motion_innovations_squared(

@@ -31,6 +31,9 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation import inertial
 from probevo.estimation.inertial_states import InertialSystem
+from probevo.estimation.motion_correction import Shares
+from probevo.estimation.motion_estimate import Status
+from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import MarginalPrior, Window, merged, selected
 from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_numba import (
@@ -129,6 +132,57 @@ class WindowEstimator:
         self._rig_information = np.diag(rig_sigma**-2.0)
         self._intrinsics = np.array(
             [camera.fu_px, camera.fv_px, camera.cu_px, camera.cv_px, camera.baseline_m]
+        )
+
+    def after_step(
+        self,
+        window: Window,
+        step: CalibratedMotion,
+        motion: RelativePose,
+        *,
+        noise_factor: float = 1.0,
+        shares: Shares | None = None,
+        measurements: Sequence[Measurement] = (),
+    ) -> Window:
+        """Return the window after a step, starting from the motion that two frames have shown.
+
+        Without a solve, the dead-reckoned motion counts as a measurement, unless there is an IMU
+        that knows it better. A corrected one counts beside the features, with which it shares the
+        information of the images.
+
+        Args:
+            window: K frames.
+            step: what the tracks between a frame of the window and the new one have shown.
+            motion: the motion between these two frames, corrected if there is a correction.
+            noise_factor: of the variance of the tracks.
+            shares: how the features and their corrected motion share the information of their
+                images; None without a correction.
+            measurements: further measurements of the poses of the window.
+        """
+        visual = step.visual
+        frame = motion.curr.frame
+        if visual.status is not Status.OK or visual.noise is None:
+            return self.without_features(window, frame, motion, measurements)
+        noise = visual.noise
+        if noise_factor != 1.0:
+            noise = noise.scaled(np.full(len(noise.scale), noise_factor))
+        if shares is not None:
+            noise = noise.scaled(shares.of_features(visual.weights[visual.used]))
+            motion = motion.scaled(shares.motion)
+            measurements = [*measurements, motion]
+        # The window estimates the disparity errors of the rig itself, but neither delay nor rows.
+        rig = step.corrected.rig
+        tracks = step.corrected.simultaneous.kept(visual.used)
+        if rig is not None:
+            tracks = tracks.with_rows_corrected(rig, self._camera)
+        return self.with_features(
+            inertial.gated(window, motion),
+            frame,
+            tracks,
+            noise,
+            two_frames=motion,
+            jitter_cov=None if rig is None else rig.jitter.cov,
+            measurements=measurements,
         )
 
     def with_features(

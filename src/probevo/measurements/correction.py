@@ -63,4 +63,4 @@ def read_correction(
     if not isinstance(answer, RelativePose):
         what = f"it returned {type(answer).__name__}."
         raise InputError(f"sensor {name}", what, "It returns RelativePose, or NoMeasurement.")
-    return Reading(name, (answer,))
+    return Reading(name, (answer,), corrects=True)

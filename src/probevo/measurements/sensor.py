@@ -36,6 +36,8 @@ class Reading:
     measurements: tuple[Measurement, ...] = ()
     reason: str | None = None
     """Why there is no measurement, if it says so."""
+    corrects: bool = False
+    """Whether what it measured takes the place of the motion of the images."""
 
     def of_pose(self, pose: Variable) -> tuple[Measurement, ...]:
         """Return the measurements of this pose alone, or of it and north."""
@@ -44,6 +46,14 @@ class Reading:
     def of_motion(self, pose: Variable) -> tuple[Measurement, ...]:
         """Return the others, which also depend on the previous pose."""
         return tuple(one for one in self.measurements if not {pose, NORTH} >= set(one.variables))
+
+    def without_motion(self, pose: Variable) -> Reading:
+        """Return only what it measured of this pose, as a dead-reckoned step uses it."""
+        of_pose = self.of_pose(pose)
+        reason = self.reason
+        if self.measurements and not of_pose:
+            reason = "dead-reckoned step"
+        return Reading(self.name, of_pose, reason)
 
 
 def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> Reading:

@@ -1,0 +1,82 @@
+"""Tracks as the rig's calibration corrects them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from probevo.arrays import FloatArray
+from probevo.camera.exposure_delay import without_delay
+from probevo.camera.rig_calibration import RigCalibration
+from probevo.camera.stereo import StereoCamera
+from probevo.tracking.tracks import Tracks
+
+
+@dataclass(frozen=True)
+class CorrectedTracks:
+    """The tracks of a frame, raw and corrected by a calibration that knows their rows."""
+
+    raw: Tracks
+    """As tracked."""
+    prior_rig: RigCalibration | None
+    """The calibration before this frame; None without self-calibration."""
+    simultaneous: Tracks
+    """With right observations as of the time of the left ones, but otherwise raw."""
+    tracks: Tracks
+    """Corrected by all of the calibration."""
+    rig: RigCalibration | None
+    """The calibration with the rows of this frame's stereo matches."""
+    delay_s: float
+    """The delay of the right images that was taken off; 0 while the speed is not known."""
+
+    @staticmethod
+    def of(
+        raw: Tracks,
+        rig: RigCalibration | None,
+        camera: StereoCamera,
+        *,
+        prev_twist_s: FloatArray | None,
+        curr_twist_s: FloatArray | None,
+    ) -> CorrectedTracks:
+        """Correct raw tracks by the rig's calibration, and learn of its rows from them.
+
+        Args:
+            raw: as tracked.
+            rig: the calibration before this frame; None corrects nothing.
+            camera: the rectified camera.
+            prev_twist_s: twist a second at the previous frame, [6]; None if it is not known.
+            curr_twist_s: that at this frame.
+        """
+        if rig is None:
+            return CorrectedTracks(
+                raw, prior_rig=None, simultaneous=raw, tracks=raw, rig=None, delay_s=0.0
+            )
+        delay_s = 0.0
+        simultaneous = raw
+        if prev_twist_s is not None and curr_twist_s is not None:
+            delay_s = rig.delay.delay_s
+            simultaneous = replace(
+                raw,
+                prev_px=without_delay(raw.prev_px, delay_s, prev_twist_s, camera),
+                curr_px=without_delay(raw.curr_px, delay_s, curr_twist_s, camera),
+            )
+        updated = rig.with_rows(simultaneous.curr_px, camera)
+        return CorrectedTracks(
+            raw=raw,
+            prior_rig=rig,
+            simultaneous=simultaneous,
+            tracks=simultaneous.corrected(updated, camera),
+            rig=updated,
+            delay_s=delay_s,
+        )
+
+    def at_twists(
+        self, prev_twist_s: FloatArray, curr_twist_s: FloatArray, camera: StereoCamera
+    ) -> CorrectedTracks:
+        """Correct the same raw tracks once more, the velocity now being known, [6] each."""
+        return CorrectedTracks.of(
+            self.raw,
+            self.prior_rig,
+            camera,
+            prev_twist_s=prev_twist_s,
+            curr_twist_s=curr_twist_s,
+        )
