@@ -1,0 +1,52 @@
+"""Tracks are corrected by the rows that they show, and by a delay once the velocity is known."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from probevo.camera.exposure_delay import without_delay
+from probevo.camera.rig_calibration import RigCalibration
+from probevo.geometry import se3
+from probevo.tracking.corrected_tracks import CorrectedTracks
+from worlds import CAMERA, FORWARD, misrectified, random_pixels, seen_twice
+
+TWIST_S = 10.0 * se3.log(FORWARD)
+
+
+def test_without_a_calibration_the_tracks_stay_as_they_are() -> None:
+    tracks = seen_twice(np.random.default_rng(0), 50)
+    found = CorrectedTracks.of(tracks, None, CAMERA, prev_twist_s=TWIST_S, curr_twist_s=TWIST_S)
+    assert found.tracks is tracks
+    assert found.rig is None
+
+
+def test_rows_are_those_of_this_frame_too() -> None:
+    """Of 300 exact matches, one frame takes the median error of the rows below a tenth."""
+    clean = seen_twice(np.random.default_rng(0), 300)
+    seen = replace(clean, prev_px=misrectified(clean.prev_px), curr_px=misrectified(clean.curr_px))
+    rig = RigCalibration.initial()
+    found = CorrectedTracks.of(seen, rig, CAMERA, prev_twist_s=None, curr_twist_s=None)
+    before = np.abs(seen.curr_px[:, 3] - seen.curr_px[:, 1])
+    after = np.abs(found.tracks.curr_px[:, 3] - found.tracks.curr_px[:, 1])
+    assert np.median(after) < 0.1 * np.median(before)
+    assert found.prior_rig is rig
+    assert found.raw is seen
+
+
+def test_a_delay_is_taken_off_at_each_frame_by_its_own_velocity() -> None:
+    rng = np.random.default_rng(1)
+    rig = RigCalibration.initial()
+    for _ in range(5):
+        pixels = random_pixels(rng, 300)
+        rig = rig.with_delay(without_delay(pixels, -0.005, TWIST_S, CAMERA), TWIST_S, CAMERA)
+    assert abs(rig.delay.delay_s - 0.005) < 3e-4
+    tracks = seen_twice(rng, 50)
+    unknown = CorrectedTracks.of(tracks, rig, CAMERA, prev_twist_s=None, curr_twist_s=TWIST_S)
+    assert unknown.delay_s == 0.0
+    assert unknown.simultaneous is tracks
+    found = unknown.at_twists(0.5 * TWIST_S, TWIST_S, CAMERA)
+    assert found.delay_s == rig.delay.delay_s
+    expected = without_delay(tracks.prev_px, found.delay_s, 0.5 * TWIST_S, CAMERA)
+    np.testing.assert_array_equal(found.simultaneous.prev_px, expected)
+    expected = without_delay(tracks.curr_px, found.delay_s, TWIST_S, CAMERA)
+    np.testing.assert_array_equal(found.simultaneous.curr_px, expected)
