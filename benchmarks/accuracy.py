@@ -30,7 +30,9 @@ MODELS: dict[str, Callable[[], pv.noise.NoiseModel]] = {
 
 def run(sequence: Sequence, model: str) -> RunResult:
     """Run the odometry over a whole recording."""
-    odometry = pv.StereoOdometry(sequence.camera, MODELS[model](), sequence.imu)
+    odometry = pv.StereoOdometry(
+        sequence.camera, MODELS[model](), sequence.imu, config={"estimator": "two-frame"}
+    )
     recorder = RunRecorder()
     for frame in sequence:
         recorder.add(frame.stamp_ns, odometry.step(frame))

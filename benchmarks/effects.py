@@ -33,7 +33,9 @@ def run(config: SceneConfig) -> tuple[Metrics, float]:
     cv2.setNumThreads(1)
     recording = open_scene(config)
     recorder = RunRecorder()
-    odometry = pv.StereoOdometry(recording.camera, imu=recording.imu)
+    odometry = pv.StereoOdometry(
+        recording.camera, imu=recording.imu, config={"estimator": "two-frame"}
+    )
     for frame in recording:
         recorder.add(frame.stamp_ns, odometry.step(frame))
     result = recorder.result()

@@ -26,6 +26,7 @@ SCENES = {
     "city": SceneConfig(preset="city", distance_m=60.0),
     "residential": SceneConfig(preset="residential", seed=3, distance_m=60.0),
 }
+UNCALIBRATED = pv.OdometryConfig(estimator="two-frame", self_calibration=False)
 AGES = (1, 2, 3, 4, 6, 8)
 """Frames since the detection."""
 LOST_PX = 1.5
@@ -58,7 +59,7 @@ def true_points(
 def drift(scene: SceneRecording) -> dict[int, list[FloatArray]]:
     """Return the errors (u, v), px, of trusted features on the road, by age."""
     camera = scene.camera
-    odometry = pv.StereoOdometry(camera, config=pv.OdometryConfig(self_calibration=False))
+    odometry = pv.StereoOdometry(camera, config=UNCALIBRATED)
     T_world_cam = scene.truth.T_world_cam
     detections: dict[int, Detection] = {}
     errors: dict[int, list[FloatArray]] = {age: [] for age in AGES}

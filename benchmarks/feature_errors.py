@@ -17,6 +17,7 @@ from probevo.tracking import Tracks
 from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
 
+UNCALIBRATED = pv.OdometryConfig(estimator="two-frame", self_calibration=False)
 HALF_PX = 7
 """Half a window, in which features must be on one surface."""
 FLAT_PX = 0.05
@@ -79,7 +80,7 @@ def errors(scene: SceneRecording, index: int, tracks: Tracks, weights: FloatArra
 def report(name: str, config: SceneConfig) -> None:
     """Drive through a scene, and print the errors of its features and of its steps."""
     scene = open_scene(config)
-    odometry = pv.StereoOdometry(scene.camera, config=pv.OdometryConfig(self_calibration=False))
+    odometry = pv.StereoOdometry(scene.camera, config=UNCALIBRATED)
     T_world_cam = scene.truth.T_world_cam
     rows = []
     forward_errors_m = []

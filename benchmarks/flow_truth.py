@@ -98,7 +98,7 @@ def plane_at(truth: FloatArray, u: float, v: float) -> tuple[float, float] | Non
 def features_of(folder: Path, scene: int, noise: str, num_features: int) -> Features:
     """Run the odometry up to frame 11 of a scene, and compare its features with the truth."""
     sequence = pv.open_sequence(folder, scene=scene)
-    config = pv.OdometryConfig(tracking={"num_features": num_features})
+    config = pv.OdometryConfig(estimator="two-frame", tracking={"num_features": num_features})
     odometry = pv.StereoOdometry(sequence.camera, noise_model(noise), config=config)
     period_ns = int(np.diff(sequence.stamps_ns).min())
     for frame in sequence:

@@ -60,7 +60,7 @@ def worlds(only: list[str] | None) -> Iterator[tuple[str, StereoCamera, list[Fra
 def row(camera: StereoCamera, frames: list[Frame], ratio: float) -> str:
     """Run with a focal length of so many times the calibrated one, and say what is found."""
     wrong = replace(camera, fu_px=ratio * camera.fu_px, fv_px=ratio * camera.fv_px)
-    odometry = pv.StereoOdometry(wrong)
+    odometry = pv.StereoOdometry(wrong, config={"estimator": "two-frame"})
     motions = [odometry.step(replace(frame, imu=None)) for frame in frames][1:]
     num_ok = sum(motion.status is pv.Status.OK for motion in motions)
     turns = so3.log(np.array([motion.T_curr_prev[:3, :3] for motion in motions]))[:, :2]

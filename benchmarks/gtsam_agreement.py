@@ -81,7 +81,9 @@ class Step:
 
 
 def steps(sequence: Sequence, model: pv.noise.StudentT | pv.noise.Fixed) -> Iterator[Step]:
-    odometry = pv.StereoOdometry(sequence.camera, model, sequence.imu)
+    odometry = pv.StereoOdometry(
+        sequence.camera, model, sequence.imu, config={"estimator": "two-frame"}
+    )
     for frame in sequence:
         before = odometry.state
         motion = odometry.step(frame)
@@ -195,7 +197,7 @@ def nees(outliers: float) -> None:
     config = PointConfig(noise=law, outliers=PointOutliers(fraction=outliers))
     world = simulate_points(config, 12.0, np.random.default_rng(0))
     model = pv.noise.StudentT(POINT_DOF, POINT_SIGMA_PX**2 * np.eye(4))
-    odometry = pv.StereoOdometry(world.camera, model)
+    odometry = pv.StereoOdometry(world.camera, model, config={"estimator": "two-frame"})
     of_weights = []
     of_fisher = []
     own = []

@@ -38,7 +38,7 @@ from probevo_sim.point_world import PointWorld, write_training_and_test
 LAWS = ("row", "column", "radius", "disparity", "heavy-tailed", "correlated")
 SCALES_PX = (0.1, 0.2, 0.4, 0.8)
 PREDICTORS = ("place", "disparity")
-NO_CALIBRATION = pv.OdometryConfig(self_calibration=False)
+NO_CALIBRATION = pv.OdometryConfig(estimator="two-frame", self_calibration=False)
 COVERAGE_SEEDS = 3
 """Seeds of which the coverage of single features is computed, too."""
 HEAD = (

@@ -70,7 +70,9 @@ def run(path: Path, noise: pv.noise.NoiseModel) -> Metrics:
     """Run the odometry over a tracks file."""
     sequence = pv.open_sequence(path)
     recorder = RunRecorder()
-    odometry = pv.StereoOdometry(sequence.camera, noise, sequence.imu)
+    odometry = pv.StereoOdometry(
+        sequence.camera, noise, sequence.imu, config={"estimator": "two-frame"}
+    )
     for frame in sequence:
         recorder.add(frame.stamp_ns, odometry.step(frame))
     result = recorder.result()

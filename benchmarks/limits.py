@@ -27,8 +27,8 @@ from probevo.tracking import image_tracker
 from probevo.tracking.tracker import Tracked, TrackingState
 
 CONFIGS = {
-    "with self-calibration": pv.OdometryConfig(),
-    "without": pv.OdometryConfig(self_calibration=False),
+    "with self-calibration": pv.OdometryConfig(estimator="two-frame"),
+    "without": pv.OdometryConfig(estimator="two-frame", self_calibration=False),
 }
 FILLED_IN = 12
 """Frames at the start of odometry 06 whose true rotations were filled in (docs/accuracy.md)."""
@@ -38,7 +38,7 @@ FAR_PX = 12.0
 
 def run(
     sequence: Sequence,
-    config: pv.OdometryConfig | None = None,
+    config: pv.OdometryConfig = CONFIGS["with self-calibration"],
     every: int = 1,
     slower: bool = False,
 ) -> tuple[RunResult, FloatArray]:

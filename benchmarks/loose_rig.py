@@ -64,7 +64,7 @@ RIGS: dict[str, Callable[[SceneRecording, int], tuple[Image, Image]]] = {
 def print_rig(name: str) -> None:
     """Print the row of a rig."""
     recording = open_scene(SceneConfig(preset="city", distance_m=DISTANCE_M))
-    odometry = pv.StereoOdometry(recording.camera)
+    odometry = pv.StereoOdometry(recording.camera, config={"estimator": "two-frame"})
     motions = []
     for index in range(FRAMES):
         left, right = RIGS[name](recording, index)

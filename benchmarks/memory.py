@@ -95,7 +95,12 @@ def measure(arguments: argparse.Namespace) -> None:
     keep_freed_memory()
     sequence = pv.open_sequence(SOURCES[arguments.of])
     frames = list(sequence)
-    odometry = pv.StereoOdometry(sequence.camera, noise_model(arguments.noise), sequence.imu)
+    odometry = pv.StereoOdometry(
+        sequence.camera,
+        noise_model(arguments.noise),
+        sequence.imu,
+        config={"estimator": "two-frame"},
+    )
     step = steps_of(odometry, arguments.live)
     recorder = RunRecorder()
     statuses: Counter[str] = Counter()

@@ -142,7 +142,7 @@ def with_settings(
     """
 
     def odometry_of(sequence: Sequence) -> Callable[[Frame], FloatArray]:
-        config = pv.OdometryConfig.model_validate(settings)
+        config = pv.OdometryConfig.model_validate({"estimator": "two-frame"} | settings)
         odometry = pv.StereoOdometry(sequence.camera, imu=sequence.imu, config=config)
 
         def step(frame: Frame) -> FloatArray:

@@ -23,12 +23,13 @@ from probevo_sim.noise_laws import NoiseLaw
 from probevo_sim.point_config import PointConfig
 from probevo_sim.point_world import PointWorld, stereo_camera, training_and_test_world
 
-NO_CALIBRATION = pv.OdometryConfig(self_calibration=False)
+TWO_FRAMES = pv.OdometryConfig(estimator="two-frame")
+NO_CALIBRATION = pv.OdometryConfig(estimator="two-frame", self_calibration=False)
 OUTLIER_DOF = 20.0
 """Degrees of freedom for Gaussian errors, which leave room for outliers that RANSAC misses."""
 
 
-def run(world: PointWorld, noise: pv.noise.NoiseModel, config: pv.OdometryConfig | None) -> Metrics:
+def run(world: PointWorld, noise: pv.noise.NoiseModel, config: pv.OdometryConfig) -> Metrics:
     """Run the odometry over a world."""
     odometry = pv.StereoOdometry(world.camera, noise, config=config)
     motions = [odometry.step(frame) for frame in world.frames()][1:]
@@ -98,8 +99,8 @@ class KnownCovariances:
 
 def results(world: PointWorld) -> Iterator[tuple[str, Metrics]]:
     """Yield the name and the metrics of each estimator."""
-    yield "`fixed`", run(world, pv.noise.Fixed(), None)
-    yield "`student-t`", run(world, pv.noise.StudentT(), None)
+    yield "`fixed`", run(world, pv.noise.Fixed(), TWO_FRAMES)
+    yield "`student-t`", run(world, pv.noise.StudentT(), TWO_FRAMES)
     yield "`student-t`, no self-calibration", run(world, pv.noise.StudentT(), NO_CALIBRATION)
     yield "true covariances, no outliers", oracle(world)
 

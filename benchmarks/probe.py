@@ -61,7 +61,7 @@ PUBLISHED_FROM_TRACKS = ("turn_rate", "flow_variance")
 """The published predictors for the point world."""
 ABLATION: dict[str, dict[str, object]] = {
     "as published": {},
-    "with RANSAC": {"odometry": OdometryConfig()},
+    "with RANSAC": {"odometry": OdometryConfig(estimator="two-frame")},
     "scaling Student-t noise": {"base": "student-t"},
     "subsets of 8, 40 of them": {"subset": 8, "iterations": 40},
     "α against others of the step, and geometry": {"relative": True},
@@ -147,7 +147,7 @@ def trials(wanted: list[str], places: int | None = None) -> Iterator[Trial]:
 
 def estimators(trial: Trial) -> Iterator[Estimator]:
     """Yield the estimators of a trial; the learned ones are trained first."""
-    plain = OdometryConfig()
+    plain = OdometryConfig(estimator="two-frame")
     yield Estimator("nominal RANSAC", pv.noise.Fixed(), plain)
     yield Estimator("aggressive RANSAC", pv.noise.Fixed(), aggressive(plain))
     yield Estimator("student-t", pv.noise.StudentT(), plain)

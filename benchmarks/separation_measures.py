@@ -114,7 +114,7 @@ def drive(
 ) -> Drive:
     """Drive the first frames of a scene with the shipped defaults."""
     scene = open_scene(config)
-    settings = pv.OdometryConfig(self_calibration=calibrate)
+    settings = pv.OdometryConfig(estimator="two-frame", self_calibration=calibrate)
     odometry = pv.StereoOdometry(scene.camera, imu=scene.imu, config=settings, predictors=SPACE)
     lefts = {}
     indices = []

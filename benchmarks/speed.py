@@ -79,7 +79,7 @@ def kernel(sequence: Sequence, frames: int) -> GeneralizedKernel:
 
     count = min(frames, len(sequence), 60)
     space = prediction_space(KERNEL)
-    config = pv.OdometryConfig()
+    config = pv.OdometryConfig(estimator="two-frame")
     drive = joined(Extraction(sequence, space, config, num_frames=count))
     supervised = DriveInMemory(
         drive, sequence.camera, supervision_of(sequence, "none", 0.0, num_frames=count)

@@ -39,7 +39,7 @@ from probevo.predictors.acceleration import GRAVITY_M_S2
 from probevo.sequences.frame import Frame, ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.state import OdometryState
-from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, drive, with_features
+from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, TWO_FRAMES, drive, with_features
 
 NUM_FRAMES = 10
 """Frames at each of which a stage fails; there is one more, to go on with."""
@@ -472,12 +472,11 @@ def test_a_specific_force_that_is_not_finite_is_missing_data() -> None:
     k = 5
     broken = replaced(drive.frames, k, with_broken_sample(drive.frames[k], "accel_m_s2"))
     space = prediction_space(["acceleration"])
-    odometry = pv.StereoOdometry(CAMERA, imu=IMU, predictors=space)
-    for estimate, clean in zip(
-        run(odometry, broken),
-        run(pv.StereoOdometry(CAMERA, imu=IMU, predictors=space), drive.frames),
-        strict=True,
-    ):
+
+    def odometry() -> pv.StereoOdometry:
+        return pv.StereoOdometry(CAMERA, imu=IMU, config=TWO_FRAMES, predictors=space)
+
+    for estimate, clean in zip(run(odometry(), broken), run(odometry(), drive.frames), strict=True):
         assert_same_bytes(replace(estimate, missing=()), clean)
     missing = [estimate.missing for estimate in run(odometry_of("features"), broken)]
     assert missing == [(NO_FORCE,) if index == k else () for index in range(len(broken))]
@@ -562,9 +561,13 @@ def test_on_kitti_06_the_step_after_one_that_raises_is_as_if_it_had_not_been(
     frames = [frame for _, frame in zip(range(12), sequence, strict=False)]
     k = 10
     space = prediction_space(["place", "last_residual"])
-    failing = pv.StereoOdometry(sequence.camera, predictors=space)
-    never_saw_it = pv.StereoOdometry(sequence.camera, predictors=space)
-    clean = run(pv.StereoOdometry(sequence.camera, predictors=space), frames)
+
+    def odometry() -> pv.StereoOdometry:
+        return pv.StereoOdometry(sequence.camera, config=TWO_FRAMES, predictors=space)
+
+    failing = odometry()
+    never_saw_it = odometry()
+    clean = run(odometry(), frames)
     run(failing, frames[:k])
     run(never_saw_it, frames[:k])
     before = failing.state

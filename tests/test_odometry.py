@@ -4,6 +4,7 @@ recordings."""
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from worlds import (
     FORWARD,
     FRAME_NS,
     HEIGHT_PX,
+    TWO_FRAMES,
     WIDTH_PX,
     Homesick,
     blind_frame,
@@ -85,10 +87,11 @@ def test_motions_on_a_circle_agree_with_the_truth() -> None:
 
 
 @pytest.mark.parametrize("noise", [None, Fixed()], ids=["student-t", "fixed"])
-def test_covariance_is_consistent(noise: Fixed | None) -> None:
+def test_covariance_of_two_frames_is_consistent(noise: Fixed | None) -> None:
     """ANEES of 120 motions lies in the 99.9 % interval of χ²(6)/120: the noise of 0.2 px is that of
     the models."""
-    odometry = pv.StereoOdometry(CAMERA, noise, config=PLAIN)
+    config = PLAIN.model_copy(update=TWO_FRAMES)
+    odometry = pv.StereoOdometry(CAMERA, noise, config=config)
     motions = [odometry.step(frame) for frame in drive(np.random.default_rng(2), 121)][1:]
     nees = [normalized_error_squared(FORWARD, motion.T_curr_prev, motion.cov) for motion in motions]
     low, high = chi2_interval(6, len(nees))
@@ -133,9 +136,9 @@ def test_the_covariance_of_blind_motions_holds_their_error(steps: int) -> None:
             np.abs(motion_error(motion.T_curr_prev, T_true))
             < 1.1 * np.sqrt(np.diagonal(motion.cov))
         ).all()
-    T_world_cam, cov = trajectory([FIRST_OF_ALL, *motions])
-    error = se3.log(se3.inverse(T_world_cam[-1]) @ se3.chain_motions(np.array(truth))[-1])
-    assert (np.abs(error) < 1.1 * np.sqrt(np.diagonal(cov[-1])) + 1e-9).all()
+    T_true = se3.chain_motions(np.array([*[FORWARD] * 11, *truth]))[-1]
+    error = se3.log(se3.inverse(motions[-1].T_world_cam) @ T_true)
+    assert (np.abs(error) < 1.1 * np.sqrt(np.diagonal(motions[-1].pose_cov))).all()
 
 
 def test_images_are_accepted_again_at_once() -> None:
@@ -200,11 +203,12 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 def test_a_frame_s_randomness_does_not_depend_on_those_before() -> None:
     """Seeded by its index, a run that starts at frame 5 draws the same samples there. Its noise has
-    no time-correlated part, or tracks would remember the frames before."""
+    no time-correlated part, or tracks would remember the frames before, as a window does."""
     frames = drive(np.random.default_rng(11), 12)
     noise = pv.noise.StudentT(time_correlation_ratio=0.0)
-    whole = run(frames, PLAIN, noise)
-    late = run(frames[5:], PLAIN, noise)
+    config = PLAIN.model_copy(update=TWO_FRAMES)
+    whole = run(frames, config, noise)
+    late = run(frames[5:], config, noise)
     np.testing.assert_allclose(whole[-1].T_curr_prev, late[-1].T_curr_prev, atol=1e-6)
 
 
@@ -583,7 +587,9 @@ def test_predictors_change_no_motion_under_static_noise() -> None:
 def last_residuals_of(frames: Sequence[Frame]) -> list[tuple[pv.Status, FloatArray, FloatArray]]:
     """Return status, predicted and expected ``last_residual`` [N] of every step; the expected one
     is computed feature by feature."""
-    odometry = pv.StereoOdometry(CAMERA, predictors=prediction_space(["last_residual"]))
+    odometry = pv.StereoOdometry(
+        CAMERA, config=TWO_FRAMES, predictors=prediction_space(["last_residual"])
+    )
     steps = []
     left: dict[int, float] = {}
     for frame in frames:
@@ -670,10 +676,12 @@ def test_a_predictor_that_nobody_knows_is_refused() -> None:
         pv.StereoOdometry(CAMERA, model_of(["x", "y", "speed"]))
 
 
-def walk(path: Path) -> tuple[list[pv.MotionEstimate], FloatArray]:
+def walk(
+    path: Path, estimator: Literal["two-frame", "window"] = "window"
+) -> tuple[list[pv.MotionEstimate], FloatArray]:
     """Return the motions of a recording, and its true poses."""
     sequence = pv.open_sequence(path)
-    odometry = pv.StereoOdometry(sequence.camera, imu=sequence.imu)
+    odometry = pv.StereoOdometry(sequence.camera, imu=sequence.imu, config={"estimator": estimator})
     motions = [odometry.step(frame) for frame in sequence]
     assert sequence.truth is not None
     return motions, sequence.truth.T_world_cam
@@ -695,8 +703,8 @@ def trajectory(motions: list[pv.MotionEstimate]) -> tuple[FloatArray, FloatArray
     return se3.chain_motions(T_curr_prev), covariances
 
 
-def metrics_of(path: Path) -> Metrics:
-    motions, truth = walk(path)
+def metrics_of(path: Path, estimator: Literal["two-frame", "window"] = "window") -> Metrics:
+    motions, truth = walk(path, estimator)
     return evaluate(trajectory(motions)[0], truth)
 
 
@@ -726,9 +734,9 @@ def test_a_camera_at_rest_stays_there(data_root: Path) -> None:
     ],
 )
 def test_no_step_of_the_track_drives_is_off_by_a_metre(name: str, data_root: Path) -> None:
-    """Frames with six, one and no tracks among them. The first, when no speed is known, may be if
-    it says so."""
-    motions, truth = walk(data_root / f"kitti_tracks/2011_09_{name}.npz")
+    """Two frames alone; frames with six, one and no tracks among them. The first step, when no
+    speed is known, may be if it says so."""
+    motions, truth = walk(data_root / f"kitti_tracks/2011_09_{name}.npz", "two-frame")
     assert all(is_proper(motion) for motion in motions[1:])
     pairs = zip(motions[1:], relative_motions(truth), strict=True)
     errors = np.array([motion_error(motion.T_curr_prev, T_true) for motion, T_true in pairs])
@@ -742,17 +750,21 @@ def test_drift_on_kitti_06(data_root: Path) -> None:
     assert (metrics_of(data_root / "kitti_odometry/sequences/06").short_t_percent or np.inf) <= 1.0
 
 
+@pytest.mark.parametrize(("estimator", "limit"), [("two-frame", 0.016), ("window", 0.021)])
 @pytest.mark.data
 @pytest.mark.slow
-def test_rotation_on_kitti_raw_0005(data_root: Path) -> None:
+def test_rotation_on_kitti_raw_0005(
+    estimator: Literal["two-frame", "window"], limit: float, data_root: Path
+) -> None:
+    """LIBVISO2, ORB-SLAM2, Basalt and a plain odometry have 0.015 to 0.031 °/m."""
     path = data_root / "kitti_raw/2011_09_26/2011_09_26_drive_0005_sync"
-    assert (metrics_of(path).short_r_deg_per_m or np.inf) <= 0.016
+    assert (metrics_of(path, estimator).short_r_deg_per_m or np.inf) <= limit
 
 
 def test_the_first_steps_of_a_loose_rig_are_covered() -> None:
-    """The right camera turns by 2 px of yaw from frame to frame, 20 times the prior. A step that
-    shows it is solved again with what it shows, so that it claims enough: the median of twenty
-    worlds is 4.9, where 5.3 is consistent; it was 9.4."""
+    """The right camera turns by 2 px of yaw from frame to frame, 20 times the prior. A step of two
+    frames that shows it is solved again with what it shows, so that it claims enough: the median of
+    twenty worlds is 4.9, where 5.3 is consistent; it was 9.4."""
     squared = []
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -761,7 +773,7 @@ def test_the_first_steps_of_a_loose_rig_are_covered() -> None:
             features = frame.features
             assert features is not None
             features.pixels[:, 2] += 2.0 * rng.normal()
-        odometry = pv.StereoOdometry(CAMERA)
+        odometry = pv.StereoOdometry(CAMERA, config=TWO_FRAMES)
         step = [odometry.step(frame) for frame in frames][-1]
         assert step.status is pv.Status.OK
         error = motion_error(step.T_curr_prev)

@@ -27,6 +27,8 @@ CAMERA = StereoCamera(
 )
 FORWARD = se3.exp(np.array([0.02, 0.01, -1.2, 0.003, 0.01, -0.002]))
 """T_curr_prev of a car at 12 m/s and ten frames a second."""
+TWO_FRAMES = {"estimator": "two-frame"}
+"""Settings of an odometry without a window."""
 FRAME_NS = 100_000_000
 START_NS = 1_400_000_000_123_456_789
 

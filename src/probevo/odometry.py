@@ -32,7 +32,6 @@ from probevo.landmarks import Landmarks, triangulated
 from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.gyro import GyroBias
-from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.sensor import Sensor
 from probevo.measurements.sensor_suite import SensorSuite
 from probevo.noise import NoiseModel
@@ -44,7 +43,7 @@ from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
 from probevo.stage_clock import StageClock
 from probevo.stages import Measured, Observed, Solved
-from probevo.state import OdometryState, Prediction, StepFeatures
+from probevo.state import OdometryState, Prediction, StepFeatures, motion_for_window
 from probevo.tracking import Tracked, TrackingState, Tracks, tracker_for
 from probevo.tracking.corrected_tracks import CorrectedTracks
 from probevo.tracking.last_residuals import LastResiduals
@@ -144,6 +143,12 @@ class StereoOdometry:
     def weights(self) -> FloatArray:
         """How far each was trusted, [N], 0 to 1."""
         return self._features.weights
+
+    @property
+    def T_of_images(self) -> FloatArray:
+        """The motion that they show by themselves, without window, IMU and corrections, [4, 4], m;
+        the dead-reckoned one where they show none."""
+        return self._features.T_curr_prev
 
     @property
     def landmarks(self) -> Landmarks:
@@ -386,7 +391,7 @@ class StereoOdometry:
             frame=frame,
             observations=state.observations.with_frame(solved.observations),
             fusion=fusion,
-            step=solved.features,
+            step=solved.features(of_images.T_curr_prev),
             is_frozen=solved.observed.is_frozen,
             window=window,
             last_usable=state.last_usable_after(prediction.duration_s, of_images),
@@ -475,12 +480,7 @@ class StereoOdometry:
         return self._window.after_step(
             window,
             solved.calibrated,
-            RelativePose(
-                motion.T_curr_prev,
-                motion.cov,
-                curr=pose_of(prediction.frame.index),
-                prev=pose_of(prediction.state.frame.index),
-            ),
+            motion_for_window(window, prediction, motion),
             noise_factor=1.0 if solved.recovery is None else solved.recovery.noise_factor,
             shares=shares,
             measurements=measured.of_motion,

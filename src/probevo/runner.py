@@ -174,6 +174,7 @@ def _run(
     pictures = _Pictures.spread_over(num_frames)
     smoothed = SmoothedPath()
     timing = PairTiming(config.tracking)
+    of_images: list[FloatArray] = []
     heights = GroundHeights(sequence.camera, config.camera_height_m)
     num_matches = np.zeros(2, np.int64)  # with positive and with negative disparity
     try:
@@ -187,10 +188,11 @@ def _run(
             pictures.add(frame, odometry)
             smoothed.add(odometry.window)
             timing.add(frame)
+            of_images.append(odometry.T_of_images)
             seen = odometry.tracks.kept(odometry.used)
             heights.add(
                 frame.stamp_ns,
-                motion.T_curr_prev,
+                odometry.T_of_images,
                 seen.ids,
                 seen.curr_px,
                 is_ok=motion.status is Status.OK,
@@ -210,7 +212,13 @@ def _run(
         # Keep what was computed, whatever the reason. The first frame is no motion, and must not
         # replace the results of an earlier run.
         result = _result(
-            sequence, recorder, odometry, smoothed=smoothed, timing=timing, heights=heights
+            sequence,
+            recorder,
+            odometry,
+            of_images=of_images,
+            smoothed=smoothed,
+            timing=timing,
+            heights=heights,
         )
         if len(result) > 1:
             result = replace(result, stopped=_reason(stop))
@@ -218,7 +226,13 @@ def _run(
             stop.add_note(f"The results of the first {len(result)} frames are in {out}.")
         raise
     result = _result(
-        sequence, recorder, odometry, smoothed=smoothed, timing=timing, heights=heights
+        sequence,
+        recorder,
+        odometry,
+        of_images=of_images,
+        smoothed=smoothed,
+        timing=timing,
+        heights=heights,
     )
     return _write_results(out, sequence, config, result=result, pictures=pictures, viewer=viewer)
 
@@ -228,6 +242,7 @@ def _result(
     recorder: RunRecorder,
     odometry: StereoOdometry,
     *,
+    of_images: list[FloatArray],
     smoothed: SmoothedPath,
     timing: PairTiming,
     heights: GroundHeights,
@@ -240,7 +255,7 @@ def _result(
     result = recorder.result()
     return replace(
         result,
-        accelerometer_scale=_accelerometer_scale(sequence, result),
+        accelerometer_scale=_accelerometer_scale(sequence, result, np.array(of_images)),
         ground_height=heights.height(),
         jitter_sigma_rad=sigma_rad,
         right_delay_s=0.0 if rig is None else rig.delay.delay_s,
@@ -252,14 +267,17 @@ def _result(
     )
 
 
-def _accelerometer_scale(sequence: Sequence, result: RunResult) -> AccelerometerScale | None:
-    """Compare the path with the samples of the recording, if it has them at their own rate."""
+def _accelerometer_scale(
+    sequence: Sequence, result: RunResult, of_images: FloatArray
+) -> AccelerometerScale | None:
+    """Compare the path by the images alone, given by motions [N, 4, 4] of which the first is that
+    of the first frame, with the samples of the recording, if it has them at their own rate."""
     stream = getattr(sequence, "imu_stream", None)
     if stream is None or sequence.imu is None or len(result) < 2:
         return None
     return accelerometer_scale(
         result.stamps_ns,
-        se3.chain_motions(result.T_curr_prev),
+        se3.chain_motions(of_images[1 : len(result)]),
         result.status == Status.OK,
         stream=stream,
         calibration=sequence.imu,

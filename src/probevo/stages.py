@@ -72,11 +72,14 @@ class Solved:
         """Whether the images show the motion from the previous frame to this one."""
         return self.visual.status is Status.OK and self.recovery is None
 
-    @property
-    def features(self) -> StepFeatures:
-        """The tracks, and what became of them."""
+    def features(self, T_curr_prev: FloatArray) -> StepFeatures:
+        """Return the tracks, and what became of them, given the motion of the step, [4, 4]."""
         return StepFeatures(
-            self.tracks, self.observed.phi, used=self.visual.used, weights=self.visual.weights
+            self.tracks,
+            self.observed.phi,
+            used=self.visual.used,
+            weights=self.visual.weights,
+            T_curr_prev=T_curr_prev,
         )
 
     @property

@@ -27,6 +27,7 @@ from probevo.estimation.sensor_fusion import SensorFusion
 from probevo.estimation.window import Window
 from probevo.measurements.base import pose_of
 from probevo.measurements.gyro import GyroBias, GyroRotation, covers, integrate_gyro
+from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.sequences.frame import Frame
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -47,6 +48,9 @@ class StepFeatures:
     """Which of them the solve used, [N]."""
     weights: FloatArray
     """How far each was trusted, [N], 0 to 1."""
+    T_curr_prev: FloatArray
+    """The motion that they show by themselves, without the window, or else the dead-reckoned one,
+    [4, 4], m."""
 
     @staticmethod
     def none(num_columns: int) -> StepFeatures:
@@ -56,6 +60,7 @@ class StepFeatures:
             phi=np.zeros((0, num_columns)),
             used=np.zeros(0, np.bool_),
             weights=np.zeros(0),
+            T_curr_prev=np.eye(4),
         )
 
 
@@ -267,6 +272,32 @@ def _first_window(frame: Frame, imu: ImuCalibration | None, config: OdometryConf
     if imu is None or config.window.imu == "off":
         return window
     return replace(window, inertial=Inertial(imu))
+
+
+def motion_for_window(
+    window: Window, prediction: Prediction, motion: MotionEstimate
+) -> RelativePose:
+    """Return the motion of a step as a window takes it.
+
+    Errors of dead reckoning are those of one velocity, and no step's is independent of the one's
+    before. So a dead-reckoned motion is one from the last usable frame, as long as that is in the
+    window.
+
+    Args:
+        window: before the step.
+        prediction: of the step.
+        motion: that was solved or dead-reckoned from the frame that the prediction leads from.
+    """
+    curr = pose_of(prediction.frame.index)
+    usable = prediction.state.last_usable_after(prediction.duration_s, motion)
+    if usable is not None and _may_enter(window, usable.state.frame):
+        path = usable.path
+        return RelativePose(
+            path.T_prev_usable, path.cov, curr=curr, prev=pose_of(usable.state.frame.index)
+        )
+    return RelativePose(
+        motion.T_curr_prev, motion.cov, curr=curr, prev=pose_of(prediction.state.frame.index)
+    )
 
 
 def _may_enter(window: Window | None, frame: Frame) -> bool:

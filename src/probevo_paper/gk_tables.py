@@ -29,6 +29,9 @@ ESTIMATOR_NOTE = (
 class GkTableConfig(OdometryConfig):
     """The settings of all runs and trainings; estimators differ only in their noise model."""
 
+    estimator: Literal["two-frame", "window"] = Field(
+        "two-frame", description="Of all runs; what was published is of two frames."
+    )
     gk: KernelSettings = Field(
         KernelSettings(), description="How the generalized kernel is trained."
     )

@@ -29,7 +29,11 @@ from probevo_sim.sun_sensor import LEAST_SIGMA_RAD, Fault, SunSensor
 
 CAMERA = StereoCamera.centered(400.0, 0.5, (640, 480))
 DEPTHS_M = (4.0, 20.0)
-WITHOUT_OUTLIERS = {"self_calibration": False, "ransac": {"threshold_px": 50.0}}
+WITHOUT_OUTLIERS = {
+    "estimator": "two-frame",
+    "self_calibration": False,
+    "ransac": {"threshold_px": 50.0},
+}
 """There are none, and a threshold would cut the tails of the noise."""
 FRAME_NS = 100_000_000
 TURN_RAD = 1.0

@@ -30,6 +30,8 @@ def test_a_run_evaluates_to_its_own_metrics(form: str, wall_run: Path, tmp_path:
     ours, theirs = (json.loads((folder / "metrics.json").read_text()) for folder in (run, wall_run))
     for nested in ("nees_coverage", "faults"):
         assert ours.pop(nested) == theirs.pop(nested)
+    assert theirs.pop("smoothed")["armse_m"] < 0.01
+    assert ours.pop("smoothed") is None
     assert ours == pytest.approx(theirs, abs=1e-6)
 
 

@@ -34,6 +34,8 @@ FILES = {
     "motions.npz",
     "report.html",
     "trajectory.kitti.txt",
+    "trajectory.smoothed.kitti.txt",
+    "trajectory.smoothed.tum",
     "trajectory.tum",
 }
 
@@ -55,6 +57,8 @@ def test_all_files_are_there_and_agree(wall: Path, wall_run: Path) -> None:
     assert written.pop("faults") == {}
     assert metrics.pop("faults") is None  # the caller takes it from the run
     assert written.pop("nees_coverage") == metrics.pop("nees_coverage")
+    assert written.pop("smoothed")["armse_m"] < 0.01
+    assert metrics.pop("smoothed") is None
     assert written == pytest.approx(metrics, abs=1e-9)
 
 
@@ -477,7 +481,7 @@ def test_flags_that_cannot_be_read_exit_with_2(words: list[str], wall: Path) -> 
 def test_the_window_writes_the_smoothed_path_too(wall: Path, tmp_path: Path) -> None:
     """Its newest pose is the live one; a run of two frames leaves no smoothed path of another."""
     out = tmp_path / "out"
-    words = ["run", str(wall), "--out", str(out), "--estimator", "window", "--window.frames", "4"]
+    words = ["run", str(wall), "--out", str(out), "--window.frames", "4"]
     assert main(words) == 0
     _, live = read_tum(out / "trajectory.tum")
     _, smoothed = read_tum(out / "trajectory.smoothed.tum")
@@ -487,5 +491,5 @@ def test_the_window_writes_the_smoothed_path_too(wall: Path, tmp_path: Path) -> 
         read_kitti_poses(out / "trajectory.smoothed.kitti.txt"), smoothed, atol=1e-9
     )
     assert json.loads((out / "metrics.json").read_text())["smoothed"]["armse_m"] >= 0.0
-    assert main([*words[:4], "--max-frames", "2"]) == 0
+    assert main([*words[:4], "--estimator", "two-frame", "--max-frames", "2"]) == 0
     assert not (out / "trajectory.smoothed.tum").exists()

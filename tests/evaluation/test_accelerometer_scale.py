@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -151,5 +152,6 @@ def test_a_wrong_baseline_of_a_rendered_drive_is_seen(
         if factor == 1.0:
             assert "accelerometer" not in warning
         else:
-            named = float(warning.split("The path is ")[1].split(" ")[0])
-            assert abs(named - factor) < 0.02
+            named = re.search(r"The path is ([0-9.]+) ", warning)
+            assert named is not None
+            assert abs(float(named[1]) - factor) < 0.02

@@ -80,7 +80,7 @@ def run(seed: int, *, with_sensor: bool) -> list[pv.MotionEstimate]:
     odometry = pv.StereoOdometry(
         CAMERA,
         pv.noise.Fixed(SIGMA_PX**2 * np.eye(4)),
-        config=pv.OdometryConfig(self_calibration=False),
+        config=pv.OdometryConfig(estimator="two-frame", self_calibration=False),
         sensors=[sense] if with_sensor else [],
     )
     return [odometry.step(frame) for frame in frames]

@@ -27,6 +27,7 @@ from probevo.nets.estimated_steps import EstimatedSteps, read_steps  # noqa: E40
 from probevo.network_settings import NetworkSettings  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
 from probevo_paper import dpc_net  # noqa: E402
+from worlds import TWO_FRAMES  # noqa: E402
 
 FRAMES = 13
 SETTINGS = NetworkSettings(epochs=2, batch=8, heads=3)
@@ -130,8 +131,8 @@ def test_the_odometry_takes_the_corrected_motion_with_its_covariance(
     sequence = open_sequence(walls[2])
     sensor = CorrectionSensor.load(model, sequence.camera)
     frames = list(sequence)[:4]
-    plain = pv.StereoOdometry(sequence.camera)
-    fused = pv.StereoOdometry(sequence.camera, sensors=[sensor])
+    plain = pv.StereoOdometry(sequence.camera, config=TWO_FRAMES)
+    fused = pv.StereoOdometry(sequence.camera, config=TWO_FRAMES, sensors=[sensor])
     for k, frame in enumerate(frames):
         before = plain.step(frame)
         after = fused.step(frame)
@@ -148,7 +149,9 @@ def test_the_odometry_takes_the_corrected_motion_with_its_covariance(
 
 def test_every_method_of_the_paper_drifts_as_it_should(walls: list[Path], model: Path) -> None:
     networks = {dpc_net.NETWORK: model, dpc_net.ROTATION: model}
-    found = dpc_net.drifts(open_sequence(walls[2]), networks, pv.OdometryConfig())
+    found = dpc_net.drifts(
+        open_sequence(walls[2]), networks, pv.OdometryConfig(estimator="two-frame")
+    )
     assert tuple(found) == dpc_net.METHODS
     nees = {name: float(drift.anees or 0.0) for name, drift in found.items()}
     assert nees[dpc_net.UNCORRECTED] > 2.0 * nees[dpc_net.CONSTANT] > 0.0

@@ -42,7 +42,8 @@ ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0])
 DISPARITY_SIGMA_PX = np.array([1.0, 1.0])
 """Prior standard deviation of b₁, b₂."""
 CONSTANT_SIGMA_PX = 0.1
-"""Standard deviation of the constant b₀, which is not estimated (a consider parameter)."""
+"""Prior standard deviation of the constant b₀, which two frames do not estimate (a consider
+parameter)."""
 ROW_SCATTER_PX = 0.2
 """Scale of v_r − v_l around its model; its tails are those of a Student-t with 5 degrees of
 freedom."""

@@ -169,7 +169,7 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
     from probevo.odometry import StereoOdometry
     from probevo.tracking.left_right import FRAMES_TO_SEE, check_left_right, count_matches
 
-    odometry = StereoOdometry(sequence.camera)
+    odometry = StereoOdometry(sequence.camera, config={"estimator": "two-frame"})
     camera = sequence.camera
     heights = GroundHeights(camera)
     motions = []

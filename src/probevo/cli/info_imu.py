@@ -54,7 +54,7 @@ class ImageRotations:
     @staticmethod
     def of(sequence: Sequence) -> ImageRotations:
         """Estimate the rotations of the first steps without the IMU; leave out unsolved steps."""
-        odometry = StereoOdometry(sequence.camera)
+        odometry = StereoOdometry(sequence.camera, config={"estimator": "two-frame"})
         frames = list(islice(sequence, MAX_STEPS + 1))
         motions = [odometry.step(frame) for frame in frames][1:]
         solved = [k for k, motion in enumerate(motions) if motion.status is Status.OK]

@@ -44,6 +44,9 @@ class CalibratedMotion:
     """The calibration after the step; None without self-calibration."""
     common_mode: FloatArray
     """Columns along which errors of the calibration before the step move the motion, [6, 3]."""
+    jitter_cov: FloatArray | None
+    """Covariance of the rig's jitter with which the tracks were solved, [3, 3], rad²; None without
+    self-calibration."""
 
     def accepted(self) -> MotionEstimate:
         """Return the motion of an accepted solve.
@@ -163,13 +166,17 @@ class SelfCalibratingEstimator:
                 clock=clock,
             )
             if rig is None or visual.two_frames_only is None:
-                return CalibratedMotion(corrected, visual, rig=rig, common_mode=np.zeros((6, 3)))
+                return CalibratedMotion(
+                    corrected, visual, rig=rig, common_mode=np.zeros((6, 3)), jitter_cov=jitter_cov
+                )
             used = corrected.tracks.kept(visual.used)
             updated, common_mode = update_rig(rig, used, visual.two_frames_only, self._camera)
             if not updated.jitter.exceeds(jitter_cov):
                 break
             jitter_cov = updated.jitter.cov
-        return CalibratedMotion(corrected, visual, rig=updated, common_mode=common_mode)
+        return CalibratedMotion(
+            corrected, visual, rig=updated, common_mode=common_mode, jitter_cov=jitter_cov
+        )
 
     def _with_delay(self, found: CalibratedMotion, duration_s: float) -> RigCalibration | None:
         """Return the calibration after an accepted solve, with the delay of the right images."""

@@ -26,7 +26,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
-from probevo.camera.rig_calibration import CORRELATED_FEATURES, disparity_basis
+from probevo.camera.rig_calibration import (
+    CONSTANT_SIGMA_PX,
+    CORRELATED_FEATURES,
+    DISPARITY_SIGMA_PX,
+    disparity_basis,
+)
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation import inertial
@@ -59,9 +64,11 @@ from probevo.measurements.robust_loss import RobustLoss
 from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
-RIG_SIGMA = np.array([1.0, 1.0, 1.0, 0.02])
-"""Prior standard deviation of b₀, b₁ and b₂, px, and κ: 0.02 moves what is seen 45° from the axis
-by 2 % of the focal length."""
+LENS_SIGMA = 0.02
+"""Prior standard deviation of κ: what is seen 45° from the axis moves by 2 % of the focal
+length."""
+RIG_SIGMA = np.array([CONSTANT_SIGMA_PX, *DISPARITY_SIGMA_PX, LENS_SIGMA])
+"""Prior standard deviation of b₀, b₁ and b₂, px, and κ."""
 CONVERGED_BELOW = 0.1
 """A step after which further ones would lower the cost by less than this, in nats, is the last."""
 LEAST_DAMPING = 1e-4
@@ -181,7 +188,7 @@ class WindowEstimator:
             tracks,
             noise,
             two_frames=motion,
-            jitter_cov=None if rig is None else rig.jitter.cov,
+            jitter_cov=step.jitter_cov,
             measurements=measurements,
         )
 

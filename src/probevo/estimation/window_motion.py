@@ -54,6 +54,9 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
         known_better = from_oldest_before - from_oldest_after
     corrected = adjoint @ known_better @ adjoint.T
     cov = relative_cov + _positive_part(corrected)
+    if after.is_blind[-1] and np.linalg.det(motion.cov) < np.linalg.det(cov):
+        # Blind frames are dead-reckoned from the last usable one, each as if by itself.
+        cov = motion.cov
     # The path's covariance has to come out as that of the window.
     growth = curr_after - adjoint @ prev_before @ adjoint.T
     return replace(

@@ -60,7 +60,7 @@ def train_correction(
         recordings: those to learn from; the last ``left_out`` stop the training and calibrate it.
         settings: all settings.
         out: the file.
-        odometry: settings of the odometry; the defaults if left out.
+        odometry: settings of the odometry; two frames, with the defaults, if left out.
         max_frames: frames of each recording that are used; None for all.
         on_progress: called after each frame and each epoch.
 
@@ -70,7 +70,7 @@ def train_correction(
     Raises:
         InputError: the odometry has a window, there are too few steps, or as ``train_task`` raises.
     """
-    config = odometry or OdometryConfig()
+    config = odometry or OdometryConfig(estimator="two-frame")
     task = Task(
         KIND,
         check=check_recording,

@@ -281,7 +281,7 @@ class TrainSettings(Settings):
     # Networks that measure.
     nets: NetworkSettings = NetworkSettings()
     max_frames: int | None = Field(None, ge=2, description="Of each recording, use so many frames.")
-    odometry: OdometryConfig = OdometryConfig()
+    odometry: OdometryConfig = OdometryConfig(estimator="two-frame")
 
     @staticmethod
     def published() -> TrainSettings:
@@ -299,6 +299,8 @@ class TrainSettings(Settings):
             relative=False,
             average="arithmetic",
             odometry=OdometryConfig(
-                ransac=RansacConfig(mode="off"), gyro=GyroConfig(prefilter_deg=5.0)
+                estimator="two-frame",
+                ransac=RansacConfig(mode="off"),
+                gyro=GyroConfig(prefilter_deg=5.0),
             ),
         )

@@ -27,7 +27,7 @@ def drive(scene: SceneRecording) -> tuple[Metrics, list[MotionEstimate]]:
 
 @pytest.mark.slow
 def test_a_clean_drive_drifts_little_and_noise_increases_the_error() -> None:
-    """Drift is below 0.5 % without effects; sensor noise at least doubles the error of a step.
+    """Drift is below 0.5 % without effects; with sensor noise, steps are half as wrong again.
 
     The drive is 25 m through the city. Noise is added after rendering, so that both drives can use
     the same renderings.
@@ -44,4 +44,4 @@ def test_a_clean_drive_drifts_little_and_noise_increases_the_error() -> None:
     noisy, _ = drive(noisy_scene)
     assert clean.rpe_t_m is not None
     assert noisy.rpe_t_m is not None
-    assert noisy.rpe_t_m > 2.0 * clean.rpe_t_m
+    assert noisy.rpe_t_m > 1.5 * clean.rpe_t_m
