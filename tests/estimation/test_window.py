@@ -13,13 +13,13 @@ from probevo.camera.rig_calibration import disparity_basis
 from probevo.camera.rig_jitter import jitter_offsets
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.estimation import window_estimator
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import MarginalPrior, Window, selected
-from probevo.estimation.window_estimator import (
+from probevo.estimation.window_estimator import WindowEstimator
+from probevo.estimation.window_marginalization import (
     LEAST_INFORMATION,
-    WindowEstimator,
-    _kept_positive,
+    kept_positive,
+    without_blind,
 )
 from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_motion import live_motion
@@ -682,13 +682,13 @@ def test_a_prior_that_rounding_has_made_negative_keeps_what_it_says_of_motions()
     between = np.kron(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.diag([1e4] * 3 + [1e6] * 3))
     information = np.zeros((2 * POSE + RIG, 2 * POSE + RIG))
     information[:-RIG, :-RIG] = between - 1e-7 * np.eye(2 * POSE)
-    prior = _kept_positive(MarginalPrior(information, np.zeros(len(information))))
+    prior = kept_positive(MarginalPrior(information, np.zeros(len(information))))
     of_poses = prior.information[:-RIG, :-RIG]
     assert np.linalg.eigvalsh(of_poses)[0] > 0.5 * LEAST_INFORMATION
     difference = np.kron(np.array([1.0, -1.0]), np.eye(POSE))
     cov = difference @ np.linalg.inv(of_poses) @ difference.T
     np.testing.assert_allclose(cov, np.diag([1e-4] * 3 + [1e-6] * 3), rtol=1e-3, atol=1e-9)
-    assert _kept_positive(prior) is prior
+    assert kept_positive(prior) is prior
 
 
 def test_a_blind_frame_between_two_that_see_a_landmark_changes_nothing_for_them() -> None:
@@ -715,7 +715,7 @@ def test_a_blind_frame_between_two_that_see_a_landmark_changes_nothing_for_them(
     assert np.abs(equations.hessian[4 * POSE : 5 * POSE]).max() == 0.0
     # Marginalised, it takes along what measured nothing but itself.
     measured = by.adjusted(with_measurements(found, [step_to(4, FORWARD)])).window
-    without = window_estimator._without_blind(measured, found.is_blind)
+    without = without_blind(measured, found.is_blind)
     attached = np.arange(3 * POSE, 4 * POSE)  # to frame 3, of which no other prior speaks
     assert np.abs(measured.prior.information[np.ix_(attached, attached)]).max() > 10.0
     assert np.abs(without.prior.information[np.ix_(attached, attached)]).max() < 1e-3

@@ -68,6 +68,8 @@ class DeadReckonedPath:
             path_sensitivity: how the error of the velocity has moved the path so far, [6, 6], as
                 of the motion model.
         """
+        # One unknown velocity has moved the path before and moves this step: both sensitivities,
+        # along the current axes, add up, and the two errors are correlated.
         T_curr_prev = prediction.T_curr_prev
         velocity = prediction.velocity_sensitivity
         before = se3.adjoint(T_curr_prev) @ path_sensitivity
@@ -79,6 +81,8 @@ class DeadReckonedPath:
 
     def closed(self, motion: MotionEstimate) -> MotionEstimate:
         """Return the step from the previous frame, given the motion from the last usable one."""
+        # The error of the dead reckoning is part of the step with the opposite sign: variances add
+        # up in the step, and its negative cross-covariance takes them out of the path.
         T_curr_prev = motion.T_curr_prev @ se3.inverse(self.T_prev_usable)
         adjoint = se3.adjoint(T_curr_prev)
         reckoned = adjoint @ self.cov @ adjoint.T
@@ -108,6 +112,7 @@ class Recovery:
 
     def accepted(self, motion: MotionEstimate) -> MotionEstimate:
         """Return the motion from the last usable frame under the variance of such matches."""
+        # Errors of the calibration are the same however far apart the frames are.
         own = motion.cov - motion.common_mode @ motion.common_mode.T
         cov = motion.cov + (self.noise_factor - 1.0) * own
         return replace(motion, cov=cov, status=Status.RECOVERED)

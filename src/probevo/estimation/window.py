@@ -173,6 +173,7 @@ class Window:
             T_slot_other, [4, 4], m, and the covariance of its left perturbation, [6, 6].
         """
         T = self.T_cam_world[slot] @ se3.inverse(self.T_cam_world[other])
+        # ξ = ξ_slot − Ad(T) ξ_other, to first order.
         jacobian = np.zeros((POSE, len(self.cov)))
         jacobian[:, self.pose_slice(slot)] += np.eye(POSE)
         jacobian[:, self.pose_slice(other)] -= se3.adjoint(T)
@@ -222,6 +223,7 @@ def merged(
     num_landmarks = len(before.start) - 1
     rows_before = np.repeat(np.arange(num_landmarks), np.diff(before.start))
     all_rows = np.concatenate([rows_before, rows])
+    # Stable, so that the observations of a landmark stay in the order of their frames.
     order = np.argsort(all_rows, kind="stable")
     return WindowObservations(
         start=_starts(np.bincount(all_rows, minlength=num_landmarks)),

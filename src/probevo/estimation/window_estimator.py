@@ -1,10 +1,9 @@
 """Bundle adjustment of a sliding window, and marginalisation of what leaves it.
 
 The errors b of the rig, of its disparities and lenses, are estimated with the poses, but trusted
-less. Errors of
-neighbouring features are alike, and what a frame shows of b, the next ones show again, so that all
-information about b counts for 1/c of what it is (``CORRELATED_FEATURES``). With p(x | b) of poses
-and landmarks, and p(b) of the rig, the window maximises
+less. Errors of neighbouring features are alike, and what a frame shows of b, the next ones show
+again, so that all information about b counts for 1/c of what it is (``CORRELATED_FEATURES``). With
+p(x | b) of poses and landmarks, and p(b) of the rig, the window maximises
 
     log p(x | b) + (1/c) log p(b) + log prior(b).
 
@@ -40,6 +39,14 @@ from probevo.estimation.motion_correction import Shares
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import MarginalPrior, Window, merged, selected
+from probevo.estimation.window_jitter import JitterElimination, jitter_places, without_jitter
+from probevo.estimation.window_marginalization import (
+    kept_positive,
+    pose_covariance,
+    with_pose,
+    without_blind,
+    without_poses,
+)
 from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_numba import (
     FRAME,
@@ -73,15 +80,6 @@ CONVERGED_BELOW = 0.1
 """A step after which further ones would lower the cost by less than this, in nats, is the last."""
 LEAST_DAMPING = 1e-4
 """Share of its diagonal that is first added to the Hessian, after a step that raised the cost."""
-LEAST_SHARE = 1e-12
-"""Least information about the place of a window, over that about the motions within it. It is that
-of hundreds of metres and many turns, where linearisation and rounding mean nothing any more, but
-would spoil the covariances of the motions."""
-LEAST_INFORMATION = 1e-6
-"""Least information about the place of a window that is left where rounding has lost it, m⁻²: that
-of a kilometre."""
-LENGTH_M = 10.0
-"""Length by which information about an attitude is compared with that."""
 FLAWLESS = 1e-6
 """Factor of these where the rig is said to be flawless."""
 COST_TOLERANCE = 1.0
@@ -101,16 +99,6 @@ class Adjustment:
 
 
 @dataclass(frozen=True)
-class _JitterElimination:
-    """What finds the jitters once poses and rig are known: ω' − ω = offset − gain · step."""
-
-    offset: FloatArray
-    """[3K], rad."""
-    gain: FloatArray
-    """[3K, 6K + 4]."""
-
-
-@dataclass(frozen=True)
 class _System:
     """The normal equations of a window at its current values."""
 
@@ -118,7 +106,7 @@ class _System:
     cost: float
     equations: NormalEquations
     elimination: Elimination
-    jitter: _JitterElimination
+    jitter: JitterElimination
     inertial: InertialSystem | None
 
 
@@ -228,7 +216,7 @@ class WindowEstimator:
             if self._fixes_newest(adjusted, prev):
                 return self._shortened(self._with_inertial_start(adjusted))
         except np.linalg.LinAlgError:
-            pass
+            pass  # what no feature fixes makes the normal equations singular
         return self.without_features(window, frame, two_frames, measurements)
 
     def without_features(
@@ -255,6 +243,7 @@ class WindowEstimator:
             guess = motion.T_curr_prev
         prev = window.slot(motion.variables[0].frame)
         extended = self.with_frame(window, frame, guess, Tracks.none(), none, prev=prev)
+        # A corrected motion is one of the measurements already, and must not count twice.
         is_among_them = any(one is motion for one in measurements)
         if not is_among_them and not inertial.bridges_newest(extended):
             measurements = [*measurements, motion]
@@ -266,6 +255,7 @@ class WindowEstimator:
         except np.linalg.LinAlgError:
             if not inertial.uses_imu(window):
                 raise
+        # It may be the IMU's own states that nothing fixes: once more without them.
         left_out = inertial.without_inertial(window, inertial.NO_SOLUTION)
         return self.without_features(left_out, frame, motion, measurements)
 
@@ -285,6 +275,7 @@ class WindowEstimator:
         _, cov = window.relative(len(window) - 1, prev)
         if not np.isfinite(cov).all():
             return False
+        # Eigenvalues, not the diagonal: the direction that is not known may lie across the axes.
         translation = np.linalg.eigvalsh(cov[:3, :3])
         rotation = np.linalg.eigvalsh(cov[3:, 3:])
         return bool(
@@ -307,7 +298,7 @@ class WindowEstimator:
             leaving[-2:] = False  # the last step leads from one to the other
             if window.is_blind[-1]:
                 leaving &= np.cumsum(leaving) <= window.is_blind.sum() - limit
-            window = _without_blind(window, leaving)
+            window = without_blind(window, leaving)
             limit += int(window.is_blind.sum())
         while len(window) > limit:  # one, or more once a blind frame has features after all
             window = self.without_oldest(window)
@@ -349,6 +340,7 @@ class WindowEstimator:
         prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
         parameters = self._loss.parameters(noise.dof)
         first_px = tracks.prev_px[is_new]
+        # Each observation counts with the noise at its own time.
         information = np.linalg.inv(np.concatenate([prev_scale[is_new], noise.scale]))
         new = WindowObservations(
             start=np.zeros(0, np.int64),
@@ -373,7 +365,7 @@ class WindowEstimator:
         )
         T_new = T_curr_prev @ window.T_cam_world[prev]
         is_blind = np.append(window.is_blind, len(tracks) == 0)
-        is_blind[prev] &= len(tracks) == 0
+        is_blind[prev] &= len(tracks) == 0  # features of it may be found again only now
         return replace(
             inertial.extended(window),
             frames=np.append(window.frames, frame),
@@ -381,7 +373,7 @@ class WindowEstimator:
             T_linear=np.concatenate([window.T_linear, T_new[None]]),
             is_blind=is_blind,
             jitter=np.concatenate([window.jitter, np.zeros((1, JITTER))]),
-            prior=_with_pose(window.prior),
+            prior=with_pose(window.prior),
             ids=np.concatenate([window.ids, tracks.ids[is_new]]),
             landmarks=landmarks,
             observations=merged(window.observations, new, np.concatenate([rows[is_new], rows])),
@@ -393,6 +385,7 @@ class WindowEstimator:
         The rig's errors, whose information is tempered, end elsewhere than where the cost is least,
         so that a step may raise the cost a little.
         """
+        # Levenberg–Marquardt, which is plain Gauss–Newton until a step has raised the cost.
         system = self._system(window)
         moved = window
         damping = 0.0
@@ -434,11 +427,13 @@ class WindowEstimator:
         """
         observations = window.observations
         rows = window.landmark_rows
+        # Landmarks of the oldest frame are anchored in it, and leave with all their observations.
         is_old = observations.slot[observations.start[:-1]] == 0
         is_alive = is_old & (window.last_seen == len(window) - 1)
         is_last = np.zeros(len(rows), np.bool_)
         is_last[observations.start[1:] - 1] = True
         begins_anew = is_last & is_alive[rows]
+        # G of those that share a frame's jitter: the effective number of ages, (Σ n)²/Σ n².
         seen_at_age = np.bincount(window.age, minlength=1)
         groups = max(1.0, seen_at_age.sum() ** 2 / max(1, (seen_at_age**2).sum()))
         system = self._system(
@@ -454,7 +449,7 @@ class WindowEstimator:
         information = system.equations.hessian
         vector = system.equations.gradient + information @ window.offsets()
         is_first = np.arange(len(window)) == 0
-        prior = _without_poses(MarginalPrior(information, vector), is_first)
+        prior = without_poses(MarginalPrior(information, vector), is_first)
         of_imu = window.inertial
         marginalised = inertial.without_first(window, system.equations)
         if marginalised is not None:
@@ -473,7 +468,7 @@ class WindowEstimator:
             T_linear=window.T_linear[1:],
             is_blind=window.is_blind[1:],
             jitter=window.jitter[1:],
-            prior=_kept_positive(prior),
+            prior=kept_positive(prior),
             ids=window.ids[stays],
             landmarks=_selected_landmarks(window.landmarks._replace(state=state), stays),
             observations=kept._replace(slot=kept.slot - 1),
@@ -487,6 +482,7 @@ class WindowEstimator:
         camera = self._camera
         x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
         x_r, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
+        # What the lenses move outwards is taken back at the observed place: it is only a start.
         inwards = -rig[LENS] * (x * x + y * y)
         inwards_r = -rig[LENS] * (x_r * x_r + y * y)
         states = np.zeros((len(pixels), LANDMARK))
@@ -514,6 +510,7 @@ class WindowEstimator:
             rig=window.rig,
             intrinsics=self._intrinsics,
         )
+        # The prior ½ xᵀ Λ x − ηᵀ x has the gradient η − Λ x towards its optimum.
         x = window.offsets()
         towards_prior = window.prior.vector - window.prior.information @ x
         equations = NormalEquations(hessian=np.zeros((size, size)), gradient=np.zeros(size))
@@ -532,16 +529,17 @@ class WindowEstimator:
             equations=equations,
             elimination=elimination,
         )
-        without_jitter, jitter, jitter_cost = _without_jitter(window, equations)
+        # Of what is left of the landmarks, the jitters, and of these, poses and rig.
+        reduced, jitter, jitter_cost = without_jitter(window, equations)
         cost += jitter_cost - 0.5 * float(x @ (window.prior.vector + towards_prior))
-        hessian = without_jitter.hessian + window.prior.information
-        gradient = without_jitter.gradient + towards_prior
+        hessian = reduced.hessian + window.prior.information
+        gradient = reduced.gradient + towards_prior
         of_imu = inertial.system_of(window)
-        if of_imu is not None:
-            reduced, reduced_gradient = of_imu.reduced()
+        if of_imu is not None:  # its velocities, biases and gravity are eliminated, too
+            imu_hessian, imu_gradient = of_imu.reduced()
             cost += of_imu.cost
-            hessian += reduced
-            gradient += reduced_gradient
+            hessian += imu_hessian
+            gradient += imu_gradient
         return _System(
             window=window,
             cost=cost,
@@ -561,7 +559,8 @@ class WindowEstimator:
         try:
             solved = np.linalg.solve(damped, wanted)
         except np.linalg.LinAlgError:
-            solved = _inverse(damped) @ wanted
+            solved = pose_covariance(damped) @ wanted
+        # The rig first, by the Schur complement that is tempered by 1/c; then the poses for it.
         of_rig = solved[:, :RIG]
         information = hessian[rig, rig] - hessian[rig, poses] @ of_rig
         towards = gradient[rig] - of_rig.T @ gradient[poses]
@@ -575,7 +574,9 @@ class WindowEstimator:
         """Return the joint covariance of poses and rig, [6K + 4, 6K + 4]; the rig's is tempered."""
         poses = slice(None, -RIG)
         rig = slice(-RIG, None)
-        of_poses = _inverse(hessian[poses, poses])
+        # The inverse by blocks: with the gain G = H_pp⁻¹ H_pr and the tempered covariance Σ_rr of
+        # the rig, Σ_pp = H_pp⁻¹ + G Σ_rr Gᵀ and Σ_pr = −G Σ_rr.
+        of_poses = pose_covariance(hessian[poses, poses])
         gain = of_poses @ hessian[poses, rig]
         information = hessian[rig, rig] - hessian[rig, poses] @ gain
         rig_cov = np.linalg.inv(self._rig_information + information / CORRELATED_FEATURES)
@@ -590,7 +591,7 @@ class WindowEstimator:
         """Return the window after a step of poses and rig; the landmarks follow."""
         window = system.window
         jitter_step = system.jitter.offset - system.jitter.gain @ step
-        at_jitter, at_others = _places(len(window))
+        at_jitter, at_others = jitter_places(len(window))
         whole_step = np.empty(FRAME * len(window) + RIG)
         whole_step[at_jitter] = jitter_step
         whole_step[at_others] = step
@@ -613,46 +614,6 @@ class WindowEstimator:
         )
 
 
-def _places(num_frames: int) -> tuple[IntArray, IntArray]:
-    """Return where the jitters lie in a vector of frames and rig, [3K], and all else, [6K + 4]."""
-    size = FRAME * num_frames + RIG
-    is_jitter = np.zeros(size, np.bool_)
-    is_jitter[: FRAME * num_frames].reshape(-1, FRAME)[:, POSE:] = True
-    return np.flatnonzero(is_jitter), np.flatnonzero(~is_jitter)
-
-
-def _without_jitter(
-    window: Window, equations: NormalEquations
-) -> tuple[NormalEquations, _JitterElimination, float]:
-    """Eliminate the jitters of all frames, with their prior N(0, S).
-
-    Args:
-        window: K frames.
-        equations: of their poses, jitters and the rig, without the prior.
-
-    Returns:
-        The equations of poses and rig, what finds the jitters, and the cost of their prior.
-    """
-    jitter, others = _places(len(window))
-    information = np.kron(np.eye(len(window)), np.linalg.inv(window.jitter_cov))
-    towards_prior = -information @ window.jitter.ravel()
-    of_jitter = equations.hessian[np.ix_(jitter, jitter)] + information
-    coupling = equations.hessian[np.ix_(jitter, others)]
-    gradient = equations.gradient[jitter] + towards_prior
-    solved = np.asarray(
-        np.linalg.solve(of_jitter, np.column_stack([coupling, gradient])), np.float64
-    )
-    gain = solved[:, :-1]
-    offset = solved[:, -1]
-    hessian = equations.hessian[np.ix_(others, others)] - coupling.T @ gain
-    reduced = NormalEquations(
-        hessian=0.5 * (hessian + hessian.T),
-        gradient=equations.gradient[others] - coupling.T @ offset,
-    )
-    cost = -0.5 * float(window.jitter.ravel() @ towards_prior)
-    return reduced, _JitterElimination(offset=offset, gain=gain), cost
-
-
 def _rows_of(window: Window, ids: IntArray, slot: int) -> IntArray:
     """Return the landmark of each identity, [N], among those that a frame was the last to see; −1
     for none."""
@@ -665,100 +626,6 @@ def _rows_of(window: Window, ids: IntArray, slot: int) -> IntArray:
     found = window.ids[alive[place]] == ids
     rows[found] = alive[place[found]]
     return rows
-
-
-def _inverse(hessian: FloatArray) -> FloatArray:
-    """Invert the Hessian of the poses, [6K, 6K].
-
-    The motions within the window are known far better than its place in the world, and after hours
-    with blackouts so much better that both are lost in one inversion. So the oldest pose is held at
-    first, by as much as B, the diagonal of its own block, says. With C the inverse then, and C₀ its
-    columns of the oldest pose, that without is C + C₀ B (B − B C₀₀ B)⁻¹ B C₀ᵀ (Woodbury). The place
-    is at least as well known as ``LEAST_SHARE`` says.
-
-    Raises:
-        numpy.linalg.LinAlgError: the motions are not known.
-    """
-    diagonal = np.diagonal(hessian)[:POSE]
-    if not (diagonal > 0.0).all():
-        raise np.linalg.LinAlgError("the oldest pose is not known at all")
-    root = np.sqrt(diagonal)
-    held = hessian.copy()
-    held[:POSE, :POSE] += np.diag(root**2)
-    inverse = np.linalg.inv(held)
-    share, directions = np.linalg.eigh(np.eye(POSE) - root[:, None] * inverse[:POSE, :POSE] * root)
-    moved = inverse[:, :POSE] * root @ directions
-    return np.asarray(inverse + moved / np.maximum(share, LEAST_SHARE) @ moved.T)
-
-
-def _with_pose(prior: MarginalPrior) -> MarginalPrior:
-    """Return the prior with one more pose, of which it says nothing."""
-    size = len(prior.vector)
-    kept = np.concatenate([np.arange(size - RIG), np.arange(size - RIG, size) + POSE])
-    information = np.zeros((size + POSE, size + POSE))
-    information[np.ix_(kept, kept)] = prior.information
-    vector = np.zeros(size + POSE)
-    vector[kept] = prior.vector
-    return MarginalPrior(information, vector)
-
-
-def _kept_positive(prior: MarginalPrior) -> MarginalPrior:
-    """Return the prior with an information about its poses that is positive.
-
-    What it says of the place of the window, beside what it says of the motions within it, may be
-    lost by rounding, and then be negative. It is nothing worse than ``LEAST_INFORMATION``.
-    """
-    poses = np.flatnonzero(np.diagonal(prior.information)[:-RIG])
-    block = np.ix_(poses, poses)
-    of_poses = prior.information[block]
-    unit = np.sqrt(np.maximum(np.diagonal(of_poses), LEAST_INFORMATION))
-    try:
-        np.linalg.cholesky(of_poses / unit[:, None] / unit)
-    except np.linalg.LinAlgError:
-        metres = np.where(poses % POSE < POSE // 2, 1.0, LENGTH_M)
-        values, directions = np.linalg.eigh(of_poses / metres[:, None] / metres)
-        directions = metres[:, None] * directions
-        information = prior.information.copy()
-        information[block] = directions * np.maximum(values, LEAST_INFORMATION) @ directions.T
-        return replace(prior, information=information)
-    return prior
-
-
-def _without_poses(prior: MarginalPrior, leaving: BoolArray) -> MarginalPrior:
-    """Marginalise the poses of some frames, [K]: the Schur complement of their block."""
-    gone = _of_poses(leaving)
-    information = prior.information
-    gain = np.linalg.solve(information[np.ix_(gone, gone)], information[np.ix_(gone, ~gone)])
-    rest = information[np.ix_(~gone, ~gone)] - information[np.ix_(~gone, gone)] @ gain
-    return MarginalPrior(
-        information=0.5 * (rest + rest.T), vector=prior.vector[~gone] - gain.T @ prior.vector[gone]
-    )
-
-
-def _of_poses(frames: BoolArray) -> BoolArray:
-    """Return the places of the poses of some frames, [K], in the joint vector, [6K + 4]."""
-    return np.concatenate([np.repeat(frames, POSE), np.zeros(RIG, np.bool_)])
-
-
-def _without_blind(window: Window, leaving: BoolArray) -> Window:
-    """Marginalise blind frames, [K], which nothing but the prior connects with others."""
-    if not leaving.any():
-        return window
-    kept = ~_of_poses(leaving)
-    num_before = np.cumsum(leaving)
-    observations = window.observations
-    return replace(
-        window,
-        frames=window.frames[~leaving],
-        T_cam_world=window.T_cam_world[~leaving],
-        T_linear=window.T_linear[~leaving],
-        is_blind=window.is_blind[~leaving],
-        jitter=window.jitter[~leaving],
-        prior=_kept_positive(_without_poses(window.prior, leaving)),
-        observations=observations._replace(slot=observations.slot - num_before[observations.slot]),
-        cov=window.cov[np.ix_(kept, kept)],
-        left=(*window.left, *(window.pose(int(slot)) for slot in np.flatnonzero(leaving))),
-    )
 
 
 def _selected_landmarks(landmarks: WindowLandmarks, keep: BoolArray) -> WindowLandmarks:

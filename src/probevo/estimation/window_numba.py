@@ -277,6 +277,8 @@ def accumulate(
         wide=np.zeros((LANDMARK, FRAME * num_frames + RIG + 1)),
         unit=np.zeros(LANDMARK),
     )
+    # A landmark moves with the motion from its anchor to a frame. What all landmarks say of one
+    # such motion is summed first, so that adjoints are applied once a pair of frames.
     sums = np.zeros((num_frames, num_frames, FRAME, _PAIR))
     factors = np.zeros((PIXELS, _PAIR))
     cost = 0.0
@@ -290,6 +292,7 @@ def accumulate(
         _factor(trust.curvature, track.common, work, elimination.inverse[row])
         _eliminate(row, problem, work, elimination=elimination, equations=equations)
     _add_pairs(sums, geometry.adjoints, equations)
+    # So far, only the lower triangle is complete.
     size = len(equations.gradient)
     for i in range(size):
         for j in range(i):
@@ -304,6 +307,7 @@ def _relative_poses(T_cam_world: FloatArray) -> FloatArray:
     relative = np.zeros((count, count, 4, 4))
     for k in range(count):
         for a in range(count):
+            # C_ka = C_k C_aᵀ, t_ka = t_k − C_ka t_a.
             T_ka = relative[k, a]
             T_ka[3, 3] = 1.0
             for i in range(3):
@@ -483,6 +487,8 @@ def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
         parameter += observations.loss_parameter[m] / (end - first)
     free = PIXELS * (end - first) - 3
     if loss == STUDENT_T and parameter < 1e300:
+        # With s = rᵀ r, the cost ½ (ν + n) log(1 + s/ν) has the Hessian w (I − 2 r rᵀ/(ν + s)) in
+        # the white residual r. The curvature is the mean of its n eigenvalues, kept positive.
         weight = (parameter + free) / (parameter + total)
         share = 1.0 - 2.0 / free * total / (parameter + total)
         return _Trust(
@@ -613,6 +619,7 @@ def _add_common(
             for j in range(_COMMON):
                 common[i, j] += z0 * z[0, j] + z1 * z[1, j] + z2 * z[2, j] + z3 * z[3, j]
     error = _COMMON - 1
+    # The prior of the time-correlated error, δ ~ N(0, τ²).
     prior = problem.landmarks.error_information[row]
     common[3, 3] += prior
     common[3, error] -= prior * problem.landmarks.state[row, 3]
@@ -658,6 +665,8 @@ def _add_motions(
     count = problem.observations.start[row + 1] - first
     anchor = problem.observations.slot[first]
     correlation = problem.noise.correlation
+    # Blocks of Σ⁻¹ (above): s_k² + ρ²/(1 + ρ) on the diagonal, the last one without the second
+    # term, and −ρ/(1 + ρ) beside it.
     of_next = correlation * correlation / (1.0 + correlation)
     with_prev = -correlation / (1.0 + correlation)
     for k in range(count):
@@ -727,6 +736,7 @@ def _couple(
                 )
         if k == 0:
             continue  # its pose does not matter there
+        # The anchor's pose moves the prediction by −J Ad(T_ka).
         adjoint = problem.geometry.adjoints[problem.observations.slot[first + k], anchor]
         for i in range(LANDMARK):
             for j in range(POSE):
@@ -759,6 +769,7 @@ def _factor(
             for n in range(j):
                 total -= root[i, n] * root[j, n]
             root[i, j] = math.sqrt(max(total, 1e-12)) if i == j else total / root[j, j]
+    # Column by column of R Rᵀ A⁻¹ = I: forwards with R, then backwards with Rᵀ.
     solved = work.unit
     for column in range(LANDMARK):
         for i in range(LANDMARK):
@@ -912,6 +923,7 @@ def move_landmarks(
     rig0 = len(step) - RIG
     rest = np.zeros(LANDMARK)
     for row in range(len(state)):
+        # A δ = g − B · step, with the inverse of A left by ``_factor``.
         for i in range(LANDMARK):
             rest[i] = elimination.gradient[row, i]
             for j in range(RIG):

@@ -1,0 +1,121 @@
+"""What a window keeps of the poses that leave it: the prior, as the Schur complement of theirs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray
+from probevo.estimation.window import MarginalPrior, Window
+from probevo.estimation.window_numba import POSE, RIG
+
+LEAST_SHARE = 1e-12
+"""Least information about the place of a window, over that about the motions within it. It is that
+of hundreds of metres and many turns, where linearisation and rounding mean nothing any more, but
+would spoil the covariances of the motions."""
+LEAST_INFORMATION = 1e-6
+"""Least information about the place of a window that is left where rounding has lost it, m⁻²: that
+of a kilometre."""
+LENGTH_M = 10.0
+"""Length by which information about an attitude is compared with that."""
+
+
+def pose_covariance(hessian: FloatArray) -> FloatArray:
+    """Invert the Hessian of the poses, [6K, 6K].
+
+    The motions within the window are known far better than its place in the world, and after hours
+    with blackouts so much better that both are lost in one inversion. So the oldest pose is held at
+    first, by as much as B, the diagonal of its own block, says. With C the inverse then, and C₀ its
+    columns of the oldest pose, that without is C + C₀ B (B − B C₀₀ B)⁻¹ B C₀ᵀ (Woodbury). The place
+    is at least as well known as ``LEAST_SHARE`` says.
+
+    Raises:
+        numpy.linalg.LinAlgError: the motions are not known.
+    """
+    diagonal = np.diagonal(hessian)[:POSE]
+    if not (diagonal > 0.0).all():
+        raise np.linalg.LinAlgError("the oldest pose is not known at all")
+    root = np.sqrt(diagonal)
+    held = hessian.copy()
+    held[:POSE, :POSE] += np.diag(root**2)
+    inverse = np.linalg.inv(held)
+    share, directions = np.linalg.eigh(np.eye(POSE) - root[:, None] * inverse[:POSE, :POSE] * root)
+    moved = inverse[:, :POSE] * root @ directions
+    return np.asarray(inverse + moved / np.maximum(share, LEAST_SHARE) @ moved.T)
+
+
+def with_pose(prior: MarginalPrior) -> MarginalPrior:
+    """Return the prior with one more pose, of which it says nothing."""
+    size = len(prior.vector)
+    # The rig stays last, behind the new pose.
+    kept = np.concatenate([np.arange(size - RIG), np.arange(size - RIG, size) + POSE])
+    information = np.zeros((size + POSE, size + POSE))
+    information[np.ix_(kept, kept)] = prior.information
+    vector = np.zeros(size + POSE)
+    vector[kept] = prior.vector
+    return MarginalPrior(information, vector)
+
+
+def kept_positive(prior: MarginalPrior) -> MarginalPrior:
+    """Return the prior with an information about its poses that is positive.
+
+    What it says of the place of the window, beside what it says of the motions within it, may be
+    lost by rounding, and then be negative. It is nothing worse than ``LEAST_INFORMATION``.
+    """
+    # A pose of which the prior says nothing has only zeros, and is no matter of rounding.
+    poses = np.flatnonzero(np.diagonal(prior.information)[:-RIG])
+    block = np.ix_(poses, poses)
+    of_poses = prior.information[block]
+    # With a unit diagonal, Cholesky fails by what rounding has lost, whatever the scale of a pose.
+    unit = np.sqrt(np.maximum(np.diagonal(of_poses), LEAST_INFORMATION))
+    try:
+        np.linalg.cholesky(of_poses / unit[:, None] / unit)
+    except np.linalg.LinAlgError:
+        # Eigenvalues of metres and radians can be compared only on one scale.
+        metres = np.where(poses % POSE < POSE // 2, 1.0, LENGTH_M)
+        values, directions = np.linalg.eigh(of_poses / metres[:, None] / metres)
+        directions = metres[:, None] * directions
+        information = prior.information.copy()
+        information[block] = directions * np.maximum(values, LEAST_INFORMATION) @ directions.T
+        return replace(prior, information=information)
+    return prior
+
+
+def without_poses(prior: MarginalPrior, leaving: BoolArray) -> MarginalPrior:
+    """Marginalise the poses of some frames, [K]: the Schur complement of their block."""
+    gone = _is_of_poses(leaving)
+    information = prior.information
+    gain = np.linalg.solve(information[np.ix_(gone, gone)], information[np.ix_(gone, ~gone)])
+    rest = information[np.ix_(~gone, ~gone)] - information[np.ix_(~gone, gone)] @ gain
+    return MarginalPrior(
+        information=0.5 * (rest + rest.T), vector=prior.vector[~gone] - gain.T @ prior.vector[gone]
+    )
+
+
+def _is_of_poses(frames: BoolArray) -> BoolArray:
+    """Return the places of the poses of some frames, [K], in the joint vector, [6K + 4]."""
+    return np.concatenate([np.repeat(frames, POSE), np.zeros(RIG, np.bool_)])
+
+
+def without_blind(window: Window, leaving: BoolArray) -> Window:
+    """Marginalise blind frames, [K], which nothing but the prior connects with others."""
+    if not leaving.any():
+        return window
+    # No observation is of a blind frame, so that only the prior has to be marginalised. The places
+    # of later frames move up.
+    kept = ~_is_of_poses(leaving)
+    num_before = np.cumsum(leaving)
+    observations = window.observations
+    return replace(
+        window,
+        frames=window.frames[~leaving],
+        T_cam_world=window.T_cam_world[~leaving],
+        T_linear=window.T_linear[~leaving],
+        is_blind=window.is_blind[~leaving],
+        jitter=window.jitter[~leaving],
+        prior=kept_positive(without_poses(window.prior, leaving)),
+        observations=observations._replace(slot=observations.slot - num_before[observations.slot]),
+        cov=window.cov[np.ix_(kept, kept)],
+        left=(*window.left, *(window.pose(int(slot)) for slot in np.flatnonzero(leaving))),
+    )
