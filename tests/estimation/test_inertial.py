@@ -10,7 +10,14 @@ import pytest
 from inertial_worlds import CALIBRATION, GRAVITY, SmoothPath, inertial_drive
 from probevo.arrays import FloatArray
 from probevo.config import OdometryConfig
-from probevo.estimation.inertial import Inertial, started, uses_imu, with_samples
+from probevo.estimation.inertial import (
+    Inertial,
+    reason_not_used,
+    started,
+    trusts_gyro,
+    uses_imu,
+    with_samples,
+)
 from probevo.estimation.inertial_states import (
     GRAVITY as GRAVITY_DIMENSIONS,
 )
@@ -366,6 +373,24 @@ def test_an_imu_that_contradicts_the_images_is_not_used(change: Change) -> None:
     assert by.window.inertial is not None
     assert not by.window.inertial.is_used
     assert "check the" in estimates[-1].imu_left_out
+
+
+def test_a_gyro_by_itself_is_no_imu_that_is_left_out() -> None:
+    """It predicts motions, and nobody is warned that the window does not use it."""
+    frames, _ = drive_of(41, 8)
+    gyro_only = [
+        frame
+        if frame.imu is None
+        else replace(
+            frame, imu=replace(frame.imu, accel_m_s2=np.full_like(frame.imu.accel_m_s2, np.nan))
+        )
+        for frame in frames
+    ]
+    by = odometry()
+    estimates = [by.step(frame) for frame in gyro_only]
+    assert reason_not_used(by.window) is None
+    assert trusts_gyro(by.window)
+    assert not any(estimate.imu_left_out for estimate in estimates)
 
 
 def test_frames_that_only_the_imu_connects_stay_when_it_is_left_out() -> None:

@@ -16,6 +16,7 @@ from probevo.output.run_warnings import (
     focal_warning,
     imu_warning,
     run_warnings,
+    scale_warning,
     status_warning,
     timing_warning,
 )
@@ -29,6 +30,30 @@ def test_the_status_that_prevails_is_named(status: Status) -> None:
     assert said is not None
     assert said.startswith("Only 1 of 4 steps are OK")
     assert f"Most others are {status.name.replace('_', ' ').lower()}," in said
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_camera_at_rest_has_no_scale(moves: bool) -> None:
+    """Its true steps are the noise of the truth, which no estimate has."""
+    rng = np.random.default_rng(3)
+    recorder = RunRecorder()
+    truth = []
+    for frame in range(30):
+        T_world_cam = np.eye(4)
+        T_world_cam[:3, 3] = 1e-4 * rng.normal(size=3)
+        T_estimated = np.eye(4)
+        if moves:
+            T_world_cam[2, 3] += 0.1 * frame
+            T_estimated[2, 3] = -0.2
+        status = Status.OK if frame else Status.FIRST
+        recorder.add(frame, pv.MotionEstimate(T_estimated, np.eye(6), status, 0))
+        truth.append(T_world_cam)
+    warning = scale_warning(recorder.result(), np.array(truth))
+    if moves:
+        assert warning is not None
+        assert "The steps are 2 times as long" in warning
+    else:
+        assert warning is None
 
 
 def test_a_sensor_that_lies_is_named_with_its_frame() -> None:

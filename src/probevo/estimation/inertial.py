@@ -32,7 +32,12 @@ from probevo.estimation.window_measurements import with_measurements
 from probevo.estimation.window_numba import POSE, NormalEquations
 from probevo.geometry import se3
 from probevo.measurements.base import pose_of
-from probevo.measurements.preintegration import NoPreintegration, Preintegration, preintegrate
+from probevo.measurements.preintegration import (
+    NO_ACCELEROMETER,
+    NoPreintegration,
+    Preintegration,
+    preintegrate,
+)
 from probevo.measurements.relative_pose import RelativePose
 from probevo.sequences.frame import Frame
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -156,7 +161,10 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
         bias=states.bias[-1] if states is not None else np.zeros(6),
     )
     if isinstance(factor, NoPreintegration):
-        silent = replace(inertial, pending=None, prediction=None, note=factor.reason)
+        # A gyro alone predicts motions, as with two frames; nobody expects more of it.
+        is_gyro_only = factor.reason == NO_ACCELEROMETER and not inertial.is_used
+        note = "" if is_gyro_only else factor.reason
+        silent = replace(inertial, pending=None, prediction=None, note=note)
         return replace(window, inertial=silent)
     factor = replace(factor, cov=inertial.noise_factor * factor.cov)
     prediction = None

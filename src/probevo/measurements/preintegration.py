@@ -63,6 +63,10 @@ class Preintegration:
     """By how much the random walk of each bias may move it meanwhile, [6], (rad/s)², (m/s²)²."""
 
 
+NO_ACCELEROMETER = "has no accelerometer"
+"""Reason of an interval of which only the gyro has samples."""
+
+
 @dataclass(frozen=True)
 class NoPreintegration:
     """An interval of which the samples of the IMU say nothing."""
@@ -97,6 +101,8 @@ def preintegrate(
         return NoPreintegration("has no samples")
     if end_ns <= start_ns:
         return NoPreintegration("has samples of an interval of no length")
+    if not np.isfinite(imu.accel_m_s2).any():
+        return NoPreintegration(NO_ACCELEROMETER)
     is_usable = _are_within(imu.gyro_rad_s, LARGEST_RATE_RAD_S)
     is_usable &= _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
     stamps_ns = imu.stamps_ns[is_usable]

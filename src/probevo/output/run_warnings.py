@@ -23,6 +23,8 @@ MAX_HEIGHT_ERROR = 0.03
 """The same where a known height tells it: a load lowers a car by some 2 cm."""
 FEWEST_FOR_SCALE = 5
 """Steps that the scale needs."""
+LEAST_COSINE = 0.5
+"""Median cosine between successive true steps of a camera that moves."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
@@ -176,6 +178,8 @@ def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
         return None
     # The longer half of the steps, each projected on the true one, so that noise does not add up.
     is_known &= length_m >= np.median(length_m[is_known])
+    if not _go_on(true_m[is_known]):
+        return None
     along_m = np.sum(steps_m[is_known] * true_m[is_known], axis=1) / length_m[is_known]
     scale = float(np.median(along_m / length_m[is_known]))
     if abs(scale - 1.0) <= MAX_SCALE_ERROR:
@@ -184,3 +188,11 @@ def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
         f"The steps are {scale:.3g} times as long as the true ones. Are the baseline and the truth"
         " in metres, and of this camera?"
     )
+
+
+def _go_on(steps_m: FloatArray) -> bool:
+    """Return whether steps, [K, 3], mostly lead on in the direction of the one before: those of a
+    camera at rest are the noise of its truth, and lead nowhere."""
+    along_m2 = np.sum(steps_m[1:] * steps_m[:-1], axis=1)
+    lengths_m = np.linalg.norm(steps_m, axis=1)
+    return bool(np.median(along_m2 / (lengths_m[1:] * lengths_m[:-1])) > LEAST_COSINE)
