@@ -116,10 +116,8 @@ class StereoOdometry:
         prediction = state.predict(frame, self.imu)  # from last velocity and gyro
         observed = self._observe(prediction, clock)  # tracking/, predictors/: pixels → tracks → φ
         measured = self._measure(prediction)  # measurements/: gyro, and sensors plugged in
-        solved = self._estimate(
-            observed, measured, clock
-        )  # noise/, estimation/: motion, covariance
-        estimate, after = self._advance(prediction, solved, measured, clock)  # pose, next state
+        solved = self._estimate(observed, measured, clock)  # noise/, estimation/: φ → R → motion
+        estimate, after = self._advance(prediction, solved, measured, clock)  # motion → pose
         estimate = replace(estimate, missing=missing)
         self._state = after
         return estimate

@@ -206,7 +206,7 @@ def gated(window: Window, seen: RelativePose) -> Window:
     prediction = inertial.prediction
     innovation = se3.log(seen.T_curr_prev @ se3.inverse(prediction.T_curr_prev))
     squared = float(innovation @ np.linalg.solve(seen.covariance + prediction.cov, innovation))
-    is_gated = not squared <= GATE * inertial.noise_factor
+    is_gated = not squared <= GATE * inertial.noise_factor  # NaN is gated, too
     was_gated = (*inertial.was_gated[1 - NUM_TESTED :], is_gated)
     inertial = replace(
         inertial,
@@ -294,6 +294,7 @@ def without_inertial(window: Window, note: str, *, refused: bool = True) -> Wind
         return replace(window, inertial=left_out)
     system = inertial_system(window, inertial.states, inertial.factors, num_pairs=0)
     hessian, gradient = system.reduced()
+    # Their joint prior with the poses stays, reduced to the poses; the factors go.
     information = window.prior.information + hessian
     vector = window.prior.vector + gradient + hessian @ window.offsets()
     prior = replace(window.prior, information=information, vector=vector)
@@ -419,6 +420,7 @@ def without_first(
     inertial = window.inertial
     if inertial is None or inertial.states is None:
         return None
+    # Only what involves the first frame: its factor to the second, and the prior.
     system = inertial_system(window, inertial.states, inertial.factors, num_pairs=1)
     x = np.concatenate([window.offsets(), inertial.states.joint()])
     remaining, states = without_first_frame(inertial.states, others, system, x=x)

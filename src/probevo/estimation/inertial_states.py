@@ -217,6 +217,7 @@ def inertial_system(
     q = GRAVITY + STATE * count
     hessian = np.zeros((p + q, p + q))
     gradient = np.zeros(p + q)
+    # The joint prior, but for the part of poses and rig alone, which is the window's own.
     x = states.joint()
     offsets = window.offsets()
     hessian[p:, p:] = states.information
@@ -226,6 +227,7 @@ def inertial_system(
     gradient[p:] = towards - states.coupling @ offsets
     gradient[:p] = -states.coupling.T @ x
     cost = -0.5 * float(x @ (states.vector + towards)) + float(x @ (states.coupling @ offsets))
+    # The preintegrations.
     present = [at for at, factor in enumerate(factors[:num_pairs]) if factor is not None]
     used = [factor for factor in factors[:num_pairs] if factor is not None]
     if used:
@@ -241,6 +243,7 @@ def inertial_system(
             gradient[joint] += descent
     variances = _walk_variances(factors)[:num_pairs]
     cost += _add_walks(states, variances, hessian[p:, p:], gradient[p:])
+    # What nothing measures must not make the block singular that is eliminated.
     inertial = hessian[p:, p:].copy()
     diagonal = np.diagonal(inertial)
     unmeasured = np.flatnonzero(diagonal < LEAST_INFORMATION)
@@ -270,6 +273,7 @@ def linearized(
     dt = np.array([f.duration_s for f in factors])[:, None]
     lever = np.stack([f.lever_m for f in factors])
     by_bias = np.stack([f.bias_jacobian for f in factors])
+    # The samples were summed up with another bias; what that changes is taken to first order.
     change = states.bias[first] - np.stack([f.bias for f in factors])
     correction = (by_bias @ change[..., None])[..., 0]
     T = window.T_cam_world
@@ -425,6 +429,7 @@ def without_first_frame(
     hessian[:p, :p] += others.hessian
     gradient = system.gradient.copy()
     gradient[:p] += others.gradient
+    # At the offsets x, gradient = η − Λ x of the prior that includes what goes.
     vector = gradient + hessian @ x
     goes = np.zeros(len(x), np.bool_)
     goes[:POSE] = True
@@ -436,6 +441,7 @@ def without_first_frame(
     rest = hessian[np.ix_(~goes, ~goes)] - hessian[np.ix_(~goes, goes)] @ gain
     rest = 0.5 * (rest + rest.T)
     rest_vector = vector[~goes] - gain.T @ vector[goes]
+    # The rest is a prior of all that remains, of which the window holds the part of poses and rig.
     poses = slice(None, p - POSE)
     inertial = slice(p - POSE, None)
     of_states = ~goes[p:]
@@ -477,6 +483,7 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     C_i = window.T_cam_world[last, :3, :3]
     correction = factor.bias_jacobian @ (states.bias[last] - factor.bias)
     gravity = states.gravity
+    # The state at the end, by the equations that ``linearized`` sets to zero.
     rotation = factor.rotation @ so3.exp(correction[:3])
     way = factor.position + correction[6:]
     way = way + C_i @ (dt * states.velocity[last] + 0.5 * dt**2 * gravity)
@@ -508,11 +515,13 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     sensitivity = -inverse @ jacobian[:, given]
     at_pose = window.pose_slice(last)
     inertial = np.r_[np.arange(at_state, at_state + STATE), 0, 1]
+    # Joint covariance of the last pose, its velocity and biases, and gravity.
     cov = np.empty((POSE + STATE + GRAVITY, POSE + STATE + GRAVITY))
     cov[:POSE, :POSE] = window.cov[at_pose, at_pose]
     cov[POSE:, :POSE] = states.cross_cov[inertial, at_pose]
     cov[:POSE, POSE:] = cov[POSE:, :POSE].T
     cov[POSE:, POSE:] = states.cov[np.ix_(inertial, inertial)]
+    # The motion is the new pose less the last one: ξ = ξ_new − Ad(T) ξ_last.
     relative = sensitivity[:POSE]
     relative[:, :POSE] -= se3.adjoint(T_curr_prev)
     noise = (inverse @ factor.cov @ inverse.T)[:POSE, :POSE]
