@@ -329,6 +329,7 @@ def _update(
         kept_common, directions = _strongest_directions(
             states.sensitivity, root, cov=cov, chosen=of_jitter
         )
+        # Path and step depend on the same whitened errors, which makes their cross-covariance.
         step = root[:6]
         path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
         common_before = root[own + COMMON - common.shape[2] :]

@@ -95,11 +95,13 @@ def update_states(
     D = np.empty((4, m + COMMON))
     for n in range(len(chosen)):
         i = chosen[n]
+        # x + V z.
         x[n, 0] = prior.point[i, 2]
         x[n, 1] = prior.error[i]
         for k in range(common.shape[2]):
             x[n, 0] += common[i, 0, k] * mean[before + k]
             x[n, 1] += common[i, 1, k] * mean[before + k]
+        # D = (J, H U), of which δ enters u_r alone; the innovation e − D z; K, and K times that.
         for r in range(4):
             e = features.residuals[i, r]
             for k in range(m):
@@ -115,6 +117,7 @@ def update_states(
                 for q in range(4):
                     gain[s, r] += prior.cross_cov[i, q, s] * features.information[i, q, r]
                 x[n, s] += gain[s, r] * e
+        # P − K H P and V − K D. A variance that the residual takes away entirely stays positive.
         growth = features.disparity_jacobian[i, 0] - features.disparity_jacobian[i, 2]
         for s in range(2):
             for t in range(2):
@@ -125,6 +128,7 @@ def update_states(
                 sensitivity[n, s, k] = common[i, s, k - before] if k >= before else 0.0
                 for r in range(4):
                     sensitivity[n, s, k] -= gain[s, r] * D[r, k]
+        # In terms of the current frame.
         cov[n, 0, 0] *= growth * growth
         cov[n, 0, 1] *= growth
         cov[n, 1, 0] *= growth
@@ -172,6 +176,7 @@ def common_mode_equations(
     white = np.empty((4, 6))
     for n in range(len(rows)):
         i = rows[n]
+        # M = H U: d moves the whole prediction, δ its u_r alone.
         for r in range(4):
             for k in range(6):
                 M[r, k] = features.disparity_jacobian[i, r] * common[n, 0, k] - (
