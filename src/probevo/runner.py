@@ -388,7 +388,7 @@ class SmoothedPath:
     def add(self, window: Window | None) -> None:
         """Take the poses that left the window in the last step."""
         if window is not None:
-            self._left += window.left
+            self._left += window.marginalized
 
     def poses(self, window: Window | None) -> FloatArray | None:
         """Return T_world_cam of all frames, [N, 4, 4], m, whether they have left the window or are

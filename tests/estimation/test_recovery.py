@@ -189,7 +189,7 @@ def test_a_window_keeps_no_more_blind_frames_than_others() -> None:
         status = odometry.step(frame).status
         window = odometry.window
         assert window is not None
-        left += [pose.frame for pose in window.left]
+        left += [pose.frame for pose in window.marginalized]
         num_blind = int(window.is_blind.sum())
         assert num_blind <= limit
         assert len(window) - num_blind <= limit

@@ -76,8 +76,8 @@ class Window:
     observations: WindowObservations
     cov: FloatArray
     """Joint covariance of the poses' left perturbations and the rig, [6K + 4, 6K + 4]."""
-    left: tuple[SmoothedPose, ...] = ()
-    """The poses that left the window in the last step."""
+    marginalized: tuple[SmoothedPose, ...] = ()
+    """The poses that have left the window in the last step."""
     inertial: Inertial | None = None
     """Its IMU, with velocities, biases and gravity; None without one."""
 

@@ -291,7 +291,7 @@ class WindowEstimator:
         Blind frames come on top, as many as other ones at most, until a later frame has features:
         what was seen before may then be found again. With an IMU, they are frames like others.
         """
-        window = replace(window, left=())
+        window = replace(window, marginalized=())
         limit = self._config.frames
         if window.inertial is None:
             leaving = window.is_blind.copy()
@@ -332,6 +332,7 @@ class WindowEstimator:
         """
         num_frames = len(window)
         prev %= num_frames
+        # The landmark of each track; new ones are numbered behind those of the window.
         rows = _rows_of(window, tracks.ids, prev)
         is_new = rows < 0
         rows[is_new] = len(window.ids) + np.arange(int(is_new.sum()))
@@ -432,10 +433,12 @@ class WindowEstimator:
         is_alive = is_old & (window.last_seen == len(window) - 1)
         is_last = np.zeros(len(rows), np.bool_)
         is_last[observations.start[1:] - 1] = True
-        begins_anew = is_last & is_alive[rows]
+        begins_anew = is_last & is_alive[rows]  # of which that observation stays, too
         # G of those that share a frame's jitter: the effective number of ages, (Σ n)²/Σ n².
         seen_at_age = np.bincount(window.age, minlength=1)
         groups = max(1.0, seen_at_age.sum() ** 2 / max(1, (seen_at_age**2).sum()))
+        # The normal equations of these landmarks and the prior alone, without the IMU, whose first
+        # factor is marginalised with them below.
         system = self._system(
             replace(
                 window,
@@ -456,6 +459,7 @@ class WindowEstimator:
             prior, of_imu = marginalised
         elif of_imu is not None:
             of_imu = replace(of_imu, factors=of_imu.factors[1:])
+        # The landmarks that begin anew are those of their last observation by itself.
         state = window.landmarks.state.copy()
         last_px = observations.pixels[observations.start[1:] - 1]
         state[is_alive] = self._first_states(last_px[is_alive], window.rig)
@@ -474,7 +478,7 @@ class WindowEstimator:
             observations=kept._replace(slot=kept.slot - 1),
             cov=window.cov[POSE:, POSE:],
             inertial=of_imu,
-            left=(*window.left, window.pose(0)),
+            marginalized=(*window.marginalized, window.pose(0)),
         )
 
     def _first_states(self, pixels: FloatArray, rig: FloatArray) -> FloatArray:

@@ -117,5 +117,8 @@ def without_blind(window: Window, leaving: BoolArray) -> Window:
         prior=kept_positive(without_poses(window.prior, leaving)),
         observations=observations._replace(slot=observations.slot - num_before[observations.slot]),
         cov=window.cov[np.ix_(kept, kept)],
-        left=(*window.left, *(window.pose(int(slot)) for slot in np.flatnonzero(leaving))),
+        marginalized=(
+            *window.marginalized,
+            *(window.pose(int(slot)) for slot in np.flatnonzero(leaving)),
+        ),
     )
