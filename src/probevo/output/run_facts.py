@@ -146,7 +146,7 @@ def focal_text(error: FocalLengthError) -> str:
 
 
 def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
-    """Say whether there is an IMU, and what its gyro is used for."""
+    """Say whether there is an IMU, and what it is used for."""
     if not config.imu:
         return "left out"
     if sequence.imu is None:
@@ -155,7 +155,10 @@ def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
     uses += ["to reject features"] if config.gyro.prefilter_deg else []
     uses += ["in RANSAC"] if config.ransac.rotation_from == "gyro" else []
     uses += ["in the solve"] if config.gyro.prior else []
-    return f"gyro {', '.join(uses)}"
+    gyro = f"gyro {', '.join(uses)}"
+    if config.estimator == "window" and config.window.imu == "auto":
+        return f"in the window, once it agrees with the images; {gyro}"
+    return gyro
 
 
 def truth_text(truth: GroundTruth | None, num_frames: int | None = None) -> str:
