@@ -48,15 +48,16 @@ LARGEST_EXCESS = 4.0
 """Largest χ² over its degrees of freedom at the start: what factors and images together may be
 noisier than they say."""
 GATE = 22.5
-"""Squared Mahalanobis distance, of six dimensions, beyond which a factor is left out: 99.9 %."""
+"""Squared Mahalanobis distance, of six dimensions, beyond which a factor counts for little:
+99.9 %."""
 NUM_TESTED = 20
-"""Last factors over which the noise is estimated, and those left out are counted."""
+"""Last factors over which the noise is estimated, and those beyond the gate are counted."""
 FEWEST_TESTED = 8
 """Least number of them that says how large the noise is."""
 MEDIAN_SQUARED = 5.348
 """Median of χ² of six degrees of freedom."""
 MOST_GATED = 6
-"""So many of them left out, and the IMU is."""
+"""So many of them beyond the gate, and the IMU is left out."""
 MOST_ATTEMPTS = 30
 """Frames at which the IMU may contradict the images before it has ever been used."""
 NO_SOLUTION = "is left out from here on: with it, the window has no solution"
@@ -194,7 +195,11 @@ def uses_imu(window: Window | None) -> bool:
 
 
 def gated(window: Window, seen: RelativePose) -> Window:
-    """Return the window without the pending factor, if the motion that the images show refutes it.
+    """Return the window with a pending factor that counts for little, if the motion that the images
+    show refutes it.
+
+    Its covariance grows by as much as explains by itself how far it is off. Without any factor, the
+    velocity would not be known behind this frame, nor the way through a blackout that begins there.
 
     Args:
         window: K frames, with what the IMU measured since.
@@ -215,7 +220,10 @@ def gated(window: Window, seen: RelativePose) -> Window:
     )
     if is_gated:
         note = f"contradicts the images in this step (χ² {squared:.0f} of 6 degrees of freedom)"
-        inertial = replace(inertial, pending=None, prediction=None, note=note)
+        pending = None
+        if inertial.pending is not None and np.isfinite(squared):
+            pending = _as_noisy_as(inertial.pending, innovation)
+        inertial = replace(inertial, pending=pending, prediction=None, note=note)
     if sum(was_gated) >= MOST_GATED or inertial.excess > LARGEST_EXCESS:
         note = (
             f"is left out from here on: it contradicted the images in {sum(was_gated)} of the last"
@@ -223,6 +231,14 @@ def gated(window: Window, seen: RelativePose) -> Window:
         )
         return without_inertial(replace(window, inertial=inertial), note)
     return replace(window, inertial=inertial)
+
+
+def _as_noisy_as(factor: Preintegration, error: FloatArray) -> Preintegration:
+    """Return a factor whose covariance explains by itself that its motion is off by so much, [6]."""
+    rotation = np.diagonal(factor.cov)[:3].mean()
+    position = np.diagonal(factor.cov)[6:].mean()
+    too_large = max(error[:3] @ error[:3] / position, error[3:] @ error[3:] / rotation)
+    return replace(factor, cov=max(1.0, too_large) * factor.cov)
 
 
 def where_better_than(window: Window, motion: RelativePose) -> Window:
