@@ -339,7 +339,7 @@ def test_a_factor_beyond_the_gate_leaves_the_velocity_known() -> None:
     last_bright = 18
     imu = frames[last_bright].imu
     assert imu is not None
-    pushed = replace(imu, accel_m_s2=imu.accel_m_s2 + [2.0, 0.0, 2.0])
+    pushed = replace(imu, accel_m_s2=imu.accel_m_s2 + np.array([2.0, 0.0, 2.0]))
     frames[last_bright] = replace(frames[last_bright], imu=pushed)
     for k in range(last_bright + 1, len(frames)):
         frames[k] = replace(blind_frame(k), imu=frames[k].imu)

@@ -234,7 +234,7 @@ def gated(window: Window, seen: RelativePose) -> Window:
 
 
 def _as_noisy_as(factor: Preintegration, error: FloatArray) -> Preintegration:
-    """Return a factor whose covariance explains by itself that its motion is off by so much, [6]."""
+    """Return a factor whose covariance explains by itself why its motion is off by so much, [6]."""
     rotation = np.diagonal(factor.cov)[:3].mean()
     position = np.diagonal(factor.cov)[6:].mean()
     too_large = max(error[:3] @ error[:3] / position, error[3:] @ error[3:] / rotation)
