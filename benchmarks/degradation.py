@@ -233,7 +233,7 @@ def run(world: World, name: str) -> tuple[RunResult, FloatArray]:
     spoil, wrong = SPOILED[name]
     kept = spoil(world.frames, np.random.default_rng(0))
     truth = world.T_world_cam[[frame.index for frame in kept]]
-    odometry = pv.StereoOdometry(wrong(world.camera), config={"estimator": "two-frame"})
+    odometry = pv.StereoOdometry(wrong(world.camera))
     recorder = RunRecorder()
     for number, frame in enumerate(kept):
         motion = odometry.step(replace(frame, index=number, imu=None))
