@@ -12,7 +12,13 @@ from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
-from probevo.estimation.inertial import Inertial, trusts_gyro, uses_imu, with_samples
+from probevo.estimation.inertial import (
+    Inertial,
+    may_bridge,
+    trusts_gyro,
+    uses_imu,
+    with_samples,
+)
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.pose_filter import PoseFilter
@@ -302,4 +308,4 @@ def motion_for_window(
 
 def _may_enter(window: Window | None, frame: Frame) -> bool:
     """Return whether a motion from a frame to the next one can enter a window, if there is one."""
-    return window is None or (window.inertial is None and frame.index in window.frames)
+    return window is None or (not may_bridge(window) and frame.index in window.frames)

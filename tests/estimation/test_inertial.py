@@ -395,6 +395,28 @@ def test_an_imu_that_contradicts_the_images_is_not_used(change: Change) -> None:
     assert "check the" in estimates[-1].imu_left_out
 
 
+def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:
+    """Black frames are then those of a window without an IMU, and their pose as uncertain."""
+    frames, _ = drive_of(42, 46)
+    changed = [
+        frame if frame.imu is None else replace(frame, imu=in_g(frame.imu)) for frame in frames
+    ]
+    for k in (41, 42):
+        changed[k] = replace(blind_frame(k), imu=changed[k].imu)
+    by = odometry()
+    without = odometry(calibration=None)
+    for frame in changed:
+        estimate = by.step(frame)
+        expected = without.step(replace(frame, imu=None))
+        if frame.index >= 41:
+            np.testing.assert_allclose(estimate.pose_cov, expected.pose_cov, rtol=1e-6)
+        if frame.index == 43:
+            assert estimate.status is Status.RECOVERED
+    assert by.window is not None
+    assert by.window.inertial is not None
+    assert by.window.inertial.refused
+
+
 def test_a_gyro_by_itself_is_no_imu_that_is_left_out() -> None:
     """It predicts motions, and nobody is warned that the window does not use it."""
     frames, _ = drive_of(41, 8)

@@ -135,6 +135,7 @@ class Inertial:
             refused=refused,
             squared=(),
             was_gated=(),
+            factors=(None,) * len(self.factors) if refused else self.factors,
         )
 
 
@@ -162,10 +163,10 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
         bias=states.bias[-1] if states is not None else np.zeros(6),
     )
     if isinstance(factor, NoPreintegration):
-        # A gyro alone predicts motions, as with two frames; nobody expects more of it.
-        is_gyro_only = factor.reason == NO_ACCELEROMETER and not inertial.is_used
-        note = "" if is_gyro_only else factor.reason
-        silent = replace(inertial, pending=None, prediction=None, note=note)
+        if factor.reason == NO_ACCELEROMETER and len(window) == 1:
+            # A gyro alone predicts motions, as with two frames; nobody expects more of it.
+            return replace(window, inertial=None)
+        silent = replace(inertial, pending=None, prediction=None, note=factor.reason)
         return replace(window, inertial=silent)
     factor = replace(factor, cov=inertial.noise_factor * factor.cov)
     prediction = None
@@ -187,6 +188,12 @@ def trusts_gyro(window: Window | None) -> bool:
         return True
     inertial = window.inertial
     return inertial.is_used or (inertial.pending is None and not inertial.refused)
+
+
+def may_bridge(window: Window) -> bool:
+    """Return whether a window has an IMU that may know the way through frames without features, or
+    may yet come to know it."""
+    return window.inertial is not None and not window.inertial.refused
 
 
 def uses_imu(window: Window | None) -> bool:

@@ -289,11 +289,12 @@ class WindowEstimator:
         """Return the window with no more frames than the settings say.
 
         Blind frames come on top, as many as other ones at most, until a later frame has features:
-        what was seen before may then be found again. With an IMU, they are frames like others.
+        what was seen before may then be found again. With an IMU that may bridge them, they are
+        frames like others.
         """
         window = replace(window, marginalized=())
         limit = self._config.frames
-        if window.inertial is None:
+        if not inertial.may_bridge(window):
             leaving = window.is_blind.copy()
             leaving[-2:] = False  # the last step leads from one to the other
             if window.is_blind[-1]:

@@ -107,6 +107,9 @@ def without_blind(window: Window, leaving: BoolArray) -> Window:
     kept = ~_is_of_poses(leaving)
     num_before = np.cumsum(leaving)
     observations = window.observations
+    imu = window.inertial
+    if imu is not None:  # it has been left out for good
+        imu = replace(imu, factors=(None,) * (int(np.sum(~leaving)) - 1))
     return replace(
         window,
         frames=window.frames[~leaving],
@@ -117,6 +120,7 @@ def without_blind(window: Window, leaving: BoolArray) -> Window:
         prior=kept_positive(without_poses(window.prior, leaving)),
         observations=observations._replace(slot=observations.slot - num_before[observations.slot]),
         cov=window.cov[np.ix_(kept, kept)],
+        inertial=imu,
         marginalized=(
             *window.marginalized,
             *(window.pose(int(slot)) for slot in np.flatnonzero(leaving)),
