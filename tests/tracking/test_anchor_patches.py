@@ -202,19 +202,13 @@ def test_the_right_image_shows_the_left_one_slanted(patches: AnchorPatches) -> N
     assert np.median(np.abs(again - true)) <= np.median(np.abs(found - true)) + 1e-3
 
 
-def test_features_whose_alignment_fails_stay_and_are_cut_anew(patches: AnchorPatches) -> None:
-    """Another texture: nothing converges nearby, and the patch of the new image is the anchor."""
+def test_features_whose_alignment_fails_stay(patches: AnchorPatches) -> None:
+    """Another texture: nothing converges nearby, and the difference says so."""
     other = np.random.default_rng(0).integers(0, 256, (HEIGHT_PX, WIDTH_PX)).astype(np.uint8)
-    found, difference, after = patches.align_left(other, GRID, grown(GRID, 1.0))
+    found, difference, _ = patches.align_left(other, GRID, grown(GRID, 1.0))
     stayed = (found == GRID).all(axis=1)
     assert stayed.mean() > 0.8
     np.testing.assert_array_equal(np.isinf(difference), stayed)
-    np.testing.assert_array_equal(
-        after.affine[stayed], np.broadcast_to(np.eye(2), (int(stayed.sum()), 2, 2))
-    )
-    np.testing.assert_array_equal(
-        after.patch[stayed], AnchorPatches.cut(other, GRID[stayed], SIDE).patch
-    )
     right, _, unchanged = patches.align_right(other, GRID)
     there = (right == GRID).all(axis=1)
     np.testing.assert_array_equal(unchanged.right_from_left[there], patches.right_from_left[there])

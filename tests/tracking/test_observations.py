@@ -3,10 +3,8 @@
 import numpy as np
 
 import probevo as pv
-from probevo.arrays import FloatArray, IntArray
 from probevo.noise import StereoNoise
 from probevo.sequences.frame import Frame
-from probevo.tracking import TrackingState
 from probevo.tracking.observations import MAX_FRAMES, FrameObservations, ObservationStore
 from worlds import CAMERA, drive, misrectified, random_pixels
 
@@ -33,7 +31,6 @@ def observations(
         frame=frame,
         stamp_ns=frame * 100_000_000,
         landmarks=np.array(landmarks),
-        successors=np.array(landmarks),
         pixels=random_pixels(rng, len(landmarks)),
         noise=noise,
         noise_landmarks=None if noise_landmarks is None else np.array(noise_landmarks, np.int64),
@@ -93,42 +90,6 @@ def test_noise_rows_are_found_by_identity() -> None:
     np.testing.assert_array_equal(frame.noise_rows(asked), expected)
     for without in (observations(0, [1, 2]), observations(0, [1, 2], noise_landmarks=[])):
         np.testing.assert_array_equal(without.noise_rows(np.array([1, 2])), [-1, -1])
-
-
-def tracking_state(
-    ids: IntArray, pixels: FloatArray, matches_anchor: list[bool], next_id: int
-) -> TrackingState:
-    return TrackingState(
-        ids=ids,
-        pixels=pixels,
-        age=np.full(len(ids), 4),
-        matches_anchor=np.array(matches_anchor),
-        next_id=next_id,
-    )
-
-
-def test_a_renamed_landmark_is_the_end_of_one_and_the_beginning_of_the_next() -> None:
-    """One observation, with the identity that tracking goes on with as its successor."""
-    pixels = random_pixels(np.random.default_rng(2), 4)
-    ids = np.array([3, 5, 6, 8])
-    state = tracking_state(ids, pixels, [True, False, True, False], next_id=20)
-    observed = state.observations(Frame(6, 600))
-    assert observed.frame == 6
-    assert observed.stamp_ns == 600
-    assert observed.landmarks.tolist() == [3, 5, 6, 8]
-    assert observed.successors.tolist() == [3, 20, 6, 21]
-    np.testing.assert_array_equal(observed.pixels, pixels)
-    continued = state.with_new_identities()
-    assert continued.ids.tolist() == [3, 20, 6, 21]
-    assert continued.next_id == 22
-
-    # The next frame sees all four again.
-    after = tracking_state(continued.ids, pixels + 1.0, [True] * 4, next_id=22)
-    store = ObservationStore().with_frame(observed).with_frame(after.observations(Frame(7, 700)))
-    assert store.history(5).frames.tolist() == [6]
-    assert store.history(20).frames.tolist() == [6, 7]
-    np.testing.assert_array_equal(store.history(20).pixels, [pixels[1], pixels[1] + 1.0])
-    assert store.history(3).frames.tolist() == [6, 7]
 
 
 def test_the_odometry_stores_what_was_measured_not_what_was_corrected() -> None:

@@ -114,8 +114,7 @@ class AnchorPatches:
     def align_left(self, left: Image, pixels: FloatArray, motion: SurfaceMotion) -> AlignedPatches:
         """Align the patches with the next left image.
 
-        Where the alignment fails, the feature stays at its predicted place. There, and where the
-        patch has grown or shrunk too much, a new anchor patch is cut out of this image.
+        Where the patch has grown or shrunk too much, a new anchor patch is cut out of this image.
 
         Args:
             left: the image, [height, width], uint8.
@@ -130,19 +129,18 @@ class AnchorPatches:
         compose_perspectives(motion.perspective, self.affine, self.perspective, perspective)
         aligned = self._align(left, pixels, predicted, perspective, sigma=SIGMA_IN_TIME)
         affine = aligned.affine
-        # Find the patches whose anchor does not hold any more, by failure or by area
+        # Find the patches that have grown or shrunk too much
         area = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
-        failed = ~np.isfinite(aligned.difference)
-        lost = failed | (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
+        outgrown = (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
         # Replace them by patches of this image
         side = self.patch.shape[1] - 2
-        fresh = AnchorPatches.cut(left, aligned.pixels[lost], side)
+        fresh = AnchorPatches.cut(left, aligned.pixels[outgrown], side)
         patch = self.patch.copy()
         offset_px = self.offset_px.copy()
-        patch[lost] = fresh.patch
-        offset_px[lost] = fresh.offset_px
-        affine[lost] = fresh.affine
-        perspective[lost] = fresh.perspective
+        patch[outgrown] = fresh.patch
+        offset_px[outgrown] = fresh.offset_px
+        affine[outgrown] = fresh.affine
+        perspective[outgrown] = fresh.perspective
         patches = replace(
             self, patch=patch, offset_px=offset_px, affine=affine, perspective=perspective
         )

@@ -47,7 +47,6 @@ class FeatureMatcher:
             ids=ids,
             pixels=pixels,
             age=age,
-            matches_anchor=np.ones(len(ids), np.bool_),
             is_given=True,
         )
         return Tracked(tracks, alive)

@@ -25,6 +25,8 @@ from probevo.tracking.tracks import Tracks
 
 BORDER_PX = 5.0
 """Nearer to the border, a window has too little of the image."""
+NO_FIT = "no longer looks as at first sight"
+"""Reason for which a feature whose anchor patch does not fit any more is lost."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,7 @@ class _FoundInTime:
     disparity_px: FloatArray
     """Predicted disparity in the current frame, [N], px."""
     difference: FloatArray
-    """Difference of the windows, [N], grey levels."""
-    matches_anchor: BoolArray
-    """Whether the anchor patch still fits, [N]."""
+    """Difference of image and anchor patch, [N], grey levels."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,7 @@ class _FoundInStereo:
     """(u, v) in the right image, [M, 2], px."""
     patches: AnchorPatches
     difference: FloatArray
-    """Difference of the windows, [M], grey levels."""
-    matches_anchor: BoolArray
-    """Whether the anchor patch still fits, [M]."""
+    """Difference of image and anchor patch, [M], grey levels."""
 
 
 class ImageTracker:
@@ -81,9 +79,7 @@ class ImageTracker:
         """
         images = prepare_images(frame, self._config)
         rejected: Counter[str] = Counter()
-        # What does not match its anchor patch any more continues as another landmark.
-        prev = state.with_new_identities()
-        found = self._find_in_time(prev, images, T_curr_prev, rejected=rejected)
+        found = self._find_in_time(state, images, T_curr_prev, rejected=rejected)
         num_found = len(found.left_px)
         # New corners in the cells that have room, with the disparity of the nearest feature.
         image = images.left[0]
@@ -107,17 +103,13 @@ class ImageTracker:
         survived = matched[:num_found]
         num_survived = int(survived.sum())
         num_new = int(matched[num_found:].sum())
-        matches_anchor = np.concatenate(
-            [found.matches_anchor[survived], np.ones(num_new, np.bool_)]
-        )
         alive = TrackingState(
-            ids=np.concatenate([found.prev.ids[survived], prev.next_id + np.arange(num_new)]),
+            ids=np.concatenate([found.prev.ids[survived], state.next_id + np.arange(num_new)]),
             pixels=np.hstack([left_px[matched], in_stereo.right_px]),
             age=np.concatenate([found.prev.age[survived] + 1, np.ones(num_new, np.int64)]),
-            matches_anchor=matches_anchor & in_stereo.matches_anchor,
             patches=in_stereo.patches,
             left=images.left,
-            next_id=prev.next_id + num_new,
+            next_id=state.next_id + num_new,
         )
         tracks = Tracks(
             prev_px=found.prev.pixels[survived],
@@ -168,22 +160,24 @@ class ImageTracker:
         prev = replace(prev, patches=None).subset(visible[similar])
         patches = patches.subset(visible[similar])
         motion = motion.subset(visible[similar])
-        # Drift along the track is undone by the fit to the anchor patch.
+        # The alignment with the anchor patch undoes the drift along the track. Where it fails,
+        # nobody knows any more which point of the scene this is.
         aligned = patches.align_left(image, tracked.pixels[similar], motion)
-        matches_anchor = np.isfinite(aligned.difference)
-        difference = np.where(matches_anchor, aligned.difference, tracked.difference[similar])
+        fits = np.isfinite(aligned.difference)
+        rejected[NO_FIT] += int((~fits).sum())
         # Of two features that have met, the older one stays: it comes first.
-        separate = non_overlapping(aligned.pixels, image.shape, self._config)
+        kept = np.flatnonzero(fits)
+        separate = non_overlapping(aligned.pixels[kept], image.shape, self._config)
         rejected["met another"] += int((~separate).sum())
-        prev = prev.subset(separate)
+        kept = kept[separate]
+        prev = prev.subset(kept)
         prev_disparity_px = np.maximum(prev.pixels[:, 0] - prev.pixels[:, 2], 0.0)
         return _FoundInTime(
             prev=prev,
-            left_px=aligned.pixels[separate],
-            patches=aligned.patches.subset(separate),
-            disparity_px=motion.growth[separate] * prev_disparity_px,
-            difference=difference[separate],
-            matches_anchor=matches_anchor[separate],
+            left_px=aligned.pixels[kept],
+            patches=aligned.patches.subset(kept),
+            disparity_px=motion.growth[kept] * prev_disparity_px,
+            difference=aligned.difference[kept],
         )
 
     def _find_in_stereo(
@@ -224,19 +218,20 @@ class ImageTracker:
             unmasked = _unmasked(tracked.pixels, images.right_usable)
             rejected["masked"] += int((consistent & ~unmasked).sum())
             consistent &= unmasked
-        matched = _similar(tracked.difference, consistent, self._config)
-        rejected["no stereo match"] += int((consistent & ~matched).sum())
-        # The affine fit to the anchor patch, where it stays consistent.
-        aligned = patches.subset(matched).align_right(right[0], tracked.pixels[matched])
-        same_row, has_disparity = self._is_consistent(left_px[matched], aligned.pixels)
-        consistent = same_row & has_disparity
-        fits = np.isfinite(aligned.difference)
+        similar = _similar(tracked.difference, consistent, self._config)
+        rejected["no stereo match"] += int((consistent & ~similar).sum())
+        # The alignment with the anchor patch, where it stays consistent.
+        aligned = patches.subset(similar).align_right(right[0], tracked.pixels[similar])
+        same_row, has_disparity = self._is_consistent(left_px[similar], aligned.pixels)
+        fits = np.isfinite(aligned.difference) & same_row & has_disparity
+        rejected[NO_FIT] += int((~fits).sum())
+        matched = similar.copy()
+        matched[similar] = fits
         return _FoundInStereo(
             matched=matched,
-            right_px=np.where(consistent[:, None], aligned.pixels, tracked.pixels[matched]),
-            patches=aligned.patches,
-            difference=np.where(fits, aligned.difference, tracked.difference[matched]),
-            matches_anchor=fits & consistent,
+            right_px=aligned.pixels[fits],
+            patches=aligned.patches.subset(fits),
+            difference=aligned.difference[fits],
         )
 
     def _is_consistent(

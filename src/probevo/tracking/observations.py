@@ -27,9 +27,6 @@ class FrameObservations:
     stamp_ns: int
     landmarks: IntArray
     """Identity of each landmark, [N]."""
-    successors: IntArray
-    """Identity under which each continues, [N]: the same, unless it changed its looks. Then this is
-    the last observation of one landmark, and the first of the next."""
     pixels: FloatArray
     """Raw (u_l, v_l, u_r, v_r), [N, 4], px."""
     patches: AnchorPatches | None = None
@@ -79,9 +76,7 @@ class ObservationStore:
         pixels = []
         scales = []
         for observations in self.frames:
-            is_landmark = observations.landmarks == landmark
-            is_landmark |= observations.successors == landmark
-            for row in np.flatnonzero(is_landmark)[:1]:
+            for row in np.flatnonzero(observations.landmarks == landmark):
                 noise_row = observations.noise_rows(np.array([landmark]))[0]
                 known = observations.noise is not None and noise_row >= 0
                 frames.append(observations.frame)

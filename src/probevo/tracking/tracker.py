@@ -25,8 +25,6 @@ class TrackingState:
     """Raw (u_l, v_l, u_r, v_r), [N, 4], px."""
     age: IntArray
     """Frames in a row that have seen each, [N]."""
-    matches_anchor: BoolArray
-    """Whether each still matches its anchor patch, in both images, [N]."""
     patches: AnchorPatches | None = None
     """Anchor patch of each; None without images."""
     left: Pyramid = ()
@@ -43,7 +41,6 @@ class TrackingState:
             ids=np.zeros(0, np.int64),
             pixels=np.zeros((0, 4)),
             age=np.zeros(0, np.int64),
-            matches_anchor=np.zeros(0, np.bool_),
             next_id=next_id,
         )
 
@@ -58,7 +55,6 @@ class TrackingState:
             ids=self.ids[keep],
             pixels=self.pixels[keep],
             age=self.age[keep],
-            matches_anchor=self.matches_anchor[keep],
             patches=None if self.patches is None else self.patches.subset(keep),
         )
 
@@ -66,32 +62,12 @@ class TrackingState:
         """Stop following features that turned out to be outliers, unless features are given."""
         return self if self.is_given or not len(ids) else self.subset(~np.isin(self.ids, ids))
 
-    def with_new_identities(self) -> TrackingState:
-        """Take what no longer matches its anchor patch as another landmark from here on."""
-        changed = ~self.matches_anchor
-        num_changed = int(changed.sum())
-        ids = self.ids.copy()
-        age = self.age.copy()
-        ids[changed] = self.next_id + np.arange(num_changed)
-        age[changed] = 1
-        return replace(
-            self,
-            ids=ids,
-            age=age,
-            matches_anchor=np.ones(len(self), np.bool_),
-            next_id=self.next_id + num_changed,
-        )
-
     def observations(self, frame: Frame) -> FrameObservations:
         """Return what the frame observed, for the store."""
-        changed = ~self.matches_anchor
-        successors = self.ids.copy()
-        successors[changed] = self.next_id + np.arange(int(changed.sum()))
         return FrameObservations(
             frame=frame.index,
             stamp_ns=frame.stamp_ns,
             landmarks=self.ids,
-            successors=successors,
             pixels=self.pixels,
             patches=self.patches,
         )
