@@ -523,6 +523,32 @@ def test_live_steps_compound_to_the_live_pose_and_its_covariance() -> None:
     )
 
 
+def test_a_step_that_corrects_the_last_one_beyond_its_covariance_claims_so() -> None:
+    """A live pose that was 0.5 m off, as behind a car that the window had followed."""
+    frames = drive(np.random.default_rng(72), 12, points=80, sigma_px=SIGMA_PX)
+    before, after = windows_of(frames, estimator(frames=6))[-2:]
+    motion = MotionEstimate(np.eye(4), np.eye(6), Status.OK, num_tracks=0)
+    usual = live_motion(motion, before, after)
+    poses = before.T_cam_world.copy()
+    poses[-1, 2, 3] += 0.5
+    corrected = live_motion(motion, replace(before, T_cam_world=poses), after)
+    true = after.relative(len(after) - 1, len(after) - 2)[0]
+
+    def squared_error(step: MotionEstimate) -> float:
+        of_step = normalized_error_squared(step.T_curr_prev[None], true[None], step.cov[None])
+        return float(of_step[0])
+
+    assert squared_error(usual) < 22.5
+    assert squared_error(replace(corrected, cov=usual.cov)) > 1000.0
+    assert squared_error(corrected) < 2.0
+    # The pose itself is as certain as before.
+    for step in (usual, corrected):
+        adjoint = se3.adjoint(step.T_curr_prev)
+        from_before = adjoint @ before.pose(-1).cov @ adjoint.T
+        total = from_before + step.cov + step.path_cross_cov + step.path_cross_cov.T
+        np.testing.assert_allclose(total, after.pose(-1).cov, atol=1e-9)
+
+
 def test_a_frame_without_features_is_bridged_by_its_measurement() -> None:
     """Its pose has the covariance of the measurement; that of the next frame, which features
     connect with it, is no better known than both."""

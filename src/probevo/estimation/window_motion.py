@@ -20,6 +20,9 @@ from probevo.geometry import se3
 LARGEST_ATTITUDE_SIGMA_RAD = 0.2
 """Standard deviation of the attitude in the world up to which covariances of poses in the world
 may be subtracted from each other: beyond, their errors of linearisation exceed the difference."""
+LARGEST_FORESEEN = 22.5
+"""Squared length, in units of its covariance, up to which the correction of a pose is what the
+covariance had foreseen: 99.9 % of χ²(6)."""
 
 
 def live_motion(motion: MotionEstimate, before: Window, after: Window) -> MotionEstimate:
@@ -34,6 +37,10 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     Where the attitude in the world is hardly known, as after many blackouts, P is relative to the
     oldest frame of the window, of which a new frame tells next to nothing.
 
+    The correction of e_{k−1} is known once it has been made. Where it is larger than its covariance
+    admits, as when the window lets go of a car that it has followed, the step's covariance covers
+    it, too.
+
     Args:
         motion: of the last two frames.
         before: the window whose last frame is the previous one, before the step.
@@ -45,7 +52,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     prev_before = before.pose(-1).cov
     prev_after = after.pose(last - 1).cov
     curr_after = after.pose(last).cov
-    _, relative_cov = after.relative(last, last - 1)
+    T_relative, relative_cov = after.relative(last, last - 1)
     known_better = prev_before - prev_after
     if np.diagonal(prev_before)[3:].max() > LARGEST_ATTITUDE_SIGMA_RAD**2:
         oldest = before.slot(int(after.frames[0]))
@@ -57,6 +64,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     if after.is_blind[-1] and np.linalg.det(motion.cov) < np.linalg.det(cov):
         # Blind frames are dead-reckoned from the last usable one, each as if by itself.
         cov = motion.cov
+    cov = cov + _unforeseen(T_curr_prev @ se3.inverse(T_relative), cov)
     # The path's covariance has to come out as that of the window.
     growth = curr_after - adjoint @ prev_before @ adjoint.T
     return replace(
@@ -94,6 +102,15 @@ def live_advance(motion: MotionEstimate, window: Window) -> Callable[[PoseFilter
         return pose.moved_to(newest)
 
     return advance
+
+
+def _unforeseen(correction: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """Return what the correction of the last pose, [4, 4], adds to a covariance of the step."""
+    error = se3.log(correction)
+    if error @ np.linalg.solve(cov, error) <= LARGEST_FORESEEN:
+        return np.zeros((6, 6))
+    added: np.ndarray = np.outer(error, error)
+    return added
 
 
 def _positive_part(matrix: np.ndarray) -> np.ndarray:
