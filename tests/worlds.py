@@ -8,7 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.camera.rig_calibration import RigCalibration, disparity_basis, row_basis
+from probevo.camera.rig_calibration import (
+    RADIAL,
+    ROLL,
+    disparity_basis,
+    radial_basis,
+    row_basis,
+)
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
 from probevo.noise import StereoNoise, StudentT
@@ -89,7 +95,7 @@ def both(first: Tracks, second: Tracks) -> Tracks:
     )
 
 
-RIG_ROWS_PX = np.array([0.6, -0.4, 0.3, 0.5, 4.0, -0.5])
+RIG_ROWS_PX = np.array([0.6, -0.4, 0.3, 0.5, 4.0, -0.5, 0.8])
 """True a₀ … a₅ of a bad rectification; a₄ is of the size that KITTI shows."""
 RIG_DISPARITY_PX = np.array([0.4, -1.2])
 """True b₁, b₂ of it."""
@@ -107,9 +113,11 @@ def misrectified(
     true_minus_measured = disparity_basis(pixels, CAMERA) @ np.r_[b0_px, disparity_px]
     seen[:, 2] += true_minus_measured
     _, y = CAMERA.normalized(pixels[:, 0], pixels[:, 1])
-    seen[:, 2] -= (
-        replace(RigCalibration.initial(), rows=rows_px).roll_px * CAMERA.fu_px / CAMERA.fv_px * y
-    )
+    seen[:, 2] -= rows_px[ROLL] * CAMERA.fu_px / CAMERA.fv_px * y
+    # The lens moves u_r by what it shows at the place where the point is seen.
+    undistorted_px = seen[:, 2].copy()
+    for _ in range(20):
+        seen[:, 2] = undistorted_px + rows_px[RADIAL] * radial_basis(seen, CAMERA)
     seen[:, 3] += row_basis(seen, CAMERA) @ rows_px
     return seen
 

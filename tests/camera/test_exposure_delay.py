@@ -60,7 +60,7 @@ def test_correction_undoes_the_delay() -> None:
     """But for what the delay changes of the velocity, less than 0.1 px of points at 5 m."""
     rng = np.random.default_rng(2)
     delay = ExposureDelay(
-        ROW_SIGMA_PX, coefficients=np.r_[np.zeros(6), DELAY_S], learned=1e12 * np.eye(7)
+        ROW_SIGMA_PX, coefficients=np.r_[np.zeros(7), DELAY_S], learned=1e12 * np.eye(8)
     )
     pixels = random_pixels(rng, 100)
     seen = seen_later(pixels, delay.delay_s)
@@ -78,7 +78,7 @@ def test_a_camera_at_rest_shows_no_delay() -> None:
 
 def test_what_a_rectification_feigns_is_not_taken_off() -> None:
     delay = ExposureDelay(
-        ROW_SIGMA_PX, coefficients=np.r_[np.zeros(6), 3e-4], learned=1e12 * np.eye(7)
+        ROW_SIGMA_PX, coefficients=np.r_[np.zeros(7), 3e-4], learned=1e12 * np.eye(8)
     )
     assert abs(delay.delay_s) < 5e-6
     assert not delay.differs_from(0.0)

@@ -8,6 +8,7 @@ from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
     CORRELATED_FEATURES,
     DISPARITY_SIGMA_PX,
+    ROLL,
     ROW_SIGMA_PX,
     RigCalibration,
     row_basis,
@@ -74,16 +75,30 @@ def test_the_roll_of_the_right_image_is_undone() -> None:
     rig = RigCalibration.initial()
     for _ in range(5):
         rig = rig.with_rows(seen, CAMERA)
-    np.testing.assert_allclose(rig.roll_px, CAMERA.fv_px * roll_rad, rtol=0.05)
+    np.testing.assert_allclose(rig.rows[ROLL], CAMERA.fv_px * roll_rad, rtol=0.05)
     corrected = rig.corrected(seen, CAMERA)
     assert np.abs(seen[:, 2] - clean[:, 2]).max() > 1.0
     assert np.abs(corrected[:, 2] - clean[:, 2]).max() < 0.1
     assert np.abs(corrected[:, 3] - clean[:, 3]).max() < 0.1
 
 
-def test_what_a_lens_leaves_in_the_rows_moves_no_disparity() -> None:
-    rig = replace(RigCalibration.initial(), rows=np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0]))
-    assert rig.roll_px < 0.01
+def test_what_the_right_lens_distorts_by_more_is_undone() -> None:
+    """Distorted by r² in proportion: the rows show it, and u_r is mended by it, too."""
+    clean = seen_twice(np.random.default_rng(9), 1000).curr_px
+    clean = clean[clean[:, 2] > 0.0]
+    center_px = np.array([CAMERA.cu_px, CAMERA.cv_px])
+    focal_px = np.array([CAMERA.fu_px, CAMERA.fv_px])
+    place = (clean[:, 2:] - center_px) / focal_px
+    seen = clean.copy()
+    distorted = place * (1.0 + 0.01 * (place**2).sum(axis=1, keepdims=True))
+    seen[:, 2:] = distorted * focal_px + center_px
+    rig = RigCalibration.initial()
+    for _ in range(20):
+        rig = rig.with_rows(seen, CAMERA)
+    corrected = rig.corrected(seen, CAMERA)
+    assert np.abs(seen[:, 2] - clean[:, 2]).max() > 0.8
+    assert np.abs(corrected[:, 2] - clean[:, 2]).max() < 0.15
+    assert np.abs(corrected[:, 3] - clean[:, 3]).max() < 0.03
 
 
 def test_wrong_matches_hardly_move_the_rows() -> None:
@@ -97,7 +112,7 @@ def test_wrong_matches_hardly_move_the_rows() -> None:
 
 def test_no_matches_teach_nothing() -> None:
     rig = RigCalibration.initial().with_rows(np.zeros((0, 4)), CAMERA)
-    np.testing.assert_array_equal(rig.rows, np.zeros(6))
+    np.testing.assert_array_equal(rig.rows, np.zeros(7))
     np.testing.assert_array_equal(rig.rows_information, RigCalibration.initial().rows_information)
 
 

@@ -10,7 +10,7 @@ from probevo.evaluation.row_check import DELAY, RowSamples, check_rows
 from probevo.geometry import se3
 from worlds import CAMERA, random_pixels
 
-ROWS_PX = np.array([0.3, -0.2, 0.1, 0.0, 0.5, 0.0])
+ROWS_PX = np.array([0.3, -0.2, 0.1, 0.0, 0.5, 0.0, 0.2])
 
 
 def drive(delay_s: float, rows_px: np.ndarray, frames: int = 60) -> list[RowSamples]:
@@ -49,7 +49,7 @@ def test_rows_and_delay_come_back(delay_s: float) -> None:
 
 
 def test_a_flawless_pair_has_nothing_significant() -> None:
-    found = check_rows(drive(0.0, np.zeros(6)), CAMERA)
+    found = check_rows(drive(0.0, np.zeros(7)), CAMERA)
     p_values = [
         found.p_value(value, sigma) for value, sigma in zip(found.values, found.sigma, strict=True)
     ]
@@ -57,5 +57,5 @@ def test_a_flawless_pair_has_nothing_significant() -> None:
 
 
 def test_a_late_right_image_is_significant() -> None:
-    found = check_rows(drive(0.004, np.zeros(6)), CAMERA)
+    found = check_rows(drive(0.004, np.zeros(7)), CAMERA)
     assert found.p_value(found.values[DELAY], found.sigma[DELAY]) < 1e-3

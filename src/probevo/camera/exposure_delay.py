@@ -10,7 +10,7 @@ So a car that drives ahead moves v_r by y v d τ/b: that depends on the disparit
 the rectification do not, and one frame with near points shows τ. It is estimated together with
 these from v_r − v_l, by recursive robust least squares,
 
-    v_r − v_l = a·(1, x, y, x², x y, y²) + τ v̇_r,
+    v_r − v_l = a·(1, x, y, x², x y, y², y r²) + τ v̇_r,
 
 and the way of τ is taken off both u_r and v_r.
 """
@@ -36,8 +36,8 @@ ITERATIONS = 4
 CORRECTIONS = 3
 """Passes of the correction; a second one changes near points by up to half a pixel at 12 m/s and
 5 ms, a fourth by nothing that matters."""
-DELAY = 6
-"""Index of τ among the coefficients; before it are a₀ … a₅."""
+DELAY = 7
+"""Index of τ among the coefficients; before it are a₀ … a₆."""
 
 
 def _prior_information(row_sigma_px: FloatArray) -> FloatArray:
@@ -52,15 +52,15 @@ class ExposureDelay:
     """A Gaussian estimate of τ and of the rows' coefficients beside it."""
 
     row_sigma_px: FloatArray
-    """Prior standard deviation of a₀ … a₅, [6]."""
+    """Prior standard deviation of a₀ … a₆, [7]."""
     coefficients: FloatArray = field(default_factory=lambda: np.zeros(DELAY + 1))
-    """a₀ … a₅, px, and τ, s, [7]."""
+    """a₀ … a₆, px, and τ, s, [8]."""
     learned: FloatArray = field(default_factory=lambda: np.zeros((DELAY + 1, DELAY + 1)))
-    """Their information beyond the prior, [7, 7]."""
+    """Their information beyond the prior, [8, 8]."""
 
     @property
     def information(self) -> FloatArray:
-        """Inverse covariance of the coefficients, [7, 7]."""
+        """Inverse covariance of the coefficients, [8, 8]."""
         information: FloatArray = self.learned + _prior_information(self.row_sigma_px)
         return information
 
@@ -101,7 +101,7 @@ class ExposureDelay:
 
         Args:
             pixels: the matches, [N, 4], px.
-            basis: what a₀ … a₅ multiply at each, [N, 6].
+            basis: what a₀ … a₆ multiply at each, [N, 7].
             twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
             camera: the rectified camera.
             noise: of v_r − v_l.
@@ -124,7 +124,7 @@ class ExposureDelay:
 
 
 def _jitter_effect(camera: StereoCamera) -> FloatArray:
-    """Return how the rig's jitter (pitch, yaw, roll) of a frame moves a₀ … a₅ and τ, [7, 3], px/rad
+    """Return how the rig's jitter (pitch, yaw, roll) of a frame moves a₀ … a₆ and τ, [8, 3], px/rad
     (``rig_jitter``)."""
     effect = np.zeros((DELAY + 1, 3))
     effect[[0, 5], 0] = -camera.fv_px

@@ -4,10 +4,12 @@ A rectified pair should show a point in the same row of both images, and its dis
 that of the baseline alone. Real pairs do neither. The correction is a smooth function of the place
 (x, y) = ((u − c_u)/f_u, (v − c_v)/f_v) in the left image:
 
-- rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y², from the tracks' stereo matches; no
-  motion is needed. On KITTI a₄ is about 6.8 px on two calibrations of different days, and modelling
-  it takes the scatter of v_r − v_l from 0.39 to 0.15 px.
-  A right image that is rolled has a large a₁, and moves u_r by −a₁ y, too, which is corrected.
+- rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y² + a₆ y r², from the tracks' stereo
+  matches; no motion is needed. On KITTI a₄ is about 6.8 px on two calibrations of different days,
+  and modelling it takes the scatter of v_r − v_l from 0.39 to 0.15 px.
+  A right image that is rolled has a₁, and one whose lens distorts by more than the left one's has
+  a₆. They move u_r, too, by −a₁ y and a₆ x r², which no disparity shows by itself: the rows correct
+  both. For a₁ and a₆, x is that of the right image, and r² = x² + y².
 - disparity: true minus measured = b₀ + b₁ x + b₂ x², from how well the features agree on one motion
   (``estimation.rig_update``). On KITTI b₂ is 1.7 to 2.1 px: points at the sides seem too far, which
   on a motorway, where the useful points are at the sides, lengthens every step.
@@ -37,8 +39,8 @@ from probevo.camera.rig_rows import fit_row_offsets
 from probevo.camera.rig_rows_numba import RowOffsetNoise
 from probevo.camera.stereo import StereoCamera
 
-ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0])
-"""Prior standard deviation of a₀ … a₅."""
+ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0, 3.0])
+"""Prior standard deviation of a₀ … a₆."""
 DISPARITY_SIGMA_PX = np.array([1.0, 1.0])
 """Prior standard deviation of b₁, b₂."""
 CONSTANT_SIGMA_PX = 0.1
@@ -55,6 +57,8 @@ ROW_NOISE = RowOffsetNoise(sigma_px=ROW_SCATTER_PX, dof=ROW_DOF, correlated=CORR
 ROW_ITERATIONS = 3
 ROLL = 1
 """Index of the rows' coefficient that a roll of the right image makes."""
+RADIAL = 6
+"""Index of the rows' coefficient that a difference of the lenses' radial distortion makes."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +66,9 @@ class RigCalibration:
     """A Gaussian estimate of the row and disparity errors of a rectified pair."""
 
     rows: FloatArray
-    """a₀ … a₅, [6], px."""
+    """a₀ … a₆, [7], px."""
     rows_information: FloatArray
-    """Inverse covariance of the rows' coefficients, [6, 6], px⁻²."""
+    """Inverse covariance of the rows' coefficients, [7, 7], px⁻²."""
     disparity: FloatArray
     """b₁, b₂, [2], px."""
     disparity_information: FloatArray
@@ -84,7 +88,7 @@ class RigCalibration:
             jitter: the prior of the jitter; by default that of an unknown rig.
         """
         return RigCalibration(
-            rows=np.zeros(6),
+            rows=np.zeros(len(ROW_SIGMA_PX)),
             rows_information=np.diag(ROW_SIGMA_PX**-2.0),
             disparity=np.zeros(2),
             disparity_information=np.diag(DISPARITY_SIGMA_PX**-2.0),
@@ -92,15 +96,9 @@ class RigCalibration:
         )
 
     @property
-    def roll_px(self) -> float:
-        """The part of a₁ that is a roll of the right image, f_v ω_z, px.
-
-        Lenses leave an a₁ of about ``ROW_SIGMA_PX`` as well, which moves no u_r. What is larger is
-        a roll: the mean of a Gaussian of that standard deviation being taken off one that is as
-        wide as a₁ itself.
-        """
-        squared = float(self.rows[ROLL]) ** 2
-        return float(self.rows[ROLL]) * squared / (squared + float(ROW_SIGMA_PX[ROLL]) ** 2)
+    def radial_sigma_px(self) -> float:
+        """Standard deviation of a₆, px."""
+        return float(np.sqrt(np.linalg.inv(self.rows_information)[RADIAL, RADIAL]))
 
     @property
     def disparity_cov(self) -> FloatArray:
@@ -118,10 +116,11 @@ class RigCalibration:
 
     def with_rows_corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
         """Return observations [N, 4], px, corrected by what the rows alone show: v_r, and u_r by
-        the roll of the right image."""
+        the roll of the right image and its lens."""
         corrected: FloatArray = pixels.copy()
         _, y = camera.normalized(pixels[:, 0], pixels[:, 1])
-        corrected[:, 2] += self.roll_px * camera.fu_px / camera.fv_px * y
+        corrected[:, 2] += self.rows[ROLL] * camera.fu_px / camera.fv_px * y
+        corrected[:, 2] -= self.rows[RADIAL] * radial_basis(pixels, camera)
         corrected[:, 3] -= row_basis(pixels, camera) @ self.rows
         return corrected
 
@@ -168,11 +167,23 @@ class RigCalibration:
 
 
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-    """Return (1, x, y, x², xy, y²) at N features, [N, 6]: x of the right image where it stands for
-    the roll, and x and y of the left image."""
+    """Return (1, x, y, x², xy, y², y r²) at N features, [N, 7]: x of the right image where it
+    stands for the roll and the lens, and x and y of the left image."""
     x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
     x_right, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
-    return np.column_stack([np.ones_like(x), x_right, y, x * x, x * y, y * y])
+    radial = y * (x_right * x_right + y * y)
+    return np.column_stack([np.ones_like(x), x_right, y, x * x, x * y, y * y, radial])
+
+
+def radial_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
+    """Return by how much a₆ = 1 px moves u_r of N features, x r² f_u/f_v in the right image, [N].
+
+    The disparity becomes that much smaller.
+    """
+    x, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
+    _, y = camera.normalized(pixels[:, 0], pixels[:, 1])
+    basis: FloatArray = camera.fu_px / camera.fv_px * x * (x * x + y * y)
+    return basis
 
 
 def disparity_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:

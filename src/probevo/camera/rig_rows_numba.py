@@ -32,9 +32,9 @@ def add_row_equations(
     """Add the normal equations of N row offsets, each under a Student-t around the coefficients.
 
     Args:
-        basis: what the K coefficients multiply at each, [N, K]: (1, x, y, x², x y, y²), and more.
+        basis: what the K coefficients multiply at each, [N, K].
         offsets: v_r − v_l of each, [N], px.
-        coefficients: a₀ … a₅, px, and more, at which the weights are taken, [K].
+        coefficients: those at which the weights are taken, [K].
         noise: of the offsets.
         information: Σ w B Bᵀ is added to it, [K, K], px⁻².
         gradient: Σ w B (v_r − v_l) is added to it, [K], px⁻¹.

@@ -9,12 +9,20 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.focal_length_numba import focal_sensitivity
-from probevo.camera.rig_calibration import RigCalibration, disparity_basis
+from probevo.camera.rig_calibration import (
+    CORRELATED_FEATURES,
+    RigCalibration,
+    disparity_basis,
+    radial_basis,
+)
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
 from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
 from probevo.tracking.tracks import Tracks
+
+_RADIAL = 2
+"""Index of a₆ among (b₁, b₂, a₆, ε)."""
 
 
 def update_rig(
@@ -23,9 +31,10 @@ def update_rig(
     """Update the rig's disparity errors, its jitter and the error of its focal length, and say how
     the uncertainty of the first moves the motion.
 
-    With D = ∂e/∂(b, ε) and J = −∂e/∂ξ (and −∂e/∂η, where the noise has a jitter), the estimate
-    takes in the part of the residuals that a change of b and ε explains, motion and jitter being
-    eliminated from the joint normal equations (Schur complement). The solution need not be at the
+    With D = ∂e/∂(b, a₆, ε) and J = −∂e/∂ξ (and −∂e/∂η, where the noise has a jitter), the estimate
+    takes in the part of the residuals that a change of b and ε explains, motion, jitter and the
+    error of a₆, which the rows know to within its σ, being eliminated from the joint normal
+    equations (Schur complement). The solution need not be at the
     optimum, but must use only what these two frames show: the disparity filter was fed with the
     calibration of its time, and would confirm it.
 
@@ -48,23 +57,27 @@ def update_rig(
     jacobian = solution.full_jacobian
     weighted_D = solution.whitened(D)
     weighted_e = solution.whitened(solution.residuals[:, :, None])
-    # Normal equations of (ξ, η, b, ε): [[H, C], [Cᵀ, B]], with the gradients of both.
+    # Normal equations of (ξ, η, b, a₆, ε): [[H, C], [Cᵀ, B]], with the gradients of both.
     C = sum_products(jacobian, weighted_D)
     B = sum_products(D, weighted_D)
     motion_gradient = sum_products(jacobian, weighted_e)[:, 0]
     if solution.jitter is not None:
         motion_gradient[6:] -= solution.jitter.eta
     rig_gradient = -sum_products(D, weighted_e)[:, 0]
-    # The Schur complement on b and ε; b₀ is not estimated.
+    # The Schur complement on b₁, b₂, a₆ and ε; b₀ is not estimated.
     gain = np.linalg.solve(solution.full_hessian, C)
-    gradient = gain.T @ motion_gradient + rig_gradient
-    information = B - C.T @ gain
-    updated = rig.with_disparity(information[1:3, 1:3], gradient[1:3])
+    gradient = (gain.T @ motion_gradient + rig_gradient)[1:]
+    information = (B - C.T @ gain)[1:, 1:]
+    # Then that on b₁, b₂ and ε. The rows, not the motion, tell what a₆ is.
+    known = CORRELATED_FEATURES / rig.radial_sigma_px**2
+    gain = information[:, _RADIAL] / (information[_RADIAL, _RADIAL] + known)
+    gradient = np.delete(gradient - gain * gradient[_RADIAL], _RADIAL)
+    information = information - np.outer(gain, information[_RADIAL])
+    information = np.delete(np.delete(information, _RADIAL, axis=0), _RADIAL, axis=1)
+    updated = rig.with_disparity(information[:2, :2], gradient[:2])
     # One step with the IRLS weights is too short: the curvature of the loss is less than they.
     curvature = float(solution.curvature.sum() / solution.irls_weight.sum())
-    focal = rig.focal.with_step(
-        curvature * information[1:, 1:], gradient[1:], np.append(rig.disparity, 0.0)
-    )
+    focal = rig.focal.with_step(curvature * information, gradient, np.append(rig.disparity, 0.0))
     updated = replace(updated, focal=focal)
     if solution.jitter is not None:
         step = np.linalg.solve(solution.full_hessian, motion_gradient).astype(float)
@@ -96,6 +109,14 @@ def disparity_sensitivity(
     """
     prev_basis = disparity_basis(tracks.prev_px, camera)
     curr_basis = disparity_basis(tracks.curr_px, camera)
+    return _sensitivity_by_disparity(solution, prev_basis, curr_basis)
+
+
+def _sensitivity_by_disparity(
+    solution: ReprojectionSolution, prev_basis: FloatArray, curr_basis: FloatArray
+) -> FloatArray:
+    """Return the sensitivity to K coefficients of the disparity, [N, 4, K], given what they add to
+    it in both frames, [N, K]."""
     sensitivity: FloatArray = -solution.disparity_jacobian[:, :, None] * prev_basis[:, None]
     sensitivity[:, 2] -= curr_basis
     return sensitivity
@@ -104,10 +125,14 @@ def disparity_sensitivity(
 def calibration_sensitivity(
     tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
 ) -> FloatArray:
-    """Return ∂e/∂(b₀, b₁, b₂, ε), [N, 4, 4]; ε is the error of log f (``camera.focal_length``)."""
-    sensitivity = np.empty((len(tracks), 4, 4))
+    """Return ∂e/∂(b₀, b₁, b₂, a₆, ε), [N, 4, 5]; ε is the error of log f
+    (``camera.focal_length``)."""
+    sensitivity = np.empty((len(tracks), 4, 5))
+    prev_basis = radial_basis(tracks.prev_px, camera)[:, None]
+    curr_basis = radial_basis(tracks.curr_px, camera)[:, None]
     sensitivity[:, :, :3] = disparity_sensitivity(tracks, solution, camera)
+    sensitivity[:, :, 3:4] = _sensitivity_by_disparity(solution, prev_basis, curr_basis)
     focal_sensitivity(
-        solution.T_curr_prev, Intrinsics.of(camera), solution.refined, sensitivity[:, :, 3]
+        solution.T_curr_prev, Intrinsics.of(camera), solution.refined, sensitivity[:, :, 4]
     )
     return sensitivity

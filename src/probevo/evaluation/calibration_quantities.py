@@ -66,6 +66,11 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
         ("rows, bend across", x_edge**2, "as of a distortion not removed"),
         ("rows, in the corner", x_edge * y_edge, "as of a right camera turned inwards, or a lens"),
         ("rows, bend down", y_edge**2, "as of a distortion not removed"),
+        (
+            "rows, by the radius",
+            y_edge * (x_edge**2 + y_edge**2),
+            "as of lenses that distort differently",
+        ),
     )
     quantities = []
     for k, (name, factor, meaning) in enumerate(meanings):

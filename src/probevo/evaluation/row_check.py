@@ -3,7 +3,7 @@
 A flawless pair shows a point in the same row of both images. A right image that is exposed δ later
 shows it δ v̇ farther down, v̇ being the speed of its row:
 
-    v_r − v_l = a·(1, x, y, x², xy, y²) + δ v̇
+    v_r − v_l = a·(1, x, y, x², xy, y², y r²) + δ v̇
 
 Only the part of v̇ that the camera's rotation makes is taken: a car that nods moves all rows up and
 down. What its way ahead makes grows with y in every frame alike, as errors of a lens do. And the
@@ -28,7 +28,7 @@ DELAY_SIGMA_S = 0.1
 """Prior standard deviation of δ: a frame of a camera at ten frames a second."""
 _MOMENT_S = 1e-3
 """Duration over which a speed is taken."""
-DELAY = 6
+DELAY = 7
 """Index of δ among the coefficients; before it are those of ``row_basis``."""
 
 
@@ -64,7 +64,7 @@ class RowSamples:
 
 
 def check_rows(frames: list[RowSamples], camera: StereoCamera) -> Regression:
-    """Estimate a₀ … a₅, px, and δ, s, of the matches of some frames."""
+    """Estimate a₀ … a₆, px, and δ, s, of the matches of some frames."""
     pixels = np.concatenate([frame.pixels for frame in frames])
     speed = np.concatenate([frame.row_speed_px_s for frame in frames])
     number = np.repeat(np.arange(len(frames)), [len(frame.pixels) for frame in frames])
