@@ -1,15 +1,16 @@
-"""Compare PROBE-GK with the static Student-t on rendered streets and on real images.
+"""Compare PROBE-GK and PROBE with the static Student-t on rendered streets and on real images.
 
     python benchmarks/kernel_streets.py [city|residential|road|kitti …, all of these by default]
 
-Trials are those of ``probe.py``: trained on one street and tested on four of other places, whose
-mean comes last; trained on the first half of raw 0005 and tested on its second; trained on raw 0005
-and tested on odometry 06.
+Each model is tested with two frames and with the window. Trials are those of ``probe.py``: trained
+on one street and tested on four of other places, whose mean comes last; trained on the first half
+of raw 0005 and tested on its second; trained on raw 0005 and tested on odometry 06.
 """
 
 from __future__ import annotations
 
 import sys
+from itertools import product
 
 import cv2
 import numpy as np
@@ -24,18 +25,21 @@ from probevo.training.settings import KernelSettings, TrainSettings
 
 NAMES = ("city", "residential", "road", "kitti")
 PLACES = 4
+ESTIMATORS = ("two-frame", "window")
 KERNEL = KernelSettings(iterations=3)
 TRAININGS = {
     "fitted Student-t": TrainSettings(
         kind="student-t", supervision="none", gk=KernelSettings(time_correlation=False)
     ),
     "it, time-correlated": TrainSettings(kind="student-t", supervision="none"),
+    "PROBE": TrainSettings(kind="knn", supervision="none"),
     "GK-EM": TrainSettings(kind="gk", supervision="none", gk=KERNEL),
     "GK-GT": TrainSettings(kind="gk", supervision="gt", gk=KERNEL),
 }
 HEAD = (
     "",
     "noise",
+    "estimator",
     "κ",
     "ARMSE, m",
     "step, mm",
@@ -84,13 +88,16 @@ def cells(values: list[float]) -> str:
 
 
 def print_trial(trial: Trial) -> None:
-    """Print a row for each noise model and test drive, and their mean if there are several."""
+    """Print a row for each noise model, estimator and test drive, and the mean over the drives if
+    there are several."""
     first = trial.half or 0
-    for name, model in models(trial).items():
-        start = f"| {name} | {model.time_correlation_ratio:.1f} |"
+    for (name, model), estimator in product(models(trial).items(), ESTIMATORS):
+        start = f"| {name} | {estimator} | {model.time_correlation_ratio:.1f} |"
         rows = []
         for test in trial.tests:
-            result = estimate(test, model, pv.OdometryConfig())
+            result = estimate(
+                test, model, pv.OdometryConfig.model_validate({"estimator": estimator})
+            )
             truth = pv.open_sequence(test).truth.T_world_cam
             rows.append(figures(metrics_from(result, truth, first)))
             line = f"| {trial.name}: {test.name} {start} {cells(rows[-1])} |"
