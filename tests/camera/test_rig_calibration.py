@@ -8,6 +8,7 @@ from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
     CORRELATED_FEATURES,
     DISPARITY_SIGMA_PX,
+    RADIAL,
     ROLL,
     ROW_SIGMA_PX,
     RigCalibration,
@@ -127,11 +128,30 @@ def test_disparity_update_is_that_of_the_normal_equations() -> None:
         root = rng.normal(size=(2, 5))
         information = root @ root.T
         measured = truth + rng.normal(scale=0.1, size=2)
-        rig = rig.with_disparity(information, information @ (measured - rig.disparity))
+        rig = rig.with_disparity(
+            information, information @ (measured - rig.disparity), with_radial=np.zeros(2)
+        )
         total += information / CORRELATED_FEATURES
         moment += information / CORRELATED_FEATURES @ measured
     np.testing.assert_allclose(rig.disparity_information, total, rtol=1e-12)
     np.testing.assert_allclose(rig.disparity, np.linalg.solve(total, moment), rtol=1e-12)
+
+
+def test_another_radial_error_changes_the_disparity_errors_with_it() -> None:
+    """As if all motions so far had been solved with the new a₆: their normal equations say so."""
+    pixels = misrectified(seen_twice(np.random.default_rng(10), 400).curr_px)
+    with_radial = np.array([30.0, -20.0])
+    information = np.array([[200.0, 50.0], [50.0, 300.0]])
+    before = RigCalibration.initial().with_disparity(
+        information, information @ RIG_DISPARITY_PX, with_radial=with_radial
+    )
+    after = before.with_rows(pixels, CAMERA)
+    change_px = after.rows[RADIAL] - before.rows[RADIAL]
+    assert abs(change_px) > 0.1
+    gradient = -with_radial / CORRELATED_FEATURES * change_px
+    moved = np.linalg.solve(before.disparity_information, gradient)
+    np.testing.assert_allclose(after.disparity, before.disparity + moved, rtol=1e-12)
+    np.testing.assert_array_equal(after.disparity_information, before.disparity_information)
 
 
 def test_disparity_covariance_holds_the_constant_that_is_not_estimated() -> None:

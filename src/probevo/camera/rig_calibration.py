@@ -72,7 +72,9 @@ class RigCalibration:
     disparity: FloatArray
     """b₁, b₂, [2], px."""
     disparity_information: FloatArray
-    """Inverse covariance of the disparity's coefficients, [2, 2], px⁻²."""
+    """Inverse covariance of the disparity's coefficients, given a₆, [2, 2], px⁻²."""
+    disparity_with_radial: FloatArray = field(default_factory=lambda: np.zeros(2))
+    """Information about b₁, b₂ and a₆ in common, [2], px⁻²: b is that which belongs to a₆."""
     jitter: RigJitter = field(default_factory=RigJitter.initial)
     """How far the rig moves from frame to frame."""
     delay: ExposureDelay = field(default_factory=lambda: ExposureDelay(ROW_SIGMA_PX))
@@ -94,11 +96,6 @@ class RigCalibration:
             disparity_information=np.diag(DISPARITY_SIGMA_PX**-2.0),
             jitter=RigJitter.initial() if jitter is None else jitter,
         )
-
-    @property
-    def radial_sigma_px(self) -> float:
-        """Standard deviation of a₆, px."""
-        return float(np.sqrt(np.linalg.inv(self.rows_information)[RADIAL, RADIAL]))
 
     @property
     def disparity_cov(self) -> FloatArray:
@@ -125,7 +122,10 @@ class RigCalibration:
         return corrected
 
     def with_rows(self, pixels: FloatArray, camera: StereoCamera) -> RigCalibration:
-        """Update the rows' coefficients with the raw stereo matches [N, 4], px, of one frame."""
+        """Update the rows' coefficients with the raw stereo matches [N, 4], px, of one frame.
+
+        With another a₆, the motions so far show another b.
+        """
         rows, information = fit_row_offsets(
             row_basis(pixels, camera),
             pixels[:, 3] - pixels[:, 1],
@@ -133,7 +133,14 @@ class RigCalibration:
             noise=ROW_NOISE,
             iterations=ROW_ITERATIONS,
         )
-        return replace(self, rows=rows, rows_information=information)
+        change_px = rows[RADIAL] - self.rows[RADIAL]
+        moved = np.linalg.solve(self.disparity_information, self.disparity_with_radial * change_px)
+        return replace(
+            self,
+            rows=rows,
+            rows_information=information,
+            disparity=self.disparity - moved,
+        )
 
     def with_delay(
         self, pixels: FloatArray, twist_s: FloatArray, camera: StereoCamera
@@ -156,14 +163,26 @@ class RigCalibration:
         )
         return replace(self, delay=updated)
 
-    def with_disparity(self, information: FloatArray, gradient: FloatArray) -> RigCalibration:
-        """Update b₁, b₂ with the normal equations of a motion's residuals, [2, 2] and [2].
+    def with_disparity(
+        self, information: FloatArray, gradient: FloatArray, with_radial: FloatArray
+    ) -> RigCalibration:
+        """Update b₁, b₂ with the normal equations of a motion's residuals.
 
         Residuals of neighbouring features count for less than they seem (``CORRELATED_FEATURES``).
+
+        Args:
+            information: about b₁ and b₂, [2, 2], px⁻².
+            gradient: by b₁ and b₂, [2], px⁻¹.
+            with_radial: information about b₁, b₂ and a₆ in common, [2], px⁻².
         """
         posterior = self.disparity_information + information / CORRELATED_FEATURES
         step = np.linalg.solve(posterior, gradient / CORRELATED_FEATURES)
-        return replace(self, disparity=self.disparity + step, disparity_information=posterior)
+        return replace(
+            self,
+            disparity=self.disparity + step,
+            disparity_information=posterior,
+            disparity_with_radial=self.disparity_with_radial + with_radial / CORRELATED_FEATURES,
+        )
 
 
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:

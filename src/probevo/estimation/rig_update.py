@@ -10,7 +10,6 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.camera.focal_length_numba import focal_sensitivity
 from probevo.camera.rig_calibration import (
-    CORRELATED_FEATURES,
     RigCalibration,
     disparity_basis,
     radial_basis,
@@ -21,8 +20,10 @@ from probevo.camera.transfer_numba import Intrinsics
 from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
 from probevo.tracking.tracks import Tracks
 
-_RADIAL = 2
-"""Index of a₆ among (b₁, b₂, a₆, ε)."""
+_RADIAL = 3
+"""Index of a₆ among (b₀, b₁, b₂, a₆, ε)."""
+_FOCAL = [1, 2, 4]
+"""Indices of b₁, b₂ and ε among these."""
 
 
 def update_rig(
@@ -32,9 +33,9 @@ def update_rig(
     the uncertainty of the first moves the motion.
 
     With D = ∂e/∂(b, a₆, ε) and J = −∂e/∂ξ (and −∂e/∂η, where the noise has a jitter), the estimate
-    takes in the part of the residuals that a change of b and ε explains, motion, jitter and the
-    error of a₆, which the rows know to within its σ, being eliminated from the joint normal
-    equations (Schur complement). The solution need not be at the
+    takes in the part of the residuals that a change of b and ε explains, motion and jitter being
+    eliminated from the joint normal equations (Schur complement). What a₆ is, the rows tell; b is
+    that which belongs to it. The solution need not be at the
     optimum, but must use only what these two frames show: the disparity filter was fed with the
     calibration of its time, and would confirm it.
 
@@ -64,20 +65,20 @@ def update_rig(
     if solution.jitter is not None:
         motion_gradient[6:] -= solution.jitter.eta
     rig_gradient = -sum_products(D, weighted_e)[:, 0]
-    # The Schur complement on b₁, b₂, a₆ and ε; b₀ is not estimated.
+    # The Schur complement on b, a₆ and ε; b₀ is not estimated.
     gain = np.linalg.solve(solution.full_hessian, C)
-    gradient = (gain.T @ motion_gradient + rig_gradient)[1:]
-    information = (B - C.T @ gain)[1:, 1:]
-    # Then that on b₁, b₂ and ε. The rows, not the motion, tell what a₆ is.
-    known = CORRELATED_FEATURES / rig.radial_sigma_px**2
-    gain = information[:, _RADIAL] / (information[_RADIAL, _RADIAL] + known)
-    gradient = np.delete(gradient - gain * gradient[_RADIAL], _RADIAL)
-    information = information - np.outer(gain, information[_RADIAL])
-    information = np.delete(np.delete(information, _RADIAL, axis=0), _RADIAL, axis=1)
-    updated = rig.with_disparity(information[:2, :2], gradient[:2])
+    gradient = gain.T @ motion_gradient + rig_gradient
+    information = B - C.T @ gain
+    updated = rig.with_disparity(
+        information[1:3, 1:3], gradient[1:3], with_radial=information[1:3, _RADIAL]
+    )
     # One step with the IRLS weights is too short: the curvature of the loss is less than they.
     curvature = float(solution.curvature.sum() / solution.irls_weight.sum())
-    focal = rig.focal.with_step(curvature * information, gradient, np.append(rig.disparity, 0.0))
+    focal = rig.focal.with_step(
+        curvature * information[np.ix_(_FOCAL, _FOCAL)],
+        gradient[_FOCAL],
+        np.append(rig.disparity, 0.0),
+    )
     updated = replace(updated, focal=focal)
     if solution.jitter is not None:
         step = np.linalg.solve(solution.full_hessian, motion_gradient).astype(float)
