@@ -19,8 +19,9 @@ exception of a sensor, of the noise model or of the callback, or by a damaged im
 1,000 frames altogether. Some 10 of 1,000 frames are lost, and 5 black. What was injected is
 compared with `stopped` and `faults` of the `metrics.json` that the run has written.
 
-Resident memory, threads and file handles are sampled. The slope of memory is fitted after the first
-ten minutes of frames, and is that of an hour of frames. Latencies are those of the clock, which
+Resident memory, memory in use (`heap.py`), the number of small Python objects, threads and file
+handles are sampled. Slopes are fitted after the first ten minutes of frames, or a fifth of them if
+these are fewer, and are those of an hour of frames. Latencies are those of the clock, which
 depend on what else the machine does, and those of the processor time of the thread that steps.
 Linux.
 """
@@ -30,6 +31,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -44,6 +46,7 @@ from unittest.mock import patch
 
 import cv2
 import numpy as np
+from heap import heap_mb
 from memory import SOURCES, back_and_forth, resident_mb
 
 import probevo as pv
@@ -235,7 +238,9 @@ class Watch:
     minutes: float
     num_frames: int
     start_s: float = field(default_factory=time.monotonic)
-    samples: list[tuple[float, float, float, float]] = field(default_factory=list)
+    samples: list[tuple[float, ...]] = field(default_factory=list)
+    """Step, resident memory and memory in use (NaN where it is not known) in MB, small objects,
+    threads, handles."""
     num_steps: int = 0
     times_ms: FloatArray = field(default_factory=lambda: np.full((1_000_000, 2), 1.0))
     """By the clock and by the processor; written to now, so that it is in memory from now on."""
@@ -252,21 +257,35 @@ class Watch:
         if self.num_steps % EVERY == 0:
             threads = len(os.listdir("/proc/self/task"))  # noqa: PTH208
             handles = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
-            self.samples.append((self.num_steps, resident_mb(), threads, handles))
+            used_mb = heap_mb()
+            self.samples.append(
+                (
+                    self.num_steps,
+                    resident_mb(),
+                    np.nan if used_mb is None else used_mb,
+                    sys.getallocatedblocks(),
+                    threads,
+                    handles,
+                )
+            )
 
     def facts(self) -> dict[str, Any]:
         """Return what was found."""
-        frames, memory, threads, handles = np.array(self.samples).T
-        late = frames >= min(SETTLED, 0.2 * frames[-1])
-        per_frame = float(np.polyfit(frames[late], memory[late], 1)[0])
+        samples = np.array(self.samples)
+        late = samples[samples[:, 0] >= min(SETTLED, 0.2 * samples[-1, 0])]
+        frames, memory_mb, used_mb, objects, threads, handles = late.T
         return {
             "frames": self.num_steps,
             "minutes": (time.monotonic() - self.start_s) / 60.0,
-            "slope_from_frame": int(frames[late][0]),
-            "memory_mb_per_hour": 3600.0 * RATE_HZ * per_frame,
-            "memory_mb": [float(memory[late][0]), float(memory[late].max()), float(memory[-1])],
-            "threads": [int(threads[late][0]), int(threads[late].max()), int(threads[-1])],
-            "handles": [int(handles[late][0]), int(handles[late].max()), int(handles[-1])],
+            "slope_from_frame": int(frames[0]),
+            "memory_mb_per_hour": _per_hour(frames, memory_mb),
+            "heap_mb_per_hour": _per_hour(frames, used_mb),
+            "objects_per_hour": _per_hour(frames, objects),
+            "memory_mb": _first_most_last(memory_mb),
+            "heap_mb": _first_most_last(used_mb),
+            "objects": _first_most_last(objects),
+            "threads": _first_most_last(threads),
+            "handles": _first_most_last(handles),
             "step_ms": self._latency(0),
             "step_processor_ms": self._latency(1),
         }
@@ -280,6 +299,16 @@ class Watch:
             "p99.9": float(high_ms),
             "ratio": float(high_ms / median_ms),
         }
+
+
+def _per_hour(frames: FloatArray, values: FloatArray) -> float:
+    """Return by how much values at the numbers of some frames grow in an hour of frames."""
+    return 3600.0 * RATE_HZ * float(np.polyfit(frames, values, 1)[0])
+
+
+def _first_most_last(values: FloatArray) -> list[float]:
+    """Return the first sample, the largest one, and the last one."""
+    return [float(value) for value in (values[0], values.max(), values[-1])]
 
 
 class LiveSoak:

@@ -36,6 +36,7 @@ from probevo.output.drawing import draw_tracks
 from probevo.output.files import write_json, write_kitti_poses, write_tum
 from probevo.output.headline import headline_drift
 from probevo.output.motions_file import write_motions
+from probevo.output.rows import Rows
 from probevo.output.run_facts import run_facts
 from probevo.output.run_result import RunRecorder, RunResult, facts_table
 from probevo.output.viewer_file import WINDOW, ViewerFile, check_viewer_path, opened_viewer
@@ -174,7 +175,7 @@ def _run(
     pictures = _Pictures.spread_over(num_frames)
     smoothed = SmoothedPath()
     timing = PairTiming(config.tracking)
-    of_images: list[FloatArray] = []
+    of_images = Rows(np.float64, 16)  # motions by the images alone
     heights = GroundHeights(sequence.camera, config.camera_height_m)
     num_matches = np.zeros(2, np.int64)  # with positive and with negative disparity
     try:
@@ -188,7 +189,7 @@ def _run(
             pictures.add(frame, odometry)
             smoothed.add(odometry.window)
             timing.add(frame)
-            of_images.append(odometry.T_of_images)
+            of_images.add(odometry.T_of_images.ravel())
             seen = odometry.tracks.kept(odometry.used)
             heights.add(
                 frame.stamp_ns,
@@ -242,7 +243,7 @@ def _result(
     recorder: RunRecorder,
     odometry: StereoOdometry,
     *,
-    of_images: list[FloatArray],
+    of_images: Rows,
     smoothed: SmoothedPath,
     timing: PairTiming,
     heights: GroundHeights,
@@ -255,7 +256,7 @@ def _result(
     result = recorder.result()
     return replace(
         result,
-        accelerometer_scale=_accelerometer_scale(sequence, result, np.array(of_images)),
+        accelerometer_scale=_accelerometer_scale(sequence, result, of_images),
         ground_height=heights.height(),
         jitter_sigma_rad=sigma_rad,
         right_delay_s=0.0 if rig is None else rig.delay.delay_s,
@@ -268,16 +269,17 @@ def _result(
 
 
 def _accelerometer_scale(
-    sequence: Sequence, result: RunResult, of_images: FloatArray
+    sequence: Sequence, result: RunResult, of_images: Rows
 ) -> AccelerometerScale | None:
-    """Compare the path by the images alone, given by motions [N, 4, 4] of which the first is that
-    of the first frame, with the samples of the recording, if it has them at their own rate."""
+    """Compare the path by the images alone, given by motions [N, 16] of which the first is that of
+    the first frame, with the samples of the recording, if it has them at their own rate."""
     stream = getattr(sequence, "imu_stream", None)
     if stream is None or sequence.imu is None or len(result) < 2:
         return None
+    motions = of_images.table().reshape(-1, 4, 4)
     return accelerometer_scale(
         result.stamps_ns,
-        se3.chain_motions(of_images[1 : len(result)]),
+        se3.chain_motions(motions[1 : len(result)]),
         result.status == Status.OK,
         stream=stream,
         calibration=sequence.imu,
@@ -380,25 +382,33 @@ def _absolute_viewer(path: Path) -> Path:
 
 
 class SmoothedPath:
-    """Collects the poses that leave the window."""
+    """Collects the poses that leave the window, 136 bytes each."""
 
     def __init__(self) -> None:
-        self._left: list[SmoothedPose] = []
+        self._left = Rows(np.float64, 1 + 16)
+        """Index of the frame, T_world_cam."""
 
     def add(self, window: Window | None) -> None:
         """Take the poses that left the window in the last step."""
         if window is not None:
-            self._left += window.marginalized
+            for pose in window.marginalized:
+                self._left.add(_smoothed_row(pose))
 
     def poses(self, window: Window | None) -> FloatArray | None:
         """Return T_world_cam of all frames, [N, 4, 4], m, whether they have left the window or are
         still in it; None without a window."""
         if window is None:
             return None
-        in_window = [window.pose(slot) for slot in range(len(window))]
+        in_window = [_smoothed_row(window.pose(slot)) for slot in range(len(window))]
+        rows = np.concatenate([self._left.table(), np.reshape(in_window, (-1, 1 + 16))])
         # A blind frame leaves before those that features connect
-        poses = sorted([*self._left, *in_window], key=lambda pose: pose.frame)
-        return np.array([pose.T_world_cam for pose in poses])
+        rows = rows[np.argsort(rows[:, 0])]
+        return rows[:, 1:].reshape(-1, 4, 4)
+
+
+def _smoothed_row(pose: SmoothedPose) -> FloatArray:
+    """Return the index of a pose's frame, and its T_world_cam, [17]."""
+    return np.concatenate([[pose.frame], pose.T_world_cam.ravel()])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.focal_length import FocalLengthError
@@ -20,6 +19,7 @@ from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
+from probevo.output.rows import Rows
 
 SIGMA_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 """Names of the standard deviations of ξ = [ρ; φ] along the axes of the current camera."""
@@ -264,15 +264,15 @@ class RunRecorder:
     """
 
     def __init__(self) -> None:
-        self._numbers = _Rows(np.float64, 16 + 36 + 18 + 36 + 1)
+        self._numbers = Rows(np.float64, 16 + 36 + 18 + 36 + 1)
         """T_curr_prev, cov, common_mode, path_cross_cov, wall time of the step."""
-        self._counts = _Rows(np.int64, 6)
+        self._counts = Rows(np.int64, 6)
         """Stamp, status, tracks, inliers, used, out of domain (−1 for None)."""
-        self._stage_ms: dict[str, _Rows] = {}
+        self._stage_ms: dict[str, Rows] = {}
         self._rejected: Counter[str] = Counter()
         self._unusable: Counter[str] = Counter()
         self._sensors: dict[str, SensorUse] = {}
-        self._poses = _Rows(np.float64, 16)
+        self._poses = Rows(np.float64, 16)
         """T_world_cam of each frame, where sensors correct it."""
 
     def add(
@@ -320,7 +320,7 @@ class RunRecorder:
         if num_before > 0:
             for name in motion.stage_ms:
                 if name not in self._stage_ms:
-                    self._stage_ms[name] = _Rows(np.float64, 1, zeros=num_before)
+                    self._stage_ms[name] = Rows(np.float64, 1, zeros=num_before)
         for name, times_ms in self._stage_ms.items():
             times_ms.add(motion.stage_ms.get(name, 0.0))
         self._rejected.update(rejected or {})
@@ -368,33 +368,3 @@ class RunRecorder:
         if self._sensors:
             return np.asarray(self._poses.table().reshape(-1, 4, 4))
         return se3.chain_motions(T_curr_prev)
-
-
-class _Rows:
-    """A table that grows by rows, in blocks that are never moved.
-
-    An array that is copied to grow would fragment the memory of a long run.
-    """
-
-    BLOCK = 1024
-    """Rows of a block."""
-
-    def __init__(self, dtype: type[np.float64 | np.int64], columns: int, zeros: int = 0) -> None:
-        self._blocks = [
-            np.zeros((self.BLOCK, columns), dtype) for _ in range(1 + zeros // self.BLOCK)
-        ]
-        self._len = zeros
-
-    def __len__(self) -> int:
-        return self._len
-
-    def add(self, row: ArrayLike) -> None:
-        """Append a row."""
-        if self._len == self.BLOCK * len(self._blocks):
-            self._blocks.append(np.zeros_like(self._blocks[0]))
-        self._blocks[-1][self._len % self.BLOCK] = row
-        self._len += 1
-
-    def table(self) -> Any:
-        """Copy all rows, [len, columns]."""
-        return np.concatenate(self._blocks)[: self._len]
