@@ -15,12 +15,14 @@ from probevo import __version__
 from probevo.cli import main as cli
 
 HEAVY = ("scipy", "cv2", "numba", "matplotlib", "numpy", "tyro", "pydantic")
+EXTRAS = ("rosbags", "jax", "equinox", "optax", "dask", "distributed", "rerun", "ephem", "gtsam")
+"""What the optional dependencies of pyproject.toml install for the package itself."""
 
 
 @pytest.mark.parametrize("words", [["--help"], ["--version"]])
 def test_help_imports_nothing_heavy(words: list[str]) -> None:
     script = "import sys; from probevo.cli.main import main; code = main(sys.argv[1:]); "
-    script += f"print([name for name in {HEAVY!r} if name in sys.modules]); sys.exit(code)"
+    script += f"print([name for name in {HEAVY + EXTRAS!r} if name in sys.modules]); sys.exit(code)"
     done = subprocess.run(
         [sys.executable, "-c", script, *words], capture_output=True, text=True, check=True
     )
@@ -28,12 +30,13 @@ def test_help_imports_nothing_heavy(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
-def test_help_of_a_command_needs_neither_scipy_nor_opencv(command: str) -> None:
+def test_help_of_a_command_needs_neither_scipy_nor_opencv_nor_an_extra(command: str) -> None:
+    unwanted = HEAVY[:5] + EXTRAS
     script = (
         "import sys; from probevo.cli.main import main\ntry: main(sys.argv[1:])\nexcept SystemExit"
         " as end: "
     )
-    script += f"print([name for name in {HEAVY[:5]!r} if name in sys.modules]); sys.exit(end.code)"
+    script += f"print([name for name in {unwanted!r} if name in sys.modules]); sys.exit(end.code)"
     words = [sys.executable, "-c", script, command, "--help"]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert f"usage: probevo {command}" in done.stdout

@@ -1,6 +1,7 @@
 """``probevo train``: from a simulated recording to motions with the model, its refusals, and what
 survives a kill."""
 
+import shutil
 import time
 from pathlib import Path
 
@@ -63,6 +64,24 @@ def test_simulate_train_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert len(result) == 16
     assert np.isfinite(result.cov).all()
     assert f"model: {out}" in capsys.readouterr().out
+
+
+def test_recordings_are_opened_as_told(
+    wall: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Pictures without times need a rate; processes of their own are told, too."""
+    pictures = shutil.copytree(wall, tmp_path / "pictures")
+    (pictures / "times.txt").unlink()
+    words = ["train", str(pictures), "--kind", "student-t", "--supervision", "none"]
+    out = tmp_path / "here.safetensors"
+    assert main([*words, "--out", str(out)]) == 2
+    assert "--rate-hz" in capsys.readouterr().err
+    assert main([*words, "--out", str(out), "--rate-hz", "10"]) == 0
+    there = tmp_path / "there.safetensors"
+    assert main([*words, "--out", str(there), "--rate-hz", "10", "--jobs", "2"]) == 0
+    assert there.read_bytes() == out.read_bytes()
+    seen = ["inspect", str(pictures), "--rate-hz", "10", "--out", str(tmp_path / "seen")]
+    assert main([*seen, "--model", str(out)]) == 0
 
 
 def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(

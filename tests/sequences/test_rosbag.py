@@ -22,6 +22,8 @@ from probevo.errors import InputError
 from probevo.sequences import open_sequence
 from probevo.sequences.ros_images import gray_of
 from probevo.sequences.rosbag import BagRecording
+from probevo.sequences.rosbag_file import IMAGE_TYPES, IMU_TYPE, Topic
+from probevo.sequences.rosbag_topics import MOST_LISTED, topic_list
 from probevo.sequences.stamp_pairs import pair_stamps
 from sequences.bags import (
     KINDS,
@@ -338,6 +340,18 @@ def test_a_wrong_topic_is_refused(options: dict[str, Any], words: str, tmp_path:
     path = write_messages(tmp_path / "two", "mcap", two_stereo_cameras())
     with pytest.raises(InputError, match=words):
         open_sequence(path, **options)
+
+
+def test_topics_that_are_not_read_are_counted() -> None:
+    others = [Topic(f"/chatter{k:02}", "std_msgs/msg/String", 3) for k in range(40)]
+    listed = topic_list([*others, Topic("/imu", IMU_TYPE, 1), Topic("/view", IMAGE_TYPES[0], 2)])
+    lines = [line.strip() for line in listed.splitlines()]
+    assert lines[1:3] == [
+        "/view (sensor_msgs/msg/Image, 2 messages)",
+        "/imu (sensor_msgs/msg/Imu, 1 message)",
+    ]
+    assert len(lines) == 1 + MOST_LISTED + 1
+    assert lines[-1] == "… and 22 more, of types that are not read"
 
 
 def test_the_command_line_names_topics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

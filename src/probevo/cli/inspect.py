@@ -14,7 +14,7 @@ import tyro
 from probevo.cli.arguments import checked, parse
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.run_config import FORMAT_HELP
+from probevo.run_config import ReadSettings
 from probevo.sensor_kinds import is_sensor_file, kind_of_file, resolve
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class InspectArguments:
     sequence: Annotated[
         tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="SEQUENCE", help_behavior_hint="")
     ]
-    """Folder of the recording, or a tracks file (.npz)."""
+    """Folder of the recording, a bag, or a tracks file (.npz)."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results. What an earlier inspection of the same frame left there is replaced.
     """
@@ -54,10 +54,10 @@ class InspectArguments:
     ] = ()
     """Without a model, or with one that takes none, the predictors to show; if left out, those that
     `probevo train` takes by default, as far as the recording has what they need."""
-    format: Annotated[str | None, tyro.conf.arg(help=FORMAT_HELP, help_behavior_hint="")] = None
     settings: Annotated[OdometryConfig, tyro.conf.arg(name="")] = field(
         default_factory=OdometryConfig
     )
+    reading: Annotated[ReadSettings, tyro.conf.arg(name="")] = field(default_factory=ReadSettings)
 
 
 def main(words: list[str]) -> None:
@@ -103,7 +103,8 @@ def _inspect_sensor(arguments: InspectArguments, model: Path) -> None:
     from probevo.output.inspection.sensor import write_sensor_inspection
     from probevo.sequences import open_sequence
 
-    sequence = open_sequence(arguments.sequence, arguments.format)
+    reading = checked(arguments.reading)
+    sequence = open_sequence(arguments.sequence, reading.format, **reading.format_options())
     recording = sequence.path.resolve().name
     with locked(arguments.out):
         errors = resolve(kind_of_file(model).errors)(model, sequence)
@@ -166,7 +167,8 @@ def frame_view(
     from probevo.training.settings import TrainSettings
     from probevo.training.sources import known_predictors
 
-    sequence = open_sequence(path, arguments.format)
+    reading = checked(arguments.reading)
+    sequence = open_sequence(path, reading.format, **reading.format_options())
     if model is not None:
         check_model_camera(str(arguments.model), model, sequence.camera)
     index = _frame_index(arguments.frame, len(sequence), path)

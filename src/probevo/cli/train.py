@@ -11,11 +11,13 @@ import tyro
 from probevo.cli.arguments import checked, parse
 from probevo.cli.train_summary import summary
 from probevo.errors import InputError
+from probevo.run_config import ReadSettings
 from probevo.sensor_kinds import SENSOR_KINDS, SensorKind, trainer_of_sensor
 from probevo.training.settings import TrainSettings
 
 if TYPE_CHECKING:
     from probevo.noise.base import LearnedNoiseModel
+    from probevo.training.sources import Recording
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class TrainArguments:
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(metavar="SEQUENCE…", help_behavior_hint=""),
     ]
-    """Recordings to learn from, all of one camera: folders, or tracks files (.npz)."""
+    """Recordings to learn from, all of one camera: folders, bags, or tracks files (.npz)."""
     out: Annotated[Path, tyro.conf.arg(metavar="MODEL")]
     """The model file, *.safetensors; an existing one is replaced."""
     jobs: int = 1
@@ -50,12 +52,14 @@ class TrainArguments:
     settings: Annotated[TrainSettings, tyro.conf.arg(name="")] = field(
         default_factory=TrainSettings
     )
+    reading: Annotated[ReadSettings, tyro.conf.arg(name="")] = field(default_factory=ReadSettings)
 
 
 def main(words: list[str]) -> None:
     """Parse the arguments and train."""
     arguments = parse(TrainArguments, words, "train")
     settings = checked(arguments.settings)
+    reading = checked(arguments.reading)
     if arguments.out.suffix != ".safetensors":
         raise InputError(
             "--out",
@@ -72,39 +76,50 @@ def main(words: list[str]) -> None:
             "has no meaning with --cluster, which uses all workers of the cluster.",
             "Remove one of the two flags.",
         )
+    recordings = recordings_of(arguments.sequences, reading)
     if settings.kind in SENSOR_KINDS:
         if arguments.jobs != 1 or arguments.cluster:
             what = f"--kind {settings.kind} is trained in one process."
             raise InputError("--jobs and --cluster", what, "Leave them out.")
         kind = SENSOR_KINDS[settings.kind]
-        lines = train_sensor_with_progress(kind, arguments.sequences, settings, arguments.out)
+        lines = train_sensor_with_progress(kind, recordings, settings, arguments.out)
         print("\n".join(lines))
         return
     model = train_with_progress(
-        arguments.sequences, settings, arguments.out, jobs=arguments.jobs, cluster=arguments.cluster
+        recordings, settings, arguments.out, jobs=arguments.jobs, cluster=arguments.cluster
     )
     print("\n".join(summary(model, arguments.out)))
 
 
+def recordings_of(paths: tuple[Path, ...], reading: ReadSettings) -> tuple[Recording, ...]:
+    """Return the recordings at these paths, all of them to be opened with the same options."""
+    from probevo.training.sources import RecordingAt
+
+    options = reading.format_options()
+    if reading.format is None and not options:
+        return paths
+    return tuple(RecordingAt(path, reading.format, options) for path in paths)
+
+
 def train_sensor_with_progress(
-    kind: SensorKind, recordings: tuple[Path, ...], settings: TrainSettings, out: Path
+    kind: SensorKind, recordings: tuple[Recording, ...], settings: TrainSettings, out: Path
 ) -> list[str]:
     """Learn a sensor from recordings with a progress bar on stderr; return the lines to print."""
     import cv2
 
     from probevo.cli.progress import progress_bar
-    from probevo.sequences import open_sequence
     from probevo.training.settings_check import check_sensor_settings
+    from probevo.training.sources import opened
 
     check_sensor_settings(settings)
     train = trainer_of_sensor(kind)
     further = {name: getattr(settings, name) for name in kind.settings}
     cv2.setNumThreads(1)
-    opened = [open_sequence(path) for path in recordings]
+    sequences = [opened(recording) for recording in recordings]
     try:
         with progress_bar(f"training {out.name}", "reading the recordings") as show:
             lines: list[str] = train(
-                opened,
+                sequences,
                 settings.nets,
                 out,
                 max_frames=settings.max_frames,
@@ -120,7 +135,7 @@ def train_sensor_with_progress(
 
 
 def train_with_progress(
-    recordings: tuple[Path, ...],
+    recordings: tuple[Recording, ...],
     settings: TrainSettings,
     out: Path,
     jobs: int = 1,

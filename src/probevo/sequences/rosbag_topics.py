@@ -25,6 +25,8 @@ SIDES = (
 """What a left topic is called, and what its right partner has in that place."""
 TRANSPORTS = ("compressed",)
 """Last parts of a topic's name that name how its images are sent."""
+MOST_LISTED = 20
+"""Topics that a message lists; more only if all of them have a type that is read."""
 TRUTH_NAMES = ("ground_truth", "groundtruth", "gt")
 """Parts of the name of a topic of poses that is taken for the truth without being named."""
 
@@ -92,11 +94,26 @@ def choose_topics(path: Path, topics: dict[str, Topic], named: NamedTopics) -> S
 
 
 def topic_list(topics: Iterable[Topic]) -> str:
-    """Return the topics with types and counts, for messages; images and sensors first."""
-    wanted = (*IMAGE_TYPES, INFO_TYPE, IMU_TYPE)
-    ordered = sorted(topics, key=lambda topic: (topic.type not in wanted, topic.name))
-    lines = [f"{topic.name} ({topic.type}, {topic.count} messages)" for topic in ordered]
+    """Return the topics with types and counts, for messages; those that may be read first."""
+    ranks = [*IMAGE_TYPES, INFO_TYPE, IMU_TYPE, *POSE_TYPES, *TRANSFORM_TYPES]
+    ordered = sorted(topics, key=lambda topic: (_rank(topic.type, ranks), topic.name))
+    num_read = sum(topic.type in ranks for topic in ordered)
+    num_listed = max(num_read, MOST_LISTED)
+    lines = [_described(topic) for topic in ordered[:num_listed]]
+    if len(ordered) > num_listed:
+        lines.append(f"… and {len(ordered) - num_listed} more, of types that are not read")
     return "\n         ".join(["Its topics are:", *lines]) if lines else "It has no topics."
+
+
+def _rank(kind: str, ranks: list[str]) -> int:
+    """Return the place of a type among those that are read; behind them all if it is not read."""
+    return ranks.index(kind) if kind in ranks else len(ranks)
+
+
+def _described(topic: Topic) -> str:
+    """Return name, type and number of messages of a topic."""
+    noun = "message" if topic.count == 1 else "messages"
+    return f"{topic.name} ({topic.type}, {topic.count} {noun})"
 
 
 def _types_of(option: str) -> tuple[str, ...]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from collections.abc import Sequence as Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,19 @@ from probevo.training.settings import TrainSettings
 from probevo.training.supervision import supervision_of
 from probevo.training.trainer import trainer_of
 
-Recording = Sequence | Path
+
+@dataclass(frozen=True)
+class RecordingAt:
+    """A recording by its path, and how ``open_sequence`` is to open it."""
+
+    path: Path
+    format: str | None = None
+    """Name of its format; recognised if None."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of the format, such as ``rate_hz``."""
+
+
+Recording = Sequence | Path | RecordingAt
 """An open recording, or its path; a path is opened by whoever needs the recording, and closed
 again."""
 
@@ -36,7 +49,7 @@ class Source:
     """Number of its frames that are used."""
     facts: list[Any]
     """Facts that identify the recording, in plain values that JSON can hold: its path, number of
-    frames, first and last time, and calibration."""
+    frames, first and last time, calibration, and the options that it was opened with, if any."""
     truth: str
     """Digest of the part of its ground truth that is used."""
 
@@ -47,6 +60,8 @@ class Source:
 
 def opened(recording: Recording) -> Sequence:
     """Open a recording that is given by its path; return any other as it is."""
+    if isinstance(recording, RecordingAt):
+        return open_sequence(recording.path, recording.format, **recording.options)
     return open_sequence(recording) if isinstance(recording, Path) else recording
 
 
@@ -105,6 +120,9 @@ def checked_sources(
             sequence.stamps_ns[[0, -1]].tolist(),
             calibration(sequence),
         ]
+        if isinstance(recording, RecordingAt):
+            options = {name: str(value) for name, value in sorted(recording.options.items())}
+            facts += [recording.format, options]
         source = Source(
             recording=recording,
             path=sequence.path,
