@@ -1,6 +1,7 @@
 """Fixtures for all tests."""
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +12,10 @@ from compile_once import take_turns
 # Workers of xdist and subprocesses inherit this. With threads, OpenBLAS makes an eigendecomposition
 # of size 40 wait for 10 ms instead of 0.1 where all cores are busy, as they are with the tests.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The tests start many processes. Without bytecode, each of these compiles all sources again, and
+# each worker all tests.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 LONGEST = (
     *("test_atomic_step.py", "training/gk/test_expectation_maximization.py"),
