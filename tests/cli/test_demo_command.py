@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cli.rendering import write_wall
+from output.undrawn import figures_undrawn
 from probevo.cli import demo
 from probevo.cli.main import main
 from probevo.noise import StudentT
@@ -30,7 +31,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a demo on two recordings of a wall; its output is in "printed.txt" beside it."""
     out = tmp_path_factory.mktemp("demo") / "out"
     printed = io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(printed):
+    with pytest.MonkeyPatch.context() as patch, figures_undrawn(), redirect_stdout(printed):
         patch.setattr("probevo_sim.command.render_with_progress", put_a_wall)
         demo.demo(SCENES, out)
     out.with_name("printed.txt").write_text(printed.getvalue())

@@ -148,6 +148,7 @@ def test_a_stage_has_the_same_colour_whatever_came_first(
     assert set(one) == {"track", "consensus", "learn", "solve", "own"}
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("outside", "timeline", "warned"),
     [(None, False, False), (0, False, False), (10, True, False), (11, True, True)],
@@ -191,6 +192,7 @@ def test_the_calibration_of_an_honest_run_lies_on_the_diagonal_and_that_of_a_bol
         assert ((low < off) & (off < high)).all()
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("known", ["all", "none", "one"])
 def test_calibration_is_shown_where_a_step_has_truth(
     make_run: Callable[..., RunResult], tmp_path: Path, known: str
