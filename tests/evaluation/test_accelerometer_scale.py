@@ -137,7 +137,7 @@ def test_a_wrong_baseline_of_a_rendered_drive_is_seen(
     """5 % too long or too short: `run` warns and names it, within 2 %; the right one is silent."""
     street = tmp_path / "street"
     rig = ["--rig.width-px", "414", "--rig.height-px", "126", "--rig.focal-px", "240"]
-    words = ["simulate", "scene", "--preset", "residential", "--distance-m", "75", "--jobs", "1"]
+    words = ["simulate", "scene", "--preset", "residential", "--distance-m", "50", "--jobs", "1"]
     assert main([*words, *rig, "--out", str(street)]) == 0
     text = (street / "calib.yaml").read_text()
     for factor in (1.0, 1.05, 0.95):

@@ -92,7 +92,7 @@ def trained(count: int = 1000, **options: Any) -> GeneralizedKernel:
 @cache
 def searched(dof: float) -> GeneralizedKernel:
     """All but a bias, from errors of these tails."""
-    return GeneralizedKernel(bias_counts=np.inf).fit(*samples(6000, dof=dof))
+    return GeneralizedKernel(bias_counts=np.inf).fit(*samples(4000, dof=dof))
 
 
 @pytest.fixture
@@ -325,7 +325,7 @@ def test_progress_goes_up_to_its_total() -> None:
 def test_the_same_data_give_the_same_bytes(path: Path, variant: Any) -> None:
     """Although folds are evaluated in parallel."""
     contents = set()
-    for _ in range(3):
+    for _ in range(2):
         save_model(GeneralizedKernel(variant).fit(*samples(600)), path)
         contents.add(path.read_bytes())
     assert len(contents) == 1

@@ -340,7 +340,7 @@ def test_a_drive_of_a_single_step_will_do() -> None:
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Sequence]:
     """One short drive, of some 75 landmarks a frame."""
     path = tmp_path_factory.mktemp("tracks") / "0.npz"
-    write_points(point_world("column", frames=16, landmarks=400), path)
+    write_points(point_world("column", frames=10, landmarks=400), path)
     return [pv.open_sequence(path)]
 
 
