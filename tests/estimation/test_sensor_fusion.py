@@ -172,8 +172,8 @@ def test_a_sensor_that_lies_is_excluded_and_forgotten(fault: str, from_index: in
 
 
 def test_an_honest_sensor_is_not_excluded() -> None:
-    """In none of 15 drives of 80 sightings."""
-    for seed in range(15):
+    """In none of 5 drives of 80 sightings; nor in any of those above."""
+    for seed in range(5):
         rng = np.random.default_rng(100 + seed)
         poses = true_path(rng)
         _, outcomes = fuse(poses, noisy_steps(poses, rng), [Sun(poses, rng)], NorthConfig())
