@@ -7,27 +7,28 @@ from pathlib import Path
 
 import pytest
 
-from compile_once import take_turns
-
-# Workers of xdist and subprocesses inherit this. With threads, OpenBLAS makes an eigendecomposition
-# of size 40 wait for 10 ms instead of 0.1 where all cores are busy, as they are with the tests.
+# Workers of xdist and subprocesses inherit this; NumPy reads it when compile_once imports it. With
+# threads, OpenBLAS makes an eigendecomposition of size 40 wait for 10 ms instead of 0.1 where all
+# cores are busy, as they are with the tests.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The tests start many processes. Without bytecode, each of these compiles all sources again, and
 # each worker all tests.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+from compile_once import take_turns  # noqa: E402
+
 LONGEST = (
-    *("test_atomic_step.py", "training/gk/test_expectation_maximization.py"),
+    *("test_tutorial.py", "training/gk/test_expectation_maximization.py"),
     *("training/test_training_at_scale.py", "nets/test_rotation_training.py"),
     *("noise/gk/test_generalized_kernel.py", "nets/test_correction_training.py"),
-    *("test_tutorial.py", "test_examples.py"),
+    *("test_atomic_step.py", "test_examples.py"),
     *("paper/test_hydranet.py", "training/test_api.py"),
     *("sim/scene/test_presets.py", "nets/test_learning.py", "sim/scene/test_renderer.py"),
     *("paper/test_figure_5.py", "evaluation/test_accelerometer_scale.py", "test_odometry.py"),
     *("predictors/test_separation.py", "cli/test_hostile_folder.py", "test_fuzz.py"),
     *("training/probe/test_selection.py", "estimation/test_sensor_fusion.py"),
-    *("output/test_report.py", "tracking/test_pair_timing.py", "training/test_workers.py"),
+    *("output/test_report.py", "cli/test_run_command.py", "training/test_workers.py"),
 )
 """Files of more than ten seconds of processor time, which several processes begin with."""
 LEAST_PROCESSES = 3
