@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -156,6 +157,7 @@ def driven(seed: int, camera: StereoCamera, *sensors: MotionCorrection) -> Drive
     return Driven(odometry.window, steps[1:])
 
 
+@cache
 def learned(camera: StereoCamera) -> KnownCorrection:
     """Return the correction that other drives show, with the covariance of what remains."""
     recorder = Recorder()
