@@ -121,7 +121,7 @@ class AnchorPatches:
             pixels: predicted features (u, v), [N, 2], px.
             motion: predicted motion of the windows since the previous frame.
         """
-        # A motion that is predicted wrongly may have any scale.
+        # Bound the predicted magnification: a wrong prediction may have any.
         bounded = np.clip(motion.growth, 1 / MAX_GROWTH, MAX_GROWTH) / motion.growth
         predicted = np.empty((len(self), 2, 2))
         multiply_maps(bounded[:, None, None] * motion.affine, self.affine, predicted)

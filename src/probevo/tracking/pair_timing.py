@@ -1,8 +1,8 @@
-"""Detection of right images that belong to another frame than the left ones.
+"""Detection of left and right images that are paired wrongly, by a shift of one or two frames.
 
 A point lies in the same row of both images of a rectified pair. While the camera moves, its row in
-the right image of the frame before or after is another one, by an amount that depends on its depth.
-So the right image whose rows agree best with those of a left image is the one taken with it.
+the right image of another frame differs, by an amount that depends on its depth. The right image
+whose rows agree best with those of a left image is therefore the one taken at the same time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ OFFSETS = (-2, -1, 0, 1, 2)
 EVERY_FRAMES = 2
 """Frames between two comparisons."""
 MOST_COMPARISONS = 40
-"""Comparisons after which nothing more is decided, as of a camera at rest."""
+"""Comparisons after which the check gives up, as with a camera at rest."""
 FEWEST_VOTES = 5
 """Comparisons with a clear result that a decision needs."""
 ENOUGH_VOTES = 8
@@ -35,7 +35,7 @@ CLEAR_RATIO = 1.5
 less for a camera at rest."""
 FEWEST_MATCHES = 20
 MOST_DIFFERENT_WAYS_PX = 0.5
-"""Largest distance of a point from where the way to the right image and back leads."""
+"""Largest distance between a point and where tracking to the right image and back ends."""
 FIT_ITERATIONS = 15
 
 
