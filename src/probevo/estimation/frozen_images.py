@@ -1,4 +1,5 @@
-"""Images that stand still though the camera moves, as of a camera whose driver hangs."""
+"""Detection of frozen images: they do not change although the camera moves, as when a driver
+hangs."""
 
 from __future__ import annotations
 
@@ -16,10 +17,10 @@ def are_frozen(
     *,
     were_frozen: bool,
 ) -> bool:
-    """Return whether the images stand still though the camera moves.
+    """Return whether the images do not change although the camera moves.
 
-    They are the same bytes, or the same but for noise, and the camera was too fast to have come to
-    rest within the step. From then on they are frozen until they change.
+    They are the same bytes, or the same except for noise, and the camera was too fast to have come
+    to rest within the step. They count as frozen until they change.
 
     Args:
         prev_frame: the previous frame.

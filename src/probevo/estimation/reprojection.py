@@ -64,7 +64,7 @@ class ReprojectionSolution:
     curvature: FloatArray
     """Curvature of the loss, w + (2/d) w' s, [N]; 0 for a feature that does not contribute."""
     points: PointPrior
-    """The N points, before the solve, as the rig's jitter of the previous frame moves them."""
+    """The N points before the solve, corrected for the jitter of the previous frame."""
     refined: FloatArray
     """Most likely (u, v, disparity) of each feature in the previous frame given both observations,
     [N, 3], px."""
