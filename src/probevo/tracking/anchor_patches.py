@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray, concatenated
 from probevo.tracking.anchor_patches_numba import (
     Alignment,
     Anchors,
@@ -103,13 +103,7 @@ class AnchorPatches:
 
     def joined(self, others: AnchorPatches) -> AnchorPatches:
         """Append the patches of M other features, [N + M]."""
-        return AnchorPatches(
-            patch=np.concatenate([self.patch, others.patch]),
-            offset_px=np.concatenate([self.offset_px, others.offset_px]),
-            affine=np.concatenate([self.affine, others.affine]),
-            perspective=np.concatenate([self.perspective, others.perspective]),
-            right_from_left=np.concatenate([self.right_from_left, others.right_from_left]),
-        )
+        return concatenated([self, others])
 
     def align_left(self, left: Image, pixels: FloatArray, motion: SurfaceMotion) -> AlignedPatches:
         """Align the patches with the next left image.

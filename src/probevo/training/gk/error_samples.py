@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray, concatenated
 from probevo.config import SolverConfig
 from probevo.errors import InputError
 from probevo.geometry import se3
@@ -114,16 +114,7 @@ def gather_error_samples(
     # Concatenate the samples in the order of the drives, whoever was done first.
     names = [f"recording {number + 1}" for number in range(len(tasks))]
     parts = context.workers.map(_samples_of_drive, tasks, names, on_done)
-    samples = ErrorSamples(
-        phi=np.concatenate([part.phi for part in parts]),
-        errors=np.concatenate([part.errors for part in parts]),
-        spread=np.concatenate([part.spread for part in parts]),
-        groups=np.concatenate([part.groups for part in parts]),
-        log_likelihood=np.concatenate([part.log_likelihood for part in parts]),
-        profile=np.concatenate([part.profile for part in parts]),
-        jitter_moments=np.concatenate([part.jitter_moments for part in parts]),
-        gaps_m=np.concatenate([part.gaps_m for part in parts]),
-    )
+    samples = concatenated(parts)
     if not len(samples.errors):
         fewest = context.settings.odometry.solver.min_tracks
         raise InputError(
