@@ -201,7 +201,7 @@ class StereoOdometry:
         """
         if self.window is None:
             raise InputError(
-                "relative", "there is no window.", "Set estimator to window, and hand in a frame."
+                "relative", "there is no window.", "Set estimator to window, and step a frame."
             )
         return self.window.relative(self.window.slot(frame), self.window.slot(other))
 

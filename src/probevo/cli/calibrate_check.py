@@ -1,4 +1,5 @@
-"""``probevo calibrate-check``: what a recording itself says of its calibration."""
+"""``probevo calibrate-check``: check a calibration against the images and the IMU of a
+recording."""
 
 from __future__ import annotations
 

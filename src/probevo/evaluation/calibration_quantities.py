@@ -116,7 +116,7 @@ def _focal_quantity(error: FocalLengthError) -> Quantity:
     """Compare the focal length by images in which the camera turns with the calibrated one."""
     cure = (
         f"where the camera turns, images show a focal length of {1.0 + 0.01 * error.percent:.4f} of"
-        " the calibrated one. It is wrong, or distortion of the lens is left, which feigns up to"
+        " the calibrated one. It is wrong, or lens distortion remains, which can look like up to"
         " 3 %: the scale of a gyro decides."
     )
     z = error.log_ratio / error.sigma

@@ -31,7 +31,7 @@ class SensorUse:
 
     used: int = 0
     gated: int = 0
-    """Steps whose measurements were turned away."""
+    """Steps whose measurements were rejected."""
     silent: Mapping[str, int] = field(default_factory=dict)
     """Steps without a measurement, by the reason that the sensor gave."""
     excluded: int = 0

@@ -1,4 +1,4 @@
-"""What ``probevo inspect`` looks at, and what a kind of noise model has to show of it."""
+"""The input of ``probevo inspect``, and the sections that a kind of noise model makes of it."""
 
 from __future__ import annotations
 

@@ -19,12 +19,12 @@ from probevo.training.supervision import Supervision
 from probevo.training.trainer import TrainingContext
 
 BLOCKS_A_DRIVE = 10
-"""A drive is cut into at most so many blocks of time for cross-validation."""
+"""Largest number of blocks of time into which a drive is cut for cross-validation."""
 STEPS_A_BLOCK = 20
-"""A block has at least so many steps: a shorter one shares its tracks with the next block."""
+"""Least number of steps in a block: a shorter one would share its tracks with the next block."""
 MOST_FEATURES = 500_000
-"""A model is fitted to at most about so many features; of more, a random share is drawn, evenly
-from all drives and times."""
+"""Approximate largest number of features that a model is fitted to. If there are more, a random
+share is drawn, evenly from all drives and times."""
 
 
 @dataclass(frozen=True)
