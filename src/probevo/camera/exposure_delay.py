@@ -138,18 +138,18 @@ def _jitter_effect(camera: StereoCamera) -> FloatArray:
 def without_delay(
     pixels: FloatArray, delay_s: float, twist_s: FloatArray, camera: StereoCamera
 ) -> FloatArray:
-    """Return observations [N, 4], px, with right images as of the time of the left ones.
+    """Return observations [N, 4], px, with u_r and v_r corrected to the time of the left image.
 
     Args:
         pixels: the observations.
         delay_s: τ.
-        twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
+        twist_s: Log(T_curr_prev) per second, [6], m/s and rad/s.
         camera: the rectified camera.
     """
     corrected: FloatArray = pixels.copy()
     if not delay_s:
         return corrected
-    # The disparity, and so the velocity, is only known once the delay is taken off.
+    # The velocity depends on the disparity, which the delay has changed: iterate.
     for _ in range(CORRECTIONS):
         velocity = right_velocity(corrected, twist_s, camera)
         corrected[:, 2:] = pixels[:, 2:] - delay_s * velocity
@@ -161,7 +161,7 @@ def right_velocity(pixels: FloatArray, twist_s: FloatArray, camera: StereoCamera
 
     Args:
         pixels: the observations.
-        twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
+        twist_s: Log(T_curr_prev) per second, [6], m/s and rad/s.
         camera: the rectified camera.
     """
     velocity = np.empty((len(pixels), 2))
