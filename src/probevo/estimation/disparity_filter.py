@@ -281,7 +281,7 @@ def _update(
 ) -> DisparityFilter:
     if noise.time_correlated is None:
         return DisparityFilter.none()
-    # Kept tracks, in the order of their identities.
+    # Keep the inliers, sorted by identity, so that ``of_tracks`` can find them by bisection.
     order = np.argsort(tracks.ids)
     chosen = order[(inliers & (solution.information[:, 0, 0] > 0.0))[order]]
     count = len(chosen)
@@ -316,6 +316,7 @@ def _update(
         mean=mean,
         posterior=states,
     )
+    # Random walk of δ until the next frame
     cov = states.cov
     cov[:, 1, 1] += RANDOM_WALK * noise.time_correlated[chosen]
     # Split the errors z into the next common mode and the rest, which is added to each track's own
@@ -348,6 +349,7 @@ def _update(
     x, y = camera.normalized(px[:, 0], px[:, 1])
     inverse_depth = states.mean[:, 0] / (camera.fu_px * camera.baseline_m)
     depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * inverse_depth
+    # Points that the motion has taken behind the camera have no disparity any more.
     ahead = depth > NEAREST
     kept = chosen[ahead]
     curr_px = tracks.curr_px[kept]

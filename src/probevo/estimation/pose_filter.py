@@ -169,18 +169,21 @@ class PoseFilter:
         """
         if not measurements:
             return self
+        # The prior: this estimate, regularised, since the first pose is known exactly.
         prior_cov = self.joint_cov
         prior_cov[range(POSE), range(POSE)] += LEAST_SIGMA**2
         T_cam_world = se3.inverse(self.T_world_cam)
         prior: VectorMeasurement = PosePrior(pose, T_cam_world, prior_cov)
         if self.further:
             prior = _JointPrior(pose, T_cam_world, self.further, prior_cov)
+        # Solve, from several headings if it is unknown, and take the least cost.
         free = prior.variables
         found = [
             gauss_newton.minimize([prior, *measurements], start, free)
             for start in self._starts(pose)
         ]
         optimum = found[0] if len(found) == 1 else min(found, key=_cost)
+        # The posterior, split again into the common-mode part and the rest.
         information = gauss_newton.information(optimum.measurements, optimum.values, free)
         cov = _inverse(information)
         common_mode = cov @ _inverse(prior_cov) @ self.common_mode

@@ -52,6 +52,7 @@ def update_rig(
     """
     if not np.isfinite(solution.cov).all():
         return rig, np.zeros((6, 3))
+    # Sensitivities of the residuals to the calibration, and weighted products of both
     D = calibration_sensitivity(tracks, solution, camera)
     jacobian = solution.full_jacobian
     weighted_D = solution.whitened(D)

@@ -159,6 +159,7 @@ class VectorMeasurement(ABC):
             raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
         if np.abs(covariance - covariance.T).max() > ASYMMETRY * np.abs(covariance).max():
             raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
+        # A covariance is positive definite if and only if it has a Cholesky factor.
         try:
             np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError as error:
@@ -226,6 +227,7 @@ class VectorMeasurement(ABC):
         residual = self.residual(values)
         jacobian = np.hstack(self.jacobians(jacobians_at))
         squared = float(residual @ self._information @ residual)
+        # IRLS: the weight is held, so the Hessian is positive semi-definite even for outliers.
         weighted = self._weight(squared) * jacobian.T @ self._information
         return Linearization(
             cost=self._cost(squared),
@@ -240,6 +242,7 @@ class VectorMeasurement(ABC):
         squared = float(residual @ self._information @ residual)
         if squared > self.gate:
             return np.zeros((jacobian.shape[1], jacobian.shape[1]))
+        # (ν + d)/(ν + d + 2), written so that it is 1 for ν = ∞
         share = 1.0 / (1.0 + 2.0 / (self.dof + len(residual)))
         if squared > self._large_from:
             share *= bounded_weight(squared, self._large_from)
@@ -291,6 +294,7 @@ def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[F
     found = []
     for variable in measurement.variables:
         columns = []
+        # 1e-6 balances the truncation error, ∝ h², and the rounding error, ∝ 1/h.
         for unit in 1e-6 * np.eye(dimension(values[variable])):
             ahead = {**values, variable: retract(values[variable], unit)}
             behind = {**values, variable: retract(values[variable], -unit)}

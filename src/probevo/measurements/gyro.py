@@ -87,7 +87,7 @@ def integrate_gyro(
 def _mean_rates(imu: ImuSamples, start_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray]:
     """Return each sub-interval's length, [J], s, and its mean rate, [J, 3], rad/s."""
     is_inside = (imu.stamps_ns > start_ns) & (imu.stamps_ns < end_ns)
-    # From the start on, so that the numbers are small enough to be exact as floats.
+    # Count from the start of the interval: stamps since 1970 are not exact as floats.
     knots_ns = np.concatenate([[start_ns], imu.stamps_ns[is_inside], [end_ns]]) - start_ns
     stamps_ns = imu.stamps_ns - start_ns
     rates = np.stack([np.interp(knots_ns, stamps_ns, axis) for axis in imu.gyro_rad_s.T], axis=1)
