@@ -54,12 +54,12 @@ class LearningPlan:
 
 
 class TrainingData(NamedTuple):
-    """What S experiments of M networks are trained on."""
+    """Training and validation data of S experiments with M networks each."""
 
     inputs: jax.Array
     """[S, N, i]"""
     targets: jax.Array
-    """Of each network and head, [S, M, N, H, o]."""
+    """Targets of each network and head, [S, M, N, H, o]."""
     samples: jax.Array
     """Which of the data each network is trained on, in this order, [S, M, N], int32."""
     held_out_inputs: jax.Array
