@@ -78,6 +78,7 @@ class ExposureDelay:
     def delay_s(self) -> float:
         """The delay to correct for: τ, shrunk to zero unless it exceeds noise and rectification
         errors."""
+        # Smooth shrinkage: a hard threshold would make the correction jump.
         ratio = self.estimate_s**2 / (USUAL_DELAY_S**2 + self.sigma_s**2)
         return self.estimate_s * ratio**2 / (1.0 + ratio**2)
 

@@ -134,6 +134,7 @@ class RigCalibration:
             noise=ROW_NOISE,
             iterations=ROW_ITERATIONS,
         )
+        # b is conditional on a₆: move it along the regression of b on a₆.
         change_px = rows[RADIAL] - self.rows[RADIAL]
         moved = np.linalg.solve(self.disparity_information, self.disparity_with_radial * change_px)
         return replace(

@@ -59,6 +59,7 @@ def scale_of_residuals(squared: FloatArray, dof: FloatArray) -> float:
         squared: eᵀ Σ⁻¹ e of each residual, [N], N > 0.
         dof: degrees of freedom ν of each feature's noise, [N].
     """
+    # Find the median of y = ν/(ν + s) under each ν by bisection.
     nu = np.minimum(dof, GAUSSIAN_FROM)
     low = np.zeros(len(nu))
     high = np.ones(len(nu))

@@ -51,9 +51,11 @@ def initial_motion(
     Returns:
         The motion, and RANSAC's inliers, or all tracks where the settings say so.
     """
+    # PROBE's pre-filter by the predicted rotation; off by default
     plausible = _rotated_as_predicted(
         tracks, camera, prediction.T_curr_prev[:3, :3], limit_deg=config.gyro.prefilter_deg
     )
+    # As in PROBE, without RANSAC
     if config.ransac.mode == "off":
         T_curr_prev = _centroid_motion(tracks.kept(plausible), camera, prediction.T_curr_prev)
         return Consensus(T_curr_prev, plausible)

@@ -104,9 +104,11 @@ def shares_of(of_images: MotionEstimate, motion: MotionEstimate, num_frames: int
         motion: the corrected one.
         num_frames: frames of the window, K.
     """
+    # Both in units of the covariance of the two-frame motion, averaged over the six dimensions
     xi = se3.log(motion.T_curr_prev @ se3.inverse(of_images.T_curr_prev))
     information = np.linalg.inv(of_images.cov)
     of_features = 1.0 + num_frames**2 * float(xi @ information @ xi) / len(xi)
     of_motion = float(np.trace(information @ motion.cov)) / len(xi)
+    # Covariance intersection with ω = λ/(λ + κ): λ/(1 − ω) times C, and 1/ω times Σ
     both = of_features + of_motion
     return Shares(features=of_features * both / of_motion, motion=both / of_features)

@@ -32,6 +32,7 @@ def rotated_starts(
     It is needed if the camera may have turned by more than the tracker can follow. Without it and
     without a gyro, a camera that begins to turn between distant frames is lost for the whole turn.
     """
+    # σ of the predicted pitch and yaw, as a shift of the image
     sigma_px = np.sqrt(np.diagonal(prediction.cov)[3:5]) * [camera.fv_px, camera.fu_px]
     if prev_frame.left is None or frame.left is None or sigma_px.max() < REACH_PX:
         return []
@@ -45,13 +46,16 @@ def rotated_starts(
 def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> FloatArray:
     """Return C_curr_prev, [3, 3], a rough yaw and pitch from the shift of the whole image (phase
     correlation)."""
+    # In small images, a rotation by several degrees is a shift by a few pixels.
     size = max(image.shape[1] // COARSE_PX, 2), max(image.shape[0] // COARSE_PX, 2)
     prev_small, small = (
         cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         for each in (prev_image, image)
     )
+    # A window function, since phase correlation takes the images as periodic.
     window = np.asarray(cv2.createHanningWindow(size, cv2.CV_32F))
     (du, dv), _ = cv2.phaseCorrelate(prev_small, small, window)
+    # A shift down by dv is a rotation about −x, a shift to the right by du one about +y.
     angle = COARSE_PX * np.array([-dv / camera.fv_px, du / camera.fu_px, 0.0])
     rotation: FloatArray = so3.exp(angle)
     return rotation
@@ -87,6 +91,7 @@ def track_from_best_start(
             threshold=InlierThreshold(config.ransac.threshold_px),
             confidence=config.ransac.confidence,
         )
+        # All starts use the same seed, so that only the tracks differ.
         found.append(tracked)
         agreement.append(int(consensus.inliers.sum()))
     return found[int(np.argmax(agreement))]

@@ -147,6 +147,7 @@ class TwoFrameEstimator:
         curr: Variable = MOTION,
     ) -> Estimate:
         """Solve for the motion, then update the disparities of the inliers."""
+        # Solve, with the filtered disparities as a prior on the points.
         prior = disparities.of_tracks(tracks)
         solution = self._method.solve(
             tracks,

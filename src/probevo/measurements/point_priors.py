@@ -97,7 +97,7 @@ class PointPrior:
         if time_correlated is not None:
             cov[:, 2, 2] += time_correlated
             cov[:, 3, 3] = time_correlated
-            cov[:, 2, 3] = cov[:, 3, 2] = -time_correlated
+            cov[:, 2, 3] = cov[:, 3, 2] = -time_correlated  # what is δ is missing in d
         return PointPrior(point=point, error=np.zeros(count), cov=cov, gain=gain)
 
     def given(self, prior: DisparityPrior) -> PointPrior:

@@ -44,5 +44,6 @@ class RelativeRotation(RelativeMeasurement):
         of_curr = np.hstack([np.zeros((3, 3)), -np.eye(3)])
         if self.prev is None:
             return (of_curr,)
+        # ξ_prev acts on the motion as −Ad(T_curr_prev) ξ_prev, and on −φ with the opposite sign.
         C_curr_prev = self.motion(values)[:3, :3]
         return (np.hstack([np.zeros((3, 3)), C_curr_prev]), of_curr)

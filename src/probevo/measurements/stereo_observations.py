@@ -193,6 +193,7 @@ class StereoObservations:
         if noise.jitter_cov is not None:
             roots = JitterRoots.of(noise.jitter_cov, disparity_prior)
             prev_px = np.array(prev_px, order="C")
+            # The known part of the previous jitter is a correction of the observations.
             if roots.prev.mean.any():
                 prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ roots.prev.mean
         loss = RobustLoss.student_t() if loss is None else loss
@@ -202,6 +203,7 @@ class StereoObservations:
         scale[:] = noise.scale
         dof = np.empty(count)
         dof[:] = noise.dof
+        # Points by the previous observation, then by the disparity filter for the tracks it knows
         points = PointPrior.of(
             prev_px,
             scale=scale if noise.prev_scale is None else np.array(noise.prev_scale, order="C"),
@@ -351,6 +353,7 @@ class StereoObservations:
         )
         scatter, curved = weigh(self.loss_parameters, jacobians.squared, weights)
         points = self.points_at(values)
+        # Information matrix, scaled to the observed residuals; the jitter's prior is exact.
         hessian, information = self._information(jacobians, weights, points.point[:, 2])
         information /= self._variance_factor(scatter, curved)
         if self.jitter is not None:
