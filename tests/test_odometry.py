@@ -24,7 +24,8 @@ from probevo.measurements import NoMeasurement
 from probevo.noise import Fixed, NearestNeighbors, StudentT
 from probevo.noise.metric import Metric
 from probevo.predictors import prediction_space
-from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures, check_frame
+from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
+from probevo.sequences.frame_checks import check_frame
 from probevo.sequences.imu_calibration import ImuCalibration
 from worlds import (
     CAMERA,

@@ -5,10 +5,15 @@ Each docstring gives the shapes and units of its arrays.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -17,8 +22,18 @@ Image = NDArray[np.uint8]
 """Grayscale image, [height, width], uint8."""
 AnyArray = NDArray[Any]
 
+StructOfArrays = TypeVar("StructOfArrays", bound="DataclassInstance")
+"""A dataclass whose fields are all arrays."""
+
 
 def evenly(count: int, most: int) -> IntArray:
     """Return at most ``most`` of the indices 0 … count − 1, evenly spread from first to last."""
     indices: IntArray = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
     return indices
+
+
+def concatenated(parts: Sequence[StructOfArrays]) -> StructOfArrays:
+    """Concatenate the arrays of at least one struct of arrays, field by field."""
+    names = [field.name for field in fields(parts[0])]
+    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **arrays)

@@ -9,8 +9,9 @@ from pydantic import Field, model_validator
 from probevo.settings import Settings
 
 MAX_DIFFERENCE_OF = {"two-frame": 6.0, "window": 20.0}
-"""Default of ``max_difference`` by estimator, grey levels. For a window, 20, 40 and 255 are alike;
-two frames lose up to a quarter in rotation on some recordings, and gain a fifth on others."""
+"""Default of ``max_difference`` by estimator, grey levels. With a window, 20, 40 and 255 give the
+same accuracy. With two frames, 20 instead of 6 loses up to a quarter in rotation on some
+recordings, and gains a fifth on others."""
 
 
 class TrackingConfig(Settings):
@@ -60,7 +61,7 @@ class TrackingConfig(Settings):
         le=255,
         description=(
             "Largest mean difference of two windows that show the same feature, in grey levels; by"
-            " default 6 for two frames, and 20 for a window, which can tell a wrong track by its"
+            " default 6 for two frames, and 20 for a window, which detects a wrong track by its"
             " history."
         ),
     )
@@ -192,7 +193,7 @@ class WindowConfig(Settings):
 class MotionModelConfig(Settings):
     """The motion prior of the vehicle, a constant velocity with random accelerations.
 
-    It dead-reckons where the features cannot fix the motion, and gates implausible solutions.
+    It dead-reckons if the features do not determine the motion, and rejects implausible solutions.
     """
 
     acceleration_m_s2: float = Field(
@@ -253,8 +254,8 @@ class NorthConfig(Settings):
         ge=-360,
         le=360,
         description=(
-            "Heading of the first camera, clockwise from north; if it is not given, the first"
-            " measurements against north tell it."
+            "Heading of the first camera, clockwise from north; if it is not given, it is estimated"
+            " from the first measurements against north."
         ),
     )
     heading_sigma_deg: float = Field(
@@ -264,7 +265,7 @@ class NorthConfig(Settings):
         3.0,
         gt=0,
         le=90,
-        description="By how much the first camera is not level; a car's camera is within 1 to 2.",
+        description="Standard deviation of the first camera's tilt; in a car it is within 1 to 2.",
     )
 
 
@@ -281,8 +282,8 @@ class OdometryConfig(Settings):
     any_camera: bool = Field(
         False,
         description=(
-            "Take a noise model that was learned with another camera, too, with a warning. Errors"
-            " in pixels may be other ones there."
+            "Accept a noise model that was learned with another camera, with a warning: errors in"
+            " pixels may differ."
         ),
     )
     tracking: TrackingConfig = TrackingConfig()

@@ -1,4 +1,4 @@
-"""The points that a frame saw, with the covariance of each."""
+"""Triangulated points of a frame, with the covariance of each."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Landmarks:
     points_m: FloatArray
     """Positions, [N, 3], m."""
     cov_m2: FloatArray
-    """Covariance of each position, [N, 3, 3], m², to first order in the noise of the pixels. Errors
-    of the calibration are not among it: they are common to all points."""
+    """Covariance of each position, [N, 3, 3], m², to first order in the pixel noise. Errors of the
+    calibration are not included: they are common to all points."""
 
     @staticmethod
     def none() -> Landmarks:

@@ -1,5 +1,5 @@
-"""Odometry that keeps up with a camera: it steps in a thread of its own, and skips frames rather
-than fall behind."""
+"""Odometry of a live camera: it runs in its own thread, and drops frames instead of falling
+behind."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ MOST_UNREAD = 16
 """Estimates that may wait for ``estimates()``; the next step begins only when there is room."""
 
 MOST_IMU_NS = 10_000_000_000
-"""A frame takes over no IMU samples of dropped ones beyond this time: where nobody reads, they
-would pile up."""
+"""Longest interval of IMU samples that a frame takes over from dropped ones; without a bound they
+would accumulate if nobody reads the estimates."""
 
 MAX_FAILURES = 30
-"""Steps that may fail one after another. A single one is an accident, as a broken sample or image
-is; after so many the fault is permanent, and nobody should wait for an estimate."""
+"""Number of failing steps in a row after which the thread gives up. A single failure may be a
+broken image; after so many the fault is permanent, and nobody should wait for an estimate."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +86,15 @@ class _Arrival:
 class LiveOdometry:
     """Steps a ``StereoOdometry`` in a thread, with the newest frames of a camera.
 
-    A frame that finds ``waiting`` others waiting takes the place of the oldest of them. So with
-    steps of at most S, no estimate comes later than (waiting + 1) S after its frame: the rest of
-    the current step, then one for each frame that waits. What is dropped costs no motion and no
-    gyro: each motion leads from the last frame that was *processed*, and the IMU samples of a
-    dropped frame go to the next. Memory stays constant, however long it runs.
+    If more than ``waiting`` frames wait, the oldest is dropped. With steps of at most S, no
+    estimate is later than (waiting + 1) S after its frame: the rest of the current step, then one
+    step for each waiting frame. A dropped frame loses neither motion nor gyro data: each motion
+    starts at the last frame that was *processed*, and the IMU samples of a dropped frame go to the
+    next one. Memory stays constant, however long it runs.
 
-    Estimates go to ``on_estimate``, called in the thread, its time being part of S; or else to
-    ``estimates()``. Who reads those too slowly makes frames be dropped, but misses no motion: they
-    can always be chained.
+    Estimates go to ``on_estimate``, which is called in the thread and whose time is part of S, or
+    else to ``estimates()``. If these are read too slowly, frames are dropped, but the motions still
+    form an unbroken chain.
 
     A step that raises an exception leaves the odometry as it was. Its frame is counted as failed
     (``num_failed``, ``last_failure``), its IMU samples go to the next frame, and the thread goes
@@ -105,10 +105,10 @@ class LiveOdometry:
     ``push``, ``estimates()`` and ``close``.
 
     Args:
-        odometry: nobody else may step it meanwhile.
-        waiting: frames that may wait, at least 1; more than one only spreads out what a slow step
-            delays.
-        on_estimate: takes each estimate.
+        odometry: the odometry; nothing else may call its ``step`` meanwhile.
+        waiting: number of frames that may wait, at least 1. More than one bridges single slow
+            steps, at the cost of delay.
+        on_estimate: called with each estimate.
     """
 
     def __init__(
@@ -164,13 +164,13 @@ class LiveOdometry:
             return self._last_failure
 
     def push(self, frame: Frame) -> None:
-        """Hand in the next frame; never waits for a step.
+        """Pass the next frame; never blocks for a step.
 
-        Its images are not copied: nobody may write to them again. Its IMU samples cover the time
-        since the frame pushed before, whether that was dropped or not.
+        Its images are not copied, so they must not be overwritten. Its IMU samples cover the time
+        since the last pushed frame, whether that was dropped or not.
 
         Raises:
-            InputError: the frame is not later than the previous one, or not what its camera sees.
+            InputError: the frame is not later than the previous one, or does not match the camera.
                 It is counted (``num_refused``) and left out, but its IMU samples go to the next
                 frame.
             RuntimeError: pushed after ``close``.
@@ -213,12 +213,13 @@ class LiveOdometry:
             yield estimate
 
     def close(self, *, drain: bool = True) -> None:
-        """Take no more frames, and return when the thread has ended; what is unread can still be
-        read.
+        """Accept no more frames, and return when the thread has ended.
+
+        Estimates that are not yet read can still be read.
 
         Args:
-            drain: process first the frames that wait; otherwise they are dropped, and only the
-                current step ends.
+            drain: process the waiting frames first; otherwise they are dropped, and only the
+                current step is finished.
         """
         self._end(drain)
         with self._changed:

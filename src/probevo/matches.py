@@ -1,4 +1,4 @@
-"""The solver alone: the motion between two frames from matches of somebody else's front end."""
+"""The solver alone: the motion between two frames, from matches of another front end."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from probevo.python_arguments import as_array, as_camera, as_noise
 from probevo.tracking.tracks import Tracks
 
 MIN_MATCHES = 3
-"""Points that fix a motion."""
+"""Least number of points that determine a motion."""
 SMALLEST_VARIANCE_PX2 = 1e-12
 
 
@@ -36,8 +36,8 @@ def estimate_motion(
 ) -> MotionEstimate:
     """Estimate the motion between two frames from N stereo matches: T_curr_prev, its covariance.
 
-    RANSAC finds the matches that agree, and the solver weighs each by its noise. Nothing is
-    remembered between calls, and no error that lasts over frames is part of the covariance.
+    RANSAC finds the inliers, and the solver weights each by its noise. Calls are independent of
+    each other, so the covariance contains no error that persists over frames.
 
     Args:
         prev_px: (u_l, v_l, u_r, v_r) in the previous frame, rectified, [N, 4], px.
@@ -49,8 +49,9 @@ def estimate_motion(
         seed: of the samples of RANSAC; the same seed gives the same result.
 
     Returns:
-        The estimate. Where the matches fix no motion, the status says so, T_curr_prev is the guess,
-        and the covariance is as wide as the odometry takes such a step to be degenerate.
+        The estimate. If the matches do not determine a motion, the status says so, T_curr_prev is
+        the guess, and the covariance is the limit beyond which the odometry calls a step
+        degenerate.
 
     Raises:
         InputError: an array has a wrong shape or is not finite, a covariance is not positive
@@ -129,7 +130,7 @@ def _gaussian(noise: object, count: int) -> StereoNoise:
 
 
 def _failed(status: Status, T_curr_prev: FloatArray, num_tracks: int) -> MotionEstimate:
-    """Return what is known where the matches fix no motion: next to nothing."""
+    """Return the estimate if the matches do not determine a motion: the guess, hardly known."""
     limits = OdometryConfig().solver
     sigma = np.repeat([limits.max_translation_sigma_m, limits.max_rotation_sigma_rad], 3)
     return MotionEstimate(

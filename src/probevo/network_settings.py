@@ -1,4 +1,4 @@
-"""Settings of the training of networks that measure (``probevo train --kind rotation`` …)."""
+"""Settings for training networks that serve as sensors (``probevo train --kind rotation`` …)."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ from probevo.settings import Settings
 
 
 class NetworkSettings(Settings):
-    """How large a network is, how long it is trained, and on what."""
+    """Size of a network, and length and data of its training."""
 
     heads: int = Field(
-        10, ge=2, le=1000, description="H, estimates of one input, whose mean is taken (HydraNet)."
+        10,
+        ge=2,
+        le=1000,
+        description="H, the heads of the network, whose estimates are averaged (HydraNet).",
     )
-    epochs: int = Field(40, ge=1, le=100_000, description="Times that all data are used, at most.")
+    epochs: int = Field(40, ge=1, le=100_000, description="Largest number of passes over the data.")
     patience: int = Field(
         10,
         ge=1,
         le=100_000,
-        description="Epochs without a better likelihood of what is left out, before it stops.",
+        description="Epochs without a better likelihood of the data left out, before it stops.",
     )
-    batch: int = Field(32, ge=1, le=100_000, description="Data of a step of the optimiser.")
-    learning_rate: float = Field(1e-4, gt=0, le=1, description="Of Adam.")
+    batch: int = Field(32, ge=1, le=100_000, description="Samples in a step of the optimiser.")
+    learning_rate: float = Field(1e-4, gt=0, le=1, description="Learning rate of Adam.")
     rotation_only: bool = Field(
         False,
         description="Of correction: correct the rotation alone, the ablation of DPC-Net.",
@@ -29,7 +32,7 @@ class NetworkSettings(Settings):
     constant_covariance: bool = Field(
         False,
         description=(
-            "Of correction: learn no covariance; that of the training data weighs the loss, and is"
+            "Of correction: learn no covariance; that of the training data weights the loss, and is"
             " claimed, as in DPC-Net."
         ),
     )
@@ -38,8 +41,8 @@ class NetworkSettings(Settings):
         ge=1,
         le=1000,
         description=(
-            "Of rotation and sun: times that all images are used; all but the first are turned"
-            " further by a random angle, as the camera would have seen it."
+            "Of rotation and sun: number of times that each image is used; all but the first are"
+            " rotated by a random angle, as the camera would have seen it."
         ),
     )
     left_out: int = Field(
@@ -47,8 +50,8 @@ class NetworkSettings(Settings):
         ge=1,
         le=10_000,
         description=(
-            "Recordings, the last ones named, that are not learned from: they stop the training,"
-            " and calibrate the covariance."
+            "Number of recordings, the last ones named, that are not trained on: they decide when"
+            " to stop, and calibrate the covariance."
         ),
     )
-    seed: int = Field(0, ge=0, description="The same gives the same bytes on one CPU.")
+    seed: int = Field(0, ge=0, description="Seed; the same seed gives the same bytes on one CPU.")

@@ -1,4 +1,5 @@
-"""The whole flow for one frame: read this first."""
+"""Stereo odometry, one frame at a time: the whole pipeline in the order of its stages. Read this
+first."""
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ class StereoOdometry:
         camera: the rectified camera, as a sequence gives it.
         noise: noise model of the features, or its name or file; the static Student-t by default.
             One of another camera is an InputError unless ``config.any_camera`` accepts it.
-        imu: calibration of the IMU whose samples come with the frames, if they do.
+        imu: calibration of the IMU, if frames come with IMU samples.
         config: all settings, or a dictionary of those that differ from the defaults.
         predictors: the prediction space; by default that of the noise model, and any other is an
             InputError.
@@ -100,12 +101,12 @@ class StereoOdometry:
         """Estimate the motion from the previous frame to this one: T_curr_prev with its 6×6
         covariance and a status.
 
-        The first frame yields the identity with zero covariance and status FIRST. Where the images
-        fix no motion, it is dead-reckoned. If anything raises, the odometry is as it was before the
-        call, as if the frame had never been there.
+        The first frame yields the identity with zero covariance and status FIRST. If the images do
+        not determine the motion, it is dead-reckoned. If anything raises, the odometry is as it was
+        before the call.
 
         Raises:
-            InputError: the frame is not later than the previous one, or not what its camera sees.
+            InputError: the frame is not later than the previous one, or does not match the camera.
         """
         state = self._state
         frame, missing = validated(frame, self.camera, prev_frame=state.frame if state else None)
@@ -119,6 +120,7 @@ class StereoOdometry:
         solved = self._estimate(observed, measured, clock)  # noise/, estimation/: φ → R → motion
         estimate, after = self._advance(prediction, solved, measured, clock)  # motion → pose
         estimate = replace(estimate, missing=missing)
+        # The only assignment, and the last statement that can matter: a step is atomic.
         self._state = after
         return estimate
 
@@ -129,23 +131,23 @@ class StereoOdometry:
 
     @property
     def phi(self) -> FloatArray:
-        """Their places in the prediction space, [N, M]."""
+        """The predictors φ of these tracks, [N, M]: their places in the prediction space."""
         return self._features.phi
 
     @property
     def used(self) -> BoolArray:
-        """Which of them the solve used, [N]."""
+        """Which of the tracks the solve used, [N]; RANSAC rejected the others."""
         return self._features.used
 
     @property
     def weights(self) -> FloatArray:
-        """How far each was trusted, [N], 0 to 1."""
+        """Robust weight of each track, [N], from 0 (outlier) to 1."""
         return self._features.weights
 
     @property
     def T_of_images(self) -> FloatArray:
-        """The motion that they show by themselves, without window, IMU and corrections, [4, 4], m;
-        the dead-reckoned one where they show none."""
+        """The motion from the tracks of the two frames alone, without window, IMU and corrections,
+        [4, 4], m; the dead-reckoned one if they do not determine it."""
         return self._features.T_curr_prev
 
     @property
@@ -159,12 +161,12 @@ class StereoOdometry:
 
     @property
     def state(self) -> OdometryState | None:
-        """Everything that it remembers; None before the first frame."""
+        """Everything the odometry remembers; None before the first frame."""
         return self._state
 
     @property
     def rig(self) -> RigCalibration | None:
-        """What it has learned of the rectification's errors; None without self-calibration."""
+        """The estimated errors of the rectification; None without self-calibration."""
         if self._state is None:
             if not self.config.self_calibration:
                 return None
@@ -173,7 +175,7 @@ class StereoOdometry:
 
     @property
     def gyro_bias(self) -> GyroBias | None:
-        """What it has learned of the gyro's bias; None without an IMU."""
+        """The estimated bias of the gyro; None without an IMU."""
         if self._state is None:
             return GyroBias.initial(self.imu) if self.imu else None
         return self._state.gyro_bias
@@ -187,8 +189,8 @@ class StereoOdometry:
         """Return the motion T_frame_other between two frames of the window, and its covariance.
 
         Args:
-            frame: index of the frame to which it leads.
-            other: index of the frame that it starts from.
+            frame: index of the frame at the end of the motion.
+            other: index of the frame at its start.
 
         Returns:
             T_frame_other, [4, 4], m, and the covariance of its left perturbation, [6, 6], from the
@@ -199,7 +201,7 @@ class StereoOdometry:
         """
         if self.window is None:
             raise InputError(
-                "relative", "there is no window.", "Set estimator to window, and hand in a frame."
+                "relative", "there is no window.", "Set estimator to window, and step a frame."
             )
         return self.window.relative(self.window.slot(frame), self.window.slot(other))
 
@@ -223,23 +225,27 @@ class StereoOdometry:
         )
 
     def _initial_jitter(self) -> RigJitter:
-        """Return what the noise model has learned of the rig's jitter, or else the wide prior."""
+        """Return the prior of the rig's jitter: learned with the noise model, or else a wide
+        one."""
         learned = learned_jitter_cov(self.noise)
         if learned is None:
             return RigJitter.initial()
         return RigJitter.initial(learned, LEARNED_FRAMES)
 
     def _observe(self, prediction: Prediction, clock: StageClock) -> Observed:
-        """Find the features again, correct them, and compute their predictors."""
+        """Track the features into the frame, correct them for the rig, and compute predictors."""
         state = prediction.state
         frame = prediction.frame
         model = state.motion_model
         is_frozen = are_frozen(
             state.frame, frame, model, prediction.motion, were_frozen=state.is_frozen
         )
-        if is_frozen:  # the features have moved on unseen
+        if is_frozen:
+            # The camera moves but its images do not change. Tracking them would measure a motion of
+            # zero with great confidence, so there are no tracks.
             tracked = Tracked.nothing(state.tracking)
         else:
+            # Usually one start, the prediction. While speed or rotation are unknown there are more.
             starts = model.starts(prediction.duration_s, prediction.motion)
             starts += rotated_starts(prediction.motion, state.frame, frame, self.camera)
             tracked = track_from_best_start(
@@ -251,6 +257,8 @@ class StereoOdometry:
                 config=self.config,
             )
         clock.lap("track")
+        # Raw observations stay in the state; only those of this step are corrected, since the
+        # calibration improves while a track lives.
         twist_s = None if model.speed_is_unknown else model.twist_s
         corrected = CorrectedTracks.of(
             tracked.tracks, state.rig, self.camera, prev_twist_s=twist_s, curr_twist_s=twist_s
@@ -271,16 +279,18 @@ class StereoOdometry:
         return Observed(prediction, tracked, corrected, phi, is_frozen)
 
     def _measure(self, prediction: Prediction) -> Measured:
-        """Ask gyro and sensors.
+        """Collect the measurements of the gyro and of all sensors that are not excluded.
 
-        The gyro's rotation enters the solve only where the settings say so, and a sensor that has
-        been excluded is not asked. Measurements of the motion have a bounded loss there, so that a
-        wrong one has no pull.
+        By default the gyro only predicts; with ``gyro.prior`` its rotation is a measurement, too.
+        Measurements of the motion get a bounded loss, so that a wrong one has no influence on the
+        solve.
         """
         state = prediction.state
         frame = prediction.frame
         prev_frame = state.frame
-        if state.is_frozen:  # its images were taken with those of an earlier frame
+        if state.is_frozen:
+            # The previous images are copies of an earlier frame's. A sensor that compares images
+            # must not take them for those of the previous stamp.
             prev_frame = replace(prev_frame, left=None, right=None, prepared=None)
         readings = self._suite.read(prev_frame, frame, is_excluded=state.fusion.is_excluded)
         of_motion: list[Measurement] = []
@@ -294,16 +304,18 @@ class StereoOdometry:
         return Measured(of_motion, readings)
 
     def _estimate(self, observed: Observed, measured: Measured, clock: StageClock) -> Solved:
-        """Estimate the motion from the tracks and what else was measured of it.
+        """Estimate the motion from the tracks and from other measurements of it.
 
-        Where the features are lost after a dead-reckoned step, those of the last frame that had a
-        motion are looked for. No sensor has measured the motion from there.
+        If the tracks are lost right after dead-reckoned steps, search for the features of the last
+        usable frame instead (``estimation.recovery``).
         """
         solved = self._solve(observed, measured.of_motion, clock)
+        # Recovery
         usable = observed.prediction.from_last_usable()
         if usable is None or not solved.is_lost:
             return solved
         prediction, recovery = usable
+        # Sensors measure from the previous frame, not from the last usable one: leave them out.
         found = self._solve(self._observe(prediction, clock), (), clock)
         fewest = INLIERS_FACTOR * self.config.solver.min_tracks
         if found.visual.status is not Status.OK or found.visual.num_inliers < fewest:
@@ -338,7 +350,7 @@ class StereoOdometry:
     def _advance(
         self, prediction: Prediction, solved: Solved, measured: Measured, clock: StageClock
     ) -> tuple[MotionEstimate, OdometryState]:
-        """Learn from the step, and propagate the pose to its frame.
+        """Update the estimates that a step improves, and propagate the pose to its frame.
 
         Returns:
             The estimate, and the state after the step.
@@ -346,15 +358,18 @@ class StereoOdometry:
         state = prediction.state
         frame = prediction.frame
         pose = pose_of(frame.index)
+        # Motion by the images, or dead-reckoned; gyro bias, rig, motion model, disparities.
         of_images, learned = self._learn(prediction, solved)
         clock.lap("learn")
         readings = measured.readings
+        # What the sensors measured. The two-frame estimator has no solve in a dead-reckoned step
+        # that their measurements of the motion could enter; a window always has one.
         if not solved.shows_step and prediction.window is None:
-            # The motion is dead-reckoned. A window uses measurements of it nevertheless.
             readings = [reading.without_motion(pose) for reading in readings]
         motion, readings = with_correction(
             of_images, readings, self._suite, frames=(state.frame, frame)
         )
+        # The pose: from the window, or by compounding the motion.
         window = None
         if prediction.window is not None:
             window = self._adjust(
@@ -364,9 +379,10 @@ class StereoOdometry:
             fusion = state.fusion.advanced(live_advance(motion, window))
             clock.lap("window")
         else:
-            if solved.recovery is not None:
+            if solved.recovery is not None:  # from the last usable frame: make it a step
                 motion = solved.recovery.path.closed(motion)
             fusion = state.fusion.after(motion)
+        # Measurements of the pose correct it, and each sensor is tested.
         outcomes: tuple[SensorOutcome, ...] = ()
         if readings:
             solution = solved.visual.accepted_solution if solved.shows_step else None
@@ -399,18 +415,20 @@ class StereoOdometry:
     def _learn(
         self, prediction: Prediction, solved: Solved
     ) -> tuple[MotionEstimate, OdometryState]:
-        """Take the motion that was solved, or else the predicted one, and learn from it.
+        """Accept the solved motion and update what depends on it, or else dead-reckon.
 
         Returns:
-            The motion, from the last usable frame if it is that of a recovery. The state with
-            features, rig, gyro bias, motion model, disparities and residuals as of this step, and
-            all else as before it.
+            The motion; after a recovery, it is that from the last usable frame. The state with
+            tracking, rig, gyro bias, motion model, disparities and residuals updated, and all else
+            as before the step.
         """
         state = prediction.state
         visual = solved.visual
         tracking = solved.observed.tracked.state
         duration_s = prediction.duration_s
         if visual.status is not Status.OK:
+            # Dead reckoning. Disparity filter and residuals start afresh, since both need the
+            # motion of every step.
             refused = visual.status is Status.NOT_CONVERGED
             motion = solved.calibrated.dead_reckoned(
                 state.motion_model, prediction.motion, duration_s
@@ -427,6 +445,7 @@ class StereoOdometry:
                 disparities=DisparityFilter.none(),
                 residuals=LastResiduals.none(),
             )
+        # An accepted solve
         motion = solved.calibrated.accepted()
         residuals = LastResiduals.none()
         if solved.recovery is not None:
@@ -462,16 +481,18 @@ class StereoOdometry:
         of_images: MotionEstimate,
         measured: Measured,
     ) -> Window:
-        """Adjust the last frames together, starting from the motion that two of them have shown.
+        """Adjust the last frames together, starting from the motion of the two-frame solve.
 
         Args:
             window: the window before the step.
-            solved: what the images show.
-            motion: the motion that was solved, corrected if there is a correction.
+            solved: the two-frame solve.
+            motion: its motion, corrected if there is a correction, or the dead-reckoned one.
             of_images: the same without the correction.
             measured: what the sensors measured.
         """
         prediction = solved.observed.prediction
+        # A corrected motion and the features are from the same images. Inflate both, so that the
+        # window does not count the images twice.
         shares = None
         if motion is not of_images:
             shares = shares_of(of_images, motion, self.config.window.frames)

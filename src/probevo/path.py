@@ -1,4 +1,4 @@
-"""Motions to a path: poses with the covariances that the motions add up to."""
+"""Compounding of motions to a path: poses with consistent covariances."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def compound(motions: Iterable[MotionEstimate]) -> tuple[FloatArray, FloatArray]
         the left perturbations of T_cam_world, [K + 1, 6, 6], m and rad, 0 at the first.
 
     Raises:
-        InputError: something else is among them.
+        InputError: an element is no MotionEstimate.
     """
     steps = []
     for motion in motions:

@@ -1,4 +1,4 @@
-"""Arguments of the Python interface as people write them, checked and converted."""
+"""Checks and conversions of the arguments of the Python interface."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A finished run once more in the viewer: with images and features, if the recording is there.
+"""Replay of a finished run for the viewer, with images and features from its recording.
 
-A run stores its motions and the settings in force, not what its frames showed. The same settings
-give the same features again.
+A run stores its motions and the effective settings, not its images and features. Running the same
+settings again gives the same features.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from probevo.sequences.without_imu import WithoutImu
 from probevo.tracking.preparation import prepare_ahead
 
 SAME_M = 1e-6
-"""Largest difference of an element of a motion that another processor's rounding may make, m."""
+"""Largest difference between two runs that rounding on another processor may cause, m."""
 
 
 def write_viewer_file_again(
@@ -34,18 +34,18 @@ def write_viewer_file_again(
     *,
     on_frame: Callable[[], None] = lambda: None,
 ) -> bool:
-    """Write a finished run for the viewer, with what its frames showed.
+    """Run a finished run's recording again, and write it for the viewer.
 
     Args:
         path: a file ``.rrd``.
         result: the run, of N frames.
         sequence: its recording, of N frames or more.
-        config: the settings that were in force.
+        config: the effective settings of the run.
         on_frame: called after each frame, for a progress bar.
 
     Returns:
-        Whether the motions are those of the run again. If not, another version of probevo, or of
-        the recording, made them, and the features that are shown are not exactly those of the run.
+        Whether the motions are the same as in the run. If not, the run was made with another
+        version of probevo or of the recording, and the features shown are not exactly its own.
 
     Raises:
         InputError: the recording is damaged, or the noise model, a sensor or the file cannot be

@@ -41,7 +41,7 @@ class TopicSettings(Settings):
         None,
         description=(
             "True poses: Odometry, PoseStamped, TransformStamped or tf; a topic called ground_truth"
-            " is taken by itself."
+            " is used automatically."
         ),
     )
     pair_tolerance_ms: float | None = Field(
@@ -58,7 +58,7 @@ OPTICAL_IN_BASE = (
 """T_base_cam of a camera that looks ahead from the origin of ``base_link``, row by row: REP-103 has
 bodies with x forward, y left, z up, and optical frames with x right, y down, z forward."""
 ROTATION_TOLERANCE = 1e-6
-"""How far the columns of a rotation may be from unit length and right angles."""
+"""Largest deviation of a rotation's rows from unit length and right angles."""
 
 
 class RosSettings(Settings):
@@ -118,8 +118,8 @@ class ReadSettings(Settings):
     truth_of: str | None = Field(
         None,
         description=(
-            "Whose poses --truth or --topics.truth gives: camera (rectified, left), imu, or a frame"
-            " of the bag's tf_static."
+            "Body whose poses --truth or --topics.truth gives: camera (rectified, left), imu, or a"
+            " frame of the bag's tf_static."
         ),
     )
     rate_hz: float | None = Field(
@@ -132,9 +132,9 @@ class ReadSettings(Settings):
     mask_left: Path | None = Field(
         None,
         description=(
-            "Where features of the left images are wanted, black where not, such as on a bonnet:"
-            " an image, or a folder with one for each frame. By default mask_left.png or mask_left/"
-            " in the folder of the recording, if there is one."
+            "Mask of the left images, black where no feature is wanted, such as on a bonnet: an"
+            " image, or a folder with one for each frame. By default mask_left.png or mask_left/ in"
+            " the folder of the recording, if there is one."
         ),
     )
     mask_right: Path | None = Field(None, description="The same for the right images.")
@@ -169,10 +169,7 @@ class ReadSettings(Settings):
 
 
 class CommonRunSettings(ReadSettings, OdometryConfig):
-    """The settings that all runs of a comparison have in common.
-
-    Each run adds its recording and its noise model, see ``RunConfig``.
-    """
+    """The settings that the runs of a comparison share; ``RunConfig`` adds recording and noise."""
 
     max_frames: int | None = Field(None, ge=2, description="Stop after this many frames.")
     imu: bool = Field(True, description="Use the recording's IMU, if it has one.")
@@ -211,21 +208,21 @@ class RunConfig(CommonRunSettings):
         gt=0.0,
         le=100.0,
         description=(
-            "Height of the left camera above the ground that it drives over, as measured. It checks"
-            " the baseline, and changes no result."
+            "Measured height of the left camera above the ground. It serves to check the baseline,"
+            " and changes no result."
         ),
     )
     write: Path | None = Field(
         None,
         description=(
-            "Write the odometry as a bag, too: a file .mcap or .db3 of ROS 2, or .bag of ROS 1."
+            "Also write the odometry as a bag: a file .mcap or .db3 of ROS 2, or .bag of ROS 1."
         ),
     )
     ros: RosSettings = Field(RosSettings(), description="Frames of that bag.")
     viewer: Path | None = Field(
         None,
         description=(
-            "Write a file .rrd for the Rerun viewer, too (extra viewer). Without a file, or with"
+            "Also write a file .rrd for the Rerun viewer (extra viewer). Without a file, or with"
             " `window`: open its window."
         ),
     )

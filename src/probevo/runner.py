@@ -114,7 +114,7 @@ def run_sequence(
     are written at the end and replace those of an earlier run.
 
     If anything stops the run early, such as a damaged image or Ctrl-C, the same files are written
-    for the frames so far, and name the reason; the exception is raised again with a note that tells
+    for the frames so far, and name the reason; the exception is raised again with a note that says
     where they are. Nothing is written if fewer than two frames were processed, or if the left and
     right images are swapped.
 
@@ -123,11 +123,10 @@ def run_sequence(
         config: all settings, or a dictionary of those that differ from the defaults.
         out: folder for the files; created if it is missing.
         on_step: called with the estimate of each frame, the first one included.
-        sensors: sensors beside the camera and those that ``config.sensor`` names; the path that is
-            written is corrected by them.
+        sensors: further sensors, beside those that ``config.sensor`` names; they correct the path.
 
     Returns:
-        What was estimated, and its comparison with the truth.
+        The estimates, and their comparison with the truth.
 
     Raises:
         InputError: a file of the recording is damaged, the left and right images are swapped,
@@ -171,33 +170,14 @@ def _run(
     """Run the odometry and write the results, while no other process writes into the folder."""
     num_frames = min(len(sequence), config.max_frames or len(sequence))
     odometry = StereoOdometry(sequence.camera, noise, sequence.imu, config=config, sensors=sensors)
-    recorder = RunRecorder()
-    pictures = _Pictures.spread_over(num_frames)
-    smoothed = SmoothedPath()
-    timing = PairTiming(config.tracking)
-    of_images = Rows(np.float64, 16)  # motions by the images alone
-    heights = GroundHeights(sequence.camera, config.camera_height_m)
+    records = _Records.of_run(sequence, config, num_frames)
     num_matches = np.zeros(2, np.int64)  # with positive and with negative disparity
     try:
         for frame in prepare_ahead(islice(sequence, num_frames), config.tracking):
             start = perf_counter()
             motion = odometry.step(frame)
             total_ms = 1e3 * (perf_counter() - start)
-            recorder.add(
-                frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected
-            )
-            pictures.add(frame, odometry)
-            smoothed.add(odometry.window)
-            timing.add(frame)
-            of_images.add(odometry.T_of_images.ravel())
-            seen = odometry.tracks.kept(odometry.used)
-            heights.add(
-                frame.stamp_ns,
-                odometry.T_of_images,
-                seen.ids,
-                seen.curr_px,
-                is_ok=motion.status is Status.OK,
-            )
+            records.add(frame, motion, odometry, total_ms=total_ms)
             if viewer is not None:
                 viewer.add(frame, odometry)
 
@@ -212,60 +192,87 @@ def _run(
     except BaseException as stop:
         # Keep what was computed, whatever the reason. The first frame is no motion, and must not
         # replace the results of an earlier run.
-        result = _result(
-            sequence,
-            recorder,
-            odometry,
-            of_images=of_images,
-            smoothed=smoothed,
-            timing=timing,
-            heights=heights,
-        )
+        result = records.result(sequence, odometry)
         if len(result) > 1:
             result = replace(result, stopped=_reason(stop))
-            _write_results(out, sequence, config, result=result, pictures=pictures, viewer=viewer)
+            _write_results(
+                out, sequence, config, result=result, pictures=records.pictures, viewer=viewer
+            )
             stop.add_note(f"The results of the first {len(result)} frames are in {out}.")
         raise
-    result = _result(
+    return _write_results(
+        out,
         sequence,
-        recorder,
-        odometry,
-        of_images=of_images,
-        smoothed=smoothed,
-        timing=timing,
-        heights=heights,
+        config,
+        result=records.result(sequence, odometry),
+        pictures=records.pictures,
+        viewer=viewer,
     )
-    return _write_results(out, sequence, config, result=result, pictures=pictures, viewer=viewer)
 
 
-def _result(
-    sequence: Sequence,
-    recorder: RunRecorder,
-    odometry: StereoOdometry,
-    *,
-    of_images: Rows,
-    smoothed: SmoothedPath,
-    timing: PairTiming,
-    heights: GroundHeights,
-) -> RunResult:
-    """Return what was recorded, how far the rig moves by the last estimate, the smoothed path,
-    whether left and right images belong together, and what accelerometer and ground say of the
-    scale."""
-    rig = odometry.rig
-    sigma_rad = None if rig is None else rig.jitter.sigma_rad
-    result = recorder.result()
-    return replace(
-        result,
-        accelerometer_scale=_accelerometer_scale(sequence, result, of_images),
-        ground_height=heights.height(),
-        jitter_sigma_rad=sigma_rad,
-        right_delay_s=0.0 if rig is None else rig.delay.delay_s,
-        focal_length=None if rig is None else rig.focal.error(),
-        smoothed=smoothed.poses(odometry.window),
-        right_late_frames=timing.right_late_frames,
-        other_camera=other_camera(odometry.noise, sequence.camera),
-        imu_left_out=reason_not_used(odometry.window),
-    )
+@dataclass(frozen=True)
+class _Records:
+    """Everything that a run collects frame by frame, for its files and its report."""
+
+    recorder: RunRecorder
+    """Motions, covariances, times and counts."""
+    pictures: _Pictures
+    smoothed: SmoothedPath
+    timing: PairTiming
+    """Whether left and right images belong to the same frames."""
+    of_images: Rows
+    """Motions by the images alone, [N, 16], to compare with the accelerometer."""
+    heights: GroundHeights
+    """Heights above the ground, to compare with the known one."""
+
+    @staticmethod
+    def of_run(sequence: Sequence, config: RunConfig, num_frames: int) -> _Records:
+        """Return empty records for a run over so many frames of a recording."""
+        return _Records(
+            recorder=RunRecorder(),
+            pictures=_Pictures.spread_over(num_frames),
+            smoothed=SmoothedPath(),
+            timing=PairTiming(config.tracking),
+            of_images=Rows(np.float64, 16),
+            heights=GroundHeights(sequence.camera, config.camera_height_m),
+        )
+
+    def add(
+        self, frame: Frame, motion: MotionEstimate, odometry: StereoOdometry, *, total_ms: float
+    ) -> None:
+        """Record a step of the odometry."""
+        self.recorder.add(
+            frame.stamp_ns, motion, total_ms=total_ms, rejected=odometry.tracks.rejected
+        )
+        self.pictures.add(frame, odometry)
+        self.smoothed.add(odometry.window)
+        self.timing.add(frame)
+        self.of_images.add(odometry.T_of_images.ravel())
+        seen = odometry.tracks.kept(odometry.used)
+        self.heights.add(
+            frame.stamp_ns,
+            odometry.T_of_images,
+            seen.ids,
+            seen.curr_px,
+            is_ok=motion.status is Status.OK,
+        )
+
+    def result(self, sequence: Sequence, odometry: StereoOdometry) -> RunResult:
+        """Return the results so far, with the checks of calibration and scale over all frames."""
+        rig = odometry.rig
+        result = self.recorder.result()
+        return replace(
+            result,
+            accelerometer_scale=_accelerometer_scale(sequence, result, self.of_images),
+            ground_height=self.heights.height(),
+            jitter_sigma_rad=None if rig is None else rig.jitter.sigma_rad,
+            right_delay_s=0.0 if rig is None else rig.delay.delay_s,
+            focal_length=None if rig is None else rig.focal.error(),
+            smoothed=self.smoothed.poses(odometry.window),
+            right_late_frames=self.timing.right_late_frames,
+            other_camera=other_camera(odometry.noise, sequence.camera),
+            imu_left_out=reason_not_used(odometry.window),
+        )
 
 
 def _accelerometer_scale(

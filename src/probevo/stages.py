@@ -1,4 +1,4 @@
-"""What the stages of a step hand to one another, from the images to the solve."""
+"""The results that the stages of a step pass to each other, from the images to the solve."""
 
 from __future__ import annotations
 
@@ -19,42 +19,43 @@ from probevo.tracking.observations import FrameObservations
 
 @dataclass(frozen=True)
 class Observed:
-    """What the images of a frame show, before a motion is estimated."""
+    """The tracks and predictors of a frame, before a motion is estimated."""
 
     prediction: Prediction
-    """Where the features were looked for."""
+    """The motion from which the search for the features started."""
     tracked: Tracked
-    """The raw tracks, and what the tracker is to remember."""
+    """The raw tracks, and the features to track from here on."""
     corrected: CorrectedTracks
     """The N tracks, corrected by the rig's calibration."""
     phi: FloatArray
-    """Their places in the prediction space, [N, M]."""
+    """The predictors of these tracks, [N, M]."""
     is_frozen: bool
-    """Whether the images stand still though the camera moves, so that there are no tracks."""
+    """Whether the images do not change although the camera moves; then there are no tracks."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What the sensors beside the camera measured."""
+    """The measurements of the gyro and of the user's sensors."""
 
     of_motion: list[Measurement]
-    """What enters the solve: the gyro's rotation, and what sensors measured of the motion."""
+    """Measurements of the motion, which enter the solve; with ``gyro.prior`` the gyro's
+    rotation."""
     readings: list[Reading]
-    """What each sensor returned."""
+    """The answer of each sensor, measurements of the pose included."""
 
 
 @dataclass(frozen=True)
 class Solved:
-    """The motion of a step, and what its tracks say of the rig."""
+    """The motion of a step and the calibration of the rig, estimated from its tracks."""
 
     observed: Observed
     calibrated: CalibratedMotion
     recovery: Recovery | None = None
-    """If the motion leads from the last usable frame instead of the previous one."""
+    """Set if the motion starts at the last usable frame instead of the previous one."""
 
     @property
     def visual(self) -> VisualMotion:
-        """What the tracks say about the motion."""
+        """The motion by the tracks, and whether it was accepted."""
         return self.calibrated.visual
 
     @property
@@ -64,16 +65,16 @@ class Solved:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the features were lost, though the images are those of another time."""
+        """Whether the features were lost in images that are not just repeated."""
         return self.visual.status in LOST and not self.observed.is_frozen
 
     @property
     def shows_step(self) -> bool:
-        """Whether the images show the motion from the previous frame to this one."""
+        """Whether the motion from the previous frame to this one was solved from images."""
         return self.visual.status is Status.OK and self.recovery is None
 
     def features(self, T_curr_prev: FloatArray) -> StepFeatures:
-        """Return the tracks, and what became of them, given the motion of the step, [4, 4]."""
+        """Return the tracks with predictors and weights, given the motion of the step, [4, 4]."""
         return StepFeatures(
             self.tracks,
             self.observed.phi,

@@ -1,4 +1,4 @@
-"""Everything that the odometry remembers from frame to frame, as one value."""
+"""Everything the odometry remembers from frame to frame, as one frozen value."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ from probevo.tracking.observations import ObservationStore
 
 @dataclass(frozen=True)
 class StepFeatures:
-    """The N tracks of the last step, and what became of them."""
+    """The N tracks of the last step, with their predictors and weights."""
 
     tracks: Tracks
     """Corrected by the rig's calibration."""
     phi: FloatArray
-    """Their places in the prediction space, [N, M]."""
+    """Predictors of the tracks, [N, M]."""
     used: BoolArray
-    """Which of them the solve used, [N]."""
+    """Which tracks the solve used, [N]."""
     weights: FloatArray
-    """How far each was trusted, [N], 0 to 1."""
+    """Robust weight of each track, [N], from 0 (outlier) to 1."""
     T_curr_prev: FloatArray
-    """The motion that they show by themselves, without the window, or else the dead-reckoned one,
+    """The motion from these tracks alone, without the window, or else the dead-reckoned one,
     [4, 4], m."""
 
     @staticmethod
@@ -72,22 +72,22 @@ class StepFeatures:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prior knowledge of the step to a frame, before its images are looked at."""
+    """The motion to a frame and everything else that is known before its images are used."""
 
     state: OdometryState
-    """After the frame that the motion leads from."""
+    """The state after the frame at the start of the motion."""
     frame: Frame
-    """The frame that it leads to."""
+    """The frame at its end."""
     duration_s: float
     motion: MotionPrediction
     gyro: GyroRotation | None
-    """Integrated over the interval; None where its samples do not cover it."""
+    """The gyro integrated over the interval; None if its samples do not cover it."""
     rotation: RelativeRotation | None
-    """The same as a measurement, with the covariance of its noise and its bias."""
+    """The same rotation as a measurement, whose covariance includes the bias's."""
     gyro_bias: GyroBias | None
     """Estimate of the gyro's bias at the current frame."""
     window: Window | None
-    """The window with what its IMU has measured since its last frame; None without a window."""
+    """The window, with the IMU samples since its last frame; None without a window."""
 
     def gyro_bias_after(
         self, solution: ReprojectionSolution, *, enters_solve: bool
@@ -104,13 +104,13 @@ class Prediction:
         return learn(self.gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
 
     def from_last_usable(self) -> tuple[Prediction, Recovery] | None:
-        """Predict the motion from the last usable frame instead, whose features may be found again
+        """Predict the motion from the last usable frame, where features may be found again
         (``estimation.recovery``).
 
         Returns:
-            The prediction, and how its motion becomes one from the previous frame. None if that
-            frame was a usable one, or the last one has been given up. A window with an IMU is left
-            to itself.
+            The prediction, and the recovery that turns its motion into one from the previous frame.
+            None if the previous frame is usable itself, if the last usable one is too long ago, or
+            if a window with an IMU bridges the frames between.
         """
         usable = self.state.last_usable
         if usable is None or not _may_enter(self.state.window, usable.state.frame):
@@ -132,29 +132,29 @@ class Prediction:
 
 @dataclass(frozen=True)
 class LastUsable:
-    """The last frame with a motion from images, while those after it are dead-reckoned."""
+    """The last frame whose motion was solved from images; those after it are dead-reckoned."""
 
     state: OdometryState
-    """After that frame."""
+    """The state after that frame."""
     path: DeadReckonedPath
-    """From it to the last frame."""
+    """The motion from that frame to the last one."""
 
 
 @dataclass(frozen=True)
 class OdometryState:
     """The whole memory of a ``StereoOdometry``: a step computes a new one and assigns it last.
 
-    Nothing else remembers anything, so that a step that raises has never happened.
+    Since nothing else has state, a step that raises leaves no trace.
     """
 
     frame: Frame
     """The last frame."""
     tracking: TrackingState
-    """Features alive in it."""
+    """Features tracked into the last frame."""
     observations: ObservationStore
     """Raw observations of the last frames, by landmark."""
     rig: RigCalibration | None
-    """What is left of the rectification's errors; None without self-calibration."""
+    """Estimated errors of the rectification; None without self-calibration."""
     gyro_bias: GyroBias | None
     """Estimate of the gyro's bias; None without an IMU."""
     motion_model: MotionModel
@@ -162,17 +162,17 @@ class OdometryState:
     residuals: LastResiduals
     """Residuals of the last step's features, by landmark."""
     fusion: SensorFusion
-    """Pose of the camera in the world, which is the first camera, and what is remembered of each
-    sensor that corrects it."""
+    """Pose of the camera in the world (the first camera), and the tests of each sensor that
+    corrects it."""
     step: StepFeatures
     """The features of the last step."""
     is_frozen: bool
-    """Whether the images have stood still in the last step though the camera moved."""
+    """Whether the images of the last frame did not change although the camera moved."""
     window: Window | None
     """The last frames and their landmarks; None for the two-frame estimator."""
     last_usable: LastUsable | None = None
-    """Where the path has been dead-reckoned from; None if the last frame has a motion from
-    images."""
+    """The frame from which the path is dead-reckoned; None if the motion to the last frame was
+    solved from images."""
 
     @staticmethod
     def at_first_frame(
@@ -217,7 +217,7 @@ class OdometryState:
         return self.fusion.pose
 
     def last_usable_after(self, duration_s: float, motion: MotionEstimate) -> LastUsable | None:
-        """Return the last frame with a motion from images, if the next one does not have one."""
+        """Return where dead reckoning starts after the next motion; None if that was solved."""
         if motion.status in (Status.OK, Status.RECOVERED):
             return None
         usable = self.last_usable or LastUsable(self, DeadReckonedPath.none())
@@ -226,9 +226,9 @@ class OdometryState:
     def predict(self, frame: Frame, imu: ImuCalibration | None) -> Prediction:
         """Predict the motion to the next frame, from gyro and last velocity (PROBE eqs. 3-4).
 
-        A gyro that is yet to be tested against the window, or contradicts it, predicts nothing. One
-        that the window uses refuses no motion that images show and the last velocity allows: which
-        of the two is wrong, the window says.
+        With a window, the gyro predicts nothing until it has been tested, nor once it has failed.
+        If the window uses it, a solve that agrees with the last velocity is accepted although the
+        gyro contradicts it: the window has more data to find out which of the two is wrong.
 
         Args:
             frame: the next frame.
@@ -238,6 +238,7 @@ class OdometryState:
         window = self.window
         if window is not None:
             window = with_samples(window, self.frame, frame)
+        # Integrate the gyro, if its samples cover the interval.
         gyro = None
         bias = None
         rotation = None
@@ -254,6 +255,7 @@ class OdometryState:
                     curr=pose_of(frame.index),
                     prev=pose_of(self.frame.index),
                 )
+        # The rotation is the gyro's, the translation that of the last velocity.
         without_gyro = self.motion_model.predict(duration_s, None)
         motion = without_gyro
         if rotation is not None and trusts_gyro(window):
@@ -283,16 +285,16 @@ def _first_window(frame: Frame, imu: ImuCalibration | None, config: OdometryConf
 def motion_for_window(
     window: Window, prediction: Prediction, motion: MotionEstimate
 ) -> RelativePose:
-    """Return the motion of a step as a window takes it.
+    """Return the motion of a step as a measurement of the window.
 
-    Errors of dead reckoning are those of one velocity, and no step's is independent of the one's
-    before. So a dead-reckoned motion is one from the last usable frame, as long as that is in the
-    window.
+    Dead-reckoned steps all have the error of the same velocity, so they are not independent. Their
+    motion is therefore measured from the last usable frame, as long as the window has it, and not
+    from the previous frame.
 
     Args:
-        window: before the step.
-        prediction: of the step.
-        motion: that was solved or dead-reckoned from the frame that the prediction leads from.
+        window: the window before the step.
+        prediction: the prediction of the step.
+        motion: the solved or dead-reckoned motion from the prediction's frame.
     """
     curr = pose_of(prediction.frame.index)
     usable = prediction.state.last_usable_after(prediction.duration_s, motion)
@@ -307,5 +309,5 @@ def motion_for_window(
 
 
 def _may_enter(window: Window | None, frame: Frame) -> bool:
-    """Return whether a motion from a frame to the next one can enter a window, if there is one."""
+    """Return whether a motion that starts at this frame can be measured in the window."""
     return window is None or (not may_bridge(window) and frame.index in window.frames)

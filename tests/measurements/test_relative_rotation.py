@@ -5,11 +5,8 @@ import pytest
 
 from probevo.geometry import se3, so3
 from probevo.measurements.base import Values, numeric_jacobians, pose_of
-from probevo.measurements.relative_rotation import (
-    LEAST_SIGMA_RAD,
-    RelativeRotation,
-    relative_motion,
-)
+from probevo.measurements.relative import relative_motion
+from probevo.measurements.relative_rotation import LEAST_SIGMA_RAD, RelativeRotation
 
 PREV = pose_of(4)
 CURR = pose_of(5)

@@ -79,7 +79,7 @@ def test_a_sensor_that_lies_is_named_with_its_frame() -> None:
     assert use.gated + use.excluded == 19
     assert use.excluded_at is not None
     assert use.excluded_at >= 11
-    warning = run_warnings(result)["A sensor lies"]
+    warning = run_warnings(result)["A sensor is faulty"]
     assert f"compass is excluded from frame {use.excluded_at} on: " in warning
     assert result.faults["steps_without_compass"] == use.excluded
     assert "9 steps used it, " in str(use)

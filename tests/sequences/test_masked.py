@@ -10,7 +10,7 @@ from probevo.arrays import AnyArray, Image
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.sequences import Frame, Sequence, open_sequence
-from probevo.sequences.frame import check_frame
+from probevo.sequences.frame_checks import check_frame
 from probevo.sequences.recording import ImageRecording
 from sequences.recordings import (
     HEIGHT_PX,

@@ -1,18 +1,18 @@
-"""The delay between the exposures of the two cameras, as an estimate.
+"""Online estimate of the exposure delay of the right camera.
 
-A right image that is exposed τ after the left one shows a point where it is then. In the camera's
-frame a point p at rest moves by ṗ = ω × p + v, where (v, ω) is the twist of T_curr_prev a second,
-and with (x, y) = ((u_r − c_u)/f_u, (v_r − c_v)/f_v) and Z = f_u b/d,
+A right image that is exposed τ later than the left one shows a point where it is by then. In the
+camera's frame a point p at rest moves by ṗ = ω × p + v, where (v, ω) is the twist of T_curr_prev
+per second, and with (x, y) = ((u_r − c_u)/f_u, (v_r − c_v)/f_v) and Z = f_u b/d,
 
     u̇_r = f_u (ṗ_x − x ṗ_z)/Z,    v̇_r = f_v (ṗ_y − y ṗ_z)/Z.
 
-So a car that drives ahead moves v_r by y v d τ/b: that depends on the disparity d, which errors of
-the rectification do not, and one frame with near points shows τ. It is estimated together with
-these from v_r − v_l, by recursive robust least squares,
+A car that drives ahead thus moves v_r by y v d τ/b. Unlike errors of the rectification, this
+depends on the disparity d, so a frame with near points determines τ. Both are estimated together
+from v_r − v_l, by recursive robust least squares,
 
     v_r − v_l = a·(1, x, y, x², x y, y², y r²) + τ v̇_r,
 
-and the way of τ is taken off both u_r and v_r.
+and the motion during τ is removed from u_r and v_r.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from probevo.compiled import compiled
 DELAY_SIGMA_S = 0.02
 """Prior standard deviation of τ."""
 USUAL_DELAY_S = 0.001
-"""Delay that errors of a rectification seem to have: on KITTI, whose cameras are triggered
-together, up to 0.4 ms are found."""
+"""Apparent delay that rectification errors can cause: up to 0.4 ms on KITTI, whose cameras are
+triggered together."""
 ITERATIONS = 4
 CORRECTIONS = 3
-"""Passes of the correction; a second one changes near points by up to half a pixel at 12 m/s and
-5 ms, a fourth by nothing that matters."""
+"""Iterations of the correction. The second one moves near points by up to half a pixel at 12 m/s
+and 5 ms, a fourth would be negligible."""
 DELAY = 7
 """Index of τ among the coefficients; before it are a₀ … a₆."""
 
@@ -49,14 +49,14 @@ def _prior_information(row_sigma_px: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class ExposureDelay:
-    """A Gaussian estimate of τ and of the rows' coefficients beside it."""
+    """A Gaussian estimate of τ, jointly with the row coefficients."""
 
     row_sigma_px: FloatArray
     """Prior standard deviation of a₀ … a₆, [7]."""
     coefficients: FloatArray = field(default_factory=lambda: np.zeros(DELAY + 1))
     """a₀ … a₆, px, and τ, s, [8]."""
     learned: FloatArray = field(default_factory=lambda: np.zeros((DELAY + 1, DELAY + 1)))
-    """Their information beyond the prior, [8, 8]."""
+    """Information on the coefficients without the prior's, [8, 8]."""
 
     @property
     def information(self) -> FloatArray:
@@ -66,22 +66,25 @@ class ExposureDelay:
 
     @property
     def estimate_s(self) -> float:
-        """τ as the rows show it."""
+        """The estimate of τ."""
         return float(self.coefficients[DELAY])
 
     @property
     def sigma_s(self) -> float:
-        """Standard deviation of it."""
+        """Standard deviation of the estimate."""
         return float(np.sqrt(np.linalg.inv(self.information)[DELAY, DELAY]))
 
     @property
     def delay_s(self) -> float:
-        """τ as far as it is larger than what a rectification or noise feigns."""
+        """The delay to correct for: τ, shrunk to zero unless it exceeds noise and rectification
+        errors."""
+        # Smooth shrinkage: a hard threshold would make the correction jump.
         ratio = self.estimate_s**2 / (USUAL_DELAY_S**2 + self.sigma_s**2)
         return self.estimate_s * ratio**2 / (1.0 + ratio**2)
 
     def differs_from(self, delay_s: float) -> bool:
-        """Return whether a delay is wrong by more than what a rectification feigns."""
+        """Return whether a delay differs from this one by more than rectification errors can
+        cause."""
         return is_noticeable(self.delay_s - delay_s)
 
     def updated(
@@ -96,13 +99,13 @@ class ExposureDelay:
     ) -> ExposureDelay:
         """Update the estimate by the raw stereo matches of one frame.
 
-        The rig's jitter moves the rows of each frame anew, and a few frames of it look like a
-        delay.
+        The jitter of the rig moves the rows differently in each frame. Over a few frames it looks
+        like a delay, so it is marginalised.
 
         Args:
             pixels: the matches, [N, 4], px.
             basis: what a₀ … a₆ multiply at each, [N, 7].
-            twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
+            twist_s: Log(T_curr_prev) per second, [6], m/s and rad/s.
             camera: the rectified camera.
             noise: of v_r − v_l.
             jitter_cov: covariance of the rig's jitter, [3, 3], rad².
@@ -136,18 +139,18 @@ def _jitter_effect(camera: StereoCamera) -> FloatArray:
 def without_delay(
     pixels: FloatArray, delay_s: float, twist_s: FloatArray, camera: StereoCamera
 ) -> FloatArray:
-    """Return observations [N, 4], px, with right images as of the time of the left ones.
+    """Return observations [N, 4], px, with u_r and v_r corrected to the time of the left image.
 
     Args:
         pixels: the observations.
         delay_s: τ.
-        twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
+        twist_s: Log(T_curr_prev) per second, [6], m/s and rad/s.
         camera: the rectified camera.
     """
     corrected: FloatArray = pixels.copy()
     if not delay_s:
         return corrected
-    # The disparity, and so the velocity, is only known once the delay is taken off.
+    # The velocity depends on the disparity, which the delay has changed: iterate.
     for _ in range(CORRECTIONS):
         velocity = right_velocity(corrected, twist_s, camera)
         corrected[:, 2:] = pixels[:, 2:] - delay_s * velocity
@@ -159,7 +162,7 @@ def right_velocity(pixels: FloatArray, twist_s: FloatArray, camera: StereoCamera
 
     Args:
         pixels: the observations.
-        twist_s: Log(T_curr_prev) a second, [6], m/s and rad/s.
+        twist_s: Log(T_curr_prev) per second, [6], m/s and rad/s.
         camera: the rectified camera.
     """
     velocity = np.empty((len(pixels), 2))
@@ -192,5 +195,5 @@ def _fill_right_velocity(
 
 
 def is_noticeable(delay_s: float) -> bool:
-    """Return whether a delay is larger than what a rectification feigns."""
+    """Return whether a delay is larger than rectification errors can cause."""
     return abs(delay_s) > USUAL_DELAY_S

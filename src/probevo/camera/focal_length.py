@@ -1,16 +1,16 @@
-"""The error of the focal length, as images show it where the camera turns.
+"""Estimate of the focal length's error, from images in which the camera turns.
 
-Without a turn, a wrong focal length scales the motion, and no image shows it. A yaw ψ moves a point
-at x = (u − c_u)/f_u by f (1 + x²) ψ: the part that is the same for all x says how large f ψ is, the
-other one how large ψ. With f_true = f e^ε, the residuals of a step are off by 2 ε f x² ψ.
+On a straight path, a wrong focal length only scales the motion, which is unobservable. A yaw ψ
+moves a point at x = (u − c_u)/f_u by f (1 + x²) ψ: the part that is the same for all x gives f ψ,
+the other one gives ψ. With f_true = f e^ε, the residuals of a step are off by 2 ε f x² ψ.
 
-On a curve, errors of the disparity look much alike. Therefore ε is estimated together with them:
-each accepted step adds its information on θ = (b₁, b₂, ε), b that of ``rig_calibration``. Motion
-and jitter of the rig are eliminated by a Schur complement (``estimation.rig_update``). The focal
-length is not corrected: the estimate is for the reader of a run.
+In a curve, disparity errors have a similar effect, so ε is estimated jointly with them: each
+accepted step adds its information on θ = (b₁, b₂, ε), with b of ``rig_calibration``. Motion and
+jitter of the rig are eliminated by a Schur complement (``estimation.rig_update``). The focal length
+is not corrected; the estimate is only reported.
 
-What a calibration has left of the lens's distortion looks like a wrong focal length, too, and no
-image tells them apart (docs/degradation.md).
+Remaining lens distortion looks like a wrong focal length, too, and images cannot distinguish the
+two (docs/degradation.md).
 
 Errors of features are correlated, within a frame and over frames. The covariance of θ is therefore
 also estimated from the scatter of blocks of frames (a sandwich estimator); the larger σ counts.
@@ -30,28 +30,29 @@ DIM = 3
 FOCAL = 2
 """Index of ε."""
 CORRELATED = 20.0
-"""How many features count as one, as in the rig's calibration."""
+"""Number of features that count as one, as in the rig's calibration."""
 NOTICEABLE = 0.01
-"""Least |ε| that is worth a word: the path is as much too long, and turns are by about as much."""
+"""Least |ε| that is reported: path length and rotations are off by about this ratio."""
 LENSES_FEIGN = 0.035
-"""|ε| that what is left of a lens may feign: up to 0.029 on KITTI, where true rotations say that
-the focal length is right within a percent."""
+"""|ε| that remaining lens distortion can cause: up to 0.029 on KITTI, whose focal length is right
+within a percent according to the true rotations."""
 LEAST_RATIO = 3.0
-"""How many σ an error has to be away from zero to be one."""
+"""Least |ε| in units of σ that is reported."""
 FIRST_BLOCK_FRAMES = 5
 MOST_BLOCKS = 32
-"""With so many blocks, every two are joined, and from then on twice as many frames make one."""
+"""Largest number of blocks. Then pairs of blocks are merged, and further blocks have twice as many
+frames, so that memory stays constant."""
 
 
 @dataclass(frozen=True)
 class FocalLengthEstimate:
-    """A Gaussian estimate of ε, with what else of the calibration looks like it."""
+    """A Gaussian estimate of ε, jointly with the disparity errors that resemble it."""
 
     information: FloatArray
     """Λ_b of each block of frames, [B, 3, 3]."""
     moment: FloatArray
-    """η_b of each, [B, 3]: the sum of gradient + Λ θ₀, θ₀ being what the tracks were corrected
-    by."""
+    """η_b of each block, [B, 3]: the sum of gradient + Λ θ₀, where the tracks were corrected by
+    θ₀."""
     block_frames: int = FIRST_BLOCK_FRAMES
     """Frames of a block."""
     last_frames: int = FIRST_BLOCK_FRAMES
@@ -65,11 +66,11 @@ class FocalLengthEstimate:
     def with_step(
         self, information: FloatArray, gradient: FloatArray, corrected_by: FloatArray
     ) -> FocalLengthEstimate:
-        """Update it with the normal equations of a step.
+        """Update the estimate with the normal equations of a step.
 
         Args:
-            information: on θ, [3, 3], the motion being eliminated.
-            gradient: of the same, [3], where the residuals are.
+            information: on θ, [3, 3], with the motion eliminated.
+            gradient: of the log-likelihood by θ, [3], at the values that the tracks have.
             corrected_by: θ by which the tracks were corrected, [3].
         """
         moment = gradient + information @ corrected_by
@@ -104,7 +105,8 @@ class FocalLengthEstimate:
         moment = self.moment / CORRELATED
         cov = np.linalg.inv(information.sum(axis=0) + prior)
         theta = cov @ moment.sum(axis=0)
-        # Each block's gradient at the estimate, through the row of ε: its influence on it.
+        # Sandwich: the influence of each block on ε is its gradient at the estimate, times the row
+        # of ε in the covariance.
         influence = (moment - information @ theta) @ cov[FOCAL]
         shares = np.einsum("i,bij,j->b", cov[FOCAL], information, cov[FOCAL])
         of_prior = float(cov[FOCAL] @ prior @ cov[FOCAL])
@@ -116,7 +118,7 @@ class FocalLengthEstimate:
 def _small_sample_factor(shares: FloatArray) -> float:
     """Return n/(n − 1) for the effective number n of blocks, given what each contributes, [B].
 
-    If all comes of one block, its scatter says nothing, and the factor is 1.
+    If nearly all information is in one block, the scatter is meaningless, and the factor is 1.
     """
     squared = float(np.sum(shares**2))
     if not squared > 0.0:
@@ -127,7 +129,7 @@ def _small_sample_factor(shares: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class FocalLengthError:
-    """How far the focal length of the calibration is off, by the images."""
+    """The error of the calibrated focal length, as estimated from images."""
 
     log_ratio: float
     """ε: the true focal length is e^ε times that of the calibration."""
@@ -141,10 +143,10 @@ class FocalLengthError:
 
     @property
     def is_noticeable(self) -> bool:
-        """Whether the images contradict the calibration by more than chance."""
+        """Whether the images contradict the calibrated focal length significantly."""
         return abs(self.log_ratio) > max(NOTICEABLE, LEAST_RATIO * self.sigma)
 
     @property
     def is_beyond_lenses(self) -> bool:
-        """Whether they do by more than what is left of a lens's distortion feigns."""
+        """Whether the contradiction is larger than remaining lens distortion can cause."""
         return self.is_noticeable and abs(self.log_ratio) > LENSES_FEIGN

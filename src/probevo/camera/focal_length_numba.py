@@ -1,4 +1,4 @@
-"""The compiled loop over how a wrong focal length moves the residuals of a motion."""
+"""Compiled loop: the derivative of residuals by an error of the focal length."""
 
 from __future__ import annotations
 

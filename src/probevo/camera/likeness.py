@@ -1,4 +1,4 @@
-"""Comparison of two cameras: whether a noise model learned with one holds for the other."""
+"""Comparison of two cameras: whether a noise model learned with one is valid for the other."""
 
 from __future__ import annotations
 

@@ -250,7 +250,7 @@ def _stereo_rectify(
     if left.distortion_model == "radtan":
         left_distortion = np.array(left.distortion)
         right_distortion = np.array(right.distortion)
-        zoom = 0.0  # until only valid pixels are left
+        zoom = 0.0  # OpenCV's alpha: zoom until only valid pixels are left
     else:
         # OpenCV's function knows no fisheye model. Without distortion and zoom it keeps the focal
         # length; the pixel maps undo the distortion.
@@ -265,7 +265,7 @@ def _stereo_rectify(
         imageSize=left.size_px,
         R=T_right_left[:3, :3].copy(),  # OpenCV needs contiguous arrays
         T=T_right_left[:3, 3:].copy(),
-        flags=cv2.CALIB_ZERO_DISPARITY,
+        flags=cv2.CALIB_ZERO_DISPARITY,  # same principal point: points at infinity have d = 0
         alpha=zoom,
     )
     return C_rect_left, C_rect_right, P_left, P_right
@@ -292,6 +292,7 @@ def _pixel_maps(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArra
             size=camera.size_px,
             m1type=cv2.CV_32FC1,
         )
+    # Fixed-point maps make cv2.remap faster than pairs of floats.
     fixed_point, fraction = cv2.convertMaps(u, v, cv2.CV_16SC2)
     return fixed_point, fraction
 

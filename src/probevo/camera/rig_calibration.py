@@ -1,25 +1,25 @@
-"""The rig's calibration as an estimate: what a rectification leaves of the right image's errors.
+"""Online calibration of the rig: the errors that the rectification has left in the right image.
 
-A rectified pair should show a point in the same row of both images, and its disparity should be
-that of the baseline alone. Real pairs do neither. The correction is a smooth function of the place
-(x, y) = ((u − c_u)/f_u, (v − c_v)/f_v) in the left image:
+In a rectified pair, a point should be in the same row of both images, and its disparity should be
+due to the baseline alone. Real pairs have errors in both. They are modelled as smooth functions of
+the place (x, y) = ((u − c_u)/f_u, (v − c_v)/f_v) in the left image:
 
 - rows: v_r − v_l = a₀ + a₁ x + a₂ y + a₃ x² + a₄ x y + a₅ y² + a₆ y r², from the tracks' stereo
   matches; no motion is needed. On KITTI a₄ is about 6.8 px on two calibrations of different days,
-  and modelling it takes the scatter of v_r − v_l from 0.39 to 0.15 px.
-  A right image that is rolled has a₁, and one whose lens distorts by more than the left one's has
-  a₆. They move u_r, too, by −a₁ y and a₆ x r², which no disparity shows by itself: the rows correct
-  both. For a₁ and a₆, x is that of the right image, and r² = x² + y².
+  and modelling it reduces the scatter of v_r − v_l from 0.39 to 0.15 px.
+  A roll of the right image causes a₁, and a difference of the lenses' radial distortion a₆. Both
+  also move u_r, by −a₁ y and a₆ x r². Disparities alone do not reveal that, so u_r is corrected by
+  what the rows show. For a₁ and a₆, x is that of the right image, and r² = x² + y².
 - disparity: true minus measured = b₀ + b₁ x + b₂ x², from how well the features agree on one motion
   (``estimation.rig_update``). On KITTI b₂ is 1.7 to 2.1 px: points at the sides seem too far, which
-  on a motorway, where the useful points are at the sides, lengthens every step.
+  on a motorway, where the useful points are at the sides, makes every step too long.
 
-b₀ is held at zero on purpose: noise in the disparity makes near points look like a mix of near and
-far ones, which mimics b₀ (regression dilution), so that an estimated b₀ runs away on noisy tracks.
-The place in the image is known without noise, so b₁ and b₂ do not suffer from that. The uncertainty
-of all three enters the covariance of the motion as a common-mode error.
+b₀ is deliberately held at zero: noise in the disparity makes near points look like a mix of near
+and far ones, which mimics b₀ (regression dilution), so that an estimated b₀ diverges on noisy
+tracks. The place in the image is known without noise, so b₁ and b₂ do not have this bias. The
+uncertainty of all three enters the covariance of the motion as a common-mode error.
 
-Errors that are new in each frame are another matter: ``camera.rig_jitter``.
+Errors that are new in each frame are modelled separately: ``camera.rig_jitter``.
 
 Both are Gaussian estimates that start at zero with the prior below and are updated by recursive
 robust least squares.
@@ -44,21 +44,21 @@ ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0, 3.0])
 DISPARITY_SIGMA_PX = np.array([1.0, 1.0])
 """Prior standard deviation of b₁, b₂."""
 CONSTANT_SIGMA_PX = 0.1
-"""Prior standard deviation of the constant b₀, which two frames do not estimate (a consider
-parameter)."""
+"""Prior standard deviation of the constant b₀, a consider parameter: two frames do not estimate
+it."""
 ROW_SCATTER_PX = 0.2
 """Scale of v_r − v_l around its model; its tails are those of a Student-t with 5 degrees of
 freedom."""
 ROW_DOF = 5.0
 CORRELATED_FEATURES = 20.0
-"""How many features count as one: neighbours have common errors, and the same points come back
-frame after frame."""
+"""Number of features that count as one: neighbours have common errors, and the same points return
+in successive frames."""
 ROW_NOISE = RowOffsetNoise(sigma_px=ROW_SCATTER_PX, dof=ROW_DOF, correlated=CORRELATED_FEATURES)
 ROW_ITERATIONS = 3
 ROLL = 1
-"""Index of the rows' coefficient that a roll of the right image makes."""
+"""Index of the row coefficient that a roll of the right image causes."""
 RADIAL = 6
-"""Index of the rows' coefficient that a difference of the lenses' radial distortion makes."""
+"""Index of the row coefficient that a difference of the lenses' radial distortion causes."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +74,14 @@ class RigCalibration:
     disparity_information: FloatArray
     """Inverse covariance of the disparity's coefficients, given a₆, [2, 2], px⁻²."""
     disparity_with_radial: FloatArray = field(default_factory=lambda: np.zeros(2))
-    """Information about b₁, b₂ and a₆ in common, [2], px⁻²: b is that which belongs to a₆."""
+    """Off-diagonal information between (b₁, b₂) and a₆, [2], px⁻²: the estimate of b depends on
+    a₆."""
     jitter: RigJitter = field(default_factory=RigJitter.initial)
-    """How far the rig moves from frame to frame."""
+    """Covariance of the rig's rotation from frame to frame."""
     delay: ExposureDelay = field(default_factory=lambda: ExposureDelay(ROW_SIGMA_PX))
-    """How much later right images are exposed than left ones."""
+    """Exposure delay of the right camera."""
     focal: FocalLengthEstimate = field(default_factory=FocalLengthEstimate.initial)
-    """How far the focal length is off; nothing is corrected by it."""
+    """Error of the focal length; it is reported, never corrected."""
 
     @staticmethod
     def initial(jitter: RigJitter | None = None) -> RigCalibration:
@@ -106,14 +107,14 @@ class RigCalibration:
         return covariance
 
     def corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-        """Return observations [N, 4], px, with u_r and v_r as a flawless rectification has them."""
+        """Return observations [N, 4], px, with u_r and v_r corrected for all estimated errors."""
         corrected = self.with_rows_corrected(pixels, camera)
         corrected[:, 2] -= disparity_basis(pixels, camera)[:, 1:] @ self.disparity
         return corrected
 
     def with_rows_corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-        """Return observations [N, 4], px, corrected by what the rows alone show: v_r, and u_r by
-        the roll of the right image and its lens."""
+        """Return observations [N, 4], px, corrected by the row coefficients: v_r, and u_r for the
+        roll of the right image and its lens distortion."""
         corrected: FloatArray = pixels.copy()
         _, y = camera.normalized(pixels[:, 0], pixels[:, 1])
         corrected[:, 2] += self.rows[ROLL] * camera.fu_px / camera.fv_px * y
@@ -122,9 +123,9 @@ class RigCalibration:
         return corrected
 
     def with_rows(self, pixels: FloatArray, camera: StereoCamera) -> RigCalibration:
-        """Update the rows' coefficients with the raw stereo matches [N, 4], px, of one frame.
+        """Update the row coefficients with the raw stereo matches [N, 4], px, of one frame.
 
-        With another a₆, the motions so far show another b.
+        The estimate of b is conditional on a₆, so it changes along with a₆.
         """
         rows, information = fit_row_offsets(
             row_basis(pixels, camera),
@@ -133,6 +134,7 @@ class RigCalibration:
             noise=ROW_NOISE,
             iterations=ROW_ITERATIONS,
         )
+        # b is conditional on a₆: move it along the regression of b on a₆.
         change_px = rows[RADIAL] - self.rows[RADIAL]
         moved = np.linalg.solve(self.disparity_information, self.disparity_with_radial * change_px)
         return replace(
@@ -149,7 +151,7 @@ class RigCalibration:
 
         Args:
             pixels: the matches.
-            twist_s: Log(T_curr_prev) a second at that frame, [6], m/s and rad/s.
+            twist_s: Log(T_curr_prev) per second at that frame, [6], m/s and rad/s.
             camera: the rectified camera.
         """
         basis = row_basis(pixels, camera)
@@ -168,12 +170,13 @@ class RigCalibration:
     ) -> RigCalibration:
         """Update b₁, b₂ with the normal equations of a motion's residuals.
 
-        Residuals of neighbouring features count for less than they seem (``CORRELATED_FEATURES``).
+        Residuals of neighbouring features are correlated, so their information is reduced
+        (``CORRELATED_FEATURES``).
 
         Args:
             information: about b₁ and b₂, [2, 2], px⁻².
             gradient: by b₁ and b₂, [2], px⁻¹.
-            with_radial: information about b₁, b₂ and a₆ in common, [2], px⁻².
+            with_radial: off-diagonal information between (b₁, b₂) and a₆, [2], px⁻².
         """
         posterior = self.disparity_information + information / CORRELATED_FEATURES
         step = np.linalg.solve(posterior, gradient / CORRELATED_FEATURES)
@@ -186,8 +189,11 @@ class RigCalibration:
 
 
 def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-    """Return (1, x, y, x², xy, y², y r²) at N features, [N, 7]: x of the right image where it
-    stands for the roll and the lens, and x and y of the left image."""
+    """Return (1, x, y, x², xy, y², y r²) at N features, [N, 7].
+
+    The second and the last, which describe the right image, have its x; the others that of the
+    left image.
+    """
     x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
     x_right, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
     radial = y * (x_right * x_right + y * y)
@@ -195,10 +201,8 @@ def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
 
 
 def radial_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
-    """Return by how much a₆ = 1 px moves u_r of N features, x r² f_u/f_v in the right image, [N].
-
-    The disparity becomes that much smaller.
-    """
+    """Return ∂u_r/∂a₆ of N features, x r² f_u/f_v in the right image, [N]; d decreases by as
+    much."""
     x, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
     _, y = camera.normalized(pixels[:, 0], pixels[:, 1])
     basis: FloatArray = camera.fu_px / camera.fv_px * x * (x * x + y * y)

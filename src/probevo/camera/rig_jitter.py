@@ -1,17 +1,16 @@
-"""Errors that all features of a frame have in common: the jitter of the rig.
+"""The jitter of the rig: an error that is common to all features of a frame, and new in each frame.
 
-The two cameras of a rig are never quite where the calibration says. Mounts bend, and two exposures
-that are not quite at one instant look like a turn of one camera against the other. In every frame
-the right camera is turned against the left one by a small rotation ω, new in each frame, which
-moves what it sees of a point at (x, y) = ((u_r − c_u)/f_u, (v_r − c_v)/f_v) by
+The two cameras of a rig are never exactly where the calibration says. Mounts bend, and exposures
+that are not simultaneous look like a rotation of one camera relative to the other. In each frame,
+the right camera is therefore rotated relative to the left one by a small random ω, which moves its
+observation of a point at (x, y) = ((u_r − c_u)/f_u, (v_r − c_v)/f_v) by
 
     δu_r = f_u (−x y ω_x + (1 + x²) ω_y − y ω_z),
     δv_r = f_v (−(1 + y²) ω_x + x y ω_y + x ω_z).
 
-The yaw ω_y acts as an offset of all disparities, the pitch ω_x as one of all rows, and the roll ω_z
-tilts the rows. No number of features averages such an error out. Its covariance S is estimated from
-the frames themselves. What lasts from frame to frame is not part of it, but of the calibration
-(``camera.rig_calibration``).
+The yaw ω_y offsets all disparities, the pitch ω_x offsets all rows, and the roll ω_z tilts the
+rows. Such an error does not average out over features. Its covariance S is estimated online. Errors
+that persist over frames are not part of it, but of the calibration (``camera.rig_calibration``).
 """
 
 from __future__ import annotations
@@ -26,20 +25,22 @@ from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
 
 PRIOR_SIGMA_RAD = np.array([1e-4, 1.5e-4, 1.5e-4])
-"""Standard deviation of (pitch, yaw, roll) that is assumed at first: 0.1 px of disparity at
-f = 700 px. KITTI has 0.04 px, a rig that flexes 0.3 px and more."""
+"""Initial standard deviation of (pitch, yaw, roll): 0.1 px of disparity at f = 700 px. KITTI has
+0.04 px, a flexible rig 0.3 px and more."""
 PRIOR_FRAMES = 1.0
-"""How many frames the prior counts for."""
+"""Number of frames that the prior counts for."""
 EM_STEP_EXPONENT = 0.7
-"""The n-th step of on-line EM goes n^−0.7 of the way (Cappé & Moulines 2009, who need an exponent
-in (0.5, 1]): with 1/n, the first frames, which were weighed by a wrong S, would count for ever."""
+"""The n-th step of online EM has the size n^−0.7 (Cappé & Moulines 2009, who need an exponent in
+(0.5, 1]). With 1/n, the first frames, which were weighted by a wrong S, would never be
+forgotten."""
 LARGER = 1.5
-"""Factor between two variances of the jitter from which a motion differs noticeably."""
+"""Ratio of two jitter variances above which the step is worth solving again."""
 LEARNED_FRAMES = 10.0
-"""How many frames a covariance counts for that a noise model has learned: the rig may have been
-mounted anew since."""
+"""Number of frames that a covariance learned with a noise model counts for: the rig may have been
+remounted since."""
 MOST_FRAMES = 300.0
-"""Beyond so many frames, old ones are forgotten: mounts warm up, and roads change."""
+"""Largest number of frames that count: mounts warm up and roads change, so old frames are
+forgotten."""
 LEAST_SIGMA_RAD = 1e-6
 """Least standard deviation of an angle, so that S can be inverted: a thousandth of a pixel."""
 
@@ -51,7 +52,7 @@ class RigJitter:
     cov: FloatArray
     """S, [3, 3], rad²."""
     frames: float
-    """How many frames it is worth, the prior's included."""
+    """Number of frames that the estimate is worth, including the prior's."""
 
     @staticmethod
     def initial(cov: FloatArray | None = None, frames: float = PRIOR_FRAMES) -> RigJitter:
@@ -59,7 +60,7 @@ class RigJitter:
 
         Args:
             cov: S of a rig that is known, [3, 3], rad²; by default that of an unknown one.
-            frames: how many frames it counts for.
+            frames: number of frames that it counts for.
         """
         if cov is None:
             cov = np.diag(PRIOR_SIGMA_RAD**2)
@@ -72,14 +73,14 @@ class RigJitter:
         return sigma
 
     def exceeds(self, cov: FloatArray | None) -> bool:
-        """Return whether a variance is more than ``LARGER`` times that of a covariance, [3, 3]."""
+        """Return whether a variance is more than ``LARGER`` times that of another covariance."""
         return cov is not None and bool((np.diagonal(self.cov) > LARGER * np.diagonal(cov)).any())
 
     def with_change(self, second_moment: FloatArray) -> RigJitter:
-        """Update S with what one step shows of the change ω_k − ω_{k−1} (one step of on-line EM).
+        """Update S with the change ω_k − ω_{k−1} in one step: one step of online EM.
 
-        Of two frames only the change of the jitter is seen well: its variance is 2 S. A step that
-        shows nothing of it has the second moment 2 S, and leaves S as it is.
+        Two frames show only the change of the jitter well, whose covariance is 2 S. A step without
+        information about it has the second moment 2 S, and leaves S unchanged.
 
         Args:
             second_moment: E[(ω_k − ω_{k−1})(ω_k − ω_{k−1})ᵀ] given the step's residuals, [3, 3].

@@ -1,4 +1,5 @@
-"""The compiled loops over how a turn of the right camera moves what it sees (``rig_jitter``)."""
+"""Compiled loops: derivatives of right observations by a rotation of that camera
+(``rig_jitter``)."""
 
 from __future__ import annotations
 

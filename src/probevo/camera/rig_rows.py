@@ -1,4 +1,4 @@
-"""Recursive robust least squares for what row offsets v_r − v_l show."""
+"""Recursive robust least squares on the row offsets v_r − v_l of a frame."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def fit_row_offsets(
 ) -> tuple[FloatArray, FloatArray]:
     """Update a Gaussian estimate of K coefficients by the row offsets of one frame, by IRLS.
 
-    The weights are found anew in each iteration, since those of the first frame depend on the
-    coefficients that it teaches. What changes from frame to frame is estimated with them, and
-    marginalised: no number of features in a frame shows what lasts any better.
+    The weights are updated in each iteration, since they depend on the coefficients that the frame
+    determines. A random change that is new in each frame is estimated with the coefficients and
+    marginalised: otherwise the many features of one frame would make them overconfident.
 
     Args:
-        basis: what the coefficients multiply at each of N features, [N, K].
+        basis: basis functions of the coefficients at each of N features, [N, K].
         offsets: v_r − v_l of each, [N], px.
         prior: the coefficients before the frame, [K], and their information, [K, K].
         noise: of the offsets.
-        iterations: how many.
-        of_frame: what changes from frame to frame; nothing by default.
+        iterations: number of iterations.
+        of_frame: a random change that is new in each frame; none by default.
 
     Returns:
         The coefficients after it, [K], and their information, [K, K].

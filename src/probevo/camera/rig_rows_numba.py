@@ -1,4 +1,4 @@
-"""The compiled loop of the rows' calibration: one pass over the stereo matches of a frame."""
+"""Compiled loop of the row calibration: one pass over the stereo matches of a frame."""
 
 from __future__ import annotations
 

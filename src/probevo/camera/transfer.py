@@ -1,7 +1,7 @@
 """The transfer of stereo observations by a motion: y' = f(T g(y)).
 
-A point is carried as its ray and inverse depth, so that points at infinity, and those that noise
-puts a little beyond it, need no special case.
+A point is represented by its ray and inverse depth, so that points at infinity, and those that
+noise puts a little beyond it, need no special case.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""``probevo calibrate-check``: what a recording itself says of its calibration."""
+"""``probevo calibrate-check``: check a calibration against the images and the IMU of a
+recording."""
 
 from __future__ import annotations
 
@@ -130,13 +131,14 @@ def report(sequence: Sequence, max_frames: int) -> list[str]:
 
 
 def _is_marked(quantity: Quantity, count: int) -> bool:
-    """Tell whether a quantity is further from zero than chance has any of so many."""
+    """Return whether a quantity is significantly different from zero, given ``count``
+    quantities."""
     return quantity.p_value < FALSE_ALARMS / count
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """What an odometry without the IMU made of a recording of N frames, K of them solved."""
+    """The results of an odometry without IMU over N frames, K of them solved."""
 
     rows: list[RowSamples]
     """The stereo matches of each frame with a solved step before and after it."""
@@ -151,11 +153,11 @@ class _Seen:
     rotation_rad: FloatArray
     """Their rotations Log(C_curr_prev), [K, 3], camera frame."""
     height: GroundHeight | None
-    """Of the left camera above the ground, if that is known."""
+    """Height of the left camera above the ground, if it is known."""
 
 
 def _look(sequence: Sequence, max_frames: int) -> _Seen:
-    """Run an odometry without the IMU, and keep what it saw.
+    """Run an odometry without the IMU, and collect its results.
 
     Raises:
         InputError: left and right are swapped, or too few steps are solved.

@@ -38,7 +38,7 @@ LAGS_S = np.arange(-0.2, 0.2001, 0.01)
 SPIKE_RAD_S = 10.0
 """Least difference of an angular rate from the mean of its neighbours that makes it a spike."""
 SPIKE_FACTOR = 20.0
-"""The same as a multiple of the median of these differences."""
+"""Least difference of a spike as a multiple of the median of these differences."""
 DEGREES_PER_RADIAN = np.rad2deg(1.0)
 
 

@@ -1,4 +1,4 @@
-"""``probevo inspect``: what a noise model learned, and how it sees the features of a frame.
+"""``probevo inspect``: show what a noise model learned, and its prediction for a frame.
 
 PROBE Figs. 6 and 7.
 """

@@ -1,4 +1,4 @@
-"""``probevo stress``: how the odometry fares on spoiled versions of a recording."""
+"""``probevo stress``: run the odometry on degraded versions of a recording."""
 
 from __future__ import annotations
 

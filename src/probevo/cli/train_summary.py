@@ -1,4 +1,4 @@
-"""What ``probevo train`` says of the model that it has trained."""
+"""The summary of a trained model that ``probevo train`` prints."""
 
 from __future__ import annotations
 

@@ -1,2 +1,2 @@
-"""Measurements → motion: consensus, Gauss–Newton, covariances, and the beliefs that go from frame
-to frame."""
+"""Measurements → motion: RANSAC, Gauss–Newton, covariances, and the estimates that are kept over
+frames."""

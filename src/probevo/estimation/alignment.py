@@ -1,10 +1,9 @@
 """Matrix-weighted alignment of triangulated points (PROBE eqs. 7-15), the paper's own motion
 solution.
 
-It takes the noise of a triangulated point for Gaussian in space, which holds near the camera only:
-    the error of a far
-point is skewed in depth, and its weight correlates with it. The reprojection solve has neither
-flaw.
+It takes the noise of a triangulated point as Gaussian in space, which holds only near the camera.
+The error of a far point is skewed in depth, and its weight is correlated with it. The reprojection
+solve has neither flaw.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ _LEAST_DAMPING = 1e-9
 _CONVERGED_BELOW = 1e-9
 """Length of a step ξ, m and rad together, at which it has converged."""
 _LEAST_INFORMATION = 1e-12
-"""Along what the points do not fix, relative to what they do fix: it keeps the inverse finite, and
-huge."""
+"""Least information along unobservable directions, relative to the observable ones: it keeps their
+covariance finite, but huge."""
 
 
 class Alignment(NamedTuple):
@@ -82,7 +81,7 @@ def solve_alignment(
         # Marquardt's damping is relative to the diagonal, and so indifferent to m and rad.
         step = _inverse(information + damping * np.diag(np.diag(information))) @ gradient
         T_next = se3.exp(step) @ T
-        # Both costs under one Γ; under two of them they could not be compared.
+        # Compare both costs under the same Γ, which depends on T.
         if pairs.cost(T_next, Gamma) <= pairs.cost(T, Gamma):
             T = T_next
             damping = max(0.1 * damping, _LEAST_DAMPING)

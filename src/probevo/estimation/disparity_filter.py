@@ -1,28 +1,29 @@
 """A Kalman filter of each track's disparity, and of the errors that all tracks have in common.
 
-A disparity that was wrong in one frame is wrong by nearly as much in the next (the time-correlated
-error of ``StereoNoise``). A single residual hardly shows it, but the parallax of many frames does.
-So each track carries the state x = (d, δ): its true disparity, and the error of the measured one.
-The first observation gives d = measured and δ = 0, with covariance [[S_dd + τ², −τ²], [−τ², τ²]];
-every further one is a Kalman update with the residual of the motion's solve.
+**State.** The error of a measured disparity persists from frame to frame (the time-correlated error
+of ``StereoNoise``). A single residual hardly shows it, but the parallax of many frames does. The
+state of a track is therefore x = (d, δ): its true disparity, and the error of the measured one. The
+first observation gives d = measured and δ = 0, with covariance [[S_dd + τ², −τ²], [−τ², τ²]]. Every
+further one is a Kalman update with the residual of the motion's solve.
 
-The motion that the parallax is measured with is itself uncertain, and wrong for all tracks alike.
-Taken as known, it would make 300 tracks that are all 1 % too near certain of that to 0.1 %. So an
-error of x is ε + U c: ε is the track's own, and the six common-mode errors c ~ N(0, I) belong to
-all. Motion and common mode are estimated together, ξ and c from e = J ξ + H U c + …; of the twelve
-directions of their posterior, the six that move the tracks most are kept as common mode, and the
-others are added to ε.
+**Common-mode errors.** The motion that turns parallax into disparity is uncertain, too, and its
+error is the same for all tracks. If it were taken as known, 300 tracks that are all 1 % too near
+would become certain of their disparities to 0.1 %. The error of x is therefore ε + U c, where ε is
+independent for each track and the six common-mode errors c ~ N(0, I) are the same for all. Motion
+and common mode are estimated jointly, ξ and c from e = J ξ + H U c + …. Their posterior has twelve
+directions. The six that move the tracks most are kept as the next common mode; the others are added
+to ε.
 
-Where the noise has a jitter of the rig, those of both frames, η, join the motion. That of the
-previous frame has moved all disparities that were measured then, and what is not known of it moves
-them in common. That of the current frame is the previous one of the next step: of the posterior,
-the three directions that it consists of are kept before the six.
+**Jitter.** If the noise model has a jitter of the rig, the jitters of both frames, η, are estimated
+with the motion. That of the previous frame has moved all disparities measured in it, so what is
+unknown of it is another common error. That of the current frame will be the previous one in the
+next step: the three directions of the posterior that it consists of are kept beside the six.
 
-The place of a track in the image is no state. A tracker follows a patch from frame to frame, and if
-it slips, it follows another patch from there on, so that a track *is* where it was last seen. On
-KITTI the likelihood of the next residuals agrees: against no filter it gains 0.3 to 0.9 nats a
-feature in this way, and loses as much if the track is taken for one point of the world, observed
-with noise that is new in each frame.
+**Why the place in the image is no state.** A tracker follows a patch from frame to frame. If it
+slips, it follows another patch from there on, so a track *is* where it was last seen. On KITTI the
+likelihood of the next residuals agrees: compared with no filter, it rises by 0.3 to 0.9 nats a
+feature. It falls by as much if the track is modelled as one point of the world, observed with
+independent noise in each frame.
 """
 
 from __future__ import annotations
@@ -56,13 +57,13 @@ from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
 RANDOM_WALK = 0.02
-"""Variance of the random walk of δ from frame to frame, in units of τ². By likelihood on KITTI:
-half as much costs 0.03 nats a feature, three times as much 0.04, and to pull the errors towards
-zero as well 0.01."""
+"""Variance of the random walk of δ from frame to frame, in units of τ². Chosen by likelihood on
+KITTI: half as much costs 0.03 nats a feature, three times as much 0.04, and an additional decay
+towards zero 0.01."""
 LEAST_DISPARITY_PX = 0.1
-"""Below it, a disparity is no measure of another."""
+"""Least disparity for which the ratio of two disparities is meaningful."""
 _CHOSEN = 1.0
-"""Any negative eigenvalue sorts the directions of the jitter apart from the others."""
+"""Eigenvalue, negated, that sorts the directions of the jitter before all others."""
 
 
 @dataclass(frozen=True)
@@ -76,20 +77,20 @@ class DisparityFilter:
     measured_px: FloatArray
     """The disparity measured in the last frame, [M], px."""
     common: FloatArray
-    """How the common-mode errors move (d, δ), [M, 2, K], px: the three of the rig's jitter in the
-    last frame, if the noise has one, and U, K = 9 or 6."""
+    """∂(d, δ)/∂c of the common-mode errors c ~ N(0, I), [M, 2, K], px: first the three of the rig's
+    jitter in the last frame, if the noise has one, then U; K = 9 or 6."""
     path_sensitivity: FloatArray
-    """How these move the path, along the axes of the last frame, [6, K]."""
+    """∂(path)/∂c, along the axes of the last frame, [6, K]."""
     path_cross_cov: FloatArray
     """Cross-covariance of the path's error before the last step with that of the step, along the
     axes of the last frame, [6, 6]."""
     jitter: JitterPrior | None = None
-    """The rig's jitter in the last frame, with its part of ``common``; None if the noise has none,
-    or nothing is known."""
+    """Posterior of the rig's jitter in the last frame, with its part of ``common``; None if the
+    noise has no jitter, or the filter is empty."""
 
     @staticmethod
     def none() -> DisparityFilter:
-        """Return the filter of no track, as before the first step and after one that failed."""
+        """Return an empty filter, as before the first step and after a step without a solve."""
         return DisparityFilter(
             ids=np.zeros(0, np.int64),
             states=DisparityPrior.none(),
@@ -100,11 +101,9 @@ class DisparityFilter:
         )
 
     def of_tracks(self, tracks: Tracks) -> DisparityFilter:
-        """Return the states of those of N tracks that the filter has; ``states.rows`` says which.
-
-        The rig's calibration may have been updated since then, so that the same measurement is now
-        corrected to another one: δ takes up the difference.
-        """
+        """Return the states of those of N tracks that the filter knows, listed in
+        ``states.rows``."""
+        # Identities are sorted, so that each track is found by bisection.
         place = np.minimum(np.searchsorted(self.ids, tracks.ids), max(len(self.ids) - 1, 0))
         rows = np.flatnonzero(self.ids[place] == tracks.ids) if len(self.ids) else place[:0]
         place = place[rows]
@@ -112,6 +111,8 @@ class DisparityFilter:
         jitter = self.jitter
         if jitter is not None:
             jitter = jitter._replace(sensitivity=jitter.sensitivity[place])
+        # The rig's calibration may have been updated since, which changes the corrected
+        # measurement. The true disparity is the same, so its error δ takes the difference.
         states = DisparityPrior(
             rows=rows,
             disparity=self.states.disparity[place],
@@ -132,14 +133,14 @@ class DisparityFilter:
 
 @dataclass(frozen=True)
 class _JointPosterior:
-    """Motion, rig's jitter and common-mode errors, z = (ξ, η, c), after a step."""
+    """The joint posterior of motion, rig's jitter and common-mode errors, z = (ξ, η, c)."""
 
     mean: FloatArray
     """[m + 6], with m = 6, or 12 with a jitter."""
     root: FloatArray
-    """A root of their covariance, [m + 6, m + 6]."""
+    """A square root of the covariance of z, [m + 6, m + 6]."""
     common: FloatArray
-    """U of the tracks in the filter, at the disparities that the solve has refined, [M, 2, 6]."""
+    """U of the tracks in the filter, at the refined disparities of the solve, [M, 2, 6]."""
     linearized: LinearizedFeatures
     """The features of the solve."""
 
@@ -147,10 +148,10 @@ class _JointPosterior:
     def of(
         solution: ReprojectionSolution, prior: DisparityFilter, *, knows_motion: bool = False
     ) -> _JointPosterior:
-        """Take one more Gauss–Newton step from a solve that took all errors for the tracks' own.
+        """Take one Gauss–Newton step over (ξ, η, c) from a solve that ignored common-mode errors.
 
-        The robust weights are those of the solve; its covariance, in which the loss has a part,
-        stays what it is for a motion without common-mode errors.
+        The robust weights are those of the solve. For c = 0, the covariance of the solve is kept,
+        robust loss included.
 
         Args:
             solution: the solve.
@@ -158,8 +159,9 @@ class _JointPosterior:
             knows_motion: whether the motion is known, and not part of the step.
         """
         rows = prior.states.rows
-        # A scale error that is common to all would seem observable if its derivative were taken at
-        # other disparities in every step (inconsistent linearisation points).
+        # A common scale error moves each disparity in proportion to it. Evaluate its derivative at
+        # the refined disparities: with other linearisation points in each step, the scale would
+        # seem observable, as in a filter with inconsistent linearisation points.
         point = solution.points.point[rows, 2]
         refined = solution.refined[rows, 2]
         is_measurable = point > LEAST_DISPARITY_PX
@@ -203,7 +205,7 @@ def update_with_common_mode(
     camera: StereoCamera,
     inliers: BoolArray,
 ) -> tuple[ReprojectionSolution, DisparityFilter]:
-    """Return the solution with the common-mode errors accounted for, and the filter after it.
+    """Correct a solve for the common-mode errors, and update the filter.
 
     Args:
         prior: the filter's states of these tracks (``of_tracks``).
@@ -211,7 +213,10 @@ def update_with_common_mode(
         noise: the noise of each; without time-correlated errors there is nothing to filter.
         solution: the solve, which had ``prior.states`` as its disparity prior.
         camera: the rectified camera.
-        inliers: which of the tracks to keep in the filter, [N]; the others start anew.
+        inliers: which of the tracks to keep in the filter, [N]; the others start afresh.
+
+    Returns:
+        The corrected motion with its covariance, and the filter after the step.
     """
     is_determined = np.isfinite(solution.cov).all()
     if noise.time_correlated is None or not is_determined:
@@ -232,7 +237,7 @@ def update_with_common_mode(
             posterior=posterior,
         )
     except np.linalg.LinAlgError:
-        # Points kilometres away hardly fix the motion: matrices are singular to working precision.
+        # If all points are kilometres away, the translation is unobservable to working precision.
         return solution, DisparityFilter.none()
     return updated, after
 
@@ -246,7 +251,7 @@ def update_at_known_motion(
     camera: StereoCamera,
     inliers: BoolArray,
 ) -> DisparityFilter:
-    """Return the filter after a step whose motion is known; the arguments are as above."""
+    """Update the filter with a known motion; arguments as of ``update_with_common_mode``."""
     posterior = None
     try:
         if solution.jitter is not None and np.isfinite(solution.cov).all():
@@ -276,10 +281,11 @@ def _update(
 ) -> DisparityFilter:
     if noise.time_correlated is None:
         return DisparityFilter.none()
-    # The tracks to keep, in the order of their identities.
+    # Keep the inliers, sorted by identity, so that ``of_tracks`` can find them by bisection.
     order = np.argsort(tracks.ids)
     chosen = order[(inliers & (solution.information[:, 0, 0] > 0.0))[order]]
     count = len(chosen)
+    # Common-mode errors z, their posterior, and how they move each track before the update.
     linearized = _linearized(solution) if posterior is None else posterior.linearized
     own = linearized.jacobian.shape[2]
     mean = np.zeros(own + COMMON)
@@ -291,6 +297,7 @@ def _update(
         common = np.concatenate(
             [solution.jitter.unknown.effects.sensitivity[:, 2:], common], axis=2
         )
+    # Kalman update of (d, δ) of each track, given z. Sensitivities to z are propagated along.
     states = PosteriorStates(
         mean=np.empty((count, 2)),
         cov=np.empty((count, 2, 2)),
@@ -309,9 +316,11 @@ def _update(
         mean=mean,
         posterior=states,
     )
+    # Random walk of δ until the next frame
     cov = states.cov
     cov[:, 1, 1] += RANDOM_WALK * noise.time_correlated[chosen]
-    # Which part of z stays common mode, and what it does to the path.
+    # Split the errors z into the next common mode and the rest, which is added to each track's own
+    # covariance; and find how the common mode moves the path.
     T = solution.T_curr_prev
     kept_common = np.zeros((count, 2, COMMON))
     path_sensitivity = np.zeros((6, COMMON))
@@ -329,17 +338,18 @@ def _update(
         kept_common, directions = _strongest_directions(
             states.sensitivity, root, cov=cov, chosen=of_jitter
         )
-        # Path and step depend on the same whitened errors, which makes their cross-covariance.
+        # Path and step depend on the same whitened errors: hence their cross-covariance.
         step = root[:6]
         path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
         common_before = root[own + COMMON - common.shape[2] :]
         path_sensitivity = (path_before @ common_before + step) @ directions
         path_cross_cov = path_before @ common_before @ step.T
-    # The disparity in the current frame is the one in the previous frame over the scaled depth.
+    # Move the disparities to the current frame: divide by the ratio of new to old depth.
     px = tracks.prev_px[chosen]
     x, y = camera.normalized(px[:, 0], px[:, 1])
     inverse_depth = states.mean[:, 0] / (camera.fu_px * camera.baseline_m)
     depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * inverse_depth
+    # Points that the motion has taken behind the camera have no disparity any more.
     ahead = depth > NEAREST
     kept = chosen[ahead]
     curr_px = tracks.curr_px[kept]
@@ -362,22 +372,21 @@ def _update(
 
 
 def _path_sensitivity(prior: DisparityFilter, count: int) -> FloatArray:
-    """Return how the common-mode errors before a step move the path, [6, count]: by nothing where
-    the filter did not know of them."""
+    """Return ∂(path)/∂c before a step, [6, count]; zero if the filter has been reset."""
     known = prior.path_sensitivity
     return known if known.shape[1] == count else np.zeros((6, count))
 
 
 def _jitter_after(mean: FloatArray, root: FloatArray) -> tuple[FloatArray, JitterPrior]:
-    """Return the jitter of the current frame as the next step's previous one.
+    """Return the posterior of the current frame's jitter as the prior of the next step.
 
     Args:
         mean: its mean, [3], rad.
-        root: how it depends on the L whitened errors of the step, [3, L], rad.
+        root: its derivatives by the L whitened errors of the step, [3, L], rad.
 
     Returns:
-        The three orthonormal directions among these that make it up, [L, 3], and its prior, but for
-        the sensitivity of the tracks.
+        The three orthonormal directions of the whitened errors that it depends on, [L, 3], and the
+        prior, without the sensitivity of the tracks.
     """
     lower = np.empty((AXES, AXES))
     directions = np.empty((root.shape[1], AXES))
@@ -398,26 +407,26 @@ def _linearized(solution: ReprojectionSolution) -> LinearizedFeatures:
 def _strongest_directions(
     sensitivity: FloatArray, root: FloatArray, cov: FloatArray, chosen: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Split common errors into the six that move the tracks most, and the rest.
+    """Split common errors into the six directions that move the tracks most, and the rest.
 
     Args:
-        sensitivity: how errors z move (d, δ) of each track, [M, 2, L].
-        root: how z follows from L whitened errors, [L, L].
-        cov: each track's own covariance, [M, 2, 2], against which the size of a move counts; the
-            rest of the errors is added to it.
+        sensitivity: ∂(d, δ)/∂z of each track, [M, 2, L].
+        root: z as a linear map of L whitened errors, [L, L].
+        cov: each track's own covariance, [M, 2, 2], in units of which the effect of an error is
+            measured; that of the remaining directions is added to it.
         chosen: orthonormal directions of the whitened errors that are kept in any case, [L, K],
-            beside six others.
+            beside the six.
 
     Returns:
-        The sensitivity to the K + 6, [M, 2, K + 6], and the K + 6 directions, [L, K + 6].
+        The sensitivity to the K + 6 directions, [M, 2, K + 6], and these directions, [L, K + 6].
     """
-    # The chosen ones are projected out, and come first among the eigenvalues, which ascend: the
-    # strongest directions come last.
+    # Project the chosen directions out and give them a negative eigenvalue. Eigenvalues ascend, so
+    # the chosen directions come first, and the strongest six last.
     white = _transformed(sensitivity, root - (root @ chosen) @ chosen.T)
     if not whiten(white, cov):
         raise np.linalg.LinAlgError("a track's covariance is not positive definite")
     _, directions = np.linalg.eigh(sum_products(white, white) - _CHOSEN * (chosen @ chosen.T))
-    # All directions at once, in the order (chosen, rest, strongest).
+    # Transform to all directions at once, in the order (chosen, rest, strongest).
     first = chosen.shape[1]
     last = len(root) - COMMON
     directions[:, :first] = chosen
@@ -428,11 +437,11 @@ def _strongest_directions(
 
 
 def _transformed(sensitivity: FloatArray, transform: FloatArray) -> FloatArray:
-    """Return the sensitivities to other errors, [M, 2, K]: one product of all rows at once.
+    """Return the sensitivities to linearly transformed errors, [M, 2, K], as one matrix product.
 
     Args:
         sensitivity: to L errors, [M, 2, L].
-        transform: how these follow from K others, [L, K].
+        transform: the L errors as a linear map of K others, [L, K].
     """
     count, rows, errors = sensitivity.shape
     transformed: FloatArray = sensitivity.reshape(count * rows, errors) @ transform

@@ -1,4 +1,4 @@
-"""How far a feature is trusted after a solve, whatever the tails of its noise."""
+"""Weights of features after a solve, comparable whatever the tails of their noise."""
 
 from __future__ import annotations
 
@@ -8,37 +8,37 @@ from probevo.arrays import FloatArray
 from probevo.estimation.reprojection import ReprojectionSolution
 
 OUTLIER_BELOW = 0.1
-"""Weight below which a track is no longer followed."""
+"""Weight below which a track is dropped."""
 REFERENCE_DOF = 5.0
-"""Degrees of freedom for which the two bounds hold."""
+"""Degrees of freedom to which all weights are converted."""
 INLIER_FROM = 0.5
 """Weight from which a track counts as an inlier."""
 GAUSSIAN_FROM = 1e6
 """Degrees of freedom from which a Student-t is a Gaussian."""
 BISECTIONS = 50
-"""They find a share of 0 to 1 to 10⁻¹⁵."""
+"""Number of bisections of [0, 1] that reach 10⁻¹⁵."""
 
 
 def feature_weights(solution: ReprojectionSolution, dof: FloatArray, loss: str) -> FloatArray:
-    """Return how far each feature is trusted under that loss, [N], 0 to 1.
+    """Return the weight of each feature under a loss, [N], from 0 (outlier) to 1.
 
     Args:
         solution: the solve.
         dof: degrees of freedom ν of each feature's noise, [N].
-        loss: its name in the settings; one that is not the noise's own has no other measure than
-            its robust weight.
+        loss: its name in the settings. The weights of ``noise`` are converted to REFERENCE_DOF;
+            those of any other loss are its robust weights.
     """
     return comparable_weights(solution, dof) if loss == "noise" else solution.weight
 
 
 def comparable_weights(solution: ReprojectionSolution, dof: FloatArray) -> FloatArray:
-    """Return weights that mean the same for any tails of the noise, [N], 0 to 1.
+    """Return weights that mean the same whatever the tails of the noise, [N], 0 to 1.
 
-    The robust weight against a perfect feature's, y = ν/(ν + s), says how common a residual is only
-    for one ν: half of all inliers have less than a third at ν = 1.6. So the weight is the y that a
-    residual as rare would have at REFERENCE_DOF; rarer ones occur with probability
-    y^(ν/2) (1 + ν (1 − y)/2), the F distribution's tail for d = 4. Gaussian noise, as that of
-    ``fixed``, has no robust weight, and all features count in full.
+    The relative robust weight y = ν/(ν + s) of a residual depends on ν: at ν = 1.6, half of all
+    inliers have less than a third. So the weight is the y of an equally rare residual at
+    REFERENCE_DOF. Residuals with a smaller y have the probability y^(ν/2) (1 + ν (1 − y)/2), the
+    tail of the F distribution for d = 4. Gaussian noise, as of ``fixed``, has no robust weight, so
+    all its features have weight 1.
     """
     robust = np.isfinite(dof) & (dof != REFERENCE_DOF) & (solution.weight > 0.0)
     nu = np.where(robust, dof, REFERENCE_DOF)
@@ -50,13 +50,16 @@ def comparable_weights(solution: ReprojectionSolution, dof: FloatArray) -> Float
 
 
 def scale_of_residuals(squared: FloatArray, dof: FloatArray) -> float:
-    """Return how much larger the variance of N residuals is than their noise says: the median of
-    their squared lengths s, [N], each over the median of its distribution.
+    """Return the factor by which the variance of N residuals exceeds that of their noise.
+
+    It is the median of their squared lengths s, [N], each divided by the median of its
+    distribution.
 
     Args:
         squared: eᵀ Σ⁻¹ e of each residual, [N], N > 0.
         dof: degrees of freedom ν of each feature's noise, [N].
     """
+    # Find the median of y = ν/(ν + s) under each ν by bisection.
     nu = np.minimum(dof, GAUSSIAN_FROM)
     low = np.zeros(len(nu))
     high = np.ones(len(nu))
@@ -65,7 +68,7 @@ def scale_of_residuals(squared: FloatArray, dof: FloatArray) -> float:
         is_rare = _tail_probability(share, nu) < 0.5
         low = np.where(is_rare, share, low)
         high = np.where(is_rare, high, share)
-    # y = ν/(ν + s) solved for s. The median bears outliers up to half of the residuals.
+    # y = ν/(ν + s) solved for s. The median tolerates up to half of the residuals as outliers.
     median = nu * (1.0 - share) / share
     return float(np.median(squared / median))
 

@@ -21,9 +21,9 @@ from probevo.measurements.base import (
 CONVERGED_BELOW = 1e-3
 """The solve has converged once a step is shorter than this many standard deviations."""
 PROPAGATE_AFTER = 1.0
-"""Squared length of the way since the measurements' covariances were last propagated, in standard
-deviations, beyond which they are propagated again. Within one, what their age does to the estimate
-is below a hundredth of a standard deviation."""
+"""Squared distance, in standard deviations, from where the measurements' covariances were last
+propagated, beyond which they are propagated again. Within one, their age changes the estimate by
+less than a hundredth of a standard deviation."""
 MAX_PROPAGATIONS = 10
 """From a guess as good as RANSAC's it takes two or three."""
 FIRST_DAMPING = 1e-6
@@ -33,11 +33,11 @@ NEWTON_BELOW = 1e-3
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where a solve ended."""
+    """The result of a solve."""
 
     values: Values
     measurements: tuple[Measurement, ...]
-    """The same measurements, with their covariances as they were propagated last."""
+    """The measurements, with their covariances as last propagated."""
     iterations: int
     converged: bool
 
@@ -72,7 +72,7 @@ class _Layout:
         self, measurements: Sequence[Measurement], values: Values, *, newton: bool
     ) -> Linearization:
         """Sum the normal equations of all measurements."""
-        # The usual case, a frame's features and nothing else, is spared the copies.
+        # The usual case, the features of a frame and nothing else, needs no copies.
         if self.is_single:
             return measurements[0].linearize(values, newton=newton)
         total = Linearization(0.0, np.zeros((self.dof, self.dof)), np.zeros(self.dof))
@@ -142,7 +142,8 @@ def minimize(
             if not newton and decrement < CONVERGED_BELOW**2:
                 # It is at the optimum; only rounding makes the cost rise, as without noise.
                 return Optimum(values, measurements, iteration, converged=moved <= PROPAGATE_AFTER)
-            # The step went too far: first by a better-natured Hessian, then by a shorter step.
+            # The cost has risen: retry with the IRLS Hessian, which is positive definite, then with
+            # a shorter step.
             if newton:
                 newton = False
                 system = layout.add_up(measurements, values, newton=False)
@@ -155,8 +156,9 @@ def minimize(
         damping *= 0.1
         accepted += 1
         moved += decrement
-        # The covariance of a triangulated point depends on the motion. Were it part of the cost,
-        # the solve could make residuals cheap by moving to where they are uncertain.
+        # The covariance of a triangulated point depends on the motion. If it varied within the
+        # cost, the solve could reduce the cost by moving to where points are uncertain. So hold it,
+        # and propagate it again only after a large move.
         if moved > PROPAGATE_AFTER and propagations < MAX_PROPAGATIONS:
             propagations += 1
             moved = 0.0

@@ -1,4 +1,4 @@
-"""Tracks → which of them to solve with, and a motion to start the solve from."""
+"""RANSAC with fallbacks: the tracks to solve with, and the motion to start the solve from."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.tracking.tracks import Tracks
 
 FEWEST_INLIERS = 0.25
-"""Share of the tracks that has to agree with a motion; else the threshold is widened, and in the
-end the motion is refused."""
+"""Least share of inliers. With fewer, the threshold is widened, and finally the motion is
+rejected."""
 WIDENINGS = (1.0, 2.0, 4.0)
 """Multiples of RANSAC's threshold that are tried in turn."""
 NEAR_DISPARITY_PX = 2.0
-"""Points with less disparity are too uncertain in depth to fix a translation on their own."""
+"""Points with less disparity are too uncertain in depth to determine a translation."""
 
 
 def are_enough(inliers: BoolArray, config: OdometryConfig) -> bool:
-    """Return whether so many of N tracks may carry a motion."""
+    """Return whether these inliers of N tracks are enough for a solve."""
     return bool(inliers.sum() >= max(config.solver.min_tracks, FEWEST_INLIERS * len(inliers)))
 
 
@@ -42,7 +42,7 @@ def initial_motion(
     Args:
         tracks: the N tracks.
         camera: the rectified camera.
-        prediction: motion predicted before the images are looked at.
+        prediction: motion predicted before the images are used.
         gyro: the gyro's rotation, if there is one.
         config: settings of RANSAC and gyro.
         rng: source of the samples.
@@ -51,14 +51,16 @@ def initial_motion(
     Returns:
         The motion, and RANSAC's inliers, or all tracks where the settings say so.
     """
+    # PROBE's pre-filter by the predicted rotation; off by default
     plausible = _rotated_as_predicted(
         tracks, camera, prediction.T_curr_prev[:3, :3], limit_deg=config.gyro.prefilter_deg
     )
+    # As in PROBE, without RANSAC
     if config.ransac.mode == "off":
         T_curr_prev = _centroid_motion(tracks.kept(plausible), camera, prediction.T_curr_prev)
         return Consensus(T_curr_prev, plausible)
     uses_gyro = gyro is not None and config.ransac.rotation_from == "gyro"
-    # Where hardly anything agrees, the tracks are noisier than the threshold assumes: widen it.
+    # If there are hardly any inliers, the tracks are noisier than the threshold assumes: widen it.
     for widening in WIDENINGS:
         consensus = find_consensus(
             tracks.kept(plausible),
@@ -71,7 +73,7 @@ def initial_motion(
         )
         if are_enough(consensus.inliers, config):
             break
-    # Otherwise, the robust loss of the solve is left to deal with the outliers.
+    # Unless RANSAC is to reject outliers, keep all tracks, and leave them to the robust loss.
     inliers = plausible.copy()
     if config.ransac.mode == "reject" or not are_enough(consensus.inliers, config):
         inliers[plausible] = consensus.inliers
@@ -83,7 +85,7 @@ def _rotated_as_predicted(
 ) -> BoolArray:
     """Return which of the N features are seen within an angle of where the rotation alone takes
     them (PROBE V), [N]."""
-    if limit_deg == 0.0:  # as by default: it needs a rotation that is known before
+    if limit_deg == 0.0:  # off, the default: it needs a good predicted rotation, as of a gyro
         return np.ones(len(tracks), np.bool_)
     prev_rays = _unit_rays(tracks.prev_px, camera)
     curr_rays = _unit_rays(tracks.curr_px, camera)
@@ -101,10 +103,10 @@ def _unit_rays(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
 
 
 def _centroid_motion(tracks: Tracks, camera: StereoCamera, T_predicted: FloatArray) -> FloatArray:
-    """Return PROBE's start (eqs. 5-6), [4, 4]: the predicted rotation, and how the centroid of all
-    near points moves under it.
+    """Return PROBE's start (eqs. 5-6), [4, 4]: the predicted rotation, and the translation of the
+    centroid of all near points under it.
 
-    The centroid is the median, where PROBE takes the mean, which a single mismatch carries away.
+    The centroid is the median. PROBE takes the mean, which a single mismatch can spoil.
     """
     prev_disparity = tracks.prev_px[:, 0] - tracks.prev_px[:, 2]
     curr_disparity = tracks.curr_px[:, 0] - tracks.curr_px[:, 2]

@@ -1,4 +1,4 @@
-"""The motion of a step as a correction has it, and how it counts in a window."""
+"""Applying a correction to the motion of a step, and fusing both in a window."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from probevo.measurements.sensor_suite import SensorSuite
 from probevo.sequences.frame import Frame
 
 LEAST_WEIGHT = 0.01
-"""Of a feature that two frames do not trust; its variance in a window does not grow further."""
+"""Least weight of a feature; it bounds the inflation of an outlier's variance in a window."""
 
 
 def with_correction(
@@ -28,9 +28,10 @@ def with_correction(
     *,
     frames: tuple[Frame, Frame],
 ) -> tuple[MotionEstimate, list[Reading]]:
-    """Return the motion as a correction has it, and what all sensors returned with what it did.
+    """Ask the correction, if there is one, and return the corrected motion and all readings.
 
-    Tracking and motion model go on from the motion of the images: their next step is alike.
+    Tracking and motion model continue with the uncorrected motion, since they predict what the
+    images of the next step will show, which has the same error.
 
     Args:
         motion: of the images, or dead-reckoned.
@@ -51,11 +52,11 @@ def with_correction(
 
 
 def corrected(motion: MotionEstimate, measurement: Measurement) -> MotionEstimate:
-    """Return the corrected motion in place of that of the images, with its covariance.
+    """Replace the motion of the images by the corrected one, with its covariance.
 
-    This covariance is that of the corrected motion's whole error, errors of the rig's calibration
-    included, and it is calibrated on sums of successive errors: there is neither a common-mode part
-    nor a cross-covariance with the path beside it.
+    This covariance is of the whole error, errors of the rig's calibration included, and it was
+    calibrated on sums of successive errors. So there is neither a common-mode part nor a
+    cross-covariance with the path in addition.
     """
     if not isinstance(measurement, RelativePose):
         return motion
@@ -69,45 +70,45 @@ def corrected(motion: MotionEstimate, measurement: Measurement) -> MotionEstimat
 
 
 class Shares(NamedTuple):
-    """By what the covariances of a step are multiplied where a window takes both its features and
-    their corrected motion."""
+    """Factors of the covariances of features and corrected motion, if a window uses both."""
 
     features: float
-    """That of the features: errors that they have in common, and their share."""
+    """Factor of the features' covariance: for their common errors and for their share."""
     motion: float
-    """That of the corrected motion."""
+    """Factor of the corrected motion's covariance."""
 
     def of_features(self, weights: FloatArray) -> FloatArray:
-        """Return the factor of each of N features, given how far two frames trust it, [N], 0 to 1.
+        """Return the factor of each of N features, given its two-frame weight, [N], 0 to 1.
 
-        With a larger covariance, the robust loss of the window takes a wrong feature for a right
-        one. What it would have turned away is therefore inflated by as much again.
+        Under the inflated covariance, the robust loss of the window would accept outliers. Their
+        covariance is therefore inflated by their small weight as well.
         """
         return 1.0 + (self.features - 1.0) / np.maximum(weights, LEAST_WEIGHT)
 
 
 def shares_of(of_images: MotionEstimate, motion: MotionEstimate, num_frames: int) -> Shares:
-    """Return how features and corrected motion share the information of their images.
+    """Divide the information of the same images between features and corrected motion.
 
-    Features of a window have errors in common, of which the correction ξ shows those of this step.
-    They add up over the window's K frames. Features that are seen in all of these claim to show the
-    whole motion as well as that of two frames, with the covariance C. In units of C, the covariance
-    of the features is therefore λ = 1 + K² ξᵀ C⁻¹ ξ / 6, and that of the corrected motion
-    κ = tr(C⁻¹ Σ) / 6.
+    The features of a window have common errors. The correction ξ is an estimate of those of this
+    step, and they add up over the K frames of the window, while features that are seen in all of
+    them claim a covariance C like that of two frames. In units of C, the covariance of the features
+    is therefore λ = 1 + K² ξᵀ C⁻¹ ξ / 6, and that of the corrected motion κ = tr(C⁻¹ Σ) / 6.
 
-    Both errors contain those of the same images, with an unknown cross-covariance. By covariance
+    Both have errors of the same images in them, with an unknown cross-covariance. By covariance
     intersection, the information of one is multiplied by ω, that of the other by 1 − ω, and the
     result is consistent whatever that is (Julier & Uhlmann 1997). ω = λ / (λ + κ) is the weight of
     the corrected motion (Niehsen 2002).
 
     Args:
-        of_images: the motion that two frames have shown.
+        of_images: the motion of the two-frame solve.
         motion: the corrected one.
         num_frames: frames of the window, K.
     """
+    # Both in units of the covariance of the two-frame motion, averaged over the six dimensions
     xi = se3.log(motion.T_curr_prev @ se3.inverse(of_images.T_curr_prev))
     information = np.linalg.inv(of_images.cov)
     of_features = 1.0 + num_frames**2 * float(xi @ information @ xi) / len(xi)
     of_motion = float(np.trace(information @ motion.cov)) / len(xi)
+    # Covariance intersection with ω = λ/(λ + κ): λ/(1 − ω) times C, and 1/ω times Σ
     both = of_features + of_motion
     return Shares(features=of_features * both / of_motion, motion=both / of_features)

@@ -1,4 +1,4 @@
-"""The result of one step: a relative motion, its covariance, and how it came about."""
+"""The result of one step: the relative motion, its covariance, and its status."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from probevo.arrays import FloatArray
 
 @dataclass(frozen=True)
 class SensorOutcome:
-    """What became of one sensor in a step."""
+    """Whether and how one sensor was used in a step."""
 
     name: str
     state: Literal["used", "gated", "silent", "excluded"]
@@ -28,9 +28,9 @@ class SensorOutcome:
 
 
 class Status(IntEnum):
-    """How a motion came about.
+    """How the motion of a step was obtained.
 
-    In all but FIRST, OK and RECOVERED it is dead-reckoned from gyro and last velocity, and much
+    In all but FIRST, OK and RECOVERED, it is dead-reckoned from gyro and last velocity, and much
     less certain.
     """
 
@@ -38,15 +38,15 @@ class Status(IntEnum):
     """The first frame: identity, zero covariance."""
     OK = 1
     DEGENERATE = 2
-    """The features do not fix all six degrees of freedom."""
+    """The features do not constrain all six degrees of freedom."""
     TOO_FEW_TRACKS = 3
     NOT_CONVERGED = 4
-    """The solve did not reach an optimum, or one that fails the gate of the motion model."""
+    """The solve did not converge, or its result fails the innovation gate of the motion model."""
     GAP = 5
     """The motion could not be solved, and frames are missing before this one."""
     RECOVERED = 6
-    """Images show the motion from the last frame that was OK, but not from the previous one. This
-    step is as uncertain as those between; the path is not (``path_cross_cov``)."""
+    """After dead-reckoned steps, the motion from the last OK frame was solved from images. This
+    step is as uncertain as the dead-reckoned ones, but the path is not (``path_cross_cov``)."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,10 @@ class MotionEstimate:
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     """Wall time of each stage of this step, ms."""
     num_used: int = 0
-    """Tracks that the solve used; 0 where there was none."""
+    """Tracks that the solve used; 0 without a solve."""
     num_out_of_domain: int | None = None
-    """Those of them that lie where the noise model has seen no training data; None where there was
-    no solve, or for models that have seen none at all."""
+    """Tracks used that are outside of the noise model's training data; None without a solve, or if
+    the model has no such domain."""
     T_world_cam: FloatArray = field(default_factory=lambda: np.eye(4))
     """Pose of the current camera in the world, the frame of the first camera, [4, 4], m: the
     motions so far compounded, and corrected by measurements of the pose where there were any."""
@@ -86,10 +86,10 @@ class MotionEstimate:
     missing: tuple[str, ...] = ()
     """What the frame lacked, in words: samples that could not be used."""
     imu_left_out: str = ""
-    """Why the window's IMU says nothing of this step, as the end of "the IMU …"; empty if it does,
-    or if there is none."""
+    """Why the window does not use its IMU in this step, a phrase that continues "the IMU …"; empty
+    if it does, or if there is no IMU."""
     sensors: tuple[SensorOutcome, ...] = ()
-    """What became of each sensor beside the camera."""
+    """The outcome of each further sensor."""
 
     def __repr__(self) -> str:
         """Return status, distance, angle, and the largest standard deviations, in one line."""

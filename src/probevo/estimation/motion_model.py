@@ -1,5 +1,5 @@
-"""What the last motion lets one predict of the next: where to search, what to dead-reckon with, and
-which solves to refuse."""
+"""Constant-velocity motion model: it predicts the next motion for the search of features, for dead
+reckoning, and for the gate that rejects wrong solves."""
 
 from __future__ import annotations
 
@@ -16,58 +16,59 @@ from probevo.measurements.relative_rotation import RelativeRotation
 
 INNOVATION_GATE = 60.0
 """Squared Mahalanobis distance of a motion's innovation (six dimensions) beyond which the solve is
-refused: about 7σ."""
+rejected: about 7σ."""
 
 FASTEST_START = 1.5
-"""Fastest forward speed that is tried at the start, in standard deviations of the speed there."""
+"""Fastest forward speed that is tried at the start, in standard deviations of its prior."""
 
 MAX_REFUSALS = 3
-"""Solves that the gate may refuse, with none accepted in between, before the motion model itself is
-given up."""
+"""Number of solves in a row that the gate may reject before the motion model itself is reset."""
 
 GYRO_MISALIGNMENT_RAD = 0.02
-"""Standard deviation of the gyro's axes, and of its scale; its noise is not all there is."""
+"""Standard deviation of the gyro's mounting and of its scale, which its noise density omits."""
 GYRO_DELAY_S = 0.006
-"""Standard deviation of the gyro's clock."""
+"""Standard deviation of the delay between the clocks of gyro and camera."""
 
 MOVING_TWIST = np.repeat([0.1, 0.05], 3)
-"""Twist, m/s and rad/s, beyond which no two images are alike."""
+"""Twist, m/s and rad/s, beyond which successive images must differ."""
 
 
 @dataclass(frozen=True)
 class MotionPrediction:
-    """Motion over the coming step, before its images are looked at."""
+    """Predicted motion of the next step, before its images are used."""
 
     T_curr_prev: FloatArray
     """[4, 4]."""
     cov: FloatArray
-    """Covariance of its left perturbation, [6, 6]. It is more than a gyro's own noise: no solve
-    must be refused for the gyro's scale, its clock or how it is mounted."""
+    """Covariance of its left perturbation, [6, 6]. It includes errors of the gyro's scale, clock
+    and mounting beside its noise, so that these do not cause rejections."""
     velocity_sensitivity: FloatArray
-    """How the velocity's error, [6], in standard deviations, moves it, [6, 6]; a gyro's rotation
-    does not depend on it."""
+    """∂ξ/∂(error of the velocity in standard deviations), [6, 6]. The rows of the rotation are zero
+    if it is a gyro's."""
     without_gyro: MotionPrediction | None = None
-    """The same from the last velocity alone, where the gyro's rotation is not to refuse a solve."""
+    """The prediction from the last velocity alone. If set, a solve must contradict both
+    predictions to be rejected."""
 
     def innovation(self, T_curr_prev: FloatArray) -> FloatArray:
-        """Return how far a motion [4, 4] is from the predicted one, as a left perturbation, [6]."""
+        """Return the difference of a motion [4, 4] and the prediction, a left perturbation, [6]."""
         return se3.log(T_curr_prev @ se3.inverse(self.T_curr_prev))
 
     def fails_gate(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
-        """Return whether a solved motion with its covariance cannot come from this prediction."""
-        # A gyro may be the one that is wrong: a solve is refused only if the images contradict the
-        # last velocity, too.
+        """Return whether a solved motion differs too much from the prediction, given both
+        covariances."""
+        # The gyro may be the one that is wrong, so reject a solve only if it contradicts the last
+        # velocity as well.
         if self.without_gyro is not None and not self.without_gyro.fails_gate(T_curr_prev, cov):
             return False
         innovation = self.innovation(T_curr_prev)
-        # Prediction and solve are independent, so that the innovation has the sum of both.
+        # Prediction and solve are independent, so their covariances add up.
         squared = innovation @ np.linalg.solve(self.cov + cov, innovation)
         return bool(squared > INNOVATION_GATE)
 
 
 @dataclass(frozen=True)
 class DeadReckoning:
-    """A motion that the images did not give."""
+    """A predicted motion that stands in for a solve."""
 
     T_curr_prev: FloatArray
     """[4, 4]."""
@@ -79,49 +80,50 @@ class DeadReckoning:
 
 @dataclass(frozen=True)
 class MotionModel:
-    """Constant velocity in the camera's own frame, disturbed by an acceleration.
+    """Constant velocity in the camera's frame, disturbed by an unknown acceleration.
 
-    The acceleration may go on as long as there is no solve. Its error is one for all the steps that
-    are dead-reckoned, so that their errors are correlated.
+    Without a solve, the acceleration may last. All dead-reckoned steps depend on the same error of
+    the velocity, so their errors are correlated (``path_sensitivity``).
     """
 
     config: MotionModelConfig
     twist_s: FloatArray
-    """Log(T_curr_prev) a second, [6], of the last motion that was solved."""
+    """Log(T_curr_prev) per second of the last solved motion, [6], m/s and rad/s."""
     twist_sigma_s: FloatArray
     """Its standard deviation, [6], m/s and rad/s."""
     usual_step_s: float = 0.0
     """Running mean of the time between frames; 0 before the second."""
     refusals: int = 0
-    """Solves that failed the gate, since the last one that passed."""
+    """Solves that were rejected since the last accepted one."""
     path_sensitivity: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-    """How the error of the velocity has moved the path since the last solve, along the current
-    axes, [6, 6]."""
+    """∂(path error)/∂(error of the velocity) since the last solve, along the axes of the current
+    camera, [6, 6]."""
 
     @staticmethod
     def at_start(config: MotionModelConfig) -> MotionModel:
-        """Return the model that knows nothing: any speed that the configuration holds possible."""
+        """Return the model before the first motion: at rest, with the wide prior of the
+        settings."""
         sigma = np.repeat([config.start_speed_m_s, config.start_turn_rate_rad_s], 3)
         return MotionModel(config, twist_s=np.zeros(6), twist_sigma_s=sigma)
 
     def predict(self, duration_s: float, gyro: RelativeRotation | None) -> MotionPrediction:
-        """Predict the motion of the coming step; the rotation is the gyro's where there is one."""
+        """Predict the motion of the next step; with a gyro, the rotation is the gyro's."""
         T_curr_prev = np.empty((4, 4))
         perturb(self.twist_s * duration_s, np.eye(4), T_curr_prev)  # Exp(ξ), compiled
         velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
-        # The stamps of both ends are off, and a longer interval is a longer way.
+        # Errors of both stamps change the length of the interval, and so the distance.
         stamp_variance = 2.0 * self.config.stamp_sigma_s**2
         cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist_s, self.twist_s)
         if gyro is not None:
-            # The gyro takes the place of the predicted rotation. A turn of the axes, a wrong scale
-            # and a late clock err with the rotation, and with how fast it changes.
+            # The gyro replaces the predicted rotation. Errors of its mounting and its scale grow
+            # with the rotation, those of its clock with the change of the rate.
             T_curr_prev[:3, :3] = gyro.C_curr_prev
             angle = so3.log(gyro.C_curr_prev)
             change_rad_s = angle / duration_s - self.twist_s[3:]
             unmodelled_rad = GYRO_MISALIGNMENT_RAD * np.linalg.norm(angle) + (
                 GYRO_DELAY_S * np.linalg.norm(change_rad_s)
             )
-            # Rotation and translation no longer share the errors of the stamps.
+            # The rotation no longer depends on the stamps: drop its cross-covariance.
             cov[3:] = 0.0
             cov[:, 3:] = 0.0
             cov[3:, 3:] = gyro.cov + unmodelled_rad**2 * np.eye(3)
@@ -129,14 +131,14 @@ class MotionModel:
         return MotionPrediction(T_curr_prev, cov, velocity_sensitivity)
 
     def starts(self, duration_s: float, prediction: MotionPrediction) -> list[FloatArray]:
-        """Return the motions, [4, 4] each, from which tracking may have to start.
+        """Return the motions, [4, 4] each, to start tracking from.
 
-        While the speed is unknown these are several forward speeds.
+        Usually this is the prediction. While the speed is unknown, it is several forward speeds.
         """
         if not self.speed_is_unknown:
             return [prediction.T_curr_prev]
-        # Lucas–Kanade finds a feature only from nearby: those of a fast vehicle are lost if their
-        # search starts from standstill.
+        # Lucas–Kanade converges only from nearby. From a start at rest, it loses the features of a
+        # fast vehicle.
         C_curr_prev = prediction.T_curr_prev[:3, :3]
         speeds_m_s = self.config.start_speed_m_s * np.array([0.0, 0.5, 1.0, FASTEST_START])
         return [
@@ -146,12 +148,12 @@ class MotionModel:
 
     @property
     def speed_is_unknown(self) -> bool:
-        """Whether there is no velocity: at the start, or after the model was given up."""
+        """Whether there is no estimate of the velocity: at the start, or after a reset."""
         return bool(self.twist_sigma_s[2] > 0.5 * self.config.start_speed_m_s)
 
     @property
     def is_moving(self) -> bool:
-        """Whether the last motion that was solved was none of a camera at rest."""
+        """Whether the camera moved in the last solved step."""
         return bool((np.abs(self.twist_s) > MOVING_TWIST).any())
 
     def dead_reckoned(
@@ -161,11 +163,10 @@ class MotionModel:
         *,
         refused: bool,
     ) -> DeadReckoning:
-        """Return what to go on with where a step has no accepted solve: the prediction.
+        """Return the motion of a step without an accepted solve: the prediction.
 
-        While the speed is unknown, the prediction would be no motion at all; a solve that is
-        determined, but not accepted, is then still the better guess. Where a solve was refused, one
-        of the two is wrong, and the covariance covers both.
+        While the speed is unknown, the prediction is rest, and even a rejected solve is a better
+        guess. If a solve was rejected, either may be wrong, so the covariance covers both.
         """
         T_curr_prev = prediction.T_curr_prev
         cov = prediction.cov
@@ -174,26 +175,26 @@ class MotionModel:
             cov = cov + np.outer(innovation, innovation)
         if solution is not None and self.speed_is_unknown:
             T_curr_prev = solution.T_curr_prev
-        # One unknown velocity moves this step and those before it: their errors are correlated, and
-        # a covariance of the path that added up the steps' own would be too small.
+        # The same error of the velocity is in this step and in the dead-reckoned ones before.
+        # Without this cross-covariance, the covariance of the path would be too small.
         path_before = se3.adjoint(T_curr_prev) @ self.path_sensitivity
         path_cross_cov = path_before @ prediction.velocity_sensitivity.T
         return DeadReckoning(T_curr_prev, cov, path_cross_cov)
 
     def is_gap(self, duration_s: float) -> bool:
-        """Return whether frames are missing in a step that long."""
+        """Return whether a step is so long that frames must be missing."""
         return self.usual_step_s > 0.0 and duration_s > self.config.gap_factor * self.usual_step_s
 
     def frames_of(self, duration_s: float) -> float:
-        """Return how many of the usual steps a time has."""
+        """Return a time in units of the usual step."""
         return duration_s / self.usual_step_s if self.usual_step_s > 0.0 else 1.0
 
     def after_solve(
         self, duration_s: float, T_curr_prev: FloatArray, cov: FloatArray
     ) -> MotionModel:
         """Return the model after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6]."""
-        # A new velocity, independent of what was dead-reckoned before: ``refusals`` and
-        # ``path_sensitivity`` start anew.
+        # The new velocity is independent of earlier dead reckoning, so ``refusals`` and
+        # ``path_sensitivity`` are reset.
         return MotionModel(
             self.config,
             twist_s=se3.log(T_curr_prev) / duration_s,
@@ -204,8 +205,10 @@ class MotionModel:
     def after_recovery(
         self, duration_s: float, path_s: float, T_curr_usable: FloatArray, cov: FloatArray
     ) -> MotionModel:
-        """Return the model after a motion over several frames: it shows the mean velocity, and half
-        of the change since is unknown.
+        """Return the model after a solved motion over several frames.
+
+        Such a motion gives the mean velocity. The velocity at its end differs by half of the change
+        over that time, which is unknown.
 
         Args:
             duration_s: time between the last two frames.
@@ -223,17 +226,20 @@ class MotionModel:
     def after_dead_reckoning(
         self, duration_s: float, prediction: MotionPrediction, *, refused: bool = False
     ) -> MotionModel:
-        """Return the model after a dead-reckoned step: its velocity is one step older.
+        """Return the model after a dead-reckoned step: same velocity, larger uncertainty.
 
-        ``refused`` says that there was a solve, but that it failed the gate. After several of these
-        it is the model that is wrong: it becomes as uncertain as at the start.
+        Args:
+            duration_s: time between the two frames.
+            prediction: the dead-reckoned motion.
+            refused: whether there was a solve that failed the gate. After MAX_REFUSALS in a row
+                the model itself is wrong, and becomes as uncertain as at the start.
         """
         refusals = self.refusals + int(refused)
         path_before = se3.adjoint(prediction.T_curr_prev) @ self.path_sensitivity
         path_sensitivity = path_before + prediction.velocity_sensitivity
         usual_step_s = self._usual_step_after(duration_s)
-        # A camera that was picked up, or a wrong first solve: what the images say again and again
-        # is right. The twist stays as a guess, but refuses nothing any more.
+        # The camera was picked up, say, or the first solve was wrong. Solves that contradict the
+        # model again and again are right. Keep the twist as a guess, but let it reject nothing.
         if refusals >= MAX_REFUSALS:
             return replace(
                 MotionModel.at_start(self.config),
@@ -251,16 +257,16 @@ class MotionModel:
         )
 
     def _usual_step_after(self, duration_s: float) -> float:
-        if self.is_gap(duration_s):  # one long step says nothing of the next ones
+        if self.is_gap(duration_s):  # missing frames do not change the frame rate
             return self.usual_step_s
         if self.usual_step_s == 0.0:
             return duration_s
         return 0.9 * self.usual_step_s + 0.1 * duration_s
 
     def _drifted_sigma(self, duration_s: float) -> FloatArray:
-        """Return the standard deviation of the twist after so much more time, [6]."""
-        # An acceleration that goes on moves the velocity in proportion to the time, not to its
-        # root: a vehicle that brakes keeps braking.
+        """Return the standard deviation of the twist after a further time, [6]."""
+        # The velocity drifts in proportion to time, not to its square root as in a random walk: a
+        # vehicle that brakes keeps braking.
         acceleration = np.repeat(
             [self.config.acceleration_m_s2, self.config.angular_acceleration_rad_s2], 3
         )

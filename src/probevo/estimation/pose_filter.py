@@ -28,7 +28,7 @@ HEADING_KNOWN_FROM_RAD = 0.5
 """Standard deviation of the first camera's heading below which a measurement may be linearised at
 its mean."""
 HEADINGS = 8
-"""Headings that are tried where none is known."""
+"""Number of headings from which the update starts if the heading is unknown."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class FurtherState:
 class PoseFilter:
     """A Gaussian estimate of the pose of the current camera; the world is the first camera.
 
-    Further states are estimated with it. They do not change by themselves, and come behind the pose
-    in the joint covariance of 6 + n.
+    Further states are estimated jointly with the pose. They are constant in time, and follow the
+    pose in the joint covariance of 6 + n dimensions.
     """
 
     T_world_cam: FloatArray
@@ -54,11 +54,10 @@ class PoseFilter:
     """Covariance of the left perturbation ξ = [ρ; φ] of T_cam_world, and of the further states,
     without the common-mode part, [6 + n, 6 + n], m and rad."""
     common_mode: FloatArray
-    """How the common-mode errors of all steps so far move it, [6 + n, 3]: they add up along the
-    path."""
+    """∂(pose, further states)/∂(common-mode errors), [6 + n, 3]; those of all steps add up."""
     is_corrected: bool = False
     """Whether a measurement of the pose has corrected it. From then on the cross-covariances of
-    steps with the path before them are neglected: they refer to the path as it was."""
+    steps with the path before them are neglected: they refer to the uncorrected path."""
     further: tuple[FurtherState, ...] = ()
 
     @staticmethod
@@ -79,7 +78,7 @@ class PoseFilter:
         return self.joint_cov[:POSE, :POSE]
 
     def slice_of(self, variable: Variable) -> slice | None:
-        """Return where a further state lies in the joint covariance; None if there is none."""
+        """Return the place of a further state in the joint covariance; None if there is none."""
         start = POSE
         for state in self.further:
             stop = start + len(state.value)
@@ -89,12 +88,13 @@ class PoseFilter:
         return None
 
     def values(self, pose: Variable) -> Values:
-        """Return the estimates by their variables, the pose under the name that is given."""
+        """Return the estimates by their variables, that of the pose being ``pose``."""
         found = {pose: se3.inverse(self.T_world_cam)}
         return found | {state.variable: state.value for state in self.further}
 
     def with_state(self, variable: Variable, value: FloatArray, cov: FloatArray) -> PoseFilter:
-        """Return the filter with one more state, [n], of which this prior is all that is known."""
+        """Return the filter with one more state, [n], with this prior and independent of all
+        else."""
         before = len(self.own_cov)
         size = before + len(value)
         own_cov = np.zeros((size, size))
@@ -120,7 +120,8 @@ class PoseFilter:
         """Return the pose after a step: P = Ad P Adᵀ + cov + X + Xᵀ, X the cross-covariance."""
         adjoint = np.eye(len(self.own_cov))
         adjoint[:POSE, :POSE] = se3.adjoint(motion.T_curr_prev)
-        # Common-mode errors are the same in all steps: their roots add up, not their covariances.
+        # Common-mode errors are the same in all steps, so their roots add up, not their
+        # covariances: the error grows with the length of the path, not with its square root.
         step_cov = motion.cov - motion.common_mode @ motion.common_mode.T
         own_cov = adjoint @ self.own_cov @ adjoint.T
         own_cov[:POSE, :POSE] += step_cov
@@ -168,18 +169,21 @@ class PoseFilter:
         """
         if not measurements:
             return self
+        # The prior: this estimate, regularised, since the first pose is known exactly.
         prior_cov = self.joint_cov
         prior_cov[range(POSE), range(POSE)] += LEAST_SIGMA**2
         T_cam_world = se3.inverse(self.T_world_cam)
         prior: VectorMeasurement = PosePrior(pose, T_cam_world, prior_cov)
         if self.further:
             prior = _JointPrior(pose, T_cam_world, self.further, prior_cov)
+        # Solve, from several headings if it is unknown, and take the least cost.
         free = prior.variables
         found = [
             gauss_newton.minimize([prior, *measurements], start, free)
             for start in self._starts(pose)
         ]
         optimum = found[0] if len(found) == 1 else min(found, key=_cost)
+        # The posterior, split again into the common-mode part and the rest.
         information = gauss_newton.information(optimum.measurements, optimum.values, free)
         cov = _inverse(information)
         common_mode = cov @ _inverse(prior_cov) @ self.common_mode
@@ -256,7 +260,8 @@ def _cost(optimum: gauss_newton.Optimum) -> float:
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a covariance or information whose units differ by many decades."""
+    """Invert a covariance or information, scaled to a unit diagonal first: the variances of the
+    states differ by many decades."""
     sigma = 1.0 / np.sqrt(np.diagonal(matrix))
     units = np.outer(sigma, sigma)
     inverse: FloatArray = np.linalg.inv(matrix * units) * units

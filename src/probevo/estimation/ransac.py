@@ -26,20 +26,19 @@ from probevo.tracking.tracks import Tracks
 INLIER_RATIO = 0.5
 """Share of inliers that is assumed, as in PROBE."""
 
-
 COMMON_WITHIN = 3.0
 """Standard deviations within which an error common to all features is tolerated."""
 
 
 @dataclass(frozen=True)
 class InlierThreshold:
-    """How far off an inlier may be."""
+    """Largest reprojection error of an inlier."""
 
     all_px: float = 2.0
     """Largest error in any of u_l, v_l, u_r."""
     right_sigma_px: float = 0.0
-    """Standard deviation of an error that all u_r of the step have in common, as of a rig that
-    flexes: it widens the threshold of u_r, and lowers its weight."""
+    """Standard deviation of an error that is the same for all u_r of the step, such as a flexing
+    rig causes: it widens the threshold of u_r, and lowers its weight."""
 
     @property
     def right_px(self) -> float:
@@ -58,7 +57,7 @@ class Consensus:
 
 
 def num_hypotheses(confidence: float) -> int:
-    """Return the number of samples of three points that hold one without outliers.
+    """Return how many samples of three points contain one without outliers, with this confidence.
 
     It is 35 at a confidence of 99 %, 69 at 99.99 % (Fischler & Bolles 1981).
     """
@@ -79,9 +78,9 @@ def find_consensus(
 
     The best has the least sum of truncated squared reprojection errors over all features.
 
-    The minimal motions minimise the reprojection error in (u_l, v_l, u_r) by Gauss–Newton from the
-    guess, which, other than aligning triangulated points, does not suffer from the depth noise of
-    far ones. The guess itself competes too.
+    The motion of a sample minimises the reprojection error in (u_l, v_l, u_r), by Gauss–Newton from
+    the guess. Unlike an alignment of triangulated points, this does not suffer from the depth noise
+    of far points. The guess itself is a candidate, too.
 
     Args:
         tracks: the N features.
@@ -91,8 +90,8 @@ def find_consensus(
         C_curr_prev: rotation from a gyro, [3, 3]; a sample is then a single point.
         threshold: largest error of an inlier in any of u_l, v_l, u_r.
         confidence: probability that at least one sample of three is free of outliers. As many
-            samples of one are drawn with a gyro (PROBE does so too): each carries the depth noise
-            of its point, and needs the choice.
+            samples of one point are drawn with a gyro, as in PROBE: fewer would do against
+            outliers, but each motion has the depth noise of its point, and the best is chosen.
     """
     sample_size = 3 if C_curr_prev is None else 1
     count = len(tracks)
@@ -127,7 +126,7 @@ def find_consensus(
 
 
 class _Problem(NamedTuple):
-    """What every sample is tested against."""
+    """The features and the threshold that every sample is tested with."""
 
     points: FloatArray
     """(u, v, d) of N features in the previous frame, [N, 3], px."""
@@ -138,7 +137,7 @@ class _Problem(NamedTuple):
     right_share: float
     """The threshold of u_l and v over that of u_r, 0 to 1."""
     free: int
-    """Of ξ = [ρ; φ] the first so many entries are solved for: 6, or 3 to keep the rotation."""
+    """Number of entries of ξ = [ρ; φ] that are solved for: 6, or 3 to keep the rotation."""
 
 
 @compiled
@@ -178,7 +177,8 @@ def _best_sample(
             copy_into(curr[i], problem.curr[samples[k, i]])
         copy_into(T, T_start)
         solvable = True
-        # Samples with an outlier may go anywhere: few steps, no damping, the cost will tell.
+        # A few undamped steps are enough: a sample with an outlier may diverge, and loses by its
+        # cost.
         for _ in range(6):
             normal_equations(T, problem.camera, curr, sample, loss, newton, system)
             solvable = solve_positive_definite(
@@ -196,7 +196,7 @@ def _best_sample(
             if cost < best:
                 best = cost
                 copy_into(T_best, T)
-    # Samples after the best one have overwritten its inliers.
+    # Later samples have overwritten the mask of inliers: evaluate the best one again.
     _truncated_cost(problem, T_best, np.inf, inliers)
 
 

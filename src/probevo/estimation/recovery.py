@@ -1,14 +1,15 @@
-"""Recovery: from the last frame with a motion to the first that shows its features again.
+"""Recovery: the motion from the last usable frame to the first frame that sees its features again.
 
-Black, frozen or blurred frames are dead-reckoned, and the features are lost in them. What was seen
-in the last usable frame u may be found again in the current frame k, though. In a window, whose
-landmarks are found again so, these observations connect k with u. Two frames give T_k_u with a
-covariance S, and with the dead-reckoned T_{k−1}_u the step
+Black, frozen or blurred frames are dead-reckoned, and tracks end in them. The features of the last
+usable frame u may be found again in the current frame k, though. In a window, these observations
+connect k with u. With two frames, they give T_k_u with covariance S; together with the
+dead-reckoned T_{k−1}_u, the step is
 
     T_k_{k−1} = T_k_u T_{k−1}_u⁻¹,    ξ = ξ_k_u − Ad(T_k_{k−1}) ξ_{k−1}_u.
 
-The step itself is no better known than where the previous frame was, but the path is: the errors of
-the dead reckoning go out again, which their cross-covariance with the step says.
+The step is as uncertain as the dead-reckoned pose of the previous frame. The path is not: the error
+of the dead reckoning is in the step with the opposite sign, and cancels. The cross-covariance of
+path and step expresses that.
 """
 
 from __future__ import annotations
@@ -23,16 +24,17 @@ from probevo.estimation.motion_model import MotionPrediction
 from probevo.geometry import se3
 
 INLIERS_FACTOR = 2
-"""How many times the inliers of another step a recovery needs: of the few that survive, those that
-agree by chance have chosen the motion. With fewer, one in six was far outside of its covariance."""
+"""Factor of the inliers that a recovery needs, compared with an ordinary step. Few features
+survive, and a few that agree by chance would determine the motion: with fewer, one in six was far
+outside of its covariance."""
 FRAMES_OF_NOISE = 2.0
-"""Frames over which matches are as good as the noise model says. Over more, their variance is taken
-to grow with the number of frames: on spoiled recordings, the NEES of a recovery did."""
+"""Number of frames over which the noise model holds for matches. Over more, their variance grows in
+proportion to the number of frames, as the NEES of recoveries did on degraded recordings."""
 MOST_DURATION_S = 3.0
-"""Time after which the last usable frame is given up: a car has then left what it showed."""
+"""Time after which the last usable frame is given up: a car has then passed what it showed."""
 LOST = (Status.TOO_FEW_TRACKS, Status.DEGENERATE)
-"""What a step is whose features were lost. One that was refused has features, which contradict the
-prediction or one another, and would do so from any other frame."""
+"""Status of a step whose features were lost. A rejected solve is not among them: its features
+contradict the prediction or each other, and would do so from any other frame."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class DeadReckonedPath:
         return DeadReckonedPath(0.0, np.eye(4), np.zeros((6, 6)))
 
     def advanced(self, duration_s: float, motion: MotionEstimate) -> DeadReckonedPath:
-        """Return the path after one more step that was dead-reckoned."""
+        """Return the path after one more dead-reckoned step."""
         return DeadReckonedPath(
             duration_s=self.duration_s + duration_s,
             T_prev_usable=motion.T_curr_prev @ self.T_prev_usable,
@@ -65,11 +67,10 @@ class DeadReckonedPath:
 
         Args:
             prediction: of the step from the previous frame to the current one.
-            path_sensitivity: how the error of the velocity has moved the path so far, [6, 6], as
-                of the motion model.
+            path_sensitivity: ∂(path)/∂(error of the velocity) so far, [6, 6], of the motion model.
         """
-        # One unknown velocity has moved the path before and moves this step: both sensitivities,
-        # along the current axes, add up, and the two errors are correlated.
+        # The same error of the velocity is in the path before and in this step. Along the current
+        # axes, both sensitivities add up, and the two errors are correlated.
         T_curr_prev = prediction.T_curr_prev
         velocity = prediction.velocity_sensitivity
         before = se3.adjoint(T_curr_prev) @ path_sensitivity
@@ -81,8 +82,8 @@ class DeadReckonedPath:
 
     def closed(self, motion: MotionEstimate) -> MotionEstimate:
         """Return the step from the previous frame, given the motion from the last usable one."""
-        # The error of the dead reckoning is part of the step with the opposite sign: variances add
-        # up in the step, and its negative cross-covariance takes them out of the path.
+        # The error of the dead reckoning is in the step with the opposite sign. It adds to the
+        # covariance of the step; the negative cross-covariance removes it from that of the path.
         T_curr_prev = motion.T_curr_prev @ se3.inverse(self.T_prev_usable)
         adjoint = se3.adjoint(T_curr_prev)
         reckoned = adjoint @ self.cov @ adjoint.T
@@ -108,10 +109,11 @@ class Recovery:
     path: DeadReckonedPath
     """From the last usable frame to the previous one."""
     noise_factor: float
-    """Factor of the variance of matches between the last usable frame and the current one."""
+    """Factor by which the variance of matches over so many frames exceeds the noise model."""
 
     def accepted(self, motion: MotionEstimate) -> MotionEstimate:
-        """Return the motion from the last usable frame under the variance of such matches."""
+        """Return the motion from the last usable frame, with the covariance that such matches
+        have."""
         # Errors of the calibration are the same however far apart the frames are.
         own = motion.cov - motion.common_mode @ motion.common_mode.T
         cov = motion.cov + (self.noise_factor - 1.0) * own

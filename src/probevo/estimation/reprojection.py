@@ -64,7 +64,7 @@ class ReprojectionSolution:
     curvature: FloatArray
     """Curvature of the loss, w + (2/d) w' s, [N]; 0 for a feature that does not contribute."""
     points: PointPrior
-    """The N points, before the solve, as the rig's jitter of the previous frame moves them."""
+    """The N points before the solve, corrected for the jitter of the previous frame."""
     refined: FloatArray
     """Most likely (u, v, disparity) of each feature in the previous frame given both observations,
     [N, 3], px."""
@@ -143,6 +143,7 @@ def solve_reprojection(
     values = {variable: np.eye(4) for variable in held}
     values[curr] = np.array(guess, dtype=np.float64, order="C")
     free = [] if holds_motion else [curr]
+    # The rig's jitter is a further unknown, with its prior in the observations.
     unknown = observations.jitter
     if unknown is not None:
         values[unknown.variable] = np.zeros(DOF) if eta is None else eta
@@ -150,6 +151,7 @@ def solve_reprojection(
     optimum = gauss_newton.minimize(
         [observations, *others], values, free, max_iterations=max_iterations if free else 0
     )
+    # Evaluate the features at the optimum, with the covariances that the solve ended with.
     T_curr_prev = optimum.values[curr]
     propagated = cast(StereoObservations, optimum.measurements[0])
     features = propagated.at(optimum.values)
@@ -159,6 +161,7 @@ def solve_reprojection(
         of_others = gauss_newton.information(others, optimum.values, [curr])
         hessian[:6, :6] += of_others
         information[:6, :6] += of_others
+    # The inverse of the Fisher information over (ξ, η): its block of ξ is marginalised over η.
     cov = inverse_or_nan(information)
     jitter = None
     if unknown is not None and propagated.linearized_jitter is not None:

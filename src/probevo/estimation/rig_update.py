@@ -1,4 +1,4 @@
-"""What the residuals of a motion say of the rig's calibration, and the calibration's uncertainty of
+"""Update of the rig's calibration by the residuals of a solve, and the effect of its uncertainty on
 the motion."""
 
 from __future__ import annotations
@@ -29,15 +29,14 @@ _FOCAL = [1, 2, 4]
 def update_rig(
     rig: RigCalibration, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
 ) -> tuple[RigCalibration, FloatArray]:
-    """Update the rig's disparity errors, its jitter and the error of its focal length, and say how
-    the uncertainty of the first moves the motion.
+    """Update disparity errors b, jitter and focal-length error ε of the rig, and return how the
+    uncertainty of b moves the motion.
 
-    With D = ∂e/∂(b, a₆, ε) and J = −∂e/∂ξ (and −∂e/∂η, where the noise has a jitter), the estimate
-    takes in the part of the residuals that a change of b and ε explains, motion and jitter being
-    eliminated from the joint normal equations (Schur complement). What a₆ is, the rows tell; b is
-    that which belongs to it. The solution need not be at the
-    optimum, but must use only what these two frames show: the disparity filter was fed with the
-    calibration of its time, and would confirm it.
+    With D = ∂e/∂(b, a₆, ε) and J = −∂e/∂ξ (and −∂e/∂η, if the noise has a jitter), b and ε are
+    estimated from the joint normal equations, from which motion and jitter are eliminated (Schur
+    complement). a₆ is estimated from the rows, and b is conditional on it. The solution need not be
+    at the optimum, but it must use these two frames alone: the disparity filter was fed with
+    observations that were corrected by earlier calibrations, and would confirm these.
 
     Args:
         rig: the estimate before this step.
@@ -46,14 +45,14 @@ def update_rig(
         camera: the rectified camera.
 
     Returns:
-        The estimate after the step, and the root of Schmidt's consider term, [6, 3]: columns along
-        which errors of the calibration before the step move the motion, for errors of unit
-        variance. Such an error is common to all features, so that no number of them averages it
-        out, and to all steps, so that it adds up along the path. Features that do not fix the
-        motion teach nothing.
+        The estimate after the step, and the root of Schmidt's consider term, [6, 3]: ∂ξ/∂(errors
+        of the calibration before the step, whitened). Such an error is the same for all features,
+        so it does not average out, and in all steps, so it adds up along the path. If the features
+        do not determine the motion, nothing is updated.
     """
     if not np.isfinite(solution.cov).all():
         return rig, np.zeros((6, 3))
+    # Sensitivities of the residuals to the calibration, and weighted products of both
     D = calibration_sensitivity(tracks, solution, camera)
     jacobian = solution.full_jacobian
     weighted_D = solution.whitened(D)
@@ -72,7 +71,8 @@ def update_rig(
     updated = rig.with_disparity(
         information[1:3, 1:3], gradient[1:3], with_radial=information[1:3, _RADIAL]
     )
-    # One step with the IRLS weights is too short: the curvature of the loss is less than they.
+    # Near the optimum, IRLS steps are too short, since the curvature of the loss is less than its
+    # weights: scale the information of the focal length to the curvature.
     curvature = float(solution.curvature.sum() / solution.irls_weight.sum())
     focal = rig.focal.with_step(
         curvature * information[np.ix_(_FOCAL, _FOCAL)],
@@ -83,17 +83,17 @@ def update_rig(
     if solution.jitter is not None:
         step = np.linalg.solve(solution.full_hessian, motion_gradient).astype(float)
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
-    # A constant error is none that is new in every frame: the jitter must not be expected to take
-    # it up, and is held.
+    # The consider term: jitter is new in every frame and cannot absorb a constant error, so it is
+    # held here.
     motion_gain = np.linalg.solve(solution.hessian, C[:6, :3])
     return updated, motion_gain @ np.linalg.cholesky(rig.disparity_cov)
 
 
 def _updated_jitter(jitter: RigJitter, solved: SolvedJitter, step: FloatArray) -> RigJitter:
-    """Update S with the jitter's change, which is one more Gauss–Newton step [6] away.
+    """Update S with the change of the jitter between the frames, after a Gauss–Newton step, [6].
 
-    E[(ω' − ω°)(ω' − ω°)ᵀ] is the square of its mean plus its covariance: a step that shows nothing
-    of the jitter leaves S as it is.
+    E[(ω' − ω°)(ω' − ω°)ᵀ] is the outer product of the mean plus the covariance, as in EM: a step
+    without information about the jitter leaves S unchanged.
     """
     unknown = solved.unknown
     change = np.hstack([unknown.curr_root, -unknown.prev.root])
@@ -116,8 +116,8 @@ def disparity_sensitivity(
 def _sensitivity_by_disparity(
     solution: ReprojectionSolution, prev_basis: FloatArray, curr_basis: FloatArray
 ) -> FloatArray:
-    """Return the sensitivity to K coefficients of the disparity, [N, 4, K], given what they add to
-    it in both frames, [N, K]."""
+    """Return ∂e/∂(K coefficients of the disparity error), [N, 4, K], given the basis functions of
+    these in both frames, [N, K]."""
     sensitivity: FloatArray = -solution.disparity_jacobian[:, :, None] * prev_basis[:, None]
     sensitivity[:, 2] -= curr_basis
     return sensitivity

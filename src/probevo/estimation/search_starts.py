@@ -15,24 +15,24 @@ from probevo.sequences.frame import Frame
 from probevo.tracking import Tracked, Tracker, TrackingState
 
 REACH_PX = 30.0
-"""With its three pyramid levels, the tracker finds points this far from where they are predicted
-for sure."""
+"""Distance from the prediction within which the tracker, with its three pyramid levels, reliably
+finds a point."""
 NEAR_PX = 15.0
-"""A rotation seen this near to the predicted one needs no search of its own. With 30 px, a step of
-raw 0005 was lost where only every fourth frame was taken."""
+"""If the coarse rotation is this near to the predicted one, it is no further start. With 30 px, a
+step of raw 0005 was lost when only every fourth frame was used."""
 COARSE_PX = 8
-"""Pixels that count as one where only the rotation is searched for."""
+"""Factor by which images are reduced for the coarse rotation."""
 
 
 def rotated_starts(
     prediction: MotionPrediction, prev_frame: Frame, frame: Frame, camera: StereoCamera
 ) -> list[FloatArray]:
-    """Return one more start, T_curr_prev [4, 4], where the camera may have turned by more than the
-    tracker can follow: with the rotation that the images show.
+    """Return another start, T_curr_prev [4, 4], with a rotation from the images, or none.
 
-    Without a gyro a camera that begins to turn between distant frames is lost, and stays so while
-    it turns.
+    It is needed if the camera may have turned by more than the tracker can follow. Without it and
+    without a gyro, a camera that begins to turn between distant frames is lost for the whole turn.
     """
+    # σ of the predicted pitch and yaw, as a shift of the image
     sigma_px = np.sqrt(np.diagonal(prediction.cov)[3:5]) * [camera.fv_px, camera.fu_px]
     if prev_frame.left is None or frame.left is None or sigma_px.max() < REACH_PX:
         return []
@@ -46,13 +46,16 @@ def rotated_starts(
 def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> FloatArray:
     """Return C_curr_prev, [3, 3], a rough yaw and pitch from the shift of the whole image (phase
     correlation)."""
+    # In small images, a rotation by several degrees is a shift by a few pixels.
     size = max(image.shape[1] // COARSE_PX, 2), max(image.shape[0] // COARSE_PX, 2)
     prev_small, small = (
         cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         for each in (prev_image, image)
     )
+    # A window function, since phase correlation takes the images as periodic.
     window = np.asarray(cv2.createHanningWindow(size, cv2.CV_32F))
     (du, dv), _ = cv2.phaseCorrelate(prev_small, small, window)
+    # A shift down by dv is a rotation about −x, a shift to the right by du one about +y.
     angle = COARSE_PX * np.array([-dv / camera.fv_px, du / camera.fu_px, 0.0])
     rotation: FloatArray = so3.exp(angle)
     return rotation
@@ -67,13 +70,14 @@ def track_from_best_start(
     camera: StereoCamera,
     config: OdometryConfig,
 ) -> Tracked:
-    """Track from each start T_curr_prev, [4, 4], and return the one whose tracks agree most.
+    """Track from each start T_curr_prev, [4, 4], and return the result with most inliers.
 
-    Lucas–Kanade finds near points of a fast camera only if it starts about right; started from
-    rest, it may settle on whatever looks alike, and that may even agree on a motion. More points
+    If the camera is fast, Lucas–Kanade finds near points only from about the right start. Started
+    from rest, it converges to similar-looking places, which may even agree on a motion. More points
     agree on the true one.
     """
-    if len(starts) == 1 or frame.features is not None:  # a file's tracks do not depend on the start
+    # Features of a tracks file are matched by identity, whatever the start.
+    if len(starts) == 1 or frame.features is not None:
         return tracker.track(state, frame, starts[0])
     found = []
     agreement = []
@@ -87,6 +91,7 @@ def track_from_best_start(
             threshold=InlierThreshold(config.ransac.threshold_px),
             confidence=config.ransac.confidence,
         )
+        # All starts use the same seed, so that only the tracks differ.
         found.append(tracked)
         agreement.append(int(consensus.inliers.sum()))
     return found[int(np.argmax(agreement))]

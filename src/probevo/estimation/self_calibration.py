@@ -1,13 +1,14 @@
-"""Self-calibration: the motion of a step and the rig's calibration, each of which needs the other.
+"""Self-calibration: the motion of a step and the rig's calibration, each of which depends on the
+other.
 
-The tracks are corrected by the calibration, and their residuals show what is left of its errors
-(``estimation.rig_update``). Two of these errors are so large on some rigs that a step has to be
-solved again once it has shown them:
+Tracks are corrected by the calibration, and the residuals of the solve reveal its remaining errors
+(``estimation.rig_update``). On some rigs, two of these errors are so large that the step is solved
+again once they are known:
 
-- Jitter. Where the tracks show more of it than was expected, they are solved again with what they
-  show, as they are in the first frames of a rig that is looser than the prior.
-- Delay. Where right images are exposed at another time, where they would have been seen depends on
-  the motion itself: the tracks are corrected by the motion that was found, and solved again.
+- Jitter. If the tracks show more jitter than expected, they are solved again with the larger
+  covariance, as in the first frames of a rig that flexes more than the prior.
+- Delay. If the right camera is exposed at another time, its correction depends on the motion: the
+  tracks are corrected with the solved motion, and solved again.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from probevo.stage_clock import StageClock
 from probevo.tracking.corrected_tracks import CorrectedTracks
 
 MOST_REPEATED_SOLVES = 3
-"""How often a step is solved again, at most, because its tracks show more jitter of the rig."""
+"""Largest number of repeated solves because of more jitter than expected."""
 
 
 @dataclass(frozen=True)
 class CalibratedMotion:
-    """What the tracks of a step say of the motion and of the rig."""
+    """The motion of a step by its tracks, and the calibration of the rig after it."""
 
     corrected: CorrectedTracks
     """The tracks as they were solved."""
@@ -43,9 +44,9 @@ class CalibratedMotion:
     rig: RigCalibration | None
     """The calibration after the step; None without self-calibration."""
     common_mode: FloatArray
-    """Columns along which errors of the calibration before the step move the motion, [6, 3]."""
+    """∂ξ/∂(errors of the calibration before the step, whitened), [6, 3]."""
     jitter_cov: FloatArray | None
-    """Covariance of the rig's jitter with which the tracks were solved, [3, 3], rad²; None without
+    """Covariance of the rig's jitter that the solve assumed, [3, 3], rad²; None without
     self-calibration."""
 
     def accepted(self) -> MotionEstimate:
@@ -58,8 +59,8 @@ class CalibratedMotion:
         solution = visual.accepted_solution
         return MotionEstimate(
             T_curr_prev=solution.T_curr_prev,
-            # An error of the calibration is common to all features: no number of them averages it
-            # out, and it comes on top (Schmidt's consider term).
+            # An error of the calibration is the same for all features and does not average out:
+            # add Schmidt's consider term.
             cov=solution.cov + self.common_mode @ self.common_mode.T,
             status=visual.status,
             num_tracks=len(self.corrected.tracks),
@@ -74,7 +75,7 @@ class CalibratedMotion:
     def dead_reckoned(
         self, model: MotionModel, prediction: MotionPrediction, duration_s: float
     ) -> MotionEstimate:
-        """Return the predicted motion, with its covariance, where the images fix none.
+        """Return the predicted motion and its covariance, for a step without an accepted solve.
 
         Args:
             model: the motion model that predicted it.
@@ -99,7 +100,7 @@ class CalibratedMotion:
 
 
 class SelfCalibratingEstimator:
-    """The visual estimator, with the rig's calibration updated by what it solves.
+    """The visual estimator together with online calibration of the rig.
 
     Args:
         camera: the rectified camera.
@@ -125,23 +126,25 @@ class SelfCalibratingEstimator:
 
         Args:
             corrected: the N tracks.
-            phi: their places in the prediction space, [N, M].
-            priors: knowledge of the step before its tracks.
-            last_twist_s: twist a second of the step before, [6].
+            phi: the predictors of these tracks, [N, M].
+            priors: what is known about the step before its tracks are used.
+            last_twist_s: twist per second of the previous step, [6].
             duration_s: time between the two frames.
-            seed: of RANSAC's samples, which are those of the frame in every solve.
+            seed: of RANSAC's samples; every repeated solve draws the same ones.
             clock: takes the times of the stages ``consensus`` and ``solve``.
         """
         found = self._with_jitter(corrected, phi, priors, seed=seed, clock=clock)
         if found.visual.status is Status.OK and is_noticeable(corrected.delay_s):
             twist_s = se3.log(found.visual.accepted_solution.T_curr_prev) / duration_s
-            # The twist is the mean of a step; at its ends there is half of the change.
+            # A twist is the mean velocity of a step. Interpolate those of the last step and of this
+            # one to the velocities at its two frames.
             corrected = corrected.at_twists(
                 0.5 * (last_twist_s + twist_s), 1.5 * twist_s - 0.5 * last_twist_s, self._camera
             )
             found = self._with_jitter(corrected, phi, priors, seed=seed, clock=clock)
         if found.visual.status is not Status.OK:
-            # Rows need no motion; all else would be learned from one that was not accepted.
+            # Keep the row offsets, which need no motion, and discard all else: the motion that it
+            # depends on was rejected.
             return replace(found, rig=corrected.rig)
         return replace(found, rig=self._with_delay(found, duration_s))
 
@@ -154,7 +157,8 @@ class SelfCalibratingEstimator:
         seed: Sequence[int],
         clock: StageClock,
     ) -> CalibratedMotion:
-        """Estimate the motion under the jitter that the tracks show; the delay is not updated."""
+        """Solve, repeatedly if the tracks show more jitter than assumed; the delay is not
+        updated."""
         rig = corrected.rig
         jitter_cov = None if rig is None else rig.jitter.cov
         for _ in range(1 + MOST_REPEATED_SOLVES):
@@ -179,7 +183,7 @@ class SelfCalibratingEstimator:
         )
 
     def _with_delay(self, found: CalibratedMotion, duration_s: float) -> RigCalibration | None:
-        """Return the calibration after an accepted solve, with the delay of the right images."""
+        """Return the calibration after an accepted solve, with the exposure delay updated."""
         visual = found.visual
         if found.rig is None or visual.two_frames_only is None:
             return found.rig
@@ -190,6 +194,7 @@ class SelfCalibratingEstimator:
         )
         prior = found.corrected.prior_rig
         if prior is not None and rig.delay.differs_from(found.corrected.delay_s):
-            # The tracks were those of another delay, and teach nothing but the delay.
+            # The tracks were corrected with a delay that turned out to be wrong. Keep nothing but
+            # the new delay.
             return replace(prior, delay=rig.delay)
         return rig

@@ -1,20 +1,21 @@
-"""Fusion of sensors with the path, and exclusion of those that lie.
+"""Fusion of sensors with the path, and exclusion of faulty ones.
 
-A sensor may be wrong now and then, or all the time. Against the first, an innovation beyond the
-gate is turned away, and a large one counts for less (``bounded_weight``). Against the second there
-are two sequential tests with memory, both on measurements of the pose:
+A sensor may be wrong now and then, or all the time. Against single outliers, an innovation beyond
+the gate is rejected, and a large one is down-weighted (``bounded_weight``). Persistent faults are
+found by two sequential tests, both on measurements of the pose:
 
-- **Offset.** A filter of its own estimates a constant offset b of the sensor beside the pose, from
-  all sensors. Its covariance knows how far the odometry itself may have drifted, and what the
-  heading of the first camera leaves open. If b is not zero with near certainty, the sensor lies.
-- **Innovations.** Those of the filter that uses the sensor are white, and their squares χ². Their
-  cumulative sum above what is usual (CUSUM, Page 1954) grows without bound if they are larger.
+- **Offset.** A separate filter estimates a constant offset b of the sensor together with the pose.
+  Its covariance includes the drift of the odometry and the unknown heading of the first camera. If
+  b differs from zero with near certainty, the sensor is faulty.
+- **Innovations.** If the sensor is consistent, its innovations are white and their squares χ². If
+  they are larger, their cumulative sum above the expected value grows without bound (CUSUM, Page
+  1954).
 
-Each sensor has a filter that does without it (solution separation, as receivers of satellite
-navigation have it). This becomes the estimate as soon as the sensor is excluded, and nothing of
-what it said remains. An excluded sensor does not come back.
+For each sensor, a further filter estimates the pose from all others (solution separation, as in
+receivers of satellite navigation). When the sensor is excluded, that estimate replaces the pose, so
+that no influence of the faulty sensor remains. An excluded sensor does not come back.
 
-Measurements of the motion enter the solve of the step; of them, only the innovations are tested.
+Measurements of the motion enter the solve of the step; only their innovations are tested.
 """
 
 from __future__ import annotations
@@ -44,28 +45,30 @@ from probevo.measurements.north import NORTH
 from probevo.measurements.sensor import Reading
 
 GATE = 1e-4
-"""Probability of an innovation as large as one that is turned away."""
-LIE = 1e-5
-"""Probability of an estimated offset as large as one that excludes a sensor. It also has to be
-larger than the standard deviation that the sensor claims: a smaller one does little harm."""
+"""Tail probability of an innovation beyond which it is rejected."""
+OFFSET_TAIL = 1e-5
+"""Tail probability of an estimated offset beyond which the sensor is excluded. The offset also has
+to be larger than the standard deviation that the sensor claims: a smaller one does little harm."""
 OFFSET_VARIANCE = 100.0
 """Prior variance of an offset, in variances of the sensor."""
 OFFSET_WALK = 1.0 / 2500.0
-"""Variance by which an offset may change from one measurement to the next, in variances of the
-sensor; so some fifty measurements count, and a sensor that fails late is found, too."""
+"""Variance of the offset's random walk from one measurement to the next, in variances of the
+sensor. The estimate then rests on the last fifty measurements or so, and late failures are found,
+too."""
 USUAL = 3.5
-"""What an innovation may add to the sum, of which χ²(2) has 2 on average."""
+"""Allowance that is subtracted from each squared innovation before it is summed; the mean of χ²(2)
+is 2."""
 MOST_OF_ONE = 12.0
-"""What one innovation can add at most; a few wild ones are not a lie."""
+"""Most that one innovation can add to the sum, so that a few outliers exclude no sensor."""
 ALARM = 39.0
-"""The sum that excludes a sensor: by chance, once in a million measurements."""
+"""Sum at which a sensor is excluded; a consistent one reaches it once in a million measurements."""
 
 UNKNOWN_HEADING_RAD = 100.0
-"""Standard deviation of a heading of which nothing is known: many turns."""
+"""Standard deviation of an unknown heading: many turns."""
 
 
 class _Tested(NamedTuple):
-    """A filter after measurements, with what became of each of them."""
+    """A filter after an update, with the innovation and the weight of each measurement."""
 
     pose: PoseFilter
     squared: tuple[float | None, ...]
@@ -75,22 +78,22 @@ class _Tested(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorMemory:
-    """What is remembered of one sensor."""
+    """The tests of one sensor, over all frames so far."""
 
     name: str
     without: PoseFilter
     """Estimate from all sensors that are not excluded, except this one."""
     with_offset: PoseFilter
-    """The same with this sensor, and its offset as a further state."""
+    """Estimate from all sensors, with the offset of this one as a further state."""
     sum_above: float = 0.0
-    """Sum of its innovations above what is usual."""
+    """Cumulative sum of its squared innovations above the allowance (CUSUM)."""
     excluded: str | None = None
     """Why it is excluded; None if it is not."""
 
 
 @dataclass(frozen=True)
 class SensorFusion:
-    """The pose from odometry and sensors, and what is remembered of each sensor."""
+    """The pose from odometry and sensors, and the tests of each sensor."""
 
     pose: PoseFilter
     """Estimate from all sensors that are not excluded."""
@@ -123,7 +126,7 @@ class SensorFusion:
         )
 
     def after(self, motion: MotionEstimate) -> SensorFusion:
-        """Return the state after the motion of two frames."""
+        """Return the state after a step of the two-frame estimator."""
         return self.advanced(lambda pose: pose.advanced(motion))
 
     def is_excluded(self, name: str) -> bool:
@@ -138,7 +141,7 @@ class SensorFusion:
         *,
         motion_squared: Mapping[str, Sequence[float | None]],
     ) -> tuple[SensorFusion, tuple[SensorOutcome, ...]]:
-        """Return the state after what the sensors measured at a frame, and what became of each.
+        """Update the pose with the measurements at a frame, and test each sensor.
 
         Args:
             readings: of each sensor, in order.
@@ -146,12 +149,17 @@ class SensorFusion:
             north: prior of the attitude of the world against north.
             motion_squared: by sensor, the squared Mahalanobis distances of the innovations of its
                 measurements of the motion, which the solve has used.
+
+        Returns:
+            The state after the update, and the outcome of each sensor.
         """
         measured = [
             () if memory.excluded is not None else reading.of_pose(pose)
             for memory, reading in zip(self.memories, readings, strict=True)
         ]
+        # The pose from all sensors
         main = _tested(self.pose, _joined(measured), pose, north)
+        # Then, for each sensor, the filters without it and with its offset
         memories: list[SensorMemory] = []
         outcomes: list[SensorOutcome] = []
         suspects: list[_Suspect] = []
@@ -186,16 +194,17 @@ class SensorFusion:
         after = SensorFusion(main.pose, self.odometry, tuple(memories))
         if not suspects:
             return after, tuple(outcomes)
-        # Of several, the one farthest beyond its threshold; the others then start anew without it.
-        liar = max(suspects, key=lambda suspect: suspect.ratio)
-        after = after.without(liar.sensor, liar.shows)
-        outcomes[liar.sensor] = SensorOutcome(
-            name=after.memories[liar.sensor].name, state="excluded", reason=liar.shows
+        # Exclude only the sensor farthest beyond its threshold: one faulty sensor makes the others
+        # look faulty, too. Their tests start afresh without it.
+        worst = max(suspects, key=lambda suspect: suspect.ratio)
+        after = after.without(worst.sensor, worst.shows)
+        outcomes[worst.sensor] = SensorOutcome(
+            name=after.memories[worst.sensor].name, state="excluded", reason=worst.shows
         )
         return after, tuple(outcomes)
 
     def without(self, index: int, reason: str) -> SensorFusion:
-        """Return the state without one of the sensors, as if it had never said anything."""
+        """Exclude a sensor: return the state as if it had never measured anything."""
         memories = []
         for at, memory in enumerate(self.memories):
             if at == index:
@@ -228,7 +237,7 @@ def _outcome(
     squared: Sequence[float | None],
     weights: Sequence[float],
 ) -> SensorOutcome:
-    """Return what became of a sensor, unless it is excluded just now."""
+    """Return the outcome of a sensor in this step, before exclusions of this step."""
     if memory.excluded is not None:
         return SensorOutcome(memory.name, "excluded", memory.excluded)
     if not weights:
@@ -256,14 +265,14 @@ def _tested(
     pose: Variable,
     north: NorthConfig,
 ) -> _Tested:
-    """Return a filter updated with measurements, of which wrong ones are turned away.
+    """Update a filter with measurements, gating each innovation.
 
-    The gate is on the innovation, whose covariance includes that of the pose: how large a residual
-    may be, depends on how far the odometry may have drifted. A measurement that comes with a loss
-    of its own is used as it is.
+    The covariance of the innovation includes that of the pose, so the gate widens as the odometry
+    drifts. A measurement with its own robust loss is used as it is.
     """
     if not measurements:
         return _Tested(pose_filter, (), ())
+    # The attitude against north becomes a state with the first measurement that needs it.
     if pose_filter.slice_of(NORTH) is None and any(NORTH in one.variables for one in measurements):
         mean, cov = _prior_of(north)
         pose_filter = pose_filter.with_state(NORTH, mean, cov)
@@ -317,12 +326,12 @@ def _tested_with_offset(
     pose: Variable,
     north: NorthConfig,
 ) -> PoseFilter:
-    """Return a filter updated with other sensors, and with one whose offset it estimates.
+    """Update a filter with all sensors, and estimate a constant offset of one of them.
 
     Args:
         pose_filter: the filter; the offsets are further states of it.
-        measurements: of the sensor.
-        others: of the other sensors.
+        measurements: those of the sensor whose offset is estimated.
+        others: those of the other sensors.
         pose: the pose of the frame.
         north: prior of the attitude of the world against north.
     """
@@ -346,17 +355,18 @@ def _tested_with_offset(
 def _with_offsets(
     measurements: Sequence[Measurement],
 ) -> Iterator[tuple[Variable, VectorMeasurement]]:
-    """Yield those measurements whose offset is estimated, each with its variable."""
+    """Yield the measurements whose offset can be estimated, each with the variable of its
+    offset."""
     for place, measurement in enumerate(measurements):
         if isinstance(measurement, VectorMeasurement) and not measurement.has_own_loss:
             yield Variable(kind=f"offset {len(measurement.covariance)}", frame=place), measurement
 
 
 class WithOffset(VectorMeasurement):
-    """A measurement that is off by a further state.
+    """A measurement of a sensor with an unknown offset, which is a further state.
 
     Args:
-        measurement: what the sensor said.
+        measurement: the measurement without the offset.
         offset: the state, [d].
     """
 
@@ -382,7 +392,7 @@ class WithOffset(VectorMeasurement):
 def _suspects(
     memory: SensorMemory, sensor: int, measurements: Sequence[Measurement]
 ) -> list[_Suspect]:
-    """Return the tests that a sensor has failed with these measurements."""
+    """Return the tests that a sensor fails with these measurements."""
     found = []
     values = {state.variable: state.value for state in memory.with_offset.further}
     for variable, measurement in _with_offsets(measurements):
@@ -393,7 +403,7 @@ def _suspects(
         cov = memory.with_offset.joint_cov[at, at]
         squared = float(offset @ np.linalg.solve(cov, offset))
         claimed = float(offset @ np.linalg.solve(measurement.covariance, offset))
-        ratio = squared / float(chdtri(len(offset), LIE))
+        ratio = squared / float(chdtri(len(offset), OFFSET_TAIL))
         if ratio > 1.0 and claimed > 1.0:
             size = float(np.linalg.norm(offset))
             found.append(_Suspect(sensor, ratio, f"a constant offset of {size:.2g} (rad or m)"))
@@ -404,7 +414,8 @@ def _suspects(
 
 
 def _sum_above(before: float, dims: Sequence[int], squares: Sequence[float | None]) -> float:
-    """Return the sum of innovations above what is usual; of any dimension on the scale of χ²(2)."""
+    """Update the cumulative sum of squared innovations above the allowance (CUSUM)."""
+    # Innovations of any dimension are compared by their tail probability, on the scale of χ²(2).
     total = before
     for dim, squared in zip(dims, squares, strict=True):
         if squared is None:
@@ -417,10 +428,10 @@ def _sum_above(before: float, dims: Sequence[int], squares: Sequence[float | Non
 def solve_innovations_squared(
     readings: Sequence[Reading], curr: Variable, solution: ReprojectionSolution | None
 ) -> dict[str, list[float | None]]:
-    """Return, by sensor, the squared Mahalanobis distances that its measurements of the motion had.
+    """Return, by sensor, the squared Mahalanobis distances of its measurements of the motion.
 
-    Without a solve, they have no innovation to test. A correction has taken the place of the solve,
-    and cannot be tested against it.
+    Without a solve there is no innovation to test. A correction replaces the motion of the solve,
+    so it cannot be tested against it.
 
     Args:
         readings: of each sensor.
@@ -447,15 +458,16 @@ def motion_innovations_squared(
 ) -> list[float | None]:
     """Return the squared Mahalanobis distances of the innovations of a solve's own measurements.
 
-    The solve has used them. With r its residual, R its covariance over its weight, and P that of
-    the motion without the measurement, P⁻¹ = cov⁻¹ − Jᵀ R⁻¹ J, the innovation is
+    The residuals after a solve that used a measurement are too small for a test. The innovation is
+    recovered from them: with r the residual, R the covariance of the measurement over its weight,
+    and P the covariance of the motion without it, P⁻¹ = cov⁻¹ − Jᵀ R⁻¹ J, the innovation is
     (R + J P Jᵀ) R⁻¹ r.
 
     Args:
         measurements: of the motion.
-        T_curr_prev: where the solve ended, [4, 4].
-        curr: the pose that it solved for; any other, of the previous frame, is the identity.
-        cov: its covariance, [6, 6].
+        T_curr_prev: the solved motion, [4, 4].
+        curr: the pose that was solved for; the previous pose is the identity.
+        cov: covariance of the solved motion, [6, 6].
     """
     if not measurements:
         return []
@@ -472,7 +484,7 @@ def motion_innovations_squared(
         used = R / max(float(measurement.outcome(values).weight[0]), 1e-12)
         without = information - jacobian.T @ np.linalg.solve(used, jacobian)
         if np.linalg.eigvalsh(without)[0] <= 0.0:
-            continue  # nothing else fixes what it measures
+            continue  # no other measurement constrains what this one measures
         spread = jacobian @ np.linalg.solve(without, jacobian.T)
         innovation = (used + spread) @ np.linalg.solve(used, measurement.residual(values))
         found[-1] = float(innovation @ np.linalg.solve(R + spread, innovation))

@@ -36,7 +36,7 @@ class FactorLinearization(NamedTuple):
     """The residual of one factor and its derivatives."""
 
     residual: FloatArray
-    """(s, f(T s)) − what was measured of both, [7], px."""
+    """(s, f(T s)) minus the measured values of both, [7], px."""
     motion: FloatArray
     """By a left perturbation ξ = [ρ; φ] of T_curr_prev, [7, 6], px/m and px/rad."""
     point: FloatArray
@@ -54,7 +54,7 @@ class TrackFactors:
     """
 
     point: FloatArray
-    """s = (u, v, d) as the previous frames say, [N, 3], px: where to start."""
+    """s = (u, v, d) by the frames so far, [N, 3], px: also the initial value."""
     curr: FloatArray
     """y' less the bias and the estimate of δ, [N, 4], px."""
     cov: FloatArray
@@ -62,9 +62,9 @@ class TrackFactors:
     dof: FloatArray
     """ν of each track, [N]; np.inf is Gaussian."""
     common: FloatArray
-    """How the common-mode errors c ~ N(0, I) move the residual, [N, 7, K], px: the six of the
-    disparity filter, 0 without a history, and, where the noise has a jitter of the rig, its three
-    numbers in the current frame and three in the previous one; K = 6 or 12."""
+    """∂(residual)/∂c of the common-mode errors c ~ N(0, I), [N, 7, K], px: six of the disparity
+    filter (zero for a track without history) and, if the noise has a jitter of the rig, three of
+    the current frame and three of the previous one; K = 6 or 12."""
     camera: Intrinsics
 
     @staticmethod

@@ -1,6 +1,7 @@
-"""The two-frame estimator: the motion of a frame's tracks, given their earlier frames.
+"""The two-frame estimator: the motion between two frames, from their tracks and the disparity
+filter.
 
-Training and odometry use the same one, behind the ``Estimator`` protocol.
+Training and odometry use the same estimator, through the ``Estimator`` protocol.
 """
 
 from __future__ import annotations
@@ -31,25 +32,25 @@ from probevo.noise.base import StereoNoise
 from probevo.tracking.tracks import Tracks
 
 LEAST_ALIGNMENT_DOF = 3.0
-"""An alignment takes noise as Gaussian, with the variance of a Student-t of so many degrees of
-freedom at least: RANSAC has rejected what is farther out."""
+"""Least degrees of freedom for which an alignment, which takes noise as Gaussian, uses the variance
+of the Student-t. Heavier tails have a larger variance, or none, but RANSAC has cut them off."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The motion of N tracks."""
+    """The motion of N tracks, their weights, and the updated disparity filter."""
 
     solution: ReprojectionSolution
     weights: FloatArray
-    """How far each track is trusted, [N], 0 to 1 (``feature_weights``)."""
+    """Weight of each track, [N], from 0 (outlier) to 1 (``feature_weights``)."""
     disparities: DisparityFilter
-    """The disparity filter after the step, in terms of the current frame."""
+    """The disparity filter after the step, its disparities those of the current frame."""
     has_history: BoolArray
-    """Whether the filter had a state of each track before the step, [N]."""
+    """Which tracks the filter already knew before the step, [N]."""
 
 
 class Estimator(Protocol):
-    """Measurements of one frame in, its motion and what to remember of it out; it has no state."""
+    """Maps tracks, noise and the disparity filter to a motion and the updated filter; stateless."""
 
     def solve(
         self,
@@ -60,14 +61,14 @@ class Estimator(Protocol):
         others: Sequence[Measurement] = (),
         curr: Variable = MOTION,
     ) -> ReprojectionSolution:
-        """Solve for the motion of N tracks from these two frames alone.
+        """Solve for the motion of N tracks from these two frames alone, without the filter.
 
         Args:
             tracks: inliers, corrected by the rig's calibration.
-            noise: of each of them.
-            guess: where to start, T_curr_prev [4, 4].
-            others: measurements of the motion beside the tracks.
-            curr: the pose of the current frame, as these call it.
+            noise: the noise of each track.
+            guess: T_curr_prev to start from, [4, 4].
+            others: measurements of the motion other than the tracks.
+            curr: the variable by which these refer to the pose of the current frame.
         """
 
     def estimate(
@@ -80,15 +81,15 @@ class Estimator(Protocol):
         others: Sequence[Measurement] = (),
         curr: Variable = MOTION,
     ) -> Estimate:
-        """Estimate the motion of N tracks, given what earlier frames say of their disparities.
+        """Estimate the motion of N tracks, with their disparities filtered over earlier frames.
 
         Args:
-            tracks: as of ``solve``, like the others.
-            noise: of each of them.
+            tracks: inliers, corrected by the rig's calibration.
+            noise: the noise of each track.
             disparities: the disparity filter after the previous frame.
-            guess: where to start, T_curr_prev [4, 4].
-            others: measurements of the motion beside the tracks.
-            curr: the pose of the current frame, as these call it.
+            guess: T_curr_prev to start from, [4, 4].
+            others: measurements of the motion other than the tracks.
+            curr: the variable by which these refer to the pose of the current frame.
         """
 
     def evaluate(
@@ -99,11 +100,11 @@ class Estimator(Protocol):
         *,
         T_curr_prev: FloatArray,
     ) -> Estimate:
-        """Evaluate N tracks at a known motion, [4, 4]; the arguments are as above."""
+        """Evaluate N tracks at a known motion, [4, 4], and update the filter, as in training."""
 
 
 class TwoFrameEstimator:
-    """A window of two frames: tracks and their disparity filter, one solve.
+    """The estimator of two frames: one solve, then an update of the disparity filter.
 
     Args:
         camera: the rectified camera.
@@ -146,6 +147,7 @@ class TwoFrameEstimator:
         curr: Variable = MOTION,
     ) -> Estimate:
         """Solve for the motion, then update the disparities of the inliers."""
+        # Solve, with the filtered disparities as a prior on the points.
         prior = disparities.of_tracks(tracks)
         solution = self._method.solve(
             tracks,
@@ -156,8 +158,9 @@ class TwoFrameEstimator:
             others=others,
         )
         weights = feature_weights(solution, noise.dof, self.config.loss)
-        # The solve took all errors for the tracks' own. Those that are common to tracks or frames,
-        # as of the calibration, are accounted for once it is known who is an inlier.
+        # The solve treated the errors of different tracks as independent. The filter's common-mode
+        # errors correlate them, which is accounted for only now: an outlier would corrupt them, and
+        # the inliers are not known before.
         after = DisparityFilter.none()
         if self._method.filters_disparities:
             solution, after = update_with_common_mode(
@@ -214,7 +217,7 @@ class TwoFrameEstimator:
         curr: Variable = MOTION,
     ) -> StereoObservations:
         if not self._method.filters_disparities:
-            noise = replace(noise, jitter_cov=None)  # an alignment knows of no common error
+            noise = replace(noise, jitter_cov=None)  # an alignment does not model common errors
         return StereoObservations.of(
             tracks.prev_px,
             tracks.curr_px,
@@ -233,10 +236,10 @@ def _has_history(prior: DisparityFilter, tracks: Tracks) -> BoolArray:
 
 
 class SolveMethod(Protocol):
-    """One of the ways to find a motion from the stereo observations of a frame."""
+    """A way to solve for the motion, chosen by ``solver.method``."""
 
     filters_disparities: bool
-    """Whether the disparity filter goes with it."""
+    """Whether the method can use the disparity filter."""
 
     def solve(
         self,
@@ -287,8 +290,8 @@ class _Alignment:
         config: SolverConfig,
         others: Sequence[Measurement],
     ) -> ReprojectionSolution:
-        """Align the points; all but the motion and its covariance is what the reprojection has to
-        say at that motion.
+        """Align the points. Motion and covariance are the alignment's; all else is evaluated by
+        reprojection at that motion.
 
         Raises:
             InputError: the noise does not refer to single observations.
@@ -313,8 +316,8 @@ class _Alignment:
             guess=guess,
             max_iterations=config.max_iterations,
         )
-        # Residuals and weights are those of the images, so that statistics and reports mean the
-        # same for either method.
+        # Evaluate residuals and weights in the image, so that statistics and reports mean the same
+        # for both methods.
         solution = solve_reprojection(
             observations, guess=aligned.T_curr_prev, others=others, max_iterations=0
         )

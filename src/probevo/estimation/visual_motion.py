@@ -1,4 +1,4 @@
-"""Tracks → motion: consensus, estimate, and whether to accept the result."""
+"""Tracks → motion: RANSAC, the two-frame estimator, and the test whether to accept the result."""
 
 from __future__ import annotations
 
@@ -35,46 +35,46 @@ from probevo.stage_clock import StageClock
 from probevo.tracking.tracks import Tracks
 
 LARGEST_SCALE = 30.0
-"""Factor by which the variances may be larger than predicted; that is 5 times σ, or 1 px with
-``student-t``. Features that differ by more rather do not agree."""
+"""Largest factor by which the variances may exceed the prediction: 5 times σ, or 1 px with
+``student-t``. With more, the features do not agree on a motion."""
 FEWEST_TRUSTED = 1.0 / 3.0
-"""Share of the tracks used whose residuals are usual, below which the noise is larger than
-predicted. Where the prediction holds, it is half or more."""
+"""Share of inliers among the tracks used, below which the noise is larger than predicted. If the
+prediction holds, the share is half or more."""
 RAREST = 0.001
-"""Probability of a residual as large as that of a track, below which the track does not agree."""
+"""Tail probability of a track's residual below which the track does not agree with the motion."""
 MOTIONS_DIFFER_FROM = 22.46
-"""Squared Mahalanobis distance from which two motions of the same tracks differ by more than
-chance: 99.9 % of χ²(6)."""
+"""Squared Mahalanobis distance beyond which two motions of the same tracks differ significantly:
+the 99.9 % quantile of χ²(6)."""
 
 
 @dataclass(frozen=True)
 class VisualMotion:
-    """What the tracks of one step say about the motion."""
+    """The motion by the tracks of one step, with status, weights and noise."""
 
     status: Status
     weights: FloatArray
-    """How far each track was trusted, [N]: 0 for an outlier of the consensus, to 1 for a usual
-    residual."""
+    """Weight of each track, [N]: from 0 for an outlier of RANSAC to 1 for a small residual."""
     used: BoolArray
-    """Which tracks the solve used, [N]; the others were rejected before."""
+    """Which tracks the solve used, [N]; RANSAC rejected the others."""
     solution: ReprojectionSolution | None = None
-    """The last solve; to be accepted only if the status is OK, None after too few tracks or if it
-    is degenerate."""
+    """The last solve, accepted only if the status is OK. None if there were too few tracks, or if
+    it is degenerate."""
     two_frames_only: ReprojectionSolution | None = None
-    """The same features at that motion, without what earlier frames and the gyro say of them."""
+    """The same features evaluated at that motion, without disparity filter and gyro."""
     T_reference: FloatArray | None = None
-    """The motion by which features are evaluated in the next step, [4, 4]; None without a solve."""
+    """The motion for the residuals that predict noise in the next step, [4, 4]; None without a
+    solve."""
     noise: StereoNoise | None = None
     """Predicted noise of the tracks used; None without a solve."""
     disparities: DisparityFilter = field(default_factory=DisparityFilter.none)
-    """The disparity filter after the step; of no track where the step taught nothing."""
+    """The disparity filter after the step; empty unless the step was accepted."""
     num_out_of_domain: int | None = None
-    """Tracks used that lie where the noise model has seen no training data; None without a solve,
-    and for models that know of no such place."""
+    """Number of tracks used that are outside of the noise model's training data. None without a
+    solve, or if the model has no such domain."""
 
     @property
     def outliers(self) -> BoolArray:
-        """Which tracks are not worth following any longer, [N]."""
+        """Which tracks the tracker should drop, [N]."""
         return np.asarray(self.weights < OUTLIER_BELOW)
 
     @property
@@ -105,10 +105,10 @@ class VisualMotion:
 
 
 class _FittingNoise(NamedTuple):
-    """Noise as large as the residuals of N tracks."""
+    """The predicted noise of N tracks, scaled to the size of their residuals."""
 
     agree: BoolArray
-    """Which tracks agree with the motion under it, [N]."""
+    """Which tracks agree with the motion under this noise, [N]."""
     noise: StereoNoise
     factor: float
     """How much larger its variances are than predicted, 1 at least."""
@@ -116,7 +116,7 @@ class _FittingNoise(NamedTuple):
 
 @dataclass(frozen=True)
 class MotionPriors:
-    """Knowledge of a step before its tracks are looked at."""
+    """What is known about a step before its tracks are used."""
 
     prediction: MotionPrediction
     gyro: RelativeRotation | None
@@ -124,12 +124,12 @@ class MotionPriors:
     disparities: DisparityFilter
     """The disparity filter after the previous step."""
     measurements: Sequence[Measurement] = ()
-    """Measurements of the motion beside the tracks, which enter the solve."""
+    """Measurements of the motion other than the tracks; they enter the solve."""
     curr: Variable = MOTION
-    """The pose of the current frame, as these call it."""
+    """The variable by which these refer to the pose of the current frame."""
     jitter_cov: FloatArray | None = None
-    """Covariance of the rig's jitter as it is estimated on line, [3, 3], rad²; None for that of the
-    noise model."""
+    """Covariance of the rig's jitter, estimated online, [3, 3], rad²; None for that of the noise
+    model."""
 
 
 class VisualEstimator:
@@ -165,16 +165,16 @@ class VisualEstimator:
         rng: np.random.Generator,
         clock: StageClock,
     ) -> VisualMotion:
-        """Estimate the motion of N tracks, and test it.
+        """Estimate the motion of N tracks, and decide whether to accept it.
 
         Args:
             tracks: the N tracks, corrected by the rig's calibration.
-            phi: their places in the prediction space, [N, M].
-            priors: knowledge of the step before its tracks.
+            phi: the predictors of these tracks, [N, M].
+            priors: what is known about the step before its tracks are used.
             rng: source of RANSAC's samples.
             clock: takes the times of the stages ``consensus`` and ``solve``.
         """
-        # Which tracks agree on a motion, and where the solve starts.
+        # RANSAC: which tracks agree on a motion, and where the solve starts.
         consensus = initial_motion(
             tracks,
             self._camera,
@@ -189,7 +189,7 @@ class VisualEstimator:
         weights = np.zeros(len(tracks))
         if not are_enough(used, self._config):
             return VisualMotion(Status.TOO_FEW_TRACKS, weights, used=np.zeros_like(used))
-        # The motion of these, each under its own noise.
+        # Solve with the inliers, each under its own predicted noise.
         inliers = tracks.kept(used)
         noise = self._noise.predict(phi[used])
         if priors.jitter_cov is not None:
@@ -207,28 +207,32 @@ class VisualEstimator:
                 tracks, phi, estimate.solution.T_curr_prev, jitter_cov=noise.jitter_cov
             )
             if num_trusted(estimate) >= self._config.solver.min_tracks:
-                # They fix the motion, but show too little noise: those that agree with it by chance
-                # have chosen it. The covariance is that of all of them, and rather too large.
+                # There are inliers enough to determine the motion, but they understate the noise:
+                # the solve went where some tracks agree by chance. Enlarge the covariance to the
+                # scatter of all tracks, rather too much than too little.
                 factor = fitting.factor if are_enough(fitting.agree, self._config) else 1.0
                 factor = max(factor, _scale_shown(estimate.solution.squared, noise))
                 solution = estimate.solution
                 estimate = replace(estimate, solution=replace(solution, cov=factor * solution.cov))
             elif are_enough(fitting.agree, self._config):
+                # Hardly a track fits the predicted noise, but most agree under a larger one. Solve
+                # again with that, instead of rejecting a frame that is only noisy.
                 used = fitting.agree
                 inliers = tracks.kept(used)
                 noise = fitting.noise.subset(np.flatnonzero(used))
                 estimate = self._estimator.estimate(
                     inliers,
                     noise,
-                    DisparityFilter.none(),  # its covariances are of the noise as it was
+                    DisparityFilter.none(),  # its covariances assume the smaller noise
                     guess=estimate.solution.T_curr_prev,
                     others=priors.measurements,
                     curr=priors.curr,
                 )
         weights[used] = estimate.weights
         solution = estimate.solution
-        # The rig's calibration and the next step's predictors look at what these two frames say of
-        # a feature; its residual against the filtered disparity depends on all frames before.
+        # Calibration and predictors need the residuals of these two frames alone. Those against the
+        # filtered disparities depend on all earlier frames, which were corrected with the same
+        # calibration: it would confirm itself.
         two_frames_only = solution
         if estimate.has_history.any() or priors.measurements:
             observations = StereoObservations.of(
@@ -245,7 +249,7 @@ class VisualEstimator:
                 max_iterations=0,
             )
         clock.lap("solve")
-        # Whether to accept it.
+        # Accept or reject.
         status = evaluate_status(solution, estimate.weights, priors.prediction, config=self._config)
         T_reference = solution.T_curr_prev
         if self._predicts_from_motion:
@@ -264,9 +268,10 @@ class VisualEstimator:
         )
 
     def _is_noisier_than_expected(self, estimate: Estimate) -> bool:
-        """Whether the features agree on a motion, but few with the size of the noise.
+        """Whether most residuals are larger than the predicted noise explains.
 
-        That is no reason to refuse them: the covariance is enlarged to what the residuals show.
+        This alone is no reason to reject the frame: if the features agree on a motion, its
+        covariance is enlarged to what the residuals show.
         """
         fewest = max(self._config.solver.min_tracks, FEWEST_TRUSTED * len(estimate.weights))
         return self._config.solver.loss == "noise" and num_trusted(estimate) < fewest
@@ -279,11 +284,11 @@ class VisualEstimator:
         *,
         jitter_cov: FloatArray | None,
     ) -> _FittingNoise:
-        """Return which of N tracks agree with a motion under noise that is as large as their
-        residuals. None agree if it were larger than ``LARGEST_SCALE``.
+        """Scale the noise to the residuals of N tracks at a motion, and return which agree then.
 
-        Those that RANSAC has rejected count, too: what is within its threshold, around the motion
-        of a few, is no random sample. It would show less noise than there is, and confirm the few.
+        None agree if the variances would have to grow by more than ``LARGEST_SCALE``. Tracks that
+        RANSAC rejected count, too. Those within its threshold are no random sample: selected around
+        the motion of a few, they would understate the noise and confirm these few.
         """
         noise = replace(self._noise.predict(phi), jitter_cov=jitter_cov)
         observations = StereoObservations.of(
@@ -298,8 +303,8 @@ class VisualEstimator:
         return _FittingNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
 
     def _right_sigma_px(self, jitter_cov: FloatArray | None) -> float:
-        """Return the standard deviation of the offset by which the rig's yaw moves all u_r from one
-        frame to the next, px."""
+        """Return the standard deviation of the common offset of all u_r between two frames that the
+        yaw jitter of the rig causes, px."""
         if jitter_cov is None:
             return 0.0
         return self._camera.fu_px * float(np.sqrt(2.0 * jitter_cov[1, 1]))
@@ -307,14 +312,16 @@ class VisualEstimator:
     def _confirmed(
         self, estimate: Estimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
     ) -> FloatArray:
-        """Return the motion by which features are tested next, [4, 4].
+        """Return the motion at which the residuals for the next step's predictors are taken, [4,
+        4].
 
-        It is that under the learned noise, unless the tracks with equal noise contradict it.
+        It is the motion under the learned noise, unless a solve with equal noise for all tracks
+        differs from it significantly.
 
-        A model that trusts those features that agreed with the last motion confirms that motion:
-        once it has gone with a car, it is the street that seems to be wrong. The reference must be
-        an estimate that the model cannot influence. But that is the coarser one, so that it decides
-        only where the two are farther apart than chance explains.
+        A model that trusts features because they agreed with the last motion confirms that motion.
+        Once the estimate has followed a car, the street seems to be the outlier. The solve with
+        equal noise cannot be influenced by the model, but it is less accurate, so it is used only
+        if the difference is significant.
         """
         solution = estimate.solution
         plain = self._estimator.solve(
@@ -324,8 +331,8 @@ class VisualEstimator:
             others=priors.measurements,
             curr=priors.curr,
         )
-        # Both come from the same tracks: their difference has less than the sum, so that the test
-        # rather keeps the learned one.
+        # Both solves use the same tracks, so the covariance of their difference is smaller than
+        # this sum. The test errs on the side of the learned noise.
         cov = plain.cov + solution.cov
         if not (plain.converged and np.isfinite(cov).all()):
             return solution.T_curr_prev
@@ -336,12 +343,12 @@ class VisualEstimator:
 
 
 def num_trusted(estimate: Estimate) -> int:
-    """Return the number of tracks whose residuals are usual."""
+    """Return the number of inliers among the tracks of a solve."""
     return int((estimate.weights >= INLIER_FROM).sum())
 
 
 def _scale_shown(squared: FloatArray, noise: StereoNoise) -> float:
-    """Return how much larger the variance of N residuals is than their noise says, 1 at least.
+    """Return the factor by which the variance of N residuals exceeds their noise, 1 at least.
 
     Args:
         squared: eᵀ Σ⁻¹ e of each, [N].
@@ -354,8 +361,8 @@ def _scale_shown(squared: FloatArray, noise: StereoNoise) -> float:
 def _of_two_frames(
     solution: ReprojectionSolution, observations: StereoObservations
 ) -> FloatArray | None:
-    """Return the jitter of a solve in standard deviations of what these two frames alone know of
-    it, [6]; None without a jitter."""
+    """Express the jitter of a solve in standard deviations of the jitter's prior for these two
+    frames alone, [6]; None without a jitter."""
     if solution.jitter is None or observations.jitter is None:
         return None
     root = observations.jitter.curr_root
@@ -370,11 +377,10 @@ def evaluate_status(
     *,
     config: OdometryConfig,
 ) -> Status:
-    """Return whether a solve fixed all six degrees of freedom, converged, and passes the gate."""
+    """Return OK if a solve is determined in all six dimensions, converged, and passes the gate."""
     if not np.isfinite(solution.cov).all():
         return Status.DEGENERATE
-    # The largest eigenvalue, not an entry of the diagonal: the direction that is not fixed may lie
-    # across the axes.
+    # The largest eigenvalue, not a diagonal entry: the unobservable direction need not be an axis.
     translation_sigma_m = np.sqrt(np.linalg.eigvalsh(solution.cov[:3, :3])[-1])
     rotation_sigma_rad = np.sqrt(np.linalg.eigvalsh(solution.cov[3:, 3:])[-1])
     if (
@@ -384,8 +390,8 @@ def evaluate_status(
         return Status.DEGENERATE
     if (weights >= INLIER_FROM).sum() < config.solver.min_tracks:
         return Status.TOO_FEW_TRACKS
-    # A solve that converged may have done so to a passing lorry: its tracks agree among themselves,
-    # but not with where the vehicle can be.
+    # A solve may converge to the motion relative to a passing lorry. Its tracks agree with each
+    # other, but not with the predicted motion.
     if not solution.converged or prediction.fails_gate(solution.T_curr_prev, solution.cov):
         return Status.NOT_CONVERGED
     return Status.OK

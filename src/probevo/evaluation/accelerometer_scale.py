@@ -1,15 +1,15 @@
-"""How long the path of the images is against what the accelerometer measured.
+"""The scale of the path by images, checked against the accelerometer.
 
-With p the place of the camera by the images and s the factor by which its path is too short, the
-place of the IMU is s p + C l, where l is its lever arm. Its acceleration, C f + g with the specific
-force f, bias b taken off, weighted with a triangle w over two successive intervals T₁ and T₂, is
-exactly the change of the mean velocity from one interval to the other,
+Let p be the position of the camera by images, s the factor by which its path is too short, and l
+the lever arm of the IMU, whose position is then s p + C l. Weight its acceleration, C f + g with
+the specific force f less the bias b, with a triangle w over two successive intervals T₁ and T₂. The
+integral is exactly the change of the mean velocity from one interval to the other,
 
     s D[p] + D[C l] = ∫ w C f dt + g ∫ w dt − (∫ w C dt) b,
     D[p] = (p_k − p_j)/T₂ − (p_j − p_i)/T₁,
 
-so that no velocity has to be known. D[p] is regressed on the rest, which is the less noisy side;
-gravity is unknown in each block of the path, so that a drifting attitude does no harm.
+so that no velocity has to be known. D[p] is regressed on the right-hand side, which is less noisy.
+Gravity is a separate unknown in each block of the path, so that a drifting attitude does no harm.
 """
 
 from __future__ import annotations
@@ -30,15 +30,17 @@ INTERVAL_S = 0.5
 """T₁ and T₂: long enough for the noise of the images, short enough for a vehicle's accelerations
 not to cancel."""
 BLOCK_S = 8.0
-"""Over which gravity has one direction in the world of the images."""
+"""Length of a block, over which gravity has a constant direction in the world of the images."""
 PASSES = 3
-"""The prior of the bias counts against the noise, which is found meanwhile."""
+"""Passes of the regression: the weight of the bias's prior depends on the noise, which is estimated
+in the pass before."""
 FEWEST_SAMPLES = 20
-"""Of a pair of intervals: those at the rate of the frames do not show the acceleration."""
+"""Least number of samples in a pair of intervals: at the rate of the frames, they would alias the
+acceleration."""
 FEWEST = 8
-"""Changes of velocity, beyond the unknowns, that the result is taken from."""
+"""Least number of velocity changes, beyond the number of unknowns."""
 LARGEST_SIGMA = 0.1
-"""Of a ratio that says anything: without accelerations, there is none."""
+"""Largest σ of a ratio that is reported: without accelerations, the scale is unobservable."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class AccelerometerScale:
 
     @property
     def p_value(self) -> float:
-        """Probability of a ratio at least as far from 1, if that is the truth."""
+        """Probability of a ratio at least as far from 1, if the true ratio is 1."""
         return two_sided_p((self.ratio - 1.0) / self.sigma, self.count)
 
 
@@ -66,14 +68,14 @@ def accelerometer_scale(
     """Compare a path with the accelerometer.
 
     Args:
-        stamps_ns: of N frames, [N].
-        T_world_cam: their poses by the images, [N, 4, 4], m.
+        stamps_ns: stamps of N frames, [N].
+        T_world_cam: poses by images, [N, 4, 4], m.
         is_ok: whether each step was solved, [N − 1].
         stream: the samples of the IMU, on the clock of the images.
         calibration: of the IMU on the camera.
 
     Returns:
-        None if too few stretches have steps that are all solved, and samples; or if the camera
+        The scale; None if too few intervals have samples and only solved steps, or if the camera
         hardly accelerates.
     """
     triples = _triples(stamps_ns, is_ok)
@@ -124,7 +126,7 @@ def accelerometer_scale(
 
 
 def _triples(stamps_ns: IntArray, is_ok: BoolArray) -> list[tuple[int, int, int]]:
-    """Return the ends and the middle of successive stretches of which all steps are solved."""
+    """Return the ends and the middle of successive pairs of intervals with solved steps only."""
     triples: list[tuple[int, int, int]] = []
     length_ns = round(1e9 * INTERVAL_S)
     bad_before = np.concatenate([[0], np.cumsum(~is_ok)])
@@ -138,13 +140,13 @@ def _triples(stamps_ns: IntArray, is_ok: BoolArray) -> list[tuple[int, int, int]
             return triples
         if bad_before[k] == bad_before[i]:
             triples.append((i, j, k))
-        i = j  # stretches overlap by half
+        i = j  # pairs of intervals overlap by half
 
 
 def _change(
     values: FloatArray, i: int, j: int, k: int, *, first_s: float, second_s: float
 ) -> FloatArray:
-    """Return D of the docstring above, [3]."""
+    """Return D[values] of the docstring of this module: the change of the mean velocity, [3]."""
     return np.asarray((values[k] - values[j]) / second_s - (values[j] - values[i]) / first_s)
 
 
@@ -157,7 +159,8 @@ def _regressed(
     weight_s: FloatArray,
     bias_sigma_m_s2: float,
 ) -> AccelerometerScale | None:
-    """Regress what was seen, [M, 3], on what was measured, gravity of each block, and bias."""
+    """Regress D[p], [M, 3], on the accelerometer's integral, gravity of each block, and the
+    bias."""
     count = len(seen)
     num_blocks = int(block.max()) + 1
     num_unknowns = 1 + 3 * num_blocks + 3
@@ -181,8 +184,8 @@ def _regressed(
             variance = float(np.sum(residual**2)) / (3 * count - num_unknowns)
     except np.linalg.LinAlgError:  # a camera at rest
         return None
-    # Stretches overlap, and so their errors are correlated with those of their neighbours: the
-    # sandwich takes pairs of them as one cluster (Newey–West with one lag).
+    # Pairs of intervals overlap, so errors of neighbours are correlated: sandwich covariance with
+    # one lag (Newey–West).
     score = np.einsum("mau,ma->mu", design, residual)
     meat = score.T @ score
     lagged = score[1:].T @ score[:-1]

@@ -1,4 +1,4 @@
-"""Quantities that show a calibration's errors, each with its standard deviation and its cure."""
+"""Quantities that reveal calibration errors, each with its standard deviation and a cure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SELF_CALIBRATED = (
     " over the image. Calibrate anew where one exceeds a pixel, with the board in the corners, too."
 )
 FEWEST_BLOCKS = 5
-"""Stretches of the path that a scatter is taken from."""
+"""Least number of segments of the path for an estimate of the scatter."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Quantity:
     p_value: float
     """Probability of a value at least as far from zero, if the truth is zero."""
     cure: str
-    """What it means, and how to mend it."""
+    """What a non-zero value means, and how to correct the calibration."""
 
     def texts(self, *, is_marked: bool) -> tuple[str, ...]:
         """Return name, value, σ, unit and z, as text."""
@@ -93,7 +93,7 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
 
 
 def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
-    """Describe errors of disparity and focal length that the self-calibration has found.
+    """Describe the errors of disparity and focal length that the self-calibration has estimated.
 
     A constant offset cannot be distinguished from noise, and is not estimated.
     """
@@ -113,10 +113,10 @@ def rig_quantities(rig: RigCalibration, camera: StereoCamera) -> list[Quantity]:
 
 
 def _focal_quantity(error: FocalLengthError) -> Quantity:
-    """Describe the focal length that images show where the camera turns, against the calibrated."""
+    """Compare the focal length by images in which the camera turns with the calibrated one."""
     cure = (
         f"where the camera turns, images show a focal length of {1.0 + 0.01 * error.percent:.4f} of"
-        " the calibrated one. It is wrong, or distortion of the lens is left, which feigns up to"
+        " the calibrated one. It is wrong, or lens distortion remains, which can look like up to"
         " 3 %: the scale of a gyro decides."
     )
     z = error.log_ratio / error.sigma
@@ -131,14 +131,14 @@ def _focal_quantity(error: FocalLengthError) -> Quantity:
 
 
 def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Quantity | None:
-    """Compare distances with those of the truth, over stretches of √N frames.
+    """Compare distances with those of the truth, over segments of √N frames.
 
     Args:
         T_world_cam: poses, [N, 4, 4], m.
         T_world_cam_true: true ones, [N, 4, 4], m; NaN where unknown.
 
     Returns:
-        None if too few stretches have a truth at both ends, or the camera rests.
+        The scale; None if too few segments have truth at both ends, or the camera is at rest.
     """
     ends = np.arange(0, len(T_world_cam), max(int(np.sqrt(len(T_world_cam))), 1))
     distances = [
@@ -152,7 +152,7 @@ def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Qua
         return None
     ratio = float(estimated.sum() / true.sum())
     count = len(true)
-    # Standard deviation of a ratio of sums, by the scatter of what each stretch adds to it.
+    # Standard deviation of a ratio of sums, by the scatter of the residuals of the segments.
     scatter = float(np.sum((estimated - ratio * true) ** 2)) * count / (count - 1)
     sigma = max(np.sqrt(scatter) / float(true.sum()), 1e-12)
     cure = (
@@ -170,7 +170,7 @@ def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Qua
 
 
 def accelerometer_scale_quantity(scale: AccelerometerScale) -> Quantity:
-    """Describe how long the path is against what the accelerometer measured."""
+    """Compare the length of the path with the accelerometer."""
     cure = (
         f"the path is {scale.ratio:.4f} times as long as the accelerometer says. If that is in"
         f" m/s², divide baseline_m by {scale.ratio:.4f}; a wrong focal length does the same."

@@ -1,12 +1,12 @@
-"""How high the camera is above the ground that it drives over, which a tape measure knows, too.
+"""The height of the camera above the ground, estimated from images, to compare with a tape measure.
 
-A point of the ground that the camera saw ahead lies below it once it gets there. Its distance from
-the path, at right angles to it and downwards, is then the height of the camera. No plane has to be
-fitted, pavements beside the lane do not matter, and neither does the pitch of the camera: only
-points count that the camera passes over, within half its height to the left and to the right.
+A point of the ground that the camera saw ahead is below it when it gets there. Its distance from
+the path, perpendicular to it and downwards, is then the height of the camera. Only points that the
+camera passes over count, within half its height to the left and to the right. So no plane has to be
+fitted, and neither pavements beside the lane nor the pitch of the camera matter.
 
-Height is y = (v − c_v) b/d: it is wrong by the factor by which the baseline is, and a wrong focal
-length leaves it alone.
+The height is y = (v − c_v) b/d: it has the same relative error as the baseline, and does not depend
+on the focal length.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ from probevo.camera.stereo import StereoCamera
 from probevo.evaluation.clustered_regression import two_sided_p
 
 FARTHEST = 12.0
-"""Distance ahead of a point that is kept, in units of how far it lies below the camera: farther
-ones are too uncertain."""
+"""Largest distance of a point, in units of its depth below the camera; farther ones are too
+uncertain."""
 HALF_WIDTH = 0.5
-"""Half the width of the strip below the camera, in units of its height: that of a car's track."""
+"""Half width of the strip below the camera, in units of its height: about that of a car's track."""
 BLOCK_NS = 500_000_000
-"""Least duration of a block; heights within one have the motion of the suspension in common."""
+"""Least duration of a block; heights within a block share the motion of the suspension."""
 FEWEST_POINTS = 3
-"""Points of a block."""
+"""Least number of points in a block."""
 FEWEST_BLOCKS = 6
-"""Blocks that a scatter is taken from."""
+"""Least number of blocks for an estimate of the scatter."""
 LARGEST_SIGMA = 0.03
-"""Of a height that says anything, relative: that of a camera in the hand, or in the air, varies."""
+"""Largest relative σ of a height that is reported: a handheld or flying camera has no constant
+height."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +42,10 @@ class GroundHeight:
 
     height_m: float
     sigma_m: float
-    """With the scatter of blocks, and what an offset of all disparities may add to it."""
+    """Standard deviation, from the scatter of blocks and a possible offset of all disparities."""
     num_blocks: int
     known_m: float | None = None
-    """The height that was measured otherwise, if it was."""
+    """The height measured by other means, if it was."""
 
     @property
     def ratio(self) -> float | None:
@@ -53,7 +54,7 @@ class GroundHeight:
 
     @property
     def p_value(self) -> float | None:
-        """Probability of a height at least as far from the known one, if that is the truth."""
+        """Probability of a height at least as far from the known one, if that is correct."""
         if self.known_m is None:
             return None
         return two_sided_p((self.height_m - self.known_m) / self.sigma_m, self.num_blocks - 1)
@@ -91,14 +92,14 @@ class GroundHeights:
         *,
         is_ok: bool,
     ) -> None:
-        """Take the next frame.
+        """Process the next frame.
 
         Args:
-            stamp_ns: its time.
-            T_curr_prev: the motion to it, [4, 4], m.
+            stamp_ns: time of the frame.
+            T_curr_prev: the motion to this frame, [4, 4], m.
             ids: identities of the tracks that the solve used, [N].
             pixels: their observations in this frame, corrected, [N, 4], px.
-            is_ok: whether the motion was solved; otherwise all points are forgotten.
+            is_ok: whether the motion was solved; otherwise all points are dropped.
         """
         if is_ok:
             self._pass_over(stamp_ns, T_curr_prev)
@@ -107,8 +108,10 @@ class GroundHeights:
         self._see(ids, pixels)
 
     def height(self) -> GroundHeight | None:
-        """Return the height by all blocks that are complete; None if the camera passed over too few
-        points that it had seen, or if its height varies."""
+        """Return the median height of all complete blocks.
+
+        None if the camera passed over too few points that it had seen, or if its height varies.
+        """
         count = len(self._medians)
         if count < FEWEST_BLOCKS:
             return None
@@ -123,7 +126,7 @@ class GroundHeights:
         return GroundHeight(median_m, sigma * median_m, count, self._known_m)
 
     def _pass_over(self, stamp_ns: int, T_curr_prev: FloatArray) -> None:
-        """Carry the points to the current frame, and measure those that were passed meanwhile."""
+        """Move the points to the current frame, and measure those that the camera has passed."""
         self._points_m = self._points_m @ T_curr_prev[:3, :3].T + T_curr_prev[:3, 3]
         moved_m = -T_curr_prev[:3, 3]  # from the previous place of the camera to the current one
         length_m = float(np.linalg.norm(moved_m))
@@ -149,7 +152,7 @@ class GroundHeights:
         self._keep(along_m >= length_m)
 
     def _see(self, ids: IntArray, pixels: FloatArray) -> None:
-        """Take the points that may be those of the ground ahead, or see them anew."""
+        """Store points that may be on the ground ahead; those seen again replace the old ones."""
         disparity_px = pixels[:, 0] - pixels[:, 2]
         is_near = disparity_px > 0.0
         points_m = self._camera.triangulate(pixels[is_near])
@@ -161,7 +164,7 @@ class GroundHeights:
         self._disparity_px = np.concatenate([self._disparity_px, disparity_px[near]])
 
     def _keep(self, kept: BoolArray) -> None:
-        """Forget all points but some, given by a mask [N]."""
+        """Drop all points except some, given by a mask [N]."""
         self._ids = self._ids[kept]
         self._points_m = self._points_m[kept]
         self._disparity_px = self._disparity_px[kept]

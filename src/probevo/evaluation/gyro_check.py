@@ -1,9 +1,10 @@
-"""What the rotations of the images say of the gyro's calibration.
+"""Check of the gyro's calibration against the rotations by images.
 
-With φ_k(τ) the gyro's rotation over step k, integrated over the interval shifted by τ, the images
-show φ = s Exp(δ) φ_k(τ) + b Δt + noise: δ turns the mounting, s is the unit, b the bias, τ the lag
-of the stamps. All are estimated at once, by Gauss–Newton from several starts, since the usual
-mistakes (degrees, an inverse mounting, a late clock) lie far from the calibration.
+Let φ_k(τ) be the gyro's rotation over step k, integrated over the interval shifted by τ. The model
+of the rotation by images is φ = s Exp(δ) φ_k(τ) + b Δt + noise, with an error δ of the mounting, s
+of the unit, a bias b and a lag τ of the stamps. All are estimated jointly, by Gauss–Newton from
+several starts, since the usual mistakes (degrees, an inverse mounting, a late clock) are far from
+the given calibration.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ MOUNTING = slice(0, 3)
 SCALE = 3
 BIAS = slice(4, 7)
 LAG = 7
-"""Places of δ, s − 1, b and τ among the eight unknowns."""
+"""Indices of δ, s − 1, b and τ among the eight unknowns."""
 MOUNTING_SIGMA_RAD = 1.0
 SCALE_SIGMA = 100.0
-"""Of s: radians taken for degrees are a factor of 57."""
+"""Prior standard deviation of s: degrees instead of radians are a factor of 57."""
 LAG_SIGMA_S = 0.1
 LAGS_S = np.arange(-0.2, 0.2001, 0.02)
-"""Lags that a start is looked for among."""
+"""Candidates for the lag at the start."""
 FEWEST_STEPS = 10
 _DIFFERENCE_S = 0.002
 """Half the step of the central difference by τ."""
@@ -37,20 +38,20 @@ _ITERATIONS = 10
 _CONVERGED = 0.01
 """Change of an unknown, in standard deviations, below which the iteration ends."""
 _SAME_RAD = 1e-9
-"""Rotations that are shorter than this have no direction."""
+"""Rotations below this have no direction."""
 
 
 @dataclass(frozen=True)
 class GyroCheck:
-    """The gyro's calibration as the images see it."""
+    """The gyro's calibration, estimated from images."""
 
     regression: Regression
-    """Of (δ, s − 1, b, τ): rad, 1, rad/s, s."""
+    """Estimate of (δ, s − 1, b, τ): rad, 1, rad/s, s."""
     C_cam_imu: FloatArray
     """Rotation of the IMU to the camera that agrees with the images, [3, 3]."""
     attenuation: float
-    """Share by which the gyro's own noise makes s too small (regression dilution): its variance
-    over that of its rotations. It matters where the camera hardly turns."""
+    """Bias of s by the gyro's noise (regression dilution): the variance of the noise over that of
+    the rotations. It matters if the camera hardly turns."""
 
 
 def integrated_rotations(
@@ -112,7 +113,7 @@ def check_gyro(
 
 @dataclass(frozen=True)
 class _Problem:
-    """The steps of the images, and the gyro beside them."""
+    """Rotations by images, and the gyro's samples."""
 
     between_ns: IntArray
     rotation_rad: FloatArray
@@ -131,9 +132,9 @@ class _Problem:
     def starts(self, by_lag: dict[float, FloatArray]) -> list[FloatArray]:
         """Return values of the eight unknowns to start from.
 
-        They are the calibration as it is; with the unit that makes the rotations as long as those
-        of the images, of either sign; and with the mounting that fits them best (Kabsch), too. Each
-        has the lag that suits it best.
+        They are the given calibration; the same with the unit, of either sign, that makes the
+        rotations as large as those of the images; and with the best mounting (Kabsch), too. Each
+        has its best lag.
         """
         starts = []
         for sign, with_mounting in ((0.0, False), (1.0, False), (-1.0, False), (1.0, True)):
@@ -157,7 +158,7 @@ class _Problem:
         return starts
 
     def solved(self, start: FloatArray) -> Regression | None:
-        """Solve by Gauss–Newton; None if the gyro then covers too few steps."""
+        """Solve by Gauss–Newton; None if the shifted gyro covers too few steps."""
         values = start
         regression = None
         prior_sigma = np.r_[
@@ -212,12 +213,12 @@ def _covered(rotation_rad: FloatArray) -> np.ndarray:
 
 
 def _without_mean(rotation_rad: FloatArray, duration_s: FloatArray) -> FloatArray:
-    """Take the median rate off rotations, [K, 3], and with it the bias."""
+    """Subtract the median rate, and with it the bias, from rotations, [K, 3]."""
     return np.asarray(rotation_rad - duration_s * np.median(rotation_rad / duration_s, axis=0))
 
 
 def _kabsch(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Find the rotation that takes vectors, [K, 3], to others best in the least-squares sense."""
+    """Return the least-squares rotation from vectors, [K, 3], to others (Kabsch)."""
     U, _, Vt = np.linalg.svd(target.T @ source)
     U[:, 2] *= np.linalg.det(U @ Vt)
     return np.asarray(U @ Vt)

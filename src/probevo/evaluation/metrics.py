@@ -28,13 +28,13 @@ class Metrics:
     final_error_m: float | None = None
     """Distance between estimated and true position at the last known frame, unaligned."""
     rot_armse_rad: float | None = None
-    """The same as ``armse_m``, of the rotation vector of the attitude error."""
+    """ARMSE of the attitude: as ``armse_m``, for the rotation vector of the attitude error."""
     path_length_m: float | None = None
     """Length of the true path."""
     ate_rmse_m: float | None = None
     """Absolute trajectory error, RMS over frames after the best rigid alignment."""
     ate_unaligned_rmse_m: float | None = None
-    """The same with the first cameras made equal instead."""
+    """RMS of the position error with the first poses made equal, instead of an alignment."""
     kitti_t_percent: float | None = None
     """Translation error over segments of 100, 200 … 800 m from every tenth frame."""
     kitti_r_deg_per_m: float | None = None

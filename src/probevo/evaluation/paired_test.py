@@ -1,4 +1,4 @@
-"""Whether one run over a recording is better than another beyond the noise of repetition.
+"""Randomization test of whether one run over a recording is better than another.
 
 Two runs over the same recording are paired: each step of the vehicle was estimated by both. If both
 estimators are equally good, it does not matter which of the two motions of a step is called whose.

@@ -1,14 +1,14 @@
-"""What stereo matches say of the rows of a rectified pair, and of the delay of its right image.
+"""Check of the rows of a rectified pair, and of the delay of its right image, by stereo matches.
 
-A flawless pair shows a point in the same row of both images. A right image that is exposed δ later
-shows it δ v̇ farther down, v̇ being the speed of its row:
+In a perfect pair, a point is in the same row of both images. If the right image is exposed δ later,
+the point is δ v̇ farther down, where v̇ is the speed of its row:
 
     v_r − v_l = a·(1, x, y, x², xy, y², y r²) + δ v̇
 
-Only the part of v̇ that the camera's rotation makes is taken: a car that nods moves all rows up and
-down. What its way ahead makes grows with y in every frame alike, as errors of a lens do. And the
-speed is that which the motion of all points predicts, so that the noise of the match does not enter
-both sides.
+Only the part of v̇ due to the camera's rotation is used: pitching moves all rows up and down. The
+part due to driving ahead grows with y in every frame, just like lens errors, so it has no
+information. The speed is predicted from the motion of all points, so that the noise of the match is
+not on both sides of the equation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from probevo.geometry import se3, so3
 DELAY_SIGMA_S = 0.1
 """Prior standard deviation of δ: a frame of a camera at ten frames a second."""
 _MOMENT_S = 1e-3
-"""Duration over which a speed is taken."""
+"""Duration of the difference quotient for a speed."""
 DELAY = 7
 """Index of δ among the coefficients; before it are those of ``row_basis``."""
 
@@ -54,7 +54,7 @@ class RowSamples:
                 mean of the steps before and after it.
             camera: the rectified camera.
         """
-        # Where the points were a moment ago.
+        # Transfer the points back by a moment.
         back = so3.exp(-_MOMENT_S * rate_rad_s)
         before = transfer(corrected_px, se3.from_parts(back, np.zeros(3)), camera)
         row = 0.5 * (corrected_px[:, 1] + corrected_px[:, 3])

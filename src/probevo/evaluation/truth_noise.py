@@ -1,4 +1,4 @@
-"""How noisy the truth is from frame to frame, against what a run claims for its own steps."""
+"""Estimate of the truth's noise from frame to frame, relative to the claimed errors of steps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from probevo.arrays import FloatArray
 from probevo.geometry import se3
 
 FEWEST_STEPS = 10
-"""Second differences that the estimate needs."""
+"""Least number of second differences for an estimate."""
 SECOND_DIFFERENCE_GAIN = 6.0
 """Variance of ξ_k−1 − 2 ξ_k + ξ_k+1 against that of ξ, for white noise: 1 + 4 + 1."""
 
@@ -18,10 +18,10 @@ def truth_noise_ratio(
 ) -> float | None:
     """Estimate the noise of the true steps, in multiples of the claimed standard deviation.
 
-    A vehicle moves smoothly, and what shakes it is in the truth and in the estimate. What second
-    differences of the true motions have more than those of the estimates is therefore noise of the
-    truth. Above 1, the errors of steps measure the truth, and not the covariance: its consistency
-    cannot be tested. Truth that was smoothed shows too little.
+    A vehicle moves smoothly, and its vibrations are in the truth and in the estimate. If the second
+    differences of the true motions are larger than those of the estimates, the excess is therefore
+    noise of the truth. Above a ratio of 1, the errors of steps are mostly those of the truth, and
+    the consistency of the covariance cannot be tested. Smoothed truth gives too small a ratio.
 
     Args:
         T_curr_prev: estimates, [K, 4, 4], m.

@@ -65,7 +65,7 @@ class RemoteFile:
     urls: tuple[str, ...]
     """Where it is; the first that answers is taken."""
     md5_suffix: str = ""
-    """What its URL ends in where the host publishes its MD5 sum; empty if it does not."""
+    """Suffix of the URL at which the host publishes the MD5 sum; empty if it does not."""
     sha256: str = ""
     """Its published SHA-256, in hexadecimal digits; empty if none is."""
 
@@ -85,7 +85,7 @@ class Dataset:
     page: str
     """Where its authors describe it, and its terms."""
     size: str
-    """Of all archives, as far as it is known; empty if it is not."""
+    """Size of all archives, if it is known; else empty."""
     recordings: str
     """Which folders in the unpacked one are recordings, as a glob pattern; . is that itself."""
 

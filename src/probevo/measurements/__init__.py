@@ -1,4 +1,4 @@
-"""Whatever constrains the state, each with a residual, Jacobians, a covariance and a loss."""
+"""Everything that constrains the state: residuals with Jacobians, covariance and robust loss."""
 
 from probevo.measurements.base import (
     Linearization,

@@ -1,8 +1,9 @@
-"""What a measurement is: a constraint on some variables, with its own covariance and robust loss.
+"""The measurement protocol: a constraint on some variables, with its own covariance and robust
+loss.
 
-This is the seam through which every sensor enters. The solver (``estimation.gauss_newton``) knows
-no sensor by name: it adds up the normal equations of whatever measurements it is given. A new
-sensor is one class; most need only a residual and its Jacobians (``VectorMeasurement``).
+Every sensor enters the estimate through it. The solver (``estimation.gauss_newton``) knows no
+sensor by name: it sums the normal equations of all measurements. A new sensor is one class; most
+need only a residual and its Jacobians (``VectorMeasurement``).
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ from probevo.errors import InputError
 from probevo.geometry.se3_numba import perturb
 
 ASYMMETRY = 1e-8
-"""Share of its largest entry by which a covariance may differ from its transpose, for rounding."""
-
+"""Largest difference between a covariance and its transpose, relative to its largest entry, that is
+taken as rounding."""
 
 LARGE_FROM = 0.05
-"""Probability of a residual from which on it is large: beyond, a bounded loss is no longer
-quadratic. It is the same for all sensors, whatever the number of their dimensions."""
+"""Tail probability of a residual beyond which a bounded loss is no longer quadratic. It is the same
+for all sensors, whatever the dimension of their residual."""
 
 
 class Variable(NamedTuple):
     """An unknown of the problem."""
 
     kind: str
-    """What it is, e.g. ``pose``."""
+    """Its kind, e.g. ``pose``."""
     frame: int
     """Index of the frame that it belongs to."""
 
@@ -44,7 +45,7 @@ def pose_of(frame: int) -> Variable:
 
 
 class PosePair(NamedTuple):
-    """The poses of two frames, between which a relative measurement holds."""
+    """The poses of the two frames that a relative measurement connects."""
 
     curr: Variable
     """Pose of the current frame."""
@@ -53,8 +54,8 @@ class PosePair(NamedTuple):
 
 
 MOTION = pose_of(0)
-"""The one variable of a two-frame solve, unless it is named: the pose of the current camera in the
-world of the previous one, T_curr_prev."""
+"""The default variable of a two-frame solve. With the previous camera as the world, the pose of the
+current camera is the motion T_curr_prev."""
 
 TWO_FRAMES = PosePair(MOTION)
 """The poses of a two-frame solve."""
@@ -90,54 +91,55 @@ class Linearization(NamedTuple):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of the N residuals of a measurement (one, or a batch)."""
+    """Weights and gating of the N residuals of a measurement (one, or a batch)."""
 
     squared: FloatArray
     """Squared Mahalanobis distance of each residual, [N]."""
     weight: FloatArray
-    """Robust weight of each against that of a perfect residual, [N], 0 to 1."""
+    """Robust weight of each, relative to that of a zero residual, [N], 0 to 1."""
     gated: BoolArray
-    """Which were turned away altogether, [N]."""
+    """Which were rejected by the gate, [N]."""
 
 
 class Measurement(Protocol):
-    """A constraint on some variables; a value that the solver never changes."""
+    """A constraint on some variables. It is immutable: the solver never changes it."""
 
     @property
     def variables(self) -> tuple[Variable, ...]:
         """The variables that it constrains."""
 
     def propagated(self, values: Values) -> Measurement:
-        """Return the same measurement with its covariance taken at these values.
+        """Return the same measurement with its covariance evaluated at these values.
 
-        The solver holds that covariance while it moves by less than a standard deviation. A
-        measurement whose covariance does not depend on the values returns itself.
+        The solver keeps that covariance until it has moved by a standard deviation. A measurement
+        whose covariance does not depend on the values returns itself.
         """
 
     def linearize(self, values: Values, *, newton: bool = False) -> Linearization:
         """Return cost and normal equations at these values.
 
         Args:
-            values: of its variables, and maybe of others.
+            values: values of its variables; others are ignored.
             newton: the solver is close to the optimum, and the curvature of the robust loss may
                 enter the Hessian.
         """
 
     def information(self, values: Values) -> FloatArray:
-        """Return what it contributes to the information of the estimate, [n, n].
+        """Return its Fisher information on its variables, [n, n].
 
-        It is the Fisher information, which for a robust loss is not the Hessian of ``linearize``.
+        The covariance of an estimate is the inverse of their sum. For a robust loss this is not the
+        Hessian of ``linearize``, whose weights depend on the residuals.
         """
 
     def outcome(self, values: Values) -> Outcome:
-        """Return what became of its residuals at these values."""
+        """Return weights and gating of its residuals at these values."""
 
 
 class VectorMeasurement(ABC):
     """A measurement with a single residual of d dimensions, Student-t distributed or Gaussian.
 
-    A subclass says which ``variables`` it constrains and how its ``residual`` depends on them; its
-    Jacobians are taken by central differences unless it has better ones.
+    A subclass defines its ``variables`` and how its ``residual`` depends on them. The Jacobians are
+    central differences unless it overrides ``jacobians``.
 
     Args:
         covariance: of the residual, [d, d] (the scale matrix of a Student-t).
@@ -157,6 +159,7 @@ class VectorMeasurement(ABC):
             raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
         if np.abs(covariance - covariance.T).max() > ASYMMETRY * np.abs(covariance).max():
             raise InputError(type(self).__name__, "its covariance is not symmetric and finite.")
+        # A covariance is positive definite if and only if it has a Cholesky factor.
         try:
             np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError as error:
@@ -178,16 +181,17 @@ class VectorMeasurement(ABC):
         """Return the residual, measured minus predicted, [d]."""
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return how each variable's perturbation moves the residual, [d, n] each."""
+        """Return ∂residual/∂(perturbation of each variable), [d, n] each."""
         return numeric_jacobians(self, values)
 
     @property
     def has_own_loss(self) -> bool:
-        """Whether it comes with a robust loss, a Student-t or a gate, and is to be taken as is."""
+        """Whether it has a robust loss of its own, a Student-t or a gate, that must not be
+        replaced."""
         return bool(np.isfinite(self.dof) or np.isfinite(self.gate))
 
     def scaled(self, factor: float) -> Self:
-        """Return the same measurement with so many times its covariance."""
+        """Return the same measurement with its covariance multiplied by a factor."""
         other = copy.copy(self)
         other.covariance = factor * self.covariance
         other._information = self._information / factor
@@ -197,8 +201,8 @@ class VectorMeasurement(ABC):
         """Return the same measurement with a bounded loss, unless it has a loss of its own.
 
         With s the squared Mahalanobis distance and a its 95 % quantile (``LARGE_FROM``), the loss
-        is s/2 up to a, and a − a²/(2s) beyond: it never exceeds a, and its weight (a/s)² falls fast
-        enough for a wrong measurement to have no pull in the end.
+        is s/2 up to a, and a − a²/(2s) beyond. It never exceeds a, and its weight (a/s)² falls so
+        fast that the influence of a wrong measurement vanishes.
         """
         if self.has_own_loss:
             return self
@@ -217,12 +221,13 @@ class VectorMeasurement(ABC):
     def linearize_about(self, values: Values, *, jacobians_at: Values) -> Linearization:
         """Return cost and normal equations at some values, with the Jacobians at others.
 
-        A window forms the Jacobians of a pose at one and the same point, lest it gain information
-        about where in the world it is.
+        A window evaluates all Jacobians of a pose at the same point ("first-estimates Jacobians").
+        Otherwise it would gain spurious information about its position and yaw in the world.
         """
         residual = self.residual(values)
         jacobian = np.hstack(self.jacobians(jacobians_at))
         squared = float(residual @ self._information @ residual)
+        # IRLS: the weight is held, so the Hessian is positive semi-definite even for outliers.
         weighted = self._weight(squared) * jacobian.T @ self._information
         return Linearization(
             cost=self._cost(squared),
@@ -237,6 +242,7 @@ class VectorMeasurement(ABC):
         squared = float(residual @ self._information @ residual)
         if squared > self.gate:
             return np.zeros((jacobian.shape[1], jacobian.shape[1]))
+        # (ν + d)/(ν + d + 2), written so that it is 1 for ν = ∞
         share = 1.0 / (1.0 + 2.0 / (self.dof + len(residual)))
         if squared > self._large_from:
             share *= bounded_weight(squared, self._large_from)
@@ -244,7 +250,7 @@ class VectorMeasurement(ABC):
         return information
 
     def outcome(self, values: Values) -> Outcome:
-        """Return what became of its residual."""
+        """Return weight and gating of its residual."""
         residual = self.residual(values)
         squared = float(residual @ self._information @ residual)
         perfect = self._weight(0.0)
@@ -272,8 +278,7 @@ class VectorMeasurement(ABC):
 
 
 def large_from(dim: int) -> float:
-    """Return the squared Mahalanobis distance from which a residual of so many dimensions is
-    large."""
+    """Return the quantile of χ²(dim) beyond which a residual counts as large."""
     return float(chdtri(dim, LARGE_FROM))
 
 
@@ -289,6 +294,7 @@ def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[F
     found = []
     for variable in measurement.variables:
         columns = []
+        # 1e-6 balances the truncation error, ∝ h², and the rounding error, ∝ 1/h.
         for unit in 1e-6 * np.eye(dimension(values[variable])):
             ahead = {**values, variable: retract(values[variable], unit)}
             behind = {**values, variable: retract(values[variable], -unit)}

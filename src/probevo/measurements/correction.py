@@ -1,8 +1,8 @@
-"""What a correction of a motion is: asked after the solve, it returns the motion as it should be.
+"""The interface of corrections: called after the solve, they return the corrected motion.
 
-The motion of the images is part of what a correction measures, so that its error contains theirs:
-it takes the place of the motion, with the covariance of its own error. To fuse both as if they were
-independent would count the images twice.
+A correction is computed from the same images as the motion, so their errors are correlated. It
+therefore replaces the motion, with a covariance of its own. Fusing both as if they were independent
+would count the images twice.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from probevo.sequences.frame import Frame
 
 
 class MotionCorrection(ABC):
-    """A sensor of how far the motion that the images have given is off (thesis chapter 6)."""
+    """A sensor that corrects the motion solved from images (thesis chapter 6)."""
 
     name: str
-    """By which it is reported."""
+    """Name in reports."""
 
     @abstractmethod
     def correct(
         self, prev_frame: Frame, frame: Frame, T_curr_prev: FloatArray, *, cov: FloatArray
     ) -> RelativePose | NoMeasurement:
-        """Return the corrected motion between two frames, or why there is none.
+        """Return the corrected motion between two frames, or a reason why there is none.
 
         Args:
             prev_frame: the previous frame.
             frame: the current frame.
-            T_curr_prev: the motion that was solved for, [4, 4], m.
+            T_curr_prev: the solved motion, [4, 4], m.
             cov: its covariance, [6, 6], m and rad.
         """
 
@@ -44,18 +44,18 @@ def read_correction(
     name: str,
     cov: FloatArray,
 ) -> Reading:
-    """Ask a correction about a step.
+    """Call a correction for a step, and check its answer.
 
     Args:
         correction: the correction.
         frames: the previous and the current frame.
-        T_curr_prev: the motion that was solved for, [4, 4], m.
-        name: by which the correction is reported.
+        T_curr_prev: the solved motion, [4, 4], m.
+        name: name of the correction in reports.
         cov: covariance of the motion, [6, 6].
 
     Raises:
-        InputError: it returns something else than a ``RelativePose`` or a reason. Whatever else it
-            raises is left as it is.
+        InputError: the answer is neither a ``RelativePose`` nor a reason. Exceptions of the
+            correction itself are passed on.
     """
     answer = correction.correct(*frames, T_curr_prev, cov=cov)
     if isinstance(answer, NoMeasurement):

@@ -13,7 +13,7 @@ from probevo.measurements.base import Values, Variable, VectorMeasurement
 from probevo.measurements.north import attitude_of_enu, jacobian_of_enu
 
 LARGEST_ANGLE_RAD = 3.0
-"""Beyond, the derivative across grows without bound."""
+"""Angle at which the derivative across the residual is capped; at π it is infinite."""
 LEAST_SINE = 1e-12
 """Sine of an angle below which two directions are the same, or opposite."""
 
@@ -23,9 +23,10 @@ class Direction(VectorMeasurement):
 
     With p = C d the predicted direction, the residual is Bᵀ Log_p(u): the angle between the two, in
     the tangent plane of the sphere at p. Its axes B are the directions of azimuth and zenith angle,
-    az = atan2(x, z) and zen = acos(−y). Unlike the angles, it does not wrap. The plane is that at p
-    and not at u, whose noise would turn the axes, and with them the Jacobians: where an offset of
-    the sensor is estimated, that pushes it away in some hundred measurements.
+    az = atan2(x, z) and zen = acos(−y). Unlike the angles, it does not wrap. The plane is tangent
+    at p and not at u: the noise of u would rotate the axes, and with them the Jacobians, and a
+    constant offset of the sensor, if it is estimated, would drift away within some hundred
+    measurements.
 
     Args:
         pose: pose of the camera.
@@ -101,7 +102,7 @@ class Direction(VectorMeasurement):
         in_plane = tangent_axes(predicted).T @ self.in_camera
         sine = math.hypot(in_plane[0], in_plane[1])
         if sine < LEAST_SINE:
-            # Opposite to what was measured: any way around is as short.
+            # Either equal, or opposite, where e has no direction: choose one.
             return np.zeros(2) if cosine > 0.0 else np.array([math.pi, 0.0])
         residual: FloatArray = math.atan2(sine, cosine) / sine * in_plane
         return residual
@@ -109,9 +110,10 @@ class Direction(VectorMeasurement):
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
         """Return ∂e/∂ξ of the pose, [2, 6], and that of the attitude against north, [2, 3].
 
-        It is the derivative in the tangent plane: as p moves, the axes move without turning about
-        it. Their turn would change neither the length of e nor any cost, but the information.
-        Towards u, e shrinks as p moves; across, by θ/tan θ of that, with θ its length.
+        It is the covariant derivative: as p moves, the axes are transported without rotating about
+        it. A rotation of the axes would change neither the length of e nor the cost, but it would
+        change the information. If p moves towards u, e shrinks as much; if it moves across, e
+        changes by the fraction θ/tan θ, with θ the length of e.
         """
         C_cam_world = values[self.pose][:3, :3]
         predicted = C_cam_world @ self._in_world(values)

@@ -12,10 +12,9 @@ from probevo.sequences.frame import ImuSamples
 from probevo.sequences.imu_calibration import ImuCalibration
 
 MOST_UNSEEN = 0.25
-"""Share of an interval that may lie before the first sample, after the last, or in holes between
-them."""
+"""Largest share of an interval without samples: before the first, after the last, and in gaps."""
 HOLE = 3.0
-"""A hole is as long as so many usual distances of samples."""
+"""A gap is longer than this many median sample periods."""
 _NO_BIAS = np.zeros(3)
 
 
@@ -34,7 +33,7 @@ class GyroRotation:
 
 
 def covers(imu: ImuSamples, start_ns: int, end_ns: int) -> bool:
-    """Return whether the samples cover the interval; those of skipped frames may be missing."""
+    """Return whether the samples cover the interval; those of dropped frames may be missing."""
     if not len(imu.stamps_ns):
         return False
     ends_ns = max(int(imu.stamps_ns[0]) - start_ns, 0) + max(end_ns - int(imu.stamps_ns[-1]), 0)
@@ -55,7 +54,7 @@ def integrate_gyro(
     """C_curr_prev = C_cv Ψ_J ⋯ Ψ_1 C_cvᵀ with Ψ_j = Exp(−ψ_j) and ψ_j the turn in sub-interval j
     (PROBE eqs. 3-4).
 
-    A rate ω carries the attitude on by Exp(ω Δt), from the right: C_prev_curr = Exp(ψ_1) ⋯
+    A rate ω propagates the attitude by Exp(ω Δt), from the right: C_prev_curr = Exp(ψ_1) ⋯
     Exp(ψ_J). PROBE's C_ba maps coordinates the other way, which transposes the product; hence the
     minus in Ψ_j and its reversed order.
 
@@ -73,8 +72,8 @@ def integrate_gyro(
     C_cam_imu = calibration.C_cam_imu
     turns_rad = steps_s[:, None] * (rates_rad_s - bias_rad_s) @ C_cam_imu.T
     products = _products_from(so3.exp(-turns_rad))
-    # Exp(−(ψ_j + δ)) = Exp(−J(−ψ_j) δ) Ψ_j, which the later Ψ's then carry to the end of the
-    # interval.
+    # Exp(−(ψ_j + δ)) = Exp(−J(−ψ_j) δ) Ψ_j, and the later Ψ's rotate that error into the frame at
+    # the end of the interval.
     sensitivity = products[1:] @ so3.left_jacobian(-turns_rad)
     variance = calibration.gyro_noise_rad_s_sqrt_hz**2 * steps_s
     return GyroRotation(
@@ -88,7 +87,7 @@ def integrate_gyro(
 def _mean_rates(imu: ImuSamples, start_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray]:
     """Return each sub-interval's length, [J], s, and its mean rate, [J, 3], rad/s."""
     is_inside = (imu.stamps_ns > start_ns) & (imu.stamps_ns < end_ns)
-    # From the start on, so that the numbers are small enough to be exact as floats.
+    # Count from the start of the interval: stamps since 1970 are not exact as floats.
     knots_ns = np.concatenate([[start_ns], imu.stamps_ns[is_inside], [end_ns]]) - start_ns
     stamps_ns = imu.stamps_ns - start_ns
     rates = np.stack([np.interp(knots_ns, stamps_ns, axis) for axis in imu.gyro_rad_s.T], axis=1)
@@ -120,17 +119,17 @@ class GyroBias:
 
     @staticmethod
     def initial(calibration: ImuCalibration) -> GyroBias:
-        """Zero, as unsure as the calibration says."""
+        """Return a bias of zero with the standard deviation of the calibration."""
         return GyroBias(np.zeros(3), calibration.gyro_bias_sigma_rad_s**2 * np.eye(3))
 
     def predicted(self, duration_s: float, calibration: ImuCalibration) -> GyroBias:
-        """After a random walk of that length."""
+        """Propagate the bias by its random walk over an interval."""
         walked = calibration.gyro_bias_walk_rad_s2_sqrt_hz**2 * duration_s
         return GyroBias(self.mean, self.cov + walked * np.eye(3))
 
     def prior(self, gyro: GyroRotation) -> FloatArray:
-        """Q + J P Jᵀ: covariance of the left perturbation of the gyro's rotation, its bias unknown,
-        [3, 3], rad².
+        """Return Q + J P Jᵀ: the covariance of the gyro's rotation with its bias marginalised, [3,
+        3], rad².
 
         Args:
             gyro: integrated with the bias ``mean``.
@@ -143,15 +142,15 @@ class GyroBias:
         """Update the bias with a solve that had the gyro's rotation among its measurements.
 
         The true rotation is Exp(r) C_gyro with r = J δb + n, δb ~ N(0, P), n ~ N(0, Q). Given r,
-        nothing else that was measured tells of the bias: δb | r ~ N(K r, (1 − K J) P), where K = P
-        Jᵀ (Q + J P Jᵀ)⁻¹. Over the posterior r ~ N(r̂, Σ) of the solve, the laws of total
-        expectation and variance give
+        the other measurements have no information about the bias: δb | r ~ N(K r, (1 − K J) P),
+        where K = P Jᵀ (Q + J P Jᵀ)⁻¹. Over the posterior r ~ N(r̂, Σ) of the solve, the laws of
+        total expectation and variance give
 
             mean⁺ = mean + K r̂,    P⁺ = (1 − K J) P + K Σ Kᵀ = (1 − K J) P (1 − K J)ᵀ + K (Q + Σ)
             Kᵀ.
 
-        So the gyro is counted once, although the posterior holds it already, and a solve that
-        learnt nothing new, Σ = Q + J P Jᵀ and r̂ = 0, leaves the bias as it was.
+        So the gyro is counted only once, although the posterior contains it. A solve without other
+        information, Σ = Q + J P Jᵀ and r̂ = 0, leaves the bias unchanged.
 
         Args:
             gyro: integrated with the bias ``mean``.
@@ -163,7 +162,7 @@ class GyroBias:
     def compared(
         self, gyro: GyroRotation, C_curr_prev_solved: FloatArray, cov_rotation: FloatArray
     ) -> GyroBias:
-        """Update the bias with a solve that did without the gyro.
+        """Update the bias with a solve that did not use the gyro.
 
         It is a Kalman update with r ~ N(J δb, Q + Σ).
 
@@ -183,10 +182,10 @@ class GyroBias:
         Q = gyro.cov
         J = gyro.bias_jacobian
         innovation = self.prior(gyro) + cov_rotation if independent else self.prior(gyro)
-        # The pseudo-inverse lets an interval of no length, or a gyro without any noise, say
-        # nothing.
+        # A pseudo-inverse, so that an interval of zero length, or a gyro without noise and bias,
+        # has no information instead of raising.
         K = P @ J.T @ np.linalg.pinv(innovation, hermitian=True)
-        # By how much the gyro's rotation falls short of the solved one, seen in the current camera.
+        # The rotation from the gyro's to the solved one, in the frame of the current camera.
         r = so3.log(C_curr_prev_solved @ gyro.C_curr_prev.T)
         # Joseph's form stays positive semi-definite whatever the rounding.
         rest = np.eye(3) - K @ J

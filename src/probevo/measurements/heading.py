@@ -1,4 +1,4 @@
-"""The heading of the camera, as GPS or a compass gives it."""
+"""The heading of the camera, as from GPS or a compass."""
 
 from __future__ import annotations
 

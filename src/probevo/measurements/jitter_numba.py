@@ -1,9 +1,9 @@
-"""The compiled loops over the rig's jitter: unknowns that move all features of a step together.
+"""Compiled loops over the rig's jitter: unknowns that move all features of a step together.
 
-The residual is e = y' − h(s) − D η, with h(s) = f(T g(s)). Of η = (η', η°) ~ N(0, I), η' is the
-jitter of the current frame in units of its standard deviation, which moves the right observations
-by B η', and η° what is not known of the jitter of the previous frame. The latter moves
-(s, δ) = (u, v, d, δ) by V η°, and so D = (B, H V), with H = (∂h/∂s, −(0, 0, 1, 0)).
+The residual is e = y' − h(s) − D η, with h(s) = f(T g(s)) and η = (η', η°) ~ N(0, I). Here η' is
+the jitter of the current frame in units of its standard deviation; it moves the right observations
+by B η'. And η° is the unknown part of the jitter of the previous frame; it moves (s, δ) = (u, v, d,
+δ) by V η°. Hence D = (B, H V), with H = (∂h/∂s, −(0, 0, 1, 0)).
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from probevo.measurements.stereo_numba import (
 AXES = 3
 """Degrees of freedom of the jitter in one frame: pitch, yaw, roll."""
 DOF = 2 * AXES
-"""Of η: those of the current frame, then those of the previous one."""
+"""Dimension of η: the jitter of the current frame, then that of the previous one."""
 
 
 class JitterEffects(NamedTuple):
-    """How the jitter moves N features."""
+    """Derivatives of N features by the jitter."""
 
     basis: FloatArray
     """B = ∂(u_r', v_r')/∂η', [N, 2, 3], px."""
@@ -44,7 +44,8 @@ class JitterEffects(NamedTuple):
 
 
 class LinearizedJitter(NamedTuple):
-    """The jitter of N features at the motion at which their noise was propagated."""
+    """The effect of the jitter on N residuals, at the motion at which their noise was
+    propagated."""
 
     columns: FloatArray
     """D = −∂e/∂η, [N, 4, 6], px."""
@@ -53,13 +54,13 @@ class LinearizedJitter(NamedTuple):
     square: FloatArray
     """The lower triangle of Dᵀ Σ⁻¹ D, [N, 6, 6]."""
     prev_eta: FloatArray
-    """η° there, [3]: the points are those at this value, and at η' = 0."""
+    """η° at the linearisation, [3]: the points are those of this value, and of η' = 0."""
     curr: FloatArray
     """y' of these points, with their δ, [N, 4], px."""
 
     @staticmethod
     def empty(count: int) -> LinearizedJitter:
-        """Return space for it."""
+        """Return uninitialised arrays for N features."""
         return LinearizedJitter(
             columns=np.empty((count, 4, DOF)),
             white=np.empty((count, 4, DOF)),
@@ -70,7 +71,7 @@ class LinearizedJitter(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """Where a solve stands."""
+    """The current values of a solve."""
 
     T: FloatArray
     """T_curr_prev, [4, 4]."""
@@ -88,7 +89,7 @@ class JointEquations(NamedTuple):
 
     @staticmethod
     def empty() -> JointEquations:
-        """Return space for them."""
+        """Return uninitialised arrays."""
         return JointEquations(hessian=np.empty((6 + DOF, 6 + DOF)), gradient=np.empty(6 + DOF))
 
 
@@ -101,10 +102,10 @@ def jitter_effects(
     prev_root: FloatArray,
     gain: FloatArray,
 ) -> JitterEffects:
-    """Return how the jitter moves N features that only these two frames know of.
+    """Return the derivatives of N features that have no state in the disparity filter.
 
-    The observation is the true one plus G ω, with ω = L η, and so the true point is that of the
-    observation less K G L η.
+    An observation is the true one plus G ω, with ω = L η. The true point is therefore that of the
+    observation minus K G L η.
 
     Args:
         prev: observations in the previous frame, [N, 4], px.
@@ -124,6 +125,7 @@ def jitter_effects(
         right_offset(camera, prev[n, 2], prev[n, 3], offset)
         _product(offset, prev_root, moved)
         for k in range(AXES):
+            # K applied to (0, 0, δu_r, δv_r): the jitter moves the right observation only.
             for i in range(3):
                 sensitivity[n, i, k] = -gain[n, i, 2] * moved[0, k] - gain[n, i, 3] * moved[1, k]
             sensitivity[n, 3, k] = 0.0
@@ -170,8 +172,10 @@ def jitter_columns(
         y = Y / Z
         d = fb * rho / Z
         for k in range(AXES):
+            # B: the jitter of the current frame moves u_r and v_r.
             columns[n, 2, k] = basis[n, 0, k]
             columns[n, 3, k] = basis[n, 1, k]
+            # H V: that of the previous frame moves the point, and so the whole prediction.
             for i in range(3):
                 move[i] = (
                     T[i, 0] * sensitivity[n, 0, k] / fu
@@ -202,12 +206,13 @@ def propagate_with_jitter(
         at: the motion and the jitter.
         camera: the intrinsics.
         pairs: the points and observations at η = 0.
-        effects: how η moves them.
+        effects: their derivatives by η.
         propagated: filled in.
         jitter: filled in.
     """
     V = effects.sensitivity
     eta = at.eta
+    # Points and observations at the current η: the noise is propagated there, not at η = 0.
     point = np.empty((len(pairs.point), 3))
     curr = np.empty((len(point), 4))
     for n in range(len(point)):
@@ -240,9 +245,10 @@ def propagate_with_jitter(
 
 @compiled
 def _whiten(W: FloatArray, D: FloatArray, white: FloatArray, square: FloatArray) -> None:
-    """Fill in W D and the lower triangle of Dᵀ W D of a feature.
+    """Fill in W D and the lower triangle of Dᵀ W D of a feature, without the zeros of D.
 
-    η' moves its right observation only, and η° both rows alike.
+    η' moves the right observation only (rows 2 and 3), and η° moves v_l and v_r equally (rows 1
+    and 3).
     """
     for i in range(4):
         row_v = W[i, 1] + W[i, 3]
@@ -261,7 +267,8 @@ def _whiten(W: FloatArray, D: FloatArray, white: FloatArray, square: FloatArray)
 
 @compiled
 def without_jitter(jitter: LinearizedJitter, eta: FloatArray, shifted: FloatArray) -> None:
-    """Fill ``shifted`` [N, 4] with y' less D η, η° counted from where it was linearised."""
+    """Fill ``shifted`` [N, 4] with y' − D η, where η° counts from its value at the
+    linearisation."""
     change = np.empty(DOF)
     for k in range(AXES):
         change[k] = eta[k]
@@ -327,7 +334,8 @@ def _set_jitter(
         c = fv * iz
         e = -v * iz
         f = -(u - d) * iz
-        # Newton's Hessian is less by a multiple of the outer product of the weighted gradient.
+        # Newton's Hessian is that of IRLS minus a multiple of the outer product of the weighted
+        # gradient, since the curvature of a robust loss is less than its weight.
         bend = 0.0
         q0 = q1 = q2 = 0.0
         if loss.newton:
@@ -362,8 +370,10 @@ def _set_jitter(
 
 @compiled
 def _set_blocks(cross: FloatArray, square: FloatArray, joint: FloatArray) -> None:
-    """Fill in the blocks of ξ × η and η × η of a symmetric matrix over (ξ, η), [12, 12]; of the
-    latter, the lower triangle is given."""
+    """Fill in the blocks ξ × η and η × η of a symmetric matrix over (ξ, η), [12, 12].
+
+    Of the block η × η, the lower triangle is given.
+    """
     for k in range(DOF):
         for i in range(6):
             joint[i, 6 + k] = joint[6 + k, i] = cross[i, k]
@@ -383,7 +393,8 @@ def joint_normal_equations(
 ) -> float:
     """Fill in the normal equations over (ξ, η), with the prior of η; return the cost.
 
-    They extend those of ``stereo_numba.normal_equations``, at the observations less D η.
+    They extend those of ``stereo_numba.normal_equations``, which are taken at the observations
+    minus D η.
 
     Args:
         at: the motion and the jitter.
@@ -415,6 +426,7 @@ def joint_normal_equations(
         gradient[i] = motion.gradient[i]
         for j in range(6):
             hessian[i, j] = motion.hessian[i, j]
+    # The prior η ~ N(0, I)
     for k in range(DOF):
         cost += 0.5 * at.eta[k] * at.eta[k]
         gradient[6 + k] -= at.eta[k]
@@ -439,7 +451,7 @@ def jitter_information(
         jacobians: the residuals linearised.
         weights: their robust weights.
         jitter: where it was linearised.
-        disparity_share: by which the translation's columns of J are scaled in the information, [N].
+        disparity_share: factor of the translation's columns of J in the information, [N].
         hessian: filled in, with the weights.
         information: filled in, with their curvature.
     """

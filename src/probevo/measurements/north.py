@@ -27,6 +27,7 @@ def jacobian_of_enu(north: FloatArray, in_enu: FloatArray) -> FloatArray:
     turned = _about_up(float(north[2])) @ in_enu
     tilted = so3.exp(tilt) @ turned
     jacobian = np.empty((3, 3))
+    # The tilt has no component about up: that rotation is the heading.
     jacobian[:, :2] = (-LEVEL @ so3.wedge(tilted) @ so3.left_jacobian(tilt))[:, :2]
     jacobian[:, 2] = LEVEL @ so3.exp(tilt) @ np.array([-turned[1], turned[0], 0.0])
     return jacobian

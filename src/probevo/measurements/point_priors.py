@@ -1,4 +1,4 @@
-"""The points behind stereo observations, and how noisy they are, before a motion is estimated."""
+"""Priors of the points that stereo observations show, before a motion is estimated."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class JitterPrior(NamedTuple):
     root: FloatArray
     """L, [3, 3], rad."""
     sensitivity: FloatArray
-    """How η moves (d, δ) of the M features that earlier frames know, [M, 2, 3], px."""
+    """∂(d, δ)/∂η of the M features with a state in the disparity filter, [M, 2, 3], px."""
 
     @property
     def cov(self) -> FloatArray:
@@ -30,18 +30,18 @@ class JitterPrior(NamedTuple):
 
 @dataclass(frozen=True)
 class DisparityPrior:
-    """What earlier frames say of the disparities of M features in the previous frame."""
+    """The disparity filter's prior of M features in the previous frame."""
 
     rows: IntArray
-    """Which features these are, [M]."""
+    """Indices of these features among all N, [M]."""
     disparity: FloatArray
     """Mean of the true disparity d, [M], px."""
     error: FloatArray
-    """Mean of δ, by which the measured ones are larger in both frames, [M], px."""
+    """Mean of δ, the time-correlated error of the measured disparity in both frames, [M], px."""
     cov: FloatArray
     """Covariance of (d, δ), [M, 2, 2], px²."""
     jitter: JitterPrior | None = None
-    """What they say of the rig's jitter in the previous frame; None if nothing."""
+    """Prior of the rig's jitter in the previous frame; None if there is none."""
 
     @staticmethod
     def none() -> DisparityPrior:
@@ -78,13 +78,14 @@ class PointPrior:
     ) -> PointPrior:
         """Build the prior from the observations alone.
 
-        A point of which nothing else is known has d as measured, and δ = 0: what is wrong with the
-        one is that of the other.
+        Without other information, d is the measured disparity and δ = 0. Whatever part of the
+        measured disparity is δ is missing in d, so their errors are equal and opposite: covariance
+        −τ².
 
         Args:
             observed: y in the previous frame, [N, 4], px.
             scale: R of these, [N, 4, 4], px².
-            propagate: whether their noise enters; otherwise the points are taken to be exact.
+            propagate: whether to propagate their noise; otherwise the points are exact.
             time_correlated: variance of δ, [N], px²; None if there is no such error.
         """
         count = len(observed)
@@ -96,14 +97,11 @@ class PointPrior:
         if time_correlated is not None:
             cov[:, 2, 2] += time_correlated
             cov[:, 3, 3] = time_correlated
-            cov[:, 2, 3] = cov[:, 3, 2] = -time_correlated
+            cov[:, 2, 3] = cov[:, 3, 2] = -time_correlated  # what is δ is missing in d
         return PointPrior(point=point, error=np.zeros(count), cov=cov, gain=gain)
 
     def given(self, prior: DisparityPrior) -> PointPrior:
-        """Return the same points with the disparities that are known better.
-
-        These are independent of u and v.
-        """
+        """Replace the disparities that the filter knows by its states, independent of u and v."""
         if not len(prior.rows):
             return self
         point = self.point.copy()
@@ -145,7 +143,8 @@ def observation_to_point(
     K[1, 1] = K[1, 3] = 0.5
     for n in range(len(observed)):
         is_new = propagate and n == 0
-        for i in range(4 if propagate and n > 0 else 0):  # most models give all features one scale
+        # Most models give all features the same scale: invert it only if it differs from the last.
+        for i in range(4 if propagate and n > 0 else 0):
             for j in range(4):
                 is_new = is_new or scale[n, i, j] != scale[n - 1, i, j]
         if is_new and invert_symmetric_4(scale[n], inverse, lower):

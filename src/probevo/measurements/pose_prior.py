@@ -1,4 +1,4 @@
-"""A Gaussian prior on a pose, as an earlier estimate or another sensor gives it."""
+"""A Gaussian prior on a pose, from an earlier estimate or another sensor."""
 
 from __future__ import annotations
 

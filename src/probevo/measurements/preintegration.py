@@ -34,10 +34,10 @@ NO_BIAS = np.zeros(6)
 
 @dataclass(frozen=True)
 class Preintegration:
-    """What an IMU measured from frame i to frame j, for one assumed bias.
+    """The preintegrated samples of an IMU from frame i to frame j, for one assumed bias.
 
-    With R the attitude of the camera's axes in the world, v and p the velocity and place of the
-    IMU there, and g gravity,
+    With R the attitude of the camera's axes in the world, v and p the velocity and position of the
+    IMU in it, and g gravity,
 
         ΔR = R_iᵀ R_j,    Δv = R_iᵀ (v_j − v_i − g T),    Δp = R_iᵀ (p_j − p_i − v_i T − ½ g T²).
     """
@@ -58,9 +58,9 @@ class Preintegration:
     """Biases of gyro, rad/s, and accelerometer, m/s², along the camera's axes, that were taken off,
     [6]."""
     lever_m: FloatArray
-    """Place of the IMU in the camera's frame, [3], m."""
+    """Position of the IMU in the camera's frame, [3], m."""
     walk_variance: FloatArray
-    """By how much the random walk of each bias may move it meanwhile, [6], (rad/s)², (m/s²)²."""
+    """Variance of each bias's random walk over the interval, [6], (rad/s)², (m/s²)²."""
 
 
 NO_ACCELEROMETER = "has no accelerometer"
@@ -69,10 +69,10 @@ NO_ACCELEROMETER = "has no accelerometer"
 
 @dataclass(frozen=True)
 class NoPreintegration:
-    """An interval of which the samples of the IMU say nothing."""
+    """An interval without a preintegration."""
 
     reason: str
-    """Why, as the end of a sentence: "the IMU …"."""
+    """Why there is none, a phrase that continues "the IMU …"."""
 
 
 def preintegrate(
@@ -110,7 +110,7 @@ def preintegrate(
     if reason:
         return NoPreintegration(reason)
     is_inside = (stamps_ns > start_ns) & (stamps_ns < end_ns)
-    # From the start on, so that the numbers are small enough to be exact as floats.
+    # Count from the start of the interval: stamps since 1970 are not exact as floats.
     knots_ns = np.concatenate([[start_ns], stamps_ns[is_inside], [end_ns]]) - start_ns
     C_cam_imu = calibration.C_cam_imu
     steps_s = 1e-9 * np.diff(knots_ns)
@@ -152,7 +152,7 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     first = max(int(np.searchsorted(stamps_ns, start_ns, side="right")) - 1, 0)
     covering = stamps_ns[first : int(np.searchsorted(stamps_ns, end_ns, side="left")) + 1]
     between_ns = np.diff(covering)
-    # A packet that holds the mean over its interval stands at both of its ends, and counts once.
+    # A sample that is a mean over its interval may be given at both ends of it; it counts once.
     apart_ns = between_ns[np.abs(between_ns) > HELD_NS]
     num_samples = len(apart_ns) + min(len(covering), 1)
     if num_samples < FEWEST_SAMPLES:

@@ -1,14 +1,14 @@
-"""The motion between two frames with its covariance, as dead reckoning or a network gives it."""
+"""A motion between two frames with its covariance, as from dead reckoning or a network."""
 
 from __future__ import annotations
 
 from probevo.arrays import FloatArray
 from probevo.geometry import se3
-from probevo.measurements.base import Values, Variable, VectorMeasurement
-from probevo.measurements.relative_rotation import relative_motion
+from probevo.measurements.base import Values, Variable
+from probevo.measurements.relative import RelativeMeasurement
 
 
-class RelativePose(VectorMeasurement):
+class RelativePose(RelativeMeasurement):
     """A measured motion: ξ = Log(T_curr_prev T_measured⁻¹) ~ N(0, covariance), ξ = [ρ; φ].
 
     Args:
@@ -25,17 +25,9 @@ class RelativePose(VectorMeasurement):
         curr: Variable,
         prev: Variable | None = None,
     ) -> None:
-        super().__init__(covariance)
+        super().__init__(covariance, curr, prev)
         self.T_curr_prev = T_curr_prev
-        self.curr = curr
-        self.prev = prev
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        """The poses of both frames, or only the current one."""
-        return (self.curr,) if self.prev is None else (self.prev, self.curr)
 
     def residual(self, values: Values) -> FloatArray:
         """Return −Log(T_curr_prev T_measured⁻¹), [6]."""
-        T_curr_prev = relative_motion(values, self.curr, self.prev)
-        return -se3.log(T_curr_prev @ se3.inverse(self.T_curr_prev))
+        return -se3.log(self.motion(values) @ se3.inverse(self.T_curr_prev))

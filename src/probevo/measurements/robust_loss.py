@@ -1,4 +1,4 @@
-"""Robust losses of a stereo residual, and what they make of the covariance of an M-estimate."""
+"""Robust losses of a stereo residual, and the covariance of the resulting M-estimate."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class RobustLoss:
     """A loss ρ(s) of the squared Mahalanobis length s = eᵀ Σ⁻¹ e of a residual, scaled such that L2
     is s/2.
 
-    The default parameters give up 5 % of the information when the residual is Gaussian after all.
-    They are wider than the familiar ones (Huber 1.345, Cauchy 2.385, Tukey 4.685), which reach that
-    for a residual of one dimension.
+    The default parameters have an efficiency of 95 % for Gaussian residuals of four dimensions.
+    They are wider than the usual ones (Huber 1.345, Cauchy 2.385, Tukey 4.685), which have that
+    efficiency in one dimension.
 
     Raises:
         InputError: the parameter is missing or not positive.
@@ -36,7 +36,7 @@ class RobustLoss:
     of each feature."""
 
     def __post_init__(self) -> None:
-        """Refuse a loss that would weigh every residual zero."""
+        """Refuse a loss under which every residual would have zero weight."""
         if self.kind is LossKind.L2 or (self.kind is LossKind.STUDENT_T and self.parameter is None):
             return
         if self.parameter is None or not self.parameter > 0.0:
@@ -89,8 +89,8 @@ class RobustLoss:
         return losses[name]()
 
     def parameters(self, dof: ArrayLike) -> FloatArray:
-        """Parameter of the loss of each feature as the kernels take it, from the dof of its noise:
-        [...] to [...]."""
+        """Return the loss parameter of each feature for the compiled loops, given the dof of its
+        noise, [...]."""
         dof = np.asarray(dof, dtype=np.float64)
         if self.parameter is not None:
             return np.full(dof.shape, self.parameter)

@@ -1,4 +1,4 @@
-"""What a sensor beside the camera is: asked once a frame, it returns measurements or a reason."""
+"""The interface of further sensors: called once per frame, they return measurements or a reason."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from probevo.sequences.frame import Frame
 
 @dataclass(frozen=True)
 class NoMeasurement:
-    """A sensor has nothing to say of a frame."""
+    """The answer of a sensor that has no measurement of a frame."""
 
     reason: str
-    """Why, in a few words that runs count by: ``no fix``, ``night``."""
+    """Why, in a few words, by which reports count: ``no fix``, ``night``."""
 
 
 Sensor = Callable[[Frame, Frame], Sequence[Measurement] | NoMeasurement]
 """Maps the previous and the current frame to measurements of their poses, ``pose_of(frame.index)``,
-or says why it has none.
+or to a reason why there are none.
 
-Those that constrain both poses enter the solve of the motion. Those of the current pose, and of
-``NORTH``, correct the pose in the world. A step may be repeated, so that a sensor does not remember
-what it was asked: it looks up what it measured at the time of the frame."""
+Measurements of both poses enter the solve of the motion. Those of the current pose, and of
+``NORTH``, correct the pose in the world. A step may be repeated after an exception, so a sensor
+must be stateless: it looks up its measurement by the time of the frame."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What one sensor returned for a frame."""
+    """The answer of one sensor for a frame."""
 
     name: str
     measurements: tuple[Measurement, ...] = ()
     reason: str | None = None
-    """Why there is no measurement, if it says so."""
+    """Why there is no measurement, if there is none."""
     corrects: bool = False
-    """Whether what it measured takes the place of the motion of the images."""
+    """Whether the measurement replaces the motion of the images."""
 
     def of_pose(self, pose: Variable) -> tuple[Measurement, ...]:
         """Return the measurements of this pose alone, or of it and north."""
@@ -48,7 +48,8 @@ class Reading:
         return tuple(one for one in self.measurements if not {pose, NORTH} >= set(one.variables))
 
     def without_motion(self, pose: Variable) -> Reading:
-        """Return only what it measured of this pose, as a dead-reckoned step uses it."""
+        """Keep only the measurements of this pose: a dead-reckoned step has no solve for the
+        others."""
         of_pose = self.of_pose(pose)
         reason = self.reason
         if self.measurements and not of_pose:
@@ -57,11 +58,11 @@ class Reading:
 
 
 def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> Reading:
-    """Ask a sensor about a frame.
+    """Call a sensor for a frame, and check its answer.
 
     Raises:
-        InputError: it returns something else than measurements or a reason. Whatever else it raises
-            is left as it is.
+        InputError: the answer is neither a list of measurements nor a reason. Exceptions of the
+            sensor itself are passed on.
     """
     answer = sensor(prev_frame, frame)
     if isinstance(answer, NoMeasurement):

@@ -1,4 +1,4 @@
-"""All sensors beside the camera, asked once a frame."""
+"""All further sensors, called once per frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from probevo.sequences.frame import Frame
 
 
 class SensorSuite:
-    """The sensors beside the camera, in their order, each with a name of its own.
+    """The further sensors in their order, each with a unique name.
 
     Args:
         sensors: further sensors, and at most one correction of the motion.
@@ -37,17 +37,17 @@ class SensorSuite:
     def read(
         self, prev_frame: Frame, frame: Frame, *, is_excluded: Callable[[str], bool]
     ) -> list[Reading]:
-        """Ask all sensors about a frame, except those that are excluded.
+        """Call all sensors that are not excluded.
 
         Args:
             prev_frame: the previous frame.
             frame: the current frame.
-            is_excluded: whether the sensor of a name is excluded.
+            is_excluded: tells, by its name, whether a sensor is excluded.
         """
         readings = []
         for name, sensor in zip(self.names, self.sensors, strict=True):
             if is_excluded(name) or isinstance(sensor, MotionCorrection):
-                readings.append(Reading(name))  # a correction is asked once there is a motion
+                readings.append(Reading(name))  # a correction is called after the solve
             else:
                 readings.append(read_sensor(name, sensor, prev_frame, frame))
         return readings
@@ -55,13 +55,13 @@ class SensorSuite:
     def read_correction(
         self, prev_frame: Frame, frame: Frame, solved: tuple[FloatArray, FloatArray] | None
     ) -> Reading | None:
-        """Ask the correction how far a motion is off; None if there is no correction.
+        """Call the correction for a solved motion; None if there is no correction.
 
         Args:
             prev_frame: the previous frame.
             frame: the current frame.
-            solved: the motion T_curr_prev, [4, 4], and its covariance, [6, 6]; None if the images
-                have given none.
+            solved: the motion T_curr_prev, [4, 4], and its covariance, [6, 6]; None if the step is
+                dead-reckoned.
         """
         if self._correction is None:
             return None

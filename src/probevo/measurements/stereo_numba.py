@@ -26,12 +26,12 @@ from probevo.measurements.robust_loss_numba import (
 )
 
 BEHIND = 1e4
-"""Squared Mahalanobis distance given to a point that does not contribute: far for any loss, near
-enough to add up."""
+"""Squared Mahalanobis distance assigned to a point that does not contribute: an outlier for any
+loss, but small enough to be summed."""
 
 
 class PointPairs(NamedTuple):
-    """N points, each as earlier frames and as the current frame see it."""
+    """N points: their estimates by earlier frames, and their observations in the current frame."""
 
     point: FloatArray
     """s = (u, v, d) in the previous frame, [N, 3], px."""
@@ -78,7 +78,7 @@ class NormalEquations(NamedTuple):
 
 
 class StereoJacobians(NamedTuple):
-    """Residuals and how they move; zero behind the camera, but for their squared lengths."""
+    """Residuals and their derivatives; zero behind the camera, except for the squared lengths."""
 
     residual: FloatArray
     """e, [N, 4], px."""
@@ -93,7 +93,7 @@ class StereoJacobians(NamedTuple):
 
 
 class FeatureWeights(NamedTuple):
-    """What the robust loss makes of N residuals."""
+    """Weights of N residuals under a robust loss."""
 
     weight: FloatArray
     """IRLS weight w, [N]; 0 for a point that does not contribute."""
@@ -116,11 +116,11 @@ def propagate_noise(
     S = 0 and nothing changes.
 
     A time-correlated error δ of the disparity, the same in both frames, moves y' along
-    −(0, 0, 1, 0), so that s and δ are taken together: with P their covariance and
-    H = [A, −(0, 0, 1, 0)], Σ = R' + H P Hᵀ. For a point of which nothing is known but its
-    observation, d and δ are off by opposite amounts, of variance τ², and that is
-    R' + A S Aᵀ + τ² l lᵀ, with l = −(0, 0, 1, 0) − ∂h/∂d. Stereo matching errs so: a window that
-    straddles an edge is matched as wrongly in the next frame.
+    −(0, 0, 1, 0), so that s and δ are treated jointly: with P their covariance and
+    H = [A, −(0, 0, 1, 0)], Σ = R' + H P Hᵀ. For a point with a single observation, d and δ have
+    opposite errors of variance τ², and Σ = R' + A S Aᵀ + τ² l lᵀ with l = −(0, 0, 1, 0) − ∂h/∂d.
+    Stereo matching has such errors: a window across an edge is matched just as wrongly in the next
+    frame.
 
     ``propagated.refined`` is where to linearise on entry; all of ``propagated`` is filled in.
     """

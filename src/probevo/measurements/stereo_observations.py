@@ -4,12 +4,12 @@ The residual of a feature is e = y' − f(T g(y)), with y its observation in the
 the current one, and T = T_curr_prev. Its scale Σ follows from the noise of both observations
 (``stereo_numba.propagate_noise``), and its loss from the tails of that noise (PROBE-GK eq. 14).
 
-Where the noise has an error that all features of a frame share, the rig's jitter ω
-(``camera.rig_jitter``), that of both frames is a further unknown, η ~ N(0, I): the jitter of the
-current frame moves its right observations, and what is not known of that of the previous frame
-moves the points, from which the solve starts: e = y' − f(T g(y)) − D η (``jitter_numba``). The
-weights of the features are those after η is estimated, and the covariance of the motion is
-marginalised over it. Derivation: docs/conventions.md.
+If the noise model has a jitter ω of the rig (``camera.rig_jitter``), an error that is common to all
+features of a frame, then the jitter of both frames is a further unknown, η ~ N(0, I). The jitter of
+the current frame moves its right observations; that of the previous frame moves the points:
+e = y' − f(T g(y)) − D η (``jitter_numba``). The robust weights are those of the residuals after η
+is estimated, and the covariance of the motion is marginalised over η. Derivation:
+docs/conventions.md.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from probevo.measurements.jitter_numba import (
     without_jitter,
 )
 from probevo.measurements.point_priors import DisparityPrior, JitterPrior, PointPrior
-from probevo.measurements.relative_rotation import relative_motion
+from probevo.measurements.relative import relative_motion
 from probevo.measurements.robust_loss import RobustLoss
 from probevo.measurements.stereo_numba import (
     BEHIND,
@@ -65,8 +65,8 @@ from probevo.measurements.stereo_numba import (
 from probevo.noise.base import StereoNoise
 
 EXPECTED_FEATURES = 20.0
-"""How many features the noise model's own word counts for in the scale of the covariance, against
-those seen."""
+"""Number of features that the noise model's prediction counts for, against the observed residuals,
+in the scale of the covariance."""
 DIM = 4
 JITTER_PRIOR = np.eye(DOF)
 """Information of the prior of η, [6, 6]."""
@@ -81,9 +81,9 @@ class JitterUnknown:
     curr_root: FloatArray
     """L', [3, 3], rad: the jitter of the current frame is L' η', with L' L'ᵀ = S."""
     prev: JitterPrior
-    """The prior of the jitter of the previous frame, m + L° η°; m is corrected for."""
+    """Prior of the jitter in the previous frame, m + L° η°; observations are corrected for m."""
     effects: JitterEffects
-    """How η moves the features."""
+    """∂(observations)/∂η of the features."""
 
     @staticmethod
     def of(
@@ -101,9 +101,9 @@ class JitterUnknown:
         Args:
             prev_px: observations of N features in the previous frame, [N, 4], px.
             curr_px: those in the current frame, [N, 4], px.
-            points: the points of the former.
+            points: the points of the previous frame.
             roots: the priors of the jitter in both frames.
-            prior: what earlier frames say of disparities and jitter.
+            prior: prior of disparities and jitter by the disparity filter.
             camera: the intrinsics.
             frame: the index of the current frame.
         """
@@ -115,6 +115,8 @@ class JitterUnknown:
             prev_root=roots.prev.root,
             gain=points.gain,
         )
+        # The disparity filter knows how the previous jitter has moved its states; for the others,
+        # it moves the disparity like the observation.
         if prior is not None and len(prior.rows):
             known = prior.jitter
             effects.sensitivity[prior.rows, 2:] = 0.0 if known is None else known.sensitivity
@@ -132,11 +134,11 @@ class JitterRoots(NamedTuple):
     curr_root: FloatArray
     """L', [3, 3], rad."""
     prev: JitterPrior
-    """That of the previous frame: at least that it is N(0, S)."""
+    """Prior of the previous frame's jitter; without an estimate it is N(0, S)."""
 
     @staticmethod
     def of(cov: FloatArray, prior: DisparityPrior | None) -> JitterRoots:
-        """Return them, given S, [3, 3], rad², and what earlier frames say."""
+        """Build them from S, [3, 3], rad², and from the prior by earlier frames, if any."""
         root = np.linalg.cholesky(cov).astype(float)
         if prior is not None and prior.jitter is not None:
             return JitterRoots(root, prior.jitter)
@@ -146,7 +148,7 @@ class JitterRoots(NamedTuple):
 
 @dataclass(frozen=True)
 class StereoObservations:
-    """N stereo observations of one frame, each of a point that the previous frame saw, too."""
+    """Stereo observations of N points in the current frame that the previous frame saw as well."""
 
     points: PointPrior
     """The points, before the motion is estimated."""
@@ -157,11 +159,11 @@ class StereoObservations:
     camera: Intrinsics
     poses: PosePair
     propagated_noise: PropagatedNoise
-    """Σ⁻¹ and the points of linearisation, at the motion that ``propagated`` was last given."""
+    """Σ⁻¹ and the linearisation points, at the motion of the last call of ``propagated``."""
     jitter: JitterUnknown | None = None
     """The rig's jitter; None if the noise has none."""
     linearized_jitter: LinearizedJitter | None = None
-    """It, at the motion that ``propagated`` was last given."""
+    """The jitter, linearised at the motion of the last call of ``propagated``."""
 
     @staticmethod
     def of(
@@ -180,26 +182,28 @@ class StereoObservations:
             prev_px: observations y in the previous frame, rectified, [N, 4], px. The disparity may
                 be zero or slightly negative: a point at infinity still contributes to rotation.
             curr_px: the same points in the current frame, y', [N, 4], px.
-            noise: of the N features.
+            noise: noise of the N features.
             camera: the rectified camera.
             poses: the poses of both frames; by default, the world is the previous camera.
             loss: robust loss; by default that of the noise's own Student-t.
-            disparity_prior: what earlier frames say of some of the disparities.
+            disparity_prior: the disparity filter's prior of some of the disparities.
         """
         count = len(prev_px)
         roots = None
         if noise.jitter_cov is not None:
             roots = JitterRoots.of(noise.jitter_cov, disparity_prior)
             prev_px = np.array(prev_px, order="C")
+            # The known part of the previous jitter is a correction of the observations.
             if roots.prev.mean.any():
                 prev_px[:, 2:] -= jitter_offsets(prev_px, camera) @ roots.prev.mean
         loss = RobustLoss.student_t() if loss is None else loss
-        # Copies: a model may give one scale to all features, as a read-only view without strides,
-        # for which Numba would compile everything once more.
+        # Copy: a model may give all features the same scale, as a read-only view without strides.
+        # That is another type for Numba, which would compile everything again.
         scale = np.empty((count, 4, 4))
         scale[:] = noise.scale
         dof = np.empty(count)
         dof[:] = noise.dof
+        # Points by the previous observation, then by the disparity filter for the tracks it knows
         points = PointPrior.of(
             prev_px,
             scale=scale if noise.prev_scale is None else np.array(noise.prev_scale, order="C"),
@@ -209,7 +213,7 @@ class StereoObservations:
         if disparity_prior is not None:
             points = points.given(disparity_prior)
         curr_unbiased = np.subtract(curr_px, noise.bias, order="C")
-        # A known error of the measured disparity d = u_l − u_r is taken out of u_r.
+        # Correct u_r for the known error of the measured disparity d = u_l − u_r.
         curr_unbiased[:, 2] += points.error
         intrinsics = Intrinsics.of(camera)
         jitter = None
@@ -252,7 +256,7 @@ class StereoObservations:
         return poses if self.jitter is None else (*poses, self.jitter.variable)
 
     def _curr(self, values: Values) -> FloatArray:
-        """Return the current observations less what the jitter at these values moves, [N, 4]."""
+        """Return the current observations, corrected for the jitter at these values, [N, 4]."""
         if self.jitter is None or self.linearized_jitter is None:
             return self.pairs.curr
         curr = np.empty((len(self), 4))
@@ -260,7 +264,7 @@ class StereoObservations:
         return curr
 
     def points_at(self, values: Values) -> PointPrior:
-        """Return the N points as the jitter at these values moves them, before the solve."""
+        """Return the N points before the solve, corrected for the jitter at these values."""
         if self.jitter is None:
             return self.points
         points = self.points
@@ -275,7 +279,7 @@ class StereoObservations:
     def propagated(self, values: Values) -> StereoObservations:
         """Return the same observations with Σ and the refined points at these poses."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
-        # The refined points are where the loop linearises, so that it begins with the last ones.
+        # The loop linearises at the refined points: start from those of the last call.
         noise = _not_yet_propagated(self.propagated_noise.refined)
         if self.jitter is None:
             propagate_noise(T_curr_prev, self.camera, self.pairs, noise)
@@ -318,7 +322,7 @@ class StereoObservations:
         return (motion if self.poses.prev is None else of_both_poses(motion, T_curr_prev)).hessian
 
     def outcome(self, values: Values) -> Outcome:
-        """Return what became of the N residuals."""
+        """Return weights and gating of the N residuals."""
         at = self.at(values)
         return Outcome(
             squared=at.squared,
@@ -327,7 +331,7 @@ class StereoObservations:
         )
 
     def at(self, values: Values) -> StereoResult:
-        """Evaluate everything about the features at these values."""
+        """Evaluate residuals, Jacobians, weights and information at these values."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
         count = len(self)
         jacobians = StereoJacobians(
@@ -349,6 +353,7 @@ class StereoObservations:
         )
         scatter, curved = weigh(self.loss_parameters, jacobians.squared, weights)
         points = self.points_at(values)
+        # Information matrix, scaled to the observed residuals; the jitter's prior is exact.
         hessian, information = self._information(jacobians, weights, points.point[:, 2])
         information /= self._variance_factor(scatter, curved)
         if self.jitter is not None:
@@ -381,13 +386,13 @@ class StereoObservations:
     def _information(
         self, jacobians: StereoJacobians, weights: FeatureWeights, seen_px: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return Σ w Jᵀ Σ⁻¹ J, and Σ a Jᵀ Σ⁻¹ J without what disparity noise adds to it.
+        """Return Σ w Jᵀ Σ⁻¹ J, and Σ a Jᵀ Σ⁻¹ J without the bias that disparity noise adds to it.
 
-        The translation's columns of J are proportional to the disparity d. Refined, d leans towards
-        the solution, so it is set back to the one seen; squared, its noise σ² has a mean of its
-        own: E[d²] − σ² is what the true disparity contributes. Only where all disparities are
-        mostly noise does that matter, and there it tells an unobservable translation from an
-        observed one.
+        The columns of J for the translation are proportional to the disparity d. The refined d is
+        biased towards the solution, so the observed one is used. Its square is too large by the
+        variance σ² of its noise: the true disparity contributes E[d²] − σ². This matters only if
+        all disparities are mostly noise; there it distinguishes an unobservable translation from an
+        observable one.
         """
         refined = self.propagated_noise.refined[:, 2]
         disparity = np.where(np.abs(refined) > 1e-9, refined, np.inf)
@@ -415,14 +420,14 @@ class StereoObservations:
         return hessian, information
 
     def _variance_factor(self, scatter: float, curved: float) -> float:
-        """Return how much larger the covariance is than the inverse of A = Σ a Jᵀ Σ⁻¹ J.
+        """Return the factor by which the covariance exceeds the inverse of A = Σ a Jᵀ Σ⁻¹ J.
 
         The covariance of an M-estimate is A⁻¹ B A⁻¹, with a = w + (2/d) w' s, the curvature of the
         loss (over a Student-t its mean is (ν+d)/(ν+d+2); for an outlier it vanishes), and
-        B = Σ b Jᵀ Σ⁻¹ J, b = w² s/d, the scatter of its gradient. B is taken as A times the ratio
-        of the sums of b and a: one if the noise is as the model says, larger if the residuals are.
-        The sums start with the model's own a and b (``RobustLoss.moments``), as if a few features
-        had shown them.
+        B = Σ b Jᵀ Σ⁻¹ J, b = w² s/d, the scatter of its gradient. B is approximated by A times the
+        ratio of the sums of b and a: one if the noise model is right, larger if the residuals are.
+        The sums start with the a and b that the model expects (``RobustLoss.moments``), as if a few
+        features had shown them, so that few features cannot give a tiny covariance by chance.
         """
         count = len(self)
         expected_curvature = expected_scatter = 1.0
@@ -430,6 +435,7 @@ class StereoObservations:
             curvatures, scatters = self.loss.moments(self.noise.dof)
             expected_curvature = float(curvatures.sum()) / count
             expected_scatter = float(scatters.sum()) / count
+        # Bessel's correction: six degrees of freedom were fitted to the residuals.
         spent = count * DIM / max(count * DIM - 6.0, 1.0)
         seen = EXPECTED_FEATURES * expected_scatter + spent * scatter
         return seen / (EXPECTED_FEATURES * expected_curvature + curved)
@@ -449,7 +455,7 @@ class StereoResult:
     information: FloatArray
     """Information on ξ of T_curr_prev, [6, 6], or on (ξ, η), [12, 12]."""
     points: PointPrior
-    """The N points, before the solve, as the jitter moves them."""
+    """The N points before the solve, corrected for the jitter."""
 
 
 def of_both_poses(motion: Linearization, T_curr_prev: FloatArray) -> Linearization:

@@ -24,14 +24,14 @@ class Claimed(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """The factor on all covariances, and what remains to be said of errors with it."""
+    """The factor on all covariances, and statistics of the errors with it."""
 
     scale: float
     """The larger of the two that follow."""
     scale_single: float
-    """By single errors."""
+    """The factor by single errors."""
     scale_blocks: float
-    """By sums of ten."""
+    """The factor by sums of ten successive errors."""
     nll: float
     coverage_90: float
     """Share of single errors within their 90 % region."""

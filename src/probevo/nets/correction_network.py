@@ -48,14 +48,16 @@ NUM_NUMBERS = NUM_REGRESSORS + 6
 
 
 class Corrections(NamedTuple):
-    """What a network says of N steps."""
+    """The output of a network for N steps."""
 
     xi: FloatArray
     """Corrections, [N, 6], m and rad; axes that are not corrected are zero."""
     covariance: FloatArray
-    """Of the error that remains along the corrected axes, calibrated and widened, [N, d, d]."""
+    """Covariance of the remaining error along the corrected axes, calibrated and widened, [N, d,
+    d]."""
     widening: FloatArray
-    """By how much the covariance was multiplied since the input is unlike the training data, [N]"""
+    """Factor by which the covariance was widened because the input is unlike the training data,
+    [N]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ class CorrectionNetwork(TrainedNetwork):
 
     @cached_property
     def space(self) -> CorrectionTargets:
-        """What it regresses."""
+        """The space of its targets."""
         return space_of(self.facts)
 
     def estimate(self, inputs: FloatArray) -> Corrections:
@@ -83,7 +85,7 @@ class CorrectionNetwork(TrainedNetwork):
         )
 
     def linear(self, inputs: FloatArray) -> FloatArray:
-        """Return what the linear regression alone says of N steps, [N, 6], m and rad."""
+        """Return the corrections by the linear regression alone, [N, 6], m and rad."""
         trunk = jax.tree.map(lambda array: np.asarray(array[0], np.float64), self.networks.trunk)
         outputs = linear_estimates(inputs, trunk.standard, trunk.linear)
         xi = np.zeros((len(inputs), 6))
@@ -167,10 +169,10 @@ def inputs_of(fields: FloatArray, motions: FloatArray, covariances: FloatArray) 
 
 
 def regressors(motions: FloatArray) -> FloatArray:
-    """Return what the linear regression takes: ξ, its squares, and φ times the distance, [N, 15].
+    """Return the regressors of the linear part: ξ, its squares, and φ times the distance, [N, 15].
 
-    Errors of a calibration act on the motion, and on its products: a camera that turns sees the
-    flow of its way where the distortion is another.
+    Calibration errors act on the motion and on its products: in a turn, the translational flow is
+    in another part of the image, where the distortion is different.
     """
     distance = np.linalg.norm(motions[:, :3], axis=1, keepdims=True)
     return np.hstack([motions, motions**2, distance * motions[:, 3:]])

@@ -37,7 +37,7 @@ class CorrectionTargets:
     root: tuple[tuple[float, ...], ...]
     """L, [d, d], lower triangular."""
     axes: tuple[int, ...] = ALL_AXES
-    """Those that are corrected."""
+    """Axes that are corrected."""
 
     size = 6
     least_variance = 1.0

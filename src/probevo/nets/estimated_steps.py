@@ -32,11 +32,11 @@ class EstimatedSteps:
     """N steps whose motion was solved for."""
 
     fields: FloatArray
-    """What the network sees of the images, [N, 6, rows, columns], float32 (``stereo_field``)."""
+    """The network's input from the images, [N, 6, rows, columns], float32 (``stereo_field``)."""
     motions: FloatArray
     """Log of the estimated T_curr_prev, [N, 6], m and rad."""
     covariances: FloatArray
-    """That the odometry claims of them, [N, 6, 6]."""
+    """Covariances of these motions by the odometry, [N, 6, 6]."""
     corrections: FloatArray
     """ξ* = Log(T_true T_est⁻¹), [N, 6]."""
 

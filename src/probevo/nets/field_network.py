@@ -33,7 +33,7 @@ HIDDEN = 32
 SMALL = 0.1
 """Factor on the first weights of the last layers: the heads begin near the regression."""
 RIDGE = 1e-3
-"""Of the linear regression, in the units of the standardised flow, per datum."""
+"""Ridge penalty of the linear regression, per sample, for standardised flow."""
 
 
 class LinearFit(NamedTuple):
@@ -48,12 +48,12 @@ class LinearFit(NamedTuple):
 class FieldTrunk(eqx.Module):
     """Two layers over each patch of cells, the same for all, and one over all of them, with ReLU.
 
-    The last layer sees all places apart, since what a flow means depends on where it is. The first
-    of the features are those of the linear regression.
+    The last layer has separate weights for each place, since the meaning of a flow depends on where
+    in the image it is. The first features are those of the linear regression.
     """
 
     mean: jax.Array
-    """Of each input channel over the training data, [C, 1, 1]."""
+    """Mean of each input channel over the training data, [C, 1, 1]."""
     scale: jax.Array
     """One over the standard deviation, [C, 1, 1]."""
     linear: LinearFit
@@ -92,7 +92,7 @@ class FieldTrunk(eqx.Module):
 
 
 class FieldHead(eqx.Module):
-    """What a network adds to the linear regression."""
+    """A head: the output that is added to the linear regression."""
 
     correction: PReluHead
     num_linear: int = eqx.field(static=True)

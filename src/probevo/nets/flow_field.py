@@ -1,4 +1,4 @@
-"""What a network sees of two images of one camera: the optical flow on a grid of viewing rays.
+"""The input of networks from two images of one camera: optical flow on a grid of viewing rays.
 
 Images of any pinhole camera are resampled to one small virtual camera, in which dense optical flow
 is computed (Kroeger et al. 2016) and averaged over cells. Flow is in normalised coordinates, x =
@@ -22,7 +22,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 
 FOCAL_PX = 180.0
-"""Of the virtual camera: half that of the rendered scenes, a quarter of KITTI's."""
+"""Focal length of the virtual camera: half that of the rendered scenes, a quarter of KITTI's."""
 SIZE_PX = (288, 80)
 """Width and height of its images: x from −0.8 to 0.8, y from −0.22 to 0.22."""
 CELL_PX = 4

@@ -26,11 +26,12 @@ from probevo.sequences.base import Sequence
 FURTHER_SIGMA_RAD = np.radians([0.15, 0.5, 0.15])
 """Standard deviations by which copies are rotated further, about x, y and z."""
 FURTHER_SPREAD = 1.0
-"""Of the logarithm of a factor on them: many small rotations, a few large ones."""
+"""Standard deviation of the logarithm of a random factor on these: many small rotations, few large
+ones."""
 MOST_FURTHER_RAD = 0.06
 """No axis is rotated more: at a tenth of a second, a turn of 34° a second."""
 MIRROR = np.array([1.0, -1.0, -1.0])
-"""What a mirror does to a rotation vector, if x is what it inverts."""
+"""Effect of a reflection of x on a rotation vector."""
 
 
 @dataclass(frozen=True)

@@ -35,14 +35,14 @@ _INITIAL, _EPOCHS, _HELD_OUT = range(3)
 
 @dataclass(frozen=True)
 class LearningPlan:
-    """How long and with which optimiser networks are trained."""
+    """Length and optimiser of a training."""
 
     epochs: int
     batch: int
     optimizer: Literal["adam", "sgd"] = "adam"
     learning_rate: float = 1e-4
     momentum: float = 0.0
-    """Of "sgd" only."""
+    """Momentum; only with "sgd"."""
     shuffle: bool = True
     """Whether each epoch has another order of the data. What does not fill a batch is left out."""
     patience: int | None = None
@@ -54,12 +54,12 @@ class LearningPlan:
 
 
 class TrainingData(NamedTuple):
-    """What S experiments of M networks are trained on."""
+    """Training and validation data of S experiments with M networks each."""
 
     inputs: jax.Array
     """[S, N, i]"""
     targets: jax.Array
-    """Of each network and head, [S, M, N, H, o]."""
+    """Targets of each network and head, [S, M, N, H, o]."""
     samples: jax.Array
     """Which of the data each network is trained on, in this order, [S, M, N], int32."""
     held_out_inputs: jax.Array
@@ -69,7 +69,7 @@ class TrainingData(NamedTuple):
 
 
 class LearningState(NamedTuple):
-    """All that a training remembers between two epochs."""
+    """The state of a training between two epochs."""
 
     networks: Network
     optimizer: optax.OptState
@@ -164,8 +164,8 @@ def _initial_state(
     key = jax.random.fold_in(jax.random.key(plan.seed), _INITIAL)
     keys = jax.random.split(key, (num_experiments, num_networks))
     networks = eqx.filter_vmap(eqx.filter_vmap(partial(build, method)))(keys)
-    # Types that JAX calls weak would become strong in the first epoch, and the second be compiled
-    # once more.
+    # JAX's weak types would become strong in the first epoch, and the second epoch would be
+    # compiled again.
     networks = jax.tree.map(lambda array: jnp.asarray(array, array.dtype), networks)
     initialize = jax.vmap(jax.vmap(optimizer.init))
     return LearningState(

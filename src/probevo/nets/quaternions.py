@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 TERMS = 24
-"""Of each series. Up to an angle of 2π, the first omitted term is below 1e-17."""
+"""Terms of each series. Up to an angle of 2π, the first omitted term is below 1e-17."""
 SMALL_SQ = 1e-8
 """sin²(θ/2) up to which the logarithm is a series; what it omits is below 1e-17."""
 LEAST_LENGTH_SQ = 1e-12

@@ -48,13 +48,13 @@ Samples = TypeVar("Samples")
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """What the training of a network is given beside its samples."""
+    """The inputs of a training beside its samples."""
 
     settings: NetworkSettings
     recordings: list[dict[str, Any]]
     """Facts of all recordings, in order; the last ``left_out`` are left out."""
     num_frames: int
-    """Of all recordings."""
+    """Number of frames of all recordings."""
     folder: Path
     """Where the work so far is kept."""
     extra: Any
@@ -147,14 +147,14 @@ def _one_network(
 
 @dataclass(frozen=True)
 class Task(Generic[Samples]):
-    """What one kind of network adds to the training of all kinds."""
+    """The part of a training that is specific to one kind of network."""
 
     kind: str
     check: Callable[[Sequence], None]
     """Refuses a recording that it cannot learn from."""
     samples: type[Samples]
     read: Callable[[Sequence, int, OnFrame], Samples]
-    """Goes through so many frames of a recording."""
+    """Reads the samples of a number of frames of a recording."""
     train: Callable[[list[Samples], TrainingRun], TrainedNetwork]
     """Learns the network from the samples of each recording, and calibrates it."""
     extra: Any = None

@@ -27,14 +27,15 @@ SPACE = SmallRotationTargets()
 
 
 class RotationEstimates(NamedTuple):
-    """What a network says of N pairs of images."""
+    """The output of a network for N pairs of images."""
 
     q_curr_prev: FloatArray
     """Rotations as unit quaternions, scalar first, [N, 4]."""
     covariance: FloatArray
-    """Of their left perturbations, calibrated and widened, [N, 3, 3], rad²."""
+    """Covariances of their left perturbations, calibrated and widened, [N, 3, 3], rad²."""
     widening: FloatArray
-    """By how much the covariance was multiplied since the input is unlike the training data, [N]"""
+    """Factor by which the covariance was widened because the input is unlike the training data,
+    [N]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,14 +28,16 @@ SPACE = SunTargets()
 
 
 class SunEstimates(NamedTuple):
-    """What a network says of N images."""
+    """The output of a network for N images."""
 
     directions: FloatArray
-    """Towards the sun in the camera, unit vectors, [N, 3]."""
+    """Unit vectors towards the sun in the camera, [N, 3]."""
     covariance: FloatArray
-    """In the tangent plane, along azimuth and zenith angle, calibrated and widened, [N, 2, 2]."""
+    """Covariances in the tangent plane, along azimuth and zenith angle, calibrated and widened,
+    [N, 2, 2]."""
     widening: FloatArray
-    """By how much the covariance was multiplied since the input is unlike the training data, [N]"""
+    """Factor by which the covariance was widened because the input is unlike the training data,
+    [N]."""
 
 
 @dataclass(frozen=True, eq=False)

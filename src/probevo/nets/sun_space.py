@@ -19,7 +19,7 @@ LEAST_SIGMA_RAD = 0.01
 MOST_SIGMA_RAD = 2.0
 """Standard deviations before the axes are mixed lie between these two."""
 FIRST_SIGMA_RAD = 0.5
-"""What a head that gives zeros means."""
+"""Standard deviation that an output of zero stands for."""
 LEAST_LENGTH = 1e-9
 """Added to squared lengths: at the zenith, and where there is no error."""
 

@@ -27,7 +27,7 @@ from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
 
 RIDGE = 1.0
-"""Of the linear regression: images of one street are alike, and count for few."""
+"""Ridge penalty of the linear regression: images of one street are alike, and count for few."""
 
 
 def train_sun(

@@ -31,9 +31,9 @@ CHANNELS = 4
 """Level, contrast, and gradients along x and y."""
 FEWEST_CELLS = 2
 MOST_CELLS = 8
-"""By which copies are moved sideways: turns of 2.5 to 10°."""
+"""Range of the sideways shift of augmented copies, in cells: rotations of 2.5 to 10°."""
 BLUR_PX = 1.5
-"""Of the image whose gradients are taken."""
+"""Blur of the image before its gradients are taken."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""What a network regresses, and what it says of its own error: a number, or a rotation.
+"""The spaces of what networks regress, with the covariance of its error: numbers, or rotations.
 
-The head of a network gives numbers without meaning. A target space makes an estimate of them, and a
-covariance that is positive definite whatever the weights are. Errors are tangent vectors.
+The outputs of a head are plain numbers. A target space maps them to an estimate and to a covariance
+that is positive definite whatever the weights are. Errors are tangent vectors.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ from probevo.arrays import AnyArray, FloatArray
 from probevo.nets import quaternions
 
 LEAST_VARIANCE = 1e-6
-"""Of a number; as published."""
+"""Least variance of a number; as published."""
 LEAST_SIGMA_RAD = 1e-4
 MOST_SIGMA_RAD = math.pi
 """Standard deviations of rotations lie between these two before axes are mixed."""
 FIRST_SIGMA_RAD = 0.5
-"""What a head that gives zeros means. Small ones make the first steps of a training huge."""
+"""Standard deviation that an output of zero stands for. If it is small, the first steps of a
+training are huge."""
 
 
 class TargetSpace(Protocol):
@@ -170,7 +171,7 @@ class RotationTargets:
 
     @property
     def _first(self) -> float:
-        """What is added to the outputs for σ, so that zeros mean ``first_sigma_rad``."""
+        """Offset of the outputs for σ, so that zero stands for ``first_sigma_rad``."""
         share = math.log(self.first_sigma_rad / LEAST_SIGMA_RAD) / _LOG_RANGE
         return math.log(share / (1.0 - share))
 

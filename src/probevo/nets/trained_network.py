@@ -25,12 +25,13 @@ from probevo.nets.target_space import TargetSpace
 
 
 class Evaluation(NamedTuple):
-    """What a network makes of N inputs."""
+    """The predictions of a network for N inputs."""
 
     predicted: Prediction
-    """Not yet calibrated."""
+    """Predictions before calibration."""
     widening: FloatArray
-    """By how much covariances are multiplied since the input is unlike the training data, [N]."""
+    """Factor by which covariances are widened because the input is unlike the training data,
+    [N]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from probevo.noise.model_file import ModelFile
 
 NAME = "jitter_cov"
 LARGEST_SIGMA_RAD = 0.1
-"""Of an angle of the jitter: no rig whose images match at all moves by so much."""
+"""Largest plausible σ of an angle: with more, the two images would not match at all."""
 
 
 def jitter_arrays(jitter_cov: FloatArray | None) -> dict[str, AnyArray]:

@@ -6,12 +6,12 @@ Euclidean:  d² = Σ_m w_m² ((φ_m − φ'_m)/σ_m)².
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.noise.moments import Moments
 
@@ -100,6 +100,37 @@ class Metric:
             weight=np.ones(len(columns)),
         )
 
+    @staticmethod
+    def from_arrays(
+        columns: tuple[str, ...],
+        may_be_undefined: tuple[bool, ...],
+        arrays: Mapping[str, AnyArray],
+    ) -> Metric:
+        """Return the metric whose ``arrays`` are among those of a file."""
+        return Metric(
+            columns=columns,
+            may_be_undefined=may_be_undefined,
+            mean=arrays["mean"],
+            spread=arrays["spread"],
+            weight=arrays["weight"],
+        )
+
+    @property
+    def arrays(self) -> dict[str, AnyArray]:
+        """The arrays of the metric by their names in a file."""
+        return {"mean": self.mean, "spread": self.spread, "weight": self.weight}
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether columns and arrays of a file make a metric: M distinct columns, σ > 0, bounds."""
+        count = len(self.columns)
+        return (
+            have_shapes([(array, (count,), np.float64) for array in self.arrays.values()])
+            and len(set(self.columns)) == count == len(self.may_be_undefined)
+            and bool((self.spread > 0.0).all())
+            and bool(((self.weight >= 0.0) & (self.weight <= MAX_WEIGHT)).all())
+        )
+
     def coordinates(self, predictors: FloatArray) -> FloatArray:
         """Return coordinates in which the distance is Euclidean, [N, M], finite.
 
@@ -133,6 +164,14 @@ class Metric:
         standard[np.isnan(standard)] = UNDEFINED
         standard *= self.weight
         return standard
+
+
+def have_shapes(expected: Sequence[tuple[AnyArray, tuple[int, ...], type]]) -> bool:
+    """Return whether all arrays of a file are finite, and have the expected shape and type."""
+    return all(
+        array.shape == shape and array.dtype == dtype and bool(np.isfinite(array).all())
+        for array, shape, dtype in expected
+    )
 
 
 def check_defined(

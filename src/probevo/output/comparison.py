@@ -122,9 +122,9 @@ class Comparison:
 
     @cached_property
     def rankings(self) -> dict[str, dict[str, Ranking]]:
-        """Of each sequence, and of each of ``ERRORS`` that is known of two runs: who is best.
+        """The ranking of the runs, by sequence and by error that at least two runs have.
 
-        Runs whose noise model has seen the recording in training do not take part.
+        Runs whose noise model was trained on the recording are left out.
         """
         return {name: _rankings(self.of(name)) for name in self.sequences}
 

@@ -66,17 +66,17 @@ class KeyFigure:
     value: str
     unit: str = ""
     aside: str = ""
-    """What stands in small print below it."""
+    """Small print below the value."""
 
 
 @dataclass(frozen=True)
 class RunDescription:
-    """What a report says of a run besides its results."""
+    """The description of a run in a report, besides its results."""
 
     title: str
     """Heading of the page, e.g. the name of the recording."""
     facts: Mapping[str, str]
-    """What a reader should know beforehand, by name: recording, camera, noise model …"""
+    """Facts at the top of the page, by name: recording, camera, noise model …"""
     config: str = ""
     """Effective configuration, as text."""
 

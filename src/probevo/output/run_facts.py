@@ -68,13 +68,13 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
 
 
 def height_text(height: GroundHeight) -> str:
-    """Describe how high the camera is above the ground that it passed over."""
+    """Describe the height of the camera above the ground."""
     known = "" if height.known_m is None else f"; {height.known_m:g} m by --camera-height-m"
     return f"{height.height_m:.3f} ± {height.sigma_m:.3f} m by the images{known}"
 
 
 def mask_text(recording: MaskedRecording) -> str:
-    """Describe the masks of a recording by the share of the first image that they leave."""
+    """Describe the masks of a recording by the share of the first image that is not masked."""
     texts = []
     for side, masks in (("left", recording.left_masks), ("right", recording.right_masks)):
         if masks is not None:
@@ -119,13 +119,13 @@ def field_of_view_deg(camera: StereoCamera) -> float:
 
 
 def jitter_text(sigma_rad: FloatArray) -> str:
-    """Say how far the rig moves: σ of the right camera's pitch, yaw and roll, [3]."""
+    """Describe the jitter of the rig: σ of the right camera's pitch, yaw and roll, [3]."""
     pitch, yaw, roll = (readable(math.degrees(angle)) for angle in sigma_rad)
     return f"moves from frame to frame by σ = {pitch}° in pitch, {yaw}° in yaw, {roll}° in roll"
 
 
 def delay_text(delay_s: float) -> str:
-    """Say how far apart the two exposures are, given how much later the right one is, s."""
+    """Describe the exposure delay of the right camera, s."""
     late = "later" if delay_s > 0.0 else "earlier"
     return (
         f"right images are exposed {1e3 * abs(delay_s):.1f} ms {late} than left ones, which is"
@@ -134,19 +134,19 @@ def delay_text(delay_s: float) -> str:
 
 
 def focal_text(error: FocalLengthError) -> str:
-    """Say how far the focal length is off by the images, or how well they show it."""
+    """Describe the error of the focal length, or how well it is determined."""
     sigma = readable(100.0 * error.sigma)
     if not error.is_noticeable:
         return f"as calibrated, as far as turns of the camera show it (σ = {sigma} %)"
     longer = "longer" if error.percent > 0.0 else "shorter"
     return (
         f"where the camera turns, images show one that is {readable(abs(error.percent))} %"
-        f" {longer} than calibrated (σ = {sigma} %): it is wrong, or distortion of the lens is left"
+        f" {longer} than calibrated (σ = {sigma} %): it is wrong, or lens distortion remains"
     )
 
 
 def imu_use_text(sequence: Sequence, config: RunConfig) -> str:
-    """Say whether there is an IMU, and what it is used for."""
+    """Describe whether there is an IMU, and what it is used for."""
     if not config.imu:
         return "left out"
     if sequence.imu is None:

@@ -27,19 +27,19 @@ SIGMA_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 @dataclass(frozen=True)
 class SensorUse:
-    """What became of one sensor beside the camera, in steps of a run."""
+    """Number of steps in which a further sensor was used, gated, silent or excluded."""
 
     used: int = 0
     gated: int = 0
-    """Steps whose measurements were turned away."""
+    """Steps whose measurements were rejected."""
     silent: Mapping[str, int] = field(default_factory=dict)
     """Steps without a measurement, by the reason that the sensor gave."""
     excluded: int = 0
-    """Steps after it was found to lie, that one included."""
+    """Steps after it was found to be faulty, including that one."""
     excluded_at: int | None = None
-    """Index of the frame from which on; None if it was not excluded."""
+    """Index of the frame from which on it is excluded; None if it is not."""
     reason: str | None = None
-    """What showed that it lies."""
+    """Why it is excluded."""
 
     def and_then(self, outcome: SensorOutcome, frame: int) -> SensorUse:
         """Return the same with one more step."""
@@ -104,7 +104,7 @@ class RunResult:
     num_used: IntArray | None = None
     """Tracks used in the solve, [N-1]; None in files of versions that did not store it."""
     num_out_of_domain: IntArray | None = None
-    """Those of them that lie outside of the noise model's domain, [N-1]; None if it has none."""
+    """Tracks used that are outside of the noise model's domain, [N-1]; None if it has none."""
     smoothed: FloatArray | None = None
     """Poses as they left the window, with what later frames say of them, [N, 4, 4], m; None for the
     two-frame estimator."""
@@ -135,7 +135,7 @@ class RunResult:
     """Samples and features that could not be used, counted by what was wrong with them
     (``MotionEstimate.missing``)."""
     sensors: dict[str, SensorUse] = field(default_factory=dict)
-    """What became of each sensor beside the camera, by name."""
+    """Use of each further sensor, by name."""
 
     @property
     def faults(self) -> dict[str, int]:

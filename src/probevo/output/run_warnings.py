@@ -1,4 +1,4 @@
-"""Warnings to the reader of a run, in words."""
+"""Warnings about a run, in words."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ FEWEST_OK = 0.5
 MAX_SCALE_ERROR = 0.04
 """Largest plausible error of the scale; a calibrated baseline is good to 1 %."""
 MAX_ACCELEROMETER_ERROR = 0.03
-"""The same where the accelerometer tells it, whose own scale is good to 1 %."""
+"""Largest plausible error of the scale by the accelerometer, whose own scale is good to 1 %."""
 MAX_HEIGHT_ERROR = 0.03
-"""The same where a known height tells it: a load lowers a car by some 2 cm."""
+"""Largest plausible error of the scale by a known height: a load lowers a car by some 2 cm."""
 FEWEST_FOR_SCALE = 5
-"""Steps that the scale needs."""
+"""Least number of steps for the scale."""
 LEAST_COSINE = 0.5
 """Median cosine between successive true steps of a camera that moves."""
 _CAUSES = {
     Status.DEGENERATE: "features that are all far away or few, or a wrong baseline or focal length",
     Status.TOO_FEW_TRACKS: (
-        "dark, blurred or bare pictures, or left and right not rectified or of different times"
+        "dark, blurred or featureless images, or a pair that is not rectified or not simultaneous"
     ),
     Status.NOT_CONVERGED: (
         "stamps or an IMU in wrong units, a wrong calibration, or frames out of order"
     ),
     Status.GAP: "missing frames, or wrong stamps",
-    Status.RECOVERED: "dark, blurred or frozen pictures between usable ones",
+    Status.RECOVERED: "dark, blurred or frozen images between usable ones",
 }
 
 
@@ -45,8 +45,8 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         stopped = f"After {len(result):,} frames: {result.stopped}"
     warnings = {
         "Stopped before the end": stopped,
-        "Hardly a step is OK": status_warning(result.status),
-        "Right images of other frames": timing_warning(result.right_late_frames),
+        "Few steps are OK": status_warning(result.status),
+        "Left and right images of different frames": timing_warning(result.right_late_frames),
         "Focal length": focal_warning(result.focal_length),
         "Noise model": camera_warning(result.other_camera),
         "IMU": imu_warning(result.imu_left_out),
@@ -54,7 +54,7 @@ def run_warnings(result: RunResult, truth: FloatArray | None = None) -> dict[str
         "Scale by the accelerometer": accelerometer_warning(result.accelerometer_scale),
         "Scale by the camera's height": height_warning(result.ground_height),
         "Out of domain": domain_warning(result.out_of_domain),
-        "A sensor lies": sensor_warning(result),
+        "A sensor is faulty": sensor_warning(result),
     }
     return {heading: text for heading, text in warnings.items() if text}
 
@@ -69,7 +69,7 @@ def status_warning(status: IntArray) -> str | None:
     name = prevailing.name.replace("_", " ").lower()
     return (
         f"Only {num_ok:,} of {len(status):,} steps are OK, and the path is not reliable. Most"
-        f" others are {name}, which usually comes of {_CAUSES[prevailing]}: see `probevo info"
+        f" others are {name}, usually because of {_CAUSES[prevailing]}: see `probevo info"
         " SEQUENCE`."
     )
 
@@ -116,7 +116,7 @@ def imu_warning(reason: str | None) -> str | None:
     """Warn if the window left out the IMU at the end of the run, for a reason; else None."""
     if not reason:
         return None
-    return f"The IMU {reason}. The path is that of the images: see `probevo info SEQUENCE`."
+    return f"The IMU {reason}. The path is by images alone: see `probevo info SEQUENCE`."
 
 
 def accelerometer_warning(scale: AccelerometerScale | None) -> str | None:
@@ -148,7 +148,7 @@ def height_warning(height: GroundHeight | None) -> str | None:
 
 
 def sensor_warning(result: RunResult) -> str | None:
-    """Name the sensors that were found to lie, and what shows it; None if there are none."""
+    """Name the sensors that were found to be faulty, and why; None if there are none."""
     texts = [
         f"{name} is excluded from frame {use.excluded_at} on: {use.reason}."
         for name, use in result.sensors.items()
@@ -156,13 +156,13 @@ def sensor_warning(result: RunResult) -> str | None:
     ]
     if not texts:
         return None
-    return " ".join(texts) + " The path is that without it. Is it mounted as it says?"
+    return " ".join(texts) + " The path does not use it. Is its mounting correct?"
 
 
 def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
     """Warn if the steps are longer or shorter than the true ones as a whole; else None.
 
-    A wrong baseline does that, and the covariances know nothing of it.
+    A wrong baseline causes that, and the covariances do not contain it.
 
     Args:
         result: a run over N frames.
@@ -176,7 +176,8 @@ def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
     is_known = np.isfinite(length_m) & (length_m > 0.0) & (result.status == Status.OK)
     if is_known.sum() < FEWEST_FOR_SCALE:
         return None
-    # The longer half of the steps, each projected on the true one, so that noise does not add up.
+    # Use the longer half of the steps, projected on the true ones, so that noise does not bias the
+    # lengths.
     is_known &= length_m >= np.median(length_m[is_known])
     if not _go_on(true_m[is_known]):
         return None
@@ -191,8 +192,10 @@ def scale_warning(result: RunResult, truth: FloatArray | None) -> str | None:
 
 
 def _go_on(steps_m: FloatArray) -> bool:
-    """Return whether steps, [K, 3], mostly lead on in the direction of the one before: those of a
-    camera at rest are the noise of its truth, and lead nowhere."""
+    """Return whether most steps, [K, 3], continue in the direction of the previous one.
+
+    The true steps of a camera at rest are noise, and have no common direction.
+    """
     along_m2 = np.sum(steps_m[1:] * steps_m[:-1], axis=1)
     lengths_m = np.linalg.norm(steps_m, axis=1)
     return bool(np.median(along_m2 / (lengths_m[1:] * lengths_m[:-1])) > LEAST_COSINE)

@@ -13,7 +13,7 @@ from probevo.evaluation.paired_test import PairedDifference, paired_differences
 CONFIDENCE = 0.95
 """Probability that none of the differences that are called significant is noise."""
 SEED = 0
-"""Of the random exchanges: the same runs give the same verdict."""
+"""Seed of the random exchanges, so that the same runs give the same result."""
 
 
 @dataclass(frozen=True)

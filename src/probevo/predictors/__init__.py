@@ -1,4 +1,4 @@
-"""What a feature looks like, as numbers that predict its noise; one file a predictor."""
+"""Predictors: numbers that describe a feature and predict its noise; one file per predictor."""
 
 from probevo.predictors.base import Needs, Predictor, Step
 from probevo.predictors.registry import PREDICTORS, all_predictors, prediction_space, space_for

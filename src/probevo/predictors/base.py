@@ -1,4 +1,4 @@
-"""What a predictor is, and the step of the odometry that it looks at."""
+"""The type of a predictor, and the step of the odometry that it is computed from."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from probevo.tracking.tracks import Tracks
 
 
 class Needs(Flag):
-    """What a predictor looks at beside the tracks, their previous residuals, and the prediction.
+    """What a predictor needs beside the tracks, their previous residuals, and the prediction.
 
-    The prediction is the motion that gyro and motion model give before any image is looked at.
+    The prediction is the motion by gyro and motion model, before any image is used.
     """
 
     TRACKS = 0
@@ -34,15 +34,15 @@ class Needs(Flag):
     PREVIOUS_RIGHT = auto()
     """The right image of the previous frame."""
     IMAGES = LEFT | PREVIOUS_LEFT | RIGHT | PREVIOUS_RIGHT
-    """Any image: ``predictor.needs & Needs.IMAGES`` is true if it looks at one at least."""
+    """Any image: ``predictor.needs & Needs.IMAGES`` is true if the predictor needs at least one."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """What predictors see of one step of the odometry: all the prior knowledge of its motion."""
+    """The input of predictors: all that is known about a step before its motion is estimated."""
 
     tracks: Tracks
-    """The N features that both frames show."""
+    """The N features that are seen in both frames."""
     camera: StereoCamera
     """The rectified camera."""
     predicted_T_curr_prev: FloatArray
@@ -61,7 +61,7 @@ class Step:
 
     @property
     def imu(self) -> ImuSamples:
-        """IMU samples of the interval; empty where they do not cover all of it."""
+        """IMU samples of the interval; empty if they do not cover all of it."""
         if self.curr_frame.imu is not None:
             return self.curr_frame.imu
         return ImuSamples(
@@ -118,8 +118,8 @@ def _image_or_empty(image: Image | None) -> Image:
 class Predictor:
     """One cue for the noise of a feature, as one or more columns of the prediction space.
 
-    ``compute`` maps a step with N features to [N], or to [N, C] with C columns. NaN says that a
-    value is undefined there, and is refused unless ``undefined`` says where that may be.
+    ``compute`` maps a step with N features to [N], or to [N, C] with C columns. NaN means that a
+    value is undefined; it is refused unless ``undefined`` says where this can happen.
     """
 
     name: str
@@ -129,7 +129,7 @@ class Predictor:
     source: str
     """Where it comes from: paper and section."""
     needs: Needs
-    """What it looks at; a recording that lacks it is refused."""
+    """The data it needs; a recording without them is refused."""
     compute: Callable[[Step], FloatArray]
     """Compute its values for a step, [N] or [N, C]."""
     undefined: str = ""

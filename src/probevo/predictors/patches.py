@@ -1,4 +1,4 @@
-"""Compiled helpers of the predictors that look at a patch: its position, and a copy of it."""
+"""Compiled helpers of the predictors that use an image patch: its position, and a copy of it."""
 
 from __future__ import annotations
 

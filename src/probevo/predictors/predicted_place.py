@@ -1,4 +1,5 @@
-"""Where a motion takes features, for the predictors that compare this with the observation."""
+"""Transfer of features by a predicted motion, for predictors that compare it with the
+observation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The predictors there are: the built-in ones, and those of other installed packages.
+"""The registry of predictors: the built-in ones, and those of other installed packages.
 
 A built-in predictor is listed here, once. Another package offers its own by an entry point in the
 group ``probevo.predictors`` that names a ``Predictor``; CONTRIBUTING.md shows how.

@@ -1,4 +1,4 @@
-"""Recordings: one protocol, ``Sequence``, behind which every format hides.
+"""Recordings: the protocol ``Sequence``, which every format implements.
 
 ``open_sequence`` opens a recording of any registered format.
 """

@@ -1,4 +1,4 @@
-"""The protocol behind which every recording format hides."""
+"""The protocol of recordings, which every format implements."""
 
 from __future__ import annotations
 
@@ -46,5 +46,5 @@ class Sequence(Protocol):
         """Yield the frames from the first.
 
         Raises:
-            InputError: at the frame whose files are at fault.
+            InputError: a file of that frame is faulty.
         """

@@ -1,4 +1,4 @@
-"""Stereo calibrations as people have them: which readers there are, and the choice among them.
+"""Stereo calibration files of other tools: the available readers, and the choice among them.
 
 A calibration is recognised by its content, not by its name. A new kind is one more entry here.
 """

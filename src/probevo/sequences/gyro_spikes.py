@@ -9,9 +9,10 @@ from probevo.arrays import BoolArray, FloatArray
 LEAST_SPIKE_RAD_S = 0.5
 """Least change of the rate within two samples that may be a spike."""
 OVER_NEIGHBORS = 3.0
-"""A spike stands out so many times farther than its neighbours differ from each other."""
+"""Least ratio of a spike to the difference of its neighbours."""
 OVER_USUAL = 8.0
-"""And so many times farther than the samples of the interval usually do: a gyro on a motor."""
+"""Least ratio of a spike to the typical differences in the interval, which vibrations make
+large."""
 FEWEST_SAMPLES = 5
 """Least number of samples that tell what is usual."""
 

@@ -1,4 +1,4 @@
-"""A stereo pair as tracking prepared it ahead of time; a frame may bring it along."""
+"""A stereo pair that was prepared for tracking ahead of time; a frame may contain it."""
 
 from __future__ import annotations
 

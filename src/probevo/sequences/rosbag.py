@@ -88,6 +88,7 @@ class BagRecording(ImageRecording):
                     left_waiting[next(frames_left, NO_FRAME)] = message
                 else:
                     right_waiting[next(frames_right, NO_FRAME)] = message
+                # A frame is complete once both of its images have been read; they may be far apart.
                 while next_index in left_waiting and next_index in right_waiting:
                     left = left_waiting.pop(next_index)
                     right = right_waiting.pop(next_index)
@@ -140,7 +141,8 @@ class BagRecording(ImageRecording):
 
 @dataclass
 class _Content:
-    """What one pass through a bag gathers: all but the images, of which it keeps the first."""
+    """The result of the first pass through a bag: everything except images, of which it has the
+    first."""
 
     decoder: Decoder
     left_ns: list[int] = field(default_factory=list)
@@ -187,6 +189,8 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
     if options.truth is not None and options.topics_truth is not None:
         what = "both --truth and --topics.truth name the true poses."
         raise InputError(path, what, "Leave out one of them.")
+    # First pass: stamps, CameraInfo, IMU, transforms and truth. Images are decoded in a second
+    # pass, while the recording is iterated over.
     with opened_bag(path) as bag:
         topics = choose_topics(path, bag.topics, named)
         content = _Content(bag.decoder, first_images={topics.left: [], topics.right: []})
@@ -194,6 +198,7 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
             content.truth = _empty_truth(path, topics.truth, bag.topics[topics.truth].type, options)
         for message in bag.messages(topics.all):
             _gather(content, message, topics)
+    # Pair images by the stamps of their headers; the order of messages in a bag means nothing.
     pair_tolerance_ms = options.pair_tolerance_ms
     tolerance_ns = round(1e6 * pair_tolerance_ms)
     pairs = pair_stamps(np.array(content.left_ns), np.array(content.right_ns), tolerance_ns)
@@ -201,13 +206,14 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
     stamps_ns = np.array(content.left_ns, dtype=np.int64)[pairs.left]
     check_stamps(stamps_ns, f"{path}: {topics.left}")
 
-    # The first images show their size and depth.
+    # Only the first images are decoded here, for their size and depth.
     left_images = _first_images(content, topics.left, path)
     right_images = _first_images(content, topics.right, path)
     is_deep = all(image.dtype == np.uint16 for image in [*left_images, *right_images])
     gray_range = GrayRange.of([*left_images, *right_images]) if is_deep else None
     size_px = (left_images[0].shape[1], left_images[0].shape[0])
 
+    # Camera and rectification: from the calibration file, or else from the CameraInfo.
     camera: StereoCamera
     rectification: Rectification | None
     imu: ImuCalibration | None
@@ -243,6 +249,7 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
     try:
         truth = _truth(content, topics, options, stamps_ns, imu=imu, C_rect_left=C_rect_left)
     except InputError as error:
+        # Truth that was only recognised by the name of its topic must not make a bag unusable.
         if options.truth is not None or options.topics_truth is not None:
             raise
         notes = (*notes, ("! truth", f"{topics.truth} is not used: {error.what} {error.cure}"))
@@ -265,7 +272,7 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
 
 
 def _gather(content: _Content, message: RawMessage, topics: StereoTopics) -> None:
-    """Add what a message says to the content of the bag.
+    """Add a message to the content of the bag.
 
     Raises:
         InputError: the message is damaged.
@@ -376,9 +383,9 @@ def _is_rectified(topic: str, info: CameraInfo) -> bool:
 def _imu_of_transforms(
     content: _Content, topics: StereoTopics, left_info: CameraInfo
 ) -> ImuCalibration | None:
-    """Return the IMU's calibration by the transforms of ``tf_static``; None if they do not tell.
+    """Return the IMU's calibration by ``tf_static``; None if its pose is not there.
 
-    Its noise is that of a consumer IMU, because bags do not tell it.
+    Its noise is that of a consumer IMU, because bags do not contain it.
     """
     if not content.imu_ns:
         return None
@@ -457,7 +464,7 @@ def _body_from_camera(
     """Return T_body_cam, [4, 4], m, of the body whose poses are the truth; rectified left camera.
 
     Raises:
-        InputError: neither a setting nor ``tf_static`` says how the body and the camera lie.
+        InputError: neither a setting nor ``tf_static`` gives the pose of the body in the camera.
     """
     if truth_of == CAMERA:
         return np.eye(4)
@@ -490,7 +497,7 @@ def _imu_stream(
     """
     if not content.imu_ns:
         return None
-    # Drivers send now and then two samples with one stamp: the first of them counts.
+    # Some drivers occasionally send two samples with the same stamp: use the first of them.
     stamps_ns, first = np.unique(np.array(content.imu_ns, dtype=np.int64), return_index=True)
     values = np.array(content.imu_values)[first]
     return ImuStream.checked(

@@ -1,4 +1,4 @@
-"""What a frame must be before a step uses it: refused, or with its unusable parts left out."""
+"""Validation of frames before a step: faulty ones are refused, unusable samples are left out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from probevo.arrays import AnyArray, BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures, check_frame, check_order
+from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures
+from probevo.sequences.frame_checks import check_frame, check_order
 from probevo.sequences.gyro_spikes import find_spikes
 from probevo.sequences.text import INT64_LIMIT
 
@@ -26,18 +27,17 @@ def validated(
 ) -> tuple[Frame, tuple[str, ...]]:
     """Check a frame, and leave out its unusable features and IMU samples.
 
-    A feature or an angular rate that is not finite, or implausibly large, is left out, and so is an
-    angular rate that stands out from its neighbours like a spike; whether the
-    rest of the samples still covers the interval is for the gyro's integration to say. A sample
-    whose specific force is unusable keeps its angular rate.
+    Features and angular rates that are not finite or implausibly large are left out, and so are
+    spikes of the angular rate. Whether the remaining samples still cover the interval is checked
+    when the gyro is integrated. A sample with an unusable specific force keeps its angular rate.
 
     Args:
-        frame: as it was handed in.
-        camera: the camera that it should fit.
-        prev_frame: the frame before it, if there was one.
+        frame: the frame as given.
+        camera: the camera that it has to match.
+        prev_frame: the previous frame, if there is one.
 
     Returns:
-        The frame to work with, and what is missing from it, in words.
+        The usable frame, and what was left out of it, in words.
 
     Raises:
         InputError: the frame cannot be used at all; see ``with_plain_arrays``, ``check_frame`` and
@@ -63,7 +63,7 @@ def validated(
             imu = _kept(imu, ~is_spike)
         has_force = _are_within(imu.accel_m_s2, LARGEST_FORCE_M_S2)
         if not has_force.all():
-            # An IMU without an accelerometer has no force at all, which is not worth a word.
+            # An IMU without an accelerometer has no specific force at all: that is not a fault.
             if np.isfinite(imu.accel_m_s2).all(axis=1).any():
                 missing += _reasons(
                     imu.accel_m_s2,

@@ -22,5 +22,6 @@ __all__ = [
 
 
 def tracker_for(frame: Frame, camera: StereoCamera, config: TrackingConfig) -> Tracker:
-    """Return the tracker that suits what frames hold: images, or features already tracked."""
+    """Return the tracker for frames like this one: with images, or with features already
+    tracked."""
     return FeatureMatcher() if frame.features is not None else ImageTracker(camera, config)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray, concatenated
 from probevo.tracking.anchor_patches_numba import (
     Alignment,
     Anchors,
@@ -103,13 +103,7 @@ class AnchorPatches:
 
     def joined(self, others: AnchorPatches) -> AnchorPatches:
         """Append the patches of M other features, [N + M]."""
-        return AnchorPatches(
-            patch=np.concatenate([self.patch, others.patch]),
-            offset_px=np.concatenate([self.offset_px, others.offset_px]),
-            affine=np.concatenate([self.affine, others.affine]),
-            perspective=np.concatenate([self.perspective, others.perspective]),
-            right_from_left=np.concatenate([self.right_from_left, others.right_from_left]),
-        )
+        return concatenated([self, others])
 
     def align_left(self, left: Image, pixels: FloatArray, motion: SurfaceMotion) -> AlignedPatches:
         """Align the patches with the next left image.
@@ -121,7 +115,7 @@ class AnchorPatches:
             pixels: predicted features (u, v), [N, 2], px.
             motion: predicted motion of the windows since the previous frame.
         """
-        # A motion that is predicted wrongly may have any scale.
+        # Bound the predicted magnification: a wrong prediction may have any.
         bounded = np.clip(motion.growth, 1 / MAX_GROWTH, MAX_GROWTH) / motion.growth
         predicted = np.empty((len(self), 2, 2))
         multiply_maps(bounded[:, None, None] * motion.affine, self.affine, predicted)

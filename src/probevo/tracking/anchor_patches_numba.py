@@ -26,13 +26,14 @@ MAX_STEP_PX = 0.05
 it has failed."""
 MIN_STEP_SCALE = 0.5
 MAX_STEP_SCALE = 2.0
-"""Factors by which a Gauss–Newton step is shortened where steps oscillate, and lengthened where the
-image has less contrast than the patch, so that one follows the other in the same direction."""
+"""Bounds of the factor of a Gauss–Newton step. Steps are shortened if they oscillate, and
+lengthened if the image has less contrast than the patch, when successive steps have the same
+direction."""
 MAX_MOVE_PX = 2.0
-"""The alignment has failed when it goes farther than this from the predicted place."""
+"""The alignment has failed when it moves farther than this from the predicted place."""
 MAX_FORESHORTENING = 0.5
-"""A surface so slanted that its scale changes by more than this from the middle of its patch to the
-border is taken for one that faces the camera."""
+"""If the scale of a slanted surface changes by more than this from the centre of its patch to the
+border, the surface is treated as if it faced the camera."""
 
 
 class Anchors(NamedTuple):
@@ -72,14 +73,13 @@ class Template(NamedTuple):
     brightness: FloatArray
     """Grey level of each pixel, [area]."""
     steepest_descent: FloatArray
-    """Derivatives of the brightness by (t, S), [6, area], as far as no gain or offset of the patch
-    looks the same."""
+    """Derivatives of the brightness by (t, S), [6, area], with gain and offset projected out."""
     contrast: FloatArray
-    """Brightness less its mean, of length 1, [area]; 0 where the patch is of one brightness."""
+    """Brightness minus its mean, normalised to length 1, [area]; 0 for a uniform patch."""
 
 
 class WarpedPixels(NamedTuple):
-    """Where the pixels of a patch are in the image."""
+    """Positions of the pixels of a patch in the image."""
 
     corner: IntArray
     """Index, in the flat image, of the whole pixel to the upper left, [area], int32."""
@@ -192,7 +192,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
         # Linearize the patch instead of the image: the information matrix is then constant
         _linearize(anchors.patch[n], anchors.offset_px[n], template, information=information)
         reach_px = _foreshorten(anchors.perspective[n], template)
-        # The prior holds S, not t: where a patch is, is what is looked for.
+        # The prior is on the shape S only: the translation t is what the alignment is for.
         for k in range(2, 6):
             information[k, k] += prior
         if not factor(information, 6, lower):
@@ -215,8 +215,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
             for k in range(6):
                 last_step[k] = step[k]
                 step[k] *= scale
-            # Compose the map with the inverse of the step, which was found for the patch and not
-            # for the image.
+            # Inverse-compositional: the step warps the patch, so its inverse warps the image.
             if not _compose_inverse(A, step):
                 break
             u -= A[0, 0] * step[0] + A[0, 1] * step[1]
@@ -379,7 +378,7 @@ def _warp(
     height, width = shape
     corner = warped.corner
     fraction = warped.fraction
-    # So far inside, no pixel needs a check of its own in the loop below.
+    # If the whole patch is inside, the loop below needs no check for each pixel.
     x, y = reach_px
     reach_u = abs(A[0, 0]) * x + abs(A[0, 1]) * y
     reach_v = abs(A[1, 0]) * x + abs(A[1, 1]) * y

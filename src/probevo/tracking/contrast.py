@@ -1,8 +1,8 @@
-"""Changes of the exposure between two frames: the contrast of one image is given to the other.
+"""Compensation of exposure jumps: the contrast of one image is adapted to that of the other.
 
-Lucas–Kanade takes a point to look the same in both images. The high-pass filter removes an offset
-of the grey levels, but not a gain: after a jump of the exposure, all windows differ by more than
-the tracks do that are wrong.
+Lucas–Kanade assumes that a point looks the same in both images. The high-pass filter removes an
+offset of the grey levels, but not a gain. After an exposure jump, even correct tracks would
+therefore differ by more than the threshold that rejects wrong ones.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import numpy as np
 from probevo.sequences.prepared_images import Pyramid
 
 LEAST_GAIN = 1.25
-"""Change of the contrast from which an exposure has jumped. Where a scene moves on, it is at most
-1.15 from frame to frame on KITTI, Karlsruhe and EuRoC."""
+"""Ratio of the contrasts that counts as an exposure jump. Without one, it is at most 1.15 from
+frame to frame on KITTI, Karlsruhe and EuRoC."""
 LARGEST_GAIN = 8.0
-"""Beyond that, one of the two images shows nothing."""
+"""At a larger ratio, one of the two images is practically black or white."""
 
 
 def with_contrast_of(template: Pyramid, image: Pyramid) -> Pyramid:
-    """Return a pyramid with the mean and the contrast of another one.
+    """Return the template with mean and contrast of the image.
 
-    It is returned as it is if it is empty, and where these hardly differ, or by more than any
-    exposure makes them.
+    It is returned unchanged if it is empty, or if the ratio of the contrasts is not between
+    LEAST_GAIN and LARGEST_GAIN.
     """
     if not template:
         return template

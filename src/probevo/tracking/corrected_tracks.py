@@ -1,4 +1,4 @@
-"""Tracks as the rig's calibration corrects them."""
+"""Tracks, raw and corrected by the current estimate of the rig's calibration."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from probevo.tracking.tracks import Tracks
 
 @dataclass(frozen=True)
 class CorrectedTracks:
-    """The tracks of a frame, raw and corrected by a calibration that knows their rows."""
+    """The tracks of a step, raw and corrected, and the calibration updated by their rows."""
 
     raw: Tracks
     """As tracked."""
     prior_rig: RigCalibration | None
     """The calibration before this frame; None without self-calibration."""
     simultaneous: Tracks
-    """With right observations as of the time of the left ones, but otherwise raw."""
+    """With the exposure delay of the right camera removed, but otherwise raw."""
     tracks: Tracks
     """Corrected by all of the calibration."""
     rig: RigCalibration | None
-    """The calibration with the rows of this frame's stereo matches."""
+    """The calibration, its row offsets updated by this frame's stereo matches."""
     delay_s: float
-    """The delay of the right images that was taken off; 0 while the speed is not known."""
+    """The exposure delay of the right camera that was removed; 0 while the velocity is unknown."""
 
     @staticmethod
     def of(
@@ -37,14 +37,14 @@ class CorrectedTracks:
         prev_twist_s: FloatArray | None,
         curr_twist_s: FloatArray | None,
     ) -> CorrectedTracks:
-        """Correct raw tracks by the rig's calibration, and learn of its rows from them.
+        """Correct raw tracks by the rig's calibration, and update its row offsets with them.
 
         Args:
             raw: as tracked.
             rig: the calibration before this frame; None corrects nothing.
             camera: the rectified camera.
-            prev_twist_s: twist a second at the previous frame, [6]; None if it is not known.
-            curr_twist_s: that at this frame.
+            prev_twist_s: twist per second at the previous frame, [6]; None if it is not known.
+            curr_twist_s: the twist per second at this frame.
         """
         if rig is None:
             return CorrectedTracks(
@@ -59,6 +59,7 @@ class CorrectedTracks:
                 prev_px=without_delay(raw.prev_px, delay_s, prev_twist_s, camera),
                 curr_px=without_delay(raw.curr_px, delay_s, curr_twist_s, camera),
             )
+        # Row offsets need no motion, so every frame updates them, accepted or not.
         updated = rig.with_rows(simultaneous.curr_px, camera)
         return CorrectedTracks(
             raw=raw,
@@ -72,7 +73,7 @@ class CorrectedTracks:
     def at_twists(
         self, prev_twist_s: FloatArray, curr_twist_s: FloatArray, camera: StereoCamera
     ) -> CorrectedTracks:
-        """Correct the same raw tracks once more, the velocity now being known, [6] each."""
+        """Correct the same raw tracks again with better estimates of the velocity, [6] each."""
         return CorrectedTracks.of(
             self.raw,
             self.prior_rig,

@@ -12,9 +12,9 @@ from probevo.config import TrackingConfig
 from probevo.tracking.fast_corners import CornerGrid, strongest_of_cells
 
 FEATURES_PER_CELL = 2
-"""Features wanted in a cell, from which follows the size of the cells."""
+"""Features wanted in each cell; the size of the cells follows from it."""
 AROUND_WINDOW_PX = 3
-"""Margin around the window of a corner: with less, it could not be tracked by all of its window."""
+"""Margin around the window of a corner, so that the window can move a little inside the image."""
 
 
 def strongest_corners(
@@ -44,7 +44,7 @@ def strongest_corners(
 def corners_in_free_cells(
     strongest: FloatArray, occupied_px: FloatArray, shape: tuple[int, int], config: TrackingConfig
 ) -> FloatArray:
-    """Choose new corners that do not overlap, as many as each cell has too few features.
+    """Choose new corners that do not overlap, to fill each cell up to FEATURES_PER_CELL.
 
     Args:
         strongest: strongest corners of each cell, as from ``strongest_corners``.

@@ -73,8 +73,8 @@ def fill_strongest(
                 strength=strongest.strength[row, column],
                 flat_index=strongest.flat_index[row, column],
             )
-            # Most cells have corners half as strong as their bound allows, and what is weaker
-            # need not be looked at there. In the others, the search begins anew.
+            # Most cells have corners at least half as strong as the bound, so weaker candidates
+            # can be skipped. If that finds too few, repeat the search with the true threshold.
             least = max(threshold, _greatest(bound) // 2)
             if not _search_cell(image, top, first, bound=bound, least=least, corners=corners):
                 corners.strength[:] = 0

@@ -24,9 +24,9 @@ from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
 
 BORDER_PX = 5.0
-"""Nearer to the border, a window has too little of the image."""
+"""Nearer to the border, too much of the window lies outside of the image."""
 NO_FIT = "no longer looks as at first sight"
-"""Reason for which a feature whose anchor patch does not fit any more is lost."""
+"""Why a feature is lost whose image no longer matches its anchor patch."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class _FoundInTime:
     """N features of the previous frame, found in the current left image."""
 
     prev: TrackingState
-    """What they were, without their anchor patches."""
+    """The same features in the previous frame, without their anchor patches."""
     left_px: FloatArray
     """(u, v) in the current left image, [N, 2], px."""
     patches: AnchorPatches
@@ -88,7 +88,7 @@ class ImageTracker:
         )
         corner_disparity = _disparity_of_nearest(corners, found.left_px, found.disparity_px)
         corner_patches = AnchorPatches.cut(image, corners, self._config.window_px)
-        # All of them in the right image.
+        # Old and new features in the right image.
         left_px = np.vstack([found.left_px, corners])
         in_stereo = self._find_in_stereo(
             images,
@@ -137,11 +137,12 @@ class ImageTracker:
         patches = prev.patches
         if patches is None:
             patches = AnchorPatches.cut(image, np.zeros((0, 2)), self._config.window_px)
-        # Where the motion takes them.
+        # Predict where the motion takes them. Lucas–Kanade converges from a few pixels only.
         motion = move_surfaces(prev.pixels, patches.disparity_slope, T_curr_prev, self._camera)
         visible = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))
         rejected["left the view"] += len(prev) - len(visible)
-        # From there, Lucas–Kanade from frame to frame.
+        # Lucas–Kanade from the previous image, which looks most alike. Its errors add up along the
+        # track; the alignment below removes them.
         tracked = track_points(
             with_contrast_of(prev.left, left),
             left,
@@ -160,12 +161,13 @@ class ImageTracker:
         prev = replace(prev, patches=None).subset(visible[similar])
         patches = patches.subset(visible[similar])
         motion = motion.subset(visible[similar])
-        # The alignment with the anchor patch undoes the drift along the track. Where it fails,
-        # nobody knows any more which point of the scene this is.
+        # Align with the anchor patch, the image of the feature when it was first seen, which
+        # removes the drift. If that fails, the window no longer shows the same point of the scene.
         aligned = patches.align_left(image, tracked.pixels[similar], motion)
         fits = np.isfinite(aligned.difference)
         rejected[NO_FIT] += int((~fits).sum())
-        # Of two features that have met, the older one stays: it comes first.
+        # Of two features that have converged on one point, keep the older one, which comes first.
+        # Both would count as independent, although their errors are the same.
         kept = np.flatnonzero(fits)
         separate = non_overlapping(aligned.pixels[kept], image.shape, self._config)
         rejected["met another"] += int((~separate).sum())
@@ -207,7 +209,7 @@ class ImageTracker:
         tracked = track_points(
             left, right, left_px, start_px=start_px, config=self._config, near=is_predicted
         )
-        # A match lies in about the same row, and not to the right.
+        # In a rectified pair, a match lies in nearly the same row, and not to the right.
         same_row, has_disparity = self._is_consistent(left_px, tracked.pixels)
         is_negative = tracked.pixels[:, 0] > left_px[:, 0]
         rejected["rows differ"] += int((~same_row).sum())
@@ -220,7 +222,7 @@ class ImageTracker:
             consistent &= unmasked
         similar = _similar(tracked.difference, consistent, self._config)
         rejected["no stereo match"] += int((consistent & ~similar).sum())
-        # The alignment with the anchor patch, where it stays consistent.
+        # Align with the anchor patch here, too, and check again: the alignment may have moved it.
         aligned = patches.subset(similar).align_right(right[0], tracked.pixels[similar])
         same_row, has_disparity = self._is_consistent(left_px[similar], aligned.pixels)
         fits = np.isfinite(aligned.difference) & same_row & has_disparity

@@ -12,7 +12,7 @@ from probevo.camera.transfer import transfer
 from probevo.tracking.tracks import Tracks
 
 LAST_RESIDUAL = "last_residual"
-"""Name of the predictor that goes by them."""
+"""Name of the predictor that uses these residuals."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Detection of swapped left and right images.
 
-The calibration cannot show it, but the first stereo matches can: their disparity is negative.
+The calibration does not reveal it, but the first stereo matches do: their disparity is negative.
 """
 
 from __future__ import annotations

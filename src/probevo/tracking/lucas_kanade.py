@@ -78,7 +78,8 @@ def track_points(
         scale = np.float32(0.5**level)
         if not len(chosen):
             continue
-        # On all levels but the last the difference is not needed
+        # Only the finest level's difference is used. On the others, ask for the eigenvalues in its
+        # place, which are computed anyway.
         without_difference = cv2.OPTFLOW_LK_GET_MIN_EIGENVALS if level else 0
         scaled_px, status, difference = cv2.calcOpticalFlowPyrLK(
             template[level],

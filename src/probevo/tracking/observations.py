@@ -1,7 +1,7 @@
 """The observation store: which landmark was seen where, and in which frame.
 
-It is the waist of the design. Observations are kept as they were measured: the rig's calibration is
-an estimate that changes, and is applied when they are linearised.
+Observations are stored raw. The rig's calibration is an estimate that changes, so it is applied
+only when they are linearised.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Detection of right images that belong to another frame than the left ones.
+"""Detection of left and right images that are paired wrongly, by a shift of one or two frames.
 
 A point lies in the same row of both images of a rectified pair. While the camera moves, its row in
-the right image of the frame before or after is another one, by an amount that depends on its depth.
-So the right image whose rows agree best with those of a left image is the one taken with it.
+the right image of another frame differs, by an amount that depends on its depth. The right image
+whose rows agree best with those of a left image is therefore the one taken at the same time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ OFFSETS = (-2, -1, 0, 1, 2)
 EVERY_FRAMES = 2
 """Frames between two comparisons."""
 MOST_COMPARISONS = 40
-"""Comparisons after which nothing more is decided, as of a camera at rest."""
+"""Comparisons after which the check gives up, as with a camera at rest."""
 FEWEST_VOTES = 5
 """Comparisons with a clear result that a decision needs."""
 ENOUGH_VOTES = 8
@@ -35,7 +35,7 @@ CLEAR_RATIO = 1.5
 less for a camera at rest."""
 FEWEST_MATCHES = 20
 MOST_DIFFERENT_WAYS_PX = 0.5
-"""Largest distance of a point from where the way to the right image and back leads."""
+"""Largest distance between a point and where tracking to the right image and back ends."""
 FIT_ITERATIONS = 15
 
 
@@ -75,6 +75,7 @@ class PairTiming:
         if len(self._last) < len(OFFSETS) or self._num_frames % EVERY_FRAMES:
             return
         self._num_comparisons += 1
+        # The left image of the middle frame against the right ones of all frames around it
         left = self._last[len(OFFSETS) // 2]
         scatters = [row_scatter(left, images.right, self._config) for images in self._last]
         best = _clearly_best(scatters)
@@ -95,6 +96,7 @@ def row_scatter(images: PreparedImages, right: Pyramid, config: TrackingConfig) 
     """
     left_px = images.corners.reshape(-1, 2)
     left_px = left_px[np.isfinite(left_px[:, 0])]
+    # Keep points that track there and back to the same place: a wrong match seldom does.
     found = track_points(images.left, right, left_px, start_px=left_px, config=config)
     back = track_points(right, images.left, found.pixels, start_px=found.pixels, config=config)
     way_px = np.abs(back.pixels - left_px).max(axis=1, initial=0.0)
@@ -116,6 +118,8 @@ def _clearly_best(scatters: list[float]) -> int | None:
 
 def _scatter(left_px: FloatArray, rows_px: FloatArray) -> float:
     """Fit an affine map to row differences, [N], of points [N, 2], robustly (Cauchy's loss)."""
+    # An affine map, since the rectification may be rolled or scaled; robust (IRLS), since some
+    # matches are wrong.
     spread_px = np.maximum(left_px.std(axis=0), 1.0)
     places = (left_px - left_px.mean(axis=0)) / spread_px
     design = np.column_stack([np.ones(len(places)), places])

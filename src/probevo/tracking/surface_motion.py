@@ -1,9 +1,10 @@
-"""How a motion of the camera moves the windows around features, each taken as a piece of a plane.
+"""Prediction of how a camera motion warps the windows around features, each taken as planar.
 
-A window that shows a plane moves by a homography. Around the feature it takes x, px from the
-feature, to p + A x / (1 + g·x): with the affine map A alone, a window on the road ahead is found
-farther down than it is, as the lower half of it has grown more than the upper one. A and g follow
-from the motion and from the slant of the plane, which is what the disparity's slope tells.
+A window that shows a plane is warped by a homography. Around the feature, it maps a pixel offset x
+to p + A x / (1 + g·x). The affine map A alone is not enough: on the road ahead, the lower half of a
+window grows more than the upper half, so that an affine alignment would place it too far down.
+A and g follow from the motion and from the slant of the plane, which the slope of the disparity
+gives.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.compiled import compiled
 
 LEAST_SCALED_DEPTH = 0.05
-"""A point that comes nearer than this share of its depth in one step cannot be predicted."""
+"""Ratio of new to old depth below which the motion of a point is not predicted."""
 
 
 class SurfaceMotion(NamedTuple):
@@ -26,9 +27,9 @@ class SurfaceMotion(NamedTuple):
     pixels: FloatArray
     """The features p = (u, v), [N, 2], px."""
     growth: FloatArray
-    """Old depth over new depth, [N]: how a surface grows that faces the camera."""
+    """Old depth over new depth, [N]: the magnification of a surface that faces the camera."""
     ahead: BoolArray
-    """Whether the feature is ahead of the camera, [N]; elsewhere nothing is predicted."""
+    """Whether the feature is still ahead of the camera, [N]; the others have no prediction."""
     affine: FloatArray
     """Affine map A of the window, [N, 2, 2]."""
     perspective: FloatArray
@@ -95,7 +96,6 @@ def _differentiate(
         gradient: n, [N, 2], 1/m.
         T_b_a: [C | t], [4, 4].
         focal_px: (f_u, f_v).
-        baseline_m: of the rig.
         motion: in: growth; out: affine and perspective.
     """
     for k in range(len(gradient)):

@@ -1,4 +1,4 @@
-"""What every tracker promises: it proposes, and the odometry's step commits."""
+"""The tracker protocol. A tracker is stateless: it maps a state and a frame to a new state."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from probevo.tracking.tracks import Tracks
 
 @dataclass(frozen=True)
 class TrackingState:
-    """The N features alive in the last frame. A tracker never changes it: it returns a new one."""
+    """The N features tracked into the last frame, frozen: a tracker returns a new state."""
 
     ids: IntArray
     """Identity of each, [N]."""
@@ -32,7 +32,7 @@ class TrackingState:
     next_id: int = 0
     """The identity that the next new feature gets."""
     is_given: bool = False
-    """Whether somebody else decides which features there are, as in a tracks file."""
+    """Whether the features come from another front end, as in a tracks file."""
 
     @staticmethod
     def none(next_id: int = 0) -> TrackingState:
@@ -59,7 +59,7 @@ class TrackingState:
         )
 
     def without(self, ids: IntArray) -> TrackingState:
-        """Stop following features that turned out to be outliers, unless features are given."""
+        """Drop features that turned out to be outliers, unless another front end tracks them."""
         return self if self.is_given or not len(ids) else self.subset(~np.isin(self.ids, ids))
 
     def observations(self, frame: Frame) -> FrameObservations:
@@ -75,16 +75,16 @@ class TrackingState:
 
 @dataclass(frozen=True)
 class Tracked:
-    """What a tracker proposes for a frame."""
+    """The result of a tracker for one frame."""
 
     tracks: Tracks
-    """The features of the previous frame that this one shows, too; raw."""
+    """Features of the previous frame that were found again; raw observations."""
     state: TrackingState
-    """The features alive in this frame, new ones included."""
+    """All features of this frame, new ones included."""
 
     @staticmethod
     def nothing(state: TrackingState) -> Tracked:
-        """Propose to have lost all features of that state."""
+        """Return the result of having lost all features of that state."""
         return Tracked(Tracks.none(), TrackingState.none(state.next_id))
 
 
@@ -92,7 +92,7 @@ class Tracker(Protocol):
     """Finds the features of the last frame in the next one; it has no state of its own."""
 
     def track(self, state: TrackingState, frame: Frame, T_curr_prev: FloatArray) -> Tracked:
-        """Find features again.
+        """Find the features of the previous frame in this one.
 
         Args:
             state: features alive in the previous frame.

@@ -25,8 +25,7 @@ class Tracks:
     curr_px: FloatArray
     """The same points in the current frame, [N, 4], px."""
     ids: IntArray
-    """Identity of each point, [N]. What no longer matches its anchor patch continues under another
-    one."""
+    """Identity of each point, [N]. A window that no longer matches its anchor patch loses it."""
     age: IntArray
     """Number of frames, the current one included, that have seen the point in a row, [N]; at least
     2."""
@@ -34,9 +33,8 @@ class Tracks:
     """How many candidate points each consistency check rejected in this step, by the check's
     name."""
     difference: FloatArray | None = None
-    """Difference of each point from its anchor patch, in the left and in the right image: the mean
-    absolute difference of the windows, [N, 2], grey levels. Where that patch does not fit: from the
-    previous frame, and from the left image. None where somebody else has tracked the points."""
+    """Mean absolute difference between the aligned image and the anchor patch, in the left and in
+    the right image, [N, 2], grey levels. None if another front end has tracked the points."""
 
     def __len__(self) -> int:
         """Return the number of points, N."""

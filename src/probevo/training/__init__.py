@@ -1,2 +1,2 @@
-"""Recordings → noise model, with truth at every step, at some steps, of positions only, of a closed
-loop, or without truth."""
+"""Recordings → noise model, with full or sparse truth, positions only, a closed loop, or no
+truth."""

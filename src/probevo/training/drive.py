@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
-from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray, concatenated
 from probevo.npz import read_npz
 from probevo.tracking.tracks import Tracks
 
@@ -84,16 +84,7 @@ def joined(parts: Iterable[Drive]) -> Drive:
     # Feature indices begin at 0 in each part, and are counted anew over all parts.
     drives = list(parts)
     counts = np.concatenate([np.diff(part.first_of_step) for part in drives])
-    return Drive(
-        T_curr_prev=np.concatenate([part.T_curr_prev for part in drives]),
-        numbers=np.concatenate([part.numbers for part in drives]),
-        first_of_step=np.concatenate([[0], np.cumsum(counts)]),
-        prev_px=np.concatenate([part.prev_px for part in drives]),
-        curr_px=np.concatenate([part.curr_px for part in drives]),
-        ids=np.concatenate([part.ids for part in drives]),
-        phi=np.concatenate([part.phi for part in drives]),
-        used=np.concatenate([part.used for part in drives]),
-    )
+    return replace(concatenated(drives), first_of_step=np.concatenate([[0], np.cumsum(counts)]))
 
 
 def drive_bytes(drive: Drive) -> bytes:

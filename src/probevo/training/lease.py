@@ -1,4 +1,4 @@
-"""A lease for workers: who finds that its lease has expired stops, as nobody waits for its result.
+"""A lease for workers: a worker whose lease has expired stops, since nobody needs its result.
 
 A task on a cluster cannot be interrupted. After Ctrl-C, or when the training is started anew,
 workers may still be recording drives; a lease in the folder of the checkpoint tells them to stop.

@@ -76,7 +76,7 @@ class KernelSettings(Settings):
             " published."
         ),
     )
-    neighbors: int | None = Field(None, ge=1, description="K, the errors that a place learns from.")
+    neighbors: int | None = Field(None, ge=1, description="K, the errors that a fit uses.")
     reach: float | None = Field(
         None,
         gt=0,
@@ -84,7 +84,7 @@ class KernelSettings(Settings):
         description="ρ, in standard deviations; farther samples do not contribute.",
     )
     prior_counts: float | None = Field(
-        None, gt=0, le=1e9, description="How many errors the static model counts for."
+        None, gt=0, le=1e9, description="Number of errors that the static prior counts for."
     )
     bias: bool = Field(
         False,
@@ -98,7 +98,7 @@ class KernelSettings(Settings):
         2000,
         ge=1,
         le=1_000_000,
-        description="Places that the model is distilled into; the cost of a run goes by it.",
+        description="Places at which the fitted noise is stored; the cost of a run depends on it.",
     )
     iterations: int = Field(
         5,
@@ -109,7 +109,8 @@ class KernelSettings(Settings):
     quadratic: bool = Field(
         False,
         description=(
-            "Solve for the motions of EM by least squares, as PROBE-GK derives it, not by its loss."
+            "Solve for the motions of EM by least squares, as PROBE-GK derives it, instead of its"
+            " robust loss."
         ),
     )
     refers_to: Literal["observation", "residual"] = Field(
@@ -131,8 +132,8 @@ class KernelSettings(Settings):
         ge=0,
         le=1000,
         description=(
-            "Standard deviation of the true motion between two known positions, m; left out, it is"
-            " estimated."
+            "Standard deviation of the true motion between two known positions, m; by default it"
+            " is estimated."
         ),
     )
     truth_sigma_deg: float | None = Field(
@@ -184,22 +185,22 @@ class TrainSettings(Settings):
     kind: str = Field(
         "knn",
         description=(
-            "Kind of noise model. knn is PROBE: weights from the nearest neighbours in the"
-            " prediction space; gk is PROBE-GK: a covariance and a loss of its own for each"
-            " feature; student-t one for all, fitted to the same data. Others are no noise models,"
-            " but sensors for `probevo run --sensor`: networks of the rotation between two left"
-            " images (rotation, HydraNet), of how far the odometry's own motions are off"
-            " (correction, DPC-Net), and of the direction of the sun (sun, Sun-BCNN)."
+            "What to learn. Noise models: knn is PROBE, weights from the nearest neighbours in the"
+            " prediction space; gk is PROBE-GK, a covariance and a loss for each feature; student-t"
+            " is one Student-t for all, fitted to the same data. Networks that serve as sensors for"
+            " `probevo run --sensor`: the rotation between two left images (rotation, HydraNet),"
+            " a correction of the odometry's own motions (correction, DPC-Net), and the direction"
+            " of the sun (sun, Sun-BCNN)."
         ),
     )
     supervision: SupervisionName = Field(
         "gt",
         description=(
-            "The truth about the drives: the pose at every frame (gt), or at some (sparse), only"
-            " positions (position), only that each ends where it began (loop; or where the truth"
-            " says, if it knows both ends), or nothing (none): then the motion of all features"
-            " replaces the truth for a few, which is better than a truth that is off by centimetres"
-            " from frame to frame, as KITTI's is."
+            "Ground truth to use: the pose of every frame (gt) or of some frames (sparse), only"
+            " positions (position), the fact that each drive ends where it began (loop; or its"
+            " true last pose, if known), or none. With none, the motion of all features is the"
+            " reference for that of a few, which is better than a truth with errors of"
+            " centimetres from frame to frame, such as KITTI's."
         ),
     )
     every_s: float = Field(
@@ -207,15 +208,15 @@ class TrainSettings(Settings):
         ge=0,
         le=3600,
         description=(
-            "With sparse and position: use the truth only so often; 0 uses all that there is."
+            "With sparse and position: interval between the true poses that are used; 0 uses all."
         ),
     )
     predictors: tuple[str, ...] | None = Field(
         None,
         min_length=1,
         description=(
-            "Predictors that span the prediction space; left out, those that suit the kind and the"
-            " recordings."
+            "Predictors that span the prediction space; by default, those that suit the kind and"
+            " the recordings."
         ),
     )
     # PROBE (``PROBE_ONLY``).
@@ -229,16 +230,15 @@ class TrainSettings(Settings):
         40,
         ge=2,
         le=10_000,
-        description=(
-            "Motions of random subsets at each step; PROBE takes 10. More only cost time."
-        ),
+        description=("Random subsets at each step; PROBE takes 10. More than 40 only cost time."),
     )
     subset: int = Field(
         8,
         ge=6,
         le=10_000,
         description=(
-            "Features in a subset. Few let each one's error show; PROBE takes a tenth of a frame's."
+            "Features in a subset. In a small one, the error of each has more effect; PROBE takes a"
+            " tenth of the features of a frame."
         ),
     )
     contrast: float = Field(
@@ -246,16 +246,16 @@ class TrainSettings(Settings):
         ge=0,
         le=100,
         description=(
-            "How similar the features of a subset are: each subset leans towards a random"
-            " direction of the prediction space, so that its error tells of one region of it. 0 is"
-            " PROBE: subsets at random."
+            "How similar the features of a subset are: each subset prefers a random direction of"
+            " the prediction space, so that its error is characteristic of one region of it. 0 is"
+            " PROBE: purely random subsets."
         ),
     )
     relative: bool = Field(
         True,
         description=(
-            "Divide α by the mean α of other subsets of the same step. PROBE does not; but an error"
-            " that all subsets of a step share does not tell which of its features to trust."
+            "Divide α by the mean α of other subsets of the same step. PROBE does not, but an error"
+            " that all subsets of a step share says nothing about single features."
         ),
     )
     average: Literal["arithmetic", "geometric"] = Field(
@@ -265,22 +265,24 @@ class TrainSettings(Settings):
         ),
     )
     neighbors: int | None = Field(
-        None, ge=1, description="K; left out, by cross-validation over blocks of time."
+        None, ge=1, description="K; by default chosen by cross-validation over blocks of time."
     )
     exponent: float | None = Field(
         None,
         ge=0,
         le=1000,
         description=(
-            "γ; left out, the least one whose error on the training drives is within a standard"
-            " error of the best one's."
+            "γ; by default the least one whose error on the training drives is within a standard"
+            " error of the best."
         ),
     )
     # PROBE-GK, and what all kinds share.
     gk: KernelSettings = KernelSettings()
     # Networks that measure.
     nets: NetworkSettings = NetworkSettings()
-    max_frames: int | None = Field(None, ge=2, description="Of each recording, use so many frames.")
+    max_frames: int | None = Field(
+        None, ge=2, description="Use at most this many frames of each recording."
+    )
     odometry: OdometryConfig = OdometryConfig(estimator="two-frame")
 
     @staticmethod

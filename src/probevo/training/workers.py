@@ -1,4 +1,4 @@
-"""Who does the work: this process, other processes of this machine, or a Dask cluster.
+"""Execution of tasks by this process, by other processes of this machine, or by a Dask cluster.
 
 The results are the same.
 """
@@ -203,7 +203,7 @@ def _on_cluster(
     waiting = iter(tasks)
 
     def submitted(count: int) -> list[Any]:
-        """Submit so many of the waiting tasks."""
+        """Submit a number of the waiting tasks."""
         return [
             client.submit(_numbered, work, number, task, pure=False)
             for number, task in islice(waiting, count)

@@ -304,9 +304,7 @@ class GeneralizedKernel:
         prior = self.prior_
         shape = self.shape_
         arrays: dict[str, AnyArray] = {
-            "mean": metric.mean,
-            "spread": metric.spread,
-            "weight": metric.weight,
+            **metric.arrays,
             "places": self.centers_.places,
             "values": self.centers_.parameters,
             "prior_scale": prior.scale,
@@ -345,13 +343,7 @@ class GeneralizedKernel:
             time_correlation_ratio=facts.time_correlation_ratio,
             jitter_cov=jitter_cov_of(file),
         )
-        model.metric_ = Metric(
-            columns=facts.columns,
-            may_be_undefined=facts.may_be_undefined,
-            mean=arrays["mean"],
-            spread=arrays["spread"],
-            weight=arrays["weight"],
-        )
+        model.metric_ = Metric.from_arrays(facts.columns, facts.may_be_undefined, arrays)
         model.centers_ = Centers(places=arrays["places"], parameters=arrays["values"])
         model.prior_ = StudentTs(
             scale=arrays["prior_scale"], dof=arrays["prior_dof"], bias=arrays["prior_bias"]

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 from probevo.arrays import AnyArray
 from probevo.noise.base import RefersTo
 from probevo.noise.gk.centers import MAX_LOG, Centers
-from probevo.noise.metric import MAX_WEIGHT, Metric
+from probevo.noise.metric import Metric, have_shapes
 from probevo.noise.origin import OriginFacts
 from probevo.noise.student_t_arrays import DIM, NUM_PARAMETERS, StudentTs
 
@@ -50,7 +50,6 @@ def check_arrays(metric: Metric, centers: Centers, prior: StudentTs) -> None:
     Raises:
         ValueError: they do not.
     """
-    dimension = len(metric.columns)
     contributing = int((metric.weight > 0.0).sum())
     count = len(centers.parameters) if centers.parameters.ndim else 0
     expected: list[tuple[AnyArray, tuple[int, ...], type]] = [
@@ -59,19 +58,11 @@ def check_arrays(metric: Metric, centers: Centers, prior: StudentTs) -> None:
         (prior.scale, (1, DIM, DIM), np.float64),
         (prior.dof, (1,), np.float64),
         (prior.bias, (1, DIM), np.float64),
-        (metric.mean, (dimension,), np.float64),
-        (metric.spread, (dimension,), np.float64),
-        (metric.weight, (dimension,), np.float64),
     ]
     fits = (
-        all(
-            array.shape == shape and array.dtype == dtype and np.isfinite(array).all()
-            for array, shape, dtype in expected
-        )
-        and len(set(metric.columns)) == dimension == len(metric.may_be_undefined)
-        and (metric.spread > 0.0).all()
+        metric.is_valid
+        and have_shapes(expected)
         and (np.abs(centers.logarithms) < MAX_LOG).all()
-        and ((metric.weight >= 0.0) & (metric.weight <= MAX_WEIGHT)).all()
         and count > 0
         and (prior.dof > 0.0).all()
         and np.allclose(prior.scale[0], prior.scale[0].T, rtol=1e-9, atol=0.0)

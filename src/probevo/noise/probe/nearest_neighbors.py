@@ -22,7 +22,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.noise.base import NoiseModel, StereoNoise
 from probevo.noise.fixed import Fixed
-from probevo.noise.metric import FARTHEST, MAX_WEIGHT, UNDEFINED, Metric
+from probevo.noise.metric import FARTHEST, MAX_WEIGHT, UNDEFINED, Metric, have_shapes
 from probevo.noise.model_file import ModelFile
 from probevo.noise.origin import OriginFacts, origin_facts, refuse_other_camera
 from probevo.noise.probe.neighbor_index import NeighborIndex
@@ -187,9 +187,7 @@ class NearestNeighbors:
             "first_of_cell": index.first_of_cell,
             "samples": index.samples,
             "values": index.values,
-            "mean": metric.mean,
-            "spread": metric.spread,
-            "weight": metric.weight,
+            **metric.arrays,
         }
         facts = {
             "columns": list(metric.columns),
@@ -221,13 +219,7 @@ class NearestNeighbors:
             training=facts.training,
         )
         model.log_mean_alpha_ = facts.log_mean_alpha
-        model.metric_ = Metric(
-            columns=facts.columns,
-            may_be_undefined=facts.may_be_undefined,
-            mean=arrays["mean"],
-            spread=arrays["spread"],
-            weight=arrays["weight"],
-        )
+        model.metric_ = Metric.from_arrays(facts.columns, facts.may_be_undefined, arrays)
         model.index_ = NeighborIndex(
             centers=arrays["centers"],
             first_of_cell=arrays["first_of_cell"],
@@ -244,7 +236,6 @@ class NearestNeighbors:
             ValueError: they do not.
         """
         index = self.index_
-        metric = self.metric_
         first = index.first_of_cell
         dimension = len(self.columns)
         count = index.values.size
@@ -253,18 +244,10 @@ class NearestNeighbors:
             (first, (first.size,), np.int64),
             (index.samples, (dimension, count), np.float32),
             (index.values, (count,), np.float32),
-            (metric.mean, (dimension,), np.float64),
-            (metric.spread, (dimension,), np.float64),
-            (metric.weight, (dimension,), np.float64),
         ]
         fits = (
-            all(
-                array.shape == shape and array.dtype == dtype and np.isfinite(array).all()
-                for array, shape, dtype in expected
-            )
-            and len(set(self.columns)) == dimension == len(metric.may_be_undefined)
-            and (metric.spread > 0.0).all()
-            and ((metric.weight >= 0.0) & (metric.weight <= MAX_WEIGHT)).all()
+            self.metric_.is_valid
+            and have_shapes(expected)
             and (np.abs(index.samples) <= FARTHEST * MAX_WEIGHT).all()
             and (np.abs(index.centers) <= FARTHEST * MAX_WEIGHT).all()
             and (self.average == "geometric" or (index.values > 0.0).all())

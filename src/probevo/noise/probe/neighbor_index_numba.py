@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 SingleArray = NDArray[np.float32]
 
 CANDIDATES_PER_NEIGHBOR = 8
-"""Cells are visited, nearest first, until they hold so many times K samples."""
+"""Cells are visited, nearest first, until they hold this many times K samples."""
 MIN_CELLS = 4
 """Number of cells that every query visits."""
 MAX_VISITED_OF_CELL = 2000

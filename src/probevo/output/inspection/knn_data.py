@@ -78,7 +78,7 @@ class ModelView:
 
 @dataclass(frozen=True)
 class FrameWeights:
-    """What a model makes of the N features of a frame."""
+    """Weights of the N features of a frame by a model."""
 
     beta: FloatArray
     """Weight of each, [N]."""

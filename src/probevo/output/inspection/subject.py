@@ -1,4 +1,4 @@
-"""What ``probevo inspect`` looks at, and what a kind of noise model has to show of it."""
+"""The input of ``probevo inspect``, and the sections that a kind of noise model makes of it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FrameView:
     size_px: tuple[int, int]
     """(width, height) of the image, or of the area in which features were seen."""
     uv: FloatArray
-    """Where the features are in the left image, [N, 2], px."""
+    """Positions of the features in the left image, [N, 2], px."""
     columns: Mapping[str, str]
     """Name and unit of each of the M columns."""
     phi: FloatArray
@@ -36,7 +36,7 @@ class FrameView:
 
 @dataclass(frozen=True)
 class Subject:
-    """What is inspected: a noise model, the features of a frame, or both."""
+    """The subject of an inspection: a noise model, the features of a frame, or both."""
 
     name: str = ""
     """Name of the model's file; empty without a model."""
@@ -58,21 +58,21 @@ class Subject:
 
 @dataclass(frozen=True)
 class Findings:
-    """What there is to show of a subject."""
+    """The result of an inspection: page, text and pictures."""
 
     sections: tuple[Markup, ...]
     """Sections of the page, from top to bottom."""
     text: str
-    """What the terminal shows."""
+    """Text for the terminal."""
     facts: Mapping[str, str] = field(default_factory=dict)
-    """What a reader of the page should know of the model beforehand, by name."""
+    """Facts about the model at the top of the page, by name."""
     pictures: Mapping[str, Picture] = field(default_factory=dict)
     """Pictures of the frame with its features in different colours, by the names of their files."""
 
 
 @dataclass(frozen=True)
 class TrainingSummary:
-    """What ``probevo train`` says of the model that it has trained."""
+    """The summary of a trained model that ``probevo train`` prints."""
 
     facts: Mapping[str, str]
     """Key figures by name."""

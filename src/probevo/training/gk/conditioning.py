@@ -15,10 +15,10 @@ from probevo.training.supervision import Supervision
 LEAST_TRUTH_SIGMA = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
 """Least standard deviation of the truth, m and rad: no truth is more accurate."""
 FEW_STRETCHES = 20
-"""Fewer stretches do not tell how accurate the truth is."""
+"""With fewer stretches, the accuracy of the truth cannot be estimated reliably."""
 LOOP_SIGMA = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02])
-"""Standard deviation with which a loop closes whose ends nobody has measured, m and rad: the
-vehicle is parked by hand."""
+"""Standard deviation of a loop closure that was not measured, m and rad: the vehicle is parked by
+hand."""
 
 
 @dataclass(frozen=True)

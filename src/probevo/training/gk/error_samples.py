@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray, concatenated
 from probevo.config import SolverConfig
 from probevo.errors import InputError
 from probevo.geometry import se3
@@ -19,12 +19,12 @@ from probevo.training.supervision import Supervision
 from probevo.training.trainer import TrainingContext
 
 BLOCKS_A_DRIVE = 10
-"""A drive is cut into at most so many blocks of time for cross-validation."""
+"""Largest number of blocks of time into which a drive is cut for cross-validation."""
 STEPS_A_BLOCK = 20
-"""A block has at least so many steps: a shorter one shares its tracks with the next block."""
+"""Least number of steps in a block: a shorter one would share its tracks with the next block."""
 MOST_FEATURES = 500_000
-"""A model is fitted to at most about so many features; of more, a random share is drawn, evenly
-from all drives and times."""
+"""Approximate largest number of features that a model is fitted to. If there are more, a random
+share is drawn, evenly from all drives and times."""
 
 
 @dataclass(frozen=True)
@@ -114,16 +114,7 @@ def gather_error_samples(
     # Concatenate the samples in the order of the drives, whoever was done first.
     names = [f"recording {number + 1}" for number in range(len(tasks))]
     parts = context.workers.map(_samples_of_drive, tasks, names, on_done)
-    samples = ErrorSamples(
-        phi=np.concatenate([part.phi for part in parts]),
-        errors=np.concatenate([part.errors for part in parts]),
-        spread=np.concatenate([part.spread for part in parts]),
-        groups=np.concatenate([part.groups for part in parts]),
-        log_likelihood=np.concatenate([part.log_likelihood for part in parts]),
-        profile=np.concatenate([part.profile for part in parts]),
-        jitter_moments=np.concatenate([part.jitter_moments for part in parts]),
-        gaps_m=np.concatenate([part.gaps_m for part in parts]),
-    )
+    samples = concatenated(parts)
     if not len(samples.errors):
         fewest = context.settings.odometry.solver.min_tracks
         raise InputError(

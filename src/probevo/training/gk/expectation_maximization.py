@@ -166,9 +166,10 @@ def updated_time_correlation(previous: float, samples: ErrorSamples) -> float:
 
 
 def updated_jitter(previous: FloatArray | None, samples: ErrorSamples) -> FloatArray | None:
-    """Return the covariance of the rig's jitter that the samples show, [3, 3], rad².
+    """Return the covariance of the rig's jitter by the samples, [3, 3], rad².
 
-    The previous one, where no step shows any: a rig that is taken as rigid has none.
+    If no step was solved with a jitter, as for a rig that is taken as rigid, it is the previous
+    one.
     """
     if not len(samples.jitter_moments):
         return previous
@@ -188,8 +189,8 @@ def num_iterations(settings: TrainSettings) -> int:
 def _initial_jitter(settings: TrainSettings) -> FloatArray | None:
     """Return the covariance of the jitter to begin with, [3, 3], rad²; None if it is not learned.
 
-    That is for a rig that is taken as calibrated, for an alignment, which knows of no common error,
-    and where a bias is learned, which moves all features in the same way.
+    It is not learned if the rig is taken as calibrated, if the solver is an alignment, which does
+    not model common errors, or if a bias is learned, which moves all features in the same way.
     """
     odometry = settings.odometry
     learns = odometry.self_calibration and odometry.solver.method == "reprojection"

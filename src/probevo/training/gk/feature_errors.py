@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probevo.arrays import FloatArray, IntArray
+from probevo.arrays import FloatArray, IntArray, concatenated
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.noise.base import StereoNoise, log_density
 from probevo.training.gk.feature_errors_numba import ErrorArrays, ResidualArrays, rescale_errors
@@ -54,16 +54,7 @@ class FeatureErrors:
     @staticmethod
     def joined(parts: Sequence[FeatureErrors]) -> FeatureErrors:
         """Concatenate the errors of at least one part."""
-        return FeatureErrors(
-            steps=np.concatenate([part.steps for part in parts]),
-            features=np.concatenate([part.features for part in parts]),
-            phi=np.concatenate([part.phi for part in parts]),
-            errors=np.concatenate([part.errors for part in parts]),
-            spread=np.concatenate([part.spread for part in parts]),
-            log_likelihood=np.concatenate([part.log_likelihood for part in parts]),
-            profile=np.concatenate([part.profile for part in parts]),
-            jitter_moments=np.concatenate([part.jitter_moments for part in parts]),
-        )
+        return concatenated(parts)
 
 
 def errors_of(

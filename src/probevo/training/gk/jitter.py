@@ -1,12 +1,12 @@
-"""EM of the rig's jitter: what the features of a drive show of it at the drive's motions.
+"""EM of the rig's jitter over the steps of a drive.
 
-In each frame the right camera is turned by ω ~ N(0, S) (``camera.rig_jitter``). The E-step solves
-for the jitter η of both frames of a step at its motion, whose own uncertainty moves η with it. Of
-two frames only the change ω' − ω° is seen well; its variance is 2 S, so that the M-step is
+In each frame the right camera is rotated by ω ~ N(0, S) (``camera.rig_jitter``). The E-step solves
+for the jitter η of both frames of a step at its motion, whose uncertainty is propagated to η. Two
+frames determine only the change ω' − ω° well; its covariance is 2 S, so the M-step is
 
     S = ½ · mean of E[(ω' − ω°)(ω' − ω°)ᵀ]
 
-over all steps. A step that shows nothing of the jitter has the expectation 2 S, and holds S.
+over all steps. A step without information about the jitter has the expectation 2 S, and keeps S.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MOTION_DIM = 6
 
 
 class CommonUnknowns(NamedTuple):
-    """What all features of a step have in common: its motion, and the jitter of the rig."""
+    """The unknowns that are common to all features of a step: the motion, and the rig's jitter."""
 
     jacobian: FloatArray
     """Derivative of the prediction by (ξ, η), [N, 4, 12], or by ξ alone, [N, 4, 6]."""
@@ -32,7 +32,7 @@ class CommonUnknowns(NamedTuple):
 
     @staticmethod
     def of(solution: ReprojectionSolution, motion_cov: FloatArray) -> CommonUnknowns:
-        """Return them, given a solve at a known motion and what is not known of that, [6, 6]."""
+        """Build them from a solve at a given motion, and the covariance of that motion, [6, 6]."""
         if solution.jitter is None:
             return CommonUnknowns(solution.jacobian, motion_cov)
         gain, rest = _given_motion(solution.jitter)
@@ -57,14 +57,14 @@ def learned_covariance(second_moments: FloatArray) -> FloatArray:
 
 
 def initial_covariance() -> FloatArray:
-    """Return the S that the first E-step is given, [3, 3], rad²: that of an unknown rig."""
+    """Return the initial S, [3, 3], rad²: that of an unknown rig."""
     return RigJitter.initial().cov
 
 
 def _given_motion(jitter: SolvedJitter) -> tuple[FloatArray, FloatArray]:
     """Return dη/dξ, [6, 6], and the covariance of η at a known motion, [6, 6].
 
-    Where the features do not fix the motion, η is what it was before: N(0, I), whatever the motion.
+    If the features do not determine the motion, η keeps its prior N(0, I), whatever the motion.
     """
     cov = jitter.cov
     if not np.isfinite(cov).all():

@@ -1,4 +1,4 @@
-"""Thinning: of more drives than EM can use, only some steps take part in its iterations."""
+"""Thinning: if the drives have more features than EM uses, only some of their steps are kept."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from probevo.training.supervision import Supervision
 from probevo.training.workers import Workers
 
 STEPS_PER_FEATURE = 4
-"""The steps that are kept have so many times the features that a model is fitted to, of which
-``error_samples`` then draws: features of one step have much in common, so that some features of
-many steps are worth more than all features of a few."""
+"""Ratio of the features in the kept steps to those that a model is fitted to, which
+``error_samples`` draws from them. Errors within a step are correlated, so some features of many
+steps are worth more than all features of a few."""
 STRETCH = 20
-"""Steps are kept in stretches of so many, since the memory of tracks goes on from step to step."""
+"""Number of consecutive steps that are kept together, since the disparity filter needs successive
+steps."""
 
 
 @dataclass(frozen=True)

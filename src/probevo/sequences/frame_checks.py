@@ -1,0 +1,164 @@
+"""Checks of single frames and of their order, before the odometry takes them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from probevo.arrays import Image
+from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError, brief
+from probevo.sequences.frame import Frame, ImuSamples, StereoFeatures, size_text
+from probevo.sequences.text import INT64_LIMIT
+
+SHORTEST_STEP_NS = 1_000
+"""Shortest plausible time between two frames. Closer stamps must be in another unit."""
+
+
+def check_frame(frame: Frame, camera: StereoCamera) -> None:
+    """Refuse a frame that is not usable by itself.
+
+    Raises:
+        InputError: index or stamp is no whole number of 64 bits; an image is missing, is not grey
+            with 8 bits, or has another size than the camera or the other image; a mask is of
+            another kind or size than its image; an identity appears twice, or the counts of
+            identities and pixels differ; IMU samples are out of order, or an angular rate is
+            missing or not finite; the index is negative.
+    """
+    where = f"frame {frame.index}"
+    if not isinstance(frame.index, int | np.integer):
+        raise InputError(where, f"its index is {brief(frame.index)}.", "Give an int.")
+    if not isinstance(frame.stamp_ns, int | np.integer):
+        what = f"its stamp_ns is {brief(frame.stamp_ns)}."
+        raise InputError(where, what, "Give whole nanoseconds, as an int.")
+    if not -INT64_LIMIT <= frame.stamp_ns < INT64_LIMIT:
+        what = f"its stamp, {brief(int(frame.stamp_ns))} ns, does not fit in 64 bits."
+        raise InputError(where, what, "Stamps are nanoseconds, mostly since 1970.")
+    if frame.index < 0:
+        raise InputError(where, "its index is negative.", "Count from 0.")
+    _check_images(frame, camera, where)
+    if frame.features is not None:
+        _check_features(frame.features, where)
+    if frame.imu is not None:
+        _check_imu_samples(frame.imu, where)
+
+
+def _check_images(frame: Frame, camera: StereoCamera, where: str) -> None:
+    """Refuse images that are missing, of another kind than 8-bit grey, or of a wrong size.
+
+    Raises:
+        InputError: names the image at fault.
+    """
+    if frame.features is None and (frame.left is None or frame.right is None):
+        missing = [name for name in ("left", "right") if getattr(frame, name) is None]
+        what = (
+            f"its {missing[0]} image is missing."
+            if len(missing) == 1
+            else "it has neither images nor features."
+        )
+        raise InputError(where, what, "Give both images, or features.")
+    for name, image in (("left", frame.left), ("right", frame.right)):
+        if image is not None and (image.ndim != 2 or image.dtype != np.uint8):
+            what = f"its {name} image is {image.dtype} of shape {image.shape}."
+            raise InputError(where, what, "Give a grey image, [height, width], of type uint8.")
+        if image is not None and camera.size_px is not None and image.shape[::-1] != camera.size_px:
+            camera_size = "×".join(map(str, camera.size_px))
+            what = f"its {name} image is {size_text(image)} px, the camera's are {camera_size}."
+            raise InputError(where, what, "Scale image or camera.")
+    if frame.left is not None and frame.right is not None and frame.left.shape != frame.right.shape:
+        what = f"its images are {size_text(frame.left)} and {size_text(frame.right)} px."
+        raise InputError(where, what, "Give both the same size, as rectification does.")
+    if frame.left is not None and not frame.left.size:
+        raise InputError(where, "its images have no pixels.", "Leave the frame out.")
+    _check_mask("left", frame.left_mask, frame.left, where)
+    _check_mask("right", frame.right_mask, frame.right, where)
+
+
+def _check_mask(name: str, mask: object, image: Image | None, where: str) -> None:
+    """Refuse a mask of another kind than bool or uint8, or of another size than its image.
+
+    Raises:
+        InputError: says which.
+    """
+    if mask is None:
+        return
+    if image is None:
+        what = f"it has a {name} mask, but no images."
+        raise InputError(where, what, "Leave out the features that are not wanted.")
+    if not isinstance(mask, np.ndarray) or mask.dtype not in (np.bool_, np.uint8):
+        found = f"of type {mask.dtype}" if isinstance(mask, np.ndarray) else brief(mask)
+        what = f"its {name} mask is {found}."
+        raise InputError(where, what, "Give [height, width] of bool, True where features may be.")
+    if mask.shape != image.shape:
+        what = f"its {name} mask has shape {mask.shape}, the image {image.shape}."
+        raise InputError(where, what, "Give a mask of the size of the image.")
+
+
+def _check_features(features: StereoFeatures, where: str) -> None:
+    """Refuse features with repeated identities, or without an observation for each.
+
+    Raises:
+        InputError: says which.
+    """
+    if features.pixels.shape != (len(features.ids), 4):
+        what = f"it has {len(features.ids)} identities and pixels of shape {features.pixels.shape}."
+        raise InputError(where, what, "Give [N] and [N, 4].")
+    if len(np.unique(features.ids)) < len(features.ids):
+        raise InputError(
+            where, "two of its features have the same identity.", "Give each point one of its own."
+        )
+
+
+def _check_imu_samples(imu: ImuSamples, where: str) -> None:
+    """Refuse IMU samples out of order, or without a finite angular rate.
+
+    Raises:
+        InputError: says which.
+    """
+    if not (np.diff(imu.stamps_ns) > 0).all():
+        raise InputError(
+            where, "its IMU samples are not in the order of their times.", "Sort them."
+        )
+    for name, array in (("turn rates", imu.gyro_rad_s), ("specific forces", imu.accel_m_s2)):
+        if np.shape(array) != (len(imu.stamps_ns), 3):
+            what = f"{len(imu.stamps_ns)} IMU samples have {name} of shape {np.shape(array)}."
+            raise InputError(where, what, "Give [N] and [N, 3], NaN where not recorded.")
+    if not np.isfinite(imu.gyro_rad_s).all():
+        raise InputError(
+            where, "an IMU sample of it has no finite turn rate.", "Leave that sample out."
+        )
+
+
+def check_order(prev: Frame, curr: Frame) -> float:
+    """Check that one frame can follow another, and return the time between them, s.
+
+    Raises:
+        InputError: the second frame is not after the first, or is too soon after it; one has
+            images and the other features; their images have different sizes, or share memory.
+    """
+    where = f"frame {curr.index}"
+    if curr.stamp_ns <= prev.stamp_ns:
+        what = (
+            f"its stamp, {curr.stamp_ns} ns, is not after that of the frame before,"
+            f" {prev.stamp_ns} ns."
+        )
+        raise InputError(where, what, "Give the frames in the order of their times.")
+    if curr.stamp_ns - prev.stamp_ns < SHORTEST_STEP_NS:
+        what = f"its stamp, {curr.stamp_ns} ns, is less than 1 µs after that of the frame before."
+        raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")
+    if (curr.features is None) != (prev.features is None):
+        what = "one of it and the frame before has images, the other features."
+        raise InputError(where, what, "Keep to one kind.")
+    for prev_image, curr_image in ((prev.left, curr.left), (prev.right, curr.right)):
+        if prev_image is None or curr_image is None:
+            continue
+        if prev_image.shape != curr_image.shape:
+            now = size_text(curr_image)
+            what = f"its images are {now} px, not {size_text(prev_image)} px as before."
+            raise InputError(where, what, "Keep to one size.")
+        if prev_image.ctypes.data == curr_image.ctypes.data:
+            what = (
+                "an image of it is in the same memory as that of the frame before, which is still"
+                " needed."
+            )
+            raise InputError(where, what, "Hand in a new array each time, such as image.copy().")
+    return 1e-9 * (curr.stamp_ns - prev.stamp_ns)
