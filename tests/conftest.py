@@ -29,9 +29,10 @@ LONGEST = (
     *("predictors/test_separation.py", "cli/test_hostile_folder.py", "test_fuzz.py"),
     *("training/probe/test_selection.py", "estimation/test_sensor_fusion.py"),
     *("output/test_report.py", "cli/test_run_command.py", "training/test_workers.py"),
+    *("tracking/test_pair_timing.py", "nets/test_sun_training.py"),
 )
 """Files of more than ten seconds of processor time, which several processes begin with."""
-LEAST_PROCESSES = 3
+LEAST_PROCESSES = 4
 """Of ``--numprocesses auto``: some tests wait, and others share the processor with something."""
 
 take_turns()
