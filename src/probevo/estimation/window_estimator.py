@@ -503,14 +503,9 @@ class WindowEstimator:
         size = FRAME * num_frames + RIG
         num_observations = len(window.observations.slot)
         num_landmarks = len(window.landmarks.state)
-        # Ad(T_ka) = Ad(T_k) Ad(T_a)⁻¹.
-        adjoint = se3.adjoint(window.T_linear)
-        inverse = se3.adjoint(se3.inverse(window.T_linear))
-        adjoints = np.zeros((num_frames, num_frames, FRAME, FRAME))
-        adjoints[..., :POSE, :POSE] = adjoint[:, None] @ inverse[None, :]
         geometry = WindowGeometry(
             T_cam_world=window.T_cam_world,
-            adjoints=adjoints,
+            T_linear=window.T_linear,
             jitter=window.jitter,
             rig=window.rig,
             intrinsics=self._intrinsics,
