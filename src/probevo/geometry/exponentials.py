@@ -1,6 +1,6 @@
 """Compiled exponentials, inverses and adjoints of poses.
 
-A step of the odometry takes some fifty of them, one or ten poses at a time, and NumPy or SciPy would
+A step of the odometry takes some fifty of them, one or ten poses at a time. NumPy or SciPy would
 take 10 to 50 µs for each.
 """
 
