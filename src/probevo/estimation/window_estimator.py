@@ -62,6 +62,7 @@ from probevo.estimation.window_numba import (
     WindowLandmarks,
     WindowObservations,
     accumulate,
+    fill_roots,
     move_landmarks,
 )
 from probevo.geometry import se3
@@ -343,12 +344,15 @@ class WindowEstimator:
         parameters = self._loss.parameters(noise.dof)
         first_px = tracks.prev_px[is_new]
         # Each observation counts with the noise at its own time.
-        information = np.linalg.inv(np.concatenate([prev_scale[is_new], noise.scale]))
+        scale = np.concatenate([prev_scale[is_new], noise.scale])
+        root = np.zeros_like(scale)
+        if not fill_roots(scale, root):
+            raise np.linalg.LinAlgError("the scale of an observation is not positive definite")
         new = WindowObservations(
             start=np.zeros(0, np.int64),
             slot=np.concatenate([np.full(len(first_px), prev), np.full(len(tracks), num_frames)]),
             pixels=np.concatenate([first_px, tracks.curr_px - noise.bias]),
-            root=np.linalg.cholesky(information),
+            root=root,
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
         )
         variance = np.zeros(len(tracks))

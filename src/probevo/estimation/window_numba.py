@@ -47,7 +47,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled, compiled_into_callers
+from probevo.compiled import compiled, compiled_into_callers, factor, invert_symmetric_4
 from probevo.measurements.robust_loss_numba import (
     STUDENT_T,
     robust_cost,
@@ -1043,3 +1043,20 @@ def move_landmarks(
             moved[row, 1] = first[1]
             moved[row, 2] = first[0] - first[2]
             moved[row, 3] = 0.0
+
+
+@compiled
+def fill_roots(scale: FloatArray, root: FloatArray) -> bool:
+    """Fill the Cholesky factors G of R⁻¹ = G Gᵀ, [N, 4, 4], of scale matrices R, [N, 4, 4], px².
+
+    Returns:
+        False if one is not positive definite to working precision.
+    """
+    inverse = np.empty((PIXELS, PIXELS))
+    lower = np.zeros((PIXELS, PIXELS))
+    for n in range(len(scale)):
+        if not invert_symmetric_4(scale[n], inverse, lower):
+            return False
+        if not factor(inverse, PIXELS, root[n]):
+            return False
+    return True
