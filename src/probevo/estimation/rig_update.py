@@ -67,7 +67,9 @@ def update_rig(
     if solution.jitter is not None:
         motion_gradient[6:] -= solution.jitter.eta
     # The Schur complement on b, a₆ and ε; b₀ is not estimated.
-    gain = np.linalg.solve(solution.full_hessian, C)
+    solved = np.linalg.solve(solution.full_hessian, np.column_stack([C, motion_gradient]))
+    gain = solved[:, :-1]
+    step = solved[:, -1].astype(float)
     gradient = gain.T @ motion_gradient + rig_gradient
     information = B - C.T @ gain
     updated = rig.with_disparity(
@@ -82,7 +84,6 @@ def update_rig(
     )
     updated = replace(updated, focal=focal)
     if solution.jitter is not None:
-        step = np.linalg.solve(solution.full_hessian, motion_gradient).astype(float)
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
     # A constant error is none that is new in every frame: the jitter must not be expected to take
     # it up, and is held.

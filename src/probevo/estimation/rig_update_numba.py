@@ -37,12 +37,15 @@ def disparity_sensitivities(
 @compiled
 def _disparity_by(k: int, pixels: FloatArray, camera: Intrinsics) -> float:
     """Return what coefficient k of (b₀, b₁, b₂, a₆) adds to the disparity of an observation."""
-    if k < 3:
+    added = 1.0
+    if k == 3:
+        x_right = (pixels[2] - camera.cu) / camera.fu
+        y = (pixels[1] - camera.cv) / camera.fv
+        added = camera.fu / camera.fv * x_right * (x_right * x_right + y * y)
+    elif k > 0:
         x = (pixels[0] - camera.cu) / camera.fu
-        return 1.0 if k == 0 else x if k == 1 else x * x
-    x_right = (pixels[2] - camera.cu) / camera.fu
-    y = (pixels[1] - camera.cv) / camera.fv
-    return camera.fu / camera.fv * x_right * (x_right * x_right + y * y)
+        added = x if k == 1 else x * x
+    return added
 
 
 @compiled
