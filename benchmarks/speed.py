@@ -1,12 +1,13 @@
 """Measure the time of a frame, decoding included, against a plain OpenCV odometry.
 
-    python benchmarks/speed.py [--repeats 3] [--frames 154] [--estimator window]
+    python benchmarks/speed.py [--repeats 3] [--frames 154] [--estimator window] [--clock cpu]
 
 Measured on one core and on two, and by stage. Ours predicts the noise of each feature from all
 default predictors by a generalized kernel of 2,000 centers. Both odometries read the same files, in
 turn; a frame's time is that from one motion to the next. Each line is a process of its own, limited
 to so many cores. OpenCV has as many threads for the baseline, and one for ours, as in ``probevo
-run``, whose own threads use the other core.
+run``, whose own threads use the other core. ``--clock cpu`` counts the CPU time of the process
+instead, of all its threads, which other users of the machine change less.
 """
 
 from __future__ import annotations
@@ -27,11 +28,14 @@ if TYPE_CHECKING:
     from probevo.sequences import Sequence
 
 THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 FIRST = 5
 """Frames of a pass that do not count: there is no motion yet, or compiled code is being loaded."""
 
 
-def measure(path: Path, cores: int, estimator: str, *, repeats: int, frames: int) -> None:
+def measure(
+    path: Path, cores: int, estimator: str, *, clock: str, repeats: int, frames: int
+) -> None:
     """Measure in this process, and print the result as JSON."""
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     import cv2
@@ -48,9 +52,9 @@ def measure(path: Path, cores: int, estimator: str, *, repeats: int, frames: int
     theirs = []
     for _ in range(repeats):
         cv2.setNumThreads(1)
-        ours += gaps(ours_over(sequence, model, estimator, stages.append), frames)
+        ours += gaps(ours_over(sequence, model, estimator, stages.append), frames, clock)
         cv2.setNumThreads(cores)
-        theirs += gaps(theirs_over(sequence), frames)
+        theirs += gaps(theirs_over(sequence), frames, clock)
     stage_ms = {
         name: float(np.median([stage.get(name, 0.0) for stage in stages])) for name in stages[-1]
     }
@@ -113,7 +117,7 @@ def ours_over(
     odometry = pv.StereoOdometry(
         sequence.camera, model, sequence.imu, config={"estimator": estimator}
     )
-    for frame in prepare_ahead(sequence, odometry.config.tracking):
+    for frame in prepare_ahead(sequence, odometry.config.tracker):
         motion = odometry.step(frame)
         if frame.index >= FIRST:
             keep(dict(motion.stage_ms))
@@ -133,12 +137,13 @@ def theirs_over(sequence: Sequence) -> Iterator[None]:
         yield
 
 
-def gaps(motions: Iterator[None], frames: int) -> list[float]:
-    """Return the times from each motion to the next, ms."""
+def gaps(motions: Iterator[None], frames: int, clock: str) -> list[float]:
+    """Return the times from each motion to the next, ms, by one of the clocks."""
+    now = CLOCKS[clock]
     times = []
-    previous = time.perf_counter()
+    previous = now()
     for number, _ in enumerate(motions, start=1):
-        current = time.perf_counter()
+        current = now()
         times.append(1e3 * (current - previous))
         previous = current
         if number == frames:
@@ -147,11 +152,11 @@ def gaps(motions: Iterator[None], frames: int) -> list[float]:
 
 
 def measure_apart(
-    path: Path, cores: int, estimator: str, *, repeats: int, frames: int
+    path: Path, cores: int, estimator: str, *, clock: str, repeats: int, frames: int
 ) -> dict[str, Any]:
     """Measure in a process of its own."""
     words = [sys.executable, __file__, "--measure", str(path), str(cores)]
-    words += ["--estimator", estimator]
+    words += ["--estimator", estimator, "--clock", clock]
     words += ["--repeats", str(repeats), "--frames", str(frames)]
     done = subprocess.run(
         words, env=os.environ | THREADS, stdout=subprocess.PIPE, text=True, check=True
@@ -170,18 +175,33 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--frames", type=int, default=154)
     parser.add_argument("--estimator", choices=["two-frame", "window"], default="two-frame")
+    parser.add_argument("--clock", choices=list(CLOCKS), default="wall")
     parser.add_argument("--measure", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     repeats = arguments.repeats
     frames = arguments.frames
     if arguments.measure:
         path, cores = arguments.measure
-        measure(Path(path), int(cores), arguments.estimator, repeats=repeats, frames=frames)
+        measure(
+            Path(path),
+            int(cores),
+            arguments.estimator,
+            clock=arguments.clock,
+            repeats=repeats,
+            frames=frames,
+        )
         return
     print(f"{'recording':12} cores  ours  p99  baseline  ratio  p99/median  peak, MB   stages, ms")
     for name, path in available().items():
         for cores in (1, 2):
-            found = measure_apart(path, cores, arguments.estimator, repeats=repeats, frames=frames)
+            found = measure_apart(
+                path,
+                cores,
+                arguments.estimator,
+                clock=arguments.clock,
+                repeats=repeats,
+                frames=frames,
+            )
             ours = found["ours"]
             p99 = found["p99"]
             theirs = found["theirs"]

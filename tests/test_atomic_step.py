@@ -43,6 +43,8 @@ from worlds import CAMERA, FORWARD, FRAME_NS, START_NS, TWO_FRAMES, drive, with_
 
 NUM_FRAMES = 7
 """Frames at each of which a stage fails; there is one more, to go on with."""
+WITHOUT_WINDOW = "features, without a window"
+"""Content of a drive with features, for the two-frame estimator."""
 PACKAGE = str(Path(pv.__file__).parent)
 SAMPLE_NS = FRAME_NS // 20
 GYRO_NOISE = 2e-4
@@ -109,7 +111,7 @@ def with_imu(frames: Sequence[Frame], twist: FloatArray) -> list[Frame]:
 @cache
 def drive_with(content: str) -> Drive:
     """Return the drive with ``features`` or with ``images``."""
-    if content == "features":
+    if content != "images":
         frames = drive(np.random.default_rng(0), NUM_FRAMES + 1, points=80)
         twist = se3.log(FORWARD)
         return Drive(CAMERA, twist, with_imu(frames, twist))
@@ -199,7 +201,7 @@ def assert_same_bytes(found: object, expected: object) -> None:
 def odometry_before(content: str, k: int) -> pv.StereoOdometry:
     """Return an odometry that has seen the k frames before frame k; copy it to step it."""
     if k == 0:
-        return odometry_of(content, "window")
+        return odometry_of(content, "two-frame" if content == WITHOUT_WINDOW else "window")
     odometry = copy.copy(odometry_before(content, k - 1))
     odometry.step(drive_with(content).frames[k - 1])
     return odometry
@@ -239,7 +241,8 @@ class Stage:
     """Module, or ``module:class``, in which the step finds it."""
     name: str
     content: str = "features"
-    """What the frames have: features, or images."""
+    """What the frames have: features, or images; ``WITHOUT_WINDOW`` for a stage that a window
+    does not have."""
     first: int = 1
     """The first frame that comes to this stage."""
     is_blind: bool = False
@@ -275,7 +278,9 @@ STAGES = {
     "RANSAC": Stage("probevo.estimation.initial_motion", "find_consensus"),
     "noise": Stage("probevo.noise:NearestNeighbors", "predict"),
     "solve": Stage("probevo.estimation.two_frame", "solve_reprojection"),
-    "disparity filter": Stage("probevo.estimation.two_frame", "update_with_common_mode"),
+    "disparity filter": Stage(
+        "probevo.estimation.two_frame", "update_with_common_mode", content=WITHOUT_WINDOW
+    ),
     "weights": Stage("probevo.estimation.two_frame", "feature_weights"),
     "solve from two frames": Stage("probevo.estimation.visual_motion", "solve_reprojection"),
     "gate": Stage("probevo.estimation.visual_motion", "evaluate_status"),

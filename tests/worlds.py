@@ -9,12 +9,11 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.rig_calibration import (
-    RADIAL,
-    ROLL,
     disparity_basis,
     radial_basis,
     row_basis,
 )
+from probevo.camera.rig_rows_numba import RADIAL, ROLL
 from probevo.camera.stereo import StereoCamera
 from probevo.geometry import se3
 from probevo.noise import StereoNoise, StudentT

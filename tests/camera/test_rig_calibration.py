@@ -8,12 +8,11 @@ from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
     CORRELATED_FEATURES,
     DISPARITY_SIGMA_PX,
-    RADIAL,
-    ROLL,
     ROW_SIGMA_PX,
     RigCalibration,
     row_basis,
 )
+from probevo.camera.rig_rows_numba import RADIAL, ROLL
 from worlds import CAMERA, RIG_DISPARITY_PX, RIG_ROWS_PX, misrectified, seen_twice
 
 

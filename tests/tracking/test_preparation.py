@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from probevo.config import TrackingConfig
+from probevo.config import OdometryConfig, TrackingConfig
 from probevo.errors import InputError
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking.preparation import prepare_ahead, prepare_images, with_prepared_images
@@ -52,6 +52,13 @@ def test_images_prepared_with_other_settings_are_prepared_again() -> None:
     other = TrackingConfig(high_pass_px=0)
     assert prepare_images(frame, CONFIG) is frame.prepared
     assert prepare_images(frame, other).left[0] is frame.left
+
+
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_images_prepared_ahead_serve_either_estimator(estimator: str) -> None:
+    config = OdometryConfig.model_validate({"estimator": estimator})
+    frame = with_prepared_images(next(frames(1)), config.tracking)
+    assert prepare_images(frame, config.tracker) is frame.prepared
 
 
 def test_features_need_no_preparation() -> None:

@@ -36,8 +36,14 @@ from probevo.camera.exposure_delay import ExposureDelay
 from probevo.camera.focal_length import FocalLengthEstimate
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.rig_rows import fit_row_offsets
-from probevo.camera.rig_rows_numba import RowOffsetNoise
+from probevo.camera.rig_rows_numba import (
+    RADIAL,
+    RowOffsetNoise,
+    correct_observations,
+    fill_row_basis,
+)
 from probevo.camera.stereo import StereoCamera
+from probevo.camera.transfer_numba import Intrinsics
 
 ROW_SIGMA_PX = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 1.0, 3.0])
 """Prior standard deviation of a₀ … a₆."""
@@ -55,10 +61,7 @@ CORRELATED_FEATURES = 20.0
 in successive frames."""
 ROW_NOISE = RowOffsetNoise(sigma_px=ROW_SCATTER_PX, dof=ROW_DOF, correlated=CORRELATED_FEATURES)
 ROW_ITERATIONS = 3
-ROLL = 1
-"""Index of the row coefficient that a roll of the right image causes."""
-RADIAL = 6
-"""Index of the row coefficient that a difference of the lenses' radial distortion causes."""
+NO_DISPARITY_ERROR_PX = np.zeros(2)
 
 
 @dataclass(frozen=True)
@@ -108,18 +111,18 @@ class RigCalibration:
 
     def corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
         """Return observations [N, 4], px, with u_r and v_r corrected for all estimated errors."""
-        corrected = self.with_rows_corrected(pixels, camera)
-        corrected[:, 2] -= disparity_basis(pixels, camera)[:, 1:] @ self.disparity
-        return corrected
+        return self._without_errors(pixels, camera, disparity_px=self.disparity)
 
     def with_rows_corrected(self, pixels: FloatArray, camera: StereoCamera) -> FloatArray:
         """Return observations [N, 4], px, corrected by the row coefficients: v_r, and u_r for the
         roll of the right image and its lens distortion."""
-        corrected: FloatArray = pixels.copy()
-        _, y = camera.normalized(pixels[:, 0], pixels[:, 1])
-        corrected[:, 2] += self.rows[ROLL] * camera.fu_px / camera.fv_px * y
-        corrected[:, 2] -= self.rows[RADIAL] * radial_basis(pixels, camera)
-        corrected[:, 3] -= row_basis(pixels, camera) @ self.rows
+        return self._without_errors(pixels, camera, disparity_px=NO_DISPARITY_ERROR_PX)
+
+    def _without_errors(
+        self, pixels: FloatArray, camera: StereoCamera, disparity_px: FloatArray
+    ) -> FloatArray:
+        corrected = np.array(pixels, np.float64, order="C")
+        correct_observations(corrected, Intrinsics.of(camera), self.rows, disparity_px)
         return corrected
 
     def with_rows(self, pixels: FloatArray, camera: StereoCamera) -> RigCalibration:
@@ -194,10 +197,9 @@ def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     The second and the last, which describe the right image, have its x; the others that of the
     left image.
     """
-    x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
-    x_right, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
-    radial = y * (x_right * x_right + y * y)
-    return np.column_stack([np.ones_like(x), x_right, y, x * x, x * y, y * y, radial])
+    basis = np.empty((len(pixels), len(ROW_SIGMA_PX)))
+    fill_row_basis(np.array(pixels, np.float64, order="C"), Intrinsics.of(camera), basis)
+    return basis
 
 
 def radial_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:

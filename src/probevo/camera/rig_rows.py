@@ -49,6 +49,7 @@ def fit_row_offsets(
     prior_gradient = prior_information @ coefficients
     information = prior_information
     at = coefficients
+    random_information = None if of_frame is None else np.linalg.inv(of_frame.cov)
     for _ in range(iterations):
         own_information = np.zeros_like(prior_information)
         own_gradient = np.zeros_like(prior_gradient)
@@ -60,19 +61,20 @@ def fit_row_offsets(
             information=own_information,
             gradient=own_gradient,
         )
-        if of_frame is None:
+        if of_frame is None or random_information is None:
             information = prior_information + own_information
             coefficients = np.linalg.solve(information, prior_gradient + own_gradient).astype(float)
             at = coefficients
             continue
         # Normal equations of the coefficients and ω, of which the latter are eliminated.
         cross = own_information @ of_frame.effect
-        random = of_frame.effect.T @ cross + np.linalg.inv(of_frame.cov)
-        gain = np.linalg.solve(random, cross.T)
+        random = of_frame.effect.T @ cross + random_information
         random_gradient = of_frame.effect.T @ own_gradient
+        solved = np.linalg.solve(random, np.column_stack([cross.T, random_gradient])).astype(float)
+        gain = solved[:, :-1]
         information = prior_information + own_information - cross @ gain
         gradient = prior_gradient + own_gradient - gain.T @ random_gradient
         coefficients = np.linalg.solve(information, gradient).astype(float)
-        change = np.linalg.solve(random, random_gradient - cross.T @ coefficients)
+        change = solved[:, -1] - gain @ coefficients
         at = coefficients + of_frame.effect @ change
     return coefficients, information

@@ -105,11 +105,6 @@ class ReprojectionSolution:
         """The covariance of motion and jitter, [6, 6] or [12, 12]."""
         return self.cov if self.jitter is None else self.jitter.cov
 
-    def whitened(self, columns: FloatArray) -> FloatArray:
-        """Return w Σ⁻¹ times columns of each feature, [N, 4, K], with w the IRLS weight."""
-        product: FloatArray = np.matmul(self.information, columns) * self.irls_weight[:, None, None]
-        return product
-
 
 def solve_reprojection(
     observations: StereoObservations,

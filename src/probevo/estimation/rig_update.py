@@ -9,15 +9,12 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.camera.focal_length_numba import focal_sensitivity
-from probevo.camera.rig_calibration import (
-    RigCalibration,
-    disparity_basis,
-    radial_basis,
-)
+from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
 from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
+from probevo.estimation.rig_update_numba import disparity_sensitivities, weigh_columns
 from probevo.tracking.tracks import Tracks
 
 _RADIAL = 3
@@ -55,17 +52,23 @@ def update_rig(
     # Sensitivities of the residuals to the calibration, and weighted products of both
     D = calibration_sensitivity(tracks, solution, camera)
     jacobian = solution.full_jacobian
-    weighted_D = solution.whitened(D)
-    weighted_e = solution.whitened(solution.residuals[:, :, None])
+    # w Σ⁻¹ (D, e): both at once.
+    columns = np.concatenate([D, solution.residuals[:, :, None]], axis=2)
+    weighted = np.empty_like(columns)
+    weigh_columns(solution.information, solution.irls_weight, columns, weighted)
     # Normal equations of (ξ, η, b, a₆, ε): [[H, C], [Cᵀ, B]], with the gradients of both.
-    C = sum_products(jacobian, weighted_D)
-    B = sum_products(D, weighted_D)
-    motion_gradient = sum_products(jacobian, weighted_e)[:, 0]
+    of_motion = sum_products(jacobian, weighted)
+    C = of_motion[:, :-1]
+    motion_gradient = of_motion[:, -1]
+    of_rig = sum_products(D, weighted)
+    B = of_rig[:, :-1]
+    rig_gradient = -of_rig[:, -1]
     if solution.jitter is not None:
         motion_gradient[6:] -= solution.jitter.eta
-    rig_gradient = -sum_products(D, weighted_e)[:, 0]
     # The Schur complement on b, a₆ and ε; b₀ is not estimated.
-    gain = np.linalg.solve(solution.full_hessian, C)
+    solved = np.linalg.solve(solution.full_hessian, np.column_stack([C, motion_gradient]))
+    gain = solved[:, :-1]
+    step = solved[:, -1].astype(float)
     gradient = gain.T @ motion_gradient + rig_gradient
     information = B - C.T @ gain
     updated = rig.with_disparity(
@@ -81,7 +84,6 @@ def update_rig(
     )
     updated = replace(updated, focal=focal)
     if solution.jitter is not None:
-        step = np.linalg.solve(solution.full_hessian, motion_gradient).astype(float)
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
     # The consider term: jitter is new in every frame and cannot absorb a constant error, so it is
     # held here.
@@ -101,39 +103,19 @@ def _updated_jitter(jitter: RigJitter, solved: SolvedJitter, step: FloatArray) -
     return jitter.with_change(np.outer(mean, mean) + change @ solved.cov[6:, 6:] @ change.T)
 
 
-def disparity_sensitivity(
-    tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
-) -> FloatArray:
-    """Return ∂e/∂(b₀, b₁, b₂), [N, 4, 3].
-
-    More disparity moves u_r' by itself, and the prediction f(T g(y)) through the depth.
-    """
-    prev_basis = disparity_basis(tracks.prev_px, camera)
-    curr_basis = disparity_basis(tracks.curr_px, camera)
-    return _sensitivity_by_disparity(solution, prev_basis, curr_basis)
-
-
-def _sensitivity_by_disparity(
-    solution: ReprojectionSolution, prev_basis: FloatArray, curr_basis: FloatArray
-) -> FloatArray:
-    """Return ∂e/∂(K coefficients of the disparity error), [N, 4, K], given the basis functions of
-    these in both frames, [N, K]."""
-    sensitivity: FloatArray = -solution.disparity_jacobian[:, :, None] * prev_basis[:, None]
-    sensitivity[:, 2] -= curr_basis
-    return sensitivity
-
-
 def calibration_sensitivity(
     tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
 ) -> FloatArray:
     """Return ∂e/∂(b₀, b₁, b₂, a₆, ε), [N, 4, 5]; ε is the error of log f
     (``camera.focal_length``)."""
     sensitivity = np.empty((len(tracks), 4, 5))
-    prev_basis = radial_basis(tracks.prev_px, camera)[:, None]
-    curr_basis = radial_basis(tracks.curr_px, camera)[:, None]
-    sensitivity[:, :, :3] = disparity_sensitivity(tracks, solution, camera)
-    sensitivity[:, :, 3:4] = _sensitivity_by_disparity(solution, prev_basis, curr_basis)
-    focal_sensitivity(
-        solution.T_curr_prev, Intrinsics.of(camera), solution.refined, sensitivity[:, :, 4]
+    intrinsics = Intrinsics.of(camera)
+    disparity_sensitivities(
+        solution.disparity_jacobian,
+        np.array(tracks.prev_px, order="C"),
+        np.array(tracks.curr_px, order="C"),
+        camera=intrinsics,
+        sensitivity=sensitivity,
     )
+    focal_sensitivity(solution.T_curr_prev, intrinsics, solution.refined, sensitivity[:, :, 4])
     return sensitivity

@@ -109,12 +109,16 @@ class TwoFrameEstimator:
     Args:
         camera: the rectified camera.
         config: settings of the solve.
+        filters_disparities: whether the disparities of one step are to be known in the next one.
     """
 
-    def __init__(self, camera: StereoCamera, config: SolverConfig) -> None:
+    def __init__(
+        self, camera: StereoCamera, config: SolverConfig, *, filters_disparities: bool = True
+    ) -> None:
         self.camera = camera
         self.config = config
         self._method = METHODS[config.method]
+        self._filters_disparities = filters_disparities and self._method.filters_disparities
 
     def solve(
         self,
@@ -162,7 +166,7 @@ class TwoFrameEstimator:
         # errors correlate them, which is accounted for only now: an outlier would corrupt them, and
         # the inliers are not known before.
         after = DisparityFilter.none()
-        if self._method.filters_disparities:
+        if self._filters_disparities:
             solution, after = update_with_common_mode(
                 prior,
                 tracks,
@@ -192,7 +196,7 @@ class TwoFrameEstimator:
         solution = solve_reprojection(observations, guess=T_curr_prev, holds_motion=True)
         weights = feature_weights(solution, noise.dof, self.config.loss)
         after = DisparityFilter.none()
-        if self._method.filters_disparities:
+        if self._filters_disparities:
             after = update_at_known_motion(
                 prior,
                 tracks,

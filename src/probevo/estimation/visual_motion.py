@@ -154,7 +154,11 @@ class VisualEstimator:
         self._noise = noise
         self._config = config
         self._predicts_from_motion = predicts_from_motion
-        self._estimator: Estimator = TwoFrameEstimator(camera, config.solver)
+        # A window knows the landmarks of its frames itself, better than the filter does. The motion
+        # of two frames is only where its adjustment starts.
+        self._estimator: Estimator = TwoFrameEstimator(
+            camera, config.solver, filters_disparities=config.estimator != "window"
+        )
 
     def estimate(
         self,

@@ -62,6 +62,7 @@ from probevo.estimation.window_numba import (
     WindowLandmarks,
     WindowObservations,
     accumulate,
+    fill_roots,
     move_landmarks,
 )
 from probevo.geometry import se3
@@ -343,12 +344,15 @@ class WindowEstimator:
         parameters = self._loss.parameters(noise.dof)
         first_px = tracks.prev_px[is_new]
         # Each observation counts with the noise at its own time.
-        information = np.linalg.inv(np.concatenate([prev_scale[is_new], noise.scale]))
+        scale = np.concatenate([prev_scale[is_new], noise.scale])
+        root = np.zeros_like(scale)
+        if not fill_roots(scale, root):
+            raise np.linalg.LinAlgError("the scale of an observation is not positive definite")
         new = WindowObservations(
             start=np.zeros(0, np.int64),
             slot=np.concatenate([np.full(len(first_px), prev), np.full(len(tracks), num_frames)]),
             pixels=np.concatenate([first_px, tracks.curr_px - noise.bias]),
-            root=np.linalg.cholesky(information),
+            root=root,
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
         )
         variance = np.zeros(len(tracks))
@@ -503,14 +507,9 @@ class WindowEstimator:
         size = FRAME * num_frames + RIG
         num_observations = len(window.observations.slot)
         num_landmarks = len(window.landmarks.state)
-        # Ad(T_ka) = Ad(T_k) Ad(T_a)⁻¹.
-        adjoint = se3.adjoint(window.T_linear)
-        inverse = se3.adjoint(se3.inverse(window.T_linear))
-        adjoints = np.zeros((num_frames, num_frames, FRAME, FRAME))
-        adjoints[..., :POSE, :POSE] = adjoint[:, None] @ inverse[None, :]
         geometry = WindowGeometry(
             T_cam_world=window.T_cam_world,
-            adjoints=adjoints,
+            T_linear=window.T_linear,
             jitter=window.jitter,
             rig=window.rig,
             intrinsics=self._intrinsics,

@@ -7,12 +7,13 @@ which couples the jitters of all frames that saw the same one: all 3K are elimin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.window import Window
-from probevo.estimation.window_numba import FRAME, POSE, RIG, NormalEquations
+from probevo.estimation.window_numba import FRAME, JITTER, POSE, RIG, NormalEquations
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,19 @@ class JitterElimination:
     """[3K, 6K + 4]."""
 
 
+@lru_cache(maxsize=32)
 def jitter_places(num_frames: int) -> tuple[IntArray, IntArray]:
-    """Return where the jitters lie in a vector of frames and rig, [3K], and all else, [6K + 4]."""
+    """Return where the jitters lie in a vector of frames and rig, [3K], and all else, [6K + 4].
+
+    Both are kept for the next call with as many frames, and cannot be written to.
+    """
     size = FRAME * num_frames + RIG
     is_jitter = np.zeros(size, np.bool_)
     is_jitter[: FRAME * num_frames].reshape(-1, FRAME)[:, POSE:] = True
-    return np.flatnonzero(is_jitter), np.flatnonzero(~is_jitter)
+    places = np.flatnonzero(is_jitter), np.flatnonzero(~is_jitter)
+    for place in places:
+        place.flags.writeable = False
+    return places
 
 
 def without_jitter(
@@ -46,20 +54,24 @@ def without_jitter(
         The equations of poses and rig, what finds the jitters, and the cost of their prior.
     """
     jitter, others = jitter_places(len(window))
-    information = np.kron(np.eye(len(window)), np.linalg.inv(window.jitter_cov))
-    towards_prior = -information @ window.jitter.ravel()
-    of_jitter = equations.hessian[np.ix_(jitter, jitter)] + information
-    coupling = equations.hessian[np.ix_(jitter, others)]
-    gradient = equations.gradient[jitter] + towards_prior
-    solved = np.asarray(
-        np.linalg.solve(of_jitter, np.column_stack([coupling, gradient])), np.float64
-    )
+    information = np.linalg.inv(window.jitter_cov)
+    towards_prior = -window.jitter @ information  # [K, 3]
+    rows_of_jitter = equations.hessian[jitter]
+    of_jitter = rows_of_jitter[:, jitter]
+    # S⁻¹ of each frame stands in a block of its own on the diagonal.
+    for at in range(0, len(jitter), JITTER):
+        of_jitter[at : at + JITTER, at : at + JITTER] += information
+    wanted = np.empty((len(jitter), len(others) + 1))
+    wanted[:, :-1] = rows_of_jitter[:, others]
+    wanted[:, -1] = equations.gradient[jitter] + towards_prior.ravel()
+    solved = np.asarray(np.linalg.solve(of_jitter, wanted), np.float64)
     gain = solved[:, :-1]
     offset = solved[:, -1]
-    hessian = equations.hessian[np.ix_(others, others)] - coupling.T @ gain
-    reduced = NormalEquations(
+    reduced = wanted[:, :-1].T @ solved
+    hessian = equations.hessian[others][:, others] - reduced[:, :-1]
+    equations_of_rest = NormalEquations(
         hessian=0.5 * (hessian + hessian.T),
-        gradient=equations.gradient[others] - coupling.T @ offset,
+        gradient=equations.gradient[others] - reduced[:, -1],
     )
-    cost = -0.5 * float(window.jitter.ravel() @ towards_prior)
-    return reduced, JitterElimination(offset=offset, gain=gain), cost
+    cost = -0.5 * float(window.jitter.ravel() @ towards_prior.ravel())
+    return equations_of_rest, JitterElimination(offset=offset, gain=gain), cost

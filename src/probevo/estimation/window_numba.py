@@ -47,7 +47,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
-from probevo.compiled import compiled, compiled_into_callers
+from probevo.compiled import compiled, compiled_into_callers, factor, invert_symmetric_4
 from probevo.measurements.robust_loss_numba import (
     STUDENT_T,
     robust_cost,
@@ -83,8 +83,8 @@ _WITH_RIG = _WITH_PREV + FRAME
 """Where that between a motion and the rig begins."""
 _GRADIENT = _WITH_RIG + RIG
 """Which of the sums of pairs is the gradient."""
-_PAIR = _GRADIENT + 1
-"""Number of sums for each state of a motion."""
+_PAIR = 24
+"""Number of sums for each state of a motion, rounded up to whole vectors of the processor."""
 LEAST_DEPTH = 1e-3
 """Share of its depth in the anchor frame at which a landmark counts as behind the camera."""
 LARGEST_SHIFT_PX = 30.0
@@ -99,9 +99,8 @@ class WindowGeometry(NamedTuple):
 
     T_cam_world: FloatArray
     """Poses, [K, 4, 4], m."""
-    adjoints: FloatArray
-    """Ad(T_ka) at the linearisation points, for frame k and anchor a, [K, K, 9, 9]: how the
-    anchor's pose enters (ξ_ka, ω_k). Zero for the jitters."""
+    T_linear: FloatArray
+    """Linearisation points of the poses, [K, 4, 4], m."""
     jitter: FloatArray
     """ω of each frame, [K, 3], rad."""
     rig: FloatArray
@@ -186,6 +185,8 @@ class _Problem(NamedTuple):
     noise: RobustNoise
     T_ka: FloatArray
     """Motions between all pairs of frames, [K, K, 4, 4], m."""
+    adjoints: FloatArray
+    """Ad(T_ka) at the linearisation points, for frame k and anchor a, [K, K, 6, 6]."""
 
 
 class _Track(NamedTuple):
@@ -263,6 +264,7 @@ def accumulate(
         landmarks=landmarks,
         noise=noise,
         T_ka=_relative_poses(geometry.T_cam_world),
+        adjoints=_adjoints(_relative_poses(geometry.T_linear)),
     )
     track = _Track(
         ray=np.zeros(3),
@@ -291,7 +293,7 @@ def accumulate(
         _couple(row, problem, track, trust.curvature, elimination.coupling)
         _factor(trust.curvature, track.common, work, elimination.inverse[row])
         _eliminate(row, problem, work, elimination=elimination, equations=equations)
-    _add_pairs(sums, geometry.adjoints, equations)
+    _add_pairs(sums, problem.adjoints, equations)
     # So far, only the lower triangle is complete.
     size = len(equations.gradient)
     for i in range(size):
@@ -318,6 +320,27 @@ def _relative_poses(T_cam_world: FloatArray) -> FloatArray:
                 for j in range(3):
                     T_ka[i, 3] -= T_ka[i, j] * T_cam_world[a, j, 3]
     return relative
+
+
+@compiled
+def _adjoints(T: FloatArray) -> FloatArray:
+    """Return Ad(T) = [[C, t^ C], [0, C]] of motions, [K, K, 4, 4] to [K, K, 6, 6]."""
+    count = len(T)
+    adjoints = np.zeros((count, count, POSE, POSE))
+    for k in range(count):
+        for a in range(count):
+            T_ka = T[k, a]
+            adjoint = adjoints[k, a]
+            x = T_ka[0, 3]
+            y = T_ka[1, 3]
+            z = T_ka[2, 3]
+            for j in range(3):
+                for i in range(3):
+                    adjoint[i, j] = adjoint[3 + i, 3 + j] = T_ka[i, j]
+                adjoint[0, 3 + j] = y * T_ka[2, j] - z * T_ka[1, j]
+                adjoint[1, 3 + j] = z * T_ka[0, j] - x * T_ka[2, j]
+                adjoint[2, 3 + j] = x * T_ka[1, j] - y * T_ka[0, j]
+    return adjoints
 
 
 @compiled_into_callers
@@ -657,8 +680,8 @@ def _add_motions(
         problem: all of them.
         track: its observations.
         trust: its weights.
-        factors: work space, [4, 22].
-        sums: receives the sums over frame and anchor, [K, K, 9, 22] (``_add_pairs``).
+        factors: work space, [4, 24].
+        sums: receives the sums over frame and anchor, [K, K, 9, 24] (``_add_pairs``).
         equations: receives what the sums have no place for.
     """
     first = problem.observations.start[row]
@@ -694,12 +717,13 @@ def _add_motions(
                     for j in range(FRAME):
                         product = white[n, i] * track.white[k - 1, n, j]
                         cross[i, j] += trust.curvature * with_prev * product
-            adjoints = problem.geometry.adjoints
+            adjoints = problem.adjoints
             _add_neighbours(
                 slot, prev_slot, anchor, cross=cross, adjoints=adjoints, equations=equations
             )
         target = sums[slot, anchor]
-        for i in range(FRAME):
+        # In its anchor frame, no motion moves the landmark.
+        for i in range(POSE if k == 0 else 0, FRAME):
             w0 = white[0, i]
             w1 = white[1, i]
             w2 = white[2, i]
@@ -737,7 +761,7 @@ def _couple(
         if k == 0:
             continue  # its pose does not matter there
         # The anchor's pose moves the prediction by −J Ad(T_ka).
-        adjoint = problem.geometry.adjoints[problem.observations.slot[first + k], anchor]
+        adjoint = problem.adjoints[problem.observations.slot[first + k], anchor]
         for i in range(LANDMARK):
             for j in range(POSE):
                 of_anchor[i, j] -= (
@@ -785,6 +809,30 @@ def _factor(
 
 
 @compiled_into_callers
+def _substitute(root: FloatArray, columns: FloatArray, count: int, solved: FloatArray) -> None:
+    """Set the first columns of ``solved``, [4, ≥ count], to R⁻¹ times as many given ones."""
+    r10 = root[1, 0]
+    r20 = root[2, 0]
+    r21 = root[2, 1]
+    r30 = root[3, 0]
+    r31 = root[3, 1]
+    r32 = root[3, 2]
+    scale0 = 1.0 / root[0, 0]
+    scale1 = 1.0 / root[1, 1]
+    scale2 = 1.0 / root[2, 2]
+    scale3 = 1.0 / root[3, 3]
+    for j in range(count):
+        y0 = columns[0, j] * scale0
+        y1 = (columns[1, j] - r10 * y0) * scale1
+        y2 = (columns[2, j] - r20 * y0 - r21 * y1) * scale2
+        y3 = (columns[3, j] - r30 * y0 - r31 * y1 - r32 * y2) * scale3
+        solved[0, j] = y0
+        solved[1, j] = y1
+        solved[2, j] = y2
+        solved[3, j] = y3
+
+
+@compiled_into_callers
 def _eliminate(
     row: int,
     problem: _Problem,
@@ -805,24 +853,15 @@ def _eliminate(
     span = slot[end - 1] - slot[first] + 1
     of_frames = FRAME * span
     width = of_frames + RIG
-    for i in range(LANDMARK):
-        if span > end - first:  # frames in between did not see it
+    if span > end - first:  # frames in between did not see it
+        for i in range(LANDMARK):
             wide[i, :of_frames] = 0.0
-        for m in range(first, end):
-            into = wide[i, FRAME * (slot[m] - slot[first]) :]
-            for j in range(FRAME):
-                into[j] = elimination.coupling[m, i, j]
-        for j in range(RIG):
-            wide[i, of_frames + j] = elimination.rig_coupling[row, i, j]
-        wide[i, width] = elimination.gradient[row, i]
-    for i in range(LANDMARK):
-        for n in range(i):
-            factor = root[i, n]
-            for j in range(width + 1):
-                wide[i, j] -= factor * wide[n, j]
-        scale = 1.0 / root[i, i]
-        for j in range(width + 1):
-            wide[i, j] *= scale
+    for m in range(first, end):
+        at = FRAME * (slot[m] - slot[first])
+        _substitute(root, elimination.coupling[m], FRAME, wide[:, at:])
+    _substitute(root, elimination.rig_coupling[row], RIG, wide[:, of_frames:])
+    gradient = elimination.gradient[row].reshape(LANDMARK, 1)
+    _substitute(root, gradient, 1, wide[:, width:])
     # Frames come in their order, the rig last: this fills the lower triangle.
     frame0 = FRAME * slot[first]
     rig0 = len(equations.gradient) - RIG
@@ -851,40 +890,44 @@ def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: NormalEquation
     In its anchor frame, a landmark is where it is, whatever the pose: only the jitter counts.
 
     Args:
-        sums: equations of ζ = (ξ_ka, ω_k) for frame k and anchor a, [K, K, 9, 22]: its information
+        sums: equations of ζ = (ξ_ka, ω_k) for frame k and anchor a, [K, K, 9, 24]: its information
             by itself, with ζ of the frame before, and with the rig, and its gradient.
-        adjoints: [K, K, 9, 9].
+        adjoints: Ad(T_ka), [K, K, 6, 6].
         equations: receives the sums.
     """
+    hessian = equations.hessian
     rig0 = len(equations.gradient) - RIG
+    of_both = np.empty((FRAME, POSE))
+    of_anchor = np.empty((POSE, POSE))
     num_frames = len(adjoints)
     for k in range(num_frames):
         for a in range(k + 1):
-            of_motion = np.ascontiguousarray(sums[k, a, :, :FRAME])
-            if of_motion[-1, -1] == 0.0:
+            of_motion = sums[k, a]
+            if of_motion[FRAME - 1, FRAME - 1] == 0.0:
                 continue  # no landmark of this anchor was seen there
-            with_rig = np.ascontiguousarray(sums[k, a, :, _WITH_RIG:_GRADIENT])
-            of_gradient = np.ascontiguousarray(sums[k, a, :, _GRADIENT])
             adjoint = adjoints[k, a]
-            of_both = of_motion @ adjoint
-            of_anchor = adjoint.T @ of_both
-            gradient = adjoint.T @ of_gradient
-            rig = adjoint.T @ with_rig
+            _times_adjoint(of_motion, adjoint, of_both)
+            _adjoint_transposed_times(adjoint, of_both, of_anchor)
+            of_k = FRAME * k
+            of_a = FRAME * a
             for i in range(FRAME):
-                equations.gradient[FRAME * k + i] += of_gradient[i]
-                equations.gradient[FRAME * a + i] -= gradient[i]
+                equations.gradient[of_k + i] += of_motion[i, _GRADIENT]
                 for j in range(FRAME):
-                    equations.hessian[FRAME * k + i, FRAME * k + j] += of_motion[i, j]
-                    equations.hessian[FRAME * a + i, FRAME * a + j] += of_anchor[i, j]
-                    equations.hessian[FRAME * k + i, FRAME * a + j] -= of_both[i, j]
+                    hessian[of_k + i, of_k + j] += of_motion[i, j]
+                for j in range(POSE):
+                    hessian[of_k + i, of_a + j] -= of_both[i, j]
                 for j in range(RIG):
-                    equations.hessian[rig0 + j, FRAME * k + i] += with_rig[i, j]
-                    equations.hessian[rig0 + j, FRAME * a + i] -= rig[i, j]
+                    hessian[rig0 + j, of_k + i] += of_motion[i, _WITH_RIG + j]
+            for i in range(POSE):
+                for j in range(POSE):
+                    hessian[of_a + i, of_a + j] += of_anchor[i, j]
+                for n in range(POSE):
+                    equations.gradient[of_a + i] -= adjoint[n, i] * of_motion[n, _GRADIENT]
+                    for j in range(RIG):
+                        hessian[rig0 + j, of_a + i] -= adjoint[n, i] * of_motion[n, _WITH_RIG + j]
             if a < k:
-                with_prev = np.ascontiguousarray(sums[k, a, :, _WITH_PREV:_WITH_RIG])
-                _add_neighbours(
-                    k, k - 1, a, cross=with_prev, adjoints=adjoints, equations=equations
-                )
+                cross = of_motion[:, _WITH_PREV:_WITH_RIG]
+                _add_neighbours(k, k - 1, a, cross=cross, adjoints=adjoints, equations=equations)
 
 
 @compiled
@@ -892,15 +935,68 @@ def _add_neighbours(
     k: int, p: int, a: int, cross: FloatArray, adjoints: FloatArray, equations: NormalEquations
 ) -> None:
     """Add the information between the motions from frame a to frame k and to frame p before it."""
-    of_prev = cross @ adjoints[p, a]
-    of_curr = cross.T @ adjoints[k, a]
-    of_anchor = adjoints[k, a].T @ of_prev
+    hessian = equations.hessian
+    of_prev = np.empty((FRAME, POSE))
+    of_curr = np.empty((FRAME, POSE))
+    of_anchor = np.empty((POSE, POSE))
+    _times_adjoint(cross, adjoints[p, a], of_prev)
+    _times_adjoint(cross.T, adjoints[k, a], of_curr)
+    _adjoint_transposed_times(adjoints[k, a], of_prev, of_anchor)
     for i in range(FRAME):
         for j in range(FRAME):
-            equations.hessian[FRAME * k + i, FRAME * p + j] += cross[i, j]
-            equations.hessian[FRAME * k + i, FRAME * a + j] -= of_prev[i, j]
-            equations.hessian[FRAME * p + i, FRAME * a + j] -= of_curr[i, j]
-            equations.hessian[FRAME * a + i, FRAME * a + j] += of_anchor[i, j] + of_anchor[j, i]
+            hessian[FRAME * k + i, FRAME * p + j] += cross[i, j]
+        for j in range(POSE):
+            hessian[FRAME * k + i, FRAME * a + j] -= of_prev[i, j]
+            hessian[FRAME * p + i, FRAME * a + j] -= of_curr[i, j]
+    for i in range(POSE):
+        for j in range(POSE):
+            hessian[FRAME * a + i, FRAME * a + j] += of_anchor[i, j] + of_anchor[j, i]
+
+
+@compiled_into_callers
+def _times_adjoint(matrix: FloatArray, adjoint: FloatArray, product: FloatArray) -> None:
+    """Set product, [9, 6], to the columns of ξ of a matrix, [9, ≥ 6], times an adjoint, [6, 6].
+
+    A call of BLAS would take longer than these few products.
+    """
+    for i in range(FRAME):
+        m0 = matrix[i, 0]
+        m1 = matrix[i, 1]
+        m2 = matrix[i, 2]
+        m3 = matrix[i, 3]
+        m4 = matrix[i, 4]
+        m5 = matrix[i, 5]
+        for j in range(POSE):
+            product[i, j] = (
+                m0 * adjoint[0, j]
+                + m1 * adjoint[1, j]
+                + m2 * adjoint[2, j]
+                + m3 * adjoint[3, j]
+                + m4 * adjoint[4, j]
+                + m5 * adjoint[5, j]
+            )
+
+
+@compiled_into_callers
+def _adjoint_transposed_times(adjoint: FloatArray, matrix: FloatArray, product: FloatArray) -> None:
+    """Set product, [6, 6], to the transpose of an adjoint times the rows of ξ of a matrix,
+    [≥ 6, 6]."""
+    for i in range(POSE):
+        a0 = adjoint[0, i]
+        a1 = adjoint[1, i]
+        a2 = adjoint[2, i]
+        a3 = adjoint[3, i]
+        a4 = adjoint[4, i]
+        a5 = adjoint[5, i]
+        for j in range(POSE):
+            product[i, j] = (
+                a0 * matrix[0, j]
+                + a1 * matrix[1, j]
+                + a2 * matrix[2, j]
+                + a3 * matrix[3, j]
+                + a4 * matrix[4, j]
+                + a5 * matrix[5, j]
+            )
 
 
 @compiled
@@ -947,3 +1043,20 @@ def move_landmarks(
             moved[row, 1] = first[1]
             moved[row, 2] = first[0] - first[2]
             moved[row, 3] = 0.0
+
+
+@compiled
+def fill_roots(scale: FloatArray, root: FloatArray) -> bool:
+    """Fill the Cholesky factors G of R⁻¹ = G Gᵀ, [N, 4, 4], of scale matrices R, [N, 4, 4], px².
+
+    Returns:
+        False if one is not positive definite to working precision.
+    """
+    inverse = np.empty((PIXELS, PIXELS))
+    lower = np.zeros((PIXELS, PIXELS))
+    for n in range(len(scale)):
+        if not invert_symmetric_4(scale[n], inverse, lower):
+            return False
+        if not factor(inverse, PIXELS, root[n]):
+            return False
+    return True

@@ -13,6 +13,7 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import so3
+from probevo.geometry.exponentials import adjoints, invert_poses
 from probevo.geometry.logarithms import log_translations
 
 
@@ -41,8 +42,10 @@ def transform(T_b_a: FloatArray, points_a: FloatArray) -> FloatArray:
 
 def inverse(T_b_a: FloatArray) -> FloatArray:
     """Return T_a_b = T_b_a⁻¹, [..., 4, 4]."""
-    C_a_b = T_b_a[..., :3, :3].mT
-    return from_parts(C_a_b, -(C_a_b @ T_b_a[..., :3, 3:])[..., 0])
+    T_b_a = np.array(T_b_a, np.float64, order="C")
+    T_a_b = np.empty_like(T_b_a)
+    invert_poses(T_b_a.reshape(-1, 4, 4), T_a_b.reshape(-1, 4, 4))
+    return T_a_b
 
 
 def chain_motions(T_curr_prev: Iterable[FloatArray]) -> FloatArray:
@@ -74,12 +77,9 @@ def log(T: FloatArray) -> FloatArray:
 
 def adjoint(T: FloatArray) -> FloatArray:
     """Return Ad(T) = [[C, t^ C], [0, C]], [..., 6, 6], with Exp(Ad(T) ξ) = T Exp(ξ) T⁻¹."""
-    C = T[..., :3, :3]
-    t = T[..., :3, 3]
-    matrix = np.zeros((*C.shape[:-2], 6, 6))
-    matrix[..., :3, :3] = C
-    matrix[..., 3:, 3:] = C
-    matrix[..., :3, 3:] = so3.wedge(t) @ C
+    T = np.array(T, np.float64, order="C")
+    matrix = np.empty((*T.shape[:-2], 6, 6))
+    adjoints(T.reshape(-1, 4, 4), matrix.reshape(-1, 6, 6))
     return matrix
 
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
+from probevo.geometry.exponentials import exp_rotations, left_jacobians
 from probevo.geometry.logarithms import log_rotations
-from probevo.geometry.stumpff import stumpff
 
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of C Cᵀ − 1 that rounding in a text file explains."""
@@ -31,9 +31,10 @@ def wedge(phi: FloatArray) -> FloatArray:
 
 def exp(phi: FloatArray) -> FloatArray:
     """Return C = Exp(φ), [..., 3, 3], of rotation vectors [..., 3], rad (thesis eq. 2.3)."""
-    if phi.ndim > 2:  # SciPy 1.16 takes no more
-        return exp(phi.reshape(-1, 3)).reshape(*phi.shape, 3)
-    return Rotation.from_rotvec(phi).as_matrix()
+    phi = np.array(phi, np.float64, order="C")
+    C = np.empty((*phi.shape, 3))
+    exp_rotations(phi.reshape(-1, 3), C.reshape(-1, 3, 3))
+    return C
 
 
 def log(C: FloatArray) -> FloatArray:
@@ -51,10 +52,9 @@ def log(C: FloatArray) -> FloatArray:
 
 def left_jacobian(phi: FloatArray) -> FloatArray:
     """Return J(φ), [..., 3, 3], with Exp(φ + δ) ≈ Exp(J δ) Exp(φ) (thesis eqs. 2.15, 2.20)."""
-    angle_sq = np.sum(phi**2, axis=-1)[..., None, None]
-    phi_wedge = wedge(phi)
-    c_2, c_3 = stumpff((2, 3), angle_sq)
-    jacobian: FloatArray = np.eye(3) + c_2 * phi_wedge + c_3 * phi_wedge @ phi_wedge
+    phi = np.array(phi, np.float64, order="C")
+    jacobian = np.empty((*phi.shape, 3))
+    left_jacobians(phi.reshape(-1, 3), jacobian.reshape(-1, 3, 3))
     return jacobian
 
 

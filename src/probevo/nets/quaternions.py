@@ -28,7 +28,7 @@ def entire_series(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
 
 
 def stumpff(order: int, angle_sq: jax.Array) -> jax.Array:
-    """Return c_n = Σ_k (−1)^k θ^{2k} / (2k + n)!, as ``probevo.geometry.stumpff`` does in NumPy.
+    """Return the Stumpff function c_n = Σ_k (−1)^k θ^{2k} / (2k + n)!.
 
     Args:
         order: n.

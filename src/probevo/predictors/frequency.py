@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -40,6 +41,7 @@ def frequency(left: Image, uv: FloatArray) -> FloatArray:
     return values
 
 
+@cache
 def _waves() -> FloatArray:
     """Return the cosines, then the sines, of the low, then of the high band.
 

@@ -145,9 +145,9 @@ def decode_gray(data: bytes, where: str | Path, size_px: tuple[int, int] | None 
         InputError: the image is damaged, or claims another size.
     """
     try:
-        _check_whole(data)
+        chunks = _checked_chunks(data)
         _check_size(_claimed_size_px(data), size_px, where)
-        image = _decoded(data)
+        image = _decoded(data, chunks)
         if image is None:
             raise DamagedError("it cannot be decoded")
     except DamagedError as damage:
@@ -242,8 +242,9 @@ def _jpeg_size_px(data: bytes) -> tuple[int, int] | None:
             position += int.from_bytes(data[position : position + 2], "big")
 
 
-def _check_whole(data: bytes) -> None:
-    """Refuse a damaged image file, as far as it shows without decoding.
+def _checked_chunks(data: bytes) -> list[tuple[bytes, memoryview]] | None:
+    """Return the chunks of a PNG file, None of any other, and refuse a damaged one, as far as it
+    shows without decoding.
 
     OpenCV may return the undamaged part of a damaged file.
 
@@ -251,19 +252,23 @@ def _check_whole(data: bytes) -> None:
         DamagedError: the file is incomplete, or of an unknown kind.
     """
     if data.startswith(PNG_MAGIC):
-        chunks_of(data)  # verifies the checksums
-    else:
-        check_complete(data)
+        return chunks_of(data)  # verifies the checksums
+    check_complete(data)
+    return None
 
 
-def _decoded(data: bytes) -> AnyArray | None:
+def _decoded(data: bytes, chunks: list[tuple[bytes, memoryview]] | None) -> AnyArray | None:
     """Decode an image file to [height, width] or [height, width, channels].
+
+    Args:
+        data: the file.
+        chunks: its chunks if it is a PNG file.
 
     Returns:
         The image; None if it cannot be decoded.
     """
     # OpenCV decodes what is not plain grey.
-    image = plain_grey(chunks_of(data)) if data.startswith(PNG_MAGIC) else None
+    image = None if chunks is None else plain_grey(chunks)
     if image is not None:
         return image
     with suppress(cv2.error):  # raised for images that are too large

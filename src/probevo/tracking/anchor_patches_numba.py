@@ -94,12 +94,21 @@ def cut_patches(image: Image, center: IntArray, patches: AnyArray) -> None:
     Beyond the border of the image its last pixels are repeated.
     """
     height, width = image.shape
-    reach = patches.shape[1] // 2
+    side = patches.shape[1]
+    reach = side // 2
     for n in range(len(center)):
-        for i in range(patches.shape[1]):
-            row = min(max(center[n, 1] + i - reach, 0), height - 1)
-            for j in range(patches.shape[2]):
-                patches[n, i, j] = image[row, min(max(center[n, 0] + j - reach, 0), width - 1)]
+        left = center[n, 0] - reach
+        top = center[n, 1] - reach
+        if left >= 0 and top >= 0 and left + side <= width and top + side <= height:
+            # Inside of the image, where nearly all patches are, no index needs clamping.
+            for i in range(side):
+                for j in range(side):
+                    patches[n, i, j] = image[top + i, left + j]
+            continue
+        for i in range(side):
+            row = min(max(top + i, 0), height - 1)
+            for j in range(side):
+                patches[n, i, j] = image[row, min(max(left + j, 0), width - 1)]
 
 
 @compiled

@@ -52,14 +52,14 @@ def with_prepared_images(frame: Frame, config: TrackingConfig) -> Frame:
 
 
 def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
-    """Prepare the images of a frame, unless it comes with images prepared with these settings.
+    """Prepare the images of a frame, unless it comes with images prepared like these.
 
     Raises:
         ValueError: the frame has no images.
     """
     if frame.left is None or frame.right is None:
         raise ValueError(f"frame {frame.index} has no images")
-    if frame.prepared is not None and frame.prepared.config == config:
+    if frame.prepared is not None and _prepare_alike(frame.prepared.config, config):
         return frame.prepared
     # Corners are looked for where they are tracked: in the filtered image.
     left = build_pyramid(high_pass(frame.left, config), config)
@@ -73,6 +73,14 @@ def prepare_images(frame: Frame, config: TrackingConfig) -> PreparedImages:
         right_usable=usable_places(frame.right_mask, config),
         config=config,
     )
+
+
+def _prepare_alike(one: TrackingConfig, other: TrackingConfig) -> bool:
+    """Tell whether images prepared with either settings are the same.
+
+    The gate of the tracks, which depends on the estimator, has no part in the preparation.
+    """
+    return one == other or one.model_copy(update={"max_difference": other.max_difference}) == other
 
 
 def usable_places(mask: Image | BoolArray | None, config: TrackingConfig) -> BoolArray | None:
