@@ -37,6 +37,10 @@ class Tracks:
     """Difference of each point from its anchor patch, in the left and in the right image: the mean
     absolute difference of the windows, [N, 2], grey levels. Where that patch does not fit: from the
     previous frame, and from the left image. None where somebody else has tracked the points."""
+    alignment_cov_px2: FloatArray | None = None
+    """Covariance of each place in the left and in the right image of the current frame, by how its
+    window matches the anchor patch, [N, 2, 2, 2], px²; None where somebody else has tracked the
+    points."""
 
     def __len__(self) -> int:
         """Return the number of points, N."""
@@ -61,6 +65,9 @@ class Tracks:
             ids=self.ids[keep],
             age=self.age[keep],
             difference=None if self.difference is None else self.difference[keep],
+            alignment_cov_px2=(
+                None if self.alignment_cov_px2 is None else self.alignment_cov_px2[keep]
+            ),
         )
 
     def with_rows_corrected(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:
