@@ -102,6 +102,13 @@ FIGURES = (
         needs_data=True,
     ),
     Figure(
+        "learning-spoiled",
+        ("docs/degradation.md",),
+        "python benchmarks/learning_spoiled.py",
+        minutes=40,
+        needs_data=True,
+    ),
+    Figure(
         "focal-length",
         ("docs/degradation.md",),
         "python benchmarks/focal_length.py",

@@ -18,7 +18,11 @@ IMU = ImuSamples(
     accel_m_s2=np.tile([0.0, -9.81, 0.0], (21, 1)),
 )
 STEP = Step(
-    tracks=replace(seen_twice(np.random.default_rng(1), COUNT), difference=np.ones((COUNT, 2))),
+    tracks=replace(
+        seen_twice(np.random.default_rng(1), COUNT),
+        difference=np.ones((COUNT, 2)),
+        alignment_cov_px2=np.tile(np.eye(2), (COUNT, 2, 1, 1)),
+    ),
     camera=CAMERA,
     predicted_T_curr_prev=FORWARD,
     prev_frame=Frame(0, 0, IMAGE, right=IMAGE),

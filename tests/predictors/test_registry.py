@@ -57,6 +57,7 @@ def test_the_order_of_the_columns_stays() -> None:
         *("disparity", "disparity_change", "flow", "residual_flow", "last_residual"),
         *("row_offset", "age", "difference_in_time", "difference_in_stereo"),
         *("forward_backward", "structure_min", "structure_max"),
+        *("alignment_u", "alignment_v", "alignment_correlation", "alignment_right"),
     )
 
 

@@ -1,5 +1,5 @@
 """The predictors that are one formula on the tracks: place, disparity, flow, age, row offset,
-window difference."""
+window difference, alignment."""
 
 import math
 from dataclasses import replace
@@ -8,6 +8,8 @@ import numpy as np
 
 from probevo.camera.stereo import StereoCamera
 from probevo.predictors.age import age
+from probevo.predictors.alignment import FLOOR_PX as ALIGNMENT_FLOOR_PX
+from probevo.predictors.alignment import MOST_PX, alignment
 from probevo.predictors.disparity import FLOOR_PX, disparity
 from probevo.predictors.flow import flow
 from probevo.predictors.place import place
@@ -70,6 +72,36 @@ def test_window_difference_is_unknown_if_others_have_tracked() -> None:
     assert np.isnan(values).all()
 
 
+def test_alignment_is_sigma_and_correlation_of_the_place() -> None:
+    left = np.array([[4.0, 1.2], [1.2, 1.0]])
+    right = np.diag([0.25, 100.0])
+    known = replace(TRACKS.kept(np.arange(50) < 1), alignment_cov_px2=np.array([[left, right]]))
+    expected = [
+        math.log(ALIGNMENT_FLOOR_PX + 2.0),
+        math.log(ALIGNMENT_FLOOR_PX + 1.0),
+        0.6,
+        math.log(ALIGNMENT_FLOOR_PX + 0.5),
+    ]
+    np.testing.assert_allclose(alignment(known), [expected], rtol=1e-12)
+
+
+def test_alignment_is_finite_for_perfect_matches_and_for_none() -> None:
+    cov_px2 = np.zeros((2, 2, 2, 2))
+    cov_px2[1] = np.inf
+    known = replace(TRACKS.kept(np.arange(50) < 2), alignment_cov_px2=cov_px2)
+    least = math.log(ALIGNMENT_FLOOR_PX)
+    most = math.log(ALIGNMENT_FLOOR_PX + MOST_PX)
+    np.testing.assert_allclose(
+        alignment(known), [[least, least, 0.0, least], [most, most, 0.0, most]], rtol=1e-12
+    )
+
+
+def test_alignment_is_unknown_if_others_have_tracked() -> None:
+    values = alignment(TRACKS)
+    assert values.shape == (50, 4)
+    assert np.isnan(values).all()
+
+
 def test_no_features_no_values() -> None:
     none = Tracks.none()
     for values in (
@@ -81,3 +113,4 @@ def test_no_features_no_values() -> None:
         assert values.shape == (0,)
     assert place(none.curr_px[:, :2], CAMERA).shape == (0, 2)
     assert window_difference(none).shape == (0, 2)
+    assert alignment(none).shape == (0, 4)

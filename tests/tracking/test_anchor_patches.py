@@ -7,7 +7,7 @@ import pytest
 
 from probevo.arrays import FloatArray, Image
 from probevo.tracking.anchor_patches import MAX_GROWTH, AnchorPatches
-from probevo.tracking.anchor_patches_numba import step_scale
+from probevo.tracking.anchor_patches_numba import brightness_variance, step_scale
 from probevo.tracking.surface_motion import SurfaceMotion
 
 HEIGHT_PX = 160
@@ -79,7 +79,9 @@ def test_a_patch_is_found_under_an_affine_map(
     """From half a pixel off, with only the scale predicted: to a few hundredths of a pixel."""
     shift = np.array([0.4, -0.3])
     true = moved(GRID, A, shift)
-    found, difference, after = patches.align_left(shown(A, shift), true + 0.5, grown(GRID, growth))
+    found, difference, after, _ = patches.align_left(
+        shown(A, shift), true + 0.5, grown(GRID, growth)
+    )
     assert np.median(np.abs(found - true)) < 0.03
     assert np.median(np.abs(after.affine - A)) < 0.02
     assert np.median(difference) < 2.0
@@ -95,7 +97,7 @@ def test_an_image_of_another_exposure_is_aligned_as_well(
     exposed = np.round(gain * shown(A, shift) + offset)
     image = np.clip(exposed, 0.0, 255.0).astype(np.uint8)
     true = moved(GRID, A, shift)
-    found, difference, _ = patches.align_left(image, true + 0.5, grown(GRID, 1.0))
+    found, difference, _, _ = patches.align_left(image, true + 0.5, grown(GRID, 1.0))
     assert np.isfinite(difference).mean() > 0.95
     assert np.median(np.abs(found - true)) < 0.03
 
@@ -119,7 +121,7 @@ def test_the_subpixel_offset_of_the_anchor_is_kept() -> None:
     A = 1.15 * np.eye(2)
     patches = AnchorPatches.cut(FIRST, features, SIDE)
     true = moved(features, A, np.zeros(2))
-    found, _, _ = patches.align_left(shown(A, np.zeros(2)), true + 0.3, grown(GRID, 1.1))
+    found, _, _, _ = patches.align_left(shown(A, np.zeros(2)), true + 0.3, grown(GRID, 1.1))
     assert np.median(np.abs(found - true)) < 0.03
 
 
@@ -129,7 +131,7 @@ def test_errors_do_not_accumulate_over_many_frames(patches: AnchorPatches) -> No
     previous = np.eye(2)
     for k in range(1, 16):
         A = 1.02**k * np.eye(2)
-        pixels, _, patches = patches.align_left(
+        pixels, _, patches, _ = patches.align_left(
             shown(A, np.zeros(2)),
             moved(pixels, A @ np.linalg.inv(previous), np.zeros(2)),
             grown(GRID, 1.02),
@@ -158,7 +160,7 @@ def test_the_road_is_found_where_it_is(patches: AnchorPatches, with_perspective:
         motion = grown(feature[None], 1.0)
         if with_perspective:
             motion = motion._replace(perspective=g[None])
-        found, _, after = patches.subset(np.array([k])).align_left(image, feature[None], motion)
+        found, _, after, _ = patches.subset(np.array([k])).align_left(image, feature[None], motion)
         errors.append(found[0] - feature)
         if with_perspective:
             np.testing.assert_array_equal(after.perspective[0], g)
@@ -176,10 +178,10 @@ def test_perspectives_add_up_along_a_track(patches: AnchorPatches) -> None:
     second through the affine map of the first."""
     first = np.tile([0.002, -0.003], (len(GRID), 1))
     second = np.tile([-0.001, -0.004], (len(GRID), 1))
-    _, _, after = patches.align_left(FIRST, GRID, grown(GRID, 1.0)._replace(perspective=first))
+    _, _, after, _ = patches.align_left(FIRST, GRID, grown(GRID, 1.0)._replace(perspective=first))
     np.testing.assert_array_equal(after.perspective, first)
     affine = after.affine
-    _, _, after = after.align_left(FIRST, GRID, grown(GRID, 1.0)._replace(perspective=second))
+    _, _, after, _ = after.align_left(FIRST, GRID, grown(GRID, 1.0)._replace(perspective=second))
     expected = first + np.einsum("nji,nj->ni", affine, second)
     np.testing.assert_allclose(after.perspective, expected, rtol=1e-12)
 
@@ -195,21 +197,21 @@ def test_the_right_image_shows_the_left_one_slanted(patches: AnchorPatches) -> N
     A = np.array([[1.0, -0.1], [0.0, 1.0]])
     shift = np.array([-9.0, 0.0])
     true = moved(GRID, A, shift)
-    found, _, after = patches.align_right(shown(A, shift), true + np.array([0.6, 0.0]))
+    found, _, after, _ = patches.align_right(shown(A, shift), true + np.array([0.6, 0.0]))
     assert np.median(np.abs(found - true)) < 0.03
     assert np.median(np.abs(after.right_from_left - A)) < 0.02
-    again, _, _ = after.align_right(shown(A, shift), true + np.array([0.6, 0.0]))
+    again, _, _, _ = after.align_right(shown(A, shift), true + np.array([0.6, 0.0]))
     assert np.median(np.abs(again - true)) <= np.median(np.abs(found - true)) + 1e-3
 
 
 def test_features_whose_alignment_fails_stay(patches: AnchorPatches) -> None:
     """Another texture: nothing converges nearby, and the difference says so."""
     other = np.random.default_rng(0).integers(0, 256, (HEIGHT_PX, WIDTH_PX)).astype(np.uint8)
-    found, difference, _ = patches.align_left(other, GRID, grown(GRID, 1.0))
+    found, difference, _, _ = patches.align_left(other, GRID, grown(GRID, 1.0))
     stayed = (found == GRID).all(axis=1)
     assert stayed.mean() > 0.8
     np.testing.assert_array_equal(np.isinf(difference), stayed)
-    right, _, unchanged = patches.align_right(other, GRID)
+    right, _, unchanged, _ = patches.align_right(other, GRID)
     there = (right == GRID).all(axis=1)
     np.testing.assert_array_equal(unchanged.right_from_left[there], patches.right_from_left[there])
 
@@ -220,7 +222,7 @@ def test_a_patch_that_has_grown_much_is_cut_anew(patches: AnchorPatches) -> None
     inside = ((true > 12) & (true < np.array([WIDTH_PX, HEIGHT_PX]) - 12)).all(axis=1)
     patches = AnchorPatches.cut(FIRST, GRID[inside], SIDE)
     patches = replace(patches, affine=1.2 * patches.affine)
-    _, _, after = patches.align_left(
+    _, _, after, _ = patches.align_left(
         shown(A, np.zeros(2)), true[inside], grown(true[inside], MAX_GROWTH)
     )
     np.testing.assert_array_equal(after.affine, np.broadcast_to(np.eye(2), after.affine.shape))
@@ -228,12 +230,14 @@ def test_a_patch_that_has_grown_much_is_cut_anew(patches: AnchorPatches) -> None
 
 def test_features_at_the_border_and_without_texture_stay() -> None:
     at_border = np.array([[1.0, 80.0], [238.5, 3.0], [120.0, 159.0]])
-    found, _, _ = AnchorPatches.cut(FIRST, at_border, SIDE).align_left(
+    found, _, _, _ = AnchorPatches.cut(FIRST, at_border, SIDE).align_left(
         FIRST, at_border, grown(at_border, 1.0)
     )
     np.testing.assert_array_equal(found, at_border)
     grey = np.full((HEIGHT_PX, WIDTH_PX), 128, np.uint8)
-    found, _, after = AnchorPatches.cut(grey, GRID, SIDE).align_left(grey, GRID, grown(GRID, 1.0))
+    found, _, after, _ = AnchorPatches.cut(grey, GRID, SIDE).align_left(
+        grey, GRID, grown(GRID, 1.0)
+    )
     np.testing.assert_array_equal(found, GRID)
     assert np.isfinite(after.affine).all()
 
@@ -248,6 +252,81 @@ def test_patches_are_selected_and_joined(patches: AnchorPatches) -> None:
 
 def test_no_features() -> None:
     nothing = AnchorPatches.cut(FIRST, np.zeros((0, 2)), SIDE)
-    found, _, after = nothing.align_left(FIRST, np.zeros((0, 2)), grown(np.zeros((0, 2)), 1.0))
+    found, _, after, _ = nothing.align_left(FIRST, np.zeros((0, 2)), grown(np.zeros((0, 2)), 1.0))
     assert found.shape == (0, 2)
     assert len(after.align_right(FIRST, found)[2]) == 0
+
+
+def noisy(image: Image, sigma: float, rng: np.random.Generator) -> Image:
+    """The image with white noise of a standard deviation, grey levels."""
+    grey = image + sigma * rng.normal(size=image.shape)
+    return np.clip(np.round(grey), 0, 255).astype(np.uint8)
+
+
+def test_brightness_that_does_not_match_is_what_regression_leaves() -> None:
+    """The same as by least squares: I = a P + b + ε, in units of the patch."""
+    rng = np.random.default_rng(3)
+    patch = rng.uniform(50.0, 200.0, 121)
+    image = 0.7 * patch + 20.0 + rng.normal(0.0, 5.0, 121)
+    design = np.column_stack([patch, np.ones(121)])
+    (gain, _), squares, *_ = np.linalg.lstsq(design, image)
+    contrast = patch - patch.mean()
+    contrast /= np.linalg.norm(contrast)
+    found = brightness_variance(patch, contrast, image - patch)
+    np.testing.assert_allclose(found, squares[0] / gain**2 / (121 - 8), rtol=1e-9)
+    # Another exposure changes nothing; a negative is no match.
+    again = brightness_variance(patch, contrast, (3.0 * image - 100.0) - patch)
+    np.testing.assert_allclose(again, found, rtol=1e-9)
+    assert brightness_variance(patch, contrast, -image - patch) == np.inf
+    assert brightness_variance(patch, np.zeros(121), image - patch) == np.inf
+
+
+def test_places_scatter_as_their_covariance_says(patches: AnchorPatches) -> None:
+    """Monte Carlo, white noise: the mean NEES of 45 features and 40 images is 2."""
+    rng = np.random.default_rng(4)
+    squared = []
+    for _ in range(40):
+        found, difference, _, cov_px2 = patches.align_left(
+            noisy(FIRST, 4.0, rng), GRID, grown(GRID, 1.0)
+        )
+        fits = np.isfinite(difference)
+        assert fits.mean() > 0.9
+        error = (found - GRID)[fits]
+        squared.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov_px2[fits]), error))
+    assert 1.7 < np.concatenate(squared).mean() < 2.3
+
+
+def test_the_covariance_does_not_depend_on_the_exposure(patches: AnchorPatches) -> None:
+    image = noisy(FIRST, 6.0, np.random.default_rng(5))
+    *_, as_it_is = patches.align_left(image, GRID, grown(GRID, 1.0))
+    darker = np.round(0.7 * image.astype(float) + 10.0).astype(np.uint8)
+    *_, exposed = patches.align_left(darker, GRID, grown(GRID, 1.0))
+    both = np.isfinite(as_it_is).all(axis=(1, 2)) & np.isfinite(exposed).all(axis=(1, 2))
+    assert both.mean() > 0.9
+    np.testing.assert_allclose(exposed[both], as_it_is[both], rtol=0.15, atol=1e-4)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 45.0, 90.0, 135.0])
+def test_along_an_edge_the_place_is_uncertain(angle_deg: float) -> None:
+    """The axis of the largest variance is that of the edge."""
+    along = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
+    v, u = np.mgrid[:HEIGHT_PX, :WIDTH_PX].astype(float)
+    distance = (u - MIDDLE[0]) * -along[1] + (v - MIDDLE[1]) * along[0]
+    # Some texture along the edge, without which there would be no information at all
+    grey = 128.0 + 60.0 * np.tanh(0.8 * distance) + 0.25 * (texture(np.dstack([u, v])) - 128.0)
+    edge = np.clip(np.round(grey), 0, 255).astype(np.uint8)
+    patch = AnchorPatches.cut(edge, MIDDLE[None], SIDE)
+    image = noisy(edge, 3.0, np.random.default_rng(6))
+    *_, cov_px2 = patch.align_left(image, MIDDLE[None], grown(MIDDLE[None], 1.0))
+    variance, axes = np.linalg.eigh(cov_px2[0])
+    assert variance[1] > 9.0 * variance[0]
+    assert abs(axes[:, 1] @ along) > np.cos(np.deg2rad(15.0))
+
+
+def test_what_fails_has_no_covariance(patches: AnchorPatches) -> None:
+    other = np.random.default_rng(2).integers(0, 255, (HEIGHT_PX, WIDTH_PX), dtype=np.uint8)
+    _, difference, _, cov_px2 = patches.align_left(other, GRID, grown(GRID, 1.0))
+    failed = np.isinf(difference)
+    assert failed.any()
+    assert np.isnan(cov_px2[failed]).all()
+    assert not np.isnan(cov_px2[~failed]).any()

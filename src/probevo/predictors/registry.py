@@ -13,6 +13,7 @@ from importlib.metadata import entry_points
 from probevo.errors import InputError
 from probevo.predictors.acceleration import ACCELERATION
 from probevo.predictors.age import AGE
+from probevo.predictors.alignment import ALIGNMENT
 from probevo.predictors.base import Predictor
 from probevo.predictors.blur import BLUR
 from probevo.predictors.disparity import DISPARITY
@@ -57,6 +58,7 @@ _BUILT_IN = (
     WINDOW_DIFFERENCE,
     FORWARD_BACKWARD,
     STRUCTURE,
+    ALIGNMENT,
 )
 PREDICTORS: Mapping[str, Predictor] = {predictor.name: predictor for predictor in _BUILT_IN}
 """The built-in predictors by their names, in the order of their columns."""

@@ -43,6 +43,9 @@ class AlignedPatches(NamedTuple):
     """Mean absolute difference of image and patch, [N], grey levels; ∞ where it failed."""
     patches: AnchorPatches
     """The patches with the maps found, and cut anew where the anchor does not hold any more."""
+    cov_px2: FloatArray
+    """Covariance of the place by the scatter of the brightness, [N, 2, 2], px²; NaN where it
+    failed."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,7 @@ class AnchorPatches:
         patches = replace(
             self, patch=patch, offset_px=offset_px, affine=affine, perspective=perspective
         )
-        return AlignedPatches(aligned.pixels, aligned.difference, patches)
+        return AlignedPatches(aligned.pixels, aligned.difference, patches, aligned.cov_px2)
 
     def align_right(self, right: Image, pixels: FloatArray) -> AlignedPatches:
         """Align the patches with the right image of the frame whose left image came last.
@@ -159,7 +162,7 @@ class AnchorPatches:
         right_from_left = self.right_from_left.copy()
         divide_maps(aligned.affine, self.affine, aligned.difference, right_from_left)
         patches = replace(self, right_from_left=right_from_left)
-        return AlignedPatches(aligned.pixels, aligned.difference, patches)
+        return AlignedPatches(aligned.pixels, aligned.difference, patches, aligned.cov_px2)
 
     def _align(
         self,
@@ -180,6 +183,7 @@ class AnchorPatches:
             pixels=pixels.copy(),
             affine=np.empty((len(self), 2, 2)),
             difference=np.empty(len(self)),
+            cov_px2=np.empty((len(self), 2, 2)),
         )
         align_patches(image, anchors, sigma, alignment)
         return alignment

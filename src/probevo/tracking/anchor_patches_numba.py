@@ -31,6 +31,8 @@ lengthened if the image has less contrast than the patch, when successive steps 
 direction."""
 MAX_MOVE_PX = 2.0
 """The alignment has failed when it moves farther than this from the predicted place."""
+NUM_ADJUSTED = 8
+"""Parameters that are adjusted to the pixels of a patch: affine map, gain and offset."""
 MAX_FORESHORTENING = 0.5
 """If the scale of a slanted surface changes by more than this from the centre of its patch to the
 border, the surface is treated as if it faced the camera."""
@@ -58,6 +60,9 @@ class Alignment(NamedTuple):
     """Affine map A of the patch to the image, [N, 2, 2]; Â where the alignment fails."""
     difference: FloatArray
     """Mean absolute difference of image and patch, [N], grey levels; ∞ where it fails."""
+    cov_px2: FloatArray
+    """Covariance of p by the scatter of the brightness, see ``_fill_covariance``, [N, 2, 2], px²;
+    ∞ where image and patch have nothing in common, NaN where the alignment fails."""
 
 
 class Template(NamedTuple):
@@ -198,6 +203,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
         u = pixels[n, 0]
         v = pixels[n, 1]
         alignment.difference[n] = np.inf
+        alignment.cov_px2[n] = np.nan
         # Linearize the patch instead of the image: the information matrix is then constant
         _linearize(anchors.patch[n], anchors.offset_px[n], template, information=information)
         reach_px = _foreshorten(anchors.perspective[n], template)
@@ -234,6 +240,8 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
                 pixels[n, 0] = u
                 pixels[n, 1] = v
                 copy_into(affine[n], A)
+                variance = brightness_variance(template.brightness, template.contrast, error)
+                _fill_covariance(lower, A, variance, cov_px2=alignment.cov_px2[n])
                 break
 
 
@@ -329,6 +337,74 @@ def step_scale(
     if change * MAX_STEP_SCALE <= last_scale * squared:
         return MAX_STEP_SCALE
     return max(last_scale * squared / change, MIN_STEP_SCALE)
+
+
+@compiled
+def brightness_variance(brightness: FloatArray, contrast: FloatArray, error: FloatArray) -> float:
+    """Return the variance of a patch's brightness by which it does not match the image.
+
+    The image is I = a P + b + ε, with gain a and offset b of the patch P by regression. With the
+    correlation r of image and patch, and the length c of P less its mean, ‖ε‖ / a is c √(1/r² − 1).
+    In units of the patch, it does not depend on the exposure of the image.
+
+    Args:
+        brightness: P, [area], grey levels.
+        contrast: P less its mean, of length 1, [area].
+        error: I − P, [area], grey levels.
+
+    Returns:
+        ‖ε / a‖² by the degrees of freedom, those of gain, offset and affine map being lost, grey
+        levels²; ∞ if there is no such gain, or it is not positive.
+    """
+    mean = 0.0
+    for i in range(len(error)):
+        mean += brightness[i] + error[i]
+    mean /= len(error)
+    squared = 0.0
+    along = 0.0
+    length = 0.0
+    for i in range(len(error)):
+        grey = brightness[i] + error[i] - mean
+        squared += grey * grey
+        along += grey * contrast[i]
+        length += brightness[i] * contrast[i]
+    if not along > 0.0:
+        return np.inf
+    return length**2 * max(squared / along**2 - 1.0, 0.0) / (len(error) - NUM_ADJUSTED)
+
+
+@compiled
+def _fill_covariance(
+    lower: FloatArray, A: FloatArray, variance: float, cov_px2: FloatArray
+) -> None:
+    """Set the covariance of the place p, [2, 2], to that of a shift of the patch, mapped by A.
+
+    With brightness of a variance that is independent from pixel to pixel, the parameters (t, S) of
+    a small map have the covariance variance · H⁻¹, of which t is the first block, and p moves by
+    A t (Nickels, Hutchinson, "Estimating uncertainty in SSD-based feature tracking", Image and
+    Vision Computing 2002).
+
+    Args:
+        lower: Cholesky factor of H, the information about (t, S) for a variance of 1, [6, 6].
+        A: [2, 2].
+        variance: of the brightness, grey levels².
+        cov_px2: out.
+    """
+    unit = np.zeros(6)
+    column = np.empty(6)
+    inverse = np.empty((2, 2))
+    for k in range(2):
+        unit[k] = 1.0
+        substitute(lower, unit, column)
+        unit[k] = 0.0
+        inverse[0, k] = column[0]
+        inverse[1, k] = column[1]
+    for i in range(2):
+        for j in range(2):
+            total = 0.0
+            for k in range(2):
+                total += A[i, k] * (inverse[k, 0] * A[j, 0] + inverse[k, 1] * A[j, 1])
+            cov_px2[i, j] = variance * total
 
 
 @compiled

@@ -42,6 +42,8 @@ class _FoundInTime:
     """Predicted disparity in the current frame, [N], px."""
     difference: FloatArray
     """Difference of image and anchor patch, [N], grey levels."""
+    cov_px2: FloatArray
+    """Covariance of the place by the alignment, [N, 2, 2], px²."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,8 @@ class _FoundInStereo:
     patches: AnchorPatches
     difference: FloatArray
     """Difference of image and anchor patch, [M], grey levels."""
+    cov_px2: FloatArray
+    """Covariance of the place by the alignment, [M, 2, 2], px²."""
 
 
 class ImageTracker:
@@ -120,6 +124,9 @@ class ImageTracker:
             difference=np.column_stack(
                 [found.difference[survived], in_stereo.difference[:num_survived]]
             ),
+            alignment_cov_px2=np.stack(
+                [found.cov_px2[survived], in_stereo.cov_px2[:num_survived]], axis=1
+            ),
         )
         return Tracked(tracks, alive)
 
@@ -180,6 +187,7 @@ class ImageTracker:
             patches=aligned.patches.subset(kept),
             disparity_px=motion.growth[kept] * prev_disparity_px,
             difference=aligned.difference[kept],
+            cov_px2=aligned.cov_px2[kept],
         )
 
     def _find_in_stereo(
@@ -234,6 +242,7 @@ class ImageTracker:
             right_px=aligned.pixels[fits],
             patches=aligned.patches.subset(fits),
             difference=aligned.difference[fits],
+            cov_px2=aligned.cov_px2[fits],
         )
 
     def _is_consistent(

@@ -35,6 +35,10 @@ class Tracks:
     difference: FloatArray | None = None
     """Mean absolute difference between the aligned image and the anchor patch, in the left and in
     the right image, [N, 2], grey levels. None if another front end has tracked the points."""
+    alignment_cov_px2: FloatArray | None = None
+    """Covariance of each place in the left and in the right image of the current frame, by how its
+    window matches the anchor patch, [N, 2, 2, 2], px²; None if another front end has tracked
+    the points."""
 
     def __len__(self) -> int:
         """Return the number of points, N."""
@@ -59,6 +63,9 @@ class Tracks:
             ids=self.ids[keep],
             age=self.age[keep],
             difference=None if self.difference is None else self.difference[keep],
+            alignment_cov_px2=(
+                None if self.alignment_cov_px2 is None else self.alignment_cov_px2[keep]
+            ),
         )
 
     def with_rows_corrected(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:

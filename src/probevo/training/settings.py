@@ -42,6 +42,7 @@ KERNEL = (
     "structure",
     "forward_backward",
     "window_difference",
+    "alignment",
 )
 """Default predictors of PROBE-GK, among which the kernel chooses. None is computed from the very
 measurements whose noise is predicted: a weight that is correlated with the error of a disparity, or
