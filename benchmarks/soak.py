@@ -50,11 +50,11 @@ from heap import heap_mb
 from memory import SOURCES, back_and_forth, resident_mb
 
 import probevo as pv
-from probevo import runner
 from probevo.allocator import keep_freed_memory
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.runs import runner
 from probevo.sequences.frame import GroundTruth
 from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.recording import open_scene

@@ -34,12 +34,12 @@ from probevo.cli.main import main
 from probevo.errors import ProbevoError
 from probevo.noise import model_file
 from probevo.noise.model_io import load_model, save_model
-from probevo.npz import read_npz
 from probevo.run_config import RunConfig, config_text, read_config
 from probevo.sequences import open_sequence
 from probevo.sequences.calibration_files import read_stereo_calibration
 from probevo.sequences.pose_files import read_kitti_poses, read_tum
 from probevo.sequences.yaml_file import load_yaml
+from probevo.storage.npz import read_npz
 from sequences import recordings as tiny
 
 Files = dict[str, bytes]
@@ -270,7 +270,7 @@ def use_archive(path: Path, rng: Generator) -> object:
     except (OSError, ValueError, TypeError, EOFError, NotImplementedError, RuntimeError) as error:
         raise ProbevoError(str(error)) from error
     except Exception as error:
-        from probevo.npz import NO_NPZ
+        from probevo.storage.npz import NO_NPZ
 
         if isinstance(error, NO_NPZ):
             raise ProbevoError(str(error)) from error

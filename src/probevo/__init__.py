@@ -10,16 +10,16 @@ if TYPE_CHECKING:
     from probevo import predictors as predictors
     from probevo.camera.stereo import StereoCamera as StereoCamera
     from probevo.config import OdometryConfig as OdometryConfig
+    from probevo.estimation.matches import estimate_motion as estimate_motion
     from probevo.estimation.motion_estimate import MotionEstimate as MotionEstimate
     from probevo.estimation.motion_estimate import Status as Status
     from probevo.live import LiveEstimate as LiveEstimate
     from probevo.live import LiveOdometry as LiveOdometry
-    from probevo.matches import estimate_motion as estimate_motion
     from probevo.noise.model_io import load_model as load_model
     from probevo.noise.model_io import save_model as save_model
     from probevo.odometry import StereoOdometry as StereoOdometry
     from probevo.path import compound as compound
-    from probevo.run_plot import plot as plot
+    from probevo.runs.plot import plot as plot
     from probevo.sequences import open_sequence as open_sequence
     from probevo.sequences.frame import Frame as Frame
     from probevo.sequences.frame import ImuSamples as ImuSamples
@@ -42,10 +42,10 @@ _MODULE_OF = {
     "StereoOdometry": "probevo.odometry",
     "TrainSettings": "probevo.training.settings",
     "compound": "probevo.path",
-    "estimate_motion": "probevo.matches",
+    "estimate_motion": "probevo.estimation.matches",
     "load_model": "probevo.noise.model_io",
     "open_sequence": "probevo.sequences",
-    "plot": "probevo.run_plot",
+    "plot": "probevo.runs.plot",
     "save_model": "probevo.noise.model_io",
     "train_model": "probevo.training.api",
 }

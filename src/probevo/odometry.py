@@ -19,6 +19,7 @@ from probevo.errors import InputError
 from probevo.estimation import inertial
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.frozen_images import are_frozen
+from probevo.estimation.landmarks import Landmarks, triangulated
 from probevo.estimation.motion_correction import shares_of, with_correction
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.recovery import INLIERS_FACTOR
@@ -29,7 +30,6 @@ from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
 from probevo.estimation.window_motion import live_advance, live_motion
-from probevo.landmarks import Landmarks, triangulated
 from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.gyro import GyroBias

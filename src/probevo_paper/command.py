@@ -152,7 +152,7 @@ class PaperArguments:
 def main(words: list[str]) -> None:
     """Parse the words after ``probevo paper``, repeat the experiment, and print its results."""
     arguments = parse(PaperArguments, words, "paper").experiment
-    from probevo.lock import locked
+    from probevo.storage.lock import locked
 
     with locked(arguments.out):
         lines = _repeat(arguments)

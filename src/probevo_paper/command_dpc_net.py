@@ -11,13 +11,13 @@ from probevo import __version__
 from probevo.cli.progress import progress_bar
 from probevo.cli.text import table
 from probevo.config import OdometryConfig
-from probevo.files import write_atomically
 from probevo.nets.correction_training import train_correction
 from probevo.nets.extra import require_nets
 from probevo.network_settings import NetworkSettings
 from probevo.output.comparison_files import write_csv
 from probevo.output.files import write_json
 from probevo.sequences.base import Sequence
+from probevo.storage.files import write_atomically
 from probevo_paper.command_steps import render
 from probevo_paper.dpc_net import METHODS, NETWORK, ROTATION, UNCORRECTED, Drift, drifts
 from probevo_paper.dpc_net_config import DpcNetConfig

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from probevo.cli.progress import progress_bar
 from probevo.cli.text import table
-from probevo.files import write_atomically
 from probevo.output.files import write_json
+from probevo.storage.files import write_atomically
 from probevo_paper.sun import (
     FAULTS,
     SUN_EVERY,

@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from probevo.arrays import AnyArray, FloatArray
-from probevo.files import write_atomically
 from probevo.output.page import grid, panel, write_page
 from probevo.output.svg import CYCLE, LEGEND_ABOVE, MUTED, WIDTH_IN, figure_style
+from probevo.storage.files import write_atomically
 from probevo_paper.figure_5 import BlurObservations, BlurView
 from probevo_paper.figure_5_scene import FAST, INSTANT_STEP_S, LEFT
 from probevo_paper.figure_5_statistics import AXES, KINDS, ErrorSummary, Finding, verdicts

@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from probevo import __version__
-from probevo.files import write_atomically
 from probevo.output.comparison import Comparison, Entry
 from probevo.output.comparison_files import flat_record, record, write_csv
 from probevo.output.files import write_json
 from probevo.output.trial_table import TrialTable, trials_latex
+from probevo.storage.files import write_atomically
 
 
 def write_table_files(

@@ -79,7 +79,7 @@ class SimulateArguments:
 def main(words: list[str]) -> None:
     """Parse the arguments, simulate, and print what to do with the result."""
     arguments = parse(SimulateArguments, words, "simulate").world
-    from probevo.lock import locked
+    from probevo.storage.lock import locked
 
     if isinstance(arguments, SpoilArguments):  # its folder has to be empty
         print("\n".join(_spoil(arguments)))

@@ -16,10 +16,10 @@ import yaml
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.files import remove_stale, write_atomically
 from probevo.geometry import se3
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.sequences.stamps import NS_PER_S
+from probevo.storage.files import remove_stale, write_atomically
 from probevo.tracking.feature_matcher import FeatureMatcher
 from probevo.tracking.tracker import TrackingState
 from probevo.tracking.tracks import Tracks

@@ -19,7 +19,7 @@ from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.output.motions_file import read_motions
 from probevo.run_config import RunConfig, read_config
-from probevo.runner import run_sequence
+from probevo.runs.runner import run_sequence
 from probevo.sequences import open_sequence
 from probevo.sequences.pose_files import read_kitti_poses, read_tum
 from probevo.sequences.without_imu import WithoutImu

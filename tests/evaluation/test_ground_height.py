@@ -9,7 +9,7 @@ from probevo.cli.calibrate_check import report
 from probevo.evaluation.ground_height import FEWEST_BLOCKS, GroundHeight, GroundHeights
 from probevo.geometry import se3
 from probevo.output.run_warnings import height_warning
-from probevo.runner import run_sequence
+from probevo.runs.runner import run_sequence
 
 CAMERA = StereoCamera(
     fu_px=720.0, fv_px=720.0, cu_px=610.0, cv_px=170.0, baseline_m=0.54, size_px=(1240, 370)

@@ -13,7 +13,7 @@ from fetch.conftest import Hosts
 from probevo.errors import InputError
 from probevo.fetch.catalogue import FAMILIES, Dataset, RemoteFile, find_dataset
 from probevo.fetch.fetching import ARCHIVES, RECORD, fetch
-from probevo.lock import locked
+from probevo.storage.lock import locked
 
 
 def zipped(name: str, data: bytes) -> bytes:

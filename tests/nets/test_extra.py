@@ -38,7 +38,7 @@ def test_a_missing_package_is_named_with_its_cure(
 @pytest.mark.parametrize(
     "code",
     [
-        "import probevo, probevo.runner, probevo.nets, probevo_paper.command",
+        "import probevo, probevo.runs.runner, probevo.nets, probevo_paper.command",
         "import probevo.cli.train, probevo.cli.compare, probevo.cli.inspect, probevo.sensor_kinds",
         "from probevo.cli.main import main\ntry: main(['paper', 'hydranet', '--help'])\n"
         "except SystemExit: pass",

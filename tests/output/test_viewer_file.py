@@ -15,7 +15,7 @@ from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.output.run_result import RunResult
 from probevo.output.viewer_file import write_viewer_file
-from probevo.runner import run_sequence
+from probevo.runs.runner import run_sequence
 from probevo.sequences import open_sequence
 from sequences.recordings import write_folder_sequence
 

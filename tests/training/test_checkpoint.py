@@ -9,9 +9,9 @@ import pytest
 from probevo import __version__
 from probevo.config import OdometryConfig
 from probevo.errors import InputError
-from probevo.files import remove_stale
-from probevo.lock import LOCK
 from probevo.sequences.imu_calibration import ImuCalibration
+from probevo.storage.files import remove_stale
+from probevo.storage.lock import LOCK
 from probevo.training import checkpoint
 from probevo.training.checkpoint import Checkpoint, Iteration
 from probevo.training.drive import Drive, joined

@@ -44,7 +44,7 @@ def test_training_imports_neither_the_runner_nor_the_pages() -> None:
     code = (
         "import sys, probevo.training.api, probevo.training.gk.learn, probevo.training.probe.learn;"
         "found = [name for name in sys.modules"
-        " if name.startswith(('probevo.runner', 'probevo.output', 'matplotlib'))];"
+        " if name.startswith(('probevo.runs.runner', 'probevo.output', 'matplotlib'))];"
         "sys.exit(', '.join(found) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

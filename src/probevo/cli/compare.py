@@ -105,7 +105,7 @@ def main(words: list[str]) -> None:
     settings = checked(arguments.settings)
     if arguments.threads < 1:
         raise InputError("--threads", f"is {arguments.threads}.", "It must be at least 1.")
-    from probevo.lock import locked
+    from probevo.storage.lock import locked
 
     with locked(arguments.out):
         recordings = open_recordings(arguments.sequences, settings)
@@ -298,11 +298,11 @@ def _run(job: Job, threads: int, prefix: str) -> Entry:
 
 def _write(out: Path, comparison: Comparison) -> None:
     from probevo import __version__
-    from probevo.files import write_atomically, written_together
     from probevo.output.comparison_files import document, flat_record, ranking_records, write_csv
     from probevo.output.comparison_page import write_comparison
     from probevo.output.files import write_json
     from probevo.output.trial_table import trial_table, trials_latex
+    from probevo.storage.files import write_atomically, written_together
 
     trials = trial_table(comparison)
     noise_of = {entry.estimator: entry.config.noise for entry in comparison.entries if entry.config}

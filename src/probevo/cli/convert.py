@@ -14,8 +14,8 @@ import tyro
 
 from probevo.cli.arguments import checked, parse
 from probevo.errors import InputError
-from probevo.files import CHOOSE_ANOTHER
 from probevo.run_config import ReadSettings, RosSettings
+from probevo.storage.files import CHOOSE_ANOTHER
 
 if TYPE_CHECKING:
     from probevo.output.run_result import RunResult
@@ -103,7 +103,7 @@ def _as_only_writer(out: Path) -> Iterator[Path]:
     Raises:
         InputError: another one does, or has just finished; or the place is not writable.
     """
-    from probevo.lock import locked
+    from probevo.storage.lock import locked
 
     work = out.with_name(f"{out.name}.work")
     try:
@@ -196,8 +196,8 @@ def _write_for_viewer(result: RunResult, arguments: ConvertArguments) -> None:
     """
     from probevo.cli.progress import progress_bar
     from probevo.output.viewer_file import check_viewer_path, write_viewer_file
-    from probevo.replay import write_viewer_file_again
     from probevo.run_config import read_config
+    from probevo.runs.replay import write_viewer_file_again
     from probevo.sequences import open_sequence
 
     check_viewer_path(arguments.out, "--out")
@@ -230,7 +230,7 @@ def with_smoothed(result: RunResult, folder: Path) -> RunResult:
     Raises:
         InputError: its file is damaged, or is that of another run.
     """
-    from probevo.runner import SMOOTHED_KITTI
+    from probevo.runs.runner import SMOOTHED_KITTI
     from probevo.sequences.pose_files import read_kitti_poses
 
     path = folder / SMOOTHED_KITTI

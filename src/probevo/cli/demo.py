@@ -45,7 +45,7 @@ class DemoArguments:
 def main(words: list[str]) -> None:
     """Parse the arguments and run the demo."""
     arguments = parse(DemoArguments, words, "demo")
-    from probevo.lock import locked
+    from probevo.storage.lock import locked
 
     with locked(arguments.out):
         demo(SCENES, arguments.out)

@@ -69,9 +69,9 @@ def main(words: list[str]) -> None:
     if arguments.model is not None and is_sensor_file(arguments.model):
         _inspect_sensor(arguments, arguments.model)
         return
-    from probevo.lock import locked
     from probevo.noise.model_io import load_model
     from probevo.output.inspection.subject import Subject
+    from probevo.storage.lock import locked
 
     model = load_model(arguments.model) if arguments.model else None
     if model is not None and model.columns and arguments.predictors:
@@ -99,9 +99,9 @@ def _inspect_sensor(arguments: InspectArguments, model: Path) -> None:
     if arguments.frame is not None or arguments.predictors:
         what = "a sensor has neither a frame nor predictors."
         raise InputError("--frame and --predictors", what, "Leave them out.")
-    from probevo.lock import locked
     from probevo.output.inspection.sensor import write_sensor_inspection
     from probevo.sequences import open_sequence
+    from probevo.storage.lock import locked
 
     reading = checked(arguments.reading)
     sequence = open_sequence(arguments.sequence, reading.format, **reading.format_options())

@@ -17,7 +17,7 @@ from probevo.errors import InputError
 from probevo.run_config import RunConfig, read_config
 
 if TYPE_CHECKING:
-    from probevo.runner import Run
+    from probevo.runs.runner import Run
     from probevo.sequences import Sequence
 
 
@@ -137,7 +137,7 @@ def run_with_progress(
     from probevo.allocator import keep_freed_memory
     from probevo.cli.first_use import getting_ready
     from probevo.cli.progress import progress_bar
-    from probevo.runner import run_sequence
+    from probevo.runs.runner import run_sequence
 
     cv2.setNumThreads(threads)
     keep_freed_memory()

@@ -58,11 +58,11 @@ def main(words: list[str]) -> None:
     arguments = parse(StressArguments, words, "stress", default=default)
     grid = checked(arguments.stress)
     settings = checked(arguments.settings)
-    from probevo.lock import locked
     from probevo.noise.named import noise_model, portable
     from probevo.run_checks import check_run
     from probevo.sequences import open_sequence
     from probevo.sequences.without_imu import WithoutImu
+    from probevo.storage.lock import locked
 
     sequence: Sequence = open_sequence(
         arguments.sequence, settings.format, **settings.format_options()
@@ -103,10 +103,10 @@ def _write(
 ) -> None:
     """Write all files: all or none."""
     from probevo import __version__
-    from probevo.files import write_atomically, written_together
     from probevo.output.files import write_json
     from probevo.output.run_facts import camera_text
     from probevo.run_config import config_text
+    from probevo.storage.files import write_atomically, written_together
     from probevo_sim.spoiling.stress_page import write_picture, write_stress_page
 
     num_frames = min(len(sequence), config.max_frames or len(sequence))

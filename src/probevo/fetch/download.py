@@ -24,7 +24,7 @@ from typing import Any
 from probevo import __version__
 from probevo.errors import InputError
 from probevo.fetch.catalogue import RemoteFile
-from probevo.files import write_atomically
+from probevo.storage.files import write_atomically
 
 TIMEOUT_S = 30.0
 CHUNK = 1 << 20

@@ -13,8 +13,8 @@ from probevo.errors import InputError
 from probevo.fetch.catalogue import Dataset
 from probevo.fetch.download import Fetched, checked_copy, download
 from probevo.fetch.unpack import unpack_all
-from probevo.files import check_folder
-from probevo.lock import locked
+from probevo.storage.files import check_folder
+from probevo.storage.lock import locked
 
 RECORD = "fetched.json"
 """File in the folder of a data set that says from where it came."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.files import name_as_text
 from probevo.geometry import so3
 from probevo.nets.flow_field import (
     check_field_of_view,
@@ -22,6 +21,7 @@ from probevo.nets.flow_field import (
     rotated,
 )
 from probevo.sequences.base import Sequence
+from probevo.storage.files import name_as_text
 
 FURTHER_SIGMA_RAD = np.radians([0.15, 0.5, 0.15])
 """Standard deviations by which copies are rotated further, about x, y and z."""

@@ -19,7 +19,7 @@ from safetensors.numpy import save
 
 from probevo.arrays import AnyArray
 from probevo.errors import InputError
-from probevo.files import check_regular, write_atomically
+from probevo.storage.files import check_regular, write_atomically
 
 FORMAT = "probevo-network"
 """Name of the one entry of the metadata, a JSON object: with several, their order would vary."""

@@ -23,8 +23,6 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.files import check_folder, remove_stale, write_atomically
-from probevo.lock import locked
 from probevo.nets import methods
 from probevo.nets.calibration import BLOCK
 from probevo.nets.extra import require_nets
@@ -35,8 +33,10 @@ from probevo.nets.networks import Network
 from probevo.nets.target_space import TargetSpace
 from probevo.nets.trained_network import TrainedNetwork
 from probevo.network_settings import NetworkSettings
-from probevo.npz import NO_NPZ, read_npz
 from probevo.sequences.base import Sequence
+from probevo.storage.files import check_folder, remove_stale, write_atomically
+from probevo.storage.lock import locked
+from probevo.storage.npz import NO_NPZ, read_npz
 
 OnProgress = Callable[[int, int], None]
 """Takes the number of frames that are done, all epochs counted, and their total."""

@@ -18,11 +18,11 @@ import numpy as np
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.files import check_regular
 from probevo.geometry import so3
 from probevo.nets.flow_field import CELL_PX, FOCAL_PX, LEAST_LEVELS, cell_means, virtual_view
 from probevo.nets.image_pairs import true_poses
 from probevo.sequences.base import Sequence
+from probevo.storage.files import check_regular
 
 SUN_FILE = "sun.txt"
 MOST_BYTES = 10_000

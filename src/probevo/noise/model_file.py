@@ -19,7 +19,7 @@ from safetensors.numpy import load, save
 
 from probevo.arrays import AnyArray
 from probevo.errors import InputError
-from probevo.files import write_atomically
+from probevo.storage.files import write_atomically
 
 FORMAT = "probevo-noise-model"
 """Name of the one entry of the metadata, a JSON object."""

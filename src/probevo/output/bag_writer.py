@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from probevo.errors import InputError
-from probevo.files import check_folder, written_together
 from probevo.sequences.rosbag_file import STORAGE_SUFFIXES
+from probevo.storage.files import check_folder, written_together
 
 HEADER_TYPE = "std_msgs/msg/Header"
 TF_TYPE = "tf2_msgs/msg/TFMessage"

@@ -13,9 +13,9 @@ import numpy as np
 from probevo import __version__
 from probevo.estimation.motion_estimate import Status
 from probevo.evaluation.metrics import Metrics
-from probevo.files import write_atomically
 from probevo.output.comparison import Comparison, Entry
 from probevo.output.table import records_table
+from probevo.storage.files import write_atomically
 
 STEPS = tuple(status for status in Status if status is not Status.FIRST)
 _PERCENTAGES = ("50", "90", "95", "99")

@@ -6,9 +6,9 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from probevo.files import write_atomically
 from probevo.sequences.pose_files import write_kitti_poses as write_kitti_poses
 from probevo.sequences.pose_files import write_tum as write_tum
+from probevo.storage.files import write_atomically
 
 
 def write_json(path: Path, values: Mapping[str, object]) -> None:

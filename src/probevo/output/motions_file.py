@@ -15,10 +15,10 @@ from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
-from probevo.files import write_atomically
 from probevo.geometry import se3
-from probevo.npz import NO_NPZ, read_npz
 from probevo.output.run_result import RunResult
+from probevo.storage.files import write_atomically
+from probevo.storage.npz import NO_NPZ, read_npz
 
 _STAGE = "ms_"
 _REJECTED = "rejected_"

@@ -9,10 +9,10 @@ from pathlib import Path
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from probevo.files import write_atomically
 from probevo.output.svg import inline_svg
 from probevo.output.table import Table
 from probevo.output.templating import rendered
+from probevo.storage.files import write_atomically
 
 _TRUST_NOTE = (
     "Lines lead from the previous to the current place of each point; the colour says how far it"

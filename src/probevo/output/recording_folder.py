@@ -13,11 +13,11 @@ import yaml
 
 from probevo.arrays import Image
 from probevo.errors import InputError
-from probevo.files import write_atomically
 from probevo.output.files import write_kitti_poses
 from probevo.output.recording_parts import imu_samples, stereo_pairs
 from probevo.sequences import ImuSamples, Sequence
 from probevo.sequences.masked import mask_of_array
+from probevo.storage.files import write_atomically
 
 DENSITIES = (
     "gyro_noise_rad_s_sqrt_hz",

@@ -19,12 +19,12 @@ from scipy.spatial.transform import Rotation
 from probevo.arrays import AnyArray, FloatArray, Image
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import Status
-from probevo.files import check_folder, written_together
 from probevo.odometry import StereoOdometry
 from probevo.output.drawing import TRUST_COLORS_BGR
 from probevo.output.report_data import Drift, drift_of
 from probevo.output.run_result import RunResult
 from probevo.sequences.frame import Frame
+from probevo.storage.files import check_folder, written_together
 
 SUFFIX = ".rrd"
 WINDOW = Path("window")

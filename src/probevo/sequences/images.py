@@ -14,10 +14,10 @@ import numpy as np
 
 from probevo.arrays import AnyArray, Image
 from probevo.errors import InputError
-from probevo.files import check_regular
 from probevo.sequences.gray_range import NUM_FIRST_FRAMES, GrayRange
 from probevo.sequences.image_files import check_complete
 from probevo.sequences.png import PNG_MAGIC, DamagedError, chunks_of, plain_grey
+from probevo.storage.files import check_regular
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".webp", ".bmp"})
 JPEG_MAGIC = b"\xff\xd8"

@@ -16,11 +16,11 @@ import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.errors import InputError
-from probevo.files import check_regular
 from probevo.sequences.format_options import KITTI_FLOW_RATE_HZ
 from probevo.sequences.images import LARGEST_FILE_BYTES, list_images, read_gray, read_size_px
 from probevo.sequences.kitti_calibration import KittiCalibration
 from probevo.sequences.recording import StereoRecording
+from probevo.storage.files import check_regular
 
 TRUTH_FRAME = 10
 """Frame to which the true disparity belongs, and from which the true flow leads to the next."""

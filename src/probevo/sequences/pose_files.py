@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
-from probevo.files import write_atomically
 from probevo.geometry import se3
 from probevo.sequences.frame import GroundTruth
 from probevo.sequences.poses import check_poses, ground_truth
 from probevo.sequences.stamps import check_stamps, seconds_to_ns
 from probevo.sequences.text import parse_floats, read_fields, read_table
+from probevo.storage.files import write_atomically
 
 FARTHEST_M = 1e9
 """Largest plausible coordinate. Squares of much larger ones would overflow in the evaluation."""

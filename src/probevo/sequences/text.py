@@ -9,7 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError, brief
-from probevo.files import check_regular
+from probevo.storage.files import check_regular
 
 INT64_LIMIT = 2**63
 LARGEST_TEXT_BYTES = 1_000_000_000

@@ -12,13 +12,13 @@ from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera, check_camera
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
-from probevo.npz import NO_NPZ, read_npz
 from probevo.sequences.frame import Frame, GroundTruth, StereoFeatures
 from probevo.sequences.imu import ImuStream, hold_over_interval
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.poses import ground_truth
 from probevo.sequences.stamps import NS_PER_S, check_stamps
 from probevo.sequences.text import INT64_LIMIT
+from probevo.storage.npz import NO_NPZ, read_npz
 
 SHAPES: dict[str, tuple[int | str, ...]] = {
     "frame": ("n",),

@@ -13,7 +13,6 @@ import numpy as np
 
 from probevo.arrays import Image, IntArray
 from probevo.errors import InputError
-from probevo.files import check_regular
 from probevo.sequences.folder import read_cameras
 from probevo.sequences.format_options import VIDEO_SUFFIXES, VideoOptions
 from probevo.sequences.frame import Frame
@@ -21,6 +20,7 @@ from probevo.sequences.images import LARGEST_PX
 from probevo.sequences.read_ahead import read_ahead
 from probevo.sequences.recording import ImageRecording
 from probevo.sequences.stamps import check_stamps, evenly_spaced
+from probevo.storage.files import check_regular
 
 LARGEST_FILE_BYTES = 1 << 42
 MOST_UNPAIRED = 0.02

@@ -9,11 +9,11 @@ from operator import add
 from pathlib import Path
 
 from probevo.errors import InputError
-from probevo.files import check_folder, name_as_text
-from probevo.lock import locked
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
 from probevo.predictors import PredictionSpace, Predictor
+from probevo.storage.files import check_folder, name_as_text
+from probevo.storage.lock import locked
 from probevo.training.checkpoint import Checkpoint, checkpoint_folder
 from probevo.training.gk.thinning import thinned
 from probevo.training.progress import OnProgress, TrainingProgress

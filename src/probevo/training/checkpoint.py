@@ -14,11 +14,11 @@ from probevo import __version__
 from probevo.arrays import AnyArray, FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.files import remove_stale, write_atomically
-from probevo.lock import LOCK
 from probevo.noise.base import LearnedNoiseModel
 from probevo.noise.model_io import load_model, save_model
-from probevo.npz import read_npz
+from probevo.storage.files import remove_stale, write_atomically
+from probevo.storage.lock import LOCK
+from probevo.storage.npz import read_npz
 from probevo.training.lease import LEASE
 from probevo.training.settings import TrainSettings
 from probevo.training.supervised_drive import DriveOnDisk, damage_reported

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, IntArray, concatenated
-from probevo.npz import read_npz
+from probevo.storage.npz import read_npz
 from probevo.tracking.tracks import Tracks
 
 SINGLE = ("prev_px", "curr_px", "phi")

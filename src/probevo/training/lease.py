@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
-from probevo.files import write_atomically
+from probevo.storage.files import write_atomically
 
 LEASE = "lease"
 """Name of the file in the folder of the checkpoint."""

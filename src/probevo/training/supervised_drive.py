@@ -14,9 +14,9 @@ import numpy as np
 
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.files import write_atomically
 from probevo.noise.moments import Moments
-from probevo.npz import NO_NPZ, read_npz
+from probevo.storage.files import write_atomically
+from probevo.storage.npz import NO_NPZ, read_npz
 from probevo.training.drive import Drive, drive_bytes, load_drive
 from probevo.training.supervision import Supervision
 

@@ -12,11 +12,11 @@ import numpy as np
 import yaml
 
 from probevo.errors import InputError
-from probevo.files import check_folder, remove_stale, write_atomically
-from probevo.lock import LOCK
 from probevo.sequences.folder import IMU_HEADER
 from probevo.sequences.pose_files import write_kitti_poses
 from probevo.sequences.read_ahead import read_ahead
+from probevo.storage.files import check_folder, remove_stale, write_atomically
+from probevo.storage.lock import LOCK
 from probevo_sim.scene.config import SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
 from probevo_sim.scene.renderer import PixelTruth

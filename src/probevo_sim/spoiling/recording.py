@@ -14,11 +14,11 @@ import numpy as np
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
-from probevo.files import write_atomically
 from probevo.output.recording_folder import write_recording_folder
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.frame import GroundTruth, ImuSamples
 from probevo.sequences.recording import ImageRecording
+from probevo.storage.files import write_atomically
 from probevo_sim.spoiling import effects
 from probevo_sim.spoiling.config import SpoilConfig
 from probevo_sim.spoiling.plan import (

@@ -23,7 +23,6 @@ from probevo import __version__
 from probevo.arrays import FloatArray, Image, IntArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import Status
-from probevo.files import write_atomically
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import compound, normalized_error_squared
 from probevo.noise.named import noise_model
@@ -32,6 +31,7 @@ from probevo.output.drawing import draw_tracks
 from probevo.output.run_result import RunRecorder, RunResult
 from probevo.run_config import RunConfig, config_text
 from probevo.sequences import Frame, Sequence
+from probevo.storage.files import write_atomically
 from probevo.tracking.preparation import prepare_ahead
 from probevo_sim.spoiling.config import SpoilConfig, StressConfig, StressPreset
 from probevo_sim.spoiling.recording import SpoiledRecording

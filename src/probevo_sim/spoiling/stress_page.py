@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from probevo.files import write_atomically
 from probevo.output.page import body_panel, panel, pictures, table_panel, write_page
 from probevo.output.svg import BLUE, CYCLE, GREY, ORANGE, WIDTH_IN, figure_style
 from probevo.output.table import Column, Row, Table
+from probevo.storage.files import write_atomically
 from probevo_sim.spoiling.stress import REGION, Figures, Stress
 
 MOST_OUTSIDE = 0.01

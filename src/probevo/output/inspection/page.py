@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from probevo.errors import InputError
-from probevo.files import remove_stale, write_atomically
 from probevo.noise.registry import imported, kind_of
 from probevo.output.inspection import predictors
 from probevo.output.inspection.common_sections import frame_facts
 from probevo.output.inspection.subject import Findings, Subject
 from probevo.output.page import write_page
+from probevo.storage.files import remove_stale, write_atomically
 
 PAGE = "inspection.html"
 _MODEL_PICTURES = ("weight", "distance", "sigma", "dof")

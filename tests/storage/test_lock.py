@@ -14,7 +14,7 @@ import pytest
 
 from probevo.cli.main import main
 from probevo.errors import InputError
-from probevo.lock import LOCK, locked
+from probevo.storage.lock import LOCK, locked
 from probevo_sim.point_config import PointConfig
 from probevo_sim.point_world import simulate_points, write_points
 
@@ -22,7 +22,7 @@ HOLD = """
 import sys
 from pathlib import Path
 from probevo.errors import InputError
-from probevo.lock import locked
+from probevo.storage.lock import locked
 
 try:
     with locked(Path(sys.argv[1])):
@@ -36,7 +36,7 @@ except InputError as error:
 
 def holder(folder: Path) -> subprocess.Popen[str]:
     """Start a process that holds the lock until its stdin ends."""
-    source = str(Path(__file__).parents[1] / "src")
+    source = str(Path(__file__).parents[2] / "src")
     return subprocess.Popen(
         [sys.executable, "-c", HOLD, str(folder)],
         env=os.environ | {"PYTHONPATH": source},
@@ -208,7 +208,7 @@ def test_on_a_full_disk_the_lock_is_refused_and_leaves_nothing(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     (tmp_path / "earlier.txt").write_text("a")
-    monkeypatch.setattr("probevo.lock.os.write", full)
+    monkeypatch.setattr("probevo.storage.lock.os.write", full)
     with pytest.raises(InputError, match="cannot be written: No space left"), locked(tmp_path):
         pass
     assert [path.name for path in tmp_path.iterdir()] == ["earlier.txt"]

@@ -15,7 +15,7 @@ from probevo.errors import InputError
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo.output.motions_file import read_motions
-from probevo.runner import run_sequence
+from probevo.runs.runner import run_sequence
 
 CAMERA = pv.StereoCamera(400.0, 400.0, 319.5, cv_px=239.5, baseline_m=0.3, size_px=(640, 480))
 T_TRUE = se3.exp(np.array([0.05, -0.02, -0.4, 0.01, -0.03, 0.005]))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from probevo.arrays import AnyArray
-from probevo.files import NO_ARCHIVE, check_regular
+from probevo.storage.files import NO_ARCHIVE, check_regular
 
 LARGEST_FILE_BYTES = 100_000_000_000
 LARGEST_ARRAY_BYTES = 1 << 31

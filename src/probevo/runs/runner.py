@@ -23,9 +23,7 @@ from probevo.estimation.window import SmoothedPose, Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
 from probevo.evaluation.ground_height import GroundHeights
 from probevo.evaluation.metrics import Metrics, evaluate
-from probevo.files import remove_stale, write_atomically, written_together
 from probevo.geometry import se3
-from probevo.lock import locked
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.sensor import Sensor
 from probevo.noise.base import NoiseModel
@@ -46,6 +44,8 @@ from probevo.run_config import RunConfig, as_run_config, config_text
 from probevo.sensor_kinds import load_sensors
 from probevo.sequences import Frame, Sequence
 from probevo.sequences.without_imu import WithoutImu
+from probevo.storage.files import remove_stale, write_atomically, written_together
+from probevo.storage.lock import locked
 from probevo.tracking.left_right import (
     FRAMES_TO_SEE,
     SwappedImagesError,

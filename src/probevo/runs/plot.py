@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from probevo.output.comparison import Entry
-    from probevo.runner import Run
+    from probevo.runs.runner import Run
 
 KINDS = ("path", "error")
 
@@ -68,7 +68,7 @@ def _entries(
         InputError: as ``plot`` raises.
     """
     from probevo.output.comparison import Entry
-    from probevo.runner import Run
+    from probevo.runs.runner import Run
 
     if not runs:
         raise InputError("runs", "there is none.", "Give a result, or the folder of a run.")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from probevo import files
 from probevo.errors import InputError
+from probevo.storage import files
 
 
 def test_writing_replaces_whole_files_and_leaves_nothing_else(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_a_temporary_file_of_that_name_is_not_overwritten(
 KILLED = """
 import os, sys
 from pathlib import Path
-from probevo import files
+from probevo.storage import files
 
 os.replace = Path.replace = lambda *_: os._exit(1)
 if sys.argv[2] == "file":
@@ -105,7 +105,7 @@ with files.written_together(Path(sys.argv[1])) as folder:
 
 @pytest.mark.parametrize("kind", ["file", "folder"])
 def test_what_a_killed_process_leaves_is_removed_by_the_next(kind: str, tmp_path: Path) -> None:
-    source = str(Path(files.__file__).parents[1])
+    source = str(Path(files.__file__).parents[2])
     killed = subprocess.run(
         [sys.executable, "-c", KILLED, str(tmp_path), kind],
         env=os.environ | {"PYTHONPATH": source},

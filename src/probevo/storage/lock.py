@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from probevo.errors import InputError
-from probevo.files import CHOOSE_ANOTHER, check_folder
+from probevo.storage.files import CHOOSE_ANOTHER, check_folder
 
 LOCK = ".probevo-lock"
 """Name of the file in the folder; it is there only while the folder is in use, or after a kill."""

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 import probevo as pv
-from probevo.landmarks import triangulated
+from probevo.estimation.landmarks import triangulated
 from probevo.noise import StereoNoise
 from worlds import CAMERA, drive, random_pixels
 
