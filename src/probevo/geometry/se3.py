@@ -13,8 +13,8 @@ import numpy as np
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
 from probevo.geometry import so3
-from probevo.geometry.exponentials import adjoints, invert_poses
 from probevo.geometry.logarithms import log_translations
+from probevo.geometry.se3_numba import adjoints, invert_poses
 
 
 def from_parts(C_b_a: FloatArray, t_b: FloatArray) -> FloatArray:

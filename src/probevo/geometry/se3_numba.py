@@ -1,27 +1,12 @@
-"""Compiled perturbation and comparison of poses; ``geometry.se3`` has the rest of SE(3)."""
+"""Compiled perturbation, inverses and adjoints of poses; ``geometry.se3`` has the rest of SE(3)."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled
-
-
-@compiled
-def exp_coefficients(squared: float) -> tuple[float, float, float]:
-    """Return sin φ / φ, (1 − cos φ) / φ² and (φ − sin φ) / φ³ for φ², rad².
-
-    With the matrix Φ of the cross product by the rotation vector, Exp is I + a Φ + b Φ² and its
-    left Jacobian I + b Φ + c Φ² (thesis eqs. 2.3, 2.15).
-    """
-    if squared < 1e-6:  # series: the next terms are below the last bit
-        return 1.0 - squared / 6.0, 0.5 - squared / 24.0, 1.0 / 6.0 - squared / 120.0
-    angle = math.sqrt(squared)
-    a = math.sin(angle) / angle
-    return a, (1.0 - math.cos(angle)) / squared, (1.0 - a) / squared
+from probevo.geometry.so3_numba import exp_coefficients
 
 
 @compiled
@@ -60,22 +45,30 @@ def perturb(xi: FloatArray, T: FloatArray, T_out: FloatArray) -> None:
 
 
 @compiled
-def rotation_error(C: FloatArray, C_prior: FloatArray, error: FloatArray) -> None:
-    """Fill error [3] with φ = Log(C C_priorᵀ), the angle from both sine and cosine.
-
-    C must not be half a turn away from C_prior; of both, the upper left [3, 3] counts.
-    """
-    D = np.zeros((3, 3))  # C C_priorᵀ
-    for i in range(3):
-        for j in range(3):
+def invert_poses(T: FloatArray, inverse: FloatArray) -> None:
+    """Invert N rigid transforms, [N, 4, 4]: (Cᵀ, −Cᵀ t)."""
+    for n in range(len(T)):
+        for i in range(3):
+            moved = 0.0
             for k in range(3):
-                D[i, j] += C[i, k] * C_prior[j, k]
-    x = 0.5 * (D[2, 1] - D[1, 2])
-    y = 0.5 * (D[0, 2] - D[2, 0])
-    z = 0.5 * (D[1, 0] - D[0, 1])
-    sine = math.sqrt(x * x + y * y + z * z)
-    cosine = 0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0)
-    ratio = math.atan2(sine, cosine) / sine if sine > 1e-9 else 1.0
-    error[0] = ratio * x
-    error[1] = ratio * y
-    error[2] = ratio * z
+                inverse[n, i, k] = T[n, k, i]
+                moved -= T[n, k, i] * T[n, k, 3]
+            inverse[n, i, 3] = moved
+            inverse[n, 3, i] = 0.0
+        inverse[n, 3, 3] = 1.0
+
+
+@compiled
+def adjoints(T: FloatArray, adjoint: FloatArray) -> None:
+    """Compute Ad(T) = [[C, t^ C], [0, C]] of N poses, [N, 4, 4] to [N, 6, 6]."""
+    for n in range(len(T)):
+        x = T[n, 0, 3]
+        y = T[n, 1, 3]
+        z = T[n, 2, 3]
+        for j in range(3):
+            for i in range(3):
+                adjoint[n, i, j] = adjoint[n, 3 + i, 3 + j] = T[n, i, j]
+                adjoint[n, 3 + i, j] = 0.0
+            adjoint[n, 0, 3 + j] = y * T[n, 2, j] - z * T[n, 1, j]
+            adjoint[n, 1, 3 + j] = z * T[n, 0, j] - x * T[n, 2, j]
+            adjoint[n, 2, 3 + j] = x * T[n, 1, j] - y * T[n, 0, j]

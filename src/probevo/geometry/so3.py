@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.geometry.exponentials import exp_rotations, left_jacobians
 from probevo.geometry.logarithms import log_rotations
+from probevo.geometry.so3_numba import exp_rotations, left_jacobians
 
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of C Cᵀ − 1 that rounding in a text file explains."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.compiled import compiled, copy_into
-from probevo.geometry.se3_numba import exp_coefficients
+from probevo.geometry.so3_numba import exp_coefficients
 
 
 class MeanSamples(NamedTuple):

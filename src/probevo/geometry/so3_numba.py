@@ -1,7 +1,7 @@
-"""Compiled exponentials, inverses and adjoints of poses.
+"""Compiled exponentials of rotations, and their left Jacobians; ``geometry.so3`` has the rest.
 
-A step of the odometry takes some fifty of them, one or ten poses at a time. NumPy or SciPy would
-take 10 to 50 µs for each.
+A step of the odometry takes some fifty of them, of one or ten rotations at a time. NumPy or SciPy
+would take 10 to 50 µs for each.
 """
 
 from __future__ import annotations
@@ -17,8 +17,12 @@ forms one digit at most."""
 
 
 @compiled
-def _coefficients(squared: float) -> tuple[float, float, float]:
-    """Return sin θ / θ, (1 − cos θ) / θ² and (θ − sin θ) / θ³ for θ², rad²."""
+def exp_coefficients(squared: float) -> tuple[float, float, float]:
+    """Return sin θ / θ, (1 − cos θ) / θ² and (θ − sin θ) / θ³ for θ², rad².
+
+    With φ^ the matrix of the cross product by the rotation vector, Exp is I + a φ^ + b φ^ φ^, and
+    its left Jacobian I + b φ^ + c φ^ φ^ (thesis eqs. 2.3, 2.15).
+    """
     if squared < SMALL_SQ:
         # Σ_k (−θ²)^k / (2k + n)!, by Horner's rule from the ninth term on.
         a = b = c = 0.0
@@ -40,7 +44,7 @@ def exp_rotations(phi: FloatArray, C: FloatArray) -> None:
         y = phi[n, 1]
         z = phi[n, 2]
         squared = x * x + y * y + z * z
-        a, b, _ = _coefficients(squared)
+        a, b, _ = exp_coefficients(squared)
         # I + a φ^ + b φ^ φ^, with φ^ φ^ = φ φᵀ − θ².
         C[n, 0, 0] = 1.0 - b * (y * y + z * z)
         C[n, 1, 1] = 1.0 - b * (x * x + z * z)
@@ -61,7 +65,7 @@ def left_jacobians(phi: FloatArray, jacobian: FloatArray) -> None:
         y = phi[n, 1]
         z = phi[n, 2]
         squared = x * x + y * y + z * z
-        _, b, c = _coefficients(squared)
+        _, b, c = exp_coefficients(squared)
         jacobian[n, 0, 0] = 1.0 - c * (y * y + z * z)
         jacobian[n, 1, 1] = 1.0 - c * (x * x + z * z)
         jacobian[n, 2, 2] = 1.0 - c * (x * x + y * y)
@@ -71,33 +75,3 @@ def left_jacobians(phi: FloatArray, jacobian: FloatArray) -> None:
         jacobian[n, 2, 0] = c * x * z - b * y
         jacobian[n, 1, 2] = c * y * z - b * x
         jacobian[n, 2, 1] = c * y * z + b * x
-
-
-@compiled
-def invert_poses(T: FloatArray, inverse: FloatArray) -> None:
-    """Invert N rigid transforms, [N, 4, 4]: (Cᵀ, −Cᵀ t)."""
-    for n in range(len(T)):
-        for i in range(3):
-            moved = 0.0
-            for k in range(3):
-                inverse[n, i, k] = T[n, k, i]
-                moved -= T[n, k, i] * T[n, k, 3]
-            inverse[n, i, 3] = moved
-            inverse[n, 3, i] = 0.0
-        inverse[n, 3, 3] = 1.0
-
-
-@compiled
-def adjoints(T: FloatArray, adjoint: FloatArray) -> None:
-    """Compute Ad(T) = [[C, t^ C], [0, C]] of N poses, [N, 4, 4] to [N, 6, 6]."""
-    for n in range(len(T)):
-        x = T[n, 0, 3]
-        y = T[n, 1, 3]
-        z = T[n, 2, 3]
-        for j in range(3):
-            for i in range(3):
-                adjoint[n, i, j] = adjoint[n, 3 + i, 3 + j] = T[n, i, j]
-                adjoint[n, 3 + i, j] = 0.0
-            adjoint[n, 0, 3 + j] = y * T[n, 2, j] - z * T[n, 1, j]
-            adjoint[n, 1, 3 + j] = z * T[n, 0, j] - x * T[n, 2, j]
-            adjoint[n, 2, 3 + j] = x * T[n, 1, j] - y * T[n, 0, j]
