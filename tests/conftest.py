@@ -32,7 +32,7 @@ LONGEST = (
     *("tracking/test_pair_timing.py", "nets/test_sun_training.py"),
 )
 """Files of more than ten seconds of processor time, which several processes begin with."""
-LEAST_PROCESSES = 4
+LEAST_PROCESSES = 5
 """Of ``--numprocesses auto``: some tests wait, and others share the processor with something."""
 
 take_turns()
