@@ -254,7 +254,7 @@ def test_readable_numbers(value: float, text: str) -> None:
         (7.0, 0.3, "6 is consistent"),
         (7.0, None, "6 is consistent"),
         (1885.0, 0.4, "truth or calibration may be coarser"),
-        (8200.0, 5.8, "the truth’s noise is 5.80 times the claimed σ"),
+        (8200.0, 5.8, "the truth’s noise is at least 5.80 times the claimed σ"),
     ],
 )
 def test_an_anees_that_is_no_test_says_so(

@@ -173,7 +173,7 @@ def _consistency_aside(anees: float, truth_noise: float | None) -> str:
     Smoothed truth, as that of KITTI odometry, hides its noise but not its slow errors.
     """
     if truth_noise is not None and truth_noise > 1.0:
-        return f"no test: the truth’s noise is {readable(truth_noise)} times the claimed σ"
+        return f"no test: the truth’s noise is at least {readable(truth_noise)} times the claimed σ"
     if anees > IMPLAUSIBLE_ANEES:
         return "6 is consistent; so far off, truth or calibration may be coarser than the claim"
     return "6 is consistent"
