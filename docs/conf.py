@@ -25,6 +25,7 @@ include_patterns = ["*.md", "docs/*.md", "benchmarks/README.md"]
 root_doc = "docs/index"
 html_theme = "furo"
 html_title = f"probevo {__version__}"
+html_show_copyright = False  # LICENSE has it
 myst_heading_anchors = 4
 autodoc_typehints = "description"
 autodoc_typehints_format = "short"
@@ -46,6 +47,19 @@ def _without_links_to_code(app: Sphinx, docname: str, source: list[str]) -> None
     source[0] = _LINK.sub(replaced, source[0])
 
 
+def _first_page(app: Sphinx, exception: Exception | None) -> None:
+    """Lead from the top of the site, where browsers and hosts look, to the first page."""
+    if exception is None and app.builder.format == "html":
+        target = f"{root_doc}.html"
+        text = (
+            "<!doctype html><title>probevo</title>"
+            f'<meta http-equiv="refresh" content="0; {target}">'
+            f'<a href="{target}">probevo: documentation</a>\n'
+        )
+        (Path(app.outdir) / "index.html").write_text(text, "utf-8")
+
+
 def setup(app: Sphinx) -> None:
-    """Register the change of links."""
+    """Register the change of links, and the way to the first page."""
     app.connect("source-read", _without_links_to_code)
+    app.connect("build-finished", _first_page)

@@ -28,6 +28,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_page_is_there_and_reached_from_the_first(site: Path) -> None:
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")}
     assert {path.stem for path in (site / "docs").glob("*.html")} == pages
+    assert 'href="docs/index.html"' in (site / "index.html").read_text("utf-8")
     first = (site / "docs" / "index.html").read_text("utf-8")
     assert {name for name in pages if f'href="{name}.html"' in first} >= pages - {"index"}
     assert {"../README.html", "../CONTRIBUTING.html"} <= set(re.findall(r'href="([^"#]+)"', first))

@@ -104,9 +104,9 @@ class ReadSettings(Settings):
     calibration: Path | None = Field(
         None,
         description=(
-            "Calibration of the cameras, instead of the recording's own, for folders, bags and"
-            " videos: a file of Kalibr, OpenCV, ROS, VINS-Fusion or ORB-SLAM3. It rectifies the"
-            " images."
+            "Calibration of the cameras, instead of the recording's own, for folders, bags, videos"
+            " and EuRoC's layout: a file of Kalibr, OpenCV, ROS, VINS-Fusion or ORB-SLAM3. It"
+            " rectifies the images."
         ),
     )
     imu_noise: Path | None = Field(

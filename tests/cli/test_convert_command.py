@@ -70,7 +70,9 @@ def test_kitti_runs_to_the_same_bytes_in_each_format(data_root: Path, tmp_path: 
         assert trajectory(tmp_path / target, tmp_path / f"of_{target}") == expected, target
 
 
-def test_run_and_convert_write_the_same_odometry(tmp_path: Path) -> None:
+def test_run_and_convert_write_the_same_odometry(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """--write of a run, and convert of its folder; the second has no CameraInfo."""
     from output.test_odometry_bag import read
 
@@ -80,6 +82,7 @@ def test_run_and_convert_write_the_same_odometry(tmp_path: Path) -> None:
     frames = ["--ros.odom-frame", "map"]
     words = ["run", str(wall), "--out", str(tmp_path / "out"), "--write", str(now)]
     assert main([*words, *frames]) == 0
+    assert f"odometry: {now}\n" in capsys.readouterr().out
     assert main(["convert", str(tmp_path / "out"), "--out", str(later), *frames]) == 0
     one = read(now)["/odometry"]
     other = read(later)["/odometry"]

@@ -24,7 +24,7 @@ from probevo.output.comparison import (
     verdicts,
 )
 from probevo.output.comparison_page import write_comparison
-from probevo.output.comparison_plots import axes_errors_figure, errors_figure, paths_figure
+from probevo.output.comparison_plots import axes_errors_figures, errors_figure, paths_figure
 from probevo.output.report_data import drift_of
 from probevo.output.run_result import RunResult
 from probevo.output.table import reads_least
@@ -307,10 +307,11 @@ def test_errors_are_those_of_the_positions(entries: tuple[Entry, Entry]) -> None
 
 
 def test_errors_by_axis_are_those_of_each_run(entries: tuple[Entry, Entry]) -> None:
-    """Six axes, each with the line of zero and one of each estimator."""
-    figure = axes_errors_figure(entries, COLORS)
-    assert len(figure.axes) == 6
-    for i, axes in enumerate(figure.axes):
+    """Six axes in two figures, each with the line of zero and one of each estimator."""
+    translation, rotation = axes_errors_figures(entries, COLORS)
+    six = [*translation.axes, *rotation.axes]
+    assert len(six) == 6
+    for i, axes in enumerate(six):
         assert [line.get_color() for line in axes.lines[1:]] == ["#111111", "#222222"]
         for compared, line in zip(entries, axes.lines[1:], strict=True):
             error = drift_of(compared.result, compared.truth).error

@@ -18,6 +18,8 @@ from probevo.output import report
 from probevo.output.drawing import draw_tracks
 from probevo.output.report import RunDescription, write_report
 from probevo.output.report_calibration import calibration_figure
+from probevo.output.report_data import drift_of
+from probevo.output.report_plots import trajectory_figure
 from probevo.output.report_timelines import domain_figure, stages_figure
 from probevo.output.run_result import RunResult
 from probevo.output.table import readable
@@ -116,6 +118,21 @@ def test_matplotlib_is_left_as_it_was(make_run: Callable[..., RunResult], tmp_pa
     assert {key: matplotlib.rcParams[key] for key in before} == before
 
 
+@pytest.mark.parametrize("has_truth", [True, False])
+def test_the_legend_has_the_colour_of_the_end(
+    make_run: Callable[..., RunResult], has_truth: bool
+) -> None:
+    """With truth, both paths have an end; without, the one end is that of the estimate."""
+    run = make_run(10)
+    drift = drift_of(run, run.T_world_cam if has_truth else None)
+    lines = trajectory_figure(drift).axes[0].lines
+    shown = {
+        line.get_color() for line in lines if line.get_marker() == "s" and len(line.get_xdata())
+    }
+    (legend,) = [line for line in lines if line.get_label() == "end"]
+    assert legend.get_color() in shown
+
+
 def test_decoding_is_no_part_of_the_stack(make_run: Callable[..., RunResult]) -> None:
     run = make_run(20)
     slow = replace(run, stage_ms={"decode": np.full(19, 50.0)} | run.stage_ms)
@@ -208,12 +225,15 @@ def test_calibration_is_shown_where_a_step_has_truth(
 def test_recovered_steps_are_told_from_dead_reckoned_ones(
     make_run: Callable[..., RunResult],
 ) -> None:
-    run = make_run(10)
+    run = replace(make_run(10), num_tracks=np.full(9, 250), num_inliers=np.full(9, 240))
     status = np.zeros_like(run.status) + Status.OK
-    assert "Every step is OK" in report._status_note(replace(run, status=status))
+    counts = "250 tracks in the median, 240 of them inliers."
+    note = report._status_note(replace(run, status=status))
+    assert note == f"Every step is OK; {counts}"
     status[1] = Status.RECOVERED
     recovered = report._status_note(replace(run, status=status))
     assert recovered.startswith("Recovered ones")
+    assert recovered.endswith(counts)
     assert "dead-reckoned" not in recovered
     status[0] = Status.GAP
     both = report._status_note(replace(run, status=status))
@@ -254,7 +274,7 @@ def test_readable_numbers(value: float, text: str) -> None:
         (7.0, 0.3, "6 is consistent"),
         (7.0, None, "6 is consistent"),
         (1885.0, 0.4, "truth or calibration may be coarser"),
-        (8200.0, 5.8, "the truth’s noise is 5.80 times the claimed σ"),
+        (8200.0, 5.8, "the truth’s noise is at least 5.80 times the claimed σ"),
     ],
 )
 def test_an_anees_that_is_no_test_says_so(

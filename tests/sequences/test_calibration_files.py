@@ -243,7 +243,7 @@ BASELINES_M: dict[str, float | str] = {
     "openvins_rs_d455.yaml": "one camera",
     "openvins_tum_vi.yaml": 0.10106,
     "vins_fusion_realsense_d435i/realsense_stereo_imu_config.yaml": 0.06,
-    "vins_fusion_realsense_d435i/left.yaml": "no calibration of a stereo pair",
+    "vins_fusion_realsense_d435i/left.yaml": "one camera of VINS-Fusion",
 }
 
 

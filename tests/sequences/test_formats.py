@@ -1,5 +1,6 @@
 """Every format: what was written comes back, with the same meaning."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
 from probevo.sequences import open_sequence
 from sequences.recordings import (
     BASELINE_M,
@@ -17,6 +19,7 @@ from sequences.recordings import (
     HEIGHT_PX,
     T_CAM_IMU,
     WIDTH_PX,
+    camchain_yaml,
     image,
     poses,
     stamps_ns,
@@ -199,6 +202,36 @@ def test_euroc_drops_images_without_a_partner(tmp_path: Path) -> None:
     lines = (path / "mav0" / "cam0" / "data.csv").read_text().splitlines()
     (path / "mav0" / "cam0" / "data.csv").write_text("\n".join([*lines[:2], *lines[3:]]))
     np.testing.assert_array_equal(open_sequence(path).stamps_ns, stamps_ns(4)[[0, 2, 3]])
+
+
+@pytest.mark.parametrize("named_by", ["imu", "camera"])
+def test_a_kalibr_file_replaces_the_cameras_of_euroc(named_by: str, tmp_path: Path) -> None:
+    """The body is found by the file's T_cam_imu, or else by sensor.yaml of the left camera."""
+    path = write_euroc(tmp_path / "euroc")
+    own = open_sequence(path)
+    assert own.imu is not None
+    chain = [line.replace("equidistant", "radtan") for line in camchain_yaml(own.imu.T_cam_imu)]
+    chain[1:1] = ["  timeshift_cam_imu: 0.002"]
+    if named_by == "imu":
+        (path / "mav0" / "cam0" / "sensor.yaml").unlink()
+    else:
+        shutil.rmtree(path / "mav0" / "imu0")
+    (path / "mav0" / "cam1" / "sensor.yaml").unlink()
+    file = tmp_path / "camchain.yaml"
+    file.write_text("\n".join(chain))
+    by_kalibr = open_sequence(path, calibration=str(file))
+    assert by_kalibr.camera == own.camera
+    assert own.truth is not None
+    assert by_kalibr.truth is not None
+    np.testing.assert_allclose(by_kalibr.truth.T_world_cam, own.truth.T_world_cam, atol=1e-9)
+    if named_by == "camera":
+        assert by_kalibr.imu is None
+        return
+    assert by_kalibr.imu is not None
+    np.testing.assert_allclose(by_kalibr.imu.T_cam_imu, own.imu.T_cam_imu, atol=1e-9)
+    assert by_kalibr.imu.time_offset_s == 0.002
+    with pytest.raises(InputError, match="--calibration"):
+        open_sequence(path)
 
 
 def test_euroc_opens_from_within_mav0(tmp_path: Path) -> None:

@@ -95,6 +95,12 @@ def test_format_that_does_not_fit(format: str, what: str, tmp_path: Path) -> Non
         open_sequence(write_folder_sequence(tmp_path), format)
 
 
+def test_an_option_of_other_formats_is_refused_with_their_names(tmp_path: Path) -> None:
+    path = write_kitti_odometry(tmp_path)
+    with pytest.raises(InputError, match="one: euroc, video, folder, rosbag"):
+        open_sequence(path, calibration="camchain.yaml")
+
+
 @pytest.mark.parametrize("format", ["kitti-raw", "kitti-odometry", "euroc", "folder"])
 def test_file_where_a_folder_is_needed(format: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"the format {format} needs a folder, but this is a file"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import count, pairwise
 from pathlib import Path
@@ -75,7 +76,8 @@ def main(words: list[str]) -> None:
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
     run = run_with_progress(sequence, settings, arguments.out, threads=arguments.threads)
-    print("\n".join(summary(run, arguments.out)), flush=True)
+    lines = summary(run, arguments.out, written_besides(settings))
+    print("\n".join(lines), flush=True)
     warnings = (
         status_warning(run.result.status),
         timing_warning(run.result.right_late_frames),
@@ -149,8 +151,24 @@ def run_with_progress(
         )
 
 
-def summary(run: Run, out: Path) -> list[str]:
-    """Return a few lines on the results of a run."""
+def written_besides(settings: RunConfig) -> list[tuple[str, Path]]:
+    """Return what the user asked for besides the folder of results, with its file."""
+    written = []
+    if settings.write is not None:
+        written.append(("odometry", settings.write))
+    if settings.viewer is not None and settings.viewer.suffix == ".rrd":
+        written.append(("for the viewer", settings.viewer))
+    return written
+
+
+def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> list[str]:
+    """Return a few lines on the results of a run.
+
+    Args:
+        run: the run.
+        out: the folder of its results.
+        written: other files that were written: what they are, and their paths.
+    """
     import numpy as np
 
     from probevo.camera.exposure_delay import is_noticeable
@@ -194,6 +212,7 @@ def summary(run: Run, out: Path) -> list[str]:
             lines.append(f"warning: {warning}")
         else:
             lines.append(f"out of domain: {domain_text(result.out_of_domain)}")
+    lines += [f"{what}: {path}" for what, path in written]
     if len(result) > 1:
         lines.append(f"report: {out / 'report.html'}")
     else:

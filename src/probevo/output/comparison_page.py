@@ -14,8 +14,17 @@ from probevo.output.comparison import (
     comparison_table,
     verdicts,
 )
-from probevo.output.comparison_plots import axes_errors_figure, errors_figure, paths_figure
-from probevo.output.page import frames_section, grid, heading, panel, table_panel, write_page
+from probevo.output.comparison_plots import axes_errors_figures, errors_figure, paths_figure
+from probevo.output.page import (
+    body_panel,
+    frames_section,
+    grid,
+    heading,
+    panel,
+    row_panel,
+    table_panel,
+    write_page,
+)
 from probevo.output.svg import CYCLE, figure_style
 from probevo.output.table import readable
 from probevo.output.trial_table import TrialTable, trials_section
@@ -51,7 +60,11 @@ def write_comparison(
     if not comparison.entries or min(len(entry.result) for entry in comparison.entries) < 2:
         raise ValueError("a comparison needs one run at least, and each run two frames")
     colors = {name: CYCLE[k % len(CYCLE)] for k, name in enumerate(comparison.estimators)}
-    sections: list[Markup] = [_table_section(comparison, colors, links_from or path.parent)]
+    sections: list[Markup] = []
+    sentences = verdicts(comparison)
+    if sentences:
+        sections.append(body_panel("In short", sentences, ""))
+    sections.append(_table_section(comparison, colors, links_from or path.parent))
     if trials is not None:
         sections.append(trials_section(trials))
     for number, sequence in enumerate(comparison.sequences):
@@ -66,8 +79,8 @@ def _table_section(comparison: Comparison, colors: Mapping[str, str], folder: Pa
         " distinguished from it; nothing, if no difference exceeds the noise of repetition."
     )
     table = comparison_table(comparison, colors, folder)
-    notes = [*verdicts(comparison), " ".join([note, *column_notes(comparison)])]
-    return table_panel("Figures of merit", notes, table)
+    notes = " ".join([note, *column_notes(comparison)])
+    return table_panel("Figures of merit", [notes], table)
 
 
 def _sequence_sections(
@@ -96,10 +109,10 @@ def _sequence_sections(
         by_axis = []
         if has_truth:
             by_axis.append(
-                panel(
+                row_panel(
                     "Error by axis",
                     "Pose along each run’s own camera axes; each scale is that of its errors.",
-                    axes_errors_figure(entries, colors),
+                    axes_errors_figures(entries, colors),
                     name=f"axes-{number}",
                 )
             )

@@ -94,7 +94,10 @@ def errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure
         (along_path(drift) for drift in drifts), key=lambda along: float(along[0][-1])
     )
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN))
-    axes = figure.add_subplot(xlabel=label, ylabel=f"position error, {unit}")
+    shown = (
+        "3σ of the position" if all(error_m is None for error_m in errors_m) else "position error"
+    )
+    axes = figure.add_subplot(xlabel=label, ylabel=f"{shown}, {unit}")
     for entry, drift, error_m, claim_m, width in zip(
         entries, drifts, errors_m, claims_m, _widths(entries), strict=True
     ):
@@ -114,18 +117,23 @@ def errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure
     return figure
 
 
-def axes_errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> Figure:
+def axes_errors_figures(
+    entries: Sequence[Entry], colors: Mapping[str, str]
+) -> tuple[Figure, Figure]:
     """Draw the pose error of each run along each axis of its camera, as large as the errors are.
 
     Args:
         entries: runs over one sequence with known truth, each of two frames or more.
         colors: colour of each estimator, by its name.
+
+    Returns:
+        The figures of translation and of rotation.
     """
     drifts = [drift_of(entry.result, entry.truth) for entry in entries]
-    figure = Figure(figsize=(2.0 * WIDTH_IN, 4.2))
-    grid = figure.subplots(2, 3, sharex=True)
+    figures = (Figure(figsize=(WIDTH_IN, 4.6)), Figure(figsize=(WIDTH_IN, 4.6)))
+    grids = [figure.subplots(3, 1, sharex=True) for figure in figures]
     for i, name in enumerate(AXES):
-        axes = grid[i // 3, i % 3]
+        axes = grids[i // 3][i % 3]
         errors = [np.zeros(1) if drift.error is None else drift.error[:, i] for drift in drifts]
         largest = max(float(np.nanmax(np.abs(error))) for error in errors)
         factor, unit = length_unit(largest) if i < 3 else (np.rad2deg(1.0), "deg")
@@ -145,10 +153,10 @@ def axes_errors_figure(entries: Sequence[Entry], colors: Mapping[str, str]) -> F
                 rasterized=len(along) > RASTER_FROM,
             )
             axes.set(xlim=limits_of(along))
-            if i >= 3:
+            if i % 3 == 2:
                 axes.set_xlabel(label)
         axes.set_title(f"{name}, {unit}")
-    return figure
+    return figures
 
 
 def _origin(entry: Entry) -> int:

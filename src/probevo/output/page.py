@@ -16,7 +16,7 @@ from probevo.storage.files import write_atomically
 
 _TRUST_NOTE = (
     "Lines lead from the previous to the current place of each point; the colour says how far it"
-    " was trusted."
+    " was trusted. In the legend: the number of points of each colour."
 )
 
 
@@ -49,6 +49,20 @@ def panel(title: str, note: str, figure: Figure, name: str = "") -> Markup:
     """
     svg = inline_svg(figure, name or title.lower().replace(" ", "-"), title)
     return body_panel(title, [note], svg)
+
+
+def row_panel(title: str, note: str, figures: Sequence[Figure], name: str = "") -> Markup:
+    """Show figures of half the page's width side by side, on a narrow screen below each other.
+
+    Args:
+        title: heading.
+        note: what to know about the figures; empty for none.
+        figures: the figures, from left to right.
+        name: prefix of the ids in the figures, distinct on a page; by default from the title.
+    """
+    prefix = name or title.lower().replace(" ", "-")
+    drawn = [inline_svg(figure, f"{prefix}-{k}", title) for k, figure in enumerate(figures)]
+    return body_panel(title, [note], rendered("row", bodies=drawn))
 
 
 def body_panel(title: str, notes: Iterable[str], body: str | Markup, style: str = "") -> Markup:

@@ -173,7 +173,7 @@ def _consistency_aside(anees: float, truth_noise: float | None) -> str:
     Smoothed truth, as that of KITTI odometry, hides its noise but not its slow errors.
     """
     if truth_noise is not None and truth_noise > 1.0:
-        return f"no test: the truth’s noise is {readable(truth_noise)} times the claimed σ"
+        return f"no test: the truth’s noise is at least {readable(truth_noise)} times the claimed σ"
     if anees > IMPLAUSIBLE_ANEES:
         return "6 is consistent; so far off, truth or calibration may be coarser than the claim"
     return "6 is consistent"
@@ -252,9 +252,12 @@ def _status_note(result: RunResult) -> str:
     reckoned = [status_label(status) for status in sorted(found - {Status.OK, Status.RECOVERED})]
     size = group_size(result)
     grouped = f" Line: the fewest tracks of every {size} steps." if size > 1 else ""
+    medians = (
+        f"{np.median(result.num_tracks):,.0f} tracks in the median,"
+        f" {np.median(result.num_inliers):,.0f} of them inliers."
+    )
     if found <= {Status.OK}:
-        median = np.median(result.num_tracks)
-        return f"Every step is OK; {median:,.0f} tracks in the median.{grouped}"
+        return f"Every step is OK; {medians}{grouped}"
     note = ""
     if reckoned:
         note = (
@@ -263,7 +266,7 @@ def _status_note(result: RunResult) -> str:
         )
     if Status.RECOVERED in found:
         note += " Recovered ones lead from the last frame before, and end that uncertainty."
-    return note.strip() + grouped
+    return f"{note.strip()} {medians}{grouped}"
 
 
 def _stages_note(result: RunResult) -> str:

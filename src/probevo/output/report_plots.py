@@ -64,7 +64,8 @@ def trajectory_figure(drift: Drift) -> Figure:
         ls="",
         label="start",
     )
-    axes.plot([], [], "s", color=GREY, ms=6, label="end")
+    end_color = BLUE if drift.T_world_cam_true is None else GREY
+    axes.plot([], [], "s", color=end_color, ms=6, label="end")
     axes.legend(ncols=4, **LEGEND_ABOVE)
     return figure
 
@@ -81,7 +82,8 @@ def error_figure(drift: Drift) -> Figure:
     factor, unit = length_unit(top_m)
     figure = Figure(figsize=(WIDTH_IN, 2.9))
     along, label = along_path(drift)
-    axes = figure.add_subplot(xlabel=label, ylabel=f"position error, {unit}")
+    shown = "3σ of the position" if error_m is None else "position error"
+    axes = figure.add_subplot(xlabel=label, ylabel=f"{shown}, {unit}")
     dense = len(along) > RASTER_FROM
     axes.fill_between(
         along,

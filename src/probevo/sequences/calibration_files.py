@@ -16,6 +16,7 @@ from probevo.sequences.opencv_calibration import is_opencv, read_opencv
 from probevo.sequences.ros_calibration import is_ros, read_ros
 from probevo.sequences.slam_settings import (
     is_orb_slam,
+    is_vins_camera,
     is_vins_fusion,
     read_orb_slam,
     read_vins_fusion,
@@ -65,6 +66,9 @@ def read_stereo_calibration(path: Path, size_px: SizePx | None = None) -> Stereo
     """
     content = load_calibration(path)
     reader = next((known for known in READERS if known.recognises(content)), None)
+    if reader is None and is_vins_camera(content):
+        what = "this is one camera of VINS-Fusion, not a stereo pair."
+        raise InputError(path, what, "Give the settings file that names it in cam0_calib.")
     if reader is None:
         what = f"this is no calibration of a stereo pair; its keys are {content.keys_text}."
         raise InputError(path, what, f"Known are {', '.join(known.name for known in READERS)}.")

@@ -5,6 +5,7 @@ Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,7 +17,9 @@ from probevo.arrays import FloatArray, IntArray
 from probevo.camera.rectification import PinholeCamera, Rectification
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
+from probevo.sequences.calibration_files import read_stereo_calibration
 from probevo.sequences.frame import GroundTruth
+from probevo.sequences.images import read_gray_of_any_depth
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import (
     ACCEL_BIAS_WALK_M_S3_SQRT_HZ,
@@ -35,7 +38,10 @@ GYRO_BIAS_SIGMA_RAD_S = 0.1
 ACCEL_BIAS_SIGMA_M_S2 = 0.1
 """Bias of the accelerometer at power-up, which sensor.yaml does not give. The largest on an axis of
 V1_01 is 0.066 m/s²."""
-CURE = "Both cam0 and cam1 need sensor.yaml, data.csv and data, as EuRoC's files have them."
+CURE = (
+    "Both cam0 and cam1 need sensor.yaml, data.csv and data, as EuRoC's files have them;"
+    " --calibration FILE, such as Kalibr's camchain, replaces sensor.yaml."
+)
 DISTORTION_MODELS: dict[str, Literal["radtan", "equidistant"]] = {
     "radial-tangential": "radtan",
     "equidistant": "equidistant",
@@ -95,7 +101,18 @@ class ImuFile(SensorFile):
     accelerometer_random_walk: PositiveFloat = ACCEL_BIAS_WALK_M_S3_SQRT_HZ
 
 
-def open_euroc(path: Path) -> StereoRecording:
+@dataclass(frozen=True)
+class Cameras:
+    """The rectified pair, and where the body and its IMU are."""
+
+    rectification: Rectification
+    T_body_cam: FloatArray | None
+    """Pose of the rectified left camera in the body, [4, 4], m; None if nothing gives it."""
+    imu_time_offset_s: float = 0.0
+    """t_imu − t_cam."""
+
+
+def open_euroc(path: Path, calibration: Path | None = None) -> StereoRecording:
     """Open cam0 and cam1, which are rectified on the fly, and IMU and ground truth if present.
 
     Left and right images are matched by their stamps; images without a partner (V2_03 has some) are
@@ -103,6 +120,8 @@ def open_euroc(path: Path) -> StereoRecording:
 
     Args:
         path: ``mav0``, or the folder that holds it.
+        calibration: a file of Kalibr or others (``calibration_files``) instead of the
+            ``sensor.yaml`` of the cameras.
 
     Raises:
         InputError: a file or field is missing, few images have a partner, or a value is impossible.
@@ -112,24 +131,25 @@ def open_euroc(path: Path) -> StereoRecording:
     if mav.resolve().name == "mav0":
         path = mav.resolve().parent
 
-    # Calibration: body → left and right camera → rectified left camera.
-    left_yaml = mav / "cam0" / "sensor.yaml"
-    right_yaml = mav / "cam1" / "sensor.yaml"
-    left = read_yaml(left_yaml, CameraFile, CURE)
-    right = read_yaml(right_yaml, CameraFile, CURE)
-    T_body_left = left.body_from_sensor(left_yaml)
-    T_right_left = se3.inverse(right.body_from_sensor(right_yaml)) @ T_body_left
-    rectification = Rectification.from_calibration(
-        left.pinhole(), right.pinhole(), T_right_left, where=right_yaml
-    )
-    T_body_cam = T_body_left @ se3.from_parts(rectification.C_rect_left.T, np.zeros(3))
+    if calibration is None:
+        cameras = _own_cameras(mav)
+        stamps_ns, left_files, right_files = match_images(mav / "cam0", mav / "cam1")
+    else:
+        stamps_ns, left_files, right_files = match_images(mav / "cam0", mav / "cam1")
+        height, width = read_gray_of_any_depth(left_files[0]).shape
+        cameras = _cameras_of(calibration, mav, (width, height))
+    rectification = cameras.rectification
 
-    stamps_ns, left_files, right_files = match_images(mav / "cam0", mav / "cam1")
     imu = None
     imu_stream = None
-    if (mav / "imu0").is_dir():
-        imu, imu_stream = _read_imu(mav / "imu0", T_body_cam, stamps_ns)
-    truth = read_truth(mav / "state_groundtruth_estimate0", T_body_cam, stamps_ns)
+    truth = None
+    T_body_cam = cameras.T_body_cam
+    if T_body_cam is not None:
+        if (mav / "imu0").is_dir():
+            imu, imu_stream = _read_imu(
+                mav / "imu0", T_body_cam, stamps_ns, time_offset_s=cameras.imu_time_offset_s
+            )
+        truth = read_truth(mav / "state_groundtruth_estimate0", T_body_cam, stamps_ns)
     return StereoRecording(
         path=path,
         format="euroc",
@@ -142,6 +162,55 @@ def open_euroc(path: Path) -> StereoRecording:
         truth=truth,
         rectification=rectification,
     )
+
+
+def _own_cameras(mav: Path) -> Cameras:
+    """Read the calibration in the ``sensor.yaml`` of both cameras.
+
+    Raises:
+        InputError: a file or field is missing, or a value is impossible.
+    """
+    # Body → left and right camera → rectified left camera.
+    left_yaml = mav / "cam0" / "sensor.yaml"
+    right_yaml = mav / "cam1" / "sensor.yaml"
+    left = read_yaml(left_yaml, CameraFile, CURE)
+    right = read_yaml(right_yaml, CameraFile, CURE)
+    T_body_left = left.body_from_sensor(left_yaml)
+    T_right_left = se3.inverse(right.body_from_sensor(right_yaml)) @ T_body_left
+    rectification = Rectification.from_calibration(
+        left.pinhole(), right.pinhole(), T_right_left, where=right_yaml
+    )
+    return Cameras(rectification, T_body_left @ _left_from_rectified(rectification))
+
+
+def _cameras_of(calibration: Path, mav: Path, size_px: tuple[int, int]) -> Cameras:
+    """Read a calibration file of another tool.
+
+    The pose in the body is that of the IMU with the file's ``T_cam_imu``, or else that of
+    ``cam0/sensor.yaml``, if there is one.
+
+    Raises:
+        InputError: a file is missing or faulty.
+    """
+    raw = read_stereo_calibration(calibration, size_px)
+    rectification = raw.rectification()
+    T_body_left = None
+    imu_yaml = mav / "imu0" / "sensor.yaml"
+    left_yaml = mav / "cam0" / "sensor.yaml"
+    if raw.T_left_imu is not None and imu_yaml.parent.is_dir():
+        T_body_imu = read_yaml(imu_yaml, ImuFile).body_from_sensor(imu_yaml)
+        T_body_left = T_body_imu @ se3.inverse(raw.T_left_imu)
+    elif left_yaml.exists():
+        T_body_left = read_yaml(left_yaml, SensorFile).body_from_sensor(left_yaml)
+    if T_body_left is None:
+        return Cameras(rectification, None)
+    T_body_cam = T_body_left @ _left_from_rectified(rectification)
+    return Cameras(rectification, T_body_cam, raw.time_offset_s)
+
+
+def _left_from_rectified(rectification: Rectification) -> FloatArray:
+    """Return T_left_cam, [4, 4]: the rectified left camera is turned about its own center."""
+    return se3.from_parts(rectification.C_rect_left.T, np.zeros(3))
 
 
 def match_images(left: Path, right: Path) -> tuple[IntArray, list[Path], list[Path]]:
@@ -189,7 +258,7 @@ def _list_images(camera: Path) -> dict[int, Path]:
 
 
 def _read_imu(
-    folder: Path, T_body_cam: FloatArray, frames_ns: IntArray
+    folder: Path, T_body_cam: FloatArray, frames_ns: IntArray, *, time_offset_s: float
 ) -> tuple[ImuCalibration, ImuStream]:
     """Read the calibration of the IMU against the rectified left camera, and its samples.
 
@@ -211,10 +280,11 @@ def _read_imu(
         accel_noise_m_s2_sqrt_hz=sensor.accelerometer_noise_density,
         accel_bias_sigma_m_s2=ACCEL_BIAS_SIGMA_M_S2,
         accel_bias_walk_m_s3_sqrt_hz=sensor.accelerometer_random_walk,
+        time_offset_s=time_offset_s,
     )
     stamps_ns, values = read_stamped_csv(folder / "data.csv", 6)
     stream = ImuStream.checked(
-        stamps_ns=stamps_ns,
+        stamps_ns=calibration.on_image_clock(stamps_ns),
         gyro_rad_s=values[:, :3],
         accel_m_s2=values[:, 3:],
         frames_ns=frames_ns,

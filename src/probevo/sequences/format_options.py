@@ -65,6 +65,14 @@ class FolderOptions(Settings):
     )
 
 
+class EurocOptions(Settings):
+    """The options of the format euroc."""
+
+    calibration: Path | None = Field(
+        None, description="Name a calibration file of Kalibr, OpenCV or VINS-Fusion."
+    )
+
+
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov")
 
 

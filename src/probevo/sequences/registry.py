@@ -21,6 +21,7 @@ from pydantic import ValidationError
 from probevo.errors import InputError, brief
 from probevo.sequences.format_options import (
     VIDEO_SUFFIXES,
+    EurocOptions,
     FolderOptions,
     KittiFlowOptions,
     RateOptions,
@@ -101,6 +102,13 @@ class SequenceFormat:
             if fault["type"] == "extra_forbidden":
                 known = ", ".join(self.options.model_fields)
                 cure = f"Its options are {known}." if known else "This format has no options."
+                others = [
+                    other.name
+                    for other in _BUILT_IN
+                    if str(fault["loc"][0]) in other.options.model_fields
+                ]
+                if others:
+                    cure += f" Those that have this one: {', '.join(others)}."
                 raise InputError(where, "there is no such option.", cure) from error
             field = self.options.model_fields.get(str(fault["loc"][0])) if fault["loc"] else None
             cure = (field.description or "") if field else ""
@@ -129,10 +137,10 @@ def _open_kitti_flow(path: Path, **options: Any) -> Sequence:
     return open_kitti_flow(path, **options)
 
 
-def _open_euroc(path: Path) -> Sequence:
+def _open_euroc(path: Path, **options: Any) -> Sequence:
     from probevo.sequences.euroc import open_euroc
 
-    return open_euroc(path)
+    return open_euroc(path, **options)
 
 
 def _open_tum_vi(path: Path) -> Sequence:
@@ -214,6 +222,7 @@ _BUILT_IN = (
         summary="EuRoC MAV data in the ASL layout, rectified on the fly",
         folder_signs=("mav0", "cam0"),
         open=_open_euroc,
+        options=EurocOptions,
     ),
     SequenceFormat(
         name="4seasons",
@@ -373,7 +382,9 @@ def open_sequence(
         )
     if not os.path.lexists(path) or not path.exists():  # lexists: a name may be too long
         raise InputError(
-            path, "nothing is there.", "Give the folder of a recording, or a tracks file."
+            path,
+            "nothing is there.",
+            "Give the folder of a recording, a bag, a video or a tracks file.",
         )
     if format is None:
         chosen = _recognised(path, formats)

@@ -16,6 +16,11 @@ def is_vins_fusion(content: CalibrationContent) -> bool:
     return "cam0_calib" in content
 
 
+def is_vins_camera(content: CalibrationContent) -> bool:
+    """Return whether a file looks like one of the two cameras that VINS-Fusion's settings name."""
+    return "model_type" in content and "projection_parameters" in content
+
+
 def read_vins_fusion(content: CalibrationContent, size_px: SizePx | None) -> StereoCalibration:
     """Read the settings of VINS-Fusion, and the two camera files that they name.
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from probevo.output.page import body_panel, panel, pictures, table_panel, write_page
+from probevo.output.page import body_panel, pictures, row_panel, table_panel, write_page
 from probevo.output.svg import BLUE, CYCLE, GREY, ORANGE, WIDTH_IN, figure_style
 from probevo.output.table import Column, Row, Table
 from probevo.storage.files import write_atomically
@@ -21,6 +22,8 @@ MOST_OUTSIDE = 0.01
 """Share of the steps that are OK that may lie outside of the region; more is marked."""
 FEWEST_OK = 0.97
 """Share of the steps that should be OK; less is marked."""
+MOST_LABELLED = 30.0
+"""Ratio of the ends of a logarithmic axis up to which 1, 2 and 5 of each decade have room."""
 _PNG_DPI = 150
 _IN_DEG = 180.0 / np.pi
 
@@ -86,57 +89,73 @@ def stress_notes(stress: Stress) -> list[str]:
     return notes
 
 
-def errors_figure(stress: Stress) -> Figure:
-    """Draw the error of a step and its claimed σ against the severity: a row for each preset,
-    translation at the left, rotation at the right."""
+@dataclass(frozen=True)
+class Quantity:
+    """A part of the error of a step, and how it is drawn."""
+
+    label: str
+    factor: float
+    """From m or rad to the unit of the label."""
+    error: Callable[[Figures], float | None]
+    claim: Callable[[Figures], float | None]
+    clean: Callable[[Stress], float]
+    """What is claimed on the clean images."""
+
+
+TRANSLATION = Quantity(
+    label="translation, mm",
+    factor=1e3,
+    error=lambda figures: figures.translation_m,
+    claim=lambda figures: figures.translation_sigma_m,
+    clean=lambda stress: stress.clean_sigma_m,
+)
+ROTATION = Quantity(
+    label="rotation, °",
+    factor=_IN_DEG,
+    error=lambda figures: figures.rotation_rad,
+    claim=lambda figures: figures.rotation_sigma_rad,
+    clean=lambda stress: stress.clean_sigma_rad,
+)
+
+
+def errors_figure(
+    stress: Stress, quantities: Sequence[Quantity] = (TRANSLATION, ROTATION)
+) -> Figure:
+    """Draw the error of a step and its claimed σ against the severity: a row for each preset, a
+    column for each quantity."""
     num_rows = len(stress.presets)
-    figure = Figure(figsize=(2 * WIDTH_IN, 0.7 + 1.5 * num_rows))
-    grid = figure.subplots(num_rows, 2, sharex=True, sharey="col", squeeze=False)
+    figure = Figure(figsize=(WIDTH_IN * len(quantities), 0.7 + 1.5 * num_rows))
+    grid = figure.subplots(num_rows, len(quantities), sharex=True, sharey="col", squeeze=False)
     for row, preset in zip(grid, stress.presets, strict=True):
         found = [each for each in stress.of(preset) if each.num_ok]
-        severities = [each.severity for each in found]
-        translation, rotation = row
-        _draw_errors(
-            translation,
-            severities,
-            [1e3 * (each.translation_m or 0.0) for each in found],
-            claims=[1e3 * (each.translation_sigma_m or 0.0) for each in found],
-            clean=1e3 * stress.clean_sigma_m,
-        )
-        _draw_errors(
-            rotation,
-            severities,
-            [_IN_DEG * (each.rotation_rad or 0.0) for each in found],
-            claims=[_IN_DEG * (each.rotation_sigma_rad or 0.0) for each in found],
-            clean=_IN_DEG * stress.clean_sigma_rad,
-        )
-        translation.set(title=preset, ylabel="RMS, mm")
-        rotation.set(ylabel="RMS, °")
+        for axes, quantity in zip(row, quantities, strict=True):
+            _draw_errors(axes, found, quantity, clean=quantity.clean(stress))
+            axes.set_title(f"{preset}: {quantity.label}")
     for axes in grid[-1]:
         axes.set(xlabel="severity")
+        _set_log_ticks(axes)
     handles, labels = grid.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=3)
     return figure
 
 
-def shares_figure(stress: Stress) -> Figure:
-    """Draw which share of the steps is OK, and which share of these is worse than claimed."""
-    figure = Figure(figsize=(2 * WIDTH_IN, 3.0))
-    ok, outside = figure.subplots(1, 2)
-    for k, preset in enumerate(stress.presets):
-        found = stress.of(preset)
-        severities = [each.severity for each in found]
-        color = CYCLE[k % len(CYCLE)]
-        ok.plot(severities, [100.0 * each.ok for each in found], "o-", color=color, label=preset)
-        shares = [float("nan") if each.outside is None else each.outside for each in found]
-        outside.plot(severities, [100.0 * share for share in shares], "o-", color=color)
-    outside.axhline(100.0 * (1.0 - REGION), color=GREY, lw=0.9, ls="--")
-    ok.set(xlabel="severity", ylabel="OK, % of the steps", xlim=(0.0, 1.05), ylim=(0.0, 105.0))
-    ylabel = f"outside of {100.0 * REGION:.2f} %, % of those OK"
-    outside.set(xlabel="severity", ylabel=ylabel, xlim=(0.0, 1.05))
-    outside.set_ylim(bottom=0.0)
-    handles, labels = ok.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=8)
+def ok_figure(stress: Stress) -> Figure:
+    """Draw which share of the steps is OK."""
+    figure = Figure(figsize=(WIDTH_IN, 3.4))
+    axes = figure.subplots()
+    _draw_shares(figure, axes, stress, lambda each: each.ok)
+    axes.set(ylabel="OK, % of the steps", ylim=(0.0, 105.0))
+    return figure
+
+
+def outside_figure(stress: Stress) -> Figure:
+    """Draw which share of the steps that are OK is worse than claimed."""
+    figure = Figure(figsize=(WIDTH_IN, 3.4))
+    axes = figure.subplots()
+    _draw_shares(figure, axes, stress, lambda each: each.outside)
+    axes.axhline(100.0 * (1.0 - REGION), color=GREY, lw=0.9, ls="--")
+    axes.set_ylabel(f"outside of {100.0 * REGION:.2f} %, % of those OK")
+    axes.set_ylim(bottom=0.0)
     return figure
 
 
@@ -147,18 +166,18 @@ def write_stress_page(path: Path, stress: Stress, title: str, facts: Mapping[str
         InputError: the file cannot be written.
     """
     with figure_style():
-        errors = panel(
+        errors = row_panel(
             "Error against claim",
-            "Steps that are OK, against the run on the clean images: translation at the left,"
-            " rotation at the right. The dashed σ is that of both runs together;"
-            " where the error lies above it, the claim is overconfident.",
-            errors_figure(stress),
+            "RMS of the steps that are OK, against the run on the clean images. The dashed σ is"
+            " that of both runs together; where the error lies above it, the claim is"
+            " overconfident.",
+            [errors_figure(stress, [quantity]) for quantity in (TRANSLATION, ROTATION)],
         )
-        shares = panel(
+        shares = row_panel(
             "Steps that are lost, and steps that are wrong",
-            "Right: steps that are OK but whose error lies outside of their"
+            "Lost: not OK. Wrong: OK, but their error lies outside of their"
             f" {100.0 * REGION:.2f} % region; dashed, what chance has there.",
-            shares_figure(stress),
+            [ok_figure(stress), outside_figure(stress)],
         )
     sections = [
         body_panel("In short", stress_notes(stress), ""),
@@ -191,22 +210,45 @@ def write_picture(path: Path, stress: Stress) -> None:
     write_atomically(path, buffer.getvalue())
 
 
-def _draw_errors(
-    axes: Axes,
-    severities: list[float],
-    errors: list[float],
-    *,
-    claims: list[float],
-    clean: float,
-) -> None:
+def _draw_errors(axes: Axes, found: Sequence[Figures], quantity: Quantity, *, clean: float) -> None:
     """Draw errors and claims of one preset, and what is claimed on the clean images."""
+    severities = [each.severity for each in found]
+    errors = [quantity.factor * (quantity.error(each) or 0.0) for each in found]
+    claims = [quantity.factor * (quantity.claim(each) or 0.0) for each in found]
     axes.plot(severities, errors, "o-", color=BLUE, ms=4, label="error")
     axes.plot(severities, claims, "s--", color=ORANGE, ms=3.5, label="claimed σ, both runs")
-    axes.axhline(clean, color=GREY, lw=0.9, ls=":", label="claimed σ, clean images alone")
+    axes.axhline(
+        quantity.factor * clean, color=GREY, lw=0.9, ls=":", label="claimed σ, clean images alone"
+    )
     axes.set(yscale="log", xlim=(0.0, 1.05))
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+
+
+def _set_log_ticks(axes: Axes) -> None:
+    """Label as many values of a logarithmic axis as have room: powers of ten, if it is long."""
+    low, high = axes.get_ylim()
+    is_long = high > MOST_LABELLED * low
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if is_long else (1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _draw_shares(
+    figure: Figure, axes: Axes, stress: Stress, share: Callable[[Figures], float | None]
+) -> None:
+    """Draw a share against the severity, %, a line for each preset."""
+    for k, preset in enumerate(stress.presets):
+        found = stress.of(preset)
+        shares = [share(each) for each in found]
+        axes.plot(
+            [each.severity for each in found],
+            [float("nan") if each is None else 100.0 * each for each in shares],
+            "o-",
+            color=CYCLE[k % len(CYCLE)],
+            label=preset,
+        )
+    axes.set(xlabel="severity", xlim=(0.0, 1.05))
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=4)
 
 
 def _place(figures: Figures) -> str:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from probevo.estimation.motion_estimate import Status
 from probevo.geometry import se3
 from probevo.output.run_result import RunResult
 from probevo_sim.spoiling.config import StressConfig
-from probevo_sim.spoiling.stress import StepErrors, figures_of, step_errors
+from probevo_sim.spoiling.stress import Figures, StepErrors, Stress, figures_of, step_errors
+from probevo_sim.spoiling.stress_page import TRANSLATION, errors_figure
 
 SMALL = ("--presets", "blur", "frames", "--severities", "0.5", "1")
 
@@ -147,8 +149,47 @@ def test_the_command_writes_figures_page_and_picture_and_goes_on(
     assert metrics["spoiled"][0]["steps"] == 13
     assert metrics["spoiled"][0]["translation_m"] > 0.0
     page = (out / "stress.html").read_text()
-    assert page.count("<svg") == 2
+    assert page.count("<svg") == 4  # two panels, each of two figures
     assert page.count("data:image/jpeg") == 1  # dropped and frozen frames look like any
+
+
+@pytest.mark.parametrize("largest_m", [3e-3, 10.0])
+def test_values_of_the_logarithmic_axis_do_not_overlap(largest_m: float) -> None:
+    """Errors from 1 mm to a few mm, or over four decades: no two labels of an axis touch."""
+    figures = tuple(
+        Figures(
+            preset="blur",
+            severity=severity,
+            steps=10,
+            ok=1.0,
+            translation_m=error_m,
+            translation_sigma_m=error_m,
+            rotation_rad=1e-3,
+            rotation_sigma_rad=1e-3,
+            outside=0.0,
+            dead_reckoned_m=None,
+            dead_reckoned_sigma_m=None,
+        )
+        for severity, error_m in ((0.5, 1e-3), (1.0, largest_m))
+    )
+    stress = Stress(
+        figures=figures,
+        clean_ok=1.0,
+        clean_sigma_m=1e-3,
+        clean_sigma_rad=1e-3,
+        num_runs=2,
+        num_resumed=0,
+        pictures=(),
+    )
+    figure = errors_figure(stress, [TRANSLATION])
+    figure.canvas.draw()
+    (axes,) = figure.axes
+    shown = axes.get_window_extent()
+    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+    visible = [box for box in boxes if shown.y0 <= (box.y0 + box.y1) / 2 <= shown.y1]
+    assert len(visible) >= 2
+    for lower, upper in pairwise(sorted(visible, key=lambda box: float(box.y0))):
+        assert lower.y1 < upper.y0
 
 
 @pytest.mark.parametrize(
