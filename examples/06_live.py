@@ -54,7 +54,8 @@ def main(speed: float) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        print("usage: python examples/06_live.py SPEED", file=sys.stderr)
-        sys.exit(2)
-    main(float(sys.argv[1]))
+    try:
+        speed = float(sys.argv[1])
+    except (IndexError, ValueError):
+        sys.exit("usage: python examples/06_live.py SPEED, such as 1")
+    main(speed)

@@ -14,10 +14,11 @@ import pytest
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.stereo import StereoCamera
-from probevo.cli.calibrate_check import report
+from probevo.cli.calibrate_check import check
 from probevo.cli.main import main
 from probevo.errors import InputError
 from probevo.geometry import se3, so3
+from probevo.output.calibration_picture import write_calibration_picture
 from probevo.sequences.frame import Frame, GroundTruth, StereoFeatures
 from probevo.sequences.imu import ImuStream
 from probevo.sequences.imu_calibration import ImuCalibration
@@ -98,7 +99,7 @@ def marked(lines: list[str]) -> set[str]:
 
 
 def test_a_flawless_recording_has_nothing_marked(world: World) -> None:
-    lines = report(world, FRAMES)
+    lines = check(world, FRAMES).lines
     assert marked(lines) == set()
     assert lines[-1] == "Nothing is further from zero than chance would have it."
     text = "\n".join(lines)
@@ -110,7 +111,7 @@ def test_a_flawless_recording_has_nothing_marked(world: World) -> None:
 def test_rows_and_their_angle(world: World) -> None:
     """A right camera pitched by a milliradian."""
     shift = np.array([0.0, 0.0, 0.0, 1e-3 * CAMERA.fv_px])
-    lines = report(changed(world, lambda pixels, k: pixels + shift), FRAMES)
+    lines = check(changed(world, lambda pixels, k: pixels + shift), FRAMES).lines
     assert "rows, all" in marked(lines)
     assert any("pitched by +0.057°" in line for line in lines)
     assert any("odometry corrects these errors by itself" in line for line in lines)
@@ -134,7 +135,7 @@ def test_a_late_right_image(world: World) -> None:
                 moved[row, 2:] += 0.1 * (after - pixels[row])[2:]
         return moved
 
-    lines = report(changed(world, late), FRAMES)
+    lines = check(changed(world, late), FRAMES).lines
     assert "right image is late" in marked(lines)
     (cure,) = [line for line in lines if line.startswith("! right image is late: ")]
     late_ms = re.search(r"exposed ([0-9.]+) ms later", cure)
@@ -145,7 +146,7 @@ def test_a_late_right_image(world: World) -> None:
 def test_scale(world: World) -> None:
     truth = world.truth.T_world_cam.copy()
     truth[:, :3, 3] *= 0.9
-    lines = report(replace(world, truth=GroundTruth(world.stamps_ns, truth)), FRAMES)
+    lines = check(replace(world, truth=GroundTruth(world.stamps_ns, truth)), FRAMES).lines
     assert marked(lines) == {"scale against the truth"}
     assert any("divide baseline_m by 1.11" in line for line in lines)
 
@@ -153,21 +154,21 @@ def test_scale(world: World) -> None:
 def test_the_gyro_is_turned_late_in_degrees_and_its_force_in_g(world: World) -> None:
     stream = world.imu_stream
     late = replace(stream, stamps_ns=stream.stamps_ns + 30_000_000)
-    lines = report(replace(world, imu_stream=late), FRAMES)
+    lines = check(replace(world, imu_stream=late), FRAMES).lines
     assert "IMU's clock is late" in marked(lines)
     assert any("time_offset_s (Kalibr: timeshift_cam_imu) to 0.03" in line for line in lines)
 
     degrees = replace(
         stream, gyro_rad_s=np.rad2deg(stream.gyro_rad_s), accel_m_s2=stream.accel_m_s2 / 9.81
     )
-    lines = report(replace(world, imu_stream=degrees), FRAMES)
+    lines = check(replace(world, imu_stream=degrees), FRAMES).lines
     assert {"gyro, unit", "accelerometer, gravity"} <= marked(lines)
     assert any("degrees per second" in line for line in lines)
     assert any("in g: multiply by 9.81" in line for line in lines)
 
     turned = CALIBRATION.T_cam_imu.copy()
     turned[:3, :3] = so3.exp(np.array([0.1, 0.0, 0.0])) @ turned[:3, :3]
-    lines = report(replace(world, imu=replace(CALIBRATION, T_cam_imu=turned)), FRAMES)
+    lines = check(replace(world, imu=replace(CALIBRATION, T_cam_imu=turned)), FRAMES).lines
     assert "gyro, mounting about x" in marked(lines)
     (matrix,) = [line for line in lines if line.startswith("The rotation in T_cam_imu")]
     numbers = [float(text) for text in re.findall(r"[+-][0-9.]+\b", matrix)]
@@ -177,9 +178,9 @@ def test_the_gyro_is_turned_late_in_degrees_and_its_force_in_g(world: World) -> 
 def test_swapped_images_and_short_recordings_are_refused(world: World) -> None:
     swapped = changed(world, lambda pixels, k: pixels[:, [2, 3, 0, 1]])
     with pytest.raises(InputError, match="Are left and right swapped"):
-        report(swapped, FRAMES)
+        check(swapped, FRAMES)
     with pytest.raises(InputError, match="only 4 of its first 5 frames"):
-        report(world, 5)
+        check(world, 5)
 
 
 def test_the_command_names_what_is_wrong(
@@ -190,3 +191,27 @@ def test_the_command_names_what_is_wrong(
     assert "have a motion that is solved" in capsys.readouterr().err
     assert main(["calibrate-check", str(path), "--max-frames", "2"]) == 2
     assert "--max-frames: is 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ending", [".png", ".svg", ".pdf"])
+def test_the_picture_is_the_same_bytes_each_time(world: World, tmp_path: Path, ending: str) -> None:
+    found = check(world, 20)
+    files = [tmp_path / f"{name}{ending}" for name in ("first", "second")]
+    for file in files:
+        write_calibration_picture(
+            file,
+            found.rig,
+            found.quantities,
+            marked=found.marked,
+            camera=world.camera,
+            largest_z=3.0,
+        )
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert len(files[0].read_bytes()) > 5_000
+
+
+def test_a_file_that_is_no_picture_is_refused_before_the_recording_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["calibrate-check", str(tmp_path / "missing"), "--out", "errors.txt"]) == 2
+    assert "errors.txt" in capsys.readouterr().err

@@ -45,6 +45,9 @@ class CalibrateCheckArguments:
     """Folder of the recording, a bag, or a tracks file (.npz)."""
     max_frames: int = MOST_FRAMES
     """Frames that are looked at, from the start."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Picture of the errors to write, .png, .svg or .pdf: rows over the image, disparity over its
+    width, and how far each quantity is from zero."""
     settings: Annotated[ReadSettings, tyro.conf.arg(name="")] = field(default_factory=ReadSettings)
 
 
@@ -55,14 +58,44 @@ def main(words: list[str]) -> None:
     if arguments.max_frames < FEWEST_FRAMES:
         what = f"is {arguments.max_frames}."
         raise InputError("--max-frames", what, f"It must be at least {FEWEST_FRAMES}.")
+    if arguments.out is not None:
+        from probevo.output.calibration_picture import refuse_other_endings
+
+        refuse_other_endings(arguments.out)
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
-    print("\n".join(report(sequence, arguments.max_frames)), flush=True)
+    found = check(sequence, arguments.max_frames)
+    print("\n".join(found.lines), flush=True)
+    if arguments.out is not None:
+        from probevo.output.calibration_picture import write_calibration_picture
+
+        write_calibration_picture(
+            arguments.out,
+            found.rig,
+            found.quantities,
+            marked=found.marked,
+            camera=sequence.camera,
+            largest_z=_largest_z(len(found.quantities)),
+        )
+        print(f"picture: {arguments.out}", flush=True)
 
 
-def report(sequence: Sequence, max_frames: int) -> list[str]:
-    """Return the lines of the report.
+@dataclass(frozen=True)
+class Check:
+    """What a recording tells of its calibration."""
+
+    lines: list[str]
+    """The report."""
+    quantities: list[Quantity]
+    marked: list[Quantity]
+    """Those that are further from zero than chance would have it."""
+    rig: RigCalibration
+    """The self-calibration at the end."""
+
+
+def check(sequence: Sequence, max_frames: int) -> Check:
+    """Check the calibration of a recording.
 
     Raises:
         InputError: the recording is too short or too poor in features to say anything, or faulty.
@@ -127,13 +160,20 @@ def report(sequence: Sequence, max_frames: int) -> list[str]:
         lines.append(SELF_CALIBRATED)
     if not marked:
         lines.append("Nothing is further from zero than chance would have it.")
-    return lines + notes
+    return Check(lines + notes, quantities, marked=marked, rig=seen.rig)
 
 
 def _is_marked(quantity: Quantity, count: int) -> bool:
     """Return whether a quantity is significantly different from zero, given ``count``
     quantities."""
     return quantity.p_value < FALSE_ALARMS / count
+
+
+def _largest_z(count: int) -> float:
+    """Return how far from zero, in σ, chance may take any of ``count`` quantities."""
+    from scipy.stats import norm
+
+    return float(norm.isf(0.5 * FALSE_ALARMS / count))
 
 
 @dataclass(frozen=True)

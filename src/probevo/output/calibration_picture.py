@@ -1,0 +1,149 @@
+"""The picture of ``probevo calibrate-check``: errors of a rectified pair, drawn over the image."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from probevo.arrays import FloatArray
+from probevo.camera.rig_calibration import RigCalibration, disparity_basis, row_basis
+from probevo.camera.stereo import StereoCamera
+from probevo.errors import InputError
+from probevo.evaluation.calibration_quantities import Quantity
+from probevo.output.svg import BAND, BLUE, GREY, ORANGE, figure_style
+from probevo.storage.files import write_atomically
+
+UNDATED = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+"""Formats by the ending of the file, and what keeps a date out of each: same input, same bytes."""
+SAMPLES = 60
+"""Places along each axis of the image at which the errors are drawn."""
+LEAST_SCALE_PX = 0.5
+"""Row offset at which the colours end, if none is larger."""
+DPI = 150
+
+
+def refuse_other_endings(path: Path) -> None:
+    """Refuse a file that is no picture.
+
+    Raises:
+        InputError: its ending is none of ``UNDATED``.
+    """
+    if path.suffix.lower() not in UNDATED:
+        raise InputError(
+            "--out",
+            f"{path.name} is no picture that can be written.",
+            f"Let it end in one of {', '.join(UNDATED)}.",
+        )
+
+
+def write_calibration_picture(
+    path: Path,
+    rig: RigCalibration,
+    quantities: Sequence[Quantity],
+    *,
+    marked: Sequence[Quantity],
+    camera: StereoCamera,
+    largest_z: float,
+) -> None:
+    """Write the picture, in the format of the file's ending.
+
+    Args:
+        path: the file.
+        rig: self-calibration at the end of the recording.
+        quantities: what was tested.
+        marked: those of them that are further from zero than chance would have it.
+        camera: the rectified camera.
+        largest_z: distance from zero, in σ, up to which chance may take a quantity whose σ is
+            known exactly.
+
+    Raises:
+        InputError: the ending is none of ``UNDATED``, or the place is not writable.
+    """
+    refuse_other_endings(path)
+    with figure_style():
+        figure = Figure(figsize=(9.0, 3.4 + 0.16 * len(quantities)))
+        heights = (3.0, 0.16 * len(quantities) + 0.4)
+        grid = figure.add_gridspec(2, 2, height_ratios=heights)
+        _draw_rows(figure.add_subplot(grid[0, 0]), rig, camera)
+        _draw_disparity(figure.add_subplot(grid[0, 1]), rig, camera)
+        _draw_quantities(figure.add_subplot(grid[1, :]), quantities, marked, largest_z)
+        ending = path.suffix.lower()
+        buffer = io.BytesIO()
+        figure.savefig(
+            buffer, format=ending[1:], dpi=DPI, facecolor="white", metadata=UNDATED[ending]
+        )
+    write_atomically(path, buffer.getvalue())
+
+
+def _image_size_px(camera: StereoCamera) -> tuple[float, float]:
+    """Return width and height; a tracks file does not know them, but where the centre is."""
+    if camera.size_px is not None:
+        return float(camera.size_px[0]), float(camera.size_px[1])
+    return 2.0 * camera.cu_px, 2.0 * camera.cv_px
+
+
+def _draw_rows(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> None:
+    """Draw by how much the row of a point differs between the images, over the left one."""
+    width_px, height_px = _image_size_px(camera)
+    u, v = np.meshgrid(np.linspace(0.0, width_px, SAMPLES), np.linspace(0.0, height_px, SAMPLES))
+    offset_px = row_basis(_far_points(u.ravel(), v.ravel()), camera) @ rig.rows
+    most_px = max(LEAST_SCALE_PX, float(np.abs(offset_px).max()))
+    drawn = axes.imshow(
+        offset_px.reshape(u.shape),
+        extent=(0.0, width_px, height_px, 0.0),
+        cmap="RdBu_r",
+        vmin=-most_px,
+        vmax=most_px,
+        aspect="auto",
+        interpolation="bilinear",
+    )
+    axes.grid(visible=False)
+    bar = axes.figure.colorbar(drawn, ax=axes)
+    bar.set_label("px")
+    axes.set_title("Row of the right image minus row of the left one")
+    axes.set_xlabel("u, px")
+    axes.set_ylabel("v, px")
+
+
+def _draw_disparity(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> None:
+    """Draw by how much true disparities are larger than measured ones, over the image's width."""
+    width_px, _ = _image_size_px(camera)
+    u = np.linspace(0.0, width_px, SAMPLES)
+    # The first coefficient, a constant, is not estimated from two frames.
+    basis = disparity_basis(_far_points(u, np.full(SAMPLES, camera.cv_px)), camera)[:, 1:]
+    error_px = basis @ rig.disparity
+    cov = rig.disparity_cov[1:, 1:]
+    sigma_px = np.sqrt(np.einsum("ni,ij,nj->n", basis, cov, basis))
+    axes.fill_between(u, error_px - 3.0 * sigma_px, error_px + 3.0 * sigma_px, color=BAND)
+    axes.plot(u, error_px, color=BLUE)
+    axes.axhline(0.0, color=GREY, linewidth=0.7)
+    axes.set_title("Disparity, true minus measured, with ± 3σ")
+    axes.set_xlabel("u, px")
+    axes.set_ylabel("px")
+
+
+def _draw_quantities(
+    axes: Axes, quantities: Sequence[Quantity], marked: Sequence[Quantity], largest_z: float
+) -> None:
+    """Draw how far each quantity is from zero, in σ; the marked ones in another colour."""
+    z = np.array([quantity.value / quantity.sigma for quantity in quantities])
+    places = np.arange(len(quantities))[::-1]
+    # Far beyond chance it does not matter how far.
+    shown = np.clip(z, -4.0 * largest_z, 4.0 * largest_z)
+    colors = [ORANGE if quantity in marked else BLUE for quantity in quantities]
+    axes.axvspan(-largest_z, largest_z, color=BAND, alpha=0.6, linewidth=0.0)
+    axes.barh(places, shown, height=0.6, color=colors)
+    axes.set_yticks(places, [quantity.name for quantity in quantities], fontsize=7.5)
+    axes.set_xlim(-4.2 * largest_z, 4.2 * largest_z)
+    axes.grid(visible=False, axis="y")
+    axes.set_title("Distance from zero, in σ; what is hardly chance is orange")
+
+
+def _far_points(u_px: FloatArray, v_px: FloatArray) -> FloatArray:
+    """Return the observations of points without disparity, [N, 4], px."""
+    return np.column_stack([u_px, v_px, u_px, v_px])
