@@ -281,3 +281,18 @@ def test_an_anees_that_is_no_test_says_so(
     anees: float, truth_noise: float | None, text: str
 ) -> None:
     assert text in report._consistency_aside(anees, truth_noise)
+
+
+@pytest.mark.parametrize(
+    ("error_m", "text"),
+    [
+        (0.05, "end position, worst axis"),
+        (0.65, "end position, worst axis; the end error is 6.50 times this"),
+        (None, "end position, worst axis"),
+    ],
+)
+def test_an_end_beyond_the_claim_says_so(error_m: float | None, text: str) -> None:
+    at_rest = np.tile(np.eye(4), (3, 1, 1))
+    metrics = replace(evaluate(at_rest, at_rest), final_error_m=error_m)
+    assert report._claim_aside(0.1, metrics) == text
+    assert report._claim_aside(0.1, None) == "end position, worst axis"
