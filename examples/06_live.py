@@ -57,5 +57,6 @@ if __name__ == "__main__":
     try:
         speed = float(sys.argv[1])
     except (IndexError, ValueError):
-        sys.exit("usage: python examples/06_live.py SPEED, such as 1")
+        print("usage: python examples/06_live.py SPEED", file=sys.stderr)
+        sys.exit(2)
     main(speed)

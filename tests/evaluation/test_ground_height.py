@@ -5,7 +5,7 @@ import pytest
 
 import probevo as pv
 from probevo.camera.stereo import StereoCamera
-from probevo.cli.calibrate_check import report
+from probevo.cli.calibrate_check import check
 from probevo.evaluation.ground_height import FEWEST_BLOCKS, GroundHeight, GroundHeights
 from probevo.geometry import se3
 from probevo.output.run_warnings import height_warning
@@ -162,7 +162,7 @@ def test_kitti_is_as_high_as_its_set_up_says(
 
 
 def test_calibrate_check_says_the_height(data_root: Path) -> None:
-    lines = report(pv.open_sequence(data_root / "kitti_odometry" / "sequences" / "06"), 60)
+    lines = check(pv.open_sequence(data_root / "kitti_odometry" / "sequences" / "06"), 60).lines
     said = [line for line in lines if line.startswith("Height: ")]
     assert len(said) == 1
     assert "the left camera is 1.66" in said[0]
