@@ -38,40 +38,38 @@ def exp_coefficients(squared: float) -> tuple[float, float, float]:
 
 @compiled
 def exp_rotations(phi: FloatArray, C: FloatArray) -> None:
-    """Compute C = Exp(φ) of N rotation vectors, [N, 3], rad, to [N, 3, 3]."""
+    """Compute C = Exp(φ) = I + a φ^ + b φ^ φ^ of N rotation vectors, [N, 3], rad, to [N, 3, 3]."""
     for n in range(len(phi)):
-        x = phi[n, 0]
-        y = phi[n, 1]
-        z = phi[n, 2]
-        squared = x * x + y * y + z * z
-        a, b, _ = exp_coefficients(squared)
-        # I + a φ^ + b φ^ φ^, with φ^ φ^ = φ φᵀ − θ².
-        C[n, 0, 0] = 1.0 - b * (y * y + z * z)
-        C[n, 1, 1] = 1.0 - b * (x * x + z * z)
-        C[n, 2, 2] = 1.0 - b * (x * x + y * y)
-        C[n, 0, 1] = b * x * y - a * z
-        C[n, 1, 0] = b * x * y + a * z
-        C[n, 0, 2] = b * x * z + a * y
-        C[n, 2, 0] = b * x * z - a * y
-        C[n, 1, 2] = b * y * z - a * x
-        C[n, 2, 1] = b * y * z + a * x
+        a, b, _ = exp_coefficients(_squared_length(phi[n]))
+        _fill(phi[n], a, b, C[n])
 
 
 @compiled
 def left_jacobians(phi: FloatArray, jacobian: FloatArray) -> None:
-    """Compute J(φ) of N rotation vectors, [N, 3], rad, to [N, 3, 3]: I + b φ^ + c φ^ φ^."""
+    """Compute J(φ) = I + b φ^ + c φ^ φ^ of N rotation vectors, [N, 3], rad, to [N, 3, 3]."""
     for n in range(len(phi)):
-        x = phi[n, 0]
-        y = phi[n, 1]
-        z = phi[n, 2]
-        squared = x * x + y * y + z * z
-        _, b, c = exp_coefficients(squared)
-        jacobian[n, 0, 0] = 1.0 - c * (y * y + z * z)
-        jacobian[n, 1, 1] = 1.0 - c * (x * x + z * z)
-        jacobian[n, 2, 2] = 1.0 - c * (x * x + y * y)
-        jacobian[n, 0, 1] = c * x * y - b * z
-        jacobian[n, 1, 0] = c * x * y + b * z
-        jacobian[n, 0, 2] = c * x * z + b * y
-        jacobian[n, 2, 0] = c * x * z - b * y
-        jacobian[n, 1, 2] = c * y * z - b * x
-        jacobian[n, 2, 1] = c * y * z + b * x
+        _, b, c = exp_coefficients(_squared_length(phi[n]))
+        _fill(phi[n], b, c, jacobian[n])
+
+
+@compiled
+def _squared_length(vector: FloatArray) -> float:
+    """Return the squared length of a vector, [3]."""
+    return float(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
+
+
+@compiled
+def _fill(phi: FloatArray, first: float, second: float, matrix: FloatArray) -> None:
+    """Fill a matrix, [3, 3], with I + first · φ^ + second · φ^ φ^, where φ^ φ^ = φ φᵀ − θ²."""
+    x = phi[0]
+    y = phi[1]
+    z = phi[2]
+    matrix[0, 0] = 1.0 - second * (y * y + z * z)
+    matrix[1, 1] = 1.0 - second * (x * x + z * z)
+    matrix[2, 2] = 1.0 - second * (x * x + y * y)
+    matrix[0, 1] = second * x * y - first * z
+    matrix[1, 0] = second * x * y + first * z
+    matrix[0, 2] = second * x * z + first * y
+    matrix[2, 0] = second * x * z - first * y
+    matrix[1, 2] = second * y * z - first * x
+    matrix[2, 1] = second * y * z + first * x
