@@ -5,11 +5,20 @@ import pkgutil
 from types import ModuleType
 
 import numpy as np
+import pytest
 from numba.core.dispatcher import Dispatcher
 
 import probevo
 import probevo_sim
-from probevo.compiled import dot_float32, invert_symmetric_4, sum_in_lanes
+from probevo.compiled import (
+    dot_float32,
+    inner_products_float32,
+    invert_symmetric_4,
+    multiply_float32,
+    sum_float32,
+    sum_in_lanes,
+    sum_magnitudes_float32,
+)
 
 
 def compiled_functions(package: ModuleType) -> dict[str, Dispatcher]:
@@ -24,23 +33,35 @@ def compiled_functions(package: ModuleType) -> dict[str, Dispatcher]:
     return found
 
 
-def test_only_loops_of_one_sum_may_reorder_it() -> None:
+def test_only_leaf_loops_may_reorder_sums() -> None:
     """Reordered sums differ in their last digits between a cold and a warm compiler cache."""
     functions = compiled_functions(probevo) | compiled_functions(probevo_sim)
     assert len(functions) > 100
     fast = [name for name, one in functions.items() if one.targetoptions.get("fastmath")]
     assert fast == [
         "probevo.compiled.dot_float32",
+        "probevo.compiled.multiply_float32",
+        "probevo.compiled.inner_products_float32",
+        "probevo.compiled.sum_float32",
+        "probevo.compiled.sum_magnitudes_float32",
         "probevo.noise.probe.neighbor_index_numba._sum_within",
     ]
 
 
-def test_inner_product() -> None:
+@pytest.mark.parametrize("n", [0, 1, 7, 121])
+def test_sums_in_single_precision(n: int) -> None:
     rng = np.random.default_rng(0)
-    for n in (0, 1, 7, 121):
-        a = rng.normal(size=n).astype(np.float32)
-        b = rng.normal(size=n).astype(np.float32)
-        np.testing.assert_allclose(dot_float32(a, b), np.dot(a, b), rtol=1e-5, atol=1e-5)
+    a = rng.normal(size=n).astype(np.float32)
+    rows = rng.normal(size=(3, n)).astype(np.float32)
+    np.testing.assert_allclose(dot_float32(a, rows[0]), np.dot(a, rows[0]), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(sum_float32(a), a.sum(), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(sum_magnitudes_float32(a), np.abs(a).sum(), rtol=1e-5)
+    product = np.empty(3)
+    multiply_float32(rows, a, product)
+    np.testing.assert_allclose(product, rows @ a, rtol=1e-5, atol=1e-5)
+    products = np.empty((3, 3))
+    inner_products_float32(rows, products)
+    np.testing.assert_allclose(products, rows @ rows.T, rtol=1e-5, atol=1e-5)
 
 
 def test_sum_in_lanes() -> None:

@@ -37,7 +37,7 @@ def compiled_into_callers(function: Function) -> Function:
 
 
 def compiled_with_free_order(function: Function) -> Function:
-    """Compile a loop of one single sum, whose terms may be added in any order.
+    """Compile a loop of sums, whose terms may be added in any order.
 
     The processor then adds many at once. The function must call no other compiled one.
     """
@@ -51,6 +51,45 @@ def dot_float32(a: AnyArray, b: AnyArray) -> np.float32:
     total = np.float32(0.0)
     for i in range(len(a)):
         total += a[i] * b[i]
+    return np.float32(total)
+
+
+@compiled_with_free_order
+def multiply_float32(matrix: AnyArray, vector: AnyArray, product: FloatArray) -> None:
+    """Set product to matrix · vector, of contiguous float32 [M, N] and [N]."""
+    for m in range(matrix.shape[0]):
+        total = np.float32(0.0)
+        for i in range(matrix.shape[1]):
+            total += matrix[m, i] * vector[i]
+        product[m] = total
+
+
+@compiled_with_free_order
+def inner_products_float32(rows: AnyArray, products: FloatArray) -> None:
+    """Set products to rows · rowsᵀ, [M, M], of contiguous float32 [M, N]."""
+    for m in range(rows.shape[0]):
+        for n in range(m + 1):
+            total = np.float32(0.0)
+            for i in range(rows.shape[1]):
+                total += rows[m, i] * rows[n, i]
+            products[m, n] = products[n, m] = total
+
+
+@compiled_with_free_order
+def sum_float32(values: AnyArray) -> np.float32:
+    """Return the sum of a contiguous vector of float32."""
+    total = np.float32(0.0)
+    for i in range(len(values)):
+        total += values[i]
+    return np.float32(total)
+
+
+@compiled_with_free_order
+def sum_magnitudes_float32(values: AnyArray) -> np.float32:
+    """Return the sum of the absolute values of a contiguous vector of float32."""
+    total = np.float32(0.0)
+    for i in range(len(values)):
+        total += abs(values[i])
     return np.float32(total)
 
 

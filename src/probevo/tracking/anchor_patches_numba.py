@@ -16,7 +16,17 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import AnyArray, FloatArray, Image, IntArray
-from probevo.compiled import compiled, copy_into, dot_float32, factor, substitute
+from probevo.compiled import (
+    compiled,
+    copy_into,
+    dot_float32,
+    factor,
+    inner_products_float32,
+    multiply_float32,
+    substitute,
+    sum_float32,
+    sum_magnitudes_float32,
+)
 
 BRIGHTNESS_NOISE = 4.0
 """Standard deviation of a pixel's brightness between two views of the same point, grey levels."""
@@ -221,8 +231,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
                 break
             # Solve the normal equations for the step (t, S)
             _subtract(flat_image, image.shape[1], warped, template.brightness, error=error)
-            for k in range(6):
-                gradient[k] = dot_float32(template.steepest_descent[k], error)
+            multiply_float32(template.steepest_descent, error, gradient)
             _add_prior(prior, A, predicted, gradient=gradient)
             substitute(lower, gradient, step)
             if iteration > 0:
@@ -236,7 +245,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
             u -= A[0, 0] * step[0] + A[0, 1] * step[1]
             v -= A[1, 0] * step[0] + A[1, 1] * step[1]
             if _corner_motion_px(step, corner_px) < MAX_STEP_PX:
-                alignment.difference[n] = np.abs(error).mean()
+                alignment.difference[n] = sum_magnitudes_float32(error) / area
                 pixels[n, 0] = u
                 pixels[n, 1] = v
                 copy_into(affine[n], A)
@@ -286,16 +295,14 @@ def _linearize(
         descent[5, i] = down * y
     _project_out_brightness(template)
     # Gauss–Newton information of the patch, constant during the alignment
-    for m in range(6):
-        for n in range(m + 1):
-            information[m, n] = information[n, m] = dot_float32(descent[m], descent[n])
+    inner_products_float32(descent, information)
 
 
 @compiled
 def _project_out_brightness(template: Template) -> None:
     """Make the derivatives of a template orthogonal to its contrast and to a constant."""
     contrast = template.contrast
-    mean = template.brightness.mean()
+    mean = np.float32(sum_float32(template.brightness) / len(contrast))
     for i in range(len(contrast)):
         contrast[i] = template.brightness[i] - mean
     length = math.sqrt(dot_float32(contrast, contrast))
@@ -304,7 +311,7 @@ def _project_out_brightness(template: Template) -> None:
         contrast[i] *= to_unit_length
     for m in range(6):
         derivative = template.steepest_descent[m]
-        offset = derivative.mean()
+        offset = np.float32(sum_float32(derivative) / len(derivative))
         gain = dot_float32(derivative, contrast)
         for i in range(len(contrast)):
             derivative[i] -= offset + gain * contrast[i]
@@ -356,21 +363,16 @@ def brightness_variance(brightness: FloatArray, contrast: FloatArray, error: Flo
         ‖ε / a‖² by the degrees of freedom, those of gain, offset and affine map being lost, grey
         levels²; ∞ if there is no such gain, or it is not positive.
     """
-    mean = 0.0
-    for i in range(len(error)):
-        mean += brightness[i] + error[i]
-    mean /= len(error)
-    squared = 0.0
-    along = 0.0
-    length = 0.0
-    for i in range(len(error)):
-        grey = brightness[i] + error[i] - mean
-        squared += grey * grey
-        along += grey * contrast[i]
-        length += brightness[i] * contrast[i]
-    if not along > 0.0:
+    # The contrast has the mean 0 and the length 1, so that both parts of the regression are inner
+    # products with it.
+    length = dot_float32(brightness, contrast)
+    along = dot_float32(error, contrast)
+    offset = sum_float32(error) / len(error)
+    gain = (length + along) / length
+    if not gain > 0.0:
         return np.inf
-    return length**2 * max(squared / along**2 - 1.0, 0.0) / (len(error) - NUM_ADJUSTED)
+    squared = dot_float32(error, error) - len(error) * offset**2 - along**2
+    return max(squared, 0.0) / gain**2 / (len(error) - NUM_ADJUSTED)
 
 
 @compiled
