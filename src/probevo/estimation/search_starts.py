@@ -70,11 +70,12 @@ def track_from_best_start(
     camera: StereoCamera,
     config: OdometryConfig,
 ) -> Tracked:
-    """Track from each start T_curr_prev, [4, 4], and return the result with most inliers.
+    """Track from each start T_curr_prev, [4, 4], and return the result whose tracks agree best.
 
     If the camera is fast, Lucas–Kanade finds near points only from about the right start. Started
-    from rest, it converges to similar-looking places, which may even agree on a motion. More points
-    agree on the true one.
+    from rest, it converges to similar-looking places, such as the next post of a guard rail, which
+    may even agree on a motion. On the true one agree more points, or, where most points have left
+    the view, a larger share of those that are found.
     """
     # Features of a tracks file are matched by identity, whatever the start.
     if len(starts) == 1 or frame.features is not None:
@@ -93,5 +94,6 @@ def track_from_best_start(
         )
         # All starts use the same seed, so that only the tracks differ.
         found.append(tracked)
-        agreement.append(int(consensus.inliers.sum()))
+        num_inliers = int(consensus.inliers.sum())
+        agreement.append(num_inliers**2 / max(len(tracked.tracks), 1))  # their number times share
     return found[int(np.argmax(agreement))]
