@@ -25,7 +25,7 @@ from probevo.output.inspection.gk_data import (
 )
 from probevo.output.inspection.page import write_inspection
 from probevo.output.inspection.subject import FrameView, Subject
-from probevo.output.inspection.training_facts import em_table, scale_table, signed
+from probevo.output.inspection.training_facts import em_table, kept_text, scale_table, signed
 
 COLUMNS = ("x", "idle", "holey")
 SEARCHES: dict[str, Any] = {
@@ -158,6 +158,20 @@ def test_em_iterations_are_rows_and_the_end_error_has_a_column_where_it_is_known
     without = em_table([{"log_likelihood": 0.5}], "not trained")
     assert without.text_rows()[1:] == [("0: not trained", "0.5000")]
     assert without.notes == ()
+
+
+def test_the_iteration_that_was_kept_is_named_and_marked() -> None:
+    iterations = [{"log_likelihood": value} for value in (0.5, 0.75, 0.7)]
+    marked = em_table(iterations, "not trained", kept=1).text_rows()[1:]
+    assert [name for name, _ in marked] == ["0: not trained", "1: kept", "2"]
+    training: dict[str, Any] = {"iterations": iterations}
+    assert kept_text(training) == ""
+    training["kept_iteration"] = 2
+    assert kept_text(training) == "the model after 2 iterations, the last"
+    training["time_correlation_gain"] = 0.01
+    assert "change the likelihood by +0.010 nats a feature, too little" in kept_text(training)
+    training["kept_iteration"] = 3  # that of the last fit, which was not evaluated any more
+    assert kept_text(training).startswith("the model after 3 iterations, the last; time-correlated")
 
 
 def test_a_scale_matrix_is_shown_as_sigma_and_correlations() -> None:

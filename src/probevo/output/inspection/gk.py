@@ -39,9 +39,10 @@ from probevo.output.inspection.subject import (
     TrainingSummary,
 )
 from probevo.output.inspection.training_facts import (
-    END_ERROR,
     em_figure,
+    em_note,
     em_table,
+    kept_text,
     learned_jitter_text,
     noise_of_text,
     origin,
@@ -118,6 +119,9 @@ def summary(model: GeneralizedKernel) -> TrainingSummary:
             f"{signed(gain)} nats a feature over the static model, on blocks of time left out"
         )
 
+    kept = kept_text(model.training)
+    if kept:
+        facts["kept"] = kept
     paragraphs = []
     if any(column.gain is not None for column in used):
         gains = [(column.name, f"{column.weight:g}", signed(column.gain)) for column in used]
@@ -127,7 +131,11 @@ def summary(model: GeneralizedKernel) -> TrainingSummary:
         paragraphs.append(
             "No predictor shows which feature is better than another: all are taken, alike."
         )
-    iterations = em_table(model.training["iterations"], "the static model")
+    iterations = em_table(
+        model.training["iterations"],
+        "the static model",
+        kept=model.training.get("kept_iteration"),
+    )
     paragraphs.append("\n".join([iterations.as_text(), *iterations.notes]))
     return TrainingSummary(facts, tuple(paragraphs))
 
@@ -324,8 +332,8 @@ def _origin_panels(view: CentersView) -> list[Markup]:
     panels = []
     iterations = training.get("iterations", [])
     if iterations:
-        em_note = f"Iteration 0 has the noise of the static model. {END_ERROR}"
-        panels.append(panel("EM iterations", em_note, em_figure(iterations)))
+        note = em_note(training, "the static model")
+        panels.append(panel("EM iterations", note, em_figure(iterations)))
     searches = training.get("searches", {})
     if any(search["gains"] for search in searches.values()):
         gains_note = (

@@ -97,6 +97,9 @@ def summary(model: NearestNeighbors) -> TrainingSummary:
         "K": f"{model.neighbors}",
         "γ": f"{model.exponent:g}",
     }
+    iterations = model.training["settings"].get("iterations")
+    if iterations is not None:
+        facts["kept"] = f"the samples of all {iterations} iterations, each of other subsets"
     paragraphs = []
     for name, search in model.training["searches"].items():
         symbol, meaning, factor = _SEARCHES[name]

@@ -9,9 +9,10 @@ from probevo.output.inspection import predictors
 from probevo.output.inspection.common_sections import settings_section, training_section
 from probevo.output.inspection.subject import Findings, Picture, Subject, TrainingSummary
 from probevo.output.inspection.training_facts import (
-    END_ERROR,
     em_figure,
+    em_note,
     em_table,
+    kept_text,
     learned_jitter_text,
     noise_of_text,
     origin,
@@ -37,9 +38,9 @@ def sections(subject: Subject) -> Findings:
     scale = scale_table(model.scale_)
     panels = [table_panel("The scale matrix", [_spread_note(model)], scale)]
     if training.get("iterations"):
-        em_note = f"Iteration 0 has the noise of a model that was not trained. {END_ERROR}"
+        note = em_note(training, "a model that was not trained")
         with figure_style():
-            panels.append(panel("EM iterations", em_note, em_figure(training["iterations"])))
+            panels.append(panel("EM iterations", note, em_figure(training["iterations"])))
     panels.append(training_section(training))
     shown.append(grid(panels))
     if subject.frame is not None:
@@ -63,14 +64,21 @@ def sections(subject: Subject) -> Findings:
 
 def summary(model: StudentT) -> TrainingSummary:
     """Summarise the scale matrix that was learned, and the EM iterations."""
-    iterations = em_table(model.training["iterations"], "not trained")
+    training = model.training
+    iterations = em_table(
+        training["iterations"], "not trained", kept=training.get("kept_iteration")
+    )
+    facts = {
+        "trained on": origin(training),
+        "ν": f"{model.dof_:.3g}",
+        "correlated": f"in time: {time_correlation_text(model.time_correlation_ratio)}",
+        "rig": learned_jitter_text(model.jitter_cov),
+    }
+    kept = kept_text(training)
+    if kept:
+        facts["kept"] = kept
     return TrainingSummary(
-        facts={
-            "trained on": origin(model.training),
-            "ν": f"{model.dof_:.3g}",
-            "correlated": f"in time: {time_correlation_text(model.time_correlation_ratio)}",
-            "rig": learned_jitter_text(model.jitter_cov),
-        },
+        facts=facts,
         paragraphs=(
             scale_table(model.scale_).as_text(),
             "\n".join([iterations.as_text(), *iterations.notes]),
