@@ -38,6 +38,7 @@ from probevo.output.inspection.subject import (
     Subject,
     TrainingSummary,
 )
+from probevo.output.inspection.terms import column_notes
 from probevo.output.inspection.training_facts import (
     em_figure,
     em_note,
@@ -59,6 +60,25 @@ _OUT_OF_DOMAIN_REMARK = (
     "Magenta rings: out of domain, beyond the reach of all training data; there, the prior holds."
 )
 
+_TERMS = {
+    "Samples": "Errors of features to which the model was fitted.",
+    "Form": "The posterior as published, an inverse Wishart.",
+    "K": "Number of nearest samples to which the noise at a place is fitted.",
+    "ρ": (
+        "Reach: samples farther away do not contribute. Distances are in standard deviations of the"
+        " weighted predictors."
+    ),
+    "Centers": "Places at which the fitted noise is stored; a run interpolates between them.",
+    "ν of the prior": (
+        "Degrees of freedom of the Student-t where no sample is near: the fewer, the more outliers."
+    ),
+    "Gain over the static model": (
+        "By how much the mean log-likelihood of a feature’s error exceeds that of one Student-t for"
+        " all features, on blocks of time that were left out. A nat is its unit: 0.1 nats make each"
+        " error 1.1 times as likely."
+    ),
+}
+
 
 def sections(subject: Subject) -> Findings:
     """Show what a PROBE-GK model has learned and, of a frame, the noise of its features."""
@@ -68,12 +88,16 @@ def sections(subject: Subject) -> Findings:
     pictures: dict[str, Picture] = {}
     shown: list[Markup] = []
     table = column_table(view, frame)
+    if frame is None:
+        table = table.without("this frame")
+    notes = column_notes(table.heads, has_frame=frame is not None, samples="the centers")
     text = table.as_text()
     facts = _facts(view)
     # First what was learned.
     with figure_style():
         shown += _learned_sections(view, frame)
-    shown.append(_columns_section(table, has_frame=frame is not None))
+    in_figures = table_panel("The predictors in figures", [" ".join(notes)], table.without("unit"))
+    shown.append(in_figures)
     # Then the frame, and its noise beside that of the training data.
     if frame is not None and noise is not None:
         outside = percent(share_out_of_domain(noise))
@@ -87,7 +111,14 @@ def sections(subject: Subject) -> Findings:
     # Last, where it comes from.
     with figure_style():
         shown += _origin_sections(view, frame)
-    return Findings(sections=tuple(shown), text=text, facts=facts, pictures=pictures)
+    return Findings(
+        sections=tuple(shown),
+        text=text,
+        notes=notes,
+        facts=facts,
+        terms=_TERMS,
+        pictures=pictures,
+    )
 
 
 def summary(model: GeneralizedKernel) -> TrainingSummary:
@@ -270,18 +301,6 @@ def _frame_panels(view: CentersView, noise: StereoNoise) -> list[Markup]:
         panel("Predicted σ in this frame", sigma_note, sigma),
         panel("Predicted ν in this frame", note, dof),
     ]
-
-
-def _columns_section(table: Table, *, has_frame: bool) -> Markup:
-    whose = "the frame’s features" if has_frame else "the centers"
-    note = (
-        "Weight: how much a standard deviation counts in the distance; a column without one is not"
-        " used. Gain: nats a feature that it adds to the likelihood of blocks of time left out,"
-        " beside those above. Training: mean ± standard deviation of all features. Undefined:"
-        f" share of {whose}."
-    )
-    left_out = ("unit",) if has_frame else ("unit", "this frame")
-    return table_panel("The predictors in figures", [note], table.without(*left_out))
 
 
 def _learned_sections(view: CentersView, frame: FrameView | None) -> list[Markup]:

@@ -36,7 +36,9 @@ def sections(subject: Subject) -> Findings:
     pictures: dict[str, Picture] = {}
     shown: list[Markup] = []
     scale = scale_table(model.scale_)
-    panels = [table_panel("The scale matrix", [_spread_note(model)], scale)]
+    panels = [
+        table_panel("The scale matrix", [f"As σ and correlations. {_spread_note(model)}"], scale)
+    ]
     if training.get("iterations"):
         note = em_note(training, "a model that was not trained")
         with figure_style():
@@ -51,6 +53,11 @@ def sections(subject: Subject) -> Findings:
     return Findings(
         sections=tuple(shown),
         text=f"{scale.as_text()}\nν = {model.dof_:.3g}",
+        notes=(
+            "u_l, v_l, u_r, v_r: column and row of a feature in the left and in the right image.",
+            f"σ, correlation: of the scale matrix. {_spread_note(model)}",
+            "ν: degrees of freedom of the Student-t; the fewer, the more outliers.",
+        ),
         facts={
             "Trained on": origin(training) or "not known",
             "ν": readable(model.dof_),
@@ -88,14 +95,10 @@ def summary(model: StudentT) -> TrainingSummary:
 
 def _spread_note(model: StudentT) -> str:
     """Say how σ relates to the standard deviation, which is √(ν/(ν − 2)) σ for ν > 2."""
-    note = "As σ and correlations."
     if model.dof_ <= 2.0:
         return (
-            f"{note} With ν = {readable(model.dof_)}, errors have no finite standard deviation:"
+            f"With ν = {readable(model.dof_)}, errors have no finite standard deviation:"
             " outliers are many."
         )
     factor = (model.dof_ / (model.dof_ - 2.0)) ** 0.5
-    return (
-        f"{note} The standard deviation of errors, outliers included, is {readable(factor)}"
-        " times σ."
-    )
+    return f"The standard deviation of errors, outliers included, is {readable(factor)} times σ."
