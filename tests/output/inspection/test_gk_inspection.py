@@ -23,6 +23,7 @@ from probevo.output.inspection.gk_data import (
     size_px,
     used_columns,
 )
+from probevo.output.inspection.gk_plots import centers_figures, gains_figure
 from probevo.output.inspection.page import write_inspection
 from probevo.output.inspection.subject import FrameView, Subject
 from probevo.output.inspection.training_facts import em_table, kept_text, scale_table, signed
@@ -231,9 +232,9 @@ def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(
         "Predicted ν in this frame",
         "How it was trained",
         "EM iterations",
-        "How it was chosen",
         "The prior",
         "Trained on",
+        "How it was chosen",
         "Where the centers lie, over the most telling predictors",
     ]
     assert "25.0 % of the features are out of domain" in html
@@ -279,6 +280,18 @@ def test_the_summary_names_used_and_unused_predictors_and_the_gain(view: Centers
     gains, iterations = found.paragraphs
     assert [line.split()[0] for line in gains.splitlines()[2:]] == ["holey", "x"]
     assert iterations.splitlines()[2].startswith("0: the static model")
+
+
+def test_each_two_used_columns_have_a_figure_and_searches_leave_no_gap_above_the_last_row(
+    view: CentersView,
+) -> None:
+    """A figure of many would shrink on a narrow screen until nobody can read it."""
+    (figure,) = centers_figures(view, None)
+    plot, _ = figure.axes
+    assert (plot.get_xlabel(), plot.get_ylabel()) == ("holey, px", "x, focal lengths")
+    four = gains_figure(SEARCHES | {"prior_counts": SEARCHES["neighbors"]})
+    tops = [axes.get_position().y0 for axes in four.axes]
+    assert [tops.count(top) for top in sorted(set(tops))] == [2, 2]
 
 
 def test_hostile_names_are_escaped(view: CentersView) -> None:

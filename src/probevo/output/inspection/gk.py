@@ -24,7 +24,7 @@ from probevo.output.inspection.gk_data import (
     used_columns,
 )
 from probevo.output.inspection.gk_plots import (
-    centers_figure,
+    centers_figures,
     course_figure,
     gains_figure,
     histogram_figure,
@@ -51,7 +51,7 @@ from probevo.output.inspection.training_facts import (
     signed,
     time_correlation_text,
 )
-from probevo.output.page import grid, heading, panel, table_panel
+from probevo.output.page import grid, heading, panel, row_panel, table_panel
 from probevo.output.svg import figure_style
 from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, readable, text_table
 from probevo.output.templating import rendered
@@ -329,7 +329,8 @@ def _origin_sections(view: CentersView, frame: FrameView | None) -> list[Markup]
         if frame is not None:
             centers_note += " Orange rings: the frame’s features."
         title = "Where the centers lie, over the most telling predictors"
-        shown.append(panel(title, centers_note, centers_figure(view, frame), name="centers"))
+        figures = centers_figures(view, frame)
+        shown.append(row_panel(title, centers_note, figures, name="centers", style="narrow"))
     shown.append(settings_section(view.model.training))
     return shown
 
@@ -353,6 +354,13 @@ def _origin_panels(view: CentersView) -> list[Markup]:
     if iterations:
         note = em_note(training, "the static model")
         panels.append(panel("EM iterations", note, em_figure(iterations)))
+    prior_note = (
+        f"What holds where no sample is near: ν = {readable(float(model.prior_.dof[0]))}, and the"
+        " scale matrix as σ and correlations. Elsewhere, it counts as much as"
+        f" {model.shape_.prior_counts:g} of the errors."
+    )
+    panels.append(table_panel("The prior", [prior_note], scale_table(model.prior_.scale[0])))
+    panels.append(training_section(training))
     searches = training.get("searches", {})
     if any(search["gains"] for search in searches.values()):
         gains_note = (
@@ -364,11 +372,4 @@ def _origin_panels(view: CentersView) -> list[Markup]:
         if chosen != model.shape_.neighbors:
             gains_note += f" With all of the samples, K becomes {model.shape_.neighbors:,}."
         panels.append(panel("How it was chosen", gains_note, gains_figure(searches)))
-    prior_note = (
-        f"What holds where no sample is near: ν = {readable(float(model.prior_.dof[0]))}, and the"
-        " scale matrix as σ and correlations. Elsewhere, it counts as much as"
-        f" {model.shape_.prior_counts:g} of the errors."
-    )
-    panels.append(table_panel("The prior", [prior_note], scale_table(model.prior_.scale[0])))
-    panels.append(training_section(training))
     return panels

@@ -20,7 +20,7 @@ from probevo.output.inspection.knn_data import FrameWeights, ModelView
 from probevo.output.inspection.knn_plots import (
     correlation_figure,
     distances_figure,
-    pairs_figure,
+    pairs_figures,
     profile_figure,
     searches_figure,
     weights_figure,
@@ -41,7 +41,7 @@ from probevo.output.inspection.subject import (
 )
 from probevo.output.inspection.terms import column_notes
 from probevo.output.inspection.training_facts import origin
-from probevo.output.page import grid, heading, panel, table_panel
+from probevo.output.page import grid, heading, panel, row_panel, table_panel
 from probevo.output.svg import figure_style
 from probevo.output.table import readable, text_table
 from probevo.output.templating import rendered
@@ -256,7 +256,8 @@ def _origin_sections(view: ModelView, frame: FrameView | None) -> list[Markup]:
         if frame is not None:
             pairs_note += " Orange: the frame’s features."
         title = "Where the data lies, over the most telling columns"
-        shown.append(panel(title, pairs_note, pairs_figure(view, frame), name="pairs"))
+        figures = pairs_figures(view, frame)
+        shown.append(row_panel(title, pairs_note, figures, name="pairs", style="narrow"))
     shown.append(settings_section(training))
     return shown
 
