@@ -210,8 +210,21 @@ def test_the_picture_is_the_same_bytes_each_time(world: World, tmp_path: Path, e
     assert len(files[0].read_bytes()) > 5_000
 
 
-def test_a_file_that_is_no_picture_is_refused_before_the_recording_is_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("out", "what"),
+    [
+        ("errors.txt", "errors.txt is no picture that can be written"),
+        ("file/errors.png", "file is a file"),
+        ("folder.png", "folder.png is a folder"),
+    ],
+)
+def test_a_picture_that_cannot_be_written_is_refused_before_the_recording_is_read(
+    out: str, what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["calibrate-check", str(tmp_path / "missing"), "--out", "errors.txt"]) == 2
-    assert "errors.txt" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.png").mkdir()
+    words = ["calibrate-check", str(tmp_path / "missing"), "--out", str(tmp_path / out)]
+    assert main(words) == 2
+    shown = capsys.readouterr().err
+    assert "--out" in shown
+    assert what in " ".join(shown.split())

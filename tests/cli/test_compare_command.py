@@ -203,9 +203,12 @@ def test_without_truth_there_are_dashes_and_that_is_said(
     world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert compare_exit(world / "blind.npz", world / "a/train.npz", "--out", tmp_path / "out") == 0
+    page = (tmp_path / "out" / "comparison.html").read_text()
+    sentence = "blind: no truth is known, and so no error: nothing says which estimator is better."
+    assert sentence in capsys.readouterr().out
+    assert sentence in page
     note = "No truth is known, and so no error: blind."
-    assert note in capsys.readouterr().out
-    assert note in (tmp_path / "out" / "comparison.html").read_text()
+    assert note in page
     source = (tmp_path / "out" / "table.tex").read_text()
     assert source.startswith(f"% {note}\n")
     assert tabular(source)[1][2] == ["blind", "--", "--", "--", "--", "--"]

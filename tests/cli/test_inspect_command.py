@@ -64,6 +64,17 @@ def titles(html: str) -> list[str]:
     return re.findall(r"<h2[^>]*>([^<]*)", html)
 
 
+def unexplained(html: str) -> set[str]:
+    """The facts at the top of the page whose meaning it does not say."""
+    facts, meanings = re.findall(r"<dl.*?</dl>", html, re.DOTALL)
+    return set(re.findall(r"<dt>(.*?)</dt>", facts)) - set(re.findall(r"<dt>(.*?)</dt>", meanings))
+
+
+def explained_heads(printed: str) -> set[str]:
+    """The heads of the table in the terminal that are explained below it."""
+    return {head.lower() for head in re.findall(r"^([A-Z][a-z ]+): ", printed, re.MULTILINE)}
+
+
 def test_a_frame_as_a_model_sees_it(
     wall: Path, wall_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,6 +101,8 @@ def test_a_frame_as_a_model_sees_it(
     unknown = re.search(r"blur: undefined for (\d+) of (\d+)", html)
     assert unknown
     assert f"{100 * int(unknown[1]) / int(unknown[2]):.1f} %" in rows["blur"]
+    assert unexplained(html) == {"Image"}
+    assert explained_heads(printed) == {"training", "this frame", "undefined"}
 
 
 def test_the_same_bytes_again(wall: Path, wall_model: Path, tmp_path: Path) -> None:
@@ -103,8 +116,13 @@ def test_the_same_bytes_again(wall: Path, wall_model: Path, tmp_path: Path) -> N
     )
 
 
-def test_a_model_alone(wall_model: Path, tmp_path: Path) -> None:
+def test_a_model_alone(
+    wall_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert inspect("--model", wall_model, "--out", tmp_path) == 0
+    printed = capsys.readouterr().out
+    assert explained_heads(printed) == {"training", "undefined"}
+    assert "this frame" not in printed
     html = page_of(tmp_path)
     assert "What wall.safetensors learned" in html
     assert "Trained on" in titles(html)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.test_inspect_command import inspect, page_of, titles
+from cli.test_inspect_command import explained_heads, inspect, page_of, titles, unexplained
 from probevo.noise.gk.generalized_kernel import GeneralizedKernel
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import save_model
@@ -72,6 +72,9 @@ def test_a_frame_as_a_kernel_sees_it(
     ]
     rows = {line.split()[0]: line for line in printed.splitlines() if "±" in line}
     assert list(rows) == ["x", "y", "disparity"]
+    assert unexplained(html) == {"Image"}
+    heads = {"weight", "gain", "training", "this frame", "undefined"}
+    assert explained_heads(printed) == heads
 
 
 def test_a_kernel_alone(kernel: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -100,7 +103,9 @@ def test_a_static_model_alone(
     assert re.search(r"u_r +0.200 +\+0.50 +\+0.00\n", printed)
     assert re.search(r"disparity, u_l − u_r +0.200\n", printed)
     assert "ν = 4" in printed
+    assert "u_l, v_l, u_r, v_r: column and row" in printed
     html = page_of(tmp_path)
+    assert unexplained(html) == {"Trained on"}
     assert titles(html) == ["The scale matrix"]
     assert "outliers included, is 1.41 times σ" in html
     assert "<td>+0.50</td>" in html

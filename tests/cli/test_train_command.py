@@ -96,6 +96,7 @@ def test_it_says_what_was_learned_and_how_k_and_gamma_came_about(
     assert "predictors  x, y, row_offset" in lines
     assert f"K           {model.neighbors}" in lines
     assert f"γ           {model.exponent:g}" in lines
+    assert "kept        the samples of all 4 iterations, each of other subsets" in lines
     assert (
         sum(
             line.startswith(("squared error of left-out samples", "mean error on the training"))

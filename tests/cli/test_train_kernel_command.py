@@ -60,6 +60,8 @@ def test_gk_says_what_was_learned_and_how_it_came_about(
         likelihoods, [t["log_likelihood"] for t in model.training["iterations"]], atol=1e-4
     )
     assert likelihoods[-1] > likelihoods[0]
+    assert "kept        the model after 2 iterations, the last" in lines
+    assert lines[first + 2].startswith("2: kept ")
     assert lines[-1] == f"model: {out}"
 
 
@@ -101,6 +103,9 @@ def test_student_t_says_its_scale_and_runs(
     np.testing.assert_allclose(
         [float(sigma[name][0]) for name in ("u_l", "v_l", "u_r", "v_r")], expected, atol=6e-4
     )
+    kept = model.training["kept_iteration"]
+    (said,) = [line for line in lines if line.startswith("kept ")]
+    assert said.split(maxsplit=1)[1].startswith(f"the model after {kept} iterations")
     correlation = float(sigma["u_r"][1].replace("−", "-"))
     assert correlation == pytest.approx(model.scale_[0, 2] / (expected[0] * expected[2]), abs=6e-3)
     assert sum(line.startswith(("0: not trained", "1 ", "2 ", "3 ", "4 ")) for line in lines) == 5

@@ -482,6 +482,8 @@ NONSENSE: list[tuple[tuple[str | int, ...], Any]] = [
     *((("iterations",), value) for value in (7, [[]], [None], [{}], [{"a": 1}])),
     *((("iterations", 0, "log_likelihood"), value) for value in (None, "x", [], 10**400)),
     *((("iterations", 0, "loop_error_m"), value) for value in ("x", [[]])),
+    *((("kept_iteration",), value) for value in ("x", -1, 1.5, [])),
+    *((("time_correlation_gain",), value) for value in ("x", [])),
     *((("settings",), value) for value in (None, "x", [])),
     *((("searches",), value) for value in (None, "x", {"neighbors": 0}, {"neighbors": {}})),
 ]

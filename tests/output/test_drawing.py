@@ -35,3 +35,11 @@ def test_place_follows_the_scale() -> None:
 def test_no_tracks_is_a_picture_too() -> None:
     empty = np.empty((0, 4))
     assert decode(draw_tracks(GRAY, empty, empty, weights=np.empty(0))).shape == (300, 960, 3)
+
+
+def test_the_letters_of_the_legend_can_be_read_at_half_the_width() -> None:
+    """Light letters on a dark ground, more than 12 px high at 960 px, in a picture of mid-grey."""
+    empty = np.empty((0, 4))
+    picture = decode(draw_tracks(GRAY, empty, empty, weights=np.empty(0))).mean(axis=2)
+    letters = np.flatnonzero((picture[-50:, 12:120] > 180.0).any(axis=1))
+    assert np.ptp(letters) + 1 > 12

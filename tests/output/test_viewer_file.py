@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cli.rendering import write_wall
 from probevo.cli.main import main
 from probevo.errors import InputError
-from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.output.run_result import RunResult
 from probevo.output.viewer_file import write_viewer_file
 from probevo.runs.runner import run_sequence
@@ -74,6 +76,34 @@ def test_a_run_writes_what_its_frames_show(tmp_path: Path) -> None:
     assert found["/world/camera/image"] >= FRAMES
     assert found["/world/camera"] == FRAMES
     assert {"frame", "time"} <= timelines(path)
+
+
+def listed(counts: dict[str, int]) -> dict[str, int]:
+    """The entities and rows that docs/recordings.md lists, given the numbers behind its words."""
+    page = Path(__file__).parents[2] / "docs" / "recordings.md"
+    table = re.search(r"^\| entity \| what \| rows \|\n(.*?)\n\n", page.read_text(), re.M | re.S)
+    assert table is not None
+    rows = {}
+    for line in table[1].splitlines()[1:]:
+        entities, _, words = line.strip("| ").split(" | ")
+        factor, _, what = words.rpartition(" × ")
+        for entity in re.findall("`([^`]+)`", entities):
+            rows[f"/{entity}"] = int(factor or 1) * counts[what]
+    return rows
+
+
+def test_a_file_has_the_entities_and_rows_that_the_docs_list(tmp_path: Path) -> None:
+    """Of a recording with an IMU and truth, in whose images there is nothing to follow."""
+    pytest.importorskip("rerun")
+    recording = open_sequence(write_folder_sequence(tmp_path / "recording"))
+    path = tmp_path / "run.rrd"
+    run = run_sequence(recording, {"viewer": path, "estimator": "window"}, tmp_path / "out")
+    num_bad = int(np.sum(run.result.status != Status.OK))
+    num_frames = len(recording)
+    words = {"1": 1, "frames": num_frames, "steps": num_frames - 1, "such steps": num_bad}
+    assert num_bad > 0
+    assert rows(path) == listed(words)
+    assert timelines(path) == {"frame", "time", "log_time"}
 
 
 def test_a_finished_run_is_shown_with_its_frames_while_the_recording_is_there(

@@ -59,9 +59,9 @@ def main(words: list[str]) -> None:
         what = f"is {arguments.max_frames}."
         raise InputError("--max-frames", what, f"It must be at least {FEWEST_FRAMES}.")
     if arguments.out is not None:
-        from probevo.output.calibration_picture import refuse_other_endings
+        from probevo.output.calibration_picture import check_picture_path
 
-        refuse_other_endings(arguments.out)
+        check_picture_path(arguments.out)
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())

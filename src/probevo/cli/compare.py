@@ -325,19 +325,17 @@ def _write(out: Path, comparison: Comparison) -> None:
 
 
 def _summary(comparison: Comparison, out: Path) -> list[str]:
-    from probevo.output.comparison import column_notes, comparison_rows, truth_note, verdicts
+    from probevo.output.comparison import column_notes, comparison_rows, verdicts
+    from probevo.output.without_truth import without_truth
 
     head, *rows = comparison_rows(comparison)
-    notes = [
-        "Drift and rotation: over pieces of 10 to 50 m.",
-        *column_notes(comparison),
-        *truth_note(comparison),
-    ]
     return [
         table(head, rows),
         "",
         *verdicts(comparison),
-        *notes,
+        *without_truth(comparison),
+        "Drift and rotation: over pieces of 10 to 50 m.",
+        *column_notes(comparison),
         f"comparison: {out / 'comparison.html'}",
     ]
 

@@ -266,6 +266,8 @@ def write(out: Path, subject: Subject) -> str:
 
     findings = write_inspection(out, subject)
     lines = [findings.text, ""]
+    if findings.notes:
+        lines += [*findings.notes, ""]
     if subject.frame is not None:
         lines.append(f"pictures: {out / f'frame-{subject.frame.index}'}")
     lines.append(f"page: {out / PAGE}")

@@ -72,6 +72,10 @@ class _TrainingFacts(_TrainingPart):
     recordings: list[_Recording] = []
     iterations: list[_Iteration] = []
     searches: dict[str, _Search] = {}
+    kept_iteration: int | None = Field(None, ge=0, le=10**6)
+    """Number of EM iterations after which the model was taken."""
+    time_correlation_gain: float | None = None
+    """Gain in likelihood by time-correlated errors, nats a feature."""
     settings: dict[str, Any] = {}
 
 

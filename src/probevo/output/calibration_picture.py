@@ -16,7 +16,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
 from probevo.evaluation.calibration_quantities import Quantity
 from probevo.output.svg import BAND, BLUE, GREY, ORANGE, figure_style
-from probevo.storage.files import write_atomically
+from probevo.storage.files import check_folder, write_atomically
 
 UNDATED = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 """Formats by the ending of the file, and what keeps a date out of each: same input, same bytes."""
@@ -27,11 +27,12 @@ LEAST_SCALE_PX = 0.5
 DPI = 150
 
 
-def refuse_other_endings(path: Path) -> None:
-    """Refuse a file that is no picture.
+def check_picture_path(path: Path) -> None:
+    """Refuse a file that is no picture or cannot be written; nothing is created.
 
     Raises:
-        InputError: its ending is none of ``UNDATED``.
+        InputError: its ending is none of ``UNDATED``, it is a folder, or its folder is not
+            writable.
     """
     if path.suffix.lower() not in UNDATED:
         raise InputError(
@@ -39,6 +40,9 @@ def refuse_other_endings(path: Path) -> None:
             f"{path.name} is no picture that can be written.",
             f"Let it end in one of {', '.join(UNDATED)}.",
         )
+    if path.is_dir():
+        raise InputError("--out", f"{path} is a folder.", "Name a file in it.")
+    check_folder(path.parent, "--out")
 
 
 def write_calibration_picture(
@@ -62,9 +66,9 @@ def write_calibration_picture(
             known exactly.
 
     Raises:
-        InputError: the ending is none of ``UNDATED``, or the place is not writable.
+        InputError: the ending is none of ``UNDATED``, or the file cannot be written.
     """
-    refuse_other_endings(path)
+    check_picture_path(path)
     with figure_style():
         figure = Figure(figsize=(9.0, 3.4 + 0.16 * len(quantities)))
         heights = (3.0, 0.16 * len(quantities) + 0.4)

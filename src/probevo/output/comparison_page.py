@@ -28,6 +28,7 @@ from probevo.output.page import (
 from probevo.output.svg import CYCLE, figure_style
 from probevo.output.table import readable
 from probevo.output.trial_table import TrialTable, trials_section
+from probevo.output.without_truth import without_truth
 
 _MOST_PICTURES = 4
 """Pictures of one sequence; with more estimators than that, there is one of each."""
@@ -49,7 +50,7 @@ def write_comparison(
         comparison: runs of at least two frames each.
         title: heading of the page.
         facts: what a reader should know beforehand, by name.
-        trials: a table to show besides.
+        trials: a table to show besides, unless no truth is known.
         links_from: the folder that links to the reports of single runs are relative to, by default
             that of ``path``.
 
@@ -61,11 +62,11 @@ def write_comparison(
         raise ValueError("a comparison needs one run at least, and each run two frames")
     colors = {name: CYCLE[k % len(CYCLE)] for k, name in enumerate(comparison.estimators)}
     sections: list[Markup] = []
-    sentences = verdicts(comparison)
+    sentences = [*verdicts(comparison), *without_truth(comparison)]
     if sentences:
         sections.append(body_panel("In short", sentences, ""))
     sections.append(_table_section(comparison, colors, links_from or path.parent))
-    if trials is not None:
+    if trials is not None and any(entry.has_truth for entry in comparison.entries):
         sections.append(trials_section(trials))
     for number, sequence in enumerate(comparison.sequences):
         sections += _sequence_sections(comparison.of(sequence), colors, number)

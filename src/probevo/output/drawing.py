@@ -14,6 +14,10 @@ TRUST_COLORS_BGR = np.array(
 colour-blind tell them apart, too."""
 WIDTH_PX = 960
 """Width of a picture."""
+_FONT_SCALE = 0.72
+"""Size of the letters of the legend, which can still be read at half the width of the picture."""
+_FONT_PX = 2
+"""Thickness of their strokes."""
 _SHIFT = 4
 """Fractional bits of the coordinates that are passed to OpenCV."""
 
@@ -69,23 +73,23 @@ def draw_tracks(
 
 def _draw_legend(picture: AnyArray, counts: IntArray) -> None:
     """Draw one box for each class, with its number of tracks, at the lower left."""
-    box_w = 34
-    box_h = 16
+    box_w = 54
+    box_h = 26
     margin = 8
     top = picture.shape[0] - margin - box_h
     x = _put_text(picture, "distrusted", margin + 4, top=top, height=box_h)
     for color, count in zip(TRUST_COLORS_BGR.tolist(), counts.tolist(), strict=True):
         cv2.rectangle(picture, (x, top), (x + box_w, top + box_h), color, cv2.FILLED)
-        _write(picture, str(count), x + 4, y=top + box_h - 4, color=(20, 20, 20))
+        _write(picture, str(count), x + 6, y=top + box_h - 7, color=(20, 20, 20))
         x += box_w
     _put_text(picture, "trusted", x + 6, top=top, height=box_h)
 
 
 def _put_text(picture: AnyArray, text: str, x: int, top: int, height: int) -> int:
     """Write on a dark ground; returns the column at which the text ends, px."""
-    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)
+    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _FONT_SCALE, _FONT_PX)
     cv2.rectangle(picture, (x - 4, top), (x + width + 4, top + height), (30, 30, 30), cv2.FILLED)
-    _write(picture, text, x, y=top + height - 4, color=(240, 240, 240))
+    _write(picture, text, x, y=top + height - 7, color=(240, 240, 240))
     return x + width + 6
 
 
@@ -96,8 +100,8 @@ def _write(picture: AnyArray, text: str, x: int, y: int, color: tuple[int, int, 
         text,
         (x, y),
         fontFace=cv2.FONT_HERSHEY_SIMPLEX,
-        fontScale=0.42,
+        fontScale=_FONT_SCALE,
         color=color,
-        thickness=1,
+        thickness=_FONT_PX,
         lineType=cv2.LINE_AA,
     )

@@ -51,7 +51,9 @@ def panel(title: str, note: str, figure: Figure, name: str = "") -> Markup:
     return body_panel(title, [note], svg)
 
 
-def row_panel(title: str, note: str, figures: Sequence[Figure], name: str = "") -> Markup:
+def row_panel(
+    title: str, note: str, figures: Sequence[Figure], name: str = "", *, style: str = ""
+) -> Markup:
     """Show figures of half the page's width side by side, on a narrow screen below each other.
 
     Args:
@@ -59,10 +61,11 @@ def row_panel(title: str, note: str, figures: Sequence[Figure], name: str = "") 
         note: what to know about the figures; empty for none.
         figures: the figures, from left to right.
         name: prefix of the ids in the figures, distinct on a page; by default from the title.
+        style: "narrow" for figures of a third of the page's width.
     """
     prefix = name or title.lower().replace(" ", "-")
     drawn = [inline_svg(figure, f"{prefix}-{k}", title) for k, figure in enumerate(figures)]
-    return body_panel(title, [note], rendered("row", bodies=drawn))
+    return body_panel(title, [note], rendered("row", bodies=drawn, style=style))
 
 
 def body_panel(title: str, notes: Iterable[str], body: str | Markup, style: str = "") -> Markup:

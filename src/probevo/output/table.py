@@ -116,6 +116,11 @@ class Table:
         return any(column.title for column in self.columns)
 
     @property
+    def heads(self) -> tuple[str, ...]:
+        """Titles of the columns."""
+        return tuple(column.title for column in self.columns)
+
+    @property
     def groups(self) -> list[tuple[str, int]]:
         """Name and number of columns of each group, from left to right."""
         runs = groupby(column.group for column in self.columns)

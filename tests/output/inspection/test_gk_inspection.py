@@ -23,9 +23,10 @@ from probevo.output.inspection.gk_data import (
     size_px,
     used_columns,
 )
+from probevo.output.inspection.gk_plots import centers_figures, gains_figure
 from probevo.output.inspection.page import write_inspection
 from probevo.output.inspection.subject import FrameView, Subject
-from probevo.output.inspection.training_facts import em_table, scale_table, signed
+from probevo.output.inspection.training_facts import em_table, kept_text, scale_table, signed
 
 COLUMNS = ("x", "idle", "holey")
 SEARCHES: dict[str, Any] = {
@@ -160,6 +161,20 @@ def test_em_iterations_are_rows_and_the_end_error_has_a_column_where_it_is_known
     assert without.notes == ()
 
 
+def test_the_iteration_that_was_kept_is_named_and_marked() -> None:
+    iterations = [{"log_likelihood": value} for value in (0.5, 0.75, 0.7)]
+    marked = em_table(iterations, "not trained", kept=1).text_rows()[1:]
+    assert [name for name, _ in marked] == ["0: not trained", "1: kept", "2"]
+    training: dict[str, Any] = {"iterations": iterations}
+    assert kept_text(training) == ""
+    training["kept_iteration"] = 2
+    assert kept_text(training) == "the model after 2 iterations, the last"
+    training["time_correlation_gain"] = 0.01
+    assert "change the likelihood by +0.010 nats a feature, too little" in kept_text(training)
+    training["kept_iteration"] = 3  # that of the last fit, which was not evaluated any more
+    assert kept_text(training).startswith("the model after 3 iterations, the last; time-correlated")
+
+
 def test_a_scale_matrix_is_shown_as_sigma_and_correlations() -> None:
     scale = np.diag([4.0, 1.0, 9.0, 1.0])
     scale[0, 2] = scale[2, 0] = -3.0
@@ -217,9 +232,9 @@ def test_the_page_says_what_share_is_out_of_domain_and_names_what_is_used(
         "Predicted ν in this frame",
         "How it was trained",
         "EM iterations",
-        "How it was chosen",
         "The prior",
         "Trained on",
+        "How it was chosen",
         "Where the centers lie, over the most telling predictors",
     ]
     assert "25.0 % of the features are out of domain" in html
@@ -265,6 +280,18 @@ def test_the_summary_names_used_and_unused_predictors_and_the_gain(view: Centers
     gains, iterations = found.paragraphs
     assert [line.split()[0] for line in gains.splitlines()[2:]] == ["holey", "x"]
     assert iterations.splitlines()[2].startswith("0: the static model")
+
+
+def test_each_two_used_columns_have_a_figure_and_searches_leave_no_gap_above_the_last_row(
+    view: CentersView,
+) -> None:
+    """A figure of many would shrink on a narrow screen until nobody can read it."""
+    (figure,) = centers_figures(view, None)
+    plot, _ = figure.axes
+    assert (plot.get_xlabel(), plot.get_ylabel()) == ("holey, px", "x, focal lengths")
+    four = gains_figure(SEARCHES | {"prior_counts": SEARCHES["neighbors"]})
+    tops = [axes.get_position().y0 for axes in four.axes]
+    assert [tops.count(top) for top in sorted(set(tops))] == [2, 2]
 
 
 def test_hostile_names_are_escaped(view: CentersView) -> None:

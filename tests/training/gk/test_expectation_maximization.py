@@ -22,6 +22,7 @@ from probevo.training.drive import Drive
 from probevo.training.gk.expectation import solve_drive
 from probevo.training.gk.expectation_maximization import (
     STATIC_ITERATIONS,
+    TIME_CORRELATION_GAIN,
     learn_kernel,
     learn_student_t,
 )
@@ -133,6 +134,13 @@ def test_the_static_fit_gets_likelier_too() -> None:
     assert len(likelihoods) == STATIC_ITERATIONS + 1
     assert (np.diff(likelihoods) > -2e-3).all()
     assert likelihoods[-1] > likelihoods[0] + 0.1
+
+
+def test_a_model_says_after_which_iteration_it_was_taken() -> None:
+    """Time correlation is rejected here, and with it the iterations that learn it."""
+    assert static().training["kept_iteration"] == STATIC_ITERATIONS
+    assert static().training["time_correlation_gain"] < TIME_CORRELATION_GAIN
+    assert learned().model.training["kept_iteration"] == GIVEN["iterations"]
 
 
 def test_without_any_truth_the_motions_of_another_drive_get_better() -> None:

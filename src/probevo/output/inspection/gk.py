@@ -24,7 +24,7 @@ from probevo.output.inspection.gk_data import (
     used_columns,
 )
 from probevo.output.inspection.gk_plots import (
-    centers_figure,
+    centers_figures,
     course_figure,
     gains_figure,
     histogram_figure,
@@ -38,10 +38,12 @@ from probevo.output.inspection.subject import (
     Subject,
     TrainingSummary,
 )
+from probevo.output.inspection.terms import column_notes
 from probevo.output.inspection.training_facts import (
-    END_ERROR,
     em_figure,
+    em_note,
     em_table,
+    kept_text,
     learned_jitter_text,
     noise_of_text,
     origin,
@@ -49,7 +51,7 @@ from probevo.output.inspection.training_facts import (
     signed,
     time_correlation_text,
 )
-from probevo.output.page import grid, heading, panel, table_panel
+from probevo.output.page import grid, heading, panel, row_panel, table_panel
 from probevo.output.svg import figure_style
 from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, readable, text_table
 from probevo.output.templating import rendered
@@ -57,6 +59,25 @@ from probevo.output.templating import rendered
 _OUT_OF_DOMAIN_REMARK = (
     "Magenta rings: out of domain, beyond the reach of all training data; there, the prior holds."
 )
+
+_TERMS = {
+    "Samples": "Errors of features to which the model was fitted.",
+    "Form": "The posterior as published, an inverse Wishart.",
+    "K": "Number of nearest samples to which the noise at a place is fitted.",
+    "ρ": (
+        "Reach: samples farther away do not contribute. Distances are in standard deviations of the"
+        " weighted predictors."
+    ),
+    "Centers": "Places at which the fitted noise is stored; a run interpolates between them.",
+    "ν of the prior": (
+        "Degrees of freedom of the Student-t where no sample is near: the fewer, the more outliers."
+    ),
+    "Gain over the static model": (
+        "By how much the mean log-likelihood of a feature’s error exceeds that of one Student-t for"
+        " all features, on blocks of time that were left out. A nat is its unit: 0.1 nats make each"
+        " error 1.1 times as likely."
+    ),
+}
 
 
 def sections(subject: Subject) -> Findings:
@@ -67,12 +88,16 @@ def sections(subject: Subject) -> Findings:
     pictures: dict[str, Picture] = {}
     shown: list[Markup] = []
     table = column_table(view, frame)
+    if frame is None:
+        table = table.without("this frame")
+    notes = column_notes(table.heads, has_frame=frame is not None, samples="the centers")
     text = table.as_text()
     facts = _facts(view)
     # First what was learned.
     with figure_style():
         shown += _learned_sections(view, frame)
-    shown.append(_columns_section(table, has_frame=frame is not None))
+    in_figures = table_panel("The predictors in figures", [" ".join(notes)], table.without("unit"))
+    shown.append(in_figures)
     # Then the frame, and its noise beside that of the training data.
     if frame is not None and noise is not None:
         outside = percent(share_out_of_domain(noise))
@@ -86,7 +111,14 @@ def sections(subject: Subject) -> Findings:
     # Last, where it comes from.
     with figure_style():
         shown += _origin_sections(view, frame)
-    return Findings(sections=tuple(shown), text=text, facts=facts, pictures=pictures)
+    return Findings(
+        sections=tuple(shown),
+        text=text,
+        notes=notes,
+        facts=facts,
+        terms=_TERMS,
+        pictures=pictures,
+    )
 
 
 def summary(model: GeneralizedKernel) -> TrainingSummary:
@@ -118,6 +150,9 @@ def summary(model: GeneralizedKernel) -> TrainingSummary:
             f"{signed(gain)} nats a feature over the static model, on blocks of time left out"
         )
 
+    kept = kept_text(model.training)
+    if kept:
+        facts["kept"] = kept
     paragraphs = []
     if any(column.gain is not None for column in used):
         gains = [(column.name, f"{column.weight:g}", signed(column.gain)) for column in used]
@@ -127,7 +162,11 @@ def summary(model: GeneralizedKernel) -> TrainingSummary:
         paragraphs.append(
             "No predictor shows which feature is better than another: all are taken, alike."
         )
-    iterations = em_table(model.training["iterations"], "the static model")
+    iterations = em_table(
+        model.training["iterations"],
+        "the static model",
+        kept=model.training.get("kept_iteration"),
+    )
     paragraphs.append("\n".join([iterations.as_text(), *iterations.notes]))
     return TrainingSummary(facts, tuple(paragraphs))
 
@@ -264,18 +303,6 @@ def _frame_panels(view: CentersView, noise: StereoNoise) -> list[Markup]:
     ]
 
 
-def _columns_section(table: Table, *, has_frame: bool) -> Markup:
-    whose = "the frame’s features" if has_frame else "the centers"
-    note = (
-        "Weight: how much a standard deviation counts in the distance; a column without one is not"
-        " used. Gain: nats a feature that it adds to the likelihood of blocks of time left out,"
-        " beside those above. Training: mean ± standard deviation of all features. Undefined:"
-        f" share of {whose}."
-    )
-    left_out = ("unit",) if has_frame else ("unit", "this frame")
-    return table_panel("The predictors in figures", [note], table.without(*left_out))
-
-
 def _learned_sections(view: CentersView, frame: FrameView | None) -> list[Markup]:
     """Show the noise along each used column."""
     note = (
@@ -302,7 +329,8 @@ def _origin_sections(view: CentersView, frame: FrameView | None) -> list[Markup]
         if frame is not None:
             centers_note += " Orange rings: the frame’s features."
         title = "Where the centers lie, over the most telling predictors"
-        shown.append(panel(title, centers_note, centers_figure(view, frame), name="centers"))
+        figures = centers_figures(view, frame)
+        shown.append(row_panel(title, centers_note, figures, name="centers", style="narrow"))
     shown.append(settings_section(view.model.training))
     return shown
 
@@ -324,8 +352,15 @@ def _origin_panels(view: CentersView) -> list[Markup]:
     panels = []
     iterations = training.get("iterations", [])
     if iterations:
-        em_note = f"Iteration 0 has the noise of the static model. {END_ERROR}"
-        panels.append(panel("EM iterations", em_note, em_figure(iterations)))
+        note = em_note(training, "the static model")
+        panels.append(panel("EM iterations", note, em_figure(iterations)))
+    prior_note = (
+        f"What holds where no sample is near: ν = {readable(float(model.prior_.dof[0]))}, and the"
+        " scale matrix as σ and correlations. Elsewhere, it counts as much as"
+        f" {model.shape_.prior_counts:g} of the errors."
+    )
+    panels.append(table_panel("The prior", [prior_note], scale_table(model.prior_.scale[0])))
+    panels.append(training_section(training))
     searches = training.get("searches", {})
     if any(search["gains"] for search in searches.values()):
         gains_note = (
@@ -337,11 +372,4 @@ def _origin_panels(view: CentersView) -> list[Markup]:
         if chosen != model.shape_.neighbors:
             gains_note += f" With all of the samples, K becomes {model.shape_.neighbors:,}."
         panels.append(panel("How it was chosen", gains_note, gains_figure(searches)))
-    prior_note = (
-        f"What holds where no sample is near: ν = {readable(float(model.prior_.dof[0]))}, and the"
-        " scale matrix as σ and correlations. Elsewhere, it counts as much as"
-        f" {model.shape_.prior_counts:g} of the errors."
-    )
-    panels.append(table_panel("The prior", [prior_note], scale_table(model.prior_.scale[0])))
-    panels.append(training_section(training))
     return panels

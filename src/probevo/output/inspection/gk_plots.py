@@ -135,7 +135,7 @@ def _ticks(low: float, high: float) -> list[float]:
 def gains_figure(searches: Mapping[str, Mapping[str, Any]]) -> Figure:
     """Draw what each candidate gains over the static model, and which was chosen."""
     shown = [name for name in SEARCHED if searches.get(name, {}).get("gains")]
-    across = min(3, len(shown))
+    across = 2 if len(shown) in (2, 4) else min(3, len(shown))  # no row but the last has a gap
     down = -(-len(shown) // across)
     figure = Figure(figsize=(WIDTH_IN, 0.3 + 2.2 * down))
     grid = np.ravel(figure.subplots(down, across, sharey=True))
@@ -170,26 +170,26 @@ def _plain(candidate: float | str) -> str:
     return f"{candidate:g}"
 
 
-def centers_figure(view: CentersView, frame: FrameView | None) -> Figure:
+def centers_figures(view: CentersView, frame: FrameView | None) -> list[Figure]:
     """Draw the centers over each two of the first used columns, in the colour of their σ.
 
     The frame's features are rings.
     """
-    # One plot for each pair of columns, at most three beside each other.
-    pairs = list(combinations(range(min(len(view.used), MOST_PAIRED)), 2))
-    across = min(3, len(pairs))
-    down = -(-len(pairs) // across)
-    figure = Figure(figsize=(1.04 * NARROW_IN * across, 2.9 * down))
     size = size_px(view.noise.scale)
     low, high = np.quantile(size, [0.02, 0.98]).tolist()
     norm = LogNorm(low, max(high, 1.001 * low))
-    grid = np.ravel(figure.subplots(down, across))
-    for axes, (i, j) in zip(grid, pairs, strict=True):
+    ticks = _ticks(low, high)
+    figures = []
+    for i, j in combinations(range(min(len(view.used), MOST_PAIRED)), 2):
+        figure = Figure(figsize=(NARROW_IN, 2.9))
+        axes = figure.add_subplot()
         window = np.array([window_of(view.places[:, i]), window_of(view.places[:, j])])
+        places = np.clip(view.places[:, [i, j]], *window.T)
         drawn = axes.scatter(
-            *np.clip(view.places[:, [i, j]], *window.T).T,
-            7,
-            size,
+            places[:, 0],
+            places[:, 1],
+            s=7,
+            c=size,
             norm=norm,
             cmap="viridis",
             lw=0,
@@ -198,15 +198,15 @@ def centers_figure(view: CentersView, frame: FrameView | None) -> Figure:
         if frame is not None:
             points = np.clip(frame.phi[:, [view.used[i].index, view.used[j].index]], *window.T)
             axes.plot(*points.T, "o", mfc="none", mec=ORANGE, ms=3.5, mew=0.8, rasterized=True)
-        axes.set_xlabel(_label(view, i), fontsize=8)
-        axes.set_ylabel(_label(view, j), fontsize=8)
+        axes.set_xlabel(_label(view, i))
+        axes.set_ylabel(_label(view, j))
         axes.grid(visible=False)
-    bar = figure.colorbar(drawn, ax=list(grid), aspect=30, pad=0.01, label="σ, px")
-    bar.outline.set_visible(False)
-    bar.minorticks_off()
-    ticks = _ticks(low, high)
-    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
-    return figure
+        bar = figure.colorbar(drawn, ax=axes, aspect=30, pad=0.02, label="σ, px")
+        bar.outline.set_visible(False)
+        bar.minorticks_off()
+        bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+        figures.append(figure)
+    return figures
 
 
 def _label(view: CentersView, k: int) -> str:

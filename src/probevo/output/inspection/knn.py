@@ -20,7 +20,7 @@ from probevo.output.inspection.knn_data import FrameWeights, ModelView
 from probevo.output.inspection.knn_plots import (
     correlation_figure,
     distances_figure,
-    pairs_figure,
+    pairs_figures,
     profile_figure,
     searches_figure,
     weights_figure,
@@ -39,8 +39,9 @@ from probevo.output.inspection.subject import (
     Subject,
     TrainingSummary,
 )
+from probevo.output.inspection.terms import column_notes
 from probevo.output.inspection.training_facts import origin
-from probevo.output.page import grid, heading, panel, table_panel
+from probevo.output.page import grid, heading, panel, row_panel, table_panel
 from probevo.output.svg import figure_style
 from probevo.output.table import readable, text_table
 from probevo.output.templating import rendered
@@ -52,6 +53,19 @@ _IF_CONTRAST = (
     " Subsets lean to one side, so that extremes are more frequent among samples than among"
     " features."
 )
+_TERMS = {
+    "Samples": (
+        "Features that took part in a motion of a random subset, each with the error α of that"
+        " motion."
+    ),
+    "K": "Number of nearest samples over which α is averaged.",
+    "γ": (
+        "Exponent of the weight β = (mean of the K nearest α / ᾱ)^γ of a feature; with 0, all weigh"
+        " alike."
+    ),
+    "Average of α": "Kind of mean of the K nearest α, and of all of them, ᾱ.",
+    "Scaled noise": "The static noise that β multiplies.",
+}
 _SEARCHES = {
     "neighbors": ("K", "squared error of left-out samples", 1.0),
     "exponent": ("γ", "mean error on the training drives, mm", 1e3),
@@ -70,10 +84,11 @@ def sections(subject: Subject) -> Findings:
     with figure_style():
         shown += _learned_sections(view, frame)
     table = column_table(_column_summaries(view, frame))
-    whose = "the frame’s features" if frame is not None else "the training samples"
-    note = f"Training: mean ± standard deviation of all features. Undefined: share of {whose}."
-    left_out = ("unit",) if frame is not None else ("unit", "this frame")
-    shown.append(table_panel("The predictors in figures", [note], table.without(*left_out)))
+    if frame is None:
+        table = table.without("this frame")
+    notes = column_notes(table.heads, has_frame=frame is not None, samples="the training samples")
+    in_figures = table_panel("The predictors in figures", [" ".join(notes)], table.without("unit"))
+    shown.append(in_figures)
     # Then the frame, and where it lies among the training data.
     if frame is not None and weights is not None:
         pictures = frame_pictures(view, frame, weights)
@@ -85,7 +100,12 @@ def sections(subject: Subject) -> Findings:
     with figure_style():
         shown += _origin_sections(view, frame)
     return Findings(
-        sections=tuple(shown), text=table.as_text(), facts=_facts(view), pictures=pictures
+        sections=tuple(shown),
+        text=table.as_text(),
+        notes=notes,
+        facts=_facts(view),
+        terms=_TERMS,
+        pictures=pictures,
     )
 
 
@@ -97,6 +117,9 @@ def summary(model: NearestNeighbors) -> TrainingSummary:
         "K": f"{model.neighbors}",
         "γ": f"{model.exponent:g}",
     }
+    iterations = model.training["settings"].get("iterations")
+    if iterations is not None:
+        facts["kept"] = f"the samples of all {iterations} iterations, each of other subsets"
     paragraphs = []
     for name, search in model.training["searches"].items():
         symbol, meaning, factor = _SEARCHES[name]
@@ -233,7 +256,8 @@ def _origin_sections(view: ModelView, frame: FrameView | None) -> list[Markup]:
         if frame is not None:
             pairs_note += " Orange: the frame’s features."
         title = "Where the data lies, over the most telling columns"
-        shown.append(panel(title, pairs_note, pairs_figure(view, frame), name="pairs"))
+        figures = pairs_figures(view, frame)
+        shown.append(row_panel(title, pairs_note, figures, name="pairs", style="narrow"))
     shown.append(settings_section(training))
     return shown
 

@@ -121,17 +121,15 @@ def correlation_figure(view: ModelView) -> Figure:
     return figure
 
 
-def pairs_figure(view: ModelView, frame: FrameView | None) -> Figure:
+def pairs_figures(view: ModelView, frame: FrameView | None) -> list[Figure]:
     """Draw the density of the training samples over each two of the most telling columns.
 
     The frame's features are points.
     """
-    # One plot for each pair of columns, at most three beside each other.
-    pairs = list(combinations(view.order[:MOST_PAIRED], 2))
-    across = min(3, len(pairs))
-    down = -(-len(pairs) // across)
-    figure = Figure(figsize=(1.04 * NARROW_IN * across, 2.9 * down))
-    for axes, (m, n) in zip(np.ravel(figure.subplots(down, across)), pairs, strict=False):
+    figures = []
+    for m, n in combinations(view.order[:MOST_PAIRED], 2):
+        figure = Figure(figsize=(NARROW_IN, 2.9))
+        axes = figure.add_subplot()
         x = view.places[:, m]
         y = view.places[:, n]
         window = (window_of(x), window_of(y))
@@ -142,11 +140,12 @@ def pairs_figure(view: ModelView, frame: FrameView | None) -> Figure:
         )
         if frame is not None:
             points = np.clip(frame.phi[:, [m, n]], *np.array(window).T)
-            axes.plot(*points.T, ".", color=ORANGE, ms=3, mew=0, alpha=0.8, rasterized=True)
-        axes.set_xlabel(_label(view, m), fontsize=8)
-        axes.set_ylabel(_label(view, n), fontsize=8)
+            axes.plot(*points.T, "o", color=ORANGE, ms=2.5, mew=0, alpha=0.8, rasterized=True)
+        axes.set_xlabel(_label(view, m))
+        axes.set_ylabel(_label(view, n))
         axes.grid(visible=False)
-    return figure
+        figures.append(figure)
+    return figures
 
 
 def _label(view: ModelView, m: int) -> str:

@@ -9,6 +9,7 @@ from probevo.noise.registry import imported, kind_of
 from probevo.output.inspection import predictors
 from probevo.output.inspection.common_sections import frame_facts
 from probevo.output.inspection.subject import Findings, Subject
+from probevo.output.inspection.terms import meanings, terms_section
 from probevo.output.page import write_page
 from probevo.storage.files import remove_stale, write_atomically
 
@@ -53,5 +54,6 @@ def write_inspection(out: Path, subject: Subject) -> Findings:
         for name, (_, jpeg) in findings.pictures.items():
             write_atomically(folder / f"{name}.jpg", jpeg)
     facts = {**frame_facts(subject.frame), **findings.facts}
-    write_page(out / PAGE, subject.title, facts, sections=findings.sections)
+    terms = terms_section(meanings(facts, findings.terms))
+    write_page(out / PAGE, subject.title, facts, sections=[terms, *findings.sections])
     return findings

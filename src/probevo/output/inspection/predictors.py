@@ -11,6 +11,7 @@ from probevo.arrays import FloatArray
 from probevo.output.feature_pictures import Shades, draw_features, value_shades
 from probevo.output.inspection.common_sections import percent, pictures_section
 from probevo.output.inspection.subject import Findings, FrameView, Picture, Subject
+from probevo.output.inspection.terms import column_notes
 from probevo.output.page import table_panel
 from probevo.output.table import UNKNOWN_TEXT, Cell, Column, Row, Table, readable
 
@@ -30,13 +31,15 @@ def sections(subject: Subject, remark: str = "") -> Findings:
         raise ValueError("an inspection needs a model or a frame")
     pictures = drawn(frame, {name: column_shades(frame, name) for name in frame.columns})
     table = column_table(column_summaries(frame.columns, frame.phi))
-    note = "Undefined: share of the frame’s features."
+    table = table.without("training")
+    notes = column_notes(table.heads, has_frame=True, samples="")
     return Findings(
         sections=(
             pictures_section(frame, pictures, remark),
-            table_panel("The predictors in figures", [note], table.without("unit", "training")),
+            table_panel("The predictors in figures", [" ".join(notes)], table.without("unit")),
         ),
         text=table.as_text(),
+        notes=notes,
         pictures=pictures,
     )
 

@@ -9,9 +9,10 @@ from probevo.output.inspection import predictors
 from probevo.output.inspection.common_sections import settings_section, training_section
 from probevo.output.inspection.subject import Findings, Picture, Subject, TrainingSummary
 from probevo.output.inspection.training_facts import (
-    END_ERROR,
     em_figure,
+    em_note,
     em_table,
+    kept_text,
     learned_jitter_text,
     noise_of_text,
     origin,
@@ -35,11 +36,13 @@ def sections(subject: Subject) -> Findings:
     pictures: dict[str, Picture] = {}
     shown: list[Markup] = []
     scale = scale_table(model.scale_)
-    panels = [table_panel("The scale matrix", [_spread_note(model)], scale)]
+    panels = [
+        table_panel("The scale matrix", [f"As σ and correlations. {_spread_note(model)}"], scale)
+    ]
     if training.get("iterations"):
-        em_note = f"Iteration 0 has the noise of a model that was not trained. {END_ERROR}"
+        note = em_note(training, "a model that was not trained")
         with figure_style():
-            panels.append(panel("EM iterations", em_note, em_figure(training["iterations"])))
+            panels.append(panel("EM iterations", note, em_figure(training["iterations"])))
     panels.append(training_section(training))
     shown.append(grid(panels))
     if subject.frame is not None:
@@ -50,6 +53,11 @@ def sections(subject: Subject) -> Findings:
     return Findings(
         sections=tuple(shown),
         text=f"{scale.as_text()}\nν = {model.dof_:.3g}",
+        notes=(
+            "u_l, v_l, u_r, v_r: column and row of a feature in the left and in the right image.",
+            f"σ, correlation: of the scale matrix. {_spread_note(model)}",
+            "ν: degrees of freedom of the Student-t; the fewer, the more outliers.",
+        ),
         facts={
             "Trained on": origin(training) or "not known",
             "ν": readable(model.dof_),
@@ -63,14 +71,21 @@ def sections(subject: Subject) -> Findings:
 
 def summary(model: StudentT) -> TrainingSummary:
     """Summarise the scale matrix that was learned, and the EM iterations."""
-    iterations = em_table(model.training["iterations"], "not trained")
+    training = model.training
+    iterations = em_table(
+        training["iterations"], "not trained", kept=training.get("kept_iteration")
+    )
+    facts = {
+        "trained on": origin(training),
+        "ν": f"{model.dof_:.3g}",
+        "correlated": f"in time: {time_correlation_text(model.time_correlation_ratio)}",
+        "rig": learned_jitter_text(model.jitter_cov),
+    }
+    kept = kept_text(training)
+    if kept:
+        facts["kept"] = kept
     return TrainingSummary(
-        facts={
-            "trained on": origin(model.training),
-            "ν": f"{model.dof_:.3g}",
-            "correlated": f"in time: {time_correlation_text(model.time_correlation_ratio)}",
-            "rig": learned_jitter_text(model.jitter_cov),
-        },
+        facts=facts,
         paragraphs=(
             scale_table(model.scale_).as_text(),
             "\n".join([iterations.as_text(), *iterations.notes]),
@@ -80,14 +95,10 @@ def summary(model: StudentT) -> TrainingSummary:
 
 def _spread_note(model: StudentT) -> str:
     """Say how σ relates to the standard deviation, which is √(ν/(ν − 2)) σ for ν > 2."""
-    note = "As σ and correlations."
     if model.dof_ <= 2.0:
         return (
-            f"{note} With ν = {readable(model.dof_)}, errors have no finite standard deviation:"
+            f"With ν = {readable(model.dof_)}, errors have no finite standard deviation:"
             " outliers are many."
         )
     factor = (model.dof_ / (model.dof_ - 2.0)) ** 0.5
-    return (
-        f"{note} The standard deviation of errors, outliers included, is {readable(factor)}"
-        " times σ."
-    )
+    return f"The standard deviation of errors, outliers included, is {readable(factor)} times σ."

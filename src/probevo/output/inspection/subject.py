@@ -64,8 +64,12 @@ class Findings:
     """Sections of the page, from top to bottom."""
     text: str
     """Text for the terminal."""
+    notes: tuple[str, ...] = ()
+    """What the heads and symbols of the text mean, one sentence each."""
     facts: Mapping[str, str] = field(default_factory=dict)
     """Facts about the model at the top of the page, by name."""
+    terms: Mapping[str, str] = field(default_factory=dict)
+    """Meanings of those facts that only a model of this kind has, by name."""
     pictures: Mapping[str, Picture] = field(default_factory=dict)
     """Pictures of the frame with its features in different colours, by the names of their files."""
 

@@ -30,13 +30,21 @@ def origin(training: Mapping[str, Any]) -> str:
     return f"{frames:,} frames of {len(recordings)} recording{plural}"
 
 
-def em_table(iterations: Sequence[Mapping[str, float]], initial: str) -> Table:
+def em_table(
+    iterations: Sequence[Mapping[str, float]], initial: str, kept: int | None = None
+) -> Table:
     """Make a table with a row for each EM iteration.
 
     Args:
         iterations: the results of each EM iteration; ``iterations`` of a model file.
         initial: the noise that the first was given.
+        kept: number of iterations after which the model was taken, whose row is marked; there is
+            none if the model of the last fit was not evaluated any more.
     """
+    names = [str(number) for number in range(len(iterations))]
+    names[:1] = [f"0: {initial}"] if names else []
+    if kept is not None and 0 < kept < len(names):
+        names[kept] = f"{kept}: kept"
     has_end_error = any("loop_error_m" in iteration for iteration in iterations)
     columns = [
         Column("iteration", format=str, align="left"),
@@ -45,15 +53,40 @@ def em_table(iterations: Sequence[Mapping[str, float]], initial: str) -> Table:
     if has_end_error:
         columns.append(Column("end error, m", format=_end_error_text))
     rows = []
-    for number, iteration in enumerate(iterations):
-        values: list[object] = [
-            f"0: {initial}" if number == 0 else str(number),
-            iteration["log_likelihood"],
-        ]
+    for name, iteration in zip(names, iterations, strict=True):
+        values: list[object] = [name, iteration["log_likelihood"]]
         if has_end_error:
             values.append(iteration.get("loop_error_m"))
         rows.append(Row.of(*values))
     return Table(tuple(columns), tuple(rows), notes=(END_ERROR,) if has_end_error else ())
+
+
+def kept_text(training: Mapping[str, Any]) -> str:
+    """Say after which EM iteration the model was taken, and why; empty if it is not known."""
+    kept = training.get("kept_iteration")
+    if kept is None:
+        return ""
+    gain = training.get("time_correlation_gain")
+    if gain is None:
+        return f"the model after {kept} iterations, the last"
+    if kept < len(training.get("iterations", [])):
+        return (
+            f"the model after {kept} iterations; more, with time-correlated errors, change the"
+            f" likelihood by {signed(gain)} nats a feature, too little to accept these"
+        )
+    return (
+        f"the model after {kept} iterations, the last; time-correlated errors change the likelihood"
+        f" by {signed(gain)} nats a feature"
+    )
+
+
+def em_note(training: Mapping[str, Any], initial: str) -> str:
+    """Explain the figure of the EM iterations, given what the first was given."""
+    kept = kept_text(training)
+    sentences = [f"Iteration 0 has the noise of {initial}."]
+    if kept:
+        sentences.append(f"Kept: {kept}.")
+    return " ".join([*sentences, END_ERROR])
 
 
 def em_figure(iterations: Sequence[Mapping[str, float]]) -> Figure:

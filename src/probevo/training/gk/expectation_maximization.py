@@ -81,13 +81,16 @@ def learn_student_t(context: TrainingContext) -> StudentT:
 
     # Decide between the models with and without time correlation.
     iterations = model.training["iterations"]
+    kept: dict[str, Any] = {"kept_iteration": len(iterations)}
     if settings.learns_time_correlation:
         likelihood = iterations[-1]["log_likelihood"]
         likelihood_without = iterations[STATIC_ITERATIONS]["log_likelihood"]
+        kept["time_correlation_gain"] = likelihood - likelihood_without
         if likelihood < likelihood_without + TIME_CORRELATION_GAIN:
             model = uncorrelated
             iterations = iterations[: STATIC_ITERATIONS + 1]
-    model.training = training_facts(context, iterations, searches={})
+            kept["kept_iteration"] = STATIC_ITERATIONS
+    model.training = training_facts(context, iterations, searches={}) | kept
     return model
 
 
@@ -154,9 +157,9 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
     # One more E-step measures how well the last model explains the residuals.
     last = gather_error_samples(context, model, lambda share: None).progress
     model.camera = context.drives[0].camera
-    model.training = training_facts(
-        context, [*training["iterations"], last], searches=training["searches"]
-    )
+    iterations = [*training["iterations"], last]
+    facts = training_facts(context, iterations, searches=training["searches"])
+    model.training = facts | {"kept_iteration": len(iterations) - 1}
     return model
 
 
