@@ -37,7 +37,7 @@ from probevo.tracking.tracks import Tracks
 LARGEST_SCALE = 30.0
 """Largest factor by which the variances may exceed the prediction: 5 times σ, or 1 px with
 ``student-t``. With more, the features do not agree on a motion."""
-FEWEST_TRUSTED = 1.0 / 3.0
+FEWEST_TRUSTED = 0.5
 """Share of inliers among the tracks used, below which the noise is larger than predicted. If the
 prediction holds, the share is half or more."""
 RAREST = 0.001
@@ -65,7 +65,8 @@ class VisualMotion:
     """The motion for the residuals that predict noise in the next step, [4, 4]; None without a
     solve."""
     noise: StereoNoise | None = None
-    """Predicted noise of the tracks used; None without a solve."""
+    """Predicted noise of the tracks used, enlarged where most residuals exceed it; None without a
+    solve."""
     disparities: DisparityFilter = field(default_factory=DisparityFilter.none)
     """The disparity filter after the step; empty unless the step was accepted."""
     num_out_of_domain: int | None = None
@@ -206,6 +207,7 @@ class VisualEstimator:
             others=priors.measurements,
             curr=priors.curr,
         )
+        enlargement = 1.0
         if self._is_noisier_than_expected(estimate):
             fitting = self._noise_that_fits(
                 tracks, phi, estimate.solution.T_curr_prev, jitter_cov=noise.jitter_cov
@@ -214,10 +216,13 @@ class VisualEstimator:
                 # There are inliers enough to determine the motion, but they understate the noise:
                 # the solve went where some tracks agree by chance. Enlarge the covariance to the
                 # scatter of all tracks, rather too much than too little.
-                factor = fitting.factor if are_enough(fitting.agree, self._config) else 1.0
-                factor = max(factor, _scale_shown(estimate.solution.squared, noise))
                 solution = estimate.solution
-                estimate = replace(estimate, solution=replace(solution, cov=factor * solution.cov))
+                enlargement = _scale_shown(solution.squared, noise)
+                if are_enough(fitting.agree, self._config):
+                    enlargement = max(enlargement, fitting.factor)
+                estimate = replace(
+                    estimate, solution=replace(solution, cov=enlargement * solution.cov)
+                )
             elif are_enough(fitting.agree, self._config):
                 # Hardly a track fits the predicted noise, but most agree under a larger one. Solve
                 # again with that, instead of rejecting a frame that is only noisy.
@@ -266,7 +271,7 @@ class VisualEstimator:
             solution=None if status is Status.DEGENERATE else solution,
             two_frames_only=two_frames_only,
             T_reference=T_reference,
-            noise=noise,
+            noise=noise.scaled(np.full(len(inliers), enlargement)),
             disparities=(estimate.disparities if status is Status.OK else DisparityFilter.none()),
             num_out_of_domain=None if outside is None else int(outside.sum()),
         )
