@@ -22,6 +22,7 @@ from probevo.tracking.preparation import prepare_images
 from probevo.tracking.surface_motion import move_surfaces
 from probevo.tracking.tracker import Tracked, TrackingState
 from probevo.tracking.tracks import Tracks
+from probevo.tracking.uniqueness_numba import find_unique
 
 BORDER_PX = 5.0
 """Nearer to the border, too much of the window lies outside of the image."""
@@ -235,6 +236,18 @@ class ImageTracker:
         same_row, has_disparity = self._is_consistent(left_px[similar], aligned.pixels)
         fits = np.isfinite(aligned.difference) & same_row & has_disparity
         rejected[NO_FIT] += int((~fits).sum())
+        # A new feature must not repeat along its row: nothing but its neighbours tells which of
+        # the places is the true one. An old one was found there before.
+        is_new = fits & ~is_predicted[similar]
+        unique = find_unique(
+            left[0],
+            right[0],
+            left_px[similar][is_new],
+            aligned.pixels[is_new],
+            window_px=self._config.window_px,
+        )
+        rejected["repeats along its row"] += int((~unique).sum())
+        fits[is_new] = unique
         matched = similar.copy()
         matched[similar] = fits
         return _FoundInStereo(

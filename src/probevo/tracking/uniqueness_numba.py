@@ -1,0 +1,86 @@
+"""How unique a stereo match is along its row: a test against repeated texture.
+
+A fence, a facade or a hedge looks alike at several disparities. Lucas–Kanade takes the one next to
+where it starts, and neighbours that start alike agree on a wrong one. Such a match is recognised by
+a second place in its row that fits nearly as well (Lowe, "Distinctive image features from
+scale-invariant keypoints", IJCV 2004, who compares the distances of descriptors).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, Image, IntArray
+from probevo.compiled import compiled
+
+LARGEST_RATIO = 0.8
+"""Ratio of the differences of the best and the second-best place, from which on a match is
+ambiguous; Lowe's."""
+REACH_PX = 32
+"""Distance along the row within which there must be no second place: Lucas–Kanade does not reach
+farther."""
+BEST_WITHIN_PX = 2
+"""The best place is taken as near to the match as this, since both are whole pixels."""
+
+
+@compiled
+def find_unique(
+    left: Image, right: Image, left_px: FloatArray, right_px: FloatArray, window_px: int
+) -> BoolArray:
+    """Return which of N stereo matches fit clearly better than any other place in their row, [N].
+
+    A match whose window or row is not inside of both images is taken for unique.
+
+    Args:
+        left: left image, [height, width], uint8.
+        right: right image, [height, width], uint8.
+        left_px: (u, v) in the left image, [N, 2], px.
+        right_px: (u, v) in the right image, [N, 2], px.
+        window_px: side of the window that is compared; odd.
+    """
+    height, width = left.shape
+    half = window_px // 2
+    squared = np.empty(2 * REACH_PX + 1, np.int32)
+    unique = np.ones(len(left_px), np.bool_)
+    for n in range(len(left_px)):
+        u = round(left_px[n, 0])
+        v = round(left_px[n, 1])
+        u_right = round(right_px[n, 0])
+        v_right = round(right_px[n, 1])
+        rows_inside = min(v, v_right) >= half and max(v, v_right) + half < height
+        # Places in the row whose windows are inside of the image, relative to the first.
+        first = max(u_right - REACH_PX, half)
+        last = min(u_right + REACH_PX, width - 1 - half)
+        if not rows_inside or u < half or u + half >= width or first > u_right or last < u_right:
+            continue
+        count = last - first + 1
+        squared[:count] = 0
+        for i in range(-half, half + 1):
+            for j in range(-half, half + 1):
+                grey = np.int32(left[v + i, u + j])
+                row = right[v_right + i, first + j : last + j + 1]
+                for k in range(count):
+                    difference = grey - np.int32(row[k])
+                    squared[k] += difference * difference
+        unique[n] = _is_best(squared[:count], u_right - first, half)
+    return unique
+
+
+@compiled
+def _is_best(squared: IntArray, match: int, half: int) -> bool:
+    """Return whether the places at a match differ clearly less than those beyond half a window.
+
+    Args:
+        squared: squared difference of the windows at each place of the row.
+        match: index of the match.
+        half: half the side of a window.
+    """
+    best = np.inf
+    second = np.inf
+    for k in range(len(squared)):
+        distance = abs(k - match)
+        if distance <= BEST_WITHIN_PX:
+            best = min(best, squared[k])
+        elif distance > half:
+            second = min(second, squared[k])
+    return best <= LARGEST_RATIO**2 * second
