@@ -365,13 +365,13 @@ def brightness_variance(brightness: FloatArray, contrast: FloatArray, error: Flo
     """
     # The contrast has the mean 0 and the length 1, so that both parts of the regression are inner
     # products with it.
-    length = dot_float32(brightness, contrast)
-    along = dot_float32(error, contrast)
-    offset = sum_float32(error) / len(error)
+    length = float(dot_float32(brightness, contrast))
+    along = float(dot_float32(error, contrast))
+    offset = float(sum_float32(error)) / len(error)
     gain = (length + along) / length
     if not gain > 0.0:
         return np.inf
-    squared = dot_float32(error, error) - len(error) * offset**2 - along**2
+    squared = float(dot_float32(error, error)) - len(error) * offset**2 - along**2
     return max(squared, 0.0) / gain**2 / (len(error) - NUM_ADJUSTED)
 
 

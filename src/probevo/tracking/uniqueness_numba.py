@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from probevo.arrays import BoolArray, FloatArray, Image, IntArray
+from probevo.arrays import AnyArray, BoolArray, FloatArray, Image
 from probevo.compiled import compiled
 
 LARGEST_RATIO = 0.8
@@ -67,7 +67,7 @@ def find_unique(
 
 
 @compiled
-def _is_best(squared: IntArray, match: int, half: int) -> bool:
+def _is_best(squared: AnyArray, match: int, half: int) -> bool:
     """Return whether the places at a match differ clearly less than those beyond half a window.
 
     Args:
