@@ -455,10 +455,14 @@ def solution() -> ReprojectionSolution:
 
 
 def status_of(
-    solution: ReprojectionSolution, num_inliers: int = 200, prediction: MotionPrediction = UNKNOWN
+    solution: ReprojectionSolution,
+    num_inliers: int = 200,
+    prediction: MotionPrediction = UNKNOWN,
+    *,
+    num_tracks: int = 200,
 ) -> Status:
     weights = (np.arange(200) < num_inliers).astype(float)
-    return evaluate_status(solution, weights, prediction, config=CONFIG)
+    return evaluate_status(solution, weights, prediction, num_tracks=num_tracks, config=CONFIG)
 
 
 def test_judge_accepts_a_determined_converged_solve(solution: ReprojectionSolution) -> None:
@@ -466,6 +470,14 @@ def test_judge_accepts_a_determined_converged_solve(solution: ReprojectionSoluti
     assert status_of(solution, CONFIG.solver.min_tracks) is Status.OK
     assert status_of(solution, CONFIG.solver.min_tracks - 1) is Status.TOO_FEW_TRACKS
     assert status_of(replace(solution, converged=False)) is Status.NOT_CONVERGED
+
+
+def test_few_inliers_must_be_of_the_majority(solution: ReprojectionSolution) -> None:
+    """A few tracks that RANSAC has chosen from many may agree by chance."""
+    few = 2 * CONFIG.solver.min_tracks
+    assert status_of(solution, few - 1, num_tracks=400) is Status.OK
+    assert status_of(solution, few - 1, num_tracks=401) is Status.TOO_FEW_TRACKS
+    assert status_of(solution, few, num_tracks=401) is Status.OK
     assert status_of(solution, prediction=STANDSTILL) is Status.NOT_CONVERGED
     nowhere = replace(solution, cov=np.full((6, 6), np.nan))
     assert status_of(nowhere) is Status.DEGENERATE

@@ -40,6 +40,10 @@ LARGEST_SCALE = 30.0
 FEWEST_TRUSTED = 0.5
 """Share of inliers among the tracks used, below which the noise is larger than predicted. If the
 prediction holds, the share is half or more."""
+FEW = 2
+"""Multiple of ``solver.min_tracks`` below which inliers are so few that RANSAC must have confirmed
+the majority of the tracks. A minority may agree by chance, or on something that moves: on thirty
+rendered drives of rigs drawn at random, most such solves were far outside of their covariance."""
 RAREST = 0.001
 """Tail probability of a track's residual below which the track does not agree with the motion."""
 MOTIONS_DIFFER_FROM = 22.46
@@ -259,7 +263,13 @@ class VisualEstimator:
             )
         clock.lap("solve")
         # Accept or reject.
-        status = evaluate_status(solution, estimate.weights, priors.prediction, config=self._config)
+        status = evaluate_status(
+            solution,
+            estimate.weights,
+            priors.prediction,
+            num_tracks=len(tracks),
+            config=self._config,
+        )
         T_reference = solution.T_curr_prev
         if self._predicts_from_motion:
             T_reference = self._confirmed(estimate, inliers, consensus.T_curr_prev, priors)
@@ -384,9 +394,19 @@ def evaluate_status(
     weights: FloatArray,
     prediction: MotionPrediction,
     *,
+    num_tracks: int,
     config: OdometryConfig,
 ) -> Status:
-    """Return OK if a solve is determined in all six dimensions, converged, and passes the gate."""
+    """Return OK if a solve is determined in all six dimensions by enough tracks, converged, and
+    passes the gate.
+
+    Args:
+        solution: the solve.
+        weights: weight of each track that it used, [N].
+        prediction: motion predicted before the images are used.
+        num_tracks: number of tracks, with those that RANSAC rejected.
+        config: settings of the solver.
+    """
     if not np.isfinite(solution.cov).all():
         return Status.DEGENERATE
     # The largest eigenvalue, not a diagonal entry: the unobservable direction need not be an axis.
@@ -397,7 +417,9 @@ def evaluate_status(
         or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
     ):
         return Status.DEGENERATE
-    if (weights >= INLIER_FROM).sum() < config.solver.min_tracks:
+    num_inliers = int((weights >= INLIER_FROM).sum())
+    is_minority = len(weights) < 0.5 * num_tracks
+    if num_inliers < config.solver.min_tracks * (FEW if is_minority else 1):
         return Status.TOO_FEW_TRACKS
     # A solve may converge to the motion relative to a passing lorry. Its tracks agree with each
     # other, but not with the predicted motion.
