@@ -61,17 +61,20 @@ def without_jitter(
     # S⁻¹ of each frame stands in a block of its own on the diagonal.
     for at in range(0, len(jitter), JITTER):
         of_jitter[at : at + JITTER, at : at + JITTER] += information
+    # One solve for both right-hand sides: the coupling to poses and rig, and the gradient.
     wanted = np.empty((len(jitter), len(others) + 1))
     wanted[:, :-1] = rows_of_jitter[:, others]
     wanted[:, -1] = equations.gradient[jitter] + towards_prior.ravel()
     solved = np.asarray(np.linalg.solve(of_jitter, wanted), np.float64)
     gain = solved[:, :-1]
     offset = solved[:, -1]
+    # The Schur complement; the last column is that of the gradient.
     reduced = wanted[:, :-1].T @ solved
     hessian = equations.hessian[others][:, others] - reduced[:, :-1]
     equations_of_rest = NormalEquations(
         hessian=0.5 * (hessian + hessian.T),
         gradient=equations.gradient[others] - reduced[:, -1],
     )
+    # ½ Σ ωᵀ S⁻¹ ω.
     cost = -0.5 * float(window.jitter.ravel() @ towards_prior.ravel())
     return equations_of_rest, JitterElimination(offset=offset, gain=gain), cost
