@@ -61,7 +61,8 @@ def preintegrate_samples(
     """Integrate rates and forces in the axes of the start, with covariance and bias Jacobians.
 
     In each sub-interval the rate is constant, and the force acts along the axes of its middle. The
-    errors δ = (δφ, δv, δp), with ΔR Exp(δφ), follow Forster et al. 2017, eqs. (59) to (63).
+    errors δ = (δφ, δv, δp), with ΔR Exp(δφ), follow Forster et al. 2017, eqs. (59) to (63): over a
+    sub-interval, δ ← A δ − B n, with n the errors, bias or noise, of its mean rate and force.
 
     Args:
         samples: of the sub-intervals, in the order of time.
@@ -111,6 +112,7 @@ def preintegrate_samples(
                 B[3 + i, 3 + j] = middle[i, j] * dt
                 B[6 + i, 3 + j] = middle[i, j] * 0.5 * dt * dt
         copy_into(sums.bias_jacobian, np.dot(A, sums.bias_jacobian) - B)
+        # White noise of density σ has the variance σ²/dt in the mean over a sub-interval.
         gyro_sigma = gyro_density / math.sqrt(dt)
         accel_sigma = accel_density / math.sqrt(dt)
         for i in range(9):
@@ -118,6 +120,7 @@ def preintegrate_samples(
                 noisy[i, j] = B[i, j] * gyro_sigma
                 noisy[i, 3 + j] = B[i, 3 + j] * accel_sigma
         copy_into(sums.cov, np.dot(np.dot(A, sums.cov), A.T) + np.dot(noisy, noisy.T))
+        # The sums themselves come last: A and B are those at the start of the sub-interval.
         acceleration = np.dot(middle, force)
         for i in range(3):
             sums.position[i] += sums.velocity[i] * dt + 0.5 * acceleration[i] * dt * dt
