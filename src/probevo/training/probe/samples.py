@@ -97,6 +97,7 @@ def folds_of_steps(sampler: SubsetSampler, number: int) -> IntArray:
 
 def fold_of_step(step: IntArray, num_steps: int, drive: int) -> IntArray:
     """Return the fold of each of some steps of a drive, given its number: [n] to [n]."""
+    # The drive's number shifts the folds, so that the first blocks of all drives are not one fold.
     fold: IntArray = (step * BLOCKS_A_DRIVE // num_steps + drive) % FOLDS
     return fold
 
