@@ -196,6 +196,7 @@ def common_mode_equations(
                 for q in range(4):
                     total += features.information[i, r, q] * M[q, k]
                 white[r, k] = weight[i] * total
+        # Column k of w Σ⁻¹ M, times e, J and M.
         J = features.jacobian[i]
         e = features.residuals[i]
         for k in range(COMMON):

@@ -343,6 +343,8 @@ class WindowEstimator:
             noise = noise.scaled(np.full(len(tracks), 0.5))
         prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
         parameters = self._loss.parameters(noise.dof)
+        # Observations: all in the new frame, and those of new landmarks in the frame before, too,
+        # which is their anchor.
         first_px = tracks.prev_px[is_new]
         # Each observation counts with the noise at its own time.
         scale = np.concatenate([prev_scale[is_new], noise.scale])
@@ -356,6 +358,7 @@ class WindowEstimator:
             root=root,
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
         )
+        # Landmarks: the new ones as their first observation shows them, with the prior of δ.
         variance = np.zeros(len(tracks))
         if noise.time_correlated is not None:
             variance = noise.time_correlated

@@ -369,6 +369,7 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
     count = observations.start[row + 1] - first
     anchor = observations.slot[first]
     total = 0.0
+    # Each observation by itself: Jacobians and error, and the same white.
     for k in range(count):
         m = first + k
         slot = observations.slot[m]
@@ -393,6 +394,7 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
         squared[m] = 0.0
         for n in range(PIXELS):
             squared[m] += white[n, _ERROR] * white[n, _ERROR]
+    # All of them together: the squared length of the innovations.
     _fill_innovations(count, problem.noise.correlation, track)
     last = _COMMON - 1
     for k in range(count):
@@ -864,6 +866,7 @@ def _eliminate(
     end = problem.observations.start[row + 1]
     root = work.root
     wide = work.wide
+    # The columns of Y are those of all frames from the first to the last that saw it.
     slot = problem.observations.slot
     span = slot[end - 1] - slot[first] + 1
     of_frames = FRAME * span

@@ -97,6 +97,7 @@ def preintegrate(
     Returns:
         The preintegration, or the reason why there is none.
     """
+    # Refuse an interval that the usable samples do not cover.
     if imu is None or not len(imu.stamps_ns):
         return NoPreintegration("has no samples")
     if end_ns <= start_ns:
@@ -117,6 +118,7 @@ def preintegrate(
     # Knots include all samples, so that both are linear from knot to knot.
     rates = _means(knots_ns, stamps_ns - start_ns, imu.gyro_rad_s[is_usable] @ C_cam_imu.T)
     forces = _means(knots_ns, stamps_ns - start_ns, imu.accel_m_s2[is_usable] @ C_cam_imu.T)
+    # The sums, from the identity and zero on.
     bias = np.asarray(bias, np.float64)
     sums = PreintegrationSums(
         rotation=np.eye(3),

@@ -82,6 +82,7 @@ def preintegrate_samples(
         dt = samples.steps_s[index]
         rate = samples.rates_rad_s[index]
         force = samples.forces_m_s2[index]
+        # The turn over the sub-interval, and over its first half, with their right Jacobians.
         fill_exp(rate[0] * dt, rate[1] * dt, rate[2] * dt, whole, jacobian)
         h = 0.5 * dt
         fill_exp(rate[0] * h, rate[1] * h, rate[2] * h, half, half_jacobian)
@@ -97,6 +98,8 @@ def preintegrate_samples(
         turned_by_force = -np.dot(middle, wedge)
         by_rotation = np.dot(turned_by_force, half.T)
         by_rate = np.dot(turned_by_force, half_jacobian)
+        # A has the order (δφ, δv, δp) in rows and columns, B has (rate, force) in its columns. The
+        # rate of the first half turns the middle's axes, hence h in its effect on velocity.
         for i in range(3):
             for j in range(3):
                 unit = 1.0 if i == j else 0.0

@@ -432,6 +432,7 @@ def residual_jacobians(
             disparity[n] = 0.0
             out.squared[n] = BEHIND
             continue
+        # e = y' − h(ŝ) − A (s − ŝ), as in ``normal_equations``, and its squared length.
         u = fu * X / Z
         v = fv * Y / Z
         d = fb * rho / Z
@@ -463,6 +464,7 @@ def residual_jacobians(
             motion[n, i, 5] = X * F[i, 1] - Y * F[i, 0]
             disparity[n, i] = (F[i, 0] * T[0, 3] + F[i, 1] * T[1, 3] + F[i, 2] * T[2, 3]) / fb
         disparity[n, 2] -= 1.0 / Z
+        # Σ⁻¹ J.
         for i in range(4):
             for j in range(6):
                 total = 0.0
