@@ -29,7 +29,7 @@ from probevo.estimation.inertial_states import (
 )
 from probevo.estimation.window import MarginalPrior, Window
 from probevo.estimation.window_measurements import with_measurements
-from probevo.estimation.window_numba import POSE, NormalEquations
+from probevo.estimation.window_numba import POSE, WindowEquations
 from probevo.geometry import se3
 from probevo.measurements.base import pose_of
 from probevo.measurements.preintegration import (
@@ -432,7 +432,7 @@ def covariance_known(
 
 
 def without_first(
-    window: Window, others: NormalEquations
+    window: Window, others: WindowEquations
 ) -> tuple[MarginalPrior, Inertial | None] | None:
     """Marginalise the first frame's pose and inertial states; None if there are no such states.
 

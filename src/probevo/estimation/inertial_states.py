@@ -20,7 +20,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation.window import MarginalPrior, Window
-from probevo.estimation.window_numba import POSE, RIG, NormalEquations
+from probevo.estimation.window_numba import POSE, RIG, WindowEquations
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
 
@@ -433,7 +433,7 @@ def with_covariance(
 
 
 def without_first_frame(
-    states: InertialStates, others: NormalEquations, system: InertialSystem, x: FloatArray
+    states: InertialStates, others: WindowEquations, system: InertialSystem, x: FloatArray
 ) -> tuple[MarginalPrior, InertialStates]:
     """Marginalise the first pose, velocity and biases.
 

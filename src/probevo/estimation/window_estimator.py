@@ -56,8 +56,8 @@ from probevo.estimation.window_numba import (
     POSE,
     RIG,
     Elimination,
-    NormalEquations,
     RobustNoise,
+    WindowEquations,
     WindowGeometry,
     WindowLandmarks,
     WindowObservations,
@@ -106,7 +106,7 @@ class _System:
 
     window: Window
     cost: float
-    equations: NormalEquations
+    equations: WindowEquations
     elimination: Elimination
     jitter: JitterElimination
     inertial: InertialSystem | None
@@ -527,7 +527,7 @@ class WindowEstimator:
         # −½ xᵀ (η + η − Λ x).
         x = window.offsets()
         towards_prior = window.prior.vector - window.prior.information @ x
-        equations = NormalEquations(hessian=np.zeros((size, size)), gradient=np.zeros(size))
+        equations = WindowEquations(hessian=np.zeros((size, size)), gradient=np.zeros(size))
         elimination = Elimination(
             coupling=np.empty((num_observations, LANDMARK, FRAME)),
             rig_coupling=np.empty((num_landmarks, LANDMARK, RIG)),
@@ -557,7 +557,7 @@ class WindowEstimator:
         return _System(
             window=window,
             cost=cost,
-            equations=NormalEquations(hessian=hessian, gradient=gradient),
+            equations=WindowEquations(hessian=hessian, gradient=gradient),
             elimination=elimination,
             jitter=jitter,
             inertial=of_imu,

@@ -13,7 +13,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.window import Window
-from probevo.estimation.window_numba import FRAME, JITTER, POSE, RIG, NormalEquations
+from probevo.estimation.window_numba import FRAME, JITTER, POSE, RIG, WindowEquations
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ def jitter_places(num_frames: int) -> tuple[IntArray, IntArray]:
 
 
 def without_jitter(
-    window: Window, equations: NormalEquations
-) -> tuple[NormalEquations, JitterElimination, float]:
+    window: Window, equations: WindowEquations
+) -> tuple[WindowEquations, JitterElimination, float]:
     """Eliminate the jitters of all frames, with their prior N(0, S).
 
     Args:
@@ -71,7 +71,7 @@ def without_jitter(
     # The Schur complement; the last column is that of the gradient.
     reduced = wanted[:, :-1].T @ solved
     hessian = equations.hessian[others][:, others] - reduced[:, :-1]
-    equations_of_rest = NormalEquations(
+    equations_of_rest = WindowEquations(
         hessian=0.5 * (hessian + hessian.T),
         gradient=equations.gradient[others] - reduced[:, -1],
     )

@@ -144,7 +144,7 @@ class WindowLandmarks(NamedTuple):
     """Prior information of δ around zero, [L], px⁻²."""
 
 
-class NormalEquations(NamedTuple):
+class WindowEquations(NamedTuple):
     """Normal equations: hessian · step = gradient.
 
     Those of ``accumulate`` are for K frames, (ξ, ω) of each, and the rig: size S = 9K + 4. With
@@ -247,7 +247,7 @@ def accumulate(
     observations: WindowObservations,
     landmarks: WindowLandmarks,
     noise: RobustNoise,
-    equations: NormalEquations,
+    equations: WindowEquations,
     elimination: Elimination,
 ) -> float:
     """Add the normal equations of all landmarks, each of them eliminated.
@@ -636,7 +636,7 @@ def _add_common(
     track: _Track,
     trust: _Trust,
     elimination: Elimination,
-    equations: NormalEquations,
+    equations: WindowEquations,
 ) -> None:
     """Fill the gradient of a landmark and its information with the rig; add to those of the rig."""
     first = problem.observations.start[row]
@@ -679,7 +679,7 @@ def _add_motions(
     trust: _Trust,
     factors: FloatArray,
     sums: FloatArray,
-    equations: NormalEquations,
+    equations: WindowEquations,
 ) -> None:
     """Add the observations of a landmark to the equations of the motions from its anchor frame,
     and of the jitters.
@@ -855,7 +855,7 @@ def _eliminate(
     problem: _Problem,
     work: _Workspace,
     elimination: Elimination,
-    equations: NormalEquations,
+    equations: WindowEquations,
 ) -> None:
     """Eliminate one landmark: subtract Bᵀ A⁻¹ B of its information A, [4, 4], and its coupling B.
 
@@ -903,7 +903,7 @@ def _eliminate(
 
 
 @compiled
-def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: NormalEquations) -> None:
+def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: WindowEquations) -> None:
     """Add the equations of motions to those of frames: ξ_ka = ξ_k − Ad(T_ka) ξ_a.
 
     In its anchor frame, a landmark is where it is, whatever the pose: only the jitter counts.
@@ -954,7 +954,7 @@ def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: NormalEquation
 
 @compiled
 def _add_neighbours(
-    k: int, p: int, a: int, cross: FloatArray, adjoints: FloatArray, equations: NormalEquations
+    k: int, p: int, a: int, cross: FloatArray, adjoints: FloatArray, equations: WindowEquations
 ) -> None:
     """Add the information between the motions from frame a to frame k and to frame p before it.
 

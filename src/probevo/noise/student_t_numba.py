@@ -13,7 +13,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled, copy_into, factor, invert_symmetric_4, sum_in_lanes
-from probevo.noise.student_t_arrays import ErrorSamples, Neighborhoods, StudentPrior, StudentTs
+from probevo.noise.student_t_arrays import Neighborhoods, PackedErrors, StudentPrior, StudentTs
 
 MIN_DOF = 1.0
 MAX_DOF = 200.0
@@ -93,7 +93,7 @@ def _dof_root(mean_log_weight: float) -> float:
 
 
 @compiled
-def _gather(samples: ErrorSamples, members: IntArray, rows: _Rows) -> None:
+def _gather(samples: PackedErrors, members: IntArray, rows: _Rows) -> None:
     """Copy the errors of one fit, and their covariances, into rows."""
     for m in range(len(members)):
         for i in range(4):
@@ -295,7 +295,7 @@ def _moments(
 
 @compiled
 def fit_all(
-    samples: ErrorSamples,
+    samples: PackedErrors,
     near: Neighborhoods,
     prior: StudentPrior,
     iterations: int,

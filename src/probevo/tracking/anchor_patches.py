@@ -16,8 +16,8 @@ import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray, concatenated
 from probevo.tracking.anchor_patches_numba import (
-    Alignment,
     Anchors,
+    PatchAlignment,
     align_patches,
     compose_perspectives,
     cut_patches,
@@ -173,14 +173,14 @@ class AnchorPatches:
         perspective: FloatArray,
         *,
         sigma: float,
-    ) -> Alignment:
+    ) -> PatchAlignment:
         anchors = Anchors(
             patch=self.patch,
             offset_px=self.offset_px,
             predicted_affine=predicted_affine,
             perspective=perspective,
         )
-        alignment = Alignment(
+        alignment = PatchAlignment(
             pixels=pixels.copy(),
             affine=np.empty((len(self), 2, 2)),
             difference=np.empty(len(self)),

@@ -64,7 +64,7 @@ class Anchors(NamedTuple):
     """Perspective g of the patch in the image, [N, 2], 1/px."""
 
 
-class Alignment(NamedTuple):
+class PatchAlignment(NamedTuple):
     """Place and map of N features in an image: output of ``align_patches``."""
 
     pixels: FloatArray
@@ -174,7 +174,7 @@ def divide_maps(
 
 
 @compiled
-def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Alignment) -> None:
+def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: PatchAlignment) -> None:
     """Align patches with an image by inverse-compositional Gauss–Newton over affine maps.
 
     A map takes x, px from the feature, to y = p + A x / (1 + g·x). Each step finds the small map W,

@@ -51,7 +51,7 @@ def gather_samples(
         sampled = np.concatenate([iteration[number][0] for iteration in iterations])
         alpha = np.concatenate([iteration[number][1] for iteration in iterations])
         step = sampler.drive.step_of_feature[sampled]
-        # Relative to the mean of its stretch, so that hard places do not look like bad features.
+        # An error that all subsets of a stretch share says nothing about single features.
         if settings.relative and len(alpha):
             stretch = sampler.supervision.stretch_of_step(len(sampler.drive.T_curr_prev))[step]
             alpha = _relative(alpha, stretch, is_logarithmic=settings.average == "geometric")
