@@ -259,6 +259,7 @@ class StereoOdometry:
         clock.lap("track")
         # Raw observations stay in the state; only those of this step are corrected, since the
         # calibration improves while a track lives.
+        # Before the solve, the last velocity stands for that at either frame.
         twist_s = None if model.speed_is_unknown else model.twist_s
         corrected = CorrectedTracks.of(
             tracked.tracks, state.rig, self.camera, prev_twist_s=twist_s, curr_twist_s=twist_s
@@ -392,6 +393,7 @@ class StereoOdometry:
                 self.config.north,
                 motion_squared=solve_innovations_squared(readings, pose, solution),
             )
+        # The estimate and the state. The features keep the motion of the images alone.
         estimate = replace(
             motion,
             T_world_cam=fusion.pose.T_world_cam,
@@ -449,6 +451,8 @@ class StereoOdometry:
         motion = solved.calibrated.accepted()
         residuals = LastResiduals.none()
         if solved.recovery is not None:
+            # It is several steps long: it gives the mean velocity only, and leaves the predictors
+            # no residuals of a single step.
             motion = solved.recovery.accepted(motion)
             model = state.motion_model.after_recovery(
                 duration_s,

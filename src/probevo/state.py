@@ -100,6 +100,7 @@ class Prediction:
         """
         if self.gyro is None or self.gyro_bias is None:
             return self.gyro_bias
+        # If the gyro has entered the solve, the motion is not independent of it.
         learn = self.gyro_bias.updated if enters_solve else self.gyro_bias.compared
         return learn(self.gyro, solution.T_curr_prev[:3, :3], solution.cov[3:, 3:])
 
@@ -118,6 +119,8 @@ class Prediction:
         duration_s = usable.path.duration_s + self.duration_s
         if duration_s > MOST_DURATION_S:
             return None
+        # The features are those of the usable frame; the motion is the path since then and the step
+        # predicted. The gyro was integrated over that step only, and does not apply.
         model = self.state.motion_model
         prediction = replace(
             self,
@@ -234,6 +237,7 @@ class OdometryState:
             frame: the next frame.
             imu: calibration of the IMU, if there is one.
         """
+        # The window preintegrates the IMU by itself; below, its gyro predicts the rotation.
         duration_s = 1e-9 * (frame.stamp_ns - self.frame.stamp_ns)
         window = self.window
         if window is not None:
@@ -297,6 +301,7 @@ def motion_for_window(
         motion: the solved or dead-reckoned motion from the prediction's frame.
     """
     curr = pose_of(prediction.frame.index)
+    # None if the motion was solved: a solved one is measured from where it starts.
     usable = prediction.state.last_usable_after(prediction.duration_s, motion)
     if usable is not None and _may_enter(window, usable.state.frame):
         path = usable.path

@@ -129,6 +129,7 @@ class ExposureDelay:
 def _jitter_effect(camera: StereoCamera) -> FloatArray:
     """Return how the rig's jitter (pitch, yaw, roll) of a frame moves a₀ … a₆ and τ, [8, 3], px/rad
     (``rig_jitter``)."""
+    # δv_r = f_v (−(1 + y²) ω_x + x y ω_y + x ω_z), where a₀ multiplies 1, a₁ x, a₄ x y and a₅ y².
     effect = np.zeros((DELAY + 1, 3))
     effect[[0, 5], 0] = -camera.fv_px
     effect[4, 1] = camera.fv_px
@@ -187,11 +188,11 @@ def _fill_right_velocity(
         x_right = (pixels[k, 2] - cu) / fu
         inverse_depth = (pixels[k, 0] - pixels[k, 2]) / (fu * baseline)
         # ṗ over the depth of the point: ω × (x, y, 1) + v / Z.
-        px = wy - wz * y + vx * inverse_depth
-        py = wz * x - wx + vy * inverse_depth
-        pz = wx * y - wy * x + vz * inverse_depth
-        velocity[k, 0] = fu * (px - x_right * pz)
-        velocity[k, 1] = fv * (py - y * pz)
+        rate_x = wy - wz * y + vx * inverse_depth
+        rate_y = wz * x - wx + vy * inverse_depth
+        rate_z = wx * y - wy * x + vz * inverse_depth
+        velocity[k, 0] = fu * (rate_x - x_right * rate_z)
+        velocity[k, 1] = fv * (rate_y - y * rate_z)
 
 
 def is_noticeable(delay_s: float) -> bool:

@@ -73,6 +73,7 @@ class FocalLengthEstimate:
             gradient: of the log-likelihood by θ, [3], at the values that the tracks have.
             corrected_by: θ by which the tracks were corrected, [3].
         """
+        # The θ₀ of tracks changes from step to step. Moments about zero can be added up.
         moment = gradient + information @ corrected_by
         if self.last_frames < self.block_frames:
             informations = self.information.copy()

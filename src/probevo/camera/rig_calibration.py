@@ -181,6 +181,8 @@ class RigCalibration:
             gradient: by b₁ and b₂, [2], px⁻¹.
             with_radial: off-diagonal information between (b₁, b₂) and a₆, [2], px⁻².
         """
+        # The gradient is at the estimate before, by which the tracks were corrected and on which
+        # the prior is centred, so that the prior has none.
         posterior = self.disparity_information + information / CORRELATED_FEATURES
         step = np.linalg.solve(posterior, gradient / CORRELATED_FEATURES)
         return replace(

@@ -51,6 +51,7 @@ def fit_row_offsets(
     at = coefficients
     random_information = None if of_frame is None else np.linalg.inv(of_frame.cov)
     for _ in range(iterations):
+        # Normal equations of this frame, weighted at the coefficients as they were in it.
         own_information = np.zeros_like(prior_information)
         own_gradient = np.zeros_like(prior_gradient)
         add_row_equations(
@@ -66,7 +67,8 @@ def fit_row_offsets(
             coefficients = np.linalg.solve(information, prior_gradient + own_gradient).astype(float)
             at = coefficients
             continue
-        # Normal equations of the coefficients and ω, of which the latter are eliminated.
+        # The coefficients of this frame are a + G ω: normal equations of a and ω, of which ω is
+        # eliminated.
         cross = own_information @ of_frame.effect
         random = of_frame.effect.T @ cross + random_information
         random_gradient = of_frame.effect.T @ own_gradient
@@ -75,6 +77,7 @@ def fit_row_offsets(
         information = prior_information + own_information - cross @ gain
         gradient = prior_gradient + own_gradient - gain.T @ random_gradient
         coefficients = np.linalg.solve(information, gradient).astype(float)
+        # Back-substitution: the likeliest ω.
         change = solved[:, -1] - gain @ coefficients
         at = coefficients + of_frame.effect @ change
     return coefficients, information

@@ -91,6 +91,7 @@ def correct_observations(
         rows: a₀ … a₆, [7], px.
         disparity: b₁ and b₂, [2], px.
     """
+    # Coefficients of the rows are in px of v: the same angle is f_u/f_v times as many of u.
     aspect = camera.fu / camera.fv
     for n in range(len(pixels)):
         x = (pixels[n, 0] - camera.cu) / camera.fu
@@ -108,5 +109,6 @@ def correct_observations(
         )
         # A roll, and another distortion than that of the left lens, move u_r, too.
         pixels[n, 2] += aspect * (rows[ROLL] * y - rows[RADIAL] * x_right * squared)
+        # The true disparity d = u_l − u_r is larger by b₁ x + b₂ x².
         pixels[n, 2] -= disparity[0] * x + disparity[1] * x * x
         pixels[n, 3] -= row_offset

@@ -63,7 +63,8 @@ towards zero 0.01."""
 LEAST_DISPARITY_PX = 0.1
 """Least disparity for which the ratio of two disparities is meaningful."""
 _CHOSEN = 1.0
-"""Eigenvalue, negated, that sorts the directions of the jitter before all others."""
+"""Eigenvalue, negated, that sorts the directions of the jitter before all others, whose eigenvalues
+are not negative."""
 
 
 @dataclass(frozen=True)
@@ -338,13 +339,16 @@ def _update(
         kept_common, directions = _strongest_directions(
             states.sensitivity, root, cov=cov, chosen=of_jitter
         )
-        # Path and step depend on the same whitened errors: hence their cross-covariance.
+        # Path and step depend on the same whitened errors: hence their cross-covariance. The path
+        # before the step depends on c and η° only, the last of z, and is turned to the axes of the
+        # current frame.
         step = root[:6]
         path_before = se3.adjoint(T) @ _path_sensitivity(prior, common.shape[2])
         common_before = root[own + COMMON - common.shape[2] :]
         path_sensitivity = (path_before @ common_before + step) @ directions
         path_cross_cov = path_before @ common_before @ step.T
-    # Move the disparities to the current frame: divide by the ratio of new to old depth.
+    # Move the disparities to the current frame: divide by q_z, the ratio of new to old depth
+    # (``camera.transfer``).
     px = tracks.prev_px[chosen]
     x, y = camera.normalized(px[:, 0], px[:, 1])
     inverse_depth = states.mean[:, 0] / (camera.fu_px * camera.baseline_m)

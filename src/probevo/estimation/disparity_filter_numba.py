@@ -89,18 +89,21 @@ def update_states(
     sensitivity = posterior.sensitivity
     common = prior.common
     gain = np.empty((2, 4))
+    # z is [ξ, η', η°, c], of which V = ∂x/∂z has the last K columns: those of η°, if there is one,
+    # and of c. D has the columns of (ξ, η), J, and those of c, H U.
     m = features.jacobian.shape[2]
-    before = m + COMMON - common.shape[2]
-    jittered = common.shape[2] - COMMON
+    num_moving = common.shape[2]
+    first_moving = m + COMMON - num_moving
+    num_prev_jitter = num_moving - COMMON
     D = np.empty((4, m + COMMON))
     for n in range(len(chosen)):
         i = chosen[n]
         # x + V z.
         x[n, 0] = prior.point[i, 2]
         x[n, 1] = prior.error[i]
-        for k in range(common.shape[2]):
-            x[n, 0] += common[i, 0, k] * mean[before + k]
-            x[n, 1] += common[i, 1, k] * mean[before + k]
+        for k in range(num_moving):
+            x[n, 0] += common[i, 0, k] * mean[first_moving + k]
+            x[n, 1] += common[i, 1, k] * mean[first_moving + k]
         # D = (J, H U), of which δ enters u_r alone; the innovation e − D z; K, and K times that.
         for r in range(4):
             e = features.residuals[i, r]
@@ -108,9 +111,10 @@ def update_states(
                 D[r, k] = features.jacobian[i, r, k]
                 e -= D[r, k] * mean[k]
             for k in range(COMMON):
-                D[r, m + k] = features.disparity_jacobian[i, r] * common[i, 0, jittered + k]
+                of_common = num_prev_jitter + k
+                D[r, m + k] = features.disparity_jacobian[i, r] * common[i, 0, of_common]
                 if r == 2:
-                    D[r, m + k] -= common[i, 1, jittered + k]
+                    D[r, m + k] -= common[i, 1, of_common]
                 e -= D[r, m + k] * mean[m + k]
             for s in range(2):
                 gain[s, r] = 0.0
@@ -118,6 +122,7 @@ def update_states(
                     gain[s, r] += prior.cross_cov[i, q, s] * features.information[i, q, r]
                 x[n, s] += gain[s, r] * e
         # P − K H P and V − K D. A variance that the residual takes away entirely stays positive.
+        # ∂d'/∂d, with d' = u_l' − u_r'.
         growth = features.disparity_jacobian[i, 0] - features.disparity_jacobian[i, 2]
         for s in range(2):
             for t in range(2):
@@ -125,10 +130,12 @@ def update_states(
                 for r in range(4):
                     cov[n, s, t] -= gain[s, r] * prior.cross_cov[i, r, t]
             for k in range(m + COMMON):
-                sensitivity[n, s, k] = common[i, s, k - before] if k >= before else 0.0
+                sensitivity[n, s, k] = 0.0
+                if k >= first_moving:
+                    sensitivity[n, s, k] = common[i, s, k - first_moving]
                 for r in range(4):
                     sensitivity[n, s, k] -= gain[s, r] * D[r, k]
-        # In terms of the current frame.
+        # In terms of the current frame: d' = growth · d, and the motion ξ moves d' itself.
         cov[n, 0, 0] *= growth * growth
         cov[n, 0, 1] *= growth
         cov[n, 1, 0] *= growth
@@ -172,22 +179,24 @@ def common_mode_equations(
     cross[:] = 0.0
     hessian[:] = 0.0
     gradient[:] = 0.0
-    M = np.empty((4, 6))
-    white = np.empty((4, 6))
+    M = np.empty((4, COMMON))
+    white = np.empty((4, COMMON))
     for n in range(len(rows)):
         i = rows[n]
         # M = H U: d moves the whole prediction, δ its u_r alone.
         for r in range(4):
-            for k in range(6):
+            for k in range(COMMON):
                 M[r, k] = features.disparity_jacobian[i, r] * common[n, 0, k] - (
                     common[n, 1, k] if r == 2 else 0.0
                 )
+        # w Σ⁻¹ M.
         for r in range(4):
-            for k in range(6):
+            for k in range(COMMON):
                 total = 0.0
                 for q in range(4):
                     total += features.information[i, r, q] * M[q, k]
                 white[r, k] = weight[i] * total
+        # Column k of w Σ⁻¹ M, times e, J and M.
         J = features.jacobian[i]
         e = features.residuals[i]
         for k in range(COMMON):
@@ -229,10 +238,12 @@ def joint_posterior(
 ) -> bool:
     """Compute the posterior of z = (ξ, η, c) one Gauss–Newton step from the optimum of (ξ, η).
 
-    Only the common mode has a gradient there. The Hessian of (ξ, η) is H = A Aᵀ, with the robust
-    weights, but its covariance is C = (B Bᵀ)⁻¹: from the Hessian to the information, A changes by
-    F = B A⁻¹. The rest follows: with f the geometric mean of F's diagonal, the cross term becomes
-    f F times, and the Hessian of c f² times that of the robust weights.
+    Only the common mode has a gradient there. The step follows from the Hessian with the robust
+    weights, in which (ξ, η) have the block H = A Aᵀ. The covariance must not: that of (ξ, η) alone
+    is C, with C⁻¹ = B Bᵀ, the information of an M-estimate. The blocks of c are changed alike. With
+    F = B A⁻¹ and f the geometric mean of its diagonal, the cross term X becomes f F X, and the
+    Hessian of c becomes f² times as large. So does its Schur complement, since
+    (F X)ᵀ (B Bᵀ)⁻¹ F X = Xᵀ H⁻¹ X.
 
     Args:
         hessian: H of (ξ, η), [m, m].
@@ -248,7 +259,7 @@ def joint_posterior(
     m = len(hessian)
     free = m + COMMON - num_known
     joint = np.empty((m + COMMON, m + COMMON))
-    # One Gauss-Newton step.
+    # One Gauss–Newton step.
     _set_joint(hessian, equations.cross, equations.hessian, scale=1.0, joint=joint)
     gradient = np.zeros(free)
     for k in range(COMMON):
@@ -259,7 +270,7 @@ def joint_posterior(
         return False
     for i in range(free):
         mean[num_known + i] = step[i]
-    # The change B A⁻¹, and the mean of its diagonal.
+    # The factors A and B, and f, the geometric mean of the diagonal of B A⁻¹.
     information = np.empty((m, m))
     A = np.zeros((m, m))
     B = np.zeros((m, m))
@@ -270,6 +281,7 @@ def joint_posterior(
     scale = 1.0
     for i in range(m):
         scale *= (B[i, i] / A[i, i]) ** (1.0 / m)
+    # f B A⁻¹ X, column by column: forward substitution with A, then times B.
     cross = np.empty((m, COMMON))
     column = np.empty(m)
     for k in range(COMMON):
@@ -286,7 +298,7 @@ def joint_posterior(
     _set_joint(information, cross, equations.hessian, scale=scale * scale, joint=joint)
     if not factor(joint[num_known:, num_known:], free, lower):
         return False
-    # A root of (L Lᵀ)⁻¹ is L⁻ᵀ.
+    # A root of (L Lᵀ)⁻¹ is L⁻ᵀ, which is upper triangular: its row j is column j of L⁻¹.
     for j in range(free):
         for i in range(j, free):
             total = 1.0 if i == j else 0.0

@@ -27,6 +27,9 @@ less than a hundredth of a standard deviation."""
 MAX_PROPAGATIONS = 10
 """From a guess as good as RANSAC's it takes two or three."""
 FIRST_DAMPING = 1e-6
+"""Share of the Hessian's diagonal that is first added to it."""
+RETRY_DAMPING = 1e-3
+"""Least damping after a step that has raised the cost."""
 NEWTON_BELOW = 1e-3
 """Damping below which, after two accepted steps, the solve is close enough for Newton's Hessian."""
 
@@ -120,7 +123,7 @@ def minimize(
     newton = False  # whether the current system has Newton's Hessian
     accepted = 0
     propagations = 1
-    moved = 0.0  # squared way since the last propagation, in standard deviations
+    moved = 0.0  # sum of squared steps since the last propagation, in standard deviations
     step = np.empty(layout.dof)
     for iteration in range(1, max_iterations + 1):
         if not _damped_step(system.hessian, system.gradient, damping, step):
@@ -148,7 +151,7 @@ def minimize(
                 newton = False
                 system = layout.add_up(measurements, values, newton=False)
             else:
-                damping = max(1e-3, 10.0 * damping)
+                damping = max(RETRY_DAMPING, 10.0 * damping)
             continue
         values = trial
         system = trial_system

@@ -29,7 +29,7 @@ from probevo.estimation.inertial_states import (
 )
 from probevo.estimation.window import MarginalPrior, Window
 from probevo.estimation.window_measurements import with_measurements
-from probevo.estimation.window_numba import POSE, NormalEquations
+from probevo.estimation.window_numba import POSE, WindowEquations
 from probevo.geometry import se3
 from probevo.measurements.base import pose_of
 from probevo.measurements.preintegration import (
@@ -62,8 +62,6 @@ MOST_ATTEMPTS = 30
 """Frames at which the IMU may contradict the images before it has ever been used."""
 NO_SOLUTION = "is left out from here on: with it, the window has no solution"
 """Why an IMU is left out where the normal equations with its states are singular."""
-
-
 UNTESTABLE = "cannot be tested: the covariance of the poses is too large to be accurate"
 """Why an IMU is not used where its factors are lost in rounding."""
 
@@ -242,6 +240,7 @@ def gated(window: Window, seen: RelativePose) -> Window:
 
 def _as_noisy_as(factor: Preintegration, error: FloatArray) -> Preintegration:
     """Return a factor whose covariance explains by itself why its motion is off by so much, [6]."""
+    # The factor is ordered (δφ, δv, δp), the error [ρ; φ].
     rotation = np.diagonal(factor.cov)[:3].mean()
     position = np.diagonal(factor.cov)[6:].mean()
     too_large = max(error[:3] @ error[:3] / position, error[3:] @ error[3:] / rotation)
@@ -315,9 +314,10 @@ def without_inertial(window: Window, note: str, *, refused: bool = True) -> Wind
     left_out = inertial.without_states(note, refused=refused)
     if inertial.states is None:
         return replace(window, inertial=left_out)
+    # Their joint prior with the poses stays, reduced to the poses; the factors go. As everywhere,
+    # the gradient at the present offsets is turned into the vector of the prior.
     system = inertial_system(window, inertial.states, inertial.factors, num_pairs=0)
     hessian, gradient = system.reduced()
-    # Their joint prior with the poses stays, reduced to the poses; the factors go.
     information = window.prior.information + hessian
     vector = window.prior.vector + gradient + hessian @ window.offsets()
     prior = replace(window.prior, information=information, vector=vector)
@@ -432,7 +432,7 @@ def covariance_known(
 
 
 def without_first(
-    window: Window, others: NormalEquations
+    window: Window, others: WindowEquations
 ) -> tuple[MarginalPrior, Inertial | None] | None:
     """Marginalise the first frame's pose and inertial states; None if there are no such states.
 

@@ -97,6 +97,7 @@ def fit_inertial_states(
     cov = np.zeros((size, size))
     squared = np.inf
     for _ in range(_PASSES):
+        # Stack the factors: residuals r, and their derivatives by the poses and by the unknowns.
         states = _with_values(velocity, bias, gravity, bias_sigma)
         residual, jacobian = linearized(window, states, factors, first)
         rows = len(residual) * 9
@@ -110,10 +111,13 @@ def fit_inertial_states(
             design[here, 3 * at : 3 * at + 3] = of_states[:, :3]
             design[here, 3 * at + 3 : 3 * at + 6] = of_states[:, STATE : STATE + 3]
             design[here, of_bias] = of_states[:, 3:STATE]
+            # Gravity is free here, in its length, too, and not only across itself.
             C_i = window.T_linear[at, :3, :3]
             design[9 * at + 3 : 9 * at + 6, -3:] = -factor.duration_s * C_i
             design[9 * at + 6 : 9 * at + 9, -3:] = -0.5 * factor.duration_s**2 * C_i
             noise[here, here] = factor.cov
+        # Whiten by the covariance of r, to which the poses contribute, scaled to a unit diagonal
+        # since the units differ widely.
         whole = noise + by_pose @ window.cov @ by_pose.T
         variance = np.diagonal(whole)
         if not (variance > 0.0).all():
@@ -122,6 +126,7 @@ def fit_inertial_states(
         root = np.linalg.cholesky(whole * scale[:, None] * scale)
         white_design = np.linalg.solve(root, design * scale[:, None])
         white_residual = np.linalg.solve(root, residual.ravel() * scale)
+        # One Gauss–Newton step under the prior of the biases.
         cov = inverse_of(white_design.T @ white_design + prior)
         values = np.concatenate([velocity.ravel(), bias, gravity])
         step = -cov @ (white_design.T @ white_residual + prior @ _bias_only(values, of_bias))
@@ -136,7 +141,7 @@ def fit_inertial_states(
     return InertialFit(
         states=_with_values(velocity, bias, gravity, bias_sigma),
         squared=squared,
-        dof=9 * (count - 1) - 3 * count - 3,
+        dof=9 * (count - 1) - 3 * count - 3,  # the biases count as measured by their prior
         gravity_m_s2=length,
         gravity_sigma_m_s2=float(np.sqrt(along @ cov[-3:, -3:] @ along)),
     )

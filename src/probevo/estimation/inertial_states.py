@@ -20,7 +20,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation.window import MarginalPrior, Window
-from probevo.estimation.window_numba import POSE, RIG, NormalEquations
+from probevo.estimation.window_numba import POSE, RIG, WindowEquations
 from probevo.geometry import se3, so3
 from probevo.measurements.preintegration import Preintegration
 
@@ -181,6 +181,7 @@ def moved(states: InertialStates, step: FloatArray) -> InertialStates:
     """Return the states after a step of x, [2 + 9K]."""
     of_frames = step[GRAVITY:].reshape(-1, STATE)
     velocity = states.velocity + of_frames[:, :3]
+    # First-estimates Jacobians: what the prior contains keeps its linearisation point.
     information = np.diagonal(states.information)
     is_fixed = information[GRAVITY::STATE] > 0.0
     changed = replace(
@@ -223,6 +224,7 @@ def inertial_system(
     hessian[p:, p:] = states.information
     hessian[p:, :p] = states.coupling
     hessian[:p, p:] = states.coupling.T
+    # With y of poses and rig, the prior's cost is ½ xᵀ Λ_ii x + xᵀ Λ_ip y − ηᵀ x.
     towards = states.vector - states.information @ x
     gradient[p:] = towards - states.coupling @ offsets
     gradient[:p] = -states.coupling.T @ x
@@ -265,6 +267,15 @@ def linearized(
         factors: F of them.
         first: place in the window of the frame where each starts, [F].
 
+    Between frames i and j, with T_cam_world = (C, t), R_ij = C_i C_jᵀ, velocities v in the world,
+    gravity g, time T, and Δ the preintegration at the present bias, they are
+
+        δφ = Log(ΔRᵀ R_ij),
+        δv = C_i (v_j − v_i − g T) − Δv,
+        δp = R_ij (l − t_j) − (l − t_i) − C_i (v_i T + ½ g T²) − Δp,
+
+    where the IMU is at l in the camera's frame, and so at Cᵀ (l − t) in the world.
+
     Returns:
         Residuals (δφ, δv, δp), [F, 9], and Jacobians with respect to both poses, velocity and
         biases at both ends, and gravity, [F, 9, 6 + 6 + 9 + 9 + 2].
@@ -290,7 +301,8 @@ def linearized(
     residual[:, 6:] = delta.position - _turned(T[first], way) - correction[:, 6:]
     residual[:, 6:] -= np.stack([f.position for f in factors])
 
-    # All that follows is at the linearisation points.
+    # All that follows is at the linearisation points, but for the Jacobians of Log: they are
+    # factors of the columns of both poses alike, so that what is unobservable remains so.
     T = window.T_linear
     velocity = states.velocity_linear
     gravity = states.gravity_linear
@@ -299,30 +311,41 @@ def linearized(
     acceleration = velocity[second] - velocity[first] - dt * gravity
     way = dt * velocity[first] + 0.5 * dt**2 * gravity
     jacobian = np.zeros((len(factors), 9, 2 * POSE + 2 * STATE + GRAVITY))
+    # Rows: δφ, δv, δp. Columns: ξ = [ρ; φ] of both poses, then (v, bias) of both, then gravity.
     rows_r = slice(0, 3)
     rows_v = slice(3, 6)
     rows_p = slice(6, 9)
-    # r = Log(ΔRᵀ R_ij) moves by J_r⁻¹(r) (C_ji φ_i − φ_j).
+    rho_i = slice(0, 3)
+    phi_i = slice(3, 6)
+    rho_j = slice(6, 9)
+    phi_j = slice(9, 12)
+    v_i = slice(12, 15)
+    bias_i = slice(15, 21)
+    v_j = slice(21, 24)
+    # δφ = Log(ΔRᵀ R_ij) moves by J_r⁻¹(δφ) (R_ijᵀ φ_i − φ_j), with J_r(φ) = J(−φ).
     inverse_right = np.linalg.inv(so3.left_jacobian(-residual[:, :3]))
-    jacobian[:, rows_r, 3:6] = inverse_right @ delta.rotation.mT
-    jacobian[:, rows_r, 9:12] = -inverse_right
-    jacobian[:, rows_v, 3:6] = -so3.wedge((C_i @ acceleration[..., None])[..., 0])
-    jacobian[:, rows_p, 0:3] = np.eye(3)
+    jacobian[:, rows_r, phi_i] = inverse_right @ delta.rotation.mT
+    jacobian[:, rows_r, phi_j] = -inverse_right
+    # What C_i turns moves by φ_i × itself.
+    jacobian[:, rows_v, phi_i] = -so3.wedge((C_i @ acceleration[..., None])[..., 0])
+    jacobian[:, rows_p, rho_i] = np.eye(3)
     # R_ij (l − t_j) turns with φ_i, and t_i, too.
-    pulled = delta.position + lever - T[first, :3, 3]
-    jacobian[:, rows_p, 3:6] = so3.wedge((C_i @ way[..., None])[..., 0] - pulled - T[first, :3, 3])
-    jacobian[:, rows_p, 6:9] = -delta.rotation
-    jacobian[:, rows_p, 9:12] = delta.rotation @ so3.wedge(lever)
-    at_first = 2 * POSE
-    at_second = at_first + STATE
-    jacobian[:, rows_v, at_first : at_first + 3] = -C_i
-    jacobian[:, rows_p, at_first : at_first + 3] = -dt[..., None] * C_i
-    jacobian[:, rows_v, at_second : at_second + 3] = C_i
-    jacobian[:, :, at_first + 3 : at_first + 9] = -by_bias
+    to_imu_j = delta.position + lever - T[first, :3, 3]
+    jacobian[:, rows_p, phi_i] = so3.wedge(
+        (C_i @ way[..., None])[..., 0] - to_imu_j - T[first, :3, 3]
+    )
+    # In R_ij (l − t_j), the turns of C_jᵀ and t_j by φ_j cancel but for that of l.
+    jacobian[:, rows_p, rho_j] = -delta.rotation
+    jacobian[:, rows_p, phi_j] = delta.rotation @ so3.wedge(lever)
+    jacobian[:, rows_v, v_i] = -C_i
+    jacobian[:, rows_p, v_i] = -dt[..., None] * C_i
+    jacobian[:, rows_v, v_j] = C_i
+    # The bias of the first frame counts for the whole interval. It turns ΔR on its right, and so
+    # ΔRᵀ R_ij on its left: by −J⁻¹(δφ).
+    jacobian[:, :, bias_i] = -by_bias
     inverse_left = np.linalg.inv(so3.left_jacobian(residual[:, :3]))
-    turned = -inverse_left @ by_bias[:, rows_r]
-    jacobian[:, rows_r, at_first + 3 : at_first + 9] = turned
-    # Gravity moves by −g^ B δ.
+    jacobian[:, rows_r, bias_i] = -inverse_left @ by_bias[:, rows_r]
+    # g = Exp(B δ) ḡ moves by −ḡ^ B δ.
     by_gravity = C_i @ (so3.wedge(gravity) @ states.across)
     jacobian[:, rows_v, -GRAVITY:] = dt[..., None] * by_gravity
     jacobian[:, rows_p, -GRAVITY:] = 0.5 * dt[..., None] ** 2 * by_gravity
@@ -410,7 +433,7 @@ def with_covariance(
 
 
 def without_first_frame(
-    states: InertialStates, others: NormalEquations, system: InertialSystem, x: FloatArray
+    states: InertialStates, others: WindowEquations, system: InertialSystem, x: FloatArray
 ) -> tuple[MarginalPrior, InertialStates]:
     """Marginalise the first pose, velocity and biases.
 
@@ -431,6 +454,7 @@ def without_first_frame(
     gradient[:p] += others.gradient
     # At the offsets x, gradient = η − Λ x of the prior that includes what goes.
     vector = gradient + hessian @ x
+    # What goes is its block of the joint prior over (poses, rig, gravity, states of each frame).
     goes = np.zeros(len(x), np.bool_)
     goes[:POSE] = True
     goes[p + GRAVITY : p + GRAVITY + STATE] = True
@@ -492,6 +516,29 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     lever = factor.lever_m
     T_prev_curr = se3.from_parts(rotation, lever + way - rotation @ lever)
     T_curr_prev = se3.inverse(T_prev_curr)
+    cov = _predicted_covariance(window, states, factor, T_curr_prev=T_curr_prev, velocity=velocity)
+    return InertialPrediction(T_curr_prev, cov, velocity)
+
+
+def _predicted_covariance(
+    window: Window,
+    states: InertialStates,
+    factor: Preintegration,
+    *,
+    T_curr_prev: FloatArray,
+    velocity: FloatArray,
+) -> FloatArray:
+    """Return the covariance of a predicted motion, [6, 6].
+
+    Args:
+        window: K poses with their covariance.
+        states: of these K frames, with their covariance.
+        factor: from the last frame on.
+        T_curr_prev: the motion, [4, 4].
+        velocity: at its end, [3], m/s.
+    """
+    last = len(window) - 1
+    # Linearise the factor at these two ends, as if they were a window of two frames.
     T_new = T_curr_prev @ window.T_cam_world[last]
     pair = replace(
         window,
@@ -508,13 +555,14 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     _, jacobians = linearized(pair, ends, [factor], np.array([0]))
     jacobian = jacobians[0]
     at_state = GRAVITY + STATE * last
-    # New pose and velocity follow from the old states and the noise.
+    # New pose and velocity follow from the old states and the noise: from J_u u + J_g g = noise,
+    # u = −J_u⁻¹ J_g g + J_u⁻¹ noise. Gravity has the last two columns.
     unknown = np.r_[np.arange(POSE, 2 * POSE), 2 * POSE + STATE + np.arange(3)]
     given = np.r_[np.arange(POSE), 2 * POSE + np.arange(STATE), -2, -1]
     inverse = np.linalg.inv(jacobian[:, unknown])
     sensitivity = -inverse @ jacobian[:, given]
     at_pose = window.pose_slice(last)
-    inertial = np.r_[np.arange(at_state, at_state + STATE), 0, 1]
+    inertial = np.r_[np.arange(at_state, at_state + STATE), 0, 1]  # gravity is first in x
     # Joint covariance of the last pose, its velocity and biases, and gravity.
     cov = np.empty((POSE + STATE + GRAVITY, POSE + STATE + GRAVITY))
     cov[:POSE, :POSE] = window.cov[at_pose, at_pose]
@@ -526,4 +574,4 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     relative[:, :POSE] -= se3.adjoint(T_curr_prev)
     noise = (inverse @ factor.cov @ inverse.T)[:POSE, :POSE]
     motion_cov = relative @ cov @ relative.T + noise
-    return InertialPrediction(T_curr_prev, 0.5 * (motion_cov + motion_cov.T), velocity)
+    return np.asarray(0.5 * (motion_cov + motion_cov.T), np.float64)

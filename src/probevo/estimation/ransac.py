@@ -186,6 +186,7 @@ def _best_sample(
             )
             if not solvable:
                 break
+            # With a gyro, the last three entries of the step stay zero: the rotation is held.
             perturb(step, T, T_moved)
             copy_into(T, T_moved)
             if np.sum(step * step) < 1e-8:
@@ -216,6 +217,7 @@ def _truncated_cost(
         X, Y, Z, rho = transfer(T, problem.camera, problem.points[n])
         squared = limit  # of a point behind the camera, as of any other outlier
         if Z > NEAREST:
+            # Rows are compared in the left image only, as in the samples.
             e0 = fu * X / Z + cu - curr[n, 0]
             e1 = fv * Y / Z + cv - curr[n, 1]
             e2 = problem.right_share * ((fu * X - fb * rho) / Z + cu - curr[n, 2])

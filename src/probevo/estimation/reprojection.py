@@ -152,6 +152,7 @@ def solve_reprojection(
     features = propagated.at(optimum.values)
     hessian = features.hessian
     information = features.information
+    # The features' information is that of an M-estimate; other measurements add their own.
     if others:
         of_others = gauss_newton.information(others, optimum.values, [curr])
         hessian[:6, :6] += of_others
@@ -205,7 +206,11 @@ def inverse_or_nan(information: FloatArray) -> FloatArray:
 
 @compiled
 def _invert_in_its_units(information: FloatArray, inverse: FloatArray) -> bool:
-    """Invert after scaling the diagonal to one; False where that is not positive definite."""
+    """Invert after scaling the diagonal to one; False where that is not positive definite.
+
+    Metres, radians and standard deviations of the jitter then count alike, so that the test does
+    not depend on the units. A diagonal entry that is not positive makes all NaN, which fails it.
+    """
     n = len(information)
     sigma = np.empty(n)
     for i in range(n):

@@ -21,6 +21,8 @@ _RADIAL = 3
 """Index of a₆ among (b₀, b₁, b₂, a₆, ε)."""
 _FOCAL = [1, 2, 4]
 """Indices of b₁, b₂ and ε among these."""
+_DISPARITY = slice(1, 3)
+"""Those of b₁ and b₂: two frames do not estimate b₀."""
 
 
 def update_rig(
@@ -56,7 +58,8 @@ def update_rig(
     columns = np.concatenate([D, solution.residuals[:, :, None]], axis=2)
     weighted = np.empty_like(columns)
     weigh_columns(solution.information, solution.irls_weight, columns, weighted)
-    # Normal equations of (ξ, η, b, a₆, ε): [[H, C], [Cᵀ, B]], with the gradients of both.
+    # Normal equations of (ξ, η) and (b, a₆, ε): [[H, −C], [−Cᵀ, B]], with the gradients of both. C
+    # has a minus since J is the derivative of the prediction, and D that of the residual.
     of_motion = sum_products(jacobian, weighted)
     C = of_motion[:, :-1]
     motion_gradient = of_motion[:, -1]
@@ -64,15 +67,17 @@ def update_rig(
     B = of_rig[:, :-1]
     rig_gradient = -of_rig[:, -1]
     if solution.jitter is not None:
-        motion_gradient[6:] -= solution.jitter.eta
-    # The Schur complement on b, a₆ and ε; b₀ is not estimated.
+        motion_gradient[6:] -= solution.jitter.eta  # of the prior η ~ N(0, I)
+    # The Schur complement on b, a₆ and ε, and the step (ξ, η) with these held.
     solved = np.linalg.solve(solution.full_hessian, np.column_stack([C, motion_gradient]))
     gain = solved[:, :-1]
     step = solved[:, -1].astype(float)
     gradient = gain.T @ motion_gradient + rig_gradient
     information = B - C.T @ gain
     updated = rig.with_disparity(
-        information[1:3, 1:3], gradient[1:3], with_radial=information[1:3, _RADIAL]
+        information[_DISPARITY, _DISPARITY],
+        gradient[_DISPARITY],
+        with_radial=information[_DISPARITY, _RADIAL],
     )
     # Near the optimum, IRLS steps are too short, since the curvature of the loss is less than its
     # weights: scale the information of the focal length to the curvature.

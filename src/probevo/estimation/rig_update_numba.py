@@ -17,7 +17,8 @@ def disparity_sensitivities(
 ) -> None:
     """Fill ∂e/∂(b₀, b₁, b₂, a₆), [N, 4, ≥ 4].
 
-    More disparity moves u_r' by itself, and the prediction f(T g(y)) through the depth.
+    A coefficient says how much larger the true disparity is than the measured one. That lowers
+    u_r', and it moves the prediction f(T g(y)) through the depth.
 
     Args:
         disparity_jacobian: ∂f(T g(y))/∂d, [N, 4].

@@ -184,6 +184,7 @@ class SensorFusion:
                 )
                 suspects += _suspects(memory, index, measured[index])
             elif memory.excluded is None:
+                # It has not measured anything; the other sensors still correct its filters.
                 others = _joined(measured)
                 memory = replace(
                     memory,
@@ -420,6 +421,7 @@ def _sum_above(before: float, dims: Sequence[int], squares: Sequence[float | Non
     for dim, squared in zip(dims, squares, strict=True):
         if squared is None:
             continue
+        # −2 ln p of a uniformly distributed p is χ²(2) distributed.
         rarity = max(float(chdtrc(dim, squared)), 1e-300)
         total = max(0.0, total + min(-2.0 * math.log(rarity), MOST_OF_ONE) - USUAL)
     return total

@@ -30,6 +30,12 @@ EXACT_PX = 1e-3
 noise of a pixel, and large enough that the covariance of the factor can be inverted."""
 BEHIND_PX = 1e3
 """Error of the current observation of a point that is behind the camera."""
+_POINT = slice(0, 3)
+_CURR = slice(3, 7)
+"""Rows of the residual that are of the point (u, v, d), and of y'."""
+_D = 2
+_U_R = 5
+"""Rows of d and of u_r', the only one in which δ is."""
 
 
 class FactorLinearization(NamedTuple):
@@ -98,21 +104,23 @@ class TrackFactors:
         # δ enters the row of u_r: its variance adds to that of y', and its covariance with the
         # point is that of the two parts.
         cov = np.zeros((len(tracks), 7, 7))
-        cov[:, :3, :3] = point_cov
-        cov[:, 3:, 3:] = pairs.curr_scale
-        cov[:, 5, 5] += pairs.point_cov[:, 3, 3]
-        cov[:, :3, 5] = pairs.point_cov[:, :3, 3]
-        cov[:, 5, :3] = pairs.point_cov[:, :3, 3]
+        cov[:, _POINT, _POINT] = point_cov
+        cov[:, _CURR, _CURR] = pairs.curr_scale
+        cov[:, _U_R, _U_R] += pairs.point_cov[:, 3, 3]
+        cov[:, _POINT, _U_R] = pairs.point_cov[:, :3, 3]
+        cov[:, _U_R, _POINT] = pairs.point_cov[:, :3, 3]
+        # Measured are s − V c and f(T s) − V_δ c + B η', with V the effect of c, or of η°, on (s,
+        # δ). The derivatives take that out of the residual, which is predicted minus measured.
         jitter = observations.jitter
         common = np.zeros((len(tracks), 7, COMMON if jitter is None else COMMON + DOF))
-        common[history.states.rows, 2, :COMMON] = -history.common[:, 0, -COMMON:]
-        common[history.states.rows, 5, :COMMON] = -history.common[:, 1, -COMMON:]
+        common[history.states.rows, _D, :COMMON] = -history.common[:, 0, -COMMON:]
+        common[history.states.rows, _U_R, :COMMON] = -history.common[:, 1, -COMMON:]
         if jitter is not None:
             curr = slice(COMMON, COMMON + AXES)
             prev = slice(COMMON + AXES, COMMON + DOF)
-            common[:, 5:, curr] = jitter.effects.basis
-            common[:, :3, prev] = -jitter.effects.sensitivity[:, :3]
-            common[:, 5, prev] = -jitter.effects.sensitivity[:, 3]
+            common[:, _U_R:, curr] = jitter.effects.basis
+            common[:, _POINT, prev] = -jitter.effects.sensitivity[:, :3]
+            common[:, _U_R, prev] = -jitter.effects.sensitivity[:, 3]
         return TrackFactors(
             point=pairs.point,
             curr=pairs.curr,
@@ -144,25 +152,25 @@ class TrackFactors:
         by_motion = np.zeros((7, 6))
         by_point = np.zeros((7, 3))
         by_common = self.common[track].copy()
-        residual[:3] = point - self.point[track]
-        by_point[:3] = np.eye(3)
+        residual[_POINT] = point - self.point[track]
+        by_point[_POINT] = np.eye(3)
         # The point in the current frame over its depth in the previous one: q = C m + ρ t.
         rho = point[2] / fb
         x, y, z = C @ [(point[0] - cu) / fu, (point[1] - cv) / fv, 1.0] + rho * t
         if z < NEAREST:
-            residual[:3] += by_common[:3] @ common
-            residual[3:] = BEHIND_PX
-            by_common[3:] = 0.0
+            residual[_POINT] += by_common[_POINT] @ common
+            residual[_CURR] = BEHIND_PX
+            by_common[_CURR] = 0.0
             return FactorLinearization(residual, by_motion, by_point, by_common)
         u = fu * x / z
         v = fv * y / z
         d = point[2] / z
-        residual[3:] = np.array([u + cu, v + cv, u - d + cu, v + cv]) - self.curr[track]
+        residual[_CURR] = np.array([u + cu, v + cv, u - d + cu, v + cv]) - self.curr[track]
         residual += by_common @ common
         # ∂y'/∂q, and q under ξ and s; d itself is in u_r as well.
         by_q = np.array([[fu, 0.0, -u], [0.0, fv, -v], [fu, 0.0, d - u], [0.0, fv, -v]]) / z
-        by_motion[3:, :3] = rho * by_q
-        by_motion[3:, 3:] = by_q @ [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-        by_point[3:] = by_q @ np.column_stack([C[:, 0] / fu, C[:, 1] / fv, t / fb])
-        by_point[5, 2] -= 1.0 / z
+        by_motion[_CURR, :3] = rho * by_q
+        by_motion[_CURR, 3:] = by_q @ [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]  # −q^
+        by_point[_CURR] = by_q @ np.column_stack([C[:, 0] / fu, C[:, 1] / fv, t / fb])
+        by_point[_U_R, _D] -= 1.0 / z
         return FactorLinearization(residual, by_motion, by_point, by_common)

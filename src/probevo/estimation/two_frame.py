@@ -234,6 +234,7 @@ class TwoFrameEstimator:
 
 
 def _has_history(prior: DisparityFilter, tracks: Tracks) -> BoolArray:
+    """Return which of N tracks the filter knows, [N]."""
     known = np.zeros(len(tracks), np.bool_)
     known[prior.states.rows] = True
     return known

@@ -255,6 +255,7 @@ class VisualEstimator:
                 camera=self._camera,
                 loss=RobustLoss.named(self._config.solver.loss),
             )
+            # No iteration: these are the residuals at the motion found.
             two_frames_only = solve_reprojection(
                 observations,
                 guess=solution.T_curr_prev,
@@ -384,6 +385,7 @@ def _of_two_frames(
     frames alone, [6]; None without a jitter."""
     if solution.jitter is None or observations.jitter is None:
         return None
+    # Without the filter, the jitter of either frame has the prior N(0, S), of root L'.
     root = observations.jitter.curr_root
     both = np.column_stack([solution.jitter.curr_rad, solution.jitter.prev_rad])
     return np.linalg.solve(root, both).astype(float).T.ravel()

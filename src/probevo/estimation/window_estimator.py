@@ -56,8 +56,8 @@ from probevo.estimation.window_numba import (
     POSE,
     RIG,
     Elimination,
-    NormalEquations,
     RobustNoise,
+    WindowEquations,
     WindowGeometry,
     WindowLandmarks,
     WindowObservations,
@@ -77,12 +77,13 @@ LENS_SIGMA = 0.02
 length."""
 RIG_SIGMA = np.array([CONSTANT_SIGMA_PX, *DISPARITY_SIGMA_PX, LENS_SIGMA])
 """Prior standard deviation of b₀, b₁ and b₂, px, and κ."""
+FLAWLESS = 1e-6
+"""Factor of these standard deviations without self-calibration: a rig that is taken as calibrated
+has the same states, which the prior holds at zero."""
 CONVERGED_BELOW = 0.1
 """A step after which further ones would lower the cost by less than this, in nats, is the last."""
 LEAST_DAMPING = 1e-4
 """Share of its diagonal that is first added to the Hessian, after a step that raised the cost."""
-FLAWLESS = 1e-6
-"""Factor of these where the rig is said to be flawless."""
 COST_TOLERANCE = 1.0
 """Nats by which a step may raise the cost."""
 LEAST_VARIANCE_PX2 = 1e-12
@@ -105,7 +106,7 @@ class _System:
 
     window: Window
     cost: float
-    equations: NormalEquations
+    equations: WindowEquations
     elimination: Elimination
     jitter: JitterElimination
     inertial: InertialSystem | None
@@ -342,6 +343,8 @@ class WindowEstimator:
             noise = noise.scaled(np.full(len(tracks), 0.5))
         prev_scale = noise.scale if noise.prev_scale is None else noise.prev_scale
         parameters = self._loss.parameters(noise.dof)
+        # Observations: all in the new frame, and those of new landmarks in the frame before, too,
+        # which is their anchor.
         first_px = tracks.prev_px[is_new]
         # Each observation counts with the noise at its own time.
         scale = np.concatenate([prev_scale[is_new], noise.scale])
@@ -355,6 +358,7 @@ class WindowEstimator:
             root=root,
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
         )
+        # Landmarks: the new ones as their first observation shows them, with the prior of δ.
         variance = np.zeros(len(tracks))
         if noise.time_correlated is not None:
             variance = noise.time_correlated
@@ -392,10 +396,12 @@ class WindowEstimator:
         so that a step may raise the cost a little.
         """
         # Levenberg–Marquardt, which is plain Gauss–Newton until a step has raised the cost.
+        # ``moved`` is the window to return; it is ahead of ``system`` only after the last, small
+        # step.
         system = self._system(window)
         moved = window
         damping = 0.0
-        before = 0.0
+        before = 0.0  # the decrease by the step before
         iterations = 0
         while iterations < self._config.max_iterations:
             iterations += 1
@@ -415,6 +421,7 @@ class WindowEstimator:
             else:
                 damping = max(LEAST_DAMPING, 10.0 * damping)
                 moved = system.window
+        # The covariance is that of the last equations formed, at most that small step before.
         cov = self._covariance(system.equations.hessian)
         of_imu = inertial.covariance_known(moved, system.inertial, cov)
         return Adjustment(
@@ -439,7 +446,8 @@ class WindowEstimator:
         is_last = np.zeros(len(rows), np.bool_)
         is_last[observations.start[1:] - 1] = True
         begins_anew = is_last & is_alive[rows]  # of which that observation stays, too
-        # G of those that share a frame's jitter: the effective number of ages, (Σ n)²/Σ n².
+        # G of those that share a frame's jitter: the effective number of ages, (Σ n)²/Σ n². A
+        # frame's observations of one age have the same anchor frame, and so leave at the same time.
         seen_at_age = np.bincount(window.age, minlength=1)
         groups = max(1.0, seen_at_age.sum() ** 2 / max(1, (seen_at_age**2).sum()))
         # The normal equations of these landmarks and the prior alone, without the IMU, whose first
@@ -491,7 +499,8 @@ class WindowEstimator:
         camera = self._camera
         x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
         x_r, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
-        # What the lenses move outwards is taken back at the observed place: it is only a start.
+        # What the lenses move outwards is taken back at the observed place: it is only a start. The
+        # disparity error of the rig is the true one minus the measured one.
         inwards = -rig[LENS] * (x * x + y * y)
         inwards_r = -rig[LENS] * (x_r * x_r + y * y)
         states = np.zeros((len(pixels), LANDMARK))
@@ -514,10 +523,11 @@ class WindowEstimator:
             rig=window.rig,
             intrinsics=self._intrinsics,
         )
-        # The prior ½ xᵀ Λ x − ηᵀ x has the gradient η − Λ x towards its optimum.
+        # The prior ½ xᵀ Λ x − ηᵀ x has the gradient η − Λ x towards its optimum, and is itself
+        # −½ xᵀ (η + η − Λ x).
         x = window.offsets()
         towards_prior = window.prior.vector - window.prior.information @ x
-        equations = NormalEquations(hessian=np.zeros((size, size)), gradient=np.zeros(size))
+        equations = WindowEquations(hessian=np.zeros((size, size)), gradient=np.zeros(size))
         elimination = Elimination(
             coupling=np.empty((num_observations, LANDMARK, FRAME)),
             rig_coupling=np.empty((num_landmarks, LANDMARK, RIG)),
@@ -547,7 +557,7 @@ class WindowEstimator:
         return _System(
             window=window,
             cost=cost,
-            equations=NormalEquations(hessian=hessian, gradient=gradient),
+            equations=WindowEquations(hessian=hessian, gradient=gradient),
             elimination=elimination,
             jitter=jitter,
             inertial=of_imu,
@@ -594,6 +604,7 @@ class WindowEstimator:
     def _moved(self, system: _System, step: FloatArray) -> Window:
         """Return the window after a step of poses and rig; the landmarks follow."""
         window = system.window
+        # Back-substitution in the reverse order of the elimination: jitters, then landmarks.
         jitter_step = system.jitter.offset - system.jitter.gain @ step
         at_jitter, at_others = jitter_places(len(window))
         whole_step = np.empty(FRAME * len(window) + RIG)
@@ -604,7 +615,8 @@ class WindowEstimator:
             window.landmarks.state, window.observations, system.elimination, whole_step, state
         )
         T_cam_world = se3.exp(step[:-RIG].reshape(-1, POSE)) @ window.T_cam_world
-        # A pose of which the prior says nothing yet may be linearised where it is.
+        # First-estimates Jacobians: a pose in the prior keeps its linearisation point. One of which
+        # the prior says nothing yet may be linearised where it is.
         known = np.diagonal(window.prior.information)[:-RIG].reshape(-1, POSE)
         is_fixed = known.max(axis=1) > 0.0
         return replace(
@@ -625,6 +637,7 @@ def _rows_of(window: Window, ids: IntArray, slot: int) -> IntArray:
     rows = np.full(len(ids), -1)
     if not len(alive):
         return rows
+    # Find each identity by bisection among the sorted ones.
     alive = alive[np.argsort(window.ids[alive], kind="stable")]
     place = np.minimum(np.searchsorted(window.ids[alive], ids), len(alive) - 1)
     found = window.ids[alive[place]] == ids

@@ -13,7 +13,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.estimation.window import Window
-from probevo.estimation.window_numba import FRAME, JITTER, POSE, RIG, NormalEquations
+from probevo.estimation.window_numba import FRAME, JITTER, POSE, RIG, WindowEquations
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ def jitter_places(num_frames: int) -> tuple[IntArray, IntArray]:
 
 
 def without_jitter(
-    window: Window, equations: NormalEquations
-) -> tuple[NormalEquations, JitterElimination, float]:
+    window: Window, equations: WindowEquations
+) -> tuple[WindowEquations, JitterElimination, float]:
     """Eliminate the jitters of all frames, with their prior N(0, S).
 
     Args:
@@ -61,17 +61,20 @@ def without_jitter(
     # S⁻¹ of each frame stands in a block of its own on the diagonal.
     for at in range(0, len(jitter), JITTER):
         of_jitter[at : at + JITTER, at : at + JITTER] += information
+    # One solve for both right-hand sides: the coupling to poses and rig, and the gradient.
     wanted = np.empty((len(jitter), len(others) + 1))
     wanted[:, :-1] = rows_of_jitter[:, others]
     wanted[:, -1] = equations.gradient[jitter] + towards_prior.ravel()
     solved = np.asarray(np.linalg.solve(of_jitter, wanted), np.float64)
     gain = solved[:, :-1]
     offset = solved[:, -1]
+    # The Schur complement; the last column is that of the gradient.
     reduced = wanted[:, :-1].T @ solved
     hessian = equations.hessian[others][:, others] - reduced[:, :-1]
-    equations_of_rest = NormalEquations(
+    equations_of_rest = WindowEquations(
         hessian=0.5 * (hessian + hessian.T),
         gradient=equations.gradient[others] - reduced[:, -1],
     )
+    # ½ Σ ωᵀ S⁻¹ ω.
     cost = -0.5 * float(window.jitter.ravel() @ towards_prior.ravel())
     return equations_of_rest, JitterElimination(offset=offset, gain=gain), cost

@@ -40,6 +40,8 @@ def pose_covariance(hessian: FloatArray) -> FloatArray:
     held = hessian.copy()
     held[:POSE, :POSE] += np.diag(root**2)
     inverse = np.linalg.inv(held)
+    # With B = D², B (B − B C₀₀ B)⁻¹ B = D (1 − D C₀₀ D)⁻¹ D. The eigenvalues of the bracket are the
+    # shares of the information about the oldest pose that are not due to holding it.
     share, directions = np.linalg.eigh(np.eye(POSE) - root[:, None] * inverse[:POSE, :POSE] * root)
     moved = inverse[:, :POSE] * root @ directions
     return np.asarray(inverse + moved / np.maximum(share, LEAST_SHARE) @ moved.T)

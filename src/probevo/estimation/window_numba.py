@@ -3,9 +3,9 @@
 A landmark is (u, v, d, δ): its place in the left image and its disparity, both in its anchor frame
 a, the first that saw it, and the disparity error δ that all its observations have in common (the
 time-correlated one of the noise model). With m = ((u − c_u)/f_u, (v − c_v)/f_v, 1) and the inverse
-depth ρ = d/(f_u b), it is h/ρ in frame k, where
+depth λ = d/(f_u b), it is h/λ in frame k, where
 
-    h = C_ka m + ρ t_ka,    prediction = (u_k, v_k, u_k − d/h_z − δ + β(x)ᵀb + δu_r, v_k + δv_r).
+    h = C_ka m + λ t_ka,    prediction = (u_k, v_k, u_k − d/h_z − δ + β(x)ᵀb + δu_r, v_k + δv_r).
 
 β(x) = (1, x, x²) and b are the disparity errors of the rig (``camera.rig_calibration``). Nothing is
 divided by d, so that a landmark at infinity is nothing special.
@@ -18,7 +18,8 @@ be biased (with white noise of 0.3 px, κ by eight times its scatter over drives
 In each frame the right camera is turned against the left one by a small jitter ω_k, which moves
 what it sees by (δu_r, δv_r) = O ω_k (``camera.rig_jitter``).
 
-Poses T_cam_world are perturbed on the left. Where ξ_ka moves a prediction by J, the poses of frame
+Poses T_cam_world are perturbed on the left. Since T_ka = T_k T_a⁻¹, its perturbation is
+ξ_ka = ξ_k − Ad(T_ka) ξ_a. Where ξ_ka moves a prediction by J, the poses of frame
 and anchor move it by J and −J Ad(T_ka). The adjoint is that of fixed linearisation points, which
 are also those of the marginalised information ("first-estimates Jacobians", Huang et al. 2010):
 then a shift and turn of the whole window moves no residual, to rounding, and the window does not
@@ -49,6 +50,7 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled, compiled_into_callers, factor, invert_symmetric_4
 from probevo.measurements.robust_loss_numba import (
+    INFINITE_DOF,
     STUDENT_T,
     robust_cost,
     robust_curvature,
@@ -69,6 +71,8 @@ LANDMARK = 4
 """Those of a landmark."""
 PIXELS = 4
 """Coordinates of an observation."""
+# The columns of a linearised observation: ζ = (ξ_ka, ω_k) of its frame, the landmark, the rig, and
+# the error.
 _COLUMNS = FRAME + LANDMARK + RIG + 1
 """Columns of a linearised observation: frame, landmark, rig, and the error."""
 _RIG = FRAME + LANDMARK
@@ -77,6 +81,8 @@ _ERROR = _RIG + RIG
 """Which of them is the error."""
 _COMMON = LANDMARK + RIG + 1
 """Those of states that all observations of a landmark have in common, and the error."""
+# The sums for each state of ζ_k: its information with ζ_k, with ζ of the frame before and with the
+# rig, and its gradient.
 _WITH_PREV = FRAME
 """Where the information between a motion and the one before it begins among the sums of pairs."""
 _WITH_RIG = _WITH_PREV + FRAME
@@ -138,7 +144,7 @@ class WindowLandmarks(NamedTuple):
     """Prior information of δ around zero, [L], px⁻²."""
 
 
-class NormalEquations(NamedTuple):
+class WindowEquations(NamedTuple):
     """Normal equations: hessian · step = gradient.
 
     Those of ``accumulate`` are for K frames, (ξ, ω) of each, and the rig: size S = 9K + 4. With
@@ -241,7 +247,7 @@ def accumulate(
     observations: WindowObservations,
     landmarks: WindowLandmarks,
     noise: RobustNoise,
-    equations: NormalEquations,
+    equations: WindowEquations,
     elimination: Elimination,
 ) -> float:
     """Add the normal equations of all landmarks, each of them eliminated.
@@ -363,6 +369,7 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
     count = observations.start[row + 1] - first
     anchor = observations.slot[first]
     total = 0.0
+    # Each observation by itself: Jacobians and error, and the same white.
     for k in range(count):
         m = first + k
         slot = observations.slot[m]
@@ -387,6 +394,7 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
         squared[m] = 0.0
         for n in range(PIXELS):
             squared[m] += white[n, _ERROR] * white[n, _ERROR]
+    # All of them together: the squared length of the innovations.
     _fill_innovations(count, problem.noise.correlation, track)
     last = _COMMON - 1
     for k in range(count):
@@ -505,11 +513,13 @@ def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
     end = observations.start[row + 1]
     error = problem.landmarks.state[row, 3]
     total = squared + problem.landmarks.error_information[row] * error * error
+    # One landmark, one ν: the mean of those that its observations have been predicted with.
     parameter = 0.0
     for m in range(first, end):
         parameter += observations.loss_parameter[m] / (end - first)
+    # n: residuals and the prior of δ, less the four states of the landmark.
     free = PIXELS * (end - first) - 3
-    if loss == STUDENT_T and parameter < 1e300:
+    if loss == STUDENT_T and parameter < INFINITE_DOF:
         # With s = rᵀ r, the cost ½ (ν + n) log(1 + s/ν) has the Hessian w (I − 2 r rᵀ/(ν + s)) in
         # the white residual r. The curvature is the mean of its n eigenvalues, kept positive.
         weight = (parameter + free) / (parameter + total)
@@ -566,7 +576,7 @@ def _linearize(
     d_z = -disparity * per_depth * per_depth
     r_z = u_z - d_z  # ∂u_r/∂h_z
     if not is_anchor:
-        # A motion moves h by ρ δt + φ × h.
+        # A motion moves h by λ δt + φ × h.
         raw[0, 0] = u_x * inverse_depth
         raw[0, 2] = u_z * inverse_depth
         raw[0, 3] = u_z * hy
@@ -582,7 +592,7 @@ def _linearize(
         raw[2, 3] = r_z * hy
         raw[2, 4] = u_x * hz - r_z * hx
         raw[2, 5] = raw[0, 5]
-        for j in range(1, POSE):
+        for j in range(1, POSE):  # v_r moves as v does
             raw[3, j] = raw[1, j]
     x_r = x - disparity * per_depth * per_u
     # κ moves both views outwards; rows are calibrated apart, so that v_r moves as v does.
@@ -601,7 +611,7 @@ def _linearize(
     raw[3, POSE + 2] = fv * x_r
     # u, v and d of the landmark move h along columns of T_ka.
     for j in range(3):
-        column = 3 if j == 2 else j
+        column = 3 if j == 2 else j  # d moves h along the translation
         scale = per_disparity
         if j == 0:
             scale = per_u
@@ -614,6 +624,7 @@ def _linearize(
         raw[1, FRAME + j] = of_v
         raw[2, FRAME + j] = of_u - d_z * h_z
         raw[3, FRAME + j] = of_v
+    # u_r = u − d/h_z − δ depends on d and δ directly, too.
     raw[2, FRAME + 2] -= per_depth
     raw[2, FRAME + 3] = -1.0
 
@@ -625,11 +636,12 @@ def _add_common(
     track: _Track,
     trust: _Trust,
     elimination: Elimination,
-    equations: NormalEquations,
+    equations: WindowEquations,
 ) -> None:
     """Fill the gradient of a landmark and its information with the rig; add to those of the rig."""
     first = problem.observations.start[row]
     count = problem.observations.start[row + 1] - first
+    # Innovations z are white, so that products with Σ⁻¹ are sums of z zᵀ.
     common = track.common
     common[:] = 0.0
     for k in range(count):
@@ -667,7 +679,7 @@ def _add_motions(
     trust: _Trust,
     factors: FloatArray,
     sums: FloatArray,
-    equations: NormalEquations,
+    equations: WindowEquations,
 ) -> None:
     """Add the observations of a landmark to the equations of the motions from its anchor frame,
     and of the jitters.
@@ -693,6 +705,8 @@ def _add_motions(
     of_next = correlation * correlation / (1.0 + correlation)
     with_prev = -correlation / (1.0 + correlation)
     for k in range(count):
+        # What the columns of ζ_k are multiplied with below: themselves times their block of Σ⁻¹,
+        # and those of the rig and of the error times their row of it.
         white = track.white[k]
         of_own = _share_of_own(k, correlation) ** 2
         if k + 1 < count:
@@ -703,6 +717,7 @@ def _add_motions(
             for j in range(RIG):
                 factors[n, _WITH_RIG + j] = trust.curvature * track.weighted[k, n, LANDMARK + j]
             factors[n, _GRADIENT] = trust.weight * track.weighted[k, n, _COMMON - 1]
+        # With the observation before: in the sums, if that is of the frame before.
         slot = problem.observations.slot[first + k]
         prev_slot = problem.observations.slot[first + k - 1] if k > 0 else slot - 1
         is_next = prev_slot == slot - 1
@@ -722,7 +737,7 @@ def _add_motions(
                 slot, prev_slot, anchor, cross=cross, adjoints=adjoints, equations=equations
             )
         target = sums[slot, anchor]
-        # In its anchor frame, no motion moves the landmark.
+        # In its anchor frame, no motion moves the landmark, only the jitter.
         for i in range(POSE if k == 0 else 0, FRAME):
             w0 = white[0, i]
             w1 = white[1, i]
@@ -786,6 +801,8 @@ def _factor(
         work: receives the factor.
         inverse: receives the inverse, [4, 4].
     """
+    # The anchor frame always sees the landmark, and δ has a prior: the information is positive
+    # definite but for rounding, against which a diagonal entry is bounded.
     root = work.root
     for i in range(LANDMARK):
         for j in range(i + 1):
@@ -838,7 +855,7 @@ def _eliminate(
     problem: _Problem,
     work: _Workspace,
     elimination: Elimination,
-    equations: NormalEquations,
+    equations: WindowEquations,
 ) -> None:
     """Eliminate one landmark: subtract Bᵀ A⁻¹ B of its information A, [4, 4], and its coupling B.
 
@@ -849,6 +866,7 @@ def _eliminate(
     end = problem.observations.start[row + 1]
     root = work.root
     wide = work.wide
+    # The columns of Y are those of all frames from the first to the last that saw it.
     slot = problem.observations.slot
     span = slot[end - 1] - slot[first] + 1
     of_frames = FRAME * span
@@ -856,6 +874,7 @@ def _eliminate(
     if span > end - first:  # frames in between did not see it
         for i in range(LANDMARK):
             wide[i, :of_frames] = 0.0
+    # Y = R⁻¹ B: the frames from the anchor on, then the rig; behind them, R⁻¹ times the gradient.
     for m in range(first, end):
         at = FRAME * (slot[m] - slot[first])
         _substitute(root, elimination.coupling[m], FRAME, wide[:, at:])
@@ -884,7 +903,7 @@ def _eliminate(
 
 
 @compiled
-def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: NormalEquations) -> None:
+def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: WindowEquations) -> None:
     """Add the equations of motions to those of frames: ξ_ka = ξ_k − Ad(T_ka) ξ_a.
 
     In its anchor frame, a landmark is where it is, whatever the pose: only the jitter counts.
@@ -902,12 +921,15 @@ def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: NormalEquation
     num_frames = len(adjoints)
     for k in range(num_frames):
         for a in range(k + 1):
+            # The roll of the jitter moves every observation: its information is zero only where
+            # there was none.
             of_motion = sums[k, a]
             if of_motion[FRAME - 1, FRAME - 1] == 0.0:
                 continue  # no landmark of this anchor was seen there
             adjoint = adjoints[k, a]
             _times_adjoint(of_motion, adjoint, of_both)
             _adjoint_transposed_times(adjoint, of_both, of_anchor)
+            # Information of (ζ_k, ξ_a) by ζ = (ξ_k − Ad ξ_a, ω_k): [I, −Ad]ᵀ H [I, −Ad].
             of_k = FRAME * k
             of_a = FRAME * a
             for i in range(FRAME):
@@ -932,9 +954,20 @@ def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: NormalEquation
 
 @compiled
 def _add_neighbours(
-    k: int, p: int, a: int, cross: FloatArray, adjoints: FloatArray, equations: NormalEquations
+    k: int, p: int, a: int, cross: FloatArray, adjoints: FloatArray, equations: WindowEquations
 ) -> None:
-    """Add the information between the motions from frame a to frame k and to frame p before it."""
+    """Add the information between the motions from frame a to frame k and to frame p before it.
+
+    Args:
+        k: place of the later frame.
+        p: place of the earlier one.
+        a: place of the anchor frame.
+        cross: information between ζ_k and ζ_p, [9, 9]. Its transpose counts as well: of the blocks
+            off the diagonal only the lower triangle is filled, in the anchor's own block both sum
+            up.
+        adjoints: Ad(T_ka), [K, K, 6, 6].
+        equations: receives the sums.
+    """
     hessian = equations.hessian
     of_prev = np.empty((FRAME, POSE))
     of_curr = np.empty((FRAME, POSE))

@@ -162,7 +162,7 @@ def jitter_columns(
         columns: filled in, [N, 4, 6], px; zero behind the camera.
     """
     fu, fv, _, _, fb = camera
-    move = np.empty(3)
+    move = np.empty(3)  # ∂q/∂η° over q_z
     for n in range(len(refined)):
         columns[n] = 0.0
         X, Y, Z, rho = transfer(T, camera, refined[n])
@@ -182,6 +182,7 @@ def jitter_columns(
                     + T[i, 1] * sensitivity[n, 1, k] / fv
                     + T[i, 3] * sensitivity[n, 2, k] / fb
                 ) / Z
+            # u' = f_u q_x/q_z, and d' = d/q_z; u_r' = u' − d' − δ.
             u_move = fu * (move[0] - x * move[2])
             v_move = fv * (move[1] - y * move[2])
             d_move = sensitivity[n, 2, k] / Z - d * move[2]
@@ -221,6 +222,8 @@ def propagate_with_jitter(
                 V[n, i, 0] * eta[3] + V[n, i, 1] * eta[4] + V[n, i, 2] * eta[5]
             )
         error = V[n, 3, 0] * eta[3] + V[n, 3, 1] * eta[4] + V[n, 3, 2] * eta[5]
+        # η° changes the estimate of δ, too, for which u_r' has been corrected; η' moves both
+        # coordinates of the right observation.
         for r in range(4):
             jitter.curr[n, r] = pairs.curr[n, r] + (error if r == 2 else 0.0)
             curr[n, r] = jitter.curr[n, r]
@@ -271,7 +274,7 @@ def without_jitter(jitter: LinearizedJitter, eta: FloatArray, shifted: FloatArra
     linearisation."""
     change = np.empty(DOF)
     for k in range(AXES):
-        change[k] = eta[k]
+        change[k] = eta[k]  # ``jitter.curr`` is that of η' = 0
         change[AXES + k] = eta[AXES + k] - jitter.prev_eta[k]
     for n in range(len(shifted)):
         for r in range(4):
@@ -303,7 +306,10 @@ def _set_jitter(
     loss: _LossAt,
     equations: JointEquations,
 ) -> None:
-    """Fill in Σ w Jᵀ Σ⁻¹ D, Σ w Dᵀ Σ⁻¹ D and Σ w Dᵀ Σ⁻¹ e, with Newton's terms if asked for."""
+    """Fill in Σ w Jᵀ Σ⁻¹ D, Σ w Dᵀ Σ⁻¹ D and Σ w Dᵀ Σ⁻¹ e, with Newton's terms if asked for.
+
+    ``curr`` [N, 4] are the observations minus D η, at whose residuals the weights are taken.
+    """
     fu, fv, cu, cv, fb = camera
     pull = np.empty(DOF)
     cross = np.zeros((6, DOF))
@@ -319,6 +325,7 @@ def _set_jitter(
         u = fu * X * iz
         v = fv * Y * iz
         d = fb * rho * iz
+        # The weighted residual w e, and with it the gradient w Dᵀ Σ⁻¹ e by η.
         weight = robust_weight(loss.kind, loss.parameter[n], loss.squared[n])
         e0 = weight * (curr[n, 0] - (u + cu) - propagated.offset[n, 0])
         e1 = weight * (curr[n, 1] - (v + cv) - propagated.offset[n, 1])
@@ -327,13 +334,13 @@ def _set_jitter(
         for k in range(DOF):
             pull[k] = white[0, k] * e0 + white[1, k] * e1 + white[2, k] * e2 + white[3, k] * e3
             gradient[k] += pull[k]
-        # As in ``normal_equations``, the rows of F = ∂f/∂q are u_l (a, 0, b), v (0, c, e) and
-        # u_r (a, 0, f), and q moves by ρ δt + φ × q.
-        a = fu * iz
-        b = -u * iz
-        c = fv * iz
-        e = -v * iz
-        f = -(u - d) * iz
+        # As in ``normal_equations``, the rows of F = ∂f/∂q are u_l (u_x, 0, u_z),
+        # v (0, v_y, v_z) and u_r (u_x, 0, r_z), and q moves by ρ δt + φ × q.
+        u_x = fu * iz
+        u_z = -u * iz
+        v_y = fv * iz
+        v_z = -v * iz
+        r_z = -(u - d) * iz
         # Newton's Hessian is that of IRLS minus a multiple of the outer product of the weighted
         # gradient, since the curvature of a robust loss is less than its weight.
         bend = 0.0
@@ -344,17 +351,18 @@ def _set_jitter(
             g1 = W[1, 0] * e0 + W[1, 1] * e1 + W[1, 2] * e2 + W[1, 3] * e3
             g2 = W[2, 0] * e0 + W[2, 1] * e1 + W[2, 2] * e2 + W[2, 3] * e3
             g3 = W[3, 0] * e0 + W[3, 1] * e1 + W[3, 2] * e2 + W[3, 3] * e3
-            q0 = a * (g0 + g2)
-            q1 = c * (g1 + g3)
-            q2 = b * g0 + e * (g1 + g3) + f * g2
+            q0 = u_x * (g0 + g2)
+            q1 = v_y * (g1 + g3)
+            q2 = u_z * g0 + v_z * (g1 + g3) + r_z * g2
         for k in range(DOF):
             bent = bend * pull[k]
             w0 = weight * white[0, k]
             w1 = weight * (white[1, k] + white[3, k])
             w2 = weight * white[2, k]
-            k0 = a * (w0 + w2) - q0 * bent
-            k1 = c * w1 - q1 * bent
-            k2 = b * w0 + e * w1 + f * w2 - q2 * bent
+            # Column k of Fᵀ w Σ⁻¹ D, with Newton's term, and from q to ξ.
+            k0 = u_x * (w0 + w2) - q0 * bent
+            k1 = v_y * w1 - q1 * bent
+            k2 = u_z * w0 + v_z * w1 + r_z * w2 - q2 * bent
             cross[0, k] += rho * k0
             cross[1, k] += rho * k1
             cross[2, k] += rho * k2
@@ -422,6 +430,7 @@ def joint_normal_equations(
         loss=_LossAt(loss.kind, loss.parameter, motion.squared, newton),
         equations=equations,
     )
+    # The block of ξ is that of the motion at a given η.
     for i in range(6):
         gradient[i] = motion.gradient[i]
         for j in range(6):
@@ -465,6 +474,7 @@ def jitter_information(
         J = jacobians.motion[n]
         white = jitter.white[n]
         for i in range(6):
+            # The translation's columns, as in ``stereo_numba.sum_information``.
             share = curvature * disparity_share[n] if i < 3 else curvature
             for k in range(DOF):
                 product = J[0, i] * white[0, k] + J[1, i] * white[1, k]

@@ -137,6 +137,7 @@ def observation_to_point(
     normal = np.empty((3, 3))
     lower_3 = np.zeros((3, 3))
     S = np.zeros((3, 3))
+    # The plain average of g: u = u_l, v = ½ (v_l + v_r), d = u_l − u_r.
     K = np.zeros((3, 4))
     K[0, 0] = K[2, 0] = 1.0
     K[2, 2] = -1.0
@@ -152,6 +153,7 @@ def observation_to_point(
                 weighted[0, k] = inverse[0, k] + inverse[2, k]
                 weighted[1, k] = inverse[1, k] + inverse[3, k]
                 weighted[2, k] = -inverse[2, k]
+            # Hᵀ R⁻¹ H, whose inverse is S; then K = S Hᵀ R⁻¹.
             for i in range(3):
                 normal[i, 0] = weighted[i, 0] + weighted[i, 2]
                 normal[i, 1] = weighted[i, 1] + weighted[i, 3]

@@ -97,6 +97,7 @@ def preintegrate(
     Returns:
         The preintegration, or the reason why there is none.
     """
+    # Refuse an interval that the usable samples do not cover.
     if imu is None or not len(imu.stamps_ns):
         return NoPreintegration("has no samples")
     if end_ns <= start_ns:
@@ -114,8 +115,10 @@ def preintegrate(
     knots_ns = np.concatenate([[start_ns], stamps_ns[is_inside], [end_ns]]) - start_ns
     C_cam_imu = calibration.C_cam_imu
     steps_s = 1e-9 * np.diff(knots_ns)
+    # Knots include all samples, so that both are linear from knot to knot.
     rates = _means(knots_ns, stamps_ns - start_ns, imu.gyro_rad_s[is_usable] @ C_cam_imu.T)
     forces = _means(knots_ns, stamps_ns - start_ns, imu.accel_m_s2[is_usable] @ C_cam_imu.T)
+    # The sums, from the identity and zero on.
     bias = np.asarray(bias, np.float64)
     sums = PreintegrationSums(
         rotation=np.eye(3),

@@ -61,7 +61,8 @@ def preintegrate_samples(
     """Integrate rates and forces in the axes of the start, with covariance and bias Jacobians.
 
     In each sub-interval the rate is constant, and the force acts along the axes of its middle. The
-    errors δ = (δφ, δv, δp), with ΔR Exp(δφ), follow Forster et al. 2017, eqs. (59) to (63).
+    errors δ = (δφ, δv, δp), with ΔR Exp(δφ), follow Forster et al. 2017, eqs. (59) to (63): over a
+    sub-interval, δ ← A δ − B n, with n the errors, bias or noise, of its mean rate and force.
 
     Args:
         samples: of the sub-intervals, in the order of time.
@@ -81,6 +82,7 @@ def preintegrate_samples(
         dt = samples.steps_s[index]
         rate = samples.rates_rad_s[index]
         force = samples.forces_m_s2[index]
+        # The turn over the sub-interval, and over its first half, with their right Jacobians.
         fill_exp(rate[0] * dt, rate[1] * dt, rate[2] * dt, whole, jacobian)
         h = 0.5 * dt
         fill_exp(rate[0] * h, rate[1] * h, rate[2] * h, half, half_jacobian)
@@ -96,6 +98,8 @@ def preintegrate_samples(
         turned_by_force = -np.dot(middle, wedge)
         by_rotation = np.dot(turned_by_force, half.T)
         by_rate = np.dot(turned_by_force, half_jacobian)
+        # A has the order (δφ, δv, δp) in rows and columns, B has (rate, force) in its columns. The
+        # rate of the first half turns the middle's axes, hence h in its effect on velocity.
         for i in range(3):
             for j in range(3):
                 unit = 1.0 if i == j else 0.0
@@ -111,6 +115,7 @@ def preintegrate_samples(
                 B[3 + i, 3 + j] = middle[i, j] * dt
                 B[6 + i, 3 + j] = middle[i, j] * 0.5 * dt * dt
         copy_into(sums.bias_jacobian, np.dot(A, sums.bias_jacobian) - B)
+        # White noise of density σ has the variance σ²/dt in the mean over a sub-interval.
         gyro_sigma = gyro_density / math.sqrt(dt)
         accel_sigma = accel_density / math.sqrt(dt)
         for i in range(9):
@@ -118,6 +123,7 @@ def preintegrate_samples(
                 noisy[i, j] = B[i, j] * gyro_sigma
                 noisy[i, 3 + j] = B[i, 3 + j] * accel_sigma
         copy_into(sums.cov, np.dot(np.dot(A, sums.cov), A.T) + np.dot(noisy, noisy.T))
+        # The sums themselves come last: A and B are those at the start of the sub-interval.
         acceleration = np.dot(middle, force)
         for i in range(3):
             sums.position[i] += sums.velocity[i] * dt + 0.5 * acceleration[i] * dt * dt

@@ -24,13 +24,18 @@ HUBER, CAUCHY, TUKEY, STUDENT_T = (int(kind) for kind in list(LossKind)[1:])
 RESIDUAL_DIM = 4
 """d, the dimension of a stereo residual."""
 
+INFINITE_DOF = 1e300
+"""ν from which a Student-t is computed as a Gaussian, as for ν = ∞."""
+
 
 @compiled
 def robust_weight(kind: int, parameter: float, squared: float) -> float:
     """IRLS weight 2 dρ/ds, one for a perfect residual of every loss but Student-t, where it is (ν +
     d)/(ν + s)."""
     if kind == STUDENT_T:
-        return (parameter + RESIDUAL_DIM) / (parameter + squared) if parameter < 1e300 else 1.0
+        if not parameter < INFINITE_DOF:
+            return 1.0
+        return (parameter + RESIDUAL_DIM) / (parameter + squared)
     if kind == HUBER:
         return 1.0 if squared <= parameter * parameter else parameter / math.sqrt(squared)
     if kind == CAUCHY:
@@ -46,12 +51,14 @@ def robust_curvature(kind: int, parameter: float, squared: float) -> float:
     """w + (2/d) w' s: the second derivative of the loss, averaged over the directions of the
     residual.
 
-    At least a quarter of the weight, so that it can stand in a Hessian (Tukey's goes negative).
+    Of the d directions, the one along the residual has the curvature w + 2 w' s, the others have w.
+    It is at least a quarter of the weight, so that it can stand in a Hessian (Tukey's goes
+    negative).
     """
     weight = robust_weight(kind, parameter, squared)
     share = 0.0  # −w' s / w
     if kind == STUDENT_T:
-        share = squared / (parameter + squared) if parameter < 1e300 else 0.0
+        share = squared / (parameter + squared) if parameter < INFINITE_DOF else 0.0
     elif kind == HUBER:
         share = 0.5 if squared > parameter * parameter else 0.0
     elif kind == CAUCHY:
@@ -64,7 +71,10 @@ def robust_curvature(kind: int, parameter: float, squared: float) -> float:
 @compiled
 def robust_bend(kind: int, parameter: float, squared: float) -> float:
     """−2 w'/w²: the multiple of a weighted gradient's outer product that Newton's Hessian is less
-    than IRLS's."""
+    than IRLS's.
+
+    With the weighted gradient q = w Jᵀ Σ⁻¹ e, Newton's Hessian is w Jᵀ Σ⁻¹ J + (2 w'/w²) q qᵀ.
+    """
     if kind == STUDENT_T:
         return 2.0 / (parameter + RESIDUAL_DIM)
     if kind == HUBER:
@@ -83,7 +93,7 @@ def robust_cost(kind: int, parameter: float, squared: float) -> float:
     if kind == STUDENT_T:
         return (
             0.5 * (parameter + RESIDUAL_DIM) * math.log1p(squared / parameter)
-            if parameter < 1e300
+            if parameter < INFINITE_DOF
             else 0.5 * squared
         )
     if kind == HUBER:

@@ -17,6 +17,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.transfer_numba import NEAREST, Intrinsics, transfer
 from probevo.compiled import compiled, invert_symmetric_4
 from probevo.measurements.robust_loss_numba import (
+    INFINITE_DOF,
     RESIDUAL_DIM,
     STUDENT_T,
     robust_bend,
@@ -149,20 +150,21 @@ def propagate_noise(
         u = fu * X * iz
         v = fv * Y * iz
         d = fb * rho * iz
-        a = fu * iz
-        b = fv * iz
-        c = iz / fb
+        u_x = fu * iz  # ∂u/∂q_x
+        v_y = fv * iz  # ∂v/∂q_y
+        per_d = iz / fb  # ∂ρ/∂d over q_z
         # Columns of A: a change of u, v, d moves q = C m + ρ t along C's columns and t. The first
         # term of each entry is from the numerator of u = f_u q_x/q_z, the second from q_z.
-        A[0, 0] = (a * T[0, 0] - u * iz * T[2, 0]) / fu
-        A[0, 1] = (a * T[0, 1] - u * iz * T[2, 1]) / fv
-        A[0, 2] = (fu * T[0, 3] - u * T[2, 3]) * c
-        A[1, 0] = (b * T[1, 0] - v * iz * T[2, 0]) / fu
-        A[1, 1] = (b * T[1, 1] - v * iz * T[2, 1]) / fv
-        A[1, 2] = (fv * T[1, 3] - v * T[2, 3]) * c
+        A[0, 0] = (u_x * T[0, 0] - u * iz * T[2, 0]) / fu
+        A[0, 1] = (u_x * T[0, 1] - u * iz * T[2, 1]) / fv
+        A[0, 2] = (fu * T[0, 3] - u * T[2, 3]) * per_d
+        A[1, 0] = (v_y * T[1, 0] - v * iz * T[2, 0]) / fu
+        A[1, 1] = (v_y * T[1, 1] - v * iz * T[2, 1]) / fv
+        A[1, 2] = (fv * T[1, 3] - v * T[2, 3]) * per_d
+        # u_r = u_l − d, where d = f_u b ρ/q_z depends on the disparity before directly, and on q_z.
         A[2, 0] = A[0, 0] + d * iz * T[2, 0] / fu
         A[2, 1] = A[0, 1] + d * iz * T[2, 1] / fv
-        A[2, 2] = A[0, 2] - iz + d * T[2, 3] * c
+        A[2, 2] = A[0, 2] - iz + d * T[2, 3] * per_d
         P = pairs.point_cov[n]
         # H P, and with it H P Hᵀ: the rows of H are those of A, less 1 for δ in the row of u_r.
         for i in range(3):
@@ -173,13 +175,20 @@ def propagate_noise(
         for i in range(3):
             for j in range(i + 1):
                 product = HP[i, 0] * A[j, 0] + HP[i, 1] * A[j, 1] + HP[i, 2] * A[j, 2]
-                projected[i, j] = projected[j, i] = product - HP[i, 3] if j == 2 else product
-        # v_l and v_r are predicted alike, so that row 1 of the products stands for both.
+                if j == 2:
+                    product -= HP[i, 3]
+                projected[i, j] = product
+                projected[j, i] = product
+        # Σ = R' + H P Hᵀ, its lower triangle. v_l and v_r are predicted alike, so that row 1 of the
+        # products stands for both.
         for i in range(4):
-            cross_cov[n, i, 0] = HP[i if i < 3 else 1, 2]
-            cross_cov[n, i, 1] = HP[i if i < 3 else 1, 3]
+            row = i if i < 3 else 1
+            cross_cov[n, i, 0] = HP[row, 2]
+            cross_cov[n, i, 1] = HP[row, 3]
             for j in range(i + 1):
-                sigma[i, j] = scale[n, i, j] + projected[i if i < 3 else 1, j if j < 3 else 1]
+                column = j if j < 3 else 1
+                sigma[i, j] = scale[n, i, j] + projected[row, column]
+        # e is the residual at s, to first order around the point of linearisation.
         _set_offset(A, point[n], refined[n], offset[n])
         if not invert_symmetric_4(sigma, information[n], lower):
             information[n] = 0.0
@@ -196,6 +205,8 @@ def propagate_noise(
             refined[n, j] = (
                 point[n, j] + HP[0, j] * g[0] + HP[1, j] * (g[1] + g[3]) + HP[2, j] * g[2]
             )
+        # From here on, ŝ is the point of linearisation; A is still that of the one before, which
+        # the next propagation corrects.
         _set_offset(A, point[n], refined[n], offset[n])
 
 
@@ -225,6 +236,9 @@ def normal_equations(
     The Hessian is that of iteratively reweighted least squares, Σ w Jᵀ Σ⁻¹ J, which never
     overshoots. With ``newton``, near the optimum, it is Newton's, with 2 w' (Jᵀ Σ⁻¹ e)(Jᵀ Σ⁻¹ e)ᵀ
     added: where two groups of features pull apart, IRLS needs 40 steps and Newton 4.
+
+    All 3 × 3 products are written out and the sums are scalars, so that no feature needs a loop or
+    an array of its own.
     """
     fu, fv, cu, cv, fb = camera
     refined = propagated.refined
@@ -236,8 +250,10 @@ def normal_equations(
     gradient = system.gradient
     squared = system.squared
     cost = 0.0
-    grown = 1.0
-    common_dof = parameter[0] if len(parameter) > 0 and parameter[0] < 1e300 else -1.0
+    # Most models give all features one ν. The sum of their log(1 + s/ν) is then the logarithm of a
+    # product, which is taken only before the product overflows. −1 is the ν of no feature.
+    product = 1.0
+    common_dof = parameter[0] if len(parameter) > 0 and parameter[0] < INFINITE_DOF else -1.0
     t00 = t01 = t02 = t11 = t12 = t22 = 0.0  # translation block
     m00 = m01 = m02 = m10 = m11 = m12 = m20 = m21 = m22 = 0.0  # translation × rotation
     r00 = r01 = r02 = r11 = r12 = r22 = 0.0  # rotation block
@@ -245,6 +261,8 @@ def normal_equations(
     for n in range(len(refined)):
         X, Y, Z, rho = transfer(T, camera, refined[n])
         if Z < NEAREST:
+            # It costs as much as an outlier: otherwise a motion that takes points behind the camera
+            # would be rewarded.
             squared[n] = BEHIND
             cost += robust_cost(kind, parameter[n], BEHIND)
             continue
@@ -257,7 +275,8 @@ def normal_equations(
         e1 = curr[n, 1] - (v + cv) - offset[n, 1]
         e2 = curr[n, 2] - (u - d + cu) - offset[n, 2]
         e3 = curr[n, 3] - (v + cv) - offset[n, 3]
-        # g = Σ⁻¹ e, and s = eᵀ g.
+        # g = Σ⁻¹ e, and s = eᵀ g. Σ⁻¹ is zero where the point was behind the camera when the noise
+        # was propagated.
         W = information[n]
         g0 = W[0, 0] * e0 + W[0, 1] * e1 + W[0, 2] * e2 + W[0, 3] * e3
         g1 = W[1, 0] * e0 + W[1, 1] * e1 + W[1, 2] * e2 + W[1, 3] * e3
@@ -266,12 +285,10 @@ def normal_equations(
         s = e0 * g0 + e1 * g1 + e2 * g2 + e3 * g3 if W[0, 0] > 0.0 else BEHIND
         squared[n] = s
         if kind == STUDENT_T and parameter[n] == common_dof:
-            grown *= (
-                1.0 + s / common_dof
-            )  # Σ log(1 + s/ν) of features of one ν is the logarithm of a product
-            if grown > 1e250:
-                cost += 0.5 * (common_dof + 4.0) * math.log(grown)
-                grown = 1.0
+            product *= 1.0 + s / common_dof
+            if product > 1e250:
+                cost += 0.5 * (common_dof + RESIDUAL_DIM) * math.log(product)
+                product = 1.0
         else:
             cost += robust_cost(kind, parameter[n], s)
         w = robust_weight(kind, parameter[n], s)
@@ -285,24 +302,26 @@ def normal_equations(
         g0 = w * g0
         g1 = w * (g1 + g3)
         g2 = w * g2
-        # Rows of ∂f/∂q: u_l (a, 0, b), v (0, c, e), u_r (a, 0, f); H = Fᵀ W F
-        a = fu * iz
-        b = -u * iz
-        c = fv * iz
-        e = -v * iz
-        f = -(u - d) * iz
-        k0 = w00 * b + w01 * e + w02 * f
-        k1 = w01 * b + w11 * e + w12 * f
-        k2 = w02 * b + w12 * e + w22 * f
-        H00 = a * a * (w00 + 2.0 * w02 + w22)
-        H01 = a * c * (w01 + w12)
-        H02 = a * (k0 + k2)
-        H11 = c * c * w11
-        H12 = c * k1
-        H22 = b * k0 + e * k1 + f * k2
-        q0 = a * (g0 + g2)
-        q1 = c * g1
-        q2 = b * g0 + e * g1 + f * g2
+        # Rows of F = ∂f/∂q: u_l (u_x, 0, u_z), v (0, v_y, v_z), u_r (u_x, 0, r_z). By q alone, the
+        # Hessian is H = Fᵀ w Σ⁻¹ F, and the gradient (q0, q1, q2) = Fᵀ w Σ⁻¹ e.
+        u_x = fu * iz
+        u_z = -u * iz
+        v_y = fv * iz
+        v_z = -v * iz
+        r_z = -(u - d) * iz
+        k0 = w00 * u_z + w01 * v_z + w02 * r_z
+        k1 = w01 * u_z + w11 * v_z + w12 * r_z
+        k2 = w02 * u_z + w12 * v_z + w22 * r_z
+        H00 = u_x * u_x * (w00 + 2.0 * w02 + w22)
+        H01 = u_x * v_y * (w01 + w12)
+        H02 = u_x * (k0 + k2)
+        H11 = v_y * v_y * w11
+        H12 = v_y * k1
+        H22 = u_z * k0 + v_z * k1 + r_z * k2
+        q0 = u_x * (g0 + g2)
+        q1 = v_y * g1
+        q2 = u_z * g0 + v_z * g1 + r_z * g2
+        # Newton's term 2 w' (Fᵀ Σ⁻¹ e)(Fᵀ Σ⁻¹ e)ᵀ, by the weighted gradient.
         if newton:
             bend = robust_bend(kind, parameter[n], s)
             H00 = H00 - bend * q0 * q0
@@ -311,7 +330,8 @@ def normal_equations(
             H11 = H11 - bend * q1 * q1
             H12 = H12 - bend * q1 * q2
             H22 = H22 - bend * q2 * q2
-        # q moves by ρ δt + φ × q: M = H (−q^), then the rotation block (−q^)ᵀ M
+        # From q to ξ: q moves by ρ δt + φ × q, so that the translation block is ρ² H, the mixed one
+        # ρ M with M = H (−q^), and the rotation block (−q^)ᵀ M.
         M00 = Y * H02 - Z * H01
         M01 = Z * H00 - X * H02
         M02 = X * H01 - Y * H00
@@ -349,8 +369,8 @@ def normal_equations(
         gr0 += Y * q2 - Z * q1
         gr1 += Z * q0 - X * q2
         gr2 += X * q1 - Y * q0
-    if grown > 1.0:
-        cost += 0.5 * (common_dof + 4.0) * math.log(grown)
+    if product > 1.0:
+        cost += 0.5 * (common_dof + RESIDUAL_DIM) * math.log(product)
     # The order of ξ = [ρ; φ]: translation first. Above the diagonal first, then mirrored.
     hessian[0, 0] = t00
     hessian[0, 1] = t01
@@ -412,6 +432,7 @@ def residual_jacobians(
             disparity[n] = 0.0
             out.squared[n] = BEHIND
             continue
+        # e = y' − h(ŝ) − A (s − ŝ), as in ``normal_equations``, and its squared length.
         u = fu * X / Z
         v = fv * Y / Z
         d = fb * rho / Z
@@ -426,8 +447,8 @@ def residual_jacobians(
                 total += information[n, i, k] * residual[n, k]
             squared += residual[n, i] * total
         out.squared[n] = squared if information[n, 0, 0] > 0.0 else BEHIND
-        # F = ∂f/∂q. The left perturbation moves q by ρ_d δt + φ × q (ρ_d the inverse depth), and a
-        # change of d moves it by t/(f_u b); d itself also stands in u_r = u_l − f_u b ρ_d/q_z.
+        # F = ∂f/∂q. The left perturbation moves q by ρ δt + φ × q (ρ the inverse depth), and a
+        # change of d moves it by t/(f_u b); d itself also stands in u_r = u_l − f_u b ρ/q_z.
         F[0, 0] = F[2, 0] = fu / Z
         F[1, 1] = F[3, 1] = fv / Z
         F[0, 2] = -u / Z
@@ -443,6 +464,7 @@ def residual_jacobians(
             motion[n, i, 5] = X * F[i, 1] - Y * F[i, 0]
             disparity[n, i] = (F[i, 0] * T[0, 3] + F[i, 1] * T[1, 3] + F[i, 2] * T[2, 3]) / fb
         disparity[n, 2] -= 1.0 / Z
+        # Σ⁻¹ J.
         for i in range(4):
             for j in range(6):
                 total = 0.0
@@ -492,22 +514,31 @@ def sum_information(
     columns where they are larger.
 
     In the information, the translation's columns of J are scaled by ``disparity_share`` [N], and
-    their square is reduced by ``disparity_noise_share`` [N] (see ``stereo_observations``).
+    their square is reduced by ``disparity_noise_share`` [N]
+    (``StereoObservations._information``).
     """
     hessian[:] = 0.0
     information[:] = 0.0
     for n in range(len(jacobians.motion)):
         curvature = weights.curvature[n]
-        both = curvature * (disparity_share[n] * disparity_share[n] - disparity_noise_share[n])
-        one = curvature * disparity_share[n]
+        # Factors of the blocks translation × translation and translation × rotation.
+        of_translation = curvature * (
+            disparity_share[n] * disparity_share[n] - disparity_noise_share[n]
+        )
+        of_mixed = curvature * disparity_share[n]
         for i in range(6):
             for j in range(i + 1):
                 product = 0.0
                 for k in range(4):
                     product += jacobians.motion[n, k, i] * jacobians.white[n, k, j]
-                # Of translation × translation, translation × rotation, and rotation × rotation.
                 hessian[i, j] += weights.weight[n] * product
-                information[i, j] += (both if i < 3 else one if j < 3 else curvature) * product
+                # j ≤ i: translations come first in ξ.
+                factor = curvature
+                if i < 3:
+                    factor = of_translation
+                elif j < 3:
+                    factor = of_mixed
+                information[i, j] += factor * product
     for i in range(6):
         for j in range(i):
             hessian[j, i] = hessian[i, j]

@@ -279,7 +279,8 @@ class StereoObservations:
     def propagated(self, values: Values) -> StereoObservations:
         """Return the same observations with Σ and the refined points at these poses."""
         T_curr_prev = relative_motion(values, self.poses.curr, self.poses.prev)
-        # The loop linearises at the refined points: start from those of the last call.
+        # The loop linearises at the refined points: start from those of the last call. On the first
+        # one they are the points themselves.
         noise = _not_yet_propagated(self.propagated_noise.refined)
         if self.jitter is None:
             propagate_noise(T_curr_prev, self.camera, self.pairs, noise)
@@ -348,12 +349,14 @@ class StereoObservations:
             propagated=self.propagated_noise,
             out=jacobians,
         )
+        # Robust weights, and the sums that the scale of the covariance follows from.
         weights = FeatureWeights(
             weight=np.empty(count), curvature=np.empty(count), relative=np.empty(count)
         )
         scatter, curved = weigh(self.loss_parameters, jacobians.squared, weights)
         points = self.points_at(values)
-        # Information matrix, scaled to the observed residuals; the jitter's prior is exact.
+        # Information on (ξ, η), scaled to the observed residuals; the jitter's prior is exact, and
+        # hence added after.
         hessian, information = self._information(jacobians, weights, points.point[:, 2])
         information /= self._variance_factor(scatter, curved)
         if self.jitter is not None:
@@ -394,6 +397,8 @@ class StereoObservations:
         all disparities are mostly noise; there it distinguishes an unobservable translation from an
         observable one.
         """
+        # The columns were formed with the refined disparity. Where it is zero, so are they, and ∞
+        # makes their shares zero.
         refined = self.propagated_noise.refined[:, 2]
         disparity = np.where(np.abs(refined) > 1e-9, refined, np.inf)
         dof = 6 if self.jitter is None else 6 + DOF
@@ -435,7 +440,8 @@ class StereoObservations:
             curvatures, scatters = self.loss.moments(self.noise.dof)
             expected_curvature = float(curvatures.sum()) / count
             expected_scatter = float(scatters.sum()) / count
-        # Bessel's correction: six degrees of freedom were fitted to the residuals.
+        # Bessel's correction: six degrees of freedom were fitted to the residuals; those of the
+        # jitter have a prior.
         spent = count * DIM / max(count * DIM - 6.0, 1.0)
         seen = EXPECTED_FEATURES * expected_scatter + spent * scatter
         return seen / (EXPECTED_FEATURES * expected_curvature + curved)

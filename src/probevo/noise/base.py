@@ -104,6 +104,7 @@ def log_density(squared: FloatArray, log_det: FloatArray, dof: FloatArray) -> Fl
         log_det: ln |Σ|, [N].
         dof: degrees of freedom ν, [N]; np.inf is Gaussian.
     """
+    # (ν + d) log(1 + s/ν) tends to s as ν → ∞; ν = 1 is only a number that stands in there.
     nu = np.where(np.isinf(dof), 1.0, dof)
     exponent = np.where(np.isinf(dof), squared, (nu + 4.0) * np.log1p(squared / nu))
     # Γ(ν/2 + 2) = (ν/2 + 1) (ν/2) Γ(ν/2), so that no difference of large log-gammas cancels.

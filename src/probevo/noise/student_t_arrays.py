@@ -63,7 +63,7 @@ class StudentPrior(NamedTuple):
     """Pseudo-counts of the bias, whose prior is zero; np.inf holds it there."""
 
 
-class ErrorSamples(NamedTuple):
+class PackedErrors(NamedTuple):
     """N errors, each known exactly or with a covariance."""
 
     errors: FloatArray

@@ -22,8 +22,8 @@ from probevo.noise.student_t_arrays import (
     COLUMN,
     DIM,
     ROW,
-    ErrorSamples,
     Neighborhoods,
+    PackedErrors,
     StudentPrior,
     StudentTs,
 )
@@ -68,7 +68,7 @@ def fit_student_ts(
         packed_cov = np.ascontiguousarray(error_cov[:, ROW, COLUMN], np.float64)
     # Contiguous arrays of one type each: the loop is compiled anew for every combination of types,
     # and a read-only array is of another type, hence the copy of the errors.
-    samples = ErrorSamples(np.array(errors, np.float64, order="C"), packed_cov)
+    samples = PackedErrors(np.array(errors, np.float64, order="C"), packed_cov)
     near = Neighborhoods(
         first=near.first.astype(np.int64),
         members=near.members.astype(np.int64),

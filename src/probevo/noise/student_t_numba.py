@@ -13,7 +13,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.compiled import compiled, copy_into, factor, invert_symmetric_4, sum_in_lanes
-from probevo.noise.student_t_arrays import ErrorSamples, Neighborhoods, StudentPrior, StudentTs
+from probevo.noise.student_t_arrays import Neighborhoods, PackedErrors, StudentPrior, StudentTs
 
 MIN_DOF = 1.0
 MAX_DOF = 200.0
@@ -93,7 +93,7 @@ def _dof_root(mean_log_weight: float) -> float:
 
 
 @compiled
-def _gather(samples: ErrorSamples, members: IntArray, rows: _Rows) -> None:
+def _gather(samples: PackedErrors, members: IntArray, rows: _Rows) -> None:
     """Copy the errors of one fit, and their covariances, into rows."""
     for m in range(len(members)):
         for i in range(4):
@@ -110,7 +110,8 @@ def _weigh(rows: _Rows, bias: FloatArray, W: FloatArray, dof: float, weight: Flo
 
     W = Σ⁻¹ is [4, 4]; U is the covariance of the error.
     """
-    # Every entry has a name, so that the loop below contains no inner loop and vectorises.
+    # Every entry has a name, so that the loop below contains no inner loop and vectorises. The
+    # packed order is that of ``student_t_arrays.ROW`` and ``COLUMN``.
     b0, b1, b2, b3 = bias
     w00 = W[0, 0]
     w11 = W[1, 1]
@@ -251,6 +252,7 @@ def _moments(
     u13 = rows.packed_cov[7]
     u23 = rows.packed_cov[8]
     u33 = rows.packed_cov[9]
+    # a: Σ w ((e − b)(e − b)ᵀ + U); p: Σ w (e − b).
     a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = a33 = 0.0
     p0 = p1 = p2 = p3 = total = 0.0
     for m in range(len(weight)):
@@ -293,7 +295,7 @@ def _moments(
 
 @compiled
 def fit_all(
-    samples: ErrorSamples,
+    samples: PackedErrors,
     near: Neighborhoods,
     prior: StudentPrior,
     iterations: int,

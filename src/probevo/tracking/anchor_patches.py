@@ -16,8 +16,8 @@ import numpy as np
 
 from probevo.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray, concatenated
 from probevo.tracking.anchor_patches_numba import (
-    Alignment,
     Anchors,
+    PatchAlignment,
     align_patches,
     compose_perspectives,
     cut_patches,
@@ -120,16 +120,17 @@ class AnchorPatches:
         """
         # Bound the predicted magnification: a wrong prediction may have any.
         bounded = np.clip(motion.growth, 1 / MAX_GROWTH, MAX_GROWTH) / motion.growth
+        # Compose the map so far with the predicted motion.
         predicted = np.empty((len(self), 2, 2))
         multiply_maps(bounded[:, None, None] * motion.affine, self.affine, predicted)
         perspective = np.empty((len(self), 2))
         compose_perspectives(motion.perspective, self.affine, self.perspective, perspective)
         aligned = self._align(left, pixels, predicted, perspective, sigma=SIGMA_IN_TIME)
         affine = aligned.affine
-        # Find the patches that have grown or shrunk too much
+        # Find the patches that have grown or shrunk too much, by the growth of their area.
         area = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
         outgrown = (area > MAX_GROWTH**2) | (area < MAX_GROWTH**-2)
-        # Replace them by patches of this image
+        # Replace them by patches of this image, whose map is the identity; drift begins anew there.
         side = self.patch.shape[1] - 2
         fresh = AnchorPatches.cut(left, aligned.pixels[outgrown], side)
         patch = self.patch.copy()
@@ -172,14 +173,14 @@ class AnchorPatches:
         perspective: FloatArray,
         *,
         sigma: float,
-    ) -> Alignment:
+    ) -> PatchAlignment:
         anchors = Anchors(
             patch=self.patch,
             offset_px=self.offset_px,
             predicted_affine=predicted_affine,
             perspective=perspective,
         )
-        alignment = Alignment(
+        alignment = PatchAlignment(
             pixels=pixels.copy(),
             affine=np.empty((len(self), 2, 2)),
             difference=np.empty(len(self)),

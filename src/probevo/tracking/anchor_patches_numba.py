@@ -39,6 +39,9 @@ MAX_STEP_SCALE = 2.0
 """Bounds of the factor of a Gauss–Newton step. Steps are shortened if they oscillate, and
 lengthened if the image has less contrast than the patch, when successive steps have the same
 direction."""
+LEAST_STEP_DETERMINANT = 0.25
+"""Least determinant of I + S of one step: so large a change is none to which the patch is
+linear."""
 MAX_MOVE_PX = 2.0
 """The alignment has failed when it moves farther than this from the predicted place."""
 NUM_ADJUSTED = 8
@@ -61,7 +64,7 @@ class Anchors(NamedTuple):
     """Perspective g of the patch in the image, [N, 2], 1/px."""
 
 
-class Alignment(NamedTuple):
+class PatchAlignment(NamedTuple):
     """Place and map of N features in an image: output of ``align_patches``."""
 
     pixels: FloatArray
@@ -171,10 +174,12 @@ def divide_maps(
 
 
 @compiled
-def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Alignment) -> None:
+def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: PatchAlignment) -> None:
     """Align patches with an image by inverse-compositional Gauss–Newton over affine maps.
 
-    A map takes x, px from the feature, to y = p + A x / (1 + g·x). The cost is the sum over the
+    A map takes x, px from the feature, to y = p + A x / (1 + g·x). Each step finds the small map W,
+    W(x) = t + (I + S) x, of the patch that fits the image best, and then maps W⁻¹(x) instead of x;
+    g is held. The cost is the sum over the
     patch of (image(y) − patch(x))² / BRIGHTNESS_NOISE², with the best gain and offset of the patch,
     plus the prior ‖Â⁻¹ A − I‖² / sigma².
 
@@ -205,7 +210,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
     A = np.empty((2, 2))
     # Everything is in units of BRIGHTNESS_NOISE
     prior = (BRIGHTNESS_NOISE / sigma) ** 2
-    corner_px = 0.5 * (anchors.patch.shape[1] - 2)
+    corner_px = 0.5 * (anchors.patch.shape[1] - 2)  # half the side, without the margin
     for n in range(len(anchors.patch)):
         predicted = anchors.predicted_affine[n]
         copy_into(affine[n], predicted)
@@ -239,11 +244,13 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Align
             for k in range(6):
                 last_step[k] = step[k]
                 step[k] *= scale
-            # Inverse-compositional: the step warps the patch, so its inverse warps the image.
+            # Inverse-compositional: W⁻¹(x) = (I + S)⁻¹ (x − t), so that A ← A (I + S)⁻¹, and p
+            # moves by −A t of the new A.
             if not _compose_inverse(A, step):
                 break
             u -= A[0, 0] * step[0] + A[0, 1] * step[1]
             v -= A[1, 0] * step[0] + A[1, 1] * step[1]
+            # The error is that before the last step, which is too small to change it much.
             if _corner_motion_px(step, corner_px) < MAX_STEP_PX:
                 alignment.difference[n] = sum_magnitudes_float32(error) / area
                 pixels[n, 0] = u
@@ -266,6 +273,7 @@ def _linearize(
     width = np.uintp(patch.shape[1])
     side = np.uintp(patch.shape[1] - 2)
     one = np.uintp(1)
+    # The middle of the patch without its margin is the whole pixel nearest to the feature.
     first = np.float32(patch.shape[1] // 2 - 1)
     u = first + np.float32(offset_px[0])
     v = first + np.float32(offset_px[1])
@@ -283,7 +291,7 @@ def _linearize(
             descent[1, k] = np.float32(0.5) * (
                 np.float32(brightness[at + width]) - np.float32(brightness[at - width])
             )
-    # Derivatives by S: x times those by t
+    # Derivatives by S = [[s₀, s₁], [s₂, s₃]]: x times those by t
     for i in range(len(window)):
         along = descent[0, i]
         down = descent[1, i]
@@ -300,7 +308,10 @@ def _linearize(
 
 @compiled
 def _project_out_brightness(template: Template) -> None:
-    """Make the derivatives of a template orthogonal to its contrast and to a constant."""
+    """Make the derivatives of a template orthogonal to its contrast and to a constant.
+
+    An error that gain or offset explains, which is along these two, then moves no parameter.
+    """
     contrast = template.contrast
     mean = np.float32(sum_float32(template.brightness) / len(contrast))
     for i in range(len(contrast)):
@@ -336,6 +347,7 @@ def step_scale(
     area = corner_px * corner_px
     squared = 0.0
     product = 0.0
+    # The metric: t, and S at the corner, both in px.
     for k in range(6):
         weight = 1.0 if k < 2 else area
         squared += weight * last_step[k] * last_step[k]
@@ -451,12 +463,13 @@ def _warp(
     shape: tuple[int, int],
     warped: WarpedPixels,
 ) -> bool:
-    """Find where p + A x is in the image for all x of a patch; False if any may be outside.
+    """Find where p + A x is in the image for all x of a patch, foreshortened by the perspective;
+    False if any may be outside.
 
     Args:
         center: p = (u, v), px.
         A: [2, 2].
-        position: x, [2, area], px.
+        position: x, already divided by 1 + g·x, [2, area], px.
         reach_px: bounds of the coordinates of x.
         shape: (height, width) of the image.
         warped: out.
@@ -471,19 +484,20 @@ def _warp(
     reach_v = abs(A[1, 0]) * x + abs(A[1, 1]) * y
     if not (u >= reach_u and v >= reach_v and u + reach_u < width - 1 and v + reach_v < height - 1):
         return False
-    # Relative to a whole pixel nearby, single precision is enough
+    # Relative to a whole pixel nearby, single precision is enough. All coordinates are positive
+    # then, so that truncation rounds down.
     left = int(u - reach_u)
     top = int(v - reach_v)
     a = np.float32(A[0, 0])
     b = np.float32(A[0, 1])
     c = np.float32(A[1, 0])
     d = np.float32(A[1, 1])
-    u_ = np.float32(u - left)
-    v_ = np.float32(v - top)
+    center_right = np.float32(u - left)
+    center_down = np.float32(v - top)
     base = np.int32(top * width + left)
     for i in range(len(corner)):
-        right = u_ + a * position[0, i] + b * position[1, i]
-        down = v_ + c * position[0, i] + d * position[1, i]
+        right = center_right + a * position[0, i] + b * position[1, i]
+        down = center_down + c * position[0, i] + d * position[1, i]
         column = np.int32(right)
         row = np.int32(down)
         fraction[0, i] = right - np.float32(column)
@@ -515,6 +529,8 @@ def _subtract(
 @compiled
 def _add_prior(prior: float, A: FloatArray, predicted: FloatArray, gradient: FloatArray) -> None:
     """Add the derivative of ½ prior ‖Â⁻¹ A − I‖² by S to the last four entries of the gradient."""
+    # After a step, Â⁻¹ A (I + S)⁻¹ − I is Â⁻¹ A − I − S to first order: like the error of the
+    # image, Â⁻¹ A − I is what the step has to explain. Â⁻¹ = [[d, −b], [−c, a]] / det Â.
     a = predicted[0, 0]
     b = predicted[0, 1]
     c = predicted[1, 0]
@@ -530,7 +546,7 @@ def _add_prior(prior: float, A: FloatArray, predicted: FloatArray, gradient: Flo
 def _compose_inverse(A: FloatArray, step: FloatArray) -> bool:
     """Set A ← A (I + S)⁻¹ for step = (t, S); False if the step shrinks the patch too much."""
     determinant = (1.0 + step[2]) * (1.0 + step[5]) - step[3] * step[4]
-    if not determinant > 0.25:
+    if not determinant > LEAST_STEP_DETERMINANT:
         return False
     for i in range(2):
         a = A[i, 0] / determinant

@@ -86,7 +86,8 @@ class ImageTracker:
         rejected: Counter[str] = Counter()
         found = self._find_in_time(state, images, T_curr_prev, rejected=rejected)
         num_found = len(found.left_px)
-        # New corners in the cells that have room, with the disparity of the nearest feature.
+        # New corners in the cells that have room. The search for them in the right image starts
+        # from the disparity of the nearest feature.
         image = images.left[0]
         corners = corners_in_free_cells(
             images.corners, found.left_px, image.shape, config=self._config
@@ -108,6 +109,7 @@ class ImageTracker:
         survived = matched[:num_found]
         num_survived = int(survived.sum())
         num_new = int(matched[num_found:].sum())
+        # Only features with a stereo match go on; a new one gets an identity once it has one.
         alive = TrackingState(
             ids=np.concatenate([found.prev.ids[survived], state.next_id + np.arange(num_new)]),
             pixels=np.hstack([left_px[matched], in_stereo.right_px]),
@@ -166,6 +168,7 @@ class ImageTracker:
             inside &= unmasked
         similar = _similar(tracked.difference, inside, self._config)
         rejected["looks different"] += int((inside & ~similar).sum())
+        # From here on, all arrays are of the features that are similar.
         prev = replace(prev, patches=None).subset(visible[similar])
         patches = patches.subset(visible[similar])
         motion = motion.subset(visible[similar])
@@ -181,6 +184,7 @@ class ImageTracker:
         rejected["met another"] += int((~separate).sum())
         kept = kept[separate]
         prev = prev.subset(kept)
+        # The disparity grows as the depth shrinks. A negative one is noise: at infinity it is zero.
         prev_disparity_px = np.maximum(prev.pixels[:, 0] - prev.pixels[:, 2], 0.0)
         return _FoundInTime(
             prev=prev,
@@ -212,6 +216,7 @@ class ImageTracker:
                 corners are only a guess.
             rejected: counts what each check rejects.
         """
+        # Lucas–Kanade from the left to the right image, from the predicted disparity.
         left = images.left
         right = images.right
         start_px = left_px - np.column_stack([disparity_px, np.zeros(len(left_px))])

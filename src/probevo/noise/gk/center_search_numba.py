@@ -80,8 +80,8 @@ def search_leaves(leaves: Leaves, query: SingleArray, found: NearestCenters) -> 
             leaf = nearest if visit == 0 else 0 if visit == nearest else visit
             if bound[leaf] >= worst:
                 continue
-            # Distances in the first coordinates. Written out, the sums stay in registers, which
-            # takes half of the time of a loop over columns.
+            # Squared distances in the first coordinates. Written out, the sums stay in registers,
+            # which takes half of the time of a loop over columns.
             bits = INFINITE_BITS
             for i in range(LEAF):
                 d0 = head[leaf, 0, i] - q0
@@ -92,10 +92,10 @@ def search_leaves(leaves: Leaves, query: SingleArray, found: NearestCenters) -> 
                 d5 = head[leaf, 5, i] - q5
                 d6 = head[leaf, 6, i] - q6
                 d7 = head[leaf, 7, i] - q7
-                near = (d0 * d0 + d1 * d1) + (d2 * d2 + d3 * d3)
-                far = (d4 * d4 + d5 * d5) + (d6 * d6 + d7 * d7)
-                distance[i] = near + far
-                bits = min(bits, np.float32(near + far).view(np.int32))
+                first_half = (d0 * d0 + d1 * d1) + (d2 * d2 + d3 * d3)
+                second_half = (d4 * d4 + d5 * d5) + (d6 * d6 + d7 * d7)
+                distance[i] = first_half + second_half
+                bits = min(bits, np.float32(first_half + second_half).view(np.int32))
             least_bits[0] = bits
             if least[0] >= worst:
                 continue

@@ -61,14 +61,14 @@ def interpolate(
         wc = part * weight[2]
         wd = part * weight[3]
         for j in range(NUM_PARAMETERS):
-            near = (
+            of_centers = (
                 wa * parameters[a, j]
                 + wb * parameters[b, j]
                 + wc * parameters[c, j]
                 + wd * parameters[d, j]
             )
-            mean[j] = (1.0 - share) * prior[j] + near
-        # From the parameters back to bias, scale and ν.
+            mean[j] = (1.0 - share) * prior[j] + of_centers
+        # From the parameters back to bias, scale and ν: the inverse of ``StudentTs.log_cholesky``.
         for i in range(4):
             mixed.bias[n, i] = mean[i]
             for j in range(i + 1):

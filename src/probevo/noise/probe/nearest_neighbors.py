@@ -126,7 +126,7 @@ class NearestNeighbors:
 
     def weights(self, predictors: FloatArray) -> FloatArray:
         """Compute β = (ᾱ_K/ᾱ)^γ at N places [N, M], bounded by ``LARGEST_WEIGHT``: [N]."""
-        # In logarithms, so that a large exponent cannot overflow.
+        # In logarithms, so that a large exponent cannot overflow; β and 1/β have the same bound.
         bound = np.log(LARGEST_WEIGHT)
         log_beta = self.exponent * self.log_relative_alpha(predictors)
         beta: FloatArray = np.exp(np.clip(log_beta, -bound, bound))

@@ -85,6 +85,8 @@ def conditioned(
             continue
         # Kalman update of all steps of the stretch.
         steps = slice(stretch.first, stretch.last)
+        # The gain is C_k Ad_kᵀ (M + P)⁻¹. Correlations that the truth makes between steps are not
+        # kept: each step is used by itself.
         gain = cov[steps] @ np.swapaxes(stretch.to_end, 1, 2) @ information
         motions[steps] = se3.exp(gain @ distance) @ T_curr_prev[steps]
         posterior[steps] -= gain @ stretch.to_end @ cov[steps]

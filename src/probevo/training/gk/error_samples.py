@@ -150,7 +150,7 @@ def _samples_of_drive(task: _Task) -> ErrorSamples:
         phi=found.phi,
         errors=found.errors,
         spread=found.spread,
-        groups=task.number * BLOCKS_A_DRIVE + block,
+        groups=task.number * BLOCKS_A_DRIVE + block,  # no drive has more blocks than that
         log_likelihood=found.log_likelihood,
         profile=found.profile,
         jitter_moments=found.jitter_moments,

@@ -22,7 +22,9 @@ from probevo.training.supervised_drive import SupervisedDrive
 UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 """Standard deviation of the motion of a step whose features do not fix it, m and rad."""
 UNKNOWN_VARIANCE_M2 = UNSOLVED_SIGMA[0] ** 2 / 4.0
-"""Variance in x, m², above which a motion is known neither from the features nor from the truth."""
+"""Variance in x, m², above which a motion is known neither from the features nor from the truth:
+a
+step without a solve has twice that σ, unless the truth lowers it."""
 
 
 Predict = Callable[[FloatArray], StereoNoise]
@@ -152,7 +154,8 @@ def feature_errors(
             errors, spread, log_likelihood = errors_of(solution, step.noise, common, chosen=kept)
             moments = [] if solution.jitter is None else [common.second_moment(solution.jitter)]
 
-            # The profile in closed form holds only for tracks without a known past.
+            # The profile (s, a, b, ν) in closed form holds only for tracks without a known past.
+            # With a = b = 0, the others say nothing of the time correlation.
             profile = time_correlation_profile(solution, step.noise, kept)
             profile[step.estimate.has_history[kept], 1:3] = 0.0
             found.append(

@@ -59,6 +59,7 @@ def learn_student_t(context: TrainingContext) -> StudentT:
     )
     uncorrelated = model
     for number in range(num_static_iterations(context.settings)):
+        # From here on with time correlation: keep the model without it for the comparison.
         if number == STATIC_ITERATIONS:
             uncorrelated = model
             model = copy(model)
@@ -84,6 +85,8 @@ def learn_student_t(context: TrainingContext) -> StudentT:
     kept: dict[str, Any] = {"kept_iteration": len(iterations)}
     if settings.learns_time_correlation:
         likelihood = iterations[-1]["log_likelihood"]
+        # That of an iteration is of the model before it: the first with time correlation has
+        # evaluated the last without.
         likelihood_without = iterations[STATIC_ITERATIONS]["log_likelihood"]
         kept["time_correlation_gain"] = likelihood - likelihood_without
         if likelihood < likelihood_without + TIME_CORRELATION_GAIN:

@@ -86,16 +86,16 @@ def rescale_errors(
         # Colour them by R^½ if the noise is that of observations, and propagate the covariance.
         for i in range(4):
             for k in range(1 + num_common):
-                back[i, k] = (
-                    0.0
-                    if is_of_observation
-                    else residuals[n, i]
-                    if k == 0
-                    else jacobian[n, i, k - 1]
-                )
-                for j in range(i + 1 if is_of_observation else 0):
-                    back[i, k] += root[i, j] * white[j, k]
+                if is_of_observation:
+                    back[i, k] = 0.0
+                    for j in range(i + 1):
+                        back[i, k] += root[i, j] * white[j, k]
+                elif k == 0:
+                    back[i, k] = residuals[n, i]
+                else:
+                    back[i, k] = jacobian[n, i, k - 1]
             errors[n, i] = back[i, 0]
+            # Row i of the spread, J cov Jᵀ, up to its diagonal: rows before have been coloured.
             for k in range(num_common):
                 times_cov[i, k] = 0.0
                 for j in range(num_common):

@@ -35,6 +35,7 @@ class CommonUnknowns(NamedTuple):
         """Build them from a solve at a given motion, and the covariance of that motion, [6, 6]."""
         if solution.jitter is None:
             return CommonUnknowns(solution.jacobian, motion_cov)
+        # η = gain ξ + an independent rest: its covariance is that of both.
         gain, rest = _given_motion(solution.jitter)
         cross = gain @ motion_cov
         cov = np.block([[motion_cov, cross.T], [cross, rest + cross @ gain.T]])
@@ -43,6 +44,7 @@ class CommonUnknowns(NamedTuple):
     def second_moment(self, jitter: SolvedJitter) -> FloatArray:
         """Return E[(ω' − ω°)(ω' − ω°)ᵀ] of the jitter's change, [3, 3], rad²."""
         unknown = jitter.unknown
+        # ω' − ω° = L' η' − (m + L° η°).
         change = np.hstack([unknown.curr_root, -unknown.prev.root])
         mean = change @ jitter.eta - unknown.prev.mean
         moment: FloatArray = np.outer(mean, mean)
@@ -69,6 +71,7 @@ def _given_motion(jitter: SolvedJitter) -> tuple[FloatArray, FloatArray]:
     cov = jitter.cov
     if not np.isfinite(cov).all():
         return np.zeros((6, MOTION_DIM)), np.eye(6)
+    # Condition the joint Gaussian on ξ: the gain is Σ_ηξ Σ_ξξ⁻¹.
     of_motion = cov[:MOTION_DIM, :MOTION_DIM]
     cross = cov[:MOTION_DIM, MOTION_DIM:]
     gain: FloatArray = np.linalg.solve(of_motion, cross).astype(float).T

@@ -2,7 +2,7 @@
 
 An error of the disparity that is the same in both frames, κ times as large as the one that is new
 in each, σ, adds κ² m mᵀ to the scale Σ of a residual e, with m = σ l
-(``measurements.stereo_numba.linearize_noise``). By the rank-one updates of inverse and determinant,
+(``measurements.stereo_numba.propagate_noise``). By the rank-one updates of inverse and determinant,
 
     s(κ) = s − κ² a²/(1 + κ² b),    ln|Σ(κ)| = ln|Σ| + ln(1 + κ² b),
 
@@ -58,7 +58,8 @@ def time_correlation_profile(
     a = np.sum(white * e, axis=1)
     b = np.sum(white * direction, axis=1)
 
-    # Remove the predicted time-correlated part by a rank-one downdate.
+    # Σ contains the predicted part, κ₀² m mᵀ. Remove it by a rank-one downdate: the equations above
+    # with −κ₀² for κ².
     removed = 0.0 if noise.time_correlated is None else noise.time_correlated[chosen] / variance
     rest = np.maximum(1.0 - removed * b, LEAST_REST)
     return np.column_stack([s + removed * a**2 / rest, a / rest, b / rest, noise.dof[chosen]])
@@ -93,6 +94,7 @@ def log_likelihood(profile: FloatArray, ratio: float) -> float:
     s, a, b, dof = profile.T
     determinant = 1.0 + ratio**2 * b
     squared = s - ratio**2 * a**2 / determinant
+    # (ν + d) log(1 + s/ν) tends to s as ν → ∞.
     is_gaussian = np.isinf(dof)
     nu = np.where(is_gaussian, 1.0, dof)
     robust = np.where(is_gaussian, squared, (nu + DIM) * np.log1p(squared / nu))

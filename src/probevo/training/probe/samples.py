@@ -51,6 +51,7 @@ def gather_samples(
         sampled = np.concatenate([iteration[number][0] for iteration in iterations])
         alpha = np.concatenate([iteration[number][1] for iteration in iterations])
         step = sampler.drive.step_of_feature[sampled]
+        # An error that all subsets of a stretch share says nothing about single features.
         if settings.relative and len(alpha):
             stretch = sampler.supervision.stretch_of_step(len(sampler.drive.T_curr_prev))[step]
             alpha = _relative(alpha, stretch, is_logarithmic=settings.average == "geometric")
@@ -97,6 +98,7 @@ def folds_of_steps(sampler: SubsetSampler, number: int) -> IntArray:
 
 def fold_of_step(step: IntArray, num_steps: int, drive: int) -> IntArray:
     """Return the fold of each of some steps of a drive, given its number: [n] to [n]."""
+    # The drive's number shifts the folds, so that the first blocks of all drives are not one fold.
     fold: IntArray = (step * BLOCKS_A_DRIVE // num_steps + drive) % FOLDS
     return fold
 

@@ -125,6 +125,7 @@ class SubsetSampler:
             direction: direction in the prediction space in which the subset leans, [M].
             key: numbers of iteration and step.
         """
+        # A stream for each step: the draw does not depend on which steps were drawn before.
         gumbel = np.random.default_rng([*self.seed, Stream.SUBSET, *key]).gumbel(size=len(used))
         # An undefined value leans nowhere.
         is_defined = np.isfinite(self.drive.phi[rows][used])
@@ -138,5 +139,6 @@ def _predicted_cov(solution: ReprojectionSolution) -> FloatArray:
 
     It depends on the geometry of the features but not on their residuals.
     """
+    # A pseudo-inverse, since the features of a subset need not fix all of ξ to working precision.
     information = sum_products(solution.jacobian, solution.information @ solution.jacobian)
     return np.asarray(np.linalg.pinv(information, hermitian=True), dtype=np.float64)
