@@ -41,6 +41,8 @@ class SensorErrors:
     """Leading components that are lengths, in m instead of rad."""
     saliency: FloatArray | None = None
     """How much the loss depends on each cell of what the sensor sees, [rows, columns]."""
+    kept: str = ""
+    """Which epoch of the training the sensor is from, in words; empty if it is not known."""
 
 
 @dataclass(frozen=True)

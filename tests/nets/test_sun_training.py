@@ -164,7 +164,10 @@ def test_train_run_and_inspect(
     out = tmp_path / "sun.safetensors"
     words = [*map(str, walls), "--kind", "sun", *FLAGS, "--out", str(out)]
     assert main(["train", *words]) == 0
-    assert "of the mean direction" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "of the mean direction" in shown
+    kept = SunNetwork.load(out).facts["kept_epoch"]
+    assert f"kept:         the network after {kept} epoch" in shown
     assert out.read_bytes() == model.read_bytes()
     run = tmp_path / "run"
     assert main(["run", str(walls[0]), "--sensor", str(out), "--out", str(run)]) == 0
@@ -173,5 +176,7 @@ def test_train_run_and_inspect(
     capsys.readouterr()
     seen = tmp_path / "seen"
     assert main(["inspect", str(walls[1]), "--model", str(out), "--out", str(seen)]) == 0
-    assert "RMS error of both angles" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "RMS error of both angles" in shown
+    assert f"Kept: the network after {kept} epoch" in shown
     assert "Saliency" in (seen / "inspection.html").read_text()

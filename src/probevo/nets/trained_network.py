@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -42,7 +42,8 @@ class TrainedNetwork:
     """Arrays have a leading dimension of 1: one network."""
     domain: Domain
     facts: dict[str, Any]
-    """``kind``, ``method``, ``scale`` and how it was trained; JSON values."""
+    """``kind``, ``method``, ``scale``, ``epochs``, ``kept_epoch`` and how it was trained; JSON
+    values."""
 
     @cached_property
     def method(self) -> Method:
@@ -81,12 +82,53 @@ def facts_of_kind(path: Path, kind: str) -> dict[str, Any]:
     try:
         is_of_kind = facts["kind"] == kind and float(facts["scale"]) > 0.0
         Method(**facts["method"])
+        _check_epochs(facts)
     except (KeyError, TypeError, ValueError) as error:
         what = f"it is no whole network of kind {kind} ({error})."
         raise InputError(path, what, cure_of(kind)) from error
     if not is_of_kind:
         raise InputError(path, f"it is of kind {facts['kind']!r}, not {kind}.", cure_of(kind))
     return facts
+
+
+def kept_text(facts: Mapping[str, Any]) -> str:
+    """Say after which epoch the network was taken, and why; empty if its file does not say."""
+    kept = facts.get("kept_epoch")
+    if kept is None:
+        return ""
+    if kept == 0:
+        return "the initial network; no epoch had a finite loss on what was left out"
+    network = f"the network after {_count_of_epochs(kept)}"
+    more = facts["epochs"] - kept
+    if more == 0:
+        return f"{network}, the last"
+    return f"{network}; {more} more did not lower the loss on what was left out"
+
+
+def kept_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Return the line of the summary of a training that says which epoch was kept, if any does."""
+    text = kept_text(facts)
+    return [f"kept:         {text}"] if text else []
+
+
+def _count_of_epochs(count: int) -> str:
+    return "1 epoch" if count == 1 else f"{count} epochs"
+
+
+def _check_epochs(facts: Mapping[str, Any]) -> None:
+    """Refuse numbers of epochs that contradict each other; older files have none.
+
+    Raises:
+        ValueError: says which.
+        KeyError: only one of both is there.
+    """
+    if "kept_epoch" not in facts and "epochs" not in facts:
+        return
+    for name in ("kept_epoch", "epochs"):
+        if type(facts[name]) is not int or facts[name] < 0:
+            raise ValueError(f"{name} is {facts[name]!r}")
+    if facts["kept_epoch"] > facts["epochs"]:
+        raise ValueError(f"kept_epoch is {facts['kept_epoch']} of {facts['epochs']} epochs")
 
 
 def read_arrays(path: Path, empty: Network, num_features: int) -> tuple[Network, Domain]:
