@@ -93,7 +93,7 @@ SENSOR_KINDS: Mapping[str, SensorKind] = {
             sensor="probevo.nets.sun_sensor:SunFromImages.load",
             trainer="probevo.nets.sun_training:train_sun",
             errors="probevo.nets.sun_training:errors_on",
-            nets=("copies",),
+            nets=("copies", "method", "dropout", "passes", "networks"),
             is_of_recording=True,
         ),
     )

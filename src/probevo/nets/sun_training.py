@@ -19,7 +19,7 @@ from probevo.nets.field_network import LinearFit, linear_fit, pooled_flow, stand
 from probevo.nets.methods import Method
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
-from probevo.nets.sun_network import KIND, SPACE, SunNetwork, build
+from probevo.nets.sun_network import KIND, SPACE, SunNetwork, build, method_of, method_text
 from probevo.nets.sun_views import SunViews, check_sun_recording, read_views
 from probevo.nets.trained_network import (
     first_facts,
@@ -68,6 +68,7 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
     """Return what the file of a network says of its training, in lines for the terminal."""
     baselines = facts["baseline_deg"]
     return [
+        f"method:       {method_text(Method(**facts['method']))}",
         f"learned from: {len(facts['learned_from'])} recordings",
         f"left out:     {len(facts['left_out'])} recordings ({facts['num_left_out']} images)",
         *kept_lines(facts),
@@ -87,7 +88,7 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
     )
     left_out = views[run.split :]
     joined = SunViews.joined(left_out)
-    method = Method("hydra-sigma", heads=settings.heads, learns_covariance=True)
+    method = method_of(settings)
     linear = linear_fit(learned.fields, learned.directions, RIDGE)
     trained = run.learn(
         method,

@@ -23,6 +23,9 @@ from probevo.nets.network_file import read_facts, read_network_file, write_netwo
 from probevo.nets.networks import Network
 from probevo.nets.target_space import TargetSpace
 
+MOST_ESTIMATES = 1000
+"""Estimates of one input that a file may ask for: networks × passes × heads."""
+
 
 class Evaluation(NamedTuple):
     """The predictions of a network for N inputs."""
@@ -39,7 +42,7 @@ class TrainedNetwork:
     """A trained network, the domain it was trained on, and the calibration of its covariance."""
 
     networks: Network
-    """Arrays have a leading dimension of 1: one network."""
+    """Arrays have a leading dimension: networks of an ensemble, or 1."""
     domain: Domain
     facts: dict[str, Any]
     """``kind``, ``method``, ``scale``, ``epochs``, ``kept_epoch`` and how it was trained; JSON
@@ -47,7 +50,7 @@ class TrainedNetwork:
 
     @cached_property
     def method(self) -> Method:
-        """How many heads it has, and whether it learns a covariance."""
+        """How many networks, passes and heads it has, and whether it learns a covariance."""
         return Method(**self.facts["method"])
 
     def evaluate(self, space: TargetSpace, inputs: FloatArray) -> Evaluation:
@@ -81,7 +84,7 @@ def facts_of_kind(path: Path, kind: str) -> dict[str, Any]:
     facts = read_facts(path)
     try:
         is_of_kind = facts["kind"] == kind and float(facts["scale"]) > 0.0
-        Method(**facts["method"])
+        _check_method(Method(**facts["method"]))
         _check_epochs(facts)
     except (KeyError, TypeError, ValueError) as error:
         what = f"it is no whole network of kind {kind} ({error})."
@@ -115,6 +118,22 @@ def _count_of_epochs(count: int) -> str:
     return "1 epoch" if count == 1 else f"{count} epochs"
 
 
+def _check_method(method: Method) -> None:
+    """Refuse numbers that would fill the memory, or are none.
+
+    Raises:
+        ValueError: says which.
+    """
+    for name in ("networks", "passes", "heads"):
+        count = getattr(method, name)
+        if type(count) is not int or not 1 <= count <= MOST_ESTIMATES:
+            raise ValueError(f"{name} is {count!r}")
+    if method.num_estimates > MOST_ESTIMATES:
+        raise ValueError(f"{method.num_estimates} estimates of each input")
+    if type(method.dropout) not in (int, float) or not 0.0 <= method.dropout < 1.0:
+        raise ValueError(f"dropout is {method.dropout!r}")
+
+
 def _check_epochs(facts: Mapping[str, Any]) -> None:
     """Refuse numbers of epochs that contradict each other; older files have none.
 
@@ -136,7 +155,7 @@ def read_arrays(path: Path, empty: Network, num_features: int) -> tuple[Network,
 
     Args:
         path: the file.
-        empty: networks of the same structure, with a leading dimension of 1.
+        empty: networks of the same structure, with their leading dimension.
         num_features: that the trunk gives.
 
     Raises:
@@ -146,9 +165,9 @@ def read_arrays(path: Path, empty: Network, num_features: int) -> tuple[Network,
     return networks, Domain(*(np.asarray(part) for part in domain))
 
 
-def empty_networks(build_one: Callable[[jax.Array], Network]) -> Network:
-    """Return a structure to read a file into, of a function that builds one network of a key."""
-    networks: Network = eqx.filter_vmap(build_one)(jax.random.split(jax.random.key(0), 1))
+def empty_networks(build_one: Callable[[jax.Array], Network], count: int = 1) -> Network:
+    """Return a structure to read networks into, of a function that builds one of a key."""
+    networks: Network = eqx.filter_vmap(build_one)(jax.random.split(jax.random.key(0), count))
     return networks
 
 
@@ -162,7 +181,7 @@ def empty_domain(num_features: int) -> Domain:
 
 
 def trunk_features(networks: Network, inputs: FloatArray) -> FloatArray:
-    """Return the features, [N, f], that the trunk of one network gives of inputs."""
+    """Return the features, [N, f], that the trunk of the first network gives, without dropout."""
     return np.asarray(_features(networks, jnp.asarray(inputs, jnp.float32)), np.float64)
 
 
@@ -172,7 +191,7 @@ def saliency(
     """Return how much the loss depends on each cell, [rows, columns]: |∂loss/∂field|.
 
     Channels are in units of their standard deviation over these data, and added up; the result is
-    the mean over the data.
+    the mean over the data. The loss is that of the first network, without dropout.
 
     Args:
         network: of fields.
@@ -206,14 +225,16 @@ def _call(
     method: Method, space: TargetSpace, networks: Network, inputs: jax.Array
 ) -> tuple[jax.Array, jax.Array | None, jax.Array]:
     """Return estimates, outputs of the covariance head, and features."""
-    found, raw = methods.estimates(method, space, networks, inputs, jax.random.key(0))
+    found, raw = methods.estimates(
+        method, space, networks, inputs, jax.random.key(0), same_dropout=True
+    )
     return found, raw, _features(networks, inputs)
 
 
 @eqx.filter_jit
 def _features(networks: Network, inputs: jax.Array) -> jax.Array:
     first = jax.tree.map(lambda array: array[0], networks)
-    features: jax.Array = jax.vmap(lambda one: first.trunk(one, jax.random.key(0)))(inputs)
+    features: jax.Array = jax.vmap(lambda one: first.trunk(one, None))(inputs)
     return features
 
 
@@ -226,8 +247,7 @@ def _loss_gradients(
 
     def loss(field: jax.Array, target: jax.Array) -> jax.Array:
         """Return the loss of one datum."""
-        key = jax.random.key(0)
-        return methods.loss(space, first, field[None], target[None, None], key=key)
+        return methods.loss(space, first, field[None], target[None, None], key=None)
 
     gradients: jax.Array = jax.vmap(jax.grad(loss))(fields, targets)
     return gradients
