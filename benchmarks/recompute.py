@@ -265,6 +265,12 @@ FIGURES = (
     ),
     Figure("hydranet", ("docs/nets.md",), "probevo paper hydranet --out hydranet", minutes=30),
     Figure("sun-streets", ("docs/nets.md",), "python benchmarks/sun_streets.py sun", minutes=60),
+    Figure(
+        "sun-methods",
+        ("docs/nets.md",),
+        "python benchmarks/sun_streets.py sun --scenes 240 --methods hydra-sigma dropout ensemble",
+        minutes=40,
+    ),
     Figure("dpc-net", ("docs/nets.md",), "probevo paper dpc-net --out dpc-net", minutes=15),
     Figure("table-1.3", ("docs/probe-gk.md",), "probevo paper table-1.3 --out t13", minutes=30),
     Figure(

@@ -1,21 +1,24 @@
 """The sun from images: streets under many suns, learned from, tested on, and fused.
 
-    python benchmarks/sun_streets.py OUT [--scenes 420]
+    python benchmarks/sun_streets.py OUT [--scenes 420] [--methods hydra-sigma dropout ensemble]
 
 Renders short drives at a quarter of KITTI's resolution, twice a second, each under another sun;
 trains ``--kind sun`` on most of them, calibrates on 60, and tests on the last 50. Then puts streets
 of the test one after the other to about a kilometre, twelve times, with an odometry whose heading
 drifts by 7°, and fuses what the network says of their images. Last, drives of KITTI, where they
-are. About an hour on two cores; what is rendered and trained is kept in OUT.
+are. About an hour on two cores; what is rendered and trained is kept in OUT. With several methods,
+it trains a network by each, compares them on the streets of the test, and ends there.
 """
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import NamedTuple, get_args
 
 import numpy as np
 from recordings import ROOT
+from scipy.stats import spearmanr
 
 from probevo.arrays import FloatArray
 from probevo.config import NorthConfig
@@ -26,13 +29,14 @@ from probevo.measurements import sun_in_enu
 from probevo.measurements.base import pose_of
 from probevo.measurements.direction import Direction
 from probevo.measurements.sensor import Reading
-from probevo.nets.covariance_scale import coverage
+from probevo.nets.covariance_scale import coverage, negative_log_likelihoods
 from probevo.nets.domain import FARTHEST
 from probevo.nets.sun_network import SunNetwork
 from probevo.nets.sun_training import errors_of, train_sun
 from probevo.nets.sun_views import SunViews, read_views, sun_field
-from probevo.network_settings import NetworkSettings
+from probevo.network_settings import MethodName, NetworkSettings
 from probevo.sequences import open_sequence
+from probevo.sequences.base import Sequence
 from probevo_sim.scene.config import Daylight, Effects, PresetName, RigConfig, SceneConfig
 from probevo_sim.scene.writer import write_scene
 
@@ -44,6 +48,7 @@ STEP_M = 3.5
 DRIFT_DEG = 7.0
 """Of the heading, after a kilometre."""
 ORDERS = 12
+BOOTSTRAPS = 200
 RIG = RigConfig(width_px=311, height_px=94, focal_px=180.0, rate_hz=2.0)
 NETS = NetworkSettings(learning_rate=1e-3, patience=8, left_out=NUM_LEFT_OUT)
 
@@ -83,6 +88,68 @@ def show_errors(name: str, errors: FloatArray, covariances: FloatArray) -> None:
         f" {coverage(errors, covariances, 0.9):.0%}",
         flush=True,
     )
+
+
+class Street(NamedTuple):
+    """The errors on one street, [N, 2], rad, and what is claimed without and with calibration."""
+
+    errors: FloatArray
+    raw: FloatArray
+    """[N, 2, 2]"""
+    calibrated: FloatArray
+    """[N, 2, 2]"""
+
+
+def streets_of(network: SunNetwork, views: list[SunViews]) -> list[Street]:
+    """Return errors and claims of a network on each street."""
+    scale = float(network.facts["scale"])
+    claimed = [errors_of(network, each) for each in views]
+    return [Street(each.errors, each.covariances / scale, each.covariances) for each in claimed]
+
+
+def statistics(streets: list[Street]) -> FloatArray:
+    """Return median error, and coverage of 90 % regions and NLL without and with calibration.
+
+    The last one is the rank correlation of claimed σ and error. Angles are in degrees.
+    """
+    errors, raw, calibrated = (np.concatenate(parts) for parts in zip(*streets, strict=True))
+    angles = np.linalg.norm(errors, axis=1)
+    sigma = np.sqrt(np.trace(calibrated, axis1=1, axis2=2))
+    return np.array(
+        [
+            np.degrees(np.median(angles)),
+            100.0 * coverage(errors, raw, 0.9),
+            np.mean(negative_log_likelihoods(errors, raw)),
+            100.0 * coverage(errors, calibrated, 0.9),
+            np.mean(negative_log_likelihoods(errors, calibrated)),
+            spearmanr(sigma, angles).statistic,
+        ]
+    )
+
+
+def show_methods(networks: dict[str, SunNetwork], views: list[SunViews]) -> None:
+    """Print a row for each method, with standard deviations by a bootstrap over the streets."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(views), size=(BOOTSTRAPS, len(views)))
+    names = ("median °", "raw 90 %", "raw NLL", "90 %", "NLL", "rank correlation")
+    print("mean ± standard deviation over streets:", ", ".join(names))
+    for name, network in networks.items():
+        streets = streets_of(network, views)
+        found = statistics(streets)
+        again = [statistics([streets[k] for k in row]) for row in drawn]
+        values = zip(found, np.std(again, axis=0), strict=True)
+        text = ", ".join(f"{value:.2f} ± {sigma:.2f}" for value, sigma in values)
+        facts = network.facts
+        print(f"{name}: {text}; × {facts['scale']:.2f} and × {facts['correlation']:.2f}")
+
+
+def trained(method: MethodName, sequences: list[Sequence], out: Path) -> SunNetwork:
+    """Return the network of a method, which is trained unless its file is there."""
+    model = out / ("sun.safetensors" if method == "hydra-sigma" else f"sun-{method}.safetensors")
+    if not model.exists():
+        settings = NETS.model_copy(update={"method": method})
+        print("\n".join(train_sun(sequences, settings, model)), flush=True)
+    return SunNetwork.load(model)
 
 
 def fused(network: SunNetwork, views: list[SunViews], order: int, *, has_sun: bool) -> FloatArray:
@@ -194,16 +261,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--scenes", type=int, default=420)
+    methods = get_args(MethodName)
+    parser.add_argument("--methods", nargs="+", choices=methods, default=[methods[0]])
     arguments = parser.parse_args()
     folders = []
     for number in range(arguments.scenes):
         folders.append(write_scene(scene(number), arguments.out / f"{number:04d}"))
     sequences = [open_sequence(folder) for folder in folders]
-    model = arguments.out / "sun.safetensors"
-    if not model.exists():
-        print("\n".join(train_sun(sequences[:-NUM_TESTED], NETS, model)), flush=True)
-    network = SunNetwork.load(model)
+    networks = {
+        method: trained(method, sequences[:-NUM_TESTED], arguments.out)
+        for method in arguments.methods
+    }
     views = [read_views(sequence, len(sequence)) for sequence in sequences[-NUM_TESTED:]]
+    if len(networks) > 1:
+        show_methods(networks, views)
+        return
+    (network,) = networks.values()
     claimed = [errors_of(network, each) for each in views]
     errors = np.concatenate([each.errors for each in claimed])
     covariances = np.concatenate([each.covariances for each in claimed])

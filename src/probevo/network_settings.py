@@ -2,19 +2,58 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Literal
+
 from pydantic import Field
 
 from probevo.settings import Settings
+
+MethodName = Literal["hydra-sigma", "dropout", "ensemble"]
+OF_METHODS: Mapping[MethodName, tuple[str, ...]] = {
+    "hydra-sigma": ("heads",),
+    "dropout": ("dropout", "passes"),
+    "ensemble": ("networks",),
+}
+"""Settings that only one method takes."""
 
 
 class NetworkSettings(Settings):
     """Size of a network, and length and data of its training."""
 
+    method: MethodName = Field(
+        "hydra-sigma",
+        description=(
+            "Of sun: where the covariance comes from. hydra-sigma learns one, and adds the spread"
+            " of its heads; dropout and ensemble are baselines, which have the spread alone."
+        ),
+    )
     heads: int = Field(
         10,
         ge=2,
         le=1000,
         description="H, the heads of the network, whose estimates are averaged (HydraNet).",
+    )
+    dropout: float = Field(
+        0.5,
+        gt=0,
+        lt=1,
+        description="Of the method dropout: share of the units that a pass drops, as in Sun-BCNN.",
+    )
+    passes: int = Field(
+        25,
+        ge=2,
+        le=1000,
+        description="Of the method dropout: passes whose estimates are averaged, as in Sun-BCNN.",
+    )
+    networks: int = Field(
+        5,
+        ge=2,
+        le=100,
+        description=(
+            "Of the method ensemble: networks trained apart, each on a bootstrap sample, whose"
+            " estimates are averaged."
+        ),
     )
     epochs: int = Field(40, ge=1, le=100_000, description="Largest number of passes over the data.")
     patience: int = Field(

@@ -41,6 +41,8 @@ class SensorErrors:
     """Leading components that are lengths, in m instead of rad."""
     saliency: FloatArray | None = None
     """How much the loss depends on each cell of what the sensor sees, [rows, columns]."""
+    kept: str = ""
+    """Which epoch of the training the sensor is from, in words; empty if it is not known."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ SENSOR_KINDS: Mapping[str, SensorKind] = {
             sensor="probevo.nets.sun_sensor:SunFromImages.load",
             trainer="probevo.nets.sun_training:train_sun",
             errors="probevo.nets.sun_training:errors_on",
-            nets=("copies",),
+            nets=("copies", "method", "dropout", "passes", "networks"),
             is_of_recording=True,
         ),
     )

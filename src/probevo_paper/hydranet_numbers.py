@@ -77,7 +77,7 @@ def regress(
         InputError: the file is damaged or cannot be written.
     """
     space = NumberTargets()
-    networks = learn(
+    trained = learn(
         method,
         space,
         build,
@@ -89,12 +89,12 @@ def regress(
     tests = np.linspace(-2.0, 2.0, NUM_TESTS)[:, None]
     inputs = jnp.asarray(tests, jnp.float32)
 
-    def estimate(trained: Network, key: jax.Array) -> tuple[jax.Array, jax.Array | None]:
+    def estimate(networks: Network, key: jax.Array) -> tuple[jax.Array, jax.Array | None]:
         """Return the estimates of the networks of one repetition."""
-        return methods.estimates(method, space, trained, inputs, key)
+        return methods.estimates(method, space, networks, inputs, key)
 
     keys = jax.random.split(jax.random.key(settings.seed), settings.repetitions)
-    found, raw = eqx.filter_vmap(estimate)(networks, keys)
+    found, raw = eqx.filter_vmap(estimate)(trained.networks, keys)
     predicted = methods.prediction(space, found, raw)
     errors = predicted.mean - curve(tests, np.zeros_like(tests))
     # The published figures have the constant ½ log 2π.

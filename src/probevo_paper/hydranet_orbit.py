@@ -122,7 +122,7 @@ def orbit(
     )
     plan = plan_of(settings)
     trained = learn(method, space, build, data=data, plan=plan, file=file, show=show)
-    networks = jax.tree.map(lambda array: array[0], trained)
+    networks = jax.tree.map(lambda array: array[0], trained.networks)
 
     def predict(views: Views) -> tuple[FloatArray, FloatArray]:
         """Return errors, [N, 3], and their covariances, [N, 3, 3]."""

@@ -255,6 +255,9 @@ def test_settings_of_other_kinds_are_refused(
         ("correction", ["--nets.copies", "2"]),
         ("rotation", ["--nets.rotation-only"]),
         ("rotation", ["--odometry.seed", "3"]),
+        ("rotation", ["--nets.method", "dropout"]),
+        ("sun", ["--nets.passes", "3"]),
+        ("sun", ["--nets.method", "dropout", "--nets.heads", "3"]),
     ):
         assert main(["train", *map(str, walls), "--kind", kind, *flag, "--out", out]) == 2
         assert flag[0].split(".")[0] in capsys.readouterr().err

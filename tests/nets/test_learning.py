@@ -33,8 +33,9 @@ def train(
         if epoch == stop_after:
             raise KeyboardInterrupt
 
-    networks = learn(method, SPACE, build, data=data(method), plan=plan, file=file, show=stop)
-    return named_arrays(networks)
+    trained = learn(method, SPACE, build, data=data(method), plan=plan, file=file, show=stop)
+    assert trained.kept_epoch == trained.epochs == plan.epochs
+    return named_arrays(trained.networks)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +104,7 @@ def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
     file = tmp_path / "best.safetensors"
     plan = LearningPlan(epochs=500, batch=16, learning_rate=3e-2, patience=4, seed=3)
     seen = []
-    networks = learn(
+    trained = learn(
         HYDRA_SIGMA,
         SPACE,
         build,
@@ -114,6 +115,8 @@ def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
     )
     epochs = read_facts(file)["epochs"]
     assert 4 < epochs < 500
+    assert trained.epochs == epochs
+    assert trained.kept_epoch == epochs - 4 == read_facts(file)["kept_epoch"]
     assert seen == [(epoch, 500) for epoch in range(1, epochs + 1)]
     # The best networks are those of a training that ends four epochs earlier, but for the rounding
     # of another compiled epoch; those of the epochs beside it differ by 0.09.
@@ -124,9 +127,20 @@ def test_it_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
         data=data(HYDRA_SIGMA),
         plan=replace(plan, epochs=epochs - 4, patience=None),
     )
-    expected = named_arrays(best)
-    for name, found in named_arrays(networks).items():
+    expected = named_arrays(best.networks)
+    for name, found in named_arrays(trained.networks).items():
         np.testing.assert_allclose(found, expected[name], rtol=0.0, atol=1e-3, err_msg=name)
+    again = learn(HYDRA_SIGMA, SPACE, build, data=data(HYDRA_SIGMA), plan=plan, file=file)
+    assert again[1:] == trained[1:]
+
+
+def test_the_initial_networks_are_kept_if_no_loss_is_finite() -> None:
+    given = data(HYDRA_SIGMA)
+    spoiled = given._replace(held_out_targets=jax.numpy.nan * given.held_out_targets)
+    plan = LearningPlan(epochs=500, batch=16, learning_rate=3e-2, patience=2)
+    trained = learn(HYDRA_SIGMA, SPACE, build, data=spoiled, plan=plan)
+    assert trained.kept_epoch == 0
+    assert trained.epochs == 2
 
 
 def test_a_plan_that_the_data_do_not_allow_is_refused() -> None:
@@ -144,8 +158,8 @@ def test_it_learns_rotations(method: Method) -> None:
     given = data(method)
 
     def mean_error_deg(epochs: int) -> float:
-        networks = learn(method, SPACE, build, data=given, plan=replace(PLAN, epochs=epochs))
-        first = jax.tree.map(lambda array: array[0], networks)
+        trained = learn(method, SPACE, build, data=given, plan=replace(PLAN, epochs=epochs))
+        first = jax.tree.map(lambda array: array[0], trained.networks)
         inputs = given.held_out_inputs[0]
         found, raw = methods.estimates(method, SPACE, first, inputs, jax.random.key(0))
         mean = jax.numpy.asarray(methods.prediction(SPACE, found, raw).mean)

@@ -138,6 +138,7 @@ def test_train_run_and_compare_with_the_sensor(
     assert main(["train", *map(str, walls), *words]) == 0
     shown = capsys.readouterr().out
     assert "left out:     other" in shown
+    assert "kept:         the network after " in shown
     assert out.read_bytes() == model.read_bytes()
 
     run = tmp_path / "run"
@@ -152,7 +153,9 @@ def test_train_run_and_compare_with_the_sensor(
     seen = tmp_path / "seen"
     assert main(["inspect", str(walls[1]), "--model", str(out), "--out", str(seen)]) == 0
     assert "Errors within their regions" in (seen / "inspection.html").read_text()
-    assert f"Measurements: {FRAMES - 1}" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert f"Measurements: {FRAMES - 1}" in shown
+    assert "Kept: the network after " in shown
     assert main(["inspect", "--model", str(out), "--out", str(seen)]) == 2
     assert "a sensor is inspected on a recording" in capsys.readouterr().err
 

@@ -59,6 +59,26 @@ def test_whitened_errors_have_the_covariance_of_the_head() -> None:
     np.testing.assert_allclose(half_log_det, 0.5 * np.linalg.slogdet(covariance).logabsdet)
 
 
+def test_without_a_covariance_the_loss_is_the_squared_chord() -> None:
+    """Of any angle, the gradient by the vector included, which is that of 2 (1 − u·p)."""
+    truth = directions(1, 7)[0]
+
+    def loss(vector: Any) -> Any:
+        return SPACE.squared(SPACE.difference(SPACE.estimate(vector), jax.numpy.asarray(truth)))
+
+    with jax.enable_x64(True):
+        compiled = jax.jit(jax.value_and_grad(loss))
+        for vector in (*directions(5, 8), truth, -truth + 0.01):
+            unit = vector / np.linalg.norm(vector)
+            value, gradient = compiled(vector)
+            assert float(value) == pytest.approx(np.sum((unit - truth) ** 2), abs=1e-6)
+            for axis, step in enumerate(1e-5 * np.eye(3)):
+                ahead, _ = compiled(vector + step)
+                behind, _ = compiled(vector - step)
+                numerical = (float(ahead) - float(behind)) / 2e-5
+                assert float(gradient[axis]) == pytest.approx(numerical, abs=1e-6)
+
+
 def test_the_estimate_learns_from_the_chord_and_the_covariance_from_the_likelihood() -> None:
     """The derivative of the loss by the estimate is that of 2 (1 − u·p), by any covariance."""
     truth = directions(1, 5)[0]

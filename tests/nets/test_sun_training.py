@@ -114,6 +114,32 @@ def test_a_training_that_was_stopped_ends_with_the_same_bytes(
     assert (tmp_path / "copy.safetensors").read_bytes() == model.read_bytes()
 
 
+def test_dropout_that_was_stopped_ends_with_the_same_bytes(
+    walls: list[Path], tmp_path: Path
+) -> None:
+    def stop(done: int, total: int) -> None:
+        if done >= 2 * FRAMES * 2:
+            raise KeyboardInterrupt
+
+    recordings = [open_sequence(wall) for wall in walls]
+    settings = NetworkSettings(epochs=2, batch=8, copies=1, method="dropout", passes=4)
+    whole = tmp_path / "whole.safetensors"
+    parts = tmp_path / "parts.safetensors"
+    lines = train_sun(recordings, settings, whole)
+    assert lines[0] == "method:       dropout of 50 %, 4 passes"
+    with pytest.raises(KeyboardInterrupt):
+        train_sun(recordings, settings, parts, on_progress=stop)
+    train_sun(recordings, settings, parts)
+    assert parts.read_bytes() == whole.read_bytes()
+    claimed = errors_of(SunNetwork.load(parts), read_views(recordings[1], FRAMES))
+    np.linalg.cholesky(claimed.covariances)
+    # The factor on the spread makes the errors of what was left out consistent.
+    squared = np.einsum(
+        "ni,nij,nj->n", claimed.errors, np.linalg.inv(claimed.covariances), claimed.errors
+    )
+    assert squared.mean() == pytest.approx(2.0, rel=0.05)
+
+
 def test_single_errors_and_sums_of_ten_have_factors_of_their_own(
     model: Path, walls: list[Path]
 ) -> None:
@@ -164,7 +190,10 @@ def test_train_run_and_inspect(
     out = tmp_path / "sun.safetensors"
     words = [*map(str, walls), "--kind", "sun", *FLAGS, "--out", str(out)]
     assert main(["train", *words]) == 0
-    assert "of the mean direction" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "of the mean direction" in shown
+    kept = SunNetwork.load(out).facts["kept_epoch"]
+    assert f"kept:         the network after {kept} epoch" in shown
     assert out.read_bytes() == model.read_bytes()
     run = tmp_path / "run"
     assert main(["run", str(walls[0]), "--sensor", str(out), "--out", str(run)]) == 0
@@ -173,5 +202,7 @@ def test_train_run_and_inspect(
     capsys.readouterr()
     seen = tmp_path / "seen"
     assert main(["inspect", str(walls[1]), "--model", str(out), "--out", str(seen)]) == 0
-    assert "RMS error of both angles" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "RMS error of both angles" in shown
+    assert f"Kept: the network after {kept} epoch" in shown
     assert "Saliency" in (seen / "inspection.html").read_text()

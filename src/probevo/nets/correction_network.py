@@ -141,7 +141,7 @@ class CorrectionTrunk(eqx.Module):
         self.last = eqx.nn.Linear(patches * sizes[-1] + NUM_NUMBERS, FEATURES, key=keys[-1])
         self.dropout = dropout
 
-    def __call__(self, inputs: jax.Array, key: jax.Array) -> jax.Array:
+    def __call__(self, inputs: jax.Array, key: jax.Array | None) -> jax.Array:
         """Return the features of one input, [i]: the linear ones, then 64 others."""
         # Statistics of the data, and what was fitted to them, are no weights.
         standard, linear = jax.lax.stop_gradient((self.standard, self.linear))

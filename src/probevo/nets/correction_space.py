@@ -80,6 +80,10 @@ class CorrectionTargets:
         """Return the arithmetic mean: corrections are small."""
         return jnp.mean(estimates, axis=-2)
 
+    def squared(self, errors: jax.Array) -> jax.Array:
+        """Return |L⁻¹ g|²."""
+        return jnp.sum(errors**2, axis=-1)
+
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return diag(1/σ) U e, and Σ log σ."""
         log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., : self.dof] + _FIRST)

@@ -34,7 +34,7 @@ from probevo.nets.image_pairs import check_recording
 from probevo.nets.methods import Method
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
-from probevo.nets.trained_network import first_facts, trunk_features
+from probevo.nets.trained_network import first_facts, kept_lines, kept_text, trunk_features
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
@@ -95,6 +95,7 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
     lines = [
         f"learned from: {', '.join(facts['learned_from'])}",
         f"left out:     {', '.join(facts['left_out'])} ({facts['num_left_out']} steps)",
+        *kept_lines(facts),
         f"errors of {BLOCK} successive steps added up, RMS, left out:",
     ]
     for name, (length_m, angle_rad) in facts["left_out_rms"].items():
@@ -136,13 +137,14 @@ def _train(
     linear = LinearFit(to_units @ in_si.weights, to_units @ in_si.offset)
 
     method = method_of(settings)
-    networks = run.learn(
+    trained = run.learn(
         method,
         space,
         partial(_built, space=space, standard=standard, linear=linear),
         learned=(inputs, learned.corrections),
         left_out=(inputs_left_out, joined.corrections),
     )
+    networks = trained.networks
     domain = Domain.of(trunk_features(networks, inputs), trunk_features(networks, inputs_left_out))
     first = {
         **first_facts(KIND, method),
@@ -152,7 +154,7 @@ def _train(
         "gain": 1.0,
         "constant": wanted.mean(axis=0).tolist(),
         "odometry": config.model_dump(mode="json"),
-        **run.facts(),
+        **run.facts(trained),
     }
     network = calibrated(CorrectionNetwork(networks, domain, first), left_out)
     constant = np.tile(wanted.mean(axis=0), (len(joined), 1))
@@ -211,7 +213,11 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
     widened = network.estimate(inputs).widening > 1.0
     num_lengths = 0 if network.space.axes == ROTATION_AXES else 3
     return SensorErrors(
-        claimed.errors, claimed.covariances, int(np.sum(widened)), num_lengths=num_lengths
+        claimed.errors,
+        claimed.covariances,
+        int(np.sum(widened)),
+        num_lengths=num_lengths,
+        kept=kept_text(network.facts),
     )
 
 

@@ -78,7 +78,7 @@ class FieldTrunk(eqx.Module):
         self.last = eqx.nn.Linear(patches * sizes[-1], FEATURES, key=keys[-1])
         self.dropout = dropout
 
-    def __call__(self, inputs: jax.Array, key: jax.Array) -> jax.Array:
+    def __call__(self, inputs: jax.Array, key: jax.Array | None) -> jax.Array:
         """Return the features of one field [C, rows, columns]: the linear ones, then 64 others."""
         # Statistics of the data, and what was fitted to them, are no weights.
         mean, scale, linear = jax.lax.stop_gradient((self.mean, self.scale, self.linear))
@@ -97,7 +97,7 @@ class FieldHead(eqx.Module):
     correction: PReluHead
     num_linear: int = eqx.field(static=True)
 
-    def __call__(self, features: jax.Array, key: jax.Array) -> jax.Array:
+    def __call__(self, features: jax.Array, key: jax.Array | None) -> jax.Array:
         """Return the outputs, [o]."""
         return features[: self.num_linear] + self.correction(features, key)
 

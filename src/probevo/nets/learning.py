@@ -82,6 +82,17 @@ class LearningState(NamedTuple):
     """Epochs since then, int32."""
 
 
+class Learned(NamedTuple):
+    """Trained networks, and which epoch they are from."""
+
+    networks: Network
+    """With leading dimensions [S, M, ...]."""
+    epochs: int | None
+    """Number of epochs that were done; None if the file of a finished training does not say."""
+    kept_epoch: int | None
+    """Number of epochs after which the networks were taken; 0 for the initial ones."""
+
+
 def learn(
     method: Method,
     space: TargetSpace,
@@ -91,8 +102,8 @@ def learn(
     plan: LearningPlan,
     file: Path | None = None,
     show: Show | None = None,
-) -> Network:
-    """Train the networks of a method; return them with leading dimensions [S, M, ...].
+) -> Learned:
+    """Train the networks of a method; return them, and the epoch that was kept.
 
     Args:
         method: the method.
@@ -117,7 +128,8 @@ def learn(
             what = "holds networks of another method, plan or version of probevo."
             raise InputError(file, what, "Delete it, or name another file.")
         if found.get("is_finished"):
-            return read_network_file(file, state.networks)
+            networks = read_network_file(file, state.networks)
+            return Learned(networks, found.get("epochs"), found.get("kept_epoch"))
         state = read_network_file(file, state)
 
     run_epoch = _compiled_epoch(space, _same_epochs(plan))
@@ -128,11 +140,14 @@ def learn(
             write_network_file(file, state, {**facts, "is_finished": False})
         if show is not None:
             show(epoch, plan.epochs)
-    trained = state.networks if plan.patience is None else state.best
+    epochs = int(state.epoch)
+    learned = Learned(state.networks, epochs, kept_epoch=epochs)
+    if plan.patience is not None:
+        learned = Learned(state.best, epochs, kept_epoch=epochs - int(state.num_worse))
     if file is not None:
-        ended = {"is_finished": True, "epochs": int(state.epoch)}
-        write_network_file(file, trained, {**facts, **ended})
-    return trained
+        ended = {"is_finished": True, "epochs": epochs, "kept_epoch": learned.kept_epoch}
+        write_network_file(file, learned.networks, {**facts, **ended})
+    return learned
 
 
 def _check(data: TrainingData, plan: LearningPlan) -> None:

@@ -78,24 +78,31 @@ class Prediction:
 
 
 def loss(
-    space: TargetSpace, network: Network, inputs: jax.Array, targets: jax.Array, key: jax.Array
+    space: TargetSpace,
+    network: Network,
+    inputs: jax.Array,
+    targets: jax.Array,
+    key: jax.Array | None,
 ) -> jax.Array:
     """Return the mean loss of one network over a batch.
 
-    It is ½ φᵀ Σ⁻¹ φ + ½ log|Σ| where the network learns a covariance, and φᵀ φ where it does not.
+    It is ½ φᵀ Σ⁻¹ φ + ½ log|Σ| where the network learns a covariance, and where it does not the
+    square that the space has for it: φᵀ φ, or of directions the squared chord.
 
     Args:
         space: what is regressed.
         network: the network.
         inputs: [B, i].
         targets: of each head, [B, H, o].
-        key: of the dropout.
+        key: of the dropout, which differs from input to input; None for none.
     """
-    keys = jax.random.split(key, len(inputs))
-    outputs, raw = jax.vmap(network)(inputs, keys)
+    if key is None:
+        outputs, raw = jax.vmap(network, in_axes=(0, None))(inputs, None)
+    else:
+        outputs, raw = jax.vmap(network)(inputs, jax.random.split(key, len(inputs)))
     errors = space.difference(space.estimate(outputs), targets)
     if raw is None:
-        return jnp.mean(jnp.sum(errors**2, axis=-1))
+        return jnp.mean(space.squared(errors))
     whitened, half_log_det = space.whiten(raw[:, None, :], errors)
     return jnp.mean(0.5 * jnp.sum(whitened**2, axis=-1) + half_log_det)
 
@@ -132,7 +139,13 @@ def samples(method: Method, num_data: int, rng: np.random.Generator) -> np.ndarr
 
 @eqx.filter_jit
 def estimates(
-    method: Method, space: TargetSpace, networks: Network, inputs: jax.Array, key: jax.Array
+    method: Method,
+    space: TargetSpace,
+    networks: Network,
+    inputs: jax.Array,
+    key: jax.Array,
+    *,
+    same_dropout: bool = False,
 ) -> tuple[jax.Array, jax.Array | None]:
     """Return all estimates of each input, [N, K, o], and outputs of covariance heads or None.
 
@@ -142,6 +155,8 @@ def estimates(
         networks: its networks; their arrays have a leading dimension [networks, ...].
         inputs: [N, i].
         key: of the dropout.
+        same_dropout: whether a pass drops the same in all inputs, so that the estimates of an input
+            do not depend on which others there are.
 
     Returns:
         Estimates [N, K, o], and the outputs of covariance heads [N, networks × passes, c].
@@ -152,7 +167,11 @@ def estimates(
         outputs, raw = network(x, pass_key)
         return (space.estimate(outputs),) if raw is None else (space.estimate(outputs), raw)
 
-    keys = jax.random.split(key, (method.networks, method.passes, len(inputs)))
+    shape = (method.networks, method.passes, len(inputs))
+    if same_dropout:
+        keys = jnp.broadcast_to(jax.random.split(key, shape[:2])[..., None], shape)
+    else:
+        keys = jax.random.split(key, shape)
     over_inputs = eqx.filter_vmap(one, in_axes=(None, 0, 0))
     over_passes = eqx.filter_vmap(over_inputs, in_axes=(None, None, 0))
     over_networks = eqx.filter_vmap(over_passes, in_axes=(eqx.if_array(0), None, 0))

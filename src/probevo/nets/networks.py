@@ -15,8 +15,8 @@ SELU_NEGATIVE = -1.7580993408473766
 class Trunk(Protocol):
     """A part of a network that maps a single input, [i], to features, [f]."""
 
-    def __call__(self, inputs: jax.Array, key: jax.Array) -> jax.Array:
-        """Return the features; the key is that of the dropout."""
+    def __call__(self, inputs: jax.Array, key: jax.Array | None) -> jax.Array:
+        """Return the features; the key is that of the dropout, None for none."""
 
 
 class Network(eqx.Module):
@@ -28,14 +28,18 @@ class Network(eqx.Module):
     covariance_head: Any
     """None if the method does not learn a covariance."""
 
-    def __call__(self, inputs: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array | None]:
+    def __call__(
+        self, inputs: jax.Array, key: jax.Array | None
+    ) -> tuple[jax.Array, jax.Array | None]:
         """Return the outputs of the heads, [H, o], and of the covariance head, [c] or None.
 
         Args:
             inputs: one input, [i].
-            key: of the dropout; two calls with the same key drop the same.
+            key: of the dropout; two calls with the same key drop the same, and with None nothing is
+                dropped.
         """
-        key_of_trunk, key_of_heads, key_of_covariance = jax.random.split(key, 3)
+        keys = (None, None, None) if key is None else jax.random.split(key, 3)
+        key_of_trunk, key_of_heads, key_of_covariance = keys
         features = self.trunk(inputs, key_of_trunk)
 
         def call(head: Any) -> jax.Array:
@@ -62,12 +66,12 @@ class SeluLayers(eqx.Module):
         ]
         self.dropout = dropout
 
-    def __call__(self, inputs: jax.Array, key: jax.Array) -> jax.Array:
+    def __call__(self, inputs: jax.Array, key: jax.Array | None) -> jax.Array:
         """Return the features, [f]."""
         features = inputs
         for k, layer in enumerate(self.layers):
             active = jax.nn.selu(layer(features))
-            features = alpha_dropout(active, self.dropout, jax.random.fold_in(key, k))
+            features = alpha_dropout(active, self.dropout, key_of_layer(key, k))
         return features
 
 
@@ -82,7 +86,7 @@ class SeluHead(eqx.Module):
         self.hidden = SeluLayers(sizes[:2], dropout, key=key_of_hidden)
         self.last = eqx.nn.Linear(sizes[1], sizes[2], key=key_of_last)
 
-    def __call__(self, features: jax.Array, key: jax.Array) -> jax.Array:
+    def __call__(self, features: jax.Array, key: jax.Array | None) -> jax.Array:
         """Return the outputs, [o]."""
         return self.last(self.hidden(features, key))
 
@@ -98,12 +102,12 @@ class ResidualLayers(eqx.Module):
         self.layers = [eqx.nn.Linear(size, size, key=each) for each in keys]
         self.dropout = dropout
 
-    def __call__(self, inputs: jax.Array, key: jax.Array) -> jax.Array:
+    def __call__(self, inputs: jax.Array, key: jax.Array | None) -> jax.Array:
         """Return the features, [f]."""
         features = inputs
         for k, layer in enumerate(self.layers):
             active = jax.nn.relu(layer(features))
-            features = features + plain_dropout(active, self.dropout, jax.random.fold_in(key, k))
+            features = features + plain_dropout(active, self.dropout, key_of_layer(key, k))
         return features
 
 
@@ -122,27 +126,37 @@ class PReluHead(eqx.Module):
         self.last = eqx.nn.Linear(sizes[1], sizes[2], key=key_of_last)
         self.dropout = dropout
 
-    def __call__(self, features: jax.Array, key: jax.Array) -> jax.Array:
+    def __call__(self, features: jax.Array, key: jax.Array | None) -> jax.Array:
         """Return the outputs, [o]."""
         hidden = self.first(features)
         active = jnp.where(hidden < 0.0, self.slope * hidden, hidden)
         return self.last(plain_dropout(active, self.dropout, key))
 
 
-def plain_dropout(features: jax.Array, rate: float, key: jax.Array) -> jax.Array:
-    """Set features to zero at random, and enlarge the others, so that the mean is kept."""
-    if rate == 0.0:
+def key_of_layer(key: jax.Array | None, number: int) -> jax.Array | None:
+    """Return the key of the dropout of a layer, None for none."""
+    return None if key is None else jax.random.fold_in(key, number)
+
+
+def plain_dropout(features: jax.Array, rate: float, key: jax.Array | None) -> jax.Array:
+    """Set features to zero at random, and enlarge the others, so that the mean is kept.
+
+    Without a key, nothing is dropped.
+    """
+    if rate == 0.0 or key is None:
         return features
     is_kept = jax.random.bernoulli(key, 1.0 - rate, features.shape)
     return jnp.where(is_kept, features / (1.0 - rate), 0.0)
 
 
-def alpha_dropout(features: jax.Array, rate: float, key: jax.Array) -> jax.Array:
+def alpha_dropout(features: jax.Array, rate: float, key: jax.Array | None) -> jax.Array:
     """Set features to SELU's limit at random; mean 0 and variance 1 are kept.
+
+    Without a key, nothing is dropped.
 
     Source: Klambauer et al. 2017.
     """
-    if rate == 0.0:
+    if rate == 0.0 or key is None:
         return features
     is_kept = jax.random.bernoulli(key, 1.0 - rate, features.shape)
     scale: float = ((1.0 - rate) * (1.0 + rate * SELU_NEGATIVE**2)) ** -0.5

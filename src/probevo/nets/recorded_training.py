@@ -27,9 +27,8 @@ from probevo.nets import methods
 from probevo.nets.calibration import BLOCK
 from probevo.nets.extra import require_nets
 from probevo.nets.image_pairs import facts_of
-from probevo.nets.learning import LearningPlan, TrainingData, learn
+from probevo.nets.learning import Learned, LearningPlan, TrainingData, learn
 from probevo.nets.methods import Build, Method
-from probevo.nets.networks import Network
 from probevo.nets.target_space import TargetSpace
 from probevo.nets.trained_network import TrainedNetwork
 from probevo.network_settings import NetworkSettings
@@ -79,8 +78,10 @@ class TrainingRun:
         *,
         learned: tuple[FloatArray, FloatArray],
         left_out: tuple[FloatArray, FloatArray],
-    ) -> Network:
+    ) -> Learned:
         """Train one network, resuming where an earlier call was stopped.
+
+        The result has no dimension of experiments: arrays are [M, ...], of M networks.
 
         Args:
             method: what is learned, and by how many heads.
@@ -91,7 +92,7 @@ class TrainingRun:
         """
         settings = self.settings
         key = [self.recordings, settings.model_dump(mode="json"), self.extra]
-        networks = learn(
+        trained = learn(
             method,
             space,
             build,
@@ -107,17 +108,20 @@ class TrainingRun:
             file=self.folder / f"network-{_digest(key)}.safetensors",
             show=self._show_epochs,
         )
-        found: Network = jax.tree.map(lambda array: array[0], networks)
-        return found
+        of_one_experiment = jax.tree.map(lambda array: array[0], trained.networks)
+        return trained._replace(networks=of_one_experiment)
 
-    def facts(self) -> dict[str, Any]:
-        """Return what the file of the network says of its training."""
+    def facts(self, trained: Learned) -> dict[str, Any]:
+        """Return what the file of a network says of its training."""
         names = [each["name"] for each in self.recordings]
-        return {
+        facts: dict[str, Any] = {
             "learned_from": names[: self.split],
             "left_out": names[self.split :],
             "settings": self.settings.model_dump(mode="json"),
         }
+        if trained.kept_epoch is not None:
+            facts |= {"epochs": trained.epochs, "kept_epoch": trained.kept_epoch}
+        return facts
 
     def _show_epochs(self, done: int, total: int) -> None:
         self.on_progress(self.num_frames * (1 + done), self.total)

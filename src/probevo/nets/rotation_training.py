@@ -21,7 +21,13 @@ from probevo.nets.image_pairs import ImagePairs, check_recording, read_pairs
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
 from probevo.nets.rotation_network import KIND, SPACE, RotationNetwork, build, method_of
-from probevo.nets.trained_network import first_facts, saliency, trunk_features
+from probevo.nets.trained_network import (
+    first_facts,
+    kept_lines,
+    kept_text,
+    saliency,
+    trunk_features,
+)
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
@@ -61,6 +67,7 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
     return [
         f"learned from: {', '.join(facts['learned_from'])}",
         f"left out:     {', '.join(facts['left_out'])} ({facts['num_left_out']} pairs)",
+        *kept_lines(facts),
         f"error:        median {facts['error_deg']:.3f}°, rms {rms_deg}° about x, y, z; that of the"
         f" linear regression {facts['linear_error_deg']:.3f}°",
         f"covariance:   × {facts['scale']:.2f}, by errors of {BLOCK} successive pairs"
@@ -79,13 +86,14 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
     joined = ImagePairs.joined(left_out)
     method = method_of(settings.heads)
     linear = linear_fit(learned.fields, learned.rotations / SPACE.unit_rad)
-    networks = run.learn(
+    trained = run.learn(
         method,
         SPACE,
         partial(_built, fields=learned.fields, linear=linear),
         learned=(learned.fields, _quaternions(learned.rotations)),
         left_out=(joined.fields, _quaternions(joined.rotations)),
     )
+    networks = trained.networks
     domain = Domain.of(
         trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
     )
@@ -94,7 +102,7 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
         **first_facts(KIND, method),
         "scale": 1.0,
         "linear_error_deg": float(np.degrees(np.median(np.linalg.norm(of_linear, axis=1)))),
-        **run.facts(),
+        **run.facts(trained),
     }
     return calibrated(RotationNetwork(networks, domain, first), left_out)
 
@@ -134,6 +142,7 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
         errors,
         covariances,
         int(np.sum(widening > 1.0)),
+        kept=kept_text(network.facts),
         saliency=saliency(network, SPACE, pairs.fields, _quaternions(pairs.rotations)),
     )
 

@@ -22,6 +22,7 @@ from probevo.nets.trained_network import (
     facts_of_kind,
     read_arrays,
 )
+from probevo.network_settings import NetworkSettings
 
 KIND = "sun"
 SPACE = SunTargets()
@@ -67,6 +68,24 @@ class SunNetwork(TrainedNetwork):
         return SunNetwork(networks, domain, facts)
 
 
+def method_of(settings: NetworkSettings) -> Method:
+    """Return the method: hydra-sigma, or one of the baselines whose covariance is a spread."""
+    if settings.method == "dropout":
+        return Method("dropout", passes=settings.passes, dropout=settings.dropout)
+    if settings.method == "ensemble":
+        return Method("ensemble", networks=settings.networks, bootstrap=True)
+    return Method("hydra-sigma", heads=settings.heads, learns_covariance=True)
+
+
+def method_text(method: Method) -> str:
+    """Return the method and the number of estimates of one image, in words."""
+    if method.passes > 1:
+        return f"{method.name} of {100.0 * method.dropout:g} %, {method.passes} passes"
+    if method.networks > 1:
+        return f"{method.name}, {method.networks} networks"
+    return f"{method.name}, {method.heads} heads"
+
+
 def build(method: Method, fields: FloatArray, linear: LinearFit, key: jax.Array) -> Network:
     """Return a network with initial weights."""
     return field_network(method, SPACE, fields, linear, key=key)
@@ -83,4 +102,4 @@ def _empty(method: Method) -> Network:
         """Return one network with random weights."""
         return build(method, fields, linear, key)
 
-    return empty_networks(one)
+    return empty_networks(one, method.networks)

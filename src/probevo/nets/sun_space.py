@@ -76,6 +76,10 @@ class SunTargets:
         """Return the direction of the mean vector."""
         return _unit(jnp.mean(estimates, axis=-2))
 
+    def squared(self, errors: jax.Array) -> jax.Array:
+        """Return the squared chord between estimate and truth, which is bounded by 4."""
+        return 2.0 - 2.0 * jnp.cos(jnp.sqrt(jnp.sum(errors**2, axis=-1) + LEAST_LENGTH))
+
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return diag(1/σ) U e, and Σ log σ.
 
@@ -84,8 +88,7 @@ class SunTargets:
         least of the sun, and are off by up to 180°, would weigh most at first. What is added for
         that to the second result has a derivative, but is zero.
         """
-        angle_sq = jnp.sum(errors**2, axis=-1) + LEAST_LENGTH
-        chord_sq = 2.0 - 2.0 * jnp.cos(jnp.sqrt(angle_sq))
+        chord_sq = self.squared(errors)
         of_estimate = 0.5 * (chord_sq - jax.lax.stop_gradient(chord_sq)) / FIRST_SIGMA_RAD**2
         errors = jax.lax.stop_gradient(errors)
         log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., :2] + _FIRST)

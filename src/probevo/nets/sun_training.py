@@ -19,9 +19,15 @@ from probevo.nets.field_network import LinearFit, linear_fit, pooled_flow, stand
 from probevo.nets.methods import Method
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
-from probevo.nets.sun_network import KIND, SPACE, SunNetwork, build
+from probevo.nets.sun_network import KIND, SPACE, SunNetwork, build, method_of, method_text
 from probevo.nets.sun_views import SunViews, check_sun_recording, read_views
-from probevo.nets.trained_network import first_facts, saliency, trunk_features
+from probevo.nets.trained_network import (
+    first_facts,
+    kept_lines,
+    kept_text,
+    saliency,
+    trunk_features,
+)
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
 from probevo.sequences.base import Sequence
@@ -62,8 +68,10 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
     """Return what the file of a network says of its training, in lines for the terminal."""
     baselines = facts["baseline_deg"]
     return [
+        f"method:       {method_text(Method(**facts['method']))}",
         f"learned from: {len(facts['learned_from'])} recordings",
         f"left out:     {len(facts['left_out'])} recordings ({facts['num_left_out']} images)",
+        *kept_lines(facts),
         f"error:        median {facts['error_deg']:.1f}°; of the linear regression"
         f" {baselines['linear regression']:.1f}°, of the mean direction"
         f" {baselines['mean direction']:.1f}°",
@@ -80,15 +88,16 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
     )
     left_out = views[run.split :]
     joined = SunViews.joined(left_out)
-    method = Method("hydra-sigma", heads=settings.heads, learns_covariance=True)
+    method = method_of(settings)
     linear = linear_fit(learned.fields, learned.directions, RIDGE)
-    networks = run.learn(
+    trained = run.learn(
         method,
         SPACE,
         partial(_built, fields=learned.fields, linear=linear),
         learned=(learned.fields, learned.directions),
         left_out=(joined.fields, joined.directions),
     )
+    networks = trained.networks
     domain = Domain.of(
         trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
     )
@@ -102,7 +111,7 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
                 np.tile(learned.directions.mean(axis=0), (len(joined), 1)), joined.directions
             ),
         },
-        **run.facts(),
+        **run.facts(trained),
     }
     return calibrated(SunNetwork(networks, domain, first), left_out)
 
@@ -147,6 +156,7 @@ def errors_on(path: Path, sequence: Sequence) -> SensorErrors:
         errors,
         covariances,
         int(np.sum(widening > 1.0)),
+        kept=kept_text(network.facts),
         saliency=saliency(network, SPACE, views.fields, views.directions),
     )
 

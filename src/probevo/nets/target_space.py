@@ -64,6 +64,9 @@ class TargetSpace(Protocol):
     def mean(self, estimates: jax.Array) -> jax.Array:
         """Return the mean of K estimates each, [..., K, size] to [..., size]."""
 
+    def squared(self, errors: jax.Array) -> jax.Array:
+        """Return the loss of errors, [...], where no covariance is learned: φᵀ φ or the like."""
+
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the errors in units of their σ, [..., d], and ½ log|Σ|, [...].
 
@@ -100,6 +103,10 @@ class NumberTargets:
     def mean(self, estimates: jax.Array) -> jax.Array:
         """Return the arithmetic mean."""
         return jnp.mean(estimates, axis=-2)
+
+    def squared(self, errors: jax.Array) -> jax.Array:
+        """Return e²."""
+        return jnp.sum(errors**2, axis=-1)
 
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return e / σ and log σ."""
@@ -142,6 +149,10 @@ class RotationTargets:
     def mean(self, estimates: jax.Array) -> jax.Array:
         """Return the eigenvector of Σ q qᵀ with the largest eigenvalue."""
         return quaternions.mean(estimates)
+
+    def squared(self, errors: jax.Array) -> jax.Array:
+        """Return φᵀ φ."""
+        return jnp.sum(errors**2, axis=-1)
 
     def whiten(self, raw: jax.Array, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return diag(1/σ) U φ, and Σ log σ."""

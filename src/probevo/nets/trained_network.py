@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,9 @@ from probevo.nets.network_file import read_facts, read_network_file, write_netwo
 from probevo.nets.networks import Network
 from probevo.nets.target_space import TargetSpace
 
+MOST_ESTIMATES = 1000
+"""Estimates of one input that a file may ask for: networks × passes × heads."""
+
 
 class Evaluation(NamedTuple):
     """The predictions of a network for N inputs."""
@@ -39,14 +42,15 @@ class TrainedNetwork:
     """A trained network, the domain it was trained on, and the calibration of its covariance."""
 
     networks: Network
-    """Arrays have a leading dimension of 1: one network."""
+    """Arrays have a leading dimension: networks of an ensemble, or 1."""
     domain: Domain
     facts: dict[str, Any]
-    """``kind``, ``method``, ``scale`` and how it was trained; JSON values."""
+    """``kind``, ``method``, ``scale``, ``epochs``, ``kept_epoch`` and how it was trained; JSON
+    values."""
 
     @cached_property
     def method(self) -> Method:
-        """How many heads it has, and whether it learns a covariance."""
+        """How many networks, passes and heads it has, and whether it learns a covariance."""
         return Method(**self.facts["method"])
 
     def evaluate(self, space: TargetSpace, inputs: FloatArray) -> Evaluation:
@@ -80,7 +84,8 @@ def facts_of_kind(path: Path, kind: str) -> dict[str, Any]:
     facts = read_facts(path)
     try:
         is_of_kind = facts["kind"] == kind and float(facts["scale"]) > 0.0
-        Method(**facts["method"])
+        _check_method(Method(**facts["method"]))
+        _check_epochs(facts)
     except (KeyError, TypeError, ValueError) as error:
         what = f"it is no whole network of kind {kind} ({error})."
         raise InputError(path, what, cure_of(kind)) from error
@@ -89,12 +94,68 @@ def facts_of_kind(path: Path, kind: str) -> dict[str, Any]:
     return facts
 
 
+def kept_text(facts: Mapping[str, Any]) -> str:
+    """Say after which epoch the network was taken, and why; empty if its file does not say."""
+    kept = facts.get("kept_epoch")
+    if kept is None:
+        return ""
+    if kept == 0:
+        return "the initial network; no epoch had a finite loss on what was left out"
+    network = f"the network after {_count_of_epochs(kept)}"
+    more = facts["epochs"] - kept
+    if more == 0:
+        return f"{network}, the last"
+    return f"{network}; {more} more did not lower the loss on what was left out"
+
+
+def kept_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Return the line of the summary of a training that says which epoch was kept, if any does."""
+    text = kept_text(facts)
+    return [f"kept:         {text}"] if text else []
+
+
+def _count_of_epochs(count: int) -> str:
+    return "1 epoch" if count == 1 else f"{count} epochs"
+
+
+def _check_method(method: Method) -> None:
+    """Refuse numbers that would fill the memory, or are none.
+
+    Raises:
+        ValueError: says which.
+    """
+    for name in ("networks", "passes", "heads"):
+        count = getattr(method, name)
+        if type(count) is not int or not 1 <= count <= MOST_ESTIMATES:
+            raise ValueError(f"{name} is {count!r}")
+    if method.num_estimates > MOST_ESTIMATES:
+        raise ValueError(f"{method.num_estimates} estimates of each input")
+    if type(method.dropout) not in (int, float) or not 0.0 <= method.dropout < 1.0:
+        raise ValueError(f"dropout is {method.dropout!r}")
+
+
+def _check_epochs(facts: Mapping[str, Any]) -> None:
+    """Refuse numbers of epochs that contradict each other; older files have none.
+
+    Raises:
+        ValueError: says which.
+        KeyError: only one of both is there.
+    """
+    if "kept_epoch" not in facts and "epochs" not in facts:
+        return
+    for name in ("kept_epoch", "epochs"):
+        if type(facts[name]) is not int or facts[name] < 0:
+            raise ValueError(f"{name} is {facts[name]!r}")
+    if facts["kept_epoch"] > facts["epochs"]:
+        raise ValueError(f"kept_epoch is {facts['kept_epoch']} of {facts['epochs']} epochs")
+
+
 def read_arrays(path: Path, empty: Network, num_features: int) -> tuple[Network, Domain]:
     """Return networks and domain of a file.
 
     Args:
         path: the file.
-        empty: networks of the same structure, with a leading dimension of 1.
+        empty: networks of the same structure, with their leading dimension.
         num_features: that the trunk gives.
 
     Raises:
@@ -104,9 +165,9 @@ def read_arrays(path: Path, empty: Network, num_features: int) -> tuple[Network,
     return networks, Domain(*(np.asarray(part) for part in domain))
 
 
-def empty_networks(build_one: Callable[[jax.Array], Network]) -> Network:
-    """Return a structure to read a file into, of a function that builds one network of a key."""
-    networks: Network = eqx.filter_vmap(build_one)(jax.random.split(jax.random.key(0), 1))
+def empty_networks(build_one: Callable[[jax.Array], Network], count: int = 1) -> Network:
+    """Return a structure to read networks into, of a function that builds one of a key."""
+    networks: Network = eqx.filter_vmap(build_one)(jax.random.split(jax.random.key(0), count))
     return networks
 
 
@@ -120,7 +181,7 @@ def empty_domain(num_features: int) -> Domain:
 
 
 def trunk_features(networks: Network, inputs: FloatArray) -> FloatArray:
-    """Return the features, [N, f], that the trunk of one network gives of inputs."""
+    """Return the features, [N, f], that the trunk of the first network gives, without dropout."""
     return np.asarray(_features(networks, jnp.asarray(inputs, jnp.float32)), np.float64)
 
 
@@ -130,7 +191,7 @@ def saliency(
     """Return how much the loss depends on each cell, [rows, columns]: |∂loss/∂field|.
 
     Channels are in units of their standard deviation over these data, and added up; the result is
-    the mean over the data.
+    the mean over the data. The loss is that of the first network, without dropout.
 
     Args:
         network: of fields.
@@ -164,14 +225,16 @@ def _call(
     method: Method, space: TargetSpace, networks: Network, inputs: jax.Array
 ) -> tuple[jax.Array, jax.Array | None, jax.Array]:
     """Return estimates, outputs of the covariance head, and features."""
-    found, raw = methods.estimates(method, space, networks, inputs, jax.random.key(0))
+    found, raw = methods.estimates(
+        method, space, networks, inputs, jax.random.key(0), same_dropout=True
+    )
     return found, raw, _features(networks, inputs)
 
 
 @eqx.filter_jit
 def _features(networks: Network, inputs: jax.Array) -> jax.Array:
     first = jax.tree.map(lambda array: array[0], networks)
-    features: jax.Array = jax.vmap(lambda one: first.trunk(one, jax.random.key(0)))(inputs)
+    features: jax.Array = jax.vmap(lambda one: first.trunk(one, None))(inputs)
     return features
 
 
@@ -184,8 +247,7 @@ def _loss_gradients(
 
     def loss(field: jax.Array, target: jax.Array) -> jax.Array:
         """Return the loss of one datum."""
-        key = jax.random.key(0)
-        return methods.loss(space, first, field[None], target[None, None], key=key)
+        return methods.loss(space, first, field[None], target[None, None], key=None)
 
     gradients: jax.Array = jax.vmap(jax.grad(loss))(fields, targets)
     return gradients

@@ -5,6 +5,7 @@ from __future__ import annotations
 from operator import attrgetter
 
 from probevo.errors import InputError
+from probevo.network_settings import OF_METHODS
 from probevo.sensor_kinds import SENSOR_KINDS
 from probevo.training.settings import TrainSettings
 from probevo.training.trainer import trainer_of
@@ -78,3 +79,11 @@ def check_sensor_settings(settings: TrainSettings) -> None:
         if name not in kind.nets and getattr(settings.nets, name) != getattr(default.nets, name):
             flag = "--nets." + name.replace("_", "-")
             raise InputError(flag, f"--kind {kind.name} does not take it.", "Leave it out.")
+    for method, names in OF_METHODS.items():
+        for name in names:
+            if method != settings.nets.method and getattr(settings.nets, name) != getattr(
+                default.nets, name
+            ):
+                flag = f"--nets.{name}"
+                what = f"the method {settings.nets.method} does not take it."
+                raise InputError(flag, what, f"Leave it out, or take --nets.method {method}.")

@@ -1,5 +1,6 @@
 """The page on a learned sensor: a consistent one lies on the grey lines, others do not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,9 +44,18 @@ def test_the_page_and_the_terminal_say_the_same(tmp_path: Path) -> None:
     page = (tmp_path / "inspection.html").read_text()
     for text in ("What turn measures", "7 of 4,000 widened", "1 is consistent"):
         assert text in page
+    assert "Kept" not in page
     assert "7 of 4,000 widened" in "\n".join(lines)
     (mean,) = [line for line in lines if "mean" in line]
     assert float(mean.partition(": ")[2].split()[0]) == pytest.approx(4.0, abs=0.2)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_it_says_which_epoch_was_kept(tmp_path: Path) -> None:
+    errors = replace(errors_of(1.0), kept="the network after 3 epochs, the last")
+    lines = write_sensor_inspection(tmp_path, "turn", "drive", errors=errors)
+    assert "Kept: the network after 3 epochs, the last" in lines
+    assert "the network after 3 epochs, the last" in (tmp_path / "inspection.html").read_text()
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -46,6 +46,8 @@ def write_sensor_inspection(
         "φᵀ Σ⁻¹ φ / d, mean": f"{scale:.2f} (1 is consistent, more is overconfident)",
         "Out of its domain": f"{errors.num_out_of_domain:,} of {len(errors.errors):,} widened",
     }
+    if errors.kept:
+        facts["Kept"] = errors.kept
     table = text_table(("region", "errors within"), rows)
     with figure_style():
         panels = [panel("Calibration", "Consistent is on the grey line.", _calibration(covered))]
