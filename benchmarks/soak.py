@@ -284,6 +284,7 @@ class Watch:
             "heap_mb_per_hour": _per_hour(frames, used_mb, self.round_frames),
             "objects_per_hour": _per_hour(frames, objects, self.round_frames),
             "memory_mb": _first_most_last(memory_mb),
+            "memory_mb_by_round": _means(frames, memory_mb, self.round_frames).tolist(),
             "heap_mb": _first_most_last(used_mb),
             "objects": _first_most_last(objects),
             "threads": _first_most_last(threads),
@@ -310,10 +311,8 @@ def _per_hour(frames: FloatArray, values: FloatArray, round_frames: int) -> dict
     means of whole rounds; its standard error is that of their scatter about it. Both are NaN with
     fewer than three rounds.
     """
-    rounds = ((frames - frames[0]) // round_frames).astype(np.int64)
-    counts = np.bincount(rounds)[:-1]  # the last one is not whole
-    hours = np.bincount(rounds, frames)[:-1] / counts / (3600.0 * RATE_HZ)
-    means = np.bincount(rounds, values)[:-1] / counts
+    hours = _means(frames, frames, round_frames) / (3600.0 * RATE_HZ)
+    means = _means(frames, values, round_frames)
     if len(means) < 3:
         return {"slope": np.nan, "standard_error": np.nan}
     hours -= hours.mean()
@@ -321,6 +320,14 @@ def _per_hour(frames: FloatArray, values: FloatArray, round_frames: int) -> dict
     left = means - means.mean() - slope * hours
     variance = left @ left / (len(means) - 2) / (hours @ hours)
     return {"slope": float(slope), "standard_error": float(np.sqrt(variance))}
+
+
+def _means(frames: FloatArray, values: FloatArray, round_frames: int) -> FloatArray:
+    """Return the mean of the values at some frames over each whole round."""
+    rounds = ((frames - frames[0]) // round_frames).astype(np.int64)
+    # The last one is not whole.
+    means: FloatArray = np.bincount(rounds, values)[:-1] / np.bincount(rounds)[:-1]
+    return means
 
 
 def _first_most_last(values: FloatArray) -> list[float]:
@@ -380,10 +387,9 @@ class LiveSoak:
 
     def _wait(self) -> None:
         """Wait until nothing is left to be done, or the thread has ended."""
-        live = self.live
-        while live._fault is None:
+        while self.live._fault is None:
             with self.changed:
-                done = self.num_delivered + live.num_failed + live.num_dropped
+                done = self.num_delivered + self.live.num_failed + self.live.num_dropped
                 if done >= self.num_pushed:
                     return
                 self.changed.wait(0.002)
@@ -448,7 +454,7 @@ def soak_live(
             continue
         kind -= SHARE
         wait = True
-        if 0.0 <= kind < SHARE:
+        if 0.0 <= kind < SHARE and soak.num_pushed:  # a new LiveOdometry knows no stamp yet
             injected["refused frames"] += 1
             with suppress(InputError):
                 soak.live.push(replace(frame, stamp_ns=frame.stamp_ns - 10**14))
