@@ -36,6 +36,8 @@ def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, AnyA
     check_regular(path, LARGEST_FILE_BYTES)
     with zipfile.ZipFile(path) as archive:
         members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        if not members:  # a directory of zeros is one without members, and has no checksum
+            raise ValueError("it holds no arrays")
         chosen = [name for name in members if names is None or name in names]
         return {name: _read_array(archive, members[name]) for name in chosen}
 
