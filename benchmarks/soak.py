@@ -20,8 +20,9 @@ exception of a sensor, of the noise model or of the callback, or by a damaged im
 compared with `stopped` and `faults` of the `metrics.json` that the run has written.
 
 Resident memory, memory in use (`heap.py`), the number of small Python objects, threads and file
-handles are sampled. Slopes are fitted after the first ten minutes of frames, or a fifth of them if
-these are fewer, and are those of an hour of frames. Latencies are those of the clock, which
+handles are sampled. Slopes are fitted to the means of rounds through all versions of the recording,
+after the first ten minutes of frames, or a fifth of them if these are fewer, and are those of an
+hour of frames, with their standard error. Latencies are those of the clock, which
 depend on what else the machine does, and those of the processor time of the thread that steps.
 Linux.
 """
@@ -71,6 +72,7 @@ STOP_SHARE = 0.00025
 STALL_S = 0.2
 LONGEST_RUN = 3_000
 """Frames of a run that nothing ends."""
+MOST_STEPS = 1_000_000
 EVERY = 100
 """Frames from one sample of memory to the next."""
 RATE_HZ = 10.0
@@ -237,13 +239,15 @@ class Watch:
 
     minutes: float
     num_frames: int
+    round_frames: int
+    """Frames after which the recording begins again with its first version."""
     start_s: float = field(default_factory=time.monotonic)
-    samples: list[tuple[float, ...]] = field(default_factory=list)
-    """Step, resident memory and memory in use (NaN where it is not known) in MB, small objects,
-    threads, handles."""
     num_steps: int = 0
-    times_ms: FloatArray = field(default_factory=lambda: np.full((1_000_000, 2), 1.0))
+    times_ms: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS, 2), 1.0))
     """By the clock and by the processor; written to now, so that it is in memory from now on."""
+    samples: FloatArray = field(default_factory=lambda: np.full((MOST_STEPS // EVERY, 6), 1.0))
+    """Step, resident memory and memory in use (NaN where it is not known) in MB, small objects,
+    threads, handles; rows of numbers, since the objects of a list would be counted, too."""
 
     def is_over(self) -> bool:
         """Whether the frames or the minutes are over."""
@@ -258,30 +262,29 @@ class Watch:
             threads = len(os.listdir("/proc/self/task"))  # noqa: PTH208
             handles = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
             used_mb = heap_mb()
-            self.samples.append(
-                (
-                    self.num_steps,
-                    resident_mb(),
-                    np.nan if used_mb is None else used_mb,
-                    sys.getallocatedblocks(),
-                    threads,
-                    handles,
-                )
+            self.samples[self.num_steps // EVERY - 1] = (
+                self.num_steps,
+                resident_mb(),
+                np.nan if used_mb is None else used_mb,
+                sys.getallocatedblocks(),
+                threads,
+                handles,
             )
 
     def facts(self) -> dict[str, Any]:
         """Return what was found."""
-        samples = np.array(self.samples)
+        samples = self.samples[: self.num_steps // EVERY]
         late = samples[samples[:, 0] >= min(SETTLED, 0.2 * samples[-1, 0])]
         frames, memory_mb, used_mb, objects, threads, handles = late.T
         return {
             "frames": self.num_steps,
             "minutes": (time.monotonic() - self.start_s) / 60.0,
             "slope_from_frame": int(frames[0]),
-            "memory_mb_per_hour": _per_hour(frames, memory_mb),
-            "heap_mb_per_hour": _per_hour(frames, used_mb),
-            "objects_per_hour": _per_hour(frames, objects),
+            "memory_mb_per_hour": _per_hour(frames, memory_mb, self.round_frames),
+            "heap_mb_per_hour": _per_hour(frames, used_mb, self.round_frames),
+            "objects_per_hour": _per_hour(frames, objects, self.round_frames),
             "memory_mb": _first_most_last(memory_mb),
+            "memory_mb_by_round": _means(frames, memory_mb, self.round_frames).tolist(),
             "heap_mb": _first_most_last(used_mb),
             "objects": _first_most_last(objects),
             "threads": _first_most_last(threads),
@@ -301,9 +304,30 @@ class Watch:
         }
 
 
-def _per_hour(frames: FloatArray, values: FloatArray) -> float:
-    """Return by how much values at the numbers of some frames grow in an hour of frames."""
-    return 3600.0 * RATE_HZ * float(np.polyfit(frames, values, 1)[0])
+def _per_hour(frames: FloatArray, values: FloatArray, round_frames: int) -> dict[str, float]:
+    """Return by how much values at the numbers of some frames grow in an hour of frames.
+
+    What a step holds depends on where in the recording it is. The line is therefore fitted to the
+    means of whole rounds; its standard error is that of their scatter about it. Both are NaN with
+    fewer than three rounds.
+    """
+    hours = _means(frames, frames, round_frames) / (3600.0 * RATE_HZ)
+    means = _means(frames, values, round_frames)
+    if len(means) < 3:
+        return {"slope": np.nan, "standard_error": np.nan}
+    hours -= hours.mean()
+    slope = hours @ means / (hours @ hours)
+    left = means - means.mean() - slope * hours
+    variance = left @ left / (len(means) - 2) / (hours @ hours)
+    return {"slope": float(slope), "standard_error": float(np.sqrt(variance))}
+
+
+def _means(frames: FloatArray, values: FloatArray, round_frames: int) -> FloatArray:
+    """Return the mean of the values at some frames over each whole round."""
+    rounds = ((frames - frames[0]) // round_frames).astype(np.int64)
+    # The last one is not whole.
+    means: FloatArray = np.bincount(rounds, values)[:-1] / np.bincount(rounds)[:-1]
+    return means
 
 
 def _first_most_last(values: FloatArray) -> list[float]:
@@ -363,10 +387,9 @@ class LiveSoak:
 
     def _wait(self) -> None:
         """Wait until nothing is left to be done, or the thread has ended."""
-        live = self.live
-        while live._fault is None:
+        while self.live._fault is None:
             with self.changed:
-                done = self.num_delivered + live.num_failed + live.num_dropped
+                done = self.num_delivered + self.live.num_failed + self.live.num_dropped
                 if done >= self.num_pushed:
                     return
                 self.changed.wait(0.002)
@@ -431,7 +454,7 @@ def soak_live(
             continue
         kind -= SHARE
         wait = True
-        if 0.0 <= kind < SHARE:
+        if 0.0 <= kind < SHARE and soak.num_pushed:  # a new LiveOdometry knows no stamp yet
             injected["refused frames"] += 1
             with suppress(InputError):
                 soak.live.push(replace(frame, stamp_ns=frame.stamp_ns - 10**14))
@@ -653,7 +676,10 @@ def main() -> None:
         versions.append(Version.rendered(sequence))
     versions += [Version.spoiled(sequence, seed) for seed in range(given.spoiled)]
     played = endless(versions, forwards=given.forwards)
-    watch = Watch(given.minutes, given.frames)
+    # Back and forth, the first frame and the last one are played once, the others twice.
+    num_frames = [len(version.frames) for version in versions]
+    round_frames = sum(n if given.forwards else 2 * n - 2 for n in num_frames)
+    watch = Watch(given.minutes, given.frames, round_frames)
     soak = soak_live if given.through == "live" else soak_run
     found = soak(played, sequence, watch, estimator=given.estimator, seed=given.seed)
     facts = {"through": given.through, "estimator": given.estimator, **watch.facts(), **found}

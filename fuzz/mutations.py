@@ -274,7 +274,7 @@ def mutated_array(array: np.ndarray[Any, Any], rng: Generator) -> np.ndarray[Any
         with np.errstate(all="ignore"):
             try:
                 return array.astype(one_of(DTYPES, rng))
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, RuntimeError):  # the last one of dates as short bytes
                 return np.zeros(0)
     shapes: tuple[Callable[[], np.ndarray[Any, Any]], ...] = (
         lambda: array.ravel(),

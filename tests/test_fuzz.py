@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fuzz.mutations import DTYPES, mutated_array
 from fuzz.pool import Mutant, Outcome, try_mutant
 from fuzz.targets import Seed, Target, Use, all_targets, step_all, write_files
 
@@ -82,3 +83,12 @@ def test_a_mutant_replaces_the_one_before(tmp_path: Path) -> None:
     write_files(tmp_path / "x", {"a/b": b"1"})
     write_files(tmp_path / "x", {"c": b"2"})
     assert [path.name for path in (tmp_path / "x").iterdir()] == ["c"]
+
+
+@pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning")
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_arrays_of_every_type_have_mutants(dtype: str) -> None:
+    """Also those that a mutation has made: another one follows."""
+    array = np.zeros(4).astype(dtype)
+    for seed in range(300):
+        assert isinstance(mutated_array(array, np.random.default_rng(seed)), np.ndarray)

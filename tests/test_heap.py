@@ -1,5 +1,6 @@
 """``benchmarks/heap.py``: the memory in use is what arrays take, while they are there."""
 
+import gc
 import importlib.util
 from pathlib import Path
 from types import ModuleType
@@ -38,4 +39,14 @@ def test_arrays_come_and_go(size_mb: float) -> None:
 
 def test_another_c_library_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(heap.ctypes, "CDLL", lambda name: object())
+    heap._mallinfo2.cache_clear()
     assert heap.heap_mb() is None
+    heap._mallinfo2.cache_clear()
+
+
+def test_a_sample_leaves_no_cycle_behind() -> None:
+    heap.heap_mb()
+    gc.collect()
+    for _ in range(100):
+        heap.heap_mb()
+    assert gc.collect() < 10

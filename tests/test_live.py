@@ -3,6 +3,7 @@ nothing is timed."""
 
 import gc
 import threading
+import traceback
 import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -301,6 +302,53 @@ def test_a_step_that_fails_is_counted_and_the_next_frame_is_processed(error: Exc
         assert estimate.motion.T_curr_prev.tobytes() == motion.T_curr_prev.tobytes()
         assert estimate.motion.cov.tobytes() == motion.cov.tobytes()
     assert estimates[3].prev_stamp_ns == frames[2].stamp_ns
+
+
+class Raising:
+    """An odometry whose step of frame 0 raises."""
+
+    camera = Gated.camera
+
+    def step(self, frame: Frame) -> pv.MotionEstimate:
+        try:
+            raise KeyError(frame.index)
+        except KeyError as error:
+            if frame.index == 0:
+                raise ZeroDivisionError from error
+        return pv.MotionEstimate(np.eye(4), np.eye(6), pv.Status.OK, 0)
+
+
+def test_what_has_failed_keeps_neither_images_nor_the_odometry() -> None:
+    """Neither the last failure nor the fault that has ended it, although their lines are known."""
+    kept: list[weakref.ref[object]] = []
+
+    def seen(index: int) -> Frame:
+        image = np.zeros((4, 4), np.uint8)
+        kept.append(weakref.ref(image))
+        return replace(blind_frame(index), left=image)
+
+    def fail(estimate: pv.LiveEstimate) -> None:
+        raise OverflowError
+
+    odometry = Raising()
+    gc.collect()
+    gc.disable()  # what a collection of cycles would find may stay for hours
+    try:
+        live = pv.LiveOdometry(odometry, waiting=9, on_estimate=fail)
+        live.push(seen(0))
+        live.push(seen(1))
+        with pytest.raises(OverflowError):
+            live.close()
+        with pytest.raises(OverflowError):
+            live.push(seen(2))
+        kept.append(weakref.ref(odometry))
+        del odometry
+        alive = [thing() is not None for thing in kept]
+    finally:
+        gc.enable()
+    assert alive == [False] * 4
+    assert isinstance(live.last_failure, ZeroDivisionError)
+    assert traceback.extract_tb(live.last_failure.__traceback__)[-1].name == "step"
 
 
 def test_a_refused_frame_leaves_its_imu_samples_to_the_next() -> None:

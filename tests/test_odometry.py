@@ -180,6 +180,20 @@ def test_a_gap_in_time_is_said_and_bridged() -> None:
     assert motions[10].cov[2, 2] > 100.0
 
 
+@pytest.mark.parametrize("pause_s", [100, 10_000])
+@pytest.mark.parametrize("first", [2, 5, 11])
+def test_after_a_long_pause_the_window_goes_on(first: int, pause_s: int) -> None:
+    """The motion over the pause is so uncertain that rounding would lose it beside the others."""
+    frames = [
+        replace(frame, stamp_ns=frame.stamp_ns + (frame.index >= first) * pause_s * 1_000_000_000)
+        for frame in drive(np.random.default_rng(0), 16)
+    ]
+    for motion in run(frames)[1:]:
+        assert is_proper(motion)
+        assert np.isfinite(motion.pose_cov).all()
+        assert (np.diag(motion.pose_cov) >= 0.0).all()
+
+
 def test_outlier_frames_are_refused() -> None:
     """All features of one frame swap places: no motion explains them, and the frame is
     dead-reckoned."""

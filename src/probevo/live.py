@@ -3,11 +3,14 @@ behind."""
 
 from __future__ import annotations
 
+import inspect
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from threading import Condition, Thread, current_thread
 from time import perf_counter
+from traceback import walk_tb
 from types import TracebackType
 
 from probevo.errors import InputError
@@ -26,6 +29,9 @@ would accumulate if nobody reads the estimates."""
 MAX_FAILURES = 30
 """Number of failing steps in a row after which the thread gives up. A single failure may be a
 broken image; after so many the fault is permanent, and nobody should wait for an estimate."""
+
+_MAY_BE_SUSPENDED = inspect.CO_GENERATOR | inspect.CO_COROUTINE | inspect.CO_ASYNC_GENERATOR
+"""Flags of a call that may go on after an exception has passed it."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,8 @@ class LiveOdometry:
 
     ``with LiveOdometry(…) as live:`` closes it at the end, at once if that is an exception. The
     exception of a permanent fault, or of ``on_estimate``, ends the thread, and is raised by
-    ``push``, ``estimates()`` and ``close``.
+    ``push``, ``estimates()`` and ``close``. Exceptions that are kept have the lines of their
+    traceback, but not the variables of these calls, which would keep images.
 
     Args:
         odometry: the odometry; nothing else may call its ``step`` meanwhile.
@@ -120,7 +127,7 @@ class LiveOdometry:
     ) -> None:
         if waiting < 1:
             raise ValueError(f"waiting is {waiting}; at least one frame has to wait")
-        self._odometry = odometry
+        self._camera = odometry.camera
         self._waiting = waiting
         self._on_estimate = on_estimate
         self._frames: deque[_Arrival] = deque()
@@ -136,7 +143,7 @@ class LiveOdometry:
         self._fault: BaseException | None = None
         self._fault_traceback: TracebackType | None = None
         self._changed = Condition()  # guards all of the above
-        self._thread = Thread(target=self._work, name="probevo-live", daemon=True)
+        self._thread = Thread(target=self._work, args=(odometry,), name="probevo-live", daemon=True)
         self._thread.start()
 
     @property
@@ -177,12 +184,14 @@ class LiveOdometry:
         """
         time_s = perf_counter()
         with self._changed:
+            if self._fault is not None:
+                del frame  # the fault, which is kept, keeps this call once it is raised here
             self._raise_fault()
             if self._closed:
                 raise RuntimeError("pushed a frame after close()")
             try:
                 frame = with_plain_arrays(frame)
-                validated(frame, self._odometry.camera, prev_frame=self._newest)
+                validated(frame, self._camera, prev_frame=self._newest)
             except InputError:
                 self._num_refused += 1
                 self._keep_imu(usable_imu(frame))
@@ -251,50 +260,60 @@ class LiveOdometry:
             # The traceback of the thread, so that it does not grow each time that it is raised.
             raise self._fault.with_traceback(self._fault_traceback)
 
-    def _work(self) -> None:
-        """Step the odometry until it is closed: the thread."""
-        prev_stamp_ns = None
-        failed: _Arrival | None = None  # the last frames, if their steps failed
-        num_in_a_row = 0
+    def _work(self, odometry: StereoOdometry) -> None:
+        """Step the odometry until it is closed, and keep what has ended that: the thread."""
         try:
-            while (arrival := self._next_arrival()) is not None:
-                if failed is not None:
-                    arrival = arrival.after_failed(failed)
-                try:
-                    motion = self._odometry.step(arrival.frame)
-                except Exception as error:
-                    num_in_a_row += 1
-                    self._count_failure(error)
-                    if num_in_a_row >= MAX_FAILURES:
-                        raise
-                    failed = arrival
-                    continue
-                failed = None
-                num_in_a_row = 0
-                frame = arrival.frame
-                self._deliver(
-                    LiveEstimate(
-                        index=frame.index,
-                        stamp_ns=frame.stamp_ns,
-                        prev_stamp_ns=prev_stamp_ns,
-                        motion=motion,
-                        num_dropped=arrival.num_dropped,
-                        num_failed=arrival.num_failed,
-                        latency_ms=1e3 * (perf_counter() - arrival.time_s),
-                    )
-                )
-                prev_stamp_ns = frame.stamp_ns
+            self._step_frames(odometry)
         except BaseException as error:  # noqa: BLE001 - raised again in the threads that ask
+            _release_variables(error)
             with self._changed:
                 self._fault = error
                 self._fault_traceback = error.__traceback__
         finally:
+            del odometry  # an exception keeps this call
             with self._changed:
+                if self._last_failure is not None:
+                    _release_variables(self._last_failure)  # of the call that was running then
                 self._closed = True
                 self._ended = True
                 self._num_dropped += len(self._frames)  # a fault leaves what waits unprocessed
                 self._frames.clear()
+                self._newest = None
+                self._refused_imu = None
                 self._changed.notify_all()
+
+    def _step_frames(self, odometry: StereoOdometry) -> None:
+        """Step the odometry until it is closed."""
+        prev_stamp_ns = None
+        failed: _Arrival | None = None  # the last frames, if their steps failed
+        num_in_a_row = 0
+        while (arrival := self._next_arrival()) is not None:
+            if failed is not None:
+                arrival = arrival.after_failed(failed)
+            try:
+                motion = odometry.step(arrival.frame)
+            except Exception as error:
+                num_in_a_row += 1
+                self._count_failure(error)
+                if num_in_a_row >= MAX_FAILURES:
+                    raise
+                failed = arrival
+                continue
+            failed = None
+            num_in_a_row = 0
+            frame = arrival.frame
+            self._deliver(
+                LiveEstimate(
+                    index=frame.index,
+                    stamp_ns=frame.stamp_ns,
+                    prev_stamp_ns=prev_stamp_ns,
+                    motion=motion,
+                    num_dropped=arrival.num_dropped,
+                    num_failed=arrival.num_failed,
+                    latency_ms=1e3 * (perf_counter() - arrival.time_s),
+                )
+            )
+            prev_stamp_ns = frame.stamp_ns
 
     def _keep_imu(self, imu: ImuSamples | None) -> None:
         """Keep the samples of a refused frame for the next one."""
@@ -303,6 +322,7 @@ class LiveOdometry:
         self._refused_imu = imu
 
     def _count_failure(self, error: Exception) -> None:
+        _release_variables(error)
         with self._changed:
             self._num_failed += 1
             self._last_failure = error
@@ -323,3 +343,20 @@ class LiveOdometry:
         with self._changed:
             self._unread.append(estimate)
             self._changed.notify_all()
+
+
+def _release_variables(error: BaseException) -> None:
+    """Clear the variables of the calls that an exception has passed, as far as these are over.
+
+    Its traceback refers to them, and they to images and states of the odometry. Files and lines
+    remain.
+    """
+    cause: BaseException | None = error
+    seen: set[int] = set()
+    while cause is not None and id(cause) not in seen:
+        seen.add(id(cause))
+        for frame, _ in walk_tb(cause.__traceback__):
+            if not frame.f_code.co_flags & _MAY_BE_SUSPENDED:
+                with suppress(RuntimeError):  # it is still running
+                    frame.clear()
+        cause = cause.__cause__ or cause.__context__

@@ -12,6 +12,7 @@ pytest.importorskip("rosbags")
 from cli.rendering import write_wall
 from probevo.cli.main import main
 from probevo.sequences import open_sequence
+from probevo.storage.lock import LOCK
 from sequences.recordings import T_CAM_IMU, write_folder_sequence, write_kitti_raw
 
 TARGETS = ("recording.bag", "recording.mcap", "recording.db3", "recording")
@@ -129,6 +130,21 @@ def test_a_file_that_exists_is_never_replaced(
     assert main(["convert", str(bag), "--out", str(bag), "--max-frames", "2"]) == 2
     assert "drive.mcap exists" in capsys.readouterr().err
     assert bag.read_bytes() == before
+
+
+def test_what_a_kill_has_left_beside_a_whole_file_goes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The next call refuses to replace the file, and leaves nothing else."""
+    source = write_folder_sequence(tmp_path / "source", imu=False)
+    words = ["convert", str(source), "--out", str(tmp_path / "drive.mcap")]
+    assert main(words) == 0
+    left = tmp_path / "drive.mcap.work"
+    left.mkdir()
+    (left / LOCK).write_text("process 1")
+    assert main(words) == 2
+    assert "drive.mcap exists" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.mcap", "source"]
 
 
 def test_a_folder_is_there_when_it_is_complete(

@@ -219,6 +219,7 @@ def test_ros(tmp_path: Path) -> None:
         (b"[1, 2]", "no calibration"),
         (b"cam0: {intrinsics: [1]}", "one camera"),
         (b"a: !!opencv-matrix 3", "not YAML"),
+        (b"a: !!opencv-matrix [50., 0., 31.]", "found a sequence"),
         (b"\xff\xfe\x00", "text"),
     ],
 )

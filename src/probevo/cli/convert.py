@@ -61,6 +61,9 @@ def main(words: list[str]) -> None:
     ros = checked(arguments.ros)
     if arguments.max_frames is not None and arguments.max_frames < 1:
         raise InputError("--max-frames", f"is {arguments.max_frames}.", "It must be at least 1.")
+    if arguments.out.is_file() and _work_folder(arguments.out).is_dir():
+        with _as_only_writer(arguments.out):  # refuses the file, once what a kill has left is gone
+            pass
     _check_new(arguments.out)
     if (arguments.source / MOTIONS).is_file():
         with _as_only_writer(arguments.out):
@@ -96,6 +99,10 @@ def _check_new(out: Path) -> None:
         raise InputError("--out", f"{out} exists.", "Name another file, or remove that one.")
 
 
+def _work_folder(out: Path) -> Path:
+    return out.with_name(f"{out.name}.work")
+
+
 @contextmanager
 def _as_only_writer(out: Path) -> Iterator[Path]:
     """Give a folder to work in, beside the output, while no other process converts into it.
@@ -105,7 +112,7 @@ def _as_only_writer(out: Path) -> Iterator[Path]:
     """
     from probevo.storage.lock import locked
 
-    work = out.with_name(f"{out.name}.work")
+    work = _work_folder(out)
     try:
         with locked(work):
             _check_new(out)

@@ -86,6 +86,10 @@ LEAST_DAMPING = 1e-4
 """Share of its diagonal that is first added to the Hessian, after a step that raised the cost."""
 COST_TOLERANCE = 1.0
 """Nats by which a step may raise the cost."""
+MOST_UNKNOWN = np.repeat([1e3, 1e2], 3)
+"""Largest standard deviation of a measured motion, m and rad: a kilometre and many turns, of which
+nothing is known. Beside features that know the motions between other frames to 0.1 mm, rounding
+would lose what is less certain."""
 LEAST_VARIANCE_PX2 = 1e-12
 """Variance of a time-correlated disparity error in a noise model that knows none."""
 
@@ -248,7 +252,7 @@ class WindowEstimator:
         # A corrected motion is one of the measurements already, and must not count twice.
         is_among_them = any(one is motion for one in measurements)
         if not is_among_them and not inertial.bridges_newest(extended):
-            measurements = [*measurements, motion]
+            measurements = [*measurements, _bounded(motion)]
         measured = with_measurements(extended, measurements)
         try:
             adjusted = self.adjusted(measured).window
@@ -628,6 +632,16 @@ class WindowEstimator:
             inertial=inertial.after_step(window, system.inertial, step),
             landmarks=window.landmarks._replace(state=state),
         )
+
+
+def _bounded(motion: RelativePose) -> RelativePose:
+    """Return a measured motion that is as if known to ``MOST_UNKNOWN``, where it is known less."""
+    sigma = np.sqrt(np.diagonal(motion.covariance))
+    if (sigma <= MOST_UNKNOWN).all():
+        return motion
+    factor = np.minimum(1.0, MOST_UNKNOWN / sigma)
+    cov = factor[:, None] * motion.covariance * factor
+    return RelativePose(motion.T_curr_prev, cov, motion.curr, motion.prev)
 
 
 def _rows_of(window: Window, ids: IntArray, slot: int) -> IntArray:

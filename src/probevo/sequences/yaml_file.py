@@ -107,7 +107,11 @@ class NoKeyTwice(yaml.SafeLoader):
         return root
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """Return the mapping of a node; refuse a key given twice."""
+        """Return the mapping of a node; refuse a key given twice, and a node of another kind."""
+        if not isinstance(node, yaml.MappingNode):  # a list or a scalar, by its tag a mapping
+            raise yaml.constructor.ConstructorError(
+                None, None, f"expected `key: value` lines, but found a {node.id}", node.start_mark
+            )
         seen: set[tuple[str, str]] = set()
         for key, _ in node.value:
             name = (key.tag, str(key.value))

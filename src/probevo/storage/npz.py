@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import zipfile
 from collections.abc import Collection
 from pathlib import Path
@@ -16,6 +17,12 @@ from probevo.storage.files import NO_ARCHIVE, check_regular
 LARGEST_FILE_BYTES = 100_000_000_000
 LARGEST_ARRAY_BYTES = 1 << 31
 """67 million observations, those of four hours at 10 Hz and 450 features a frame."""
+END_BYTES = 22
+"""Size of the record that ends an archive, without its comment."""
+NUM_MEMBERS = slice(10, 12)
+"""Bytes of it with the number of members."""
+ZIP64 = 0xFFFF
+"""Number that stands for a larger one, which is elsewhere."""
 NO_NPZ = (*NO_ARCHIVE, RuntimeError)
 """The exceptions of ``read_npz``; a RuntimeError is an encrypted member, or nested too deeply."""
 
@@ -36,8 +43,26 @@ def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, AnyA
     check_regular(path, LARGEST_FILE_BYTES)
     with zipfile.ZipFile(path) as archive:
         members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        _check_directory(path, archive)
         chosen = [name for name in members if names is None or name in names]
         return {name: _read_array(archive, members[name]) for name in chosen}
+
+
+def _check_directory(path: Path, archive: zipfile.ZipFile) -> None:
+    """Check that the directory of an archive is whole, which no checksum covers.
+
+    Raises:
+        ValueError: it holds no arrays, or another number of them than it says.
+    """
+    found = len(archive.infolist())
+    if not found:
+        raise ValueError("it holds no arrays")
+    with path.open("rb") as stream:
+        stream.seek(-END_BYTES - len(archive.comment), os.SEEK_END)
+        end = stream.read(END_BYTES)
+    claimed = int.from_bytes(end[NUM_MEMBERS], "little")
+    if claimed not in (found, ZIP64):
+        raise ValueError(f"its directory says {claimed} arrays, and names {found}")
 
 
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> AnyArray:
