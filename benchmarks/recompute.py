@@ -69,6 +69,7 @@ FIGURES = (
         minutes=3,
         needs_data=True,
     ),
+    Figure("random-rigs", ("docs/accuracy.md",), "python benchmarks/random_rigs.py", minutes=15),
     Figure(
         "plain-odometry",
         ("docs/accuracy.md",),

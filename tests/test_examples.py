@@ -124,11 +124,11 @@ def test_learn_whom_to_trust(
     monkeypatch.setattr(
         example, "open_scene", lambda config: rendered_once(config.model_copy(update={"rig": rig}))
     )
-    example.main(18.0)
+    example.main(24.0)
     lines = capsys.readouterr().out.splitlines()
     mean_mm = {line.split()[0]: float(line.split()[1]) for line in lines[1:]}
     assert list(mean_mm) == ["fixed", "student-t", "learned"]
-    assert mean_mm["learned"] < 0.95 * mean_mm["student-t"]
+    assert mean_mm["learned"] < 0.98 * mean_mm["student-t"]
 
 
 def test_merge_rows(monkeypatch: pytest.MonkeyPatch) -> None:
