@@ -21,6 +21,7 @@ from probevo.estimation.feature_weights import (
 from probevo.estimation.initial_motion import are_enough, initial_motion
 from probevo.estimation.motion_estimate import Status
 from probevo.estimation.motion_model import MotionPrediction
+from probevo.estimation.ransac import Consensus
 from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
 from probevo.estimation.two_frame import Estimate, Estimator, TwoFrameEstimator
 from probevo.geometry.uncertainty import normalized_error_squared
@@ -120,6 +121,21 @@ class _FittingNoise(NamedTuple):
 
 
 @dataclass(frozen=True)
+class _Solve:
+    """A solve, and the tracks and noise that it used."""
+
+    used: BoolArray
+    """Which of the N tracks of the step it used, [N]."""
+    tracks: Tracks
+    """The tracks used."""
+    noise: StereoNoise
+    """Their noise."""
+    estimate: Estimate
+    enlargement: float = 1.0
+    """Factor by which the covariance of the motion was enlarged."""
+
+
+@dataclass(frozen=True)
 class MotionPriors:
     """What is known about a step before its tracks are used."""
 
@@ -194,97 +210,138 @@ class VisualEstimator:
             right_sigma_px=self._right_sigma_px(priors.jitter_cov),
         )
         clock.lap("consensus")
-        used = consensus.inliers
-        weights = np.zeros(len(tracks))
-        if not are_enough(used, self._config):
-            return VisualMotion(Status.TOO_FEW_TRACKS, weights, used=np.zeros_like(used))
-        # Solve with the inliers, each under its own predicted noise.
-        inliers = tracks.kept(used)
-        noise = self._noise.predict(phi[used])
-        if priors.jitter_cov is not None:
-            noise = replace(noise, jitter_cov=priors.jitter_cov)
-        estimate = self._estimator.estimate(
-            inliers,
-            noise,
-            priors.disparities,
-            guess=consensus.T_curr_prev,
-            others=priors.measurements,
-            curr=priors.curr,
-        )
-        enlargement = 1.0
-        if self._is_noisier_than_expected(estimate):
-            fitting = self._noise_that_fits(
-                tracks, phi, estimate.solution.T_curr_prev, jitter_cov=noise.jitter_cov
-            )
-            if num_trusted(estimate) >= self._config.solver.min_tracks:
-                # There are inliers enough to determine the motion, but they understate the noise:
-                # the solve went where some tracks agree by chance. Enlarge the covariance to the
-                # scatter of all tracks, rather too much than too little.
-                solution = estimate.solution
-                enlargement = _scale_shown(solution.squared, noise)
-                if are_enough(fitting.agree, self._config):
-                    enlargement = max(enlargement, fitting.factor)
-                estimate = replace(
-                    estimate, solution=replace(solution, cov=enlargement * solution.cov)
-                )
-            elif are_enough(fitting.agree, self._config):
-                # Hardly a track fits the predicted noise, but most agree under a larger one. Solve
-                # again with that, instead of rejecting a frame that is only noisy.
-                used = fitting.agree
-                inliers = tracks.kept(used)
-                noise = fitting.noise.subset(np.flatnonzero(used))
-                estimate = self._estimator.estimate(
-                    inliers,
-                    noise,
-                    DisparityFilter.none(),  # its covariances assume the smaller noise
-                    guess=estimate.solution.T_curr_prev,
-                    others=priors.measurements,
-                    curr=priors.curr,
-                )
-        weights[used] = estimate.weights
-        solution = estimate.solution
-        # Calibration and predictors need the residuals of these two frames alone. Those against the
-        # filtered disparities depend on all earlier frames, which were corrected with the same
-        # calibration: it would confirm itself.
-        two_frames_only = solution
-        if estimate.has_history.any() or priors.measurements:
-            observations = StereoObservations.of(
-                inliers.prev_px,
-                inliers.curr_px,
-                noise,
-                camera=self._camera,
-                loss=RobustLoss.named(self._config.solver.loss),
-            )
-            # No iteration: these are the residuals at the motion found.
-            two_frames_only = solve_reprojection(
-                observations,
-                guess=solution.T_curr_prev,
-                eta=_of_two_frames(solution, observations),
-                max_iterations=0,
-            )
+        if not are_enough(consensus.inliers, self._config):
+            nothing = np.zeros(len(tracks))
+            return VisualMotion(Status.TOO_FEW_TRACKS, nothing, used=nothing.astype(bool))
+        solve = self._solve_with_fitting_noise(tracks, phi, consensus, priors)
+        solution = solve.estimate.solution
+        two_frames_only = self._two_frames_only(solve, priors)
         clock.lap("solve")
-        # Accept or reject.
         status = evaluate_status(
             solution,
-            estimate.weights,
+            solve.estimate.weights,
             priors.prediction,
             num_tracks=len(tracks),
             config=self._config,
         )
         T_reference = solution.T_curr_prev
         if self._predicts_from_motion:
-            T_reference = self._confirmed(estimate, inliers, consensus.T_curr_prev, priors)
-        outside = noise.out_of_domain
+            T_reference = self._confirmed(solve, consensus.T_curr_prev, priors)
+        weights = np.zeros(len(tracks))
+        weights[solve.used] = solve.estimate.weights
+        outside = solve.noise.out_of_domain
         return VisualMotion(
             status=status,
             weights=weights,
-            used=used,
+            used=solve.used,
             solution=None if status is Status.DEGENERATE else solution,
             two_frames_only=two_frames_only,
             T_reference=T_reference,
-            noise=noise.scaled(np.full(len(inliers), enlargement)),
-            disparities=(estimate.disparities if status is Status.OK else DisparityFilter.none()),
+            noise=solve.noise.scaled(np.full(len(solve.tracks), solve.enlargement)),
+            disparities=(
+                solve.estimate.disparities if status is Status.OK else DisparityFilter.none()
+            ),
             num_out_of_domain=None if outside is None else int(outside.sum()),
+        )
+
+    def _solve_with_fitting_noise(
+        self, tracks: Tracks, phi: FloatArray, consensus: Consensus, priors: MotionPriors
+    ) -> _Solve:
+        """Solve with the inliers of RANSAC under their predicted noise, or under a larger one if
+        their residuals show that.
+
+        Args:
+            tracks: the N tracks.
+            phi: their predictors, [N, M].
+            consensus: the motion that RANSAC found, and its inliers.
+            priors: what is known about the step before its tracks are used.
+        """
+        used = consensus.inliers
+        noise = self._noise.predict(phi[used])
+        if priors.jitter_cov is not None:
+            noise = replace(noise, jitter_cov=priors.jitter_cov)
+        inliers = tracks.kept(used)
+        estimate = self._solve(
+            inliers, noise, priors.disparities, guess=consensus.T_curr_prev, priors=priors
+        )
+        solve = _Solve(used, inliers, noise, estimate)
+        if not self._is_noisier_than_expected(estimate):
+            return solve
+        solution = estimate.solution
+        fitting = self._noise_that_fits(
+            tracks, phi, solution.T_curr_prev, jitter_cov=noise.jitter_cov
+        )
+        most_agree = are_enough(fitting.agree, self._config)
+        if num_trusted(estimate) >= self._config.solver.min_tracks:
+            # There are inliers enough to determine the motion, but they understate the noise: the
+            # solve went where some tracks agree by chance. Enlarge the covariance to the scatter of
+            # all tracks, rather too much than too little.
+            enlargement = _scale_shown(solution.squared, noise)
+            if most_agree:
+                enlargement = max(enlargement, fitting.factor)
+            enlarged = replace(solution, cov=enlargement * solution.cov)
+            return replace(
+                solve,
+                estimate=replace(estimate, solution=enlarged),
+                enlargement=enlargement,
+            )
+        if not most_agree:
+            return solve
+        # Hardly a track fits the predicted noise, but most agree under a larger one. Solve again
+        # with that, instead of rejecting a frame that is only noisy.
+        agreeing = tracks.kept(fitting.agree)
+        larger = fitting.noise.subset(np.flatnonzero(fitting.agree))
+        again = self._solve(
+            agreeing,
+            larger,
+            DisparityFilter.none(),  # its covariances assume the smaller noise
+            guess=solution.T_curr_prev,
+            priors=priors,
+        )
+        return _Solve(fitting.agree, agreeing, larger, again)
+
+    def _solve(
+        self,
+        tracks: Tracks,
+        noise: StereoNoise,
+        disparities: DisparityFilter,
+        *,
+        guess: FloatArray,
+        priors: MotionPriors,
+    ) -> Estimate:
+        """Solve for the motion of tracks under a noise, with all that is known beside them."""
+        return self._estimator.estimate(
+            tracks,
+            noise,
+            disparities,
+            guess=guess,
+            others=priors.measurements,
+            curr=priors.curr,
+        )
+
+    def _two_frames_only(self, solve: _Solve, priors: MotionPriors) -> ReprojectionSolution:
+        """Evaluate the features of a solve at its motion, without disparity filter and other
+        measurements.
+
+        Calibration and predictors need the residuals of these two frames alone. Those against the
+        filtered disparities depend on all earlier frames, which were corrected with the same
+        calibration: it would confirm itself.
+        """
+        solution = solve.estimate.solution
+        if not solve.estimate.has_history.any() and not priors.measurements:
+            return solution
+        observations = StereoObservations.of(
+            solve.tracks.prev_px,
+            solve.tracks.curr_px,
+            solve.noise,
+            camera=self._camera,
+            loss=RobustLoss.named(self._config.solver.loss),
+        )
+        return solve_reprojection(
+            observations,
+            guess=solution.T_curr_prev,
+            eta=_of_two_frames(solution, observations),
+            max_iterations=0,
         )
 
     def _is_noisier_than_expected(self, estimate: Estimate) -> bool:
@@ -329,9 +386,7 @@ class VisualEstimator:
             return 0.0
         return self._camera.fu_px * float(np.sqrt(2.0 * jitter_cov[1, 1]))
 
-    def _confirmed(
-        self, estimate: Estimate, tracks: Tracks, guess: FloatArray, priors: MotionPriors
-    ) -> FloatArray:
+    def _confirmed(self, solve: _Solve, guess: FloatArray, priors: MotionPriors) -> FloatArray:
         """Return the motion at which the residuals for the next step's predictors are taken, [4,
         4].
 
@@ -343,10 +398,11 @@ class VisualEstimator:
         equal noise cannot be influenced by the model, but it is less accurate, so it is used only
         if the difference is significant.
         """
-        solution = estimate.solution
+        solution = solve.estimate.solution
+        equal = StudentT().predict(np.zeros((len(solve.tracks), 0)))
         plain = self._estimator.solve(
-            tracks,
-            replace(StudentT().predict(np.zeros((len(tracks), 0))), jitter_cov=priors.jitter_cov),
+            solve.tracks,
+            replace(equal, jitter_cov=priors.jitter_cov),
             guess=guess,
             others=priors.measurements,
             curr=priors.curr,
