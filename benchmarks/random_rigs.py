@@ -1,12 +1,13 @@
-"""Run the odometry on rigs and scenes drawn at random, on which nothing was developed.
+"""Run the odometry on rigs and scenes drawn at random.
 
-    python benchmarks/random_rigs.py [--count 20] [--seed 20261125] [--out DIR]
+    python benchmarks/random_rigs.py [--count 20] [--seed 7000] [--out DIR]
 
 Each recording is a rendered drive of 15 to 80 m. Its image size, field of view, baseline (6 to
 80 cm), frame rate (4 to 30 Hz), sun and effects are drawn independently of each other. There is no
 IMU. Prints for two frames and for the window: steps that were refused, drift and rotation over
 segments of 10 to 50 m, end error, and the mean NEES of a step, divided by its 6 dimensions. With
-``--out``, the rendered drives are kept there, and those that exist are not rendered again.
+``--out``, the rendered drives are kept there, and those that exist are not rendered again. Whoever
+changes the odometry because of what a seed shows takes another seed for the table of the docs.
 """
 
 from __future__ import annotations
@@ -138,7 +139,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=7_000)
+    parser.add_argument("--seed", type=int, default=7000)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     cv2.setNumThreads(1)

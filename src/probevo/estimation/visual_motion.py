@@ -13,6 +13,7 @@ from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.feature_weights import (
+    GAUSSIAN_FROM,
     INLIER_FROM,
     OUTLIER_BELOW,
     scale_of_residuals,
@@ -134,6 +135,26 @@ class _Solve:
     enlargement: float = 1.0
     """Factor by which the covariance of the motion was enlarged."""
 
+    def noise_of_current_frame(self) -> StereoNoise:
+        """Return the noise under which a window learns from the current frame as much as this
+        solve does.
+
+        Where the covariance of the motion was enlarged, it is the current frame that is noisier
+        than predicted; the window knows the places of the landmarks by earlier ones. Of the two
+        observations of a residual, that one alone has the excess: κ (R + R) = R + (2κ − 1) R. The
+        larger noise would also give weight again to the outliers of this solve, as if their
+        scatter were independent. So the variances grow by the gain in weight, too.
+        """
+        if self.enlargement == 1.0:
+            return self.noise
+        squared = self.estimate.solution.squared
+        dof = np.minimum(np.broadcast_to(self.noise.dof, squared.shape), GAUSSIAN_FROM)
+        weight = dof / (dof + squared)
+        weight_after = dof / (dof + squared / self.enlargement)
+        gain = float(weight_after.sum() / weight.sum())
+        factor = (2.0 * self.enlargement - 1.0) * gain
+        return self.noise.scaled(np.full(len(squared), factor))
+
 
 @dataclass(frozen=True)
 class MotionPriors:
@@ -237,7 +258,7 @@ class VisualEstimator:
             solution=None if status is Status.DEGENERATE else solution,
             two_frames_only=two_frames_only,
             T_reference=T_reference,
-            noise=solve.noise.scaled(np.full(len(solve.tracks), solve.enlargement)),
+            noise=solve.noise_of_current_frame(),
             disparities=(
                 solve.estimate.disparities if status is Status.OK else DisparityFilter.none()
             ),
