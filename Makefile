@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test check style types tests density bench docs docs-figures fuzz clean
 
-# Two simulated drives, learn from one, compare the noise models on both.
+# Two simulated drives; models of all kinds, learned from one, and the classical ones on the other.
 demo: $(VENV)/.installed
 	$(BIN)/probevo demo --out out/demo
 

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from probevo import predictors as predictors
     from probevo.camera.stereo import StereoCamera as StereoCamera
     from probevo.config import OdometryConfig as OdometryConfig
+    from probevo.errors import InputError as InputError
     from probevo.estimation.matches import estimate_motion as estimate_motion
     from probevo.estimation.motion_estimate import MotionEstimate as MotionEstimate
     from probevo.estimation.motion_estimate import Status as Status
@@ -33,6 +34,7 @@ _MODULE_OF = {
     "Frame": "probevo.sequences.frame",
     "ImuCalibration": "probevo.sequences.imu_calibration",
     "ImuSamples": "probevo.sequences.frame",
+    "InputError": "probevo.errors",
     "LiveEstimate": "probevo.live",
     "LiveOdometry": "probevo.live",
     "MotionEstimate": "probevo.estimation.motion_estimate",

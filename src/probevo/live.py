@@ -13,7 +13,7 @@ from time import perf_counter
 from traceback import walk_tb
 from types import TracebackType
 
-from probevo.errors import InputError
+from probevo.errors import InputError, brief
 from probevo.estimation.motion_estimate import MotionEstimate
 from probevo.odometry import StereoOdometry
 from probevo.sequences.frame import Frame, ImuSamples
@@ -116,6 +116,10 @@ class LiveOdometry:
         waiting: number of frames that may wait, at least 1. More than one bridges single slow
             steps, at the cost of delay.
         on_estimate: called with each estimate.
+
+    Raises:
+        InputError: ``odometry`` is something else.
+        ValueError: ``waiting`` is less than 1.
     """
 
     def __init__(
@@ -125,6 +129,10 @@ class LiveOdometry:
         waiting: int = 1,
         on_estimate: Callable[[LiveEstimate], None] | None = None,
     ) -> None:
+        # Whatever wraps an odometry may take its place.
+        if not all(hasattr(odometry, member) for member in ("camera", "step")):
+            cure = "Give a StereoOdometry: LiveOdometry(StereoOdometry(camera))."
+            raise InputError("odometry", f"is {brief(odometry)}.", cure)
         if waiting < 1:
             raise ValueError(f"waiting is {waiting}; at least one frame has to wait")
         self._camera = odometry.camera

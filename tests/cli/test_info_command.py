@@ -52,6 +52,18 @@ def test_imu_rate_and_coverage(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "+4.0 to +4.0 ms" in rows["IMU to frames"]
 
 
+def test_an_imu_too_slow_for_the_window_is_marked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What info announces is what a run does: packets at the rate of the frames are too few."""
+    rows = info(write_kitti_raw(tmp_path / "raw", frames=6), capsys)
+    assert "usable samples between two frames, where 5 are needed" in rows["! IMU"]
+    assert rows["IMU is used"].startswith("gyro to start the tracking")
+    rows = info(write_folder_sequence(tmp_path / "folder"), capsys)
+    assert "! IMU" not in rows
+    assert rows["IMU is used"].startswith("in the window, once it agrees")
+
+
 def test_a_tracks_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = info(write_tracks(tmp_path), capsys)
     assert rows["format"] == "tracks"

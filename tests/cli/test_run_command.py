@@ -68,6 +68,21 @@ def test_the_motion_is_right(wall_run: Path) -> None:
     assert metrics["final_error_m"] < 0.05 * metrics["path_length_m"]
 
 
+def test_the_terminal_gives_each_warning_of_the_report(
+    wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A focal length that was wrong by half once had a warning on the report alone."""
+    said = {"Focal length": "It is wrong.", "A sensor is faulty": "The sun is."}
+    monkeypatch.setattr("probevo.output.run_warnings.run_warnings", lambda *_: said)
+    monkeypatch.setattr("probevo.output.report.run_warnings", lambda *_: said)
+    assert main(["run", str(wall), "--out", str(tmp_path)]) == 0
+    errors = capsys.readouterr().err
+    report = (tmp_path / "report.html").read_text()
+    for text in said.values():
+        assert f"probevo: warning: {text}\n" in errors
+        assert text in report
+
+
 def test_the_same_run_gives_the_same_bytes(wall: Path, wall_run: Path, tmp_path: Path) -> None:
     assert main(["run", str(wall), "--out", str(tmp_path), "--threads", "2"]) == 0
     for name in FILES - {"motions.npz", "report.html"}:  # these two hold times
@@ -193,7 +208,7 @@ def test_features_unlike_the_training_are_counted_and_warned_of(
     assert main(["run", str(recording), "--out", str(out)]) == 0
     result = read_motions(out / "motions.npz")
     page = (out / "report.html").read_text()
-    shown = capsys.readouterr().out
+    shown = capsys.readouterr().err
     assert result.num_used is not None
     np.testing.assert_array_equal(result.num_out_of_domain, -(-result.num_used // 3))
     assert result.out_of_domain == pytest.approx(1.0 / 3.0, abs=0.01)

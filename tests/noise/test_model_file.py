@@ -206,7 +206,7 @@ def test_a_number_of_the_facts_that_grew_infinite_is_refused(path: Path) -> None
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match=r"this file is missing\.\n *Name a model file"):
         read_model_file(tmp_path / "missing.safetensors")
     with pytest.raises(InputError, match="a folder"):
         read_model_file(tmp_path)

@@ -230,8 +230,9 @@ def test_other_files_are_refused(content: bytes, words: str, tmp_path: Path) -> 
     (tmp_path / "file.xml").write_bytes(content)
     with pytest.raises(InputError):
         read_stereo_calibration(tmp_path / "file.xml")
-    with pytest.raises(InputError, match="missing"):
-        read_stereo_calibration(tmp_path / "nothing.yaml")
+    for suffix in ("yaml", "xml"):
+        with pytest.raises(InputError, match=r"this file is missing\.\n *Name a calibration"):
+            read_stereo_calibration(tmp_path / f"nothing.{suffix}")
 
 
 # --- real files ----------------------------------------------------------------------------------

@@ -71,6 +71,28 @@ def test_far_below_and_among_thousands_of_files_nothing_is_searched_for(tmp_path
     assert_refused(deep.parent, [f"Did you mean {deep}?"])
 
 
+def test_a_folder_of_images_leads_to_the_recording_that_it_is_part_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_folder_sequence(tmp_path / "drive")
+    with pytest.raises(InputError, match="part of a recording") as refused:
+        open_sequence(path / "left")
+    assert str(refused.value).endswith(f"Did you mean {path}?")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError) as refused:
+        open_sequence("drive/left")
+    assert str(refused.value).endswith("Did you mean drive?")
+    monkeypatch.chdir(path / "right")
+    with pytest.raises(InputError) as refused:
+        open_sequence(".")
+    assert str(refused.value).endswith(f"Did you mean {path}?")
+
+
+def test_an_empty_folder_is_called_empty(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    assert_refused(tmp_path / "empty", ["this folder is empty", "image_00 (kitti-raw)"])
+
+
 @pytest.mark.parametrize("format", [None, "folder"])
 def test_path_may_be_text(format: str | None, tmp_path: Path) -> None:
     path = write_folder_sequence(tmp_path)

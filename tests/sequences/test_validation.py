@@ -124,6 +124,18 @@ def test_a_frame_of_a_wrong_kind_is_refused_and_the_next_is_not(case: str) -> No
     odometry.step(frame())
 
 
+@pytest.mark.parametrize("given", [None, np.zeros((375, 1242), np.uint8), (1, 2)])
+def test_what_is_no_frame_is_refused(given: Any) -> None:
+    """As of a reader who hands in the left image."""
+    odometry = pv.StereoOdometry(CAMERA)
+    with pytest.raises(pv.InputError, match=r"^frame: is a \w+\.\n *Give a Frame"):
+        odometry.step(given)
+    with pv.LiveOdometry(odometry) as live:
+        with pytest.raises(pv.InputError, match=r"^frame: is "):
+            live.push(given)
+        assert live.num_refused == 1
+
+
 @pytest.mark.parametrize("rate", [np.nan, np.inf, 1e300, -1e18, 1.001 * LARGEST_RATE_RAD_S])
 def test_an_implausible_angular_rate_is_a_missing_sample(rate: float) -> None:
     imu = replace(samples(), gyro_rad_s=with_value(samples().gyro_rad_s, (3, 1), rate))

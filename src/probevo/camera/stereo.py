@@ -149,7 +149,8 @@ def check_camera(camera: StereoCamera, where: str | Path) -> None:
         raise InputError(
             where,
             f"baseline_m is {camera.baseline_m:g} m.",
-            "Are the left and right cameras swapped?",
+            "Are the left and right cameras swapped? Exchange them: images or topics, and"
+            " calibrations.",
         )
 
 

@@ -38,6 +38,8 @@ MIN_DISPARITY_PX = 0.25
 """If nine of ten matches have less, left and right are probably the same image; the noise of
 matching is 0.1 to 0.2 px."""
 
+STEPS_FOR_IMU = 100
+"""Steps, from the start, for which it is tried whether the window could use the IMU."""
 FRAMES_FOR_TIMING = 60
 """Frames, from the start, of which left and right images are compared with their neighbours."""
 
@@ -83,6 +85,7 @@ def main(words: list[str]) -> None:
 
 def describe(sequence: Sequence) -> Rows:
     """Describe what the files say, without looking at the images."""
+    from probevo.measurements.preintegration import NO_ACCELEROMETER
     from probevo.output.run_facts import (
         camera_text,
         frames_text,
@@ -114,7 +117,15 @@ def describe(sequence: Sequence) -> Rows:
     rows.append(("truth", truth_text(sequence.truth)))
     if isinstance(sequence, MaskedRecording):
         rows.append(("masks", mask_text(sequence)))
-    rows.append(("IMU is used", imu_use_text(sequence, RunConfig())))
+    config = RunConfig()
+    reason = _reason_against_window(sequence)
+    if reason:
+        # An IMU without an accelerometer is no fault, and nobody expects the window to use it.
+        if reason != NO_ACCELEROMETER:
+            text = f"it {reason}: the window does without it, and its path is by images alone"
+            rows.append(("! IMU", text))
+        config = RunConfig.model_validate({"window": {"imu": "off"}})
+    rows.append(("IMU is used", imu_use_text(sequence, config)))
     return rows
 
 
@@ -205,6 +216,29 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
         text = f"does not cover {num_uncovered} of {len(steps)} steps, which do without it"
         rows.append(("! IMU", text))
     return rows
+
+
+def _reason_against_window(sequence: Sequence) -> str:
+    """Return why the window can use the IMU in hardly any step; nothing if it can, or has none."""
+    from probevo.measurements.preintegration import NoPreintegration, preintegrate
+    from probevo.sequences.recording import ImageRecording
+    from probevo.sequences.tracks_file import TracksRecording
+
+    if not isinstance(sequence, ImageRecording | TracksRecording):
+        return ""
+    if sequence.imu is None or sequence.imu_stream is None:
+        return ""
+    reasons = []
+    covered = 0
+    for start_ns, end_ns in islice(pairwise(sequence.stamps_ns.tolist()), STEPS_FOR_IMU):
+        samples = sequence.imu_stream.between(start_ns, end_ns)
+        if samples is None:
+            continue  # counted among the steps that the IMU does not cover
+        covered += 1
+        found = preintegrate(samples, start_ns, end_ns, sequence.imu)
+        if isinstance(found, NoPreintegration):
+            reasons.append(found.reason)
+    return reasons[0] if 2 * len(reasons) > covered else ""
 
 
 def _noise_text(sequence: Sequence) -> str:

@@ -63,33 +63,15 @@ def main(words: list[str]) -> None:
     settings = settings.model_copy(update={"sequence": arguments.sequence})
 
     # Only now, after the arguments are known to be good: these imports take time.
-    from probevo.output.run_warnings import (
-        accelerometer_warning,
-        camera_warning,
-        height_warning,
-        imu_warning,
-        scale_warning,
-        status_warning,
-        timing_warning,
-    )
+    from probevo.output.run_warnings import run_warnings, status_warning
     from probevo.sequences import open_sequence
 
     sequence = open_sequence(arguments.sequence, settings.format, **settings.format_options())
     run = run_with_progress(sequence, settings, arguments.out, threads=arguments.threads)
     lines = summary(run, arguments.out, written_besides(settings))
     print("\n".join(lines), flush=True)
-    warnings = (
-        status_warning(run.result.status),
-        timing_warning(run.result.right_late_frames),
-        camera_warning(run.result.other_camera),
-        imu_warning(run.result.imu_left_out),
-        scale_warning(run.result, run.truth),
-        accelerometer_warning(run.result.accelerometer_scale),
-        height_warning(run.result.ground_height),
-    )
-    for warning in warnings:
-        if warning:
-            print(f"probevo: warning: {warning}", file=sys.stderr)
+    for warning in run_warnings(run.result, run.truth).values():
+        print(f"probevo: warning: {warning}", file=sys.stderr)
     if arguments.strict and status_warning(run.result.status):
         what = "less than half of the steps are OK, which --strict refuses."
         raise InputError(arguments.sequence, what, f"The results are in {arguments.out}.")
@@ -173,7 +155,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
 
     from probevo.camera.exposure_delay import is_noticeable
     from probevo.estimation.motion_estimate import Status
-    from probevo.output.domain import domain_text, domain_warning
+    from probevo.output.domain import domain_text
     from probevo.output.headline import headline_drift
     from probevo.output.run_facts import delay_text, focal_text, jitter_text
     from probevo.output.table import readable
@@ -207,11 +189,7 @@ def summary(run: Run, out: Path, written: Iterable[tuple[str, Path]] = ()) -> li
     if result.focal_length is not None and result.focal_length.is_noticeable:
         lines.append(f"focal length: {focal_text(result.focal_length)}")
     if result.out_of_domain is not None:
-        warning = domain_warning(result.out_of_domain)
-        if warning:
-            lines.append(f"warning: {warning}")
-        else:
-            lines.append(f"out of domain: {domain_text(result.out_of_domain)}")
+        lines.append(f"out of domain: {domain_text(result.out_of_domain)}")
     lines += [f"{what}: {path}" for what, path in written]
     if len(result) > 1:
         lines.append(f"report: {out / 'report.html'}")

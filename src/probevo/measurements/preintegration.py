@@ -159,7 +159,10 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     apart_ns = between_ns[np.abs(between_ns) > HELD_NS]
     num_samples = len(apart_ns) + min(len(covering), 1)
     if num_samples < FEWEST_SAMPLES:
-        return f"has {num_samples} usable samples of the interval; {FEWEST_SAMPLES} are needed"
+        return (
+            f"has {num_samples} usable samples between two frames, where {FEWEST_SAMPLES} are"
+            " needed"
+        )
     if between_ns.min() <= 0:
         return "has samples whose stamps do not ascend"
     usual_ns = float(np.median(apart_ns))

@@ -103,6 +103,9 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         text = entry["facts"]
         facts = json.loads(text)
         claimed = entry["checksum"]
+    except FileNotFoundError:
+        cure = "Name a file that `probevo train` has written with --kind of a sensor."
+        raise InputError(path, "this file is missing.", cure) from None
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror or error}.", CURE) from error
     except KeyError as error:

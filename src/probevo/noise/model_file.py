@@ -96,6 +96,9 @@ def read_model_file(path: Path) -> ModelFile:
             envelope = _check_envelope(path, _read_metadata(path, stream))
             stream.seek(0)
             content = stream.read()
+    except FileNotFoundError:
+        cure = "Name a model file (.safetensors) that `probevo train` has written."
+        raise InputError(path, "this file is missing.", cure) from None
     except OSError as error:
         raise InputError(
             path, f"cannot be read: {error.strerror}", "Name a .safetensors noise model."

@@ -42,6 +42,7 @@ def write_comparison(
     trials: TrialTable | None = None,
     *,
     links_from: Path | None = None,
+    remarks: Sequence[str] = (),
 ) -> None:
     """Write the page. The same arguments give the same bytes.
 
@@ -53,6 +54,7 @@ def write_comparison(
         trials: a table to show besides, unless no truth is known.
         links_from: the folder that links to the reports of single runs are relative to, by default
             that of ``path``.
+        remarks: further sentences for the short version at the top.
 
     Raises:
         ValueError: there is nothing to compare, or a run has fewer than two frames.
@@ -62,7 +64,7 @@ def write_comparison(
         raise ValueError("a comparison needs one run at least, and each run two frames")
     colors = {name: CYCLE[k % len(CYCLE)] for k, name in enumerate(comparison.estimators)}
     sections: list[Markup] = []
-    sentences = [*verdicts(comparison), *without_truth(comparison)]
+    sentences = [*verdicts(comparison), *remarks, *without_truth(comparison)]
     if sentences:
         sections.append(body_panel("In short", sentences, ""))
     sections.append(_table_section(comparison, colors, links_from or path.parent))

@@ -98,12 +98,12 @@ def verdict(rankings: Mapping[str, Ranking]) -> str:
             if found.is_significant
         ]
         if worse:
-            clauses.append(f"{ranking.best} drifts less in {name} {_listed(worse)}")
+            clauses.append(f"{ranking.best} drifts less in {name} {listed(worse)}")
         close = [rival for rival, found in ranking.against.items() if not found.is_significant]
         if close:
             alike.setdefault(frozenset({ranking.best, *close}), []).append(name)
     clauses += [
-        f"in {' and '.join(names)}, {_listed(sorted(runs))} cannot be distinguished on this"
+        f"in {' and '.join(names)}, {listed(sorted(runs))} cannot be distinguished on this"
         " recording"
         for runs, names in alike.items()
     ]
@@ -120,6 +120,6 @@ def _percent(found: PairedDifference) -> str:
     )
 
 
-def _listed(texts: Sequence[str]) -> str:
+def listed(texts: Sequence[str]) -> str:
     """Join texts by commas, the last two by 'and'."""
     return " and ".join([", ".join(texts[:-1]), texts[-1]]) if len(texts) > 1 else texts[0]

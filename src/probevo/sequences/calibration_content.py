@@ -18,6 +18,7 @@ from probevo.sequences.yaml_file import NoKeyTwice, load_yaml
 LARGEST_NUMBER = 1e300
 MOST_KEYS = 8
 """Keys of a file of no known kind that its message lists."""
+_CURE = "Name a calibration of both cameras, as of Kalibr or OpenCV: see docs/recordings.md."
 
 
 class CalibrationContent:
@@ -140,7 +141,7 @@ def load_calibration(path: Path) -> CalibrationContent:
     """
     if path.suffix.lower() == ".xml":
         return CalibrationContent(_read_xml(path), path)
-    content = load_yaml(path, loader=_OpenCVLoader)
+    content = load_yaml(path, _CURE, loader=_OpenCVLoader)
     if not isinstance(content, dict):
         raise InputError(path, "this is no calibration: it has no `key: value` lines.")
     return CalibrationContent(content, path)
@@ -164,7 +165,7 @@ def _read_xml(path: Path) -> dict[str, Any]:
     Raises:
         InputError: the file is missing, or not as OpenCV writes them.
     """
-    text = read_text(path)
+    text = read_text(path, _CURE)
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()

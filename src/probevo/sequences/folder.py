@@ -301,7 +301,7 @@ def _read_calibration(path: Path) -> FolderCalibration:
     """
     cure = (
         "Its keys are fu_px, fv_px, cu_px, cv_px, baseline_m, width_px, height_px and, optionally,"
-        " imu."
+        " imu; or it is Kalibr's or OpenCV's file. --calibration FILE reads one from elsewhere."
     )
     content = load_yaml(path, cure)
     section = content.get("imu") if isinstance(content, dict) else None

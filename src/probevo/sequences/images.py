@@ -28,6 +28,7 @@ JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD9)})
 JPEG_PIXELS = 0xDA
 """Marker (SOS) of the segment that the pixels follow."""
 LARGEST_FILE_BYTES = 500_000_000
+_TWO_FOLDERS = "Left and right images lie in one folder each; there is no monocular mode."
 LARGEST_PX = 100_000_000
 """Pixels of the largest image that is decoded where its size is not known beforehand."""
 
@@ -60,9 +61,7 @@ def list_images(folder: Path) -> list[Path]:
         InputError: the folder is missing, or holds no image.
     """
     if not folder.is_dir():
-        raise InputError(
-            folder, "this image folder is missing.", "Left and right images lie in one folder each."
-        )
+        raise InputError(folder, "this image folder is missing.", _TWO_FOLDERS)
     files = {path.name: path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
     if not files:
         raise InputError(

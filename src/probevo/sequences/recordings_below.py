@@ -1,4 +1,4 @@
-"""Recordings in the folders below one that is none, for the message that refuses it."""
+"""Recordings in the folders below, and above, one that is none, for the message that refuses it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Protocol
 
 DEEPEST = 3
 """Folders below the given one that are searched; KITTI raw is two deep, below the date."""
+HIGHEST = 3
+"""Folders above the given one that are looked at; the images of EuRoC are three deep, in mav0."""
 MOST_LOOKED_AT = 1000
 """Files and folders after which the search ends: a home folder would take minutes."""
 MOST_NAMED = 4
@@ -52,8 +54,29 @@ def recordings_below(path: Path, formats: Iterable[Recogniser]) -> list[Path]:
     return found
 
 
+def recordings_above(path: Path, formats: Iterable[Recogniser]) -> list[Path]:
+    """Return the nearest folder above a folder that is a recording, in a list; [] if none is.
+
+    A folder of images, such as ``left``, is not a recording, but often given as one.
+
+    Args:
+        path: the folder.
+        formats: the formats to look for.
+    """
+    likely = [known for known in formats if known.folder_signs]
+    for folder in path.absolute().parents[:HIGHEST]:
+        if any(known.recognises(folder) for known in likely):
+            return [_as_given(folder, path)]
+    return []
+
+
+def _as_given(folder: Path, path: Path) -> Path:
+    """Write a folder above ``path`` as the user would, relative if ``path`` is."""
+    return next((above for above in path.parents if above.absolute() == folder), folder)
+
+
 def suggestion(found: list[Path]) -> str:
-    """Return what a message says of the recordings below a folder."""
+    """Return what a message says of the recordings near a folder."""
     if len(found) == 1:
         return f"Did you mean {found[0]}?"
     names = ", ".join(str(path) for path in found[:MOST_NAMED])

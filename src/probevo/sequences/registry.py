@@ -28,7 +28,7 @@ from probevo.sequences.format_options import (
     RosbagOptions,
     VideoOptions,
 )
-from probevo.sequences.recordings_below import recordings_below, suggestion
+from probevo.sequences.recordings_below import recordings_above, recordings_below, suggestion
 from probevo.settings import Settings
 
 if TYPE_CHECKING:
@@ -429,6 +429,9 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
     below = recordings_below(path, formats.values())
     if below:
         raise InputError(path, "this folder is no recording.", suggestion(below))
+    above = recordings_above(path, formats.values())
+    if above:
+        raise InputError(path, "this folder is part of a recording.", suggestion(above))
     found = sorted(entry.name for entry in path.iterdir())[:MOST_NAMES]
     looked_for = [
         f"{' or '.join(known.folder_signs)} ({known.name})"
@@ -437,6 +440,6 @@ def _recognised(path: Path, formats: dict[str, SequenceFormat]) -> SequenceForma
     ]
     raise InputError(
         path,
-        f"no known format; found {', '.join(found) or 'nothing'}.",
+        f"no known format; found {', '.join(found)}." if found else "this folder is empty.",
         f"Looked for {'; '.join(looked_for)}.",
     )

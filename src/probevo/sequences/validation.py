@@ -97,9 +97,12 @@ def with_plain_arrays(frame: Frame) -> Frame:
     These are float64 for pixels, rates and forces, and int64 for identities and stamps.
 
     Raises:
-        InputError: an array holds something else than numbers, or whole numbers where they are
-            needed, or some that do not fit in 64 bits.
+        InputError: it is no frame; an array holds something else than numbers, or than whole
+            numbers where they are needed, or some that do not fit in 64 bits.
     """
+    if not isinstance(frame, Frame):
+        cure = "Give a Frame, such as Frame(index, stamp_ns, left, right)."
+        raise InputError("frame", f"is a {type(frame).__name__}.", cure)
     where = f"frame {frame.index}"
     features = frame.features
     if features is not None:
