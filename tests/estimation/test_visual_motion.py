@@ -240,6 +240,31 @@ def test_a_motion_that_few_confirm_is_claimed_with_care(num_outliers: int) -> No
     assert max(nees) < 20.0
 
 
+def test_the_noise_for_a_window_has_the_whole_excess_of_the_current_frame() -> None:
+    """A usual frame, and one with three times its noise: the variance of a residual is five times
+    as large as predicted, that of the current observation nine times. A window that took five would
+    claim too much."""
+    predicted = 0.04 * np.eye(4)
+    factors = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        tracks = seen_twice(rng, 100, sigma_px=0.2, depth_m=(4.0, 10.0))
+        tracks.curr_px[:] += np.sqrt(0.6**2 - 0.2**2) * rng.normal(size=(100, 4))
+        visual = estimate(tracks, noise=StudentT(5.0, predicted))
+        assert visual.status is Status.OK
+        assert visual.noise is not None
+        factors.append(visual.noise.scale[0, 0, 0] / predicted[0, 0])
+    # The outliers of the solve gain no weight by it, so it is rather more than less.
+    assert 9.0 < np.mean(factors) < 25.0
+
+
+def test_a_usual_frame_has_the_predicted_noise_in_a_window() -> None:
+    tracks = seen_twice(np.random.default_rng(3), 100, sigma_px=0.2, depth_m=(4.0, 10.0))
+    visual = estimate(tracks, noise=StudentT(5.0, 0.04 * np.eye(4)))
+    assert visual.noise is not None
+    np.testing.assert_array_equal(visual.noise.scale[:, 0, 0], 0.04)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_features_that_agree_on_nothing_stay_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)
