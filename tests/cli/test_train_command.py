@@ -11,7 +11,7 @@ import pytest
 from cli.processes import started
 from probevo.cli import train as command
 from probevo.cli.main import main
-from probevo.cli.train_summary import summary
+from probevo.cli.train_summary import FEW_FRAMES, few_frames_warning, summary
 from probevo.noise import NearestNeighbors
 from probevo.noise.metric import Metric
 from probevo.noise.model_io import load_model, save_model
@@ -64,6 +64,20 @@ def test_simulate_train_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert len(result) == 16
     assert np.isfinite(result.cov).all()
     assert f"model: {out}" in capsys.readouterr().out
+
+
+def test_a_model_of_few_frames_is_warned_of(
+    tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", str(tracks), "--out", str(tmp_path / "m.safetensors"), *FLAGS]) == 0
+    assert "learned from 16 frames of 1 recording" in capsys.readouterr().err
+
+
+def test_a_model_of_enough_frames_is_not_warned_of(model: Path) -> None:
+    loaded = load_model(model)
+    enough = [{"frames": FEW_FRAMES - 1}, {"frames": 1}]
+    object.__setattr__(loaded, "training", {**loaded.training, "recordings": enough})
+    assert few_frames_warning(loaded) == ""
 
 
 def test_recordings_are_opened_as_told(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from probevo.cli.arguments import checked, parse
-from probevo.cli.train_summary import summary
+from probevo.cli.train_summary import few_frames_warning, summary
 from probevo.errors import InputError
 from probevo.run_config import ReadSettings
 from probevo.sensor_kinds import SENSOR_KINDS, SensorKind, trainer_of_sensor
@@ -89,6 +90,9 @@ def main(words: list[str]) -> None:
         recordings, settings, arguments.out, jobs=arguments.jobs, cluster=arguments.cluster
     )
     print("\n".join(summary(model, arguments.out)))
+    warning = few_frames_warning(model)
+    if warning:
+        print(f"probevo: warning: {warning}", file=sys.stderr)
 
 
 def recordings_of(paths: tuple[Path, ...], reading: ReadSettings) -> tuple[Recording, ...]:

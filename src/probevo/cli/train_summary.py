@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from probevo.noise.base import LearnedNoiseModel
     from probevo.output.inspection.subject import TrainingSummary
 
+FEW_FRAMES = 200
+"""Frames below which training warns. On KITTI, a ``gk`` of 77 frames gained nothing on other drives,
+one of 244 frames of two drives did."""
+
 
 def summary(model: LearnedNoiseModel, out: Path) -> list[str]:
     """Say in a few lines what was learned, and how the settings that were not given were chosen.
@@ -27,3 +31,17 @@ def summary(model: LearnedNoiseModel, out: Path) -> list[str]:
     for paragraph in found.paragraphs:
         lines += ["", *paragraph.splitlines()]
     return [*lines, "", f"model: {out}"]
+
+
+def few_frames_warning(model: LearnedNoiseModel) -> str:
+    """Return what to do about a model that was learned from few frames; empty if there are
+    enough."""
+    from probevo.output.inspection.training_facts import num_frames, origin
+
+    if num_frames(model.training) >= FEW_FRAMES:
+        return ""
+    return (
+        f"it was learned from {origin(model.training)}. From so few, a model may fit this drive and"
+        " gain nothing on others. Give more recordings of the same camera, some hundred frames"
+        " with what will be met later; probevo compare shows on one left out what is gained."
+    )

@@ -25,9 +25,14 @@ def origin(training: Mapping[str, Any]) -> str:
     recordings = training.get("recordings", [])
     if not recordings:
         return ""
-    frames = sum(recording["frames"] for recording in recordings)
+    frames = num_frames(training)
     plural = "" if len(recordings) == 1 else "s"
     return f"{frames:,} frames of {len(recordings)} recording{plural}"
+
+
+def num_frames(training: Mapping[str, Any]) -> int:
+    """Return the number of frames that a model was trained on; 0 if not known."""
+    return sum(recording["frames"] for recording in training.get("recordings", []))
 
 
 def em_table(
