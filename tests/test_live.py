@@ -395,7 +395,7 @@ def test_a_frame_that_the_camera_cannot_have_taken_is_refused_and_the_next_is_ta
 
 
 def test_at_least_one_frame_waits() -> None:
-    with pytest.raises(ValueError, match="waiting is 0"):
+    with pytest.raises(pv.InputError, match=r"^waiting: is 0\."):
         pv.LiveOdometry(free(), waiting=0)
     with pytest.raises(pv.InputError, match=r"^odometry: is None\.\n *Give a StereoOdometry"):
         pv.LiveOdometry(None)  # type: ignore[arg-type]

@@ -118,8 +118,7 @@ class LiveOdometry:
         on_estimate: called with each estimate.
 
     Raises:
-        InputError: ``odometry`` is something else.
-        ValueError: ``waiting`` is less than 1.
+        InputError: ``odometry`` is something else, or ``waiting`` is less than 1.
     """
 
     def __init__(
@@ -134,7 +133,7 @@ class LiveOdometry:
             cure = "Give a StereoOdometry: LiveOdometry(StereoOdometry(camera))."
             raise InputError("odometry", f"is {brief(odometry)}.", cure)
         if waiting < 1:
-            raise ValueError(f"waiting is {waiting}; at least one frame has to wait")
+            raise InputError("waiting", f"is {waiting}.", "At least one frame has to wait: give 1.")
         self._camera = odometry.camera
         self._waiting = waiting
         self._on_estimate = on_estimate

@@ -74,6 +74,6 @@ def test_what_is_neither_is_named_with_a_cure(
     Path("models/city.safetensors").touch()
     with pytest.raises(InputError) as caught:
         noise_model(spec, others=["aggressive"])
-    assert caught.value.where == "--noise"
+    assert caught.value.where == "noise"
     for fragment in fragments:
         assert fragment in str(caught.value)

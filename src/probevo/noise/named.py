@@ -73,7 +73,7 @@ def _unknown(spec: str, names: Collection[str]) -> InputError:
     """Return the error for a ``spec`` that is neither a name nor a file, with similar spellings."""
     if os.path.isdir(spec):
         return InputError(
-            "--noise", f"{spec!r} is a folder.", "Give the model file (.safetensors) in it."
+            "noise", f"{spec!r} is a folder.", "Give the model file (.safetensors) in it."
         )
     # Similar names and similar files in the same folder, in case of a typing error.
     parent = os.path.dirname(spec)
@@ -86,4 +86,4 @@ def _unknown(spec: str, names: Collection[str]) -> InputError:
     cure = f"Known are {', '.join(names)}; or give a model file (.safetensors)."
     if similar:
         cure = f"Did you mean {' or '.join(similar)}? {cure}"
-    return InputError("--noise", f"{spec!r} is no known name, and no such file exists.", cure)
+    return InputError("noise", f"{spec!r} is no known name, and no such file exists.", cure)
