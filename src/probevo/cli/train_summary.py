@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from probevo.output.inspection.subject import TrainingSummary
 
 FEW_FRAMES = 200
-"""Frames below which training warns. On KITTI, a ``gk`` of 77 frames gained nothing on other drives,
-one of 244 frames of two drives did."""
+"""Frames below which training warns. On KITTI, a ``gk`` of 77 frames gained nothing on other
+drives, one of 244 frames of two drives did."""
 
 
 def summary(model: LearnedNoiseModel, out: Path) -> list[str]:
