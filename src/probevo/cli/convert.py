@@ -187,9 +187,9 @@ def _convert_run(arguments: ConvertArguments, ros: RosSettings) -> None:
 
     if arguments.out.suffix != VIEWER_SUFFIX:
         check_bag_path(arguments.out, "--out")
-    result = read_motions(arguments.source / MOTIONS)
+    result = with_smoothed(read_motions(arguments.source / MOTIONS), arguments.source)
     if arguments.out.suffix == VIEWER_SUFFIX:
-        _write_for_viewer(with_smoothed(result, arguments.source), arguments)
+        _write_for_viewer(result, arguments)
     else:
         write_odometry_bag(arguments.out, result, ros)
     print(f"odometry of {len(result)} frames written: {arguments.out}")

@@ -16,11 +16,12 @@ from probevo.output.ros_fields import (
     transform_fields,
     vector_fields,
 )
-from probevo.output.ros_odometry import RosOdometry, ros_odometry
+from probevo.output.ros_odometry import RosOdometry, T_odom_base_of, ros_odometry
 from probevo.output.run_result import RunResult
 from probevo.run_config import RosSettings
 
 ODOMETRY = "/odometry"
+SMOOTHED = "/smoothed/pose"
 DIAGNOSTICS = "/diagnostics"
 CAMERA_INFO = ("/left/camera_info", "/right/camera_info")
 OK_LEVEL = 0
@@ -34,7 +35,9 @@ def write_odometry_bag(
 
     Topics: ``/odometry`` (nav_msgs/Odometry with both covariances), ``/tf`` (``odom`` ←
     ``base_link``), ``/tf_static`` (``base_link`` ← left camera), ``/diagnostics`` (the status of
-    each step), and once, if the camera is known, its ``camera_info``.
+    each step), and once, if the camera is known, its ``camera_info``. All of these are live: a
+    message knows nothing of later frames. With a window, the poses as later frames improved them
+    are apart, in ``/smoothed/pose`` (geometry_msgs/PoseStamped, without covariance).
 
     Args:
         path: a file .bag (ROS 1), .mcap or .db3 (ROS 2).
@@ -62,6 +65,17 @@ def write_odometry_bag(
                 )
         for index in range(len(result)):
             _write_frame(bag, index, result, odometry=odometry, ros=ros)
+        if result.smoothed is not None:
+            smoothed = T_odom_base_of(result.smoothed, T_base_cam)
+            for stamp_ns, T_odom_base in zip(result.stamps_ns, smoothed, strict=True):
+                fields = {"pose": pose_fields(T_odom_base)}
+                bag.write(
+                    SMOOTHED,
+                    "geometry_msgs/msg/PoseStamped",
+                    int(stamp_ns),
+                    fields,
+                    frame=ros.odom_frame,
+                )
 
 
 def _write_frame(

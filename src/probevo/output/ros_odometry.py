@@ -50,7 +50,7 @@ def ros_odometry(result: RunResult, T_base_cam: FloatArray) -> RosOdometry:
         T_base_cam: pose of the rectified left camera in ``base_link``, [4, 4], m.
     """
     T_cam_base = se3.inverse(T_base_cam)
-    T_odom_base = T_base_cam @ result.T_world_cam @ T_cam_base
+    T_odom_base = T_odom_base_of(result.T_world_cam, T_base_cam)
     adjoint = se3.adjoint(T_base_cam)
 
     path_cov = drift_covariances(
@@ -76,6 +76,16 @@ def ros_odometry(result: RunResult, T_base_cam: FloatArray) -> RosOdometry:
             ]
         ),
     )
+
+
+def T_odom_base_of(T_world_cam: FloatArray, T_base_cam: FloatArray) -> FloatArray:
+    """Return the poses of ``base_link``, [N, 4, 4], m, in its own frame at the first camera pose.
+
+    Args:
+        T_world_cam: poses of the rectified left camera, the first the identity, [N, 4, 4], m.
+        T_base_cam: its pose in ``base_link``, [4, 4], m.
+    """
+    return np.asarray(T_base_cam @ T_world_cam @ se3.inverse(T_base_cam))
 
 
 def _block_diagonal(C: FloatArray) -> FloatArray:
