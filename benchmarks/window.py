@@ -89,8 +89,9 @@ def run(
             from_first = se3.inverse(truth[k]) @ truth[0]
             T_cam_world = se3.inverse(estimate.T_world_cam)
             found.path.append(nees(T_cam_world, from_first, estimate.pose_cov))
-        if window is not None and len(window) > SPAN and np.isfinite(truth[k - SPAN]).all():
-            T, cov = window.relative(len(window) - 1, len(window) - 1 - SPAN)
+        in_window = window is not None and {k, k - SPAN} <= set(window.frames.tolist())
+        if in_window and np.isfinite(truth[k - SPAN]).all():
+            T, cov = odometry.relative(k, k - SPAN)
             found.window.append(nees(T, se3.inverse(truth[k]) @ truth[k - SPAN], cov))
     yield estimator, np.array(live), found
     poses = smoothed.poses(odometry.window)
