@@ -91,7 +91,7 @@ def test_a_second_demo_renders_nothing(
     )
     monkeypatch.setattr("probevo.output.report.write_report", lambda path, *_, **__: path.touch())
     demo.demo(SCENES, tmp_path)
-    assert "The first time takes two to three minutes" in capsys.readouterr().out
+    assert "The first time takes three to five minutes" in capsys.readouterr().out
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")}
     assert written
     demo.demo(SCENES, tmp_path)

@@ -82,7 +82,7 @@ def demo(scenes: Mapping[str, SceneConfig], out: Path) -> None:
 
     if not (out / "scenes").exists():
         print(
-            "The first time takes two to three minutes: the code is compiled, the scenes are"
+            "The first time takes three to five minutes: the code is compiled, the scenes are"
             " rendered, and three models are learned.",
             flush=True,
         )
