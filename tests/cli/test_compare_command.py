@@ -272,9 +272,9 @@ def test_what_is_done_when_it_is_stopped_is_compared(
         ),
         (
             ["W/a/test.npz", "--noise", "fixed", "agressive"],
-            ["--noise: 'agressive' is", "Did you mean aggressive?"],
+            ["noise: 'agressive' is", "Did you mean aggressive?"],
         ),
-        (["W/a/test.npz", "--noise", "W/none.safetensors"], ["--noise: ", "no such file exists."]),
+        (["W/a/test.npz", "--noise", "W/none.safetensors"], ["noise: ", "no such file exists."]),
         (["W/a/test.npz", "W/wide/test.npz", "--noise", "M"], ["was learned with another camera."]),
         (["W/a/test.npz", "--gyro.prior"], ["--gyro.prior: the recording", "has no IMU."]),
         (

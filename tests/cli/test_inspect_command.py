@@ -179,7 +179,7 @@ def test_bad_input_says_what_is_wrong(
         ((wall, "--predictors", "blurr"), "blurr is not known"),
         ((wall, *model, "--predictors", "blur"), "the model says which"),
         ((*model, "--frame", "3"), "--frame: there is no recording"),
-        ((wall, "--model", tmp_path / "none.safetensors"), "cannot be read"),
+        ((wall, "--model", tmp_path / "none.safetensors"), "this file is missing"),
     ):
         assert inspect(*words, "--out", tmp_path / "out") == 2, words
         assert message in capsys.readouterr().err

@@ -266,6 +266,7 @@ def test_the_model_of_another_camera_is_named(
     out = tmp_path / "s.safetensors"
     assert main(["train", str(tracks), "--out", str(out), "--kind", "student-t"]) == 0
     other = write_tracks(tmp_path)
+    capsys.readouterr()
     for words in (["run", "--noise"], ["compare", "--noise"], ["inspect", "--model"]):
         assert main([words[0], str(other), "--out", str(tmp_path / "out"), words[1], str(out)]) == 2
         shown = capsys.readouterr().err
