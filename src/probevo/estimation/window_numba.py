@@ -118,8 +118,8 @@ class WindowGeometry(NamedTuple):
 class WindowObservations(NamedTuple):
     """M observations of L landmarks, sorted by landmark and then by frame.
 
-    The first of each landmark is in its anchor frame, and the others are in the frames that follow
-    it, one after the other.
+    The first of each landmark is in its anchor frame, and the others are in later frames, in their
+    order. Frames between two of them, such as blind ones, may not have seen the landmark.
     """
 
     start: IntArray
@@ -285,6 +285,8 @@ def accumulate(
         wide=np.zeros((LANDMARK, FRAME * num_frames + RIG + 1)),
         unit=np.zeros(LANDMARK),
     )
+    # Per landmark: linearise, weigh, add what involves motions and rig, and subtract what the
+    # elimination of the landmark takes away.
     # A landmark moves with the motion from its anchor to a frame. What all landmarks say of one
     # such motion is summed first, so that adjoints are applied once a pair of frames.
     sums = np.zeros((num_frames, num_frames, FRAME, _PAIR))
@@ -299,6 +301,7 @@ def accumulate(
         _couple(row, problem, track, trust.curvature, elimination.coupling)
         _factor(trust.curvature, track.common, work, elimination.inverse[row])
         _eliminate(row, problem, work, elimination=elimination, equations=equations)
+    # From motions between anchor and frame to the poses of both.
     _add_pairs(sums, problem.adjoints, equations)
     # So far, only the lower triangle is complete.
     size = len(equations.gradient)
@@ -365,6 +368,8 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
     observations = problem.observations
     state = problem.landmarks.state[row]
     intrinsics = problem.geometry.intrinsics
+    # Observation m = first + k of the window is the k-th of this landmark, k = 0 that of its
+    # anchor.
     first = observations.start[row]
     count = observations.start[row + 1] - first
     anchor = observations.slot[first]
@@ -396,6 +401,7 @@ def _linearize_track(row: int, problem: _Problem, track: _Track, squared: FloatA
             squared[m] += white[n, _ERROR] * white[n, _ERROR]
     # All of them together: the squared length of the innovations.
     _fill_innovations(count, problem.noise.correlation, track)
+    # The last common column is the error, so that this sums eᵀ Σ⁻¹ e.
     last = _COMMON - 1
     for k in range(count):
         for n in range(PIXELS):
@@ -409,6 +415,8 @@ def _project(
 ) -> bool:
     """Fill the direction to a landmark in a frame; False if it is behind the camera."""
     intrinsics = geometry.intrinsics
+    # h = C_ka m + λ t_ka, with λ = d/(f_u b): the point in frame k, over its depth in the anchor
+    # frame. So h_z is the ratio of the depths in both frames.
     mx = (state[0] - intrinsics[2]) / intrinsics[0]
     my = (state[1] - intrinsics[3]) / intrinsics[1]
     inverse_depth = state[2] / (intrinsics[0] * intrinsics[4])
@@ -431,6 +439,7 @@ def _fill_errors(
     fv = geometry.intrinsics[1]
     cu = geometry.intrinsics[2]
     cv = geometry.intrinsics[3]
+    # The rectified camera without any errors: normalised (x, y), disparity d/h_z, and pixels.
     per_depth = 1.0 / ray[2]
     x = ray[0] * per_depth
     y = ray[1] * per_depth
@@ -438,6 +447,7 @@ def _fill_errors(
     u = fu * x + cu
     v = fv * y + cv
     u_r = u - disparity
+    # β(x)ᵀ b is true minus measured disparity: it makes the measured one smaller, and u_r larger.
     rig = geometry.rig
     rig_error = rig[0] + x * (rig[1] + x * rig[2])
     # The jitter of the right camera, which sees the landmark at (x_r, y).
@@ -447,6 +457,7 @@ def _fill_errors(
     roll = jitter[2]
     of_jitter_u = fu * (-x_r * y * pitch + (1.0 + x_r * x_r) * yaw - y * roll)
     of_jitter_v = fv * (-(1.0 + y * y) * pitch + x_r * y * yaw + x_r * roll)
+    # Predictions are linear in κ, so that its effect is κ times its Jacobian column.
     u += rig[LENS] * raw[0, _RIG + LENS]
     v += rig[LENS] * raw[1, _RIG + LENS]
     u_r += rig[LENS] * raw[2, _RIG + LENS]
@@ -474,6 +485,8 @@ def _fill_innovations(count: int, correlation: float, track: _Track) -> None:
 
     z_k = s_k a_k − ρ s a_k₋₁ of the white columns a_k, and in turn s_k z_k − ρ s z_k₊₁.
     """
+    # s = 1/√(1 + ρ); the innovation of the anchor's observation, which none precedes, is √(1 − ρ)
+    # a₀. Its square and the ρ²/(1 + ρ) of the next one add up to the first block of Σ⁻¹, 1/(1 + ρ).
     later = 1.0 / math.sqrt(1.0 + correlation)
     before = -correlation * later
     for k in range(count):
@@ -485,6 +498,7 @@ def _fill_innovations(count: int, correlation: float, track: _Track) -> None:
             for n in range(PIXELS):
                 for j in range(_COMMON):
                     track.innovation[k, n, j] += before * track.white[k - 1, n, FRAME + j]
+    # The transposed map, since aᵀ Σ⁻¹ b = (L a)ᵀ (L b) for the map L to innovations.
     for k in range(count):
         own = _share_of_own(k, correlation)
         for n in range(PIXELS):
@@ -513,6 +527,7 @@ def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
     end = observations.start[row + 1]
     error = problem.landmarks.state[row, 3]
     total = squared + problem.landmarks.error_information[row] * error * error
+    # s = eᵀ Σ⁻¹ e + δ²/τ².
     # One landmark, one ν: the mean of those that its observations have been predicted with.
     parameter = 0.0
     for m in range(first, end):
@@ -529,6 +544,7 @@ def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
             weight=weight,
             curvature=weight * max(0.25, share),
         )
+    # n/4 observations that each have the distance s/(n/4).
     # Other losses are made for one observation, and take the mean.
     scale = free / PIXELS
     return _Trust(
@@ -549,7 +565,8 @@ def _linearize(
 ) -> None:
     """Fill the Jacobians of an observation, [4, 18], at the ray where it was projected to.
 
-    Only entries that are not always zero are written.
+    Only entries that are not always zero are written. The first observation of every track is that
+    of the anchor, so that the columns of ξ_ka remain zero there.
     """
     fu = intrinsics[0]
     fv = intrinsics[1]
@@ -568,6 +585,7 @@ def _linearize(
     raw[2, _RIG] = 1.0
     raw[2, _RIG + 1] = x
     raw[2, _RIG + 2] = x * x
+    # u = f_u h_x/h_z + c_u, v = f_v h_y/h_z + c_v.
     # ∂u/∂h, ∂v/∂h and ∂(d/h_z)/∂h.
     u_x = fu * per_depth
     u_z = -u_x * x
@@ -609,7 +627,8 @@ def _linearize(
     raw[3, POSE] = -fv * (1.0 + y * y)
     raw[3, POSE + 1] = fv * x_r * y
     raw[3, POSE + 2] = fv * x_r
-    # u, v and d of the landmark move h along columns of T_ka.
+    # u, v and d of the landmark move h along columns of T_ka: ∂h/∂u = C e_x/f_u, ∂h/∂v = C e_y/f_v,
+    # ∂h/∂d = t/(f_u b).
     for j in range(3):
         column = 3 if j == 2 else j  # d moves h along the translation
         scale = per_disparity
@@ -662,6 +681,8 @@ def _add_common(
         elimination.gradient[row, i] = trust.weight * common[i, error]
         for j in range(RIG):
             elimination.rig_coupling[row, i, j] = trust.curvature * common[i, LANDMARK + j]
+    # Gradients have the IRLS weight, Hessians the curvature; of the latter, only the lower
+    # triangle.
     rig0 = len(equations.gradient) - RIG
     for i in range(RIG):
         equations.gradient[rig0 + i] += trust.weight * common[LANDMARK + i, error]
@@ -717,7 +738,8 @@ def _add_motions(
             for j in range(RIG):
                 factors[n, _WITH_RIG + j] = trust.curvature * track.weighted[k, n, LANDMARK + j]
             factors[n, _GRADIENT] = trust.weight * track.weighted[k, n, _COMMON - 1]
-        # With the observation before: in the sums, if that is of the frame before.
+        # With the observation before, −ρ/(1 + ρ) times the white columns of both: in the sums, if
+        # that is of the frame before.
         slot = problem.observations.slot[first + k]
         prev_slot = problem.observations.slot[first + k - 1] if k > 0 else slot - 1
         is_next = prev_slot == slot - 1
@@ -737,6 +759,7 @@ def _add_motions(
                 slot, prev_slot, anchor, cross=cross, adjoints=adjoints, equations=equations
             )
         target = sums[slot, anchor]
+        # All sums at once: white columns of ζ_k, transposed, times the factors, [9, 4] by [4, 24].
         # In its anchor frame, no motion moves the landmark, only the jitter.
         for i in range(POSE if k == 0 else 0, FRAME):
             w0 = white[0, i]
@@ -762,6 +785,8 @@ def _couple(
     anchor = problem.observations.slot[first]
     of_anchor = coupling[first]
     for k in range(count):
+        # Rows (u, v, d, δ), columns ζ_k: those of the landmark in Σ⁻¹ times the white columns of
+        # this observation.
         own = coupling[first + k]
         white = track.white[k]
         for i in range(LANDMARK):
@@ -881,7 +906,8 @@ def _eliminate(
     _substitute(root, elimination.rig_coupling[row], RIG, wide[:, of_frames:])
     gradient = elimination.gradient[row].reshape(LANDMARK, 1)
     _substitute(root, gradient, 1, wide[:, width:])
-    # Frames come in their order, the rig last: this fills the lower triangle.
+    # H −= Yᵀ Y, g −= Yᵀ R⁻¹ g_landmark. Frames come in their order, the rig last: this fills the
+    # lower triangle.
     frame0 = FRAME * slot[first]
     rig0 = len(equations.gradient) - RIG
     for p in range(width):
@@ -929,7 +955,9 @@ def _add_pairs(sums: FloatArray, adjoints: FloatArray, equations: WindowEquation
             adjoint = adjoints[k, a]
             _times_adjoint(of_motion, adjoint, of_both)
             _adjoint_transposed_times(adjoint, of_both, of_anchor)
-            # Information of (ζ_k, ξ_a) by ζ = (ξ_k − Ad ξ_a, ω_k): [I, −Ad]ᵀ H [I, −Ad].
+            # of_both = H Ad, [9, 6], and of_anchor = Adᵀ H Ad, [6, 6]. The jitter's rows of H have
+            # no part in the latter, as the anchor's pose moves ξ_ka alone. Information of (ζ_k,
+            # ξ_a) by ζ = (ξ_k − Ad ξ_a, ω_k): [I, −Ad]ᵀ H [I, −Ad].
             of_k = FRAME * k
             of_a = FRAME * a
             for i in range(FRAME):
@@ -968,6 +996,9 @@ def _add_neighbours(
         adjoints: Ad(T_ka), [K, K, 6, 6].
         equations: receives the sums.
     """
+    # ζ_kᵀ X ζ_p with ξ_ka = ξ_k − Ad_k ξ_a and ξ_pa = ξ_p − Ad_p ξ_a: X couples k and p, −X Ad_p
+    # couples k and a, −Xᵀ Ad_k couples p and a, and Ad_kᵀ X Ad_p is the anchor's own. Where the
+    # earlier frame is the anchor itself, X has no columns of ξ_pa, only those of the jitter.
     hessian = equations.hessian
     of_prev = np.empty((FRAME, POSE))
     of_curr = np.empty((FRAME, POSE))
@@ -1052,7 +1083,7 @@ def move_landmarks(
     rig0 = len(step) - RIG
     rest = np.zeros(LANDMARK)
     for row in range(len(state)):
-        # A δ = g − B · step, with the inverse of A left by ``_factor``.
+        # A Δ = g − B · step, with the landmark's step Δ, and the inverse of A left by ``_factor``.
         for i in range(LANDMARK):
             rest[i] = elimination.gradient[row, i]
             for j in range(RIG):
