@@ -173,6 +173,7 @@ class Window:
             T_slot_other, [4, 4], m, and the covariance of its left perturbation, [6, 6].
         """
         T = self.T_cam_world[slot] @ se3.inverse(self.T_cam_world[other])
+        # Both poses are perturbed on the left, so that of T = T_slot T_other⁻¹ the perturbation is
         # ξ = ξ_slot − Ad(T) ξ_other, to first order. Sums, since both may be the same frame.
         jacobian = np.zeros((POSE, len(self.cov)))
         jacobian[:, self.pose_slice(slot)] += np.eye(POSE)

@@ -278,6 +278,7 @@ class WindowEstimator:
     def _fixes_newest(self, window: Window, prev: int) -> bool:
         """Return whether the motion from a frame to the newest is known as well as one of two
         frames has to be."""
+        # Of the motion: the covariance of a pose in the world grows along the path.
         _, cov = window.relative(len(window) - 1, prev)
         if not np.isfinite(cov).all():
             return False
@@ -337,6 +338,7 @@ class WindowEstimator:
             prev: place of the previous frame, which is the last one unless those after it are
                 blind.
         """
+        # Which observation belongs to which landmark.
         num_frames = len(window)
         prev %= num_frames
         # The landmark of each track; new ones are numbered behind those of the window.
@@ -362,7 +364,8 @@ class WindowEstimator:
             root=root,
             loss_parameter=np.concatenate([parameters[is_new], parameters]),
         )
-        # Landmarks: the new ones as their first observation shows them, with the prior of δ.
+        # Landmarks: the new ones as their first observation shows them, with the prior of δ, whose
+        # information is 1/τ².
         variance = np.zeros(len(tracks))
         if noise.time_correlated is not None:
             variance = noise.time_correlated
@@ -377,6 +380,8 @@ class WindowEstimator:
                 ]
             ),
         )
+        # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
+        # so that the pose may still be linearised anew (``_moved``).
         T_new = T_curr_prev @ window.T_cam_world[prev]
         is_blind = np.append(window.is_blind, len(tracks) == 0)
         is_blind[prev] &= len(tracks) == 0  # features of it may be found again only now
@@ -409,6 +414,7 @@ class WindowEstimator:
         iterations = 0
         while iterations < self._config.max_iterations:
             iterations += 1
+            # gradient · step is about twice the decrease that the quadratic model predicts.
             step = self._step(system, damping)
             moved = self._moved(system, step)
             # Where steps shrink from one to the next by a factor, those still to come gain this.
@@ -418,6 +424,7 @@ class WindowEstimator:
             if damping == 0.0 and still_to_gain < CONVERGED_BELOW:
                 # Cost and curvature hardly change any more, and need not be formed again.
                 break
+            # Accept, and damp less, or go back, and damp more.
             trial = self._system(moved)
             if trial.cost <= system.cost + COST_TOLERANCE:
                 system = trial
@@ -444,6 +451,7 @@ class WindowEstimator:
         """
         observations = window.observations
         rows = window.landmark_rows
+        # Which landmarks leave, and which of them begin anew.
         # Landmarks of the oldest frame are anchored in it, and leave with all their observations.
         is_old = observations.slot[observations.start[:-1]] == 0
         is_alive = is_old & (window.last_seen == len(window) - 1)
@@ -465,11 +473,14 @@ class WindowEstimator:
                 inertial=None,
             )
         )
-        # At the offsets x, gradient = η − Λ x of the new prior.
+        # At the offsets x, gradient = η − Λ x of the new prior, so that η = gradient + Λ x. The
+        # system has the old prior in it already.
         information = system.equations.hessian
         vector = system.equations.gradient + information @ window.offsets()
         is_first = np.arange(len(window)) == 0
         prior = without_poses(MarginalPrior(information, vector), is_first)
+        # With inertial states, pose, velocity and biases of the frame are marginalised in one
+        # block: the IMU's factor correlates them.
         of_imu = window.inertial
         marginalised = inertial.without_first(window, system.equations)
         if marginalised is not None:
@@ -504,7 +515,8 @@ class WindowEstimator:
         x, y = camera.normalized(pixels[:, 0], pixels[:, 1])
         x_r, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
         # What the lenses move outwards is taken back at the observed place: it is only a start. The
-        # disparity error of the rig is the true one minus the measured one.
+        # disparity error of the rig is the true one minus the measured one, and added. δ starts at
+        # zero, the mean of its prior.
         inwards = -rig[LENS] * (x * x + y * y)
         inwards_r = -rig[LENS] * (x_r * x_r + y * y)
         states = np.zeros((len(pixels), LANDMARK))
@@ -520,6 +532,7 @@ class WindowEstimator:
         size = FRAME * num_frames + RIG
         num_observations = len(window.observations.slot)
         num_landmarks = len(window.landmarks.state)
+        # The features first: landmarks are eliminated while their equations are summed.
         geometry = WindowGeometry(
             T_cam_world=window.T_cam_world,
             T_linear=window.T_linear,
@@ -547,7 +560,7 @@ class WindowEstimator:
             equations=equations,
             elimination=elimination,
         )
-        # Of what is left of the landmarks, the jitters, and of these, poses and rig.
+        # Eliminate the jitters; what remains are equations of poses and rig, [6K + 4].
         reduced, jitter, jitter_cost = without_jitter(window, equations)
         cost += jitter_cost - 0.5 * float(x @ (window.prior.vector + towards_prior))
         hessian = reduced.hessian + window.prior.information
@@ -572,21 +585,24 @@ class WindowEstimator:
         hessian, gradient = system.equations
         poses = slice(None, -RIG)
         rig = slice(-RIG, None)
+        # H_pp⁻¹ (H_pr, g_p), damped by a share of the diagonal of H_pp (Marquardt's scaling).
         damped = hessian[poses, poses] + damping * np.diag(np.diagonal(hessian)[poses])
-        wanted = np.column_stack([hessian[poses, rig], gradient[poses]])
+        right_hand_sides = np.column_stack([hessian[poses, rig], gradient[poses]])
         try:
-            solved = np.linalg.solve(damped, wanted)
+            solved = np.linalg.solve(damped, right_hand_sides)
         except np.linalg.LinAlgError:
-            solved = pose_covariance(damped) @ wanted
-        # The rig first, by the Schur complement that is tempered by 1/c; then the poses for it.
-        of_rig = solved[:, :RIG]
-        information = hessian[rig, rig] - hessian[rig, poses] @ of_rig
-        towards = gradient[rig] - of_rig.T @ gradient[poses]
+            solved = pose_covariance(damped) @ right_hand_sides
+        # The rig first, by the Schur complement S = H_rr − H_rp H_pp⁻¹ H_pr, tempered by 1/c: with
+        # its prior information Λ, (Λ + S/c) δr = (g_r − H_rp H_pp⁻¹ g_p)/c − Λ r. Then the poses
+        # for it, δp = H_pp⁻¹ (g_p − H_pr δr).
+        gain = solved[:, :RIG]
+        rig_information = hessian[rig, rig] - hessian[rig, poses] @ gain
+        rig_gradient = gradient[rig] - gain.T @ gradient[poses]
         rig_step = np.linalg.solve(
-            self._rig_information + information / CORRELATED_FEATURES,
-            towards / CORRELATED_FEATURES - self._rig_information @ system.window.rig,
+            self._rig_information + rig_information / CORRELATED_FEATURES,
+            rig_gradient / CORRELATED_FEATURES - self._rig_information @ system.window.rig,
         )
-        return np.concatenate([solved[:, RIG] - of_rig @ rig_step, rig_step])
+        return np.concatenate([solved[:, RIG] - gain @ rig_step, rig_step])
 
     def _covariance(self, hessian: FloatArray) -> FloatArray:
         """Return the joint covariance of poses and rig, [6K + 4, 6K + 4]; the rig's is tempered."""
@@ -618,6 +634,7 @@ class WindowEstimator:
         move_landmarks(
             window.landmarks.state, window.observations, system.elimination, whole_step, state
         )
+        # T ← Exp(ξ) T for each pose.
         T_cam_world = se3.exp(step[:-RIG].reshape(-1, POSE)) @ window.T_cam_world
         # First-estimates Jacobians: a pose in the prior keeps its linearisation point. One of which
         # the prior says nothing yet may be linearised where it is.
@@ -636,6 +653,7 @@ class WindowEstimator:
 
 def _bounded(motion: RelativePose) -> RelativePose:
     """Return a measured motion that is as if known to ``MOST_UNKNOWN``, where it is known less."""
+    # Scaling rows and columns alike keeps the correlations.
     sigma = np.sqrt(np.diagonal(motion.covariance))
     if (sigma <= MOST_UNKNOWN).all():
         return motion

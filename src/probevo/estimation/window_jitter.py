@@ -57,19 +57,21 @@ def without_jitter(
     information = np.linalg.inv(window.jitter_cov)
     towards_prior = -window.jitter @ information  # [K, 3]
     rows_of_jitter = equations.hessian[jitter]
-    of_jitter = rows_of_jitter[:, jitter]
-    # S⁻¹ of each frame stands in a block of its own on the diagonal.
+    jitter_hessian = rows_of_jitter[:, jitter]
+    # The Hessian block of all jitters, [3K, 3K]. S⁻¹ of each frame stands in a block of its own on
+    # the diagonal.
     for at in range(0, len(jitter), JITTER):
-        of_jitter[at : at + JITTER, at : at + JITTER] += information
+        jitter_hessian[at : at + JITTER, at : at + JITTER] += information
     # One solve for both right-hand sides: the coupling to poses and rig, and the gradient.
-    wanted = np.empty((len(jitter), len(others) + 1))
-    wanted[:, :-1] = rows_of_jitter[:, others]
-    wanted[:, -1] = equations.gradient[jitter] + towards_prior.ravel()
-    solved = np.asarray(np.linalg.solve(of_jitter, wanted), np.float64)
+    right_hand_sides = np.empty((len(jitter), len(others) + 1))
+    right_hand_sides[:, :-1] = rows_of_jitter[:, others]
+    right_hand_sides[:, -1] = equations.gradient[jitter] + towards_prior.ravel()
+    solved = np.asarray(np.linalg.solve(jitter_hessian, right_hand_sides), np.float64)
     gain = solved[:, :-1]
     offset = solved[:, -1]
-    # The Schur complement; the last column is that of the gradient.
-    reduced = wanted[:, :-1].T @ solved
+    # The Schur complement H_oo − H_oj H_jj⁻¹ H_jo of the others o and the jitters j; the last
+    # column is that of the gradient, g_o − H_oj H_jj⁻¹ g_j.
+    reduced = right_hand_sides[:, :-1].T @ solved
     hessian = equations.hessian[others][:, others] - reduced[:, :-1]
     equations_of_rest = WindowEquations(
         hessian=0.5 * (hessian + hessian.T),

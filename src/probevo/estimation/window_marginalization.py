@@ -37,6 +37,7 @@ def pose_covariance(hessian: FloatArray) -> FloatArray:
     if not (diagonal > 0.0).all():
         raise np.linalg.LinAlgError("the oldest pose is not known at all")
     root = np.sqrt(diagonal)
+    # B = D² with D = diag(root): what is added doubles the diagonal of the oldest pose's block.
     held = hessian.copy()
     held[:POSE, :POSE] += np.diag(root**2)
     inverse = np.linalg.inv(held)
@@ -87,6 +88,7 @@ def kept_positive(prior: MarginalPrior) -> MarginalPrior:
 def without_poses(prior: MarginalPrior, leaving: BoolArray) -> MarginalPrior:
     """Marginalise the poses of some frames, [K]: the Schur complement of their block."""
     gone = _is_of_poses(leaving)
+    # With r what remains and g what goes: Λ' = Λ_rr − Λ_rg Λ_gg⁻¹ Λ_gr, η' = η_r − Λ_rg Λ_gg⁻¹ η_g.
     information = prior.information
     gain = np.linalg.solve(information[np.ix_(gone, gone)], information[np.ix_(gone, ~gone)])
     rest = information[np.ix_(~gone, ~gone)] - information[np.ix_(~gone, gone)] @ gain

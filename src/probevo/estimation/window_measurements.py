@@ -39,7 +39,8 @@ def with_measurements(window: Window, measurements: Sequence[Measurement]) -> Wi
         # Where its variables lie in the joint vector; all are poses.
         first = [POSE * window.slot(variable.frame) for variable in measurement.variables]
         joint = (np.array(first)[:, None] + np.arange(POSE)).ravel()
-        # Its gradient is at the present offsets x, but the prior's vector is that at x = 0.
+        # Its gradient g is at the present offsets x, but the prior's vector is that at x = 0, where
+        # the gradient of the same quadratic is g + H x.
         information[np.ix_(joint, joint)] += linear.hessian
         vector[joint] += linear.gradient + linear.hessian @ x[joint]
     return replace(window, prior=MarginalPrior(information, vector))

@@ -46,6 +46,8 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
         before: the window whose last frame is the previous one, before the step.
         after: the window with the current frame, adjusted.
     """
+    # From the live pose of the previous frame, as it was estimated before this step, to that of the
+    # current one.
     T_curr_prev = after.T_cam_world[-1] @ se3.inverse(before.T_cam_world[-1])
     adjoint = se3.adjoint(T_curr_prev)
     last = len(after) - 1
@@ -53,6 +55,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     prev_after = after.pose(last - 1).cov
     curr_after = after.pose(last).cov
     T_relative, relative_cov = after.relative(last, last - 1)
+    # cov(ε): the step after, and the share of the previous pose's error that this step has removed.
     known_better = prev_before - prev_after
     if np.diagonal(prev_before)[3:].max() > LARGEST_ATTITUDE_SIGMA_RAD**2:
         oldest = before.slot(int(after.frames[0]))
@@ -64,8 +67,11 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     if after.is_blind[-1] and np.linalg.det(motion.cov) < np.linalg.det(cov):
         # Blind frames are dead-reckoned from the last usable one, each as if by itself.
         cov = motion.cov
+    # T_curr_prev T_relative⁻¹: how far the step moved the previous pose, along the axes of the
+    # current frame.
     cov = cov + _unforeseen(T_curr_prev @ se3.inverse(T_relative), cov)
-    # The path's covariance has to come out as that of the window.
+    # The path's covariance has to come out as that of the window, P_k = Ad P_{k−1} Adᵀ + cov(ε) + X
+    # + Xᵀ: its growth less cov(ε) is split evenly into X and Xᵀ.
     growth = curr_after - adjoint @ prev_before @ adjoint.T
     return replace(
         motion,
