@@ -167,8 +167,11 @@ class _JointPosterior:
         refined = solution.refined[rows, 2]
         is_measurable = point > LEAST_DISPARITY_PX
         growth = np.where(is_measurable, refined / np.maximum(point, LEAST_DISPARITY_PX), 1.0)
+        # Of the filter's common errors only c, the last six: η° is among the unknowns of the solve.
+        # Its row of d is scaled, that of δ stays.
         common = prior.common[:, :, -COMMON:].copy()
         common[:, 0] *= growth[:, None]
+        # M = H U of each feature, summed to the blocks c × (ξ, η), c × c and the gradient of c.
         linearized = _linearized(solution)
         own = linearized.jacobian.shape[2]
         equations = CommonModeEquations(
@@ -288,6 +291,7 @@ def _update(
     count = len(chosen)
     # Common-mode errors z, their posterior, and how they move each track before the update.
     linearized = _linearized(solution) if posterior is None else posterior.linearized
+    # z = (ξ, η, c), of which (ξ, η) are ``own`` many; tracks new to the filter do not move with c.
     own = linearized.jacobian.shape[2]
     mean = np.zeros(own + COMMON)
     common = np.zeros((len(tracks), 2, COMMON))
@@ -317,11 +321,12 @@ def _update(
         mean=mean,
         posterior=states,
     )
-    # Random walk of δ until the next frame
+    # Random walk of δ until the next frame: its variance grows by a share of τ².
     cov = states.cov
     cov[:, 1, 1] += RANDOM_WALK * noise.time_correlated[chosen]
     # Split the errors z into the next common mode and the rest, which is added to each track's own
     # covariance; and find how the common mode moves the path.
+    # z = mean + root w, with whitened errors w ~ N(0, I); a direction is one of the space of w.
     T = solution.T_curr_prev
     kept_common = np.zeros((count, 2, COMMON))
     path_sensitivity = np.zeros((6, COMMON))
@@ -331,6 +336,7 @@ def _update(
         root = posterior.root
         of_jitter = np.zeros((len(root), 0))
         if solution.jitter is not None:
+            # ω' = L' η', and η' follows ξ in z.
             jitter_root = solution.jitter.unknown.curr_root
             of_jitter, jitter = _jitter_after(
                 solution.jitter.curr_rad + jitter_root @ mean[6 : 6 + AXES],
@@ -351,6 +357,7 @@ def _update(
     # (``camera.transfer``).
     px = tracks.prev_px[chosen]
     x, y = camera.normalized(px[:, 0], px[:, 1])
+    # λ = d/(f_u b), and q_z = (C m)_z + λ t_z with m = (x, y, 1).
     inverse_depth = states.mean[:, 0] / (camera.fu_px * camera.baseline_m)
     depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * inverse_depth
     # Points that the motion has taken behind the camera have no disparity any more.
@@ -392,6 +399,7 @@ def _jitter_after(mean: FloatArray, root: FloatArray) -> tuple[FloatArray, Jitte
         The three orthonormal directions of the whitened errors that it depends on, [L, 3], and the
         prior, without the sensitivity of the tracks.
     """
+    # root = L Dᵀ with L triangular and Dᵀ D = I: L is the root of the covariance, D the directions.
     lower = np.empty((AXES, AXES))
     directions = np.empty((root.shape[1], AXES))
     if not split_rows(root, lower, directions):

@@ -121,9 +121,11 @@ def update_states(
                 for q in range(4):
                     gain[s, r] += prior.cross_cov[i, q, s] * features.information[i, q, r]
                 x[n, s] += gain[s, r] * e
+        # ``cross_cov`` is H P, of which the columns of (d, δ) are kept.
         # P − K H P and V − K D. A variance that the residual takes away entirely stays positive.
         # ∂d'/∂d, with d' = u_l' − u_r'.
         growth = features.disparity_jacobian[i, 0] - features.disparity_jacobian[i, 2]
+        # The diagonal of P is enlarged by a rounding error first, which is what then remains.
         for s in range(2):
             for t in range(2):
                 cov[n, s, t] = prior.cov[i, 2 + s, 2 + t] * (1.0 + ROUNDING if s == t else 1.0)
@@ -135,7 +137,8 @@ def update_states(
                     sensitivity[n, s, k] = common[i, s, k - first_moving]
                 for r in range(4):
                     sensitivity[n, s, k] -= gain[s, r] * D[r, k]
-        # In terms of the current frame: d' = growth · d, and the motion ξ moves d' itself.
+        # In terms of the current frame: d' = growth · d, and the motion ξ moves d' itself, by the
+        # rows of J for u_l less those for u_r. The mean is moved by the caller.
         cov[n, 0, 0] *= growth * growth
         cov[n, 0, 1] *= growth
         cov[n, 1, 0] *= growth
@@ -261,6 +264,8 @@ def joint_posterior(
     joint = np.empty((m + COMMON, m + COMMON))
     # One Gauss–Newton step.
     _set_joint(hessian, equations.cross, equations.hessian, scale=1.0, joint=joint)
+    # At the optimum of (ξ, η) these have no gradient; c is at zero, where its prior has none
+    # either.
     gradient = np.zeros(free)
     for k in range(COMMON):
         gradient[free - COMMON + k] = equations.gradient[k]
@@ -270,6 +275,7 @@ def joint_posterior(
         return False
     for i in range(free):
         mean[num_known + i] = step[i]
+    # A serves as work space of the inversion first.
     # The factors A and B, and f, the geometric mean of the diagonal of B A⁻¹.
     information = np.empty((m, m))
     A = np.zeros((m, m))
@@ -312,6 +318,7 @@ def joint_posterior(
 def whiten(sensitivity: FloatArray, cov: FloatArray) -> bool:
     """Divide sensitivities [M, 2, L] by the Cholesky factors of covariances [M, 2, 2], in place;
     False where one is not positive definite."""
+    # L⁻¹ V with the factor L = [[first, 0], [across, second]] of each covariance.
     for n in range(len(sensitivity)):
         first = math.sqrt(cov[n, 0, 0])
         across = cov[n, 1, 0] / first

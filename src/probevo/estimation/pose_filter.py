@@ -118,6 +118,8 @@ class PoseFilter:
 
     def advanced(self, motion: MotionEstimate) -> PoseFilter:
         """Return the pose after a step: P = Ad P Adᵀ + cov + X + Xᵀ, X the cross-covariance."""
+        # T_curr_world = T_curr_prev T_prev_world: a left perturbation ξ of the pose before becomes
+        # Ad ξ, and that of the motion is added. Further states do not move.
         adjoint = np.eye(len(self.own_cov))
         adjoint[:POSE, :POSE] = se3.adjoint(motion.T_curr_prev)
         # Common-mode errors are the same in all steps, so their roots add up, not their
@@ -149,6 +151,8 @@ class PoseFilter:
     ) -> tuple[FloatArray, FloatArray]:
         """Return what is measured minus what is predicted, [d], and its covariance, [d, d]."""
         values = self.values(pose)
+        # J over pose and further states; an innovation has the covariance J P Jᵀ + R. A variable
+        # that the filter does not hold has no columns, as if it were known.
         columns = np.zeros((len(measurement.covariance), len(self.own_cov)))
         for variable, jacobian in zip(
             measurement.variables, measurement.jacobians(values), strict=True
@@ -169,7 +173,8 @@ class PoseFilter:
         """
         if not measurements:
             return self
-        # The prior: this estimate, regularised, since the first pose is known exactly.
+        # The prior: this estimate, common-mode part included, regularised, since the first pose is
+        # known exactly.
         prior_cov = self.joint_cov
         prior_cov[range(POSE), range(POSE)] += LEAST_SIGMA**2
         T_cam_world = se3.inverse(self.T_world_cam)
@@ -186,6 +191,7 @@ class PoseFilter:
         # The posterior, split again into the common-mode part and the rest.
         information = gauss_newton.information(optimum.measurements, optimum.values, free)
         cov = _inverse(information)
+        # s⁺ = A s with A = P⁺ P⁻¹; of P⁺, what is not s⁺ s⁺ᵀ is the pose's own.
         common_mode = cov @ _inverse(prior_cov) @ self.common_mode
         return PoseFilter(
             T_world_cam=se3.inverse(optimum.values[pose]),
@@ -239,7 +245,8 @@ class _JointPrior(VectorMeasurement):
         return np.concatenate([self._pose_prior.residual(values), *others])
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
-        """Return ∂e/∂ξ, by central differences, and −1 for the others."""
+        """Return ∂e/∂ξ of the pose, as of ``PosePrior``, and −1 for the others."""
+        # One [6 + n, ·] for each variable, whose own rows alone are not zero.
         size = len(self.covariance)
         of_pose = np.zeros((size, POSE))
         of_pose[:POSE] = self._pose_prior.jacobians(values)[0]
