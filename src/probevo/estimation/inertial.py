@@ -113,6 +113,7 @@ class Inertial:
 
         A step that no image has tested may be as wrong as any of these.
         """
+        # The mean of χ² of six degrees of freedom is six.
         if not self.squared:
             return self.excess_at_start
         return max(1.0, float(np.mean(self.squared)) / POSE)
@@ -147,11 +148,13 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
     """
     if window.inertial is None or window.inertial.refused:
         return window
+    # Start anew where no factor of the window is left, as after a long time without samples.
     inertial = window.inertial
     if inertial.is_used and not any(inertial.factors):
         # For as long as the window lasts: what is left of the states would only be in the way.
         window = without_inertial(window, inertial.note, refused=False)
         inertial = inertial.without_states(inertial.note, refused=False)
+    # Preintegrate with the latest estimate of the biases, about which the factor is linearised.
     states = inertial.states
     factor = preintegrate(
         frame.imu,
@@ -167,6 +170,7 @@ def with_samples(window: Window, prev: Frame, frame: Frame) -> Window:
         silent = replace(inertial, pending=None, prediction=None, note=factor.reason)
         return replace(window, inertial=silent)
     factor = replace(factor, cov=inertial.noise_factor * factor.cov)
+    # Predict the next motion, once velocity, biases and gravity are known.
     prediction = None
     if states is not None:
         prediction = predicted(window, states, factor)
@@ -213,6 +217,8 @@ def gated(window: Window, seen: RelativePose) -> Window:
     inertial = window.inertial
     if inertial is None or inertial.prediction is None:
         return window
+    # ν = Log(T_seen T_predicted⁻¹), along the axes of the frame that comes, and νᵀ (Σ_seen +
+    # Σ_predicted)⁻¹ ν. The memory keeps the last ``NUM_TESTED``, this one included.
     prediction = inertial.prediction
     innovation = se3.log(seen.T_curr_prev @ se3.inverse(prediction.T_curr_prev))
     squared = float(innovation @ np.linalg.solve(seen.covariance + prediction.cov, innovation))
@@ -223,6 +229,7 @@ def gated(window: Window, seen: RelativePose) -> Window:
         squared=(*inertial.squared[1 - NUM_TESTED :], squared),
         was_gated=was_gated,
     )
+    # Gated once: the factor counts for little. Too often, or too noisy in the median: for good.
     if is_gated:
         note = f"contradicts the images in this step (χ² {squared:.0f} of 6 degrees of freedom)"
         pending = None
@@ -314,7 +321,8 @@ def without_inertial(window: Window, note: str, *, refused: bool = True) -> Wind
     left_out = inertial.without_states(note, refused=refused)
     if inertial.states is None:
         return replace(window, inertial=left_out)
-    # Their joint prior with the poses stays, reduced to the poses; the factors go. As everywhere,
+    # Their joint prior with the poses stays, reduced to the poses by the Schur complement; the
+    # factors go, since without pairs the system is that prior alone. As everywhere,
     # the gradient at the present offsets is turned into the vector of the prior.
     system = inertial_system(window, inertial.states, inertial.factors, num_pairs=0)
     hessian, gradient = system.reduced()
@@ -338,6 +346,7 @@ def _motions_by_imu_only(window: Window, inflation: float) -> list[RelativePose]
     for slot in range(1, len(window)):
         here = window.pose_slice(slot)
         before = window.pose_slice(slot - 1)
+        # Landmarks in common, or an off-diagonal block of the prior, connect the two already.
         if window.has_common_landmarks(slot) or window.prior.information[here, before].any():
             continue
         T_curr_prev, cov = window.relative(slot, slot - 1)
@@ -388,6 +397,7 @@ def started(window: Window) -> Window:
     factors = [factor for factor in inertial.factors if factor is not None]
     if len(window) < FRAMES_AT_START or len(factors) < len(inertial.factors):
         return window
+    # The test against the images.
     try:
         fit = fit_inertial_states(window, factors, inertial.calibration)
     except np.linalg.LinAlgError:
@@ -398,6 +408,7 @@ def started(window: Window) -> Window:
         states = with_gravity_of_known_length(fit.states)
         used = replace(inertial, states=states, excess_at_start=fit.excess, note="")
         return replace(window, inertial=used)
+    # Failed: try again in the next frame, up to ``MOST_ATTEMPTS``.
     attempts = inertial.attempts + 1
     refused = attempts >= MOST_ATTEMPTS
     note = f"is left out from here on: it {reason}" if refused else reason

@@ -83,6 +83,8 @@ def fit_inertial_states(
     Raises:
         numpy.linalg.LinAlgError: the covariance of the poses is indefinite, by rounding.
     """
+    # First guesses: at rest, without bias, gravity along the first camera's y axis. Velocities and
+    # gravity enter linearly, so that these need not be good.
     count = len(window)
     first = np.arange(count - 1)
     bias_sigma = bias_sigmas(calibration)
@@ -111,6 +113,7 @@ def fit_inertial_states(
             design[here, 3 * at : 3 * at + 3] = of_states[:, :3]
             design[here, 3 * at + 3 : 3 * at + 6] = of_states[:, STATE : STATE + 3]
             design[here, of_bias] = of_states[:, 3:STATE]
+            # ∂δv/∂g = −T C_i and ∂δp/∂g = −½ T² C_i.
             # Gravity is free here, in its length, too, and not only across itself.
             C_i = window.T_linear[at, :3, :3]
             design[9 * at + 3 : 9 * at + 6, -3:] = -factor.duration_s * C_i
@@ -118,15 +121,17 @@ def fit_inertial_states(
             noise[here, here] = factor.cov
         # Whiten by the covariance of r, to which the poses contribute, scaled to a unit diagonal
         # since the units differ widely.
-        whole = noise + by_pose @ window.cov @ by_pose.T
-        variance = np.diagonal(whole)
+        residual_cov = noise + by_pose @ window.cov @ by_pose.T
+        variance = np.diagonal(residual_cov)
         if not (variance > 0.0).all():
             raise np.linalg.LinAlgError("the covariance of the poses is indefinite")
         scale = 1.0 / np.sqrt(variance)
-        root = np.linalg.cholesky(whole * scale[:, None] * scale)
-        white_design = np.linalg.solve(root, design * scale[:, None])
-        white_residual = np.linalg.solve(root, residual.ravel() * scale)
-        # One Gauss–Newton step under the prior of the biases.
+        residual_root = np.linalg.cholesky(residual_cov * scale[:, None] * scale)
+        white_design = np.linalg.solve(residual_root, design * scale[:, None])
+        white_residual = np.linalg.solve(residual_root, residual.ravel() * scale)
+        # One Gauss–Newton step under the prior Λ of the biases, with the white design D and
+        # residual r: (Dᵀ D + Λ)⁻¹ (−Dᵀ r − Λ x). What then remains of r is χ² distributed, prior
+        # included.
         cov = inverse_of(white_design.T @ white_design + prior)
         values = np.concatenate([velocity.ravel(), bias, gravity])
         step = -cov @ (white_design.T @ white_residual + prior @ _bias_only(values, of_bias))

@@ -135,6 +135,8 @@ def at_start(
     """
     count = len(velocity)
     size = GRAVITY + STATE * count
+    # Behind gravity, each frame has velocity [3] and biases [6]: those of the first frame are
+    # at GRAVITY + 3 and after.
     information = np.zeros((size, size))
     of_bias = GRAVITY + 3 + np.arange(6)
     information[of_bias, of_bias] = 1.0 / np.maximum(bias_sigma, 1e-9) ** 2
@@ -161,6 +163,7 @@ def with_frame(states: InertialStates, velocity: FloatArray) -> InertialStates:
     """
     q = len(states.vector)
     p = states.coupling.shape[1]
+    # The rig stays last in the vector of poses and rig, and moves behind the new pose.
     poses = np.concatenate([np.arange(p - RIG), np.arange(p - RIG, p) + POSE])
     information = np.zeros((q + STATE, q + STATE))
     information[:q, :q] = states.information
@@ -191,6 +194,8 @@ def moved(states: InertialStates, step: FloatArray) -> InertialStates:
         bias=states.bias + of_frames[:, 3:],
         gravity_offset=states.gravity_offset + step[:GRAVITY],
     )
+    # Gravity likewise: until the prior contains it, the linearisation point moves along, and δ is
+    # zero.
     if information[0] > 0.0:
         return changed
     return replace(changed, gravity_linear=changed.gravity, gravity_offset=np.zeros(GRAVITY))
@@ -224,12 +229,15 @@ def inertial_system(
     hessian[p:, p:] = states.information
     hessian[p:, :p] = states.coupling
     hessian[:p, p:] = states.coupling.T
-    # With y of poses and rig, the prior's cost is ½ xᵀ Λ_ii x + xᵀ Λ_ip y − ηᵀ x.
-    towards = states.vector - states.information @ x
-    gradient[p:] = towards - states.coupling @ offsets
+    # With y of poses and rig, the prior's cost is ½ xᵀ Λ_ii x + xᵀ Λ_ip y − ηᵀ x; its gradients of
+    # descent are η − Λ_ii x − Λ_ip y for x, and −Λ_ipᵀ x for y.
+    prior_gradient = states.vector - states.information @ x
+    gradient[p:] = prior_gradient - states.coupling @ offsets
     gradient[:p] = -states.coupling.T @ x
-    cost = -0.5 * float(x @ (states.vector + towards)) + float(x @ (states.coupling @ offsets))
-    # The preintegrations.
+    cost = -0.5 * float(x @ (states.vector + prior_gradient)) + float(
+        x @ (states.coupling @ offsets)
+    )
+    # The preintegrations: ½ rᵀ W r each, Hessian Jᵀ W J, gradient of descent −Jᵀ W r.
     present = [at for at, factor in enumerate(factors[:num_pairs]) if factor is not None]
     used = [factor for factor in factors[:num_pairs] if factor is not None]
     if used:
@@ -243,6 +251,7 @@ def inertial_system(
             joint = _places(at, p)
             hessian[np.ix_(joint, joint)] += of_factor
             gradient[joint] += descent
+    # The random walks of the biases connect successive frames, with or without samples between.
     variances = _walk_variances(factors)[:num_pairs]
     cost += _add_walks(states, variances, hessian[p:, p:], gradient[p:])
     # What nothing measures must not make the block singular that is eliminated.
@@ -284,7 +293,8 @@ def linearized(
     dt = np.array([f.duration_s for f in factors])[:, None]
     lever = np.stack([f.lever_m for f in factors])
     by_bias = np.stack([f.bias_jacobian for f in factors])
-    # The samples were summed up with another bias; what that changes is taken to first order.
+    # The samples were summed up with another bias; what that changes is taken to first order, as
+    # (δφ, δv, δp), [F, 9]: ΔR Exp(δφ), Δv + δv, Δp + δp.
     change = states.bias[first] - np.stack([f.bias for f in factors])
     correction = (by_bias @ change[..., None])[..., 0]
     T = window.T_cam_world
@@ -293,6 +303,7 @@ def linearized(
     gravity = states.gravity
     acceleration = velocity[second] - velocity[first] - dt * gravity
     way = dt * velocity[first] + 0.5 * dt**2 * gravity
+    # Residuals are what the states say minus what the samples say, hence −Jᵀ W r as the descent.
     measured = np.stack([f.rotation for f in factors]) @ so3.exp(correction[:, :3])
     residual = np.empty((len(factors), 9))
     residual[:, :3] = so3.log(measured.mT @ delta.rotation)
@@ -322,14 +333,16 @@ def linearized(
     v_i = slice(12, 15)
     bias_i = slice(15, 21)
     v_j = slice(21, 24)
-    # δφ = Log(ΔRᵀ R_ij) moves by J_r⁻¹(δφ) (R_ijᵀ φ_i − φ_j), with J_r(φ) = J(−φ).
+    # C ← Exp(φ) C at both ends, so that R_ij ← Exp(φ_i) R_ij Exp(−φ_j) = R_ij Exp(R_ijᵀ φ_i − φ_j).
+    # So δφ = Log(ΔRᵀ R_ij) moves by J_r⁻¹(δφ) (R_ijᵀ φ_i − φ_j), with J_r(φ) = J(−φ).
     inverse_right = np.linalg.inv(so3.left_jacobian(-residual[:, :3]))
     jacobian[:, rows_r, phi_i] = inverse_right @ delta.rotation.mT
     jacobian[:, rows_r, phi_j] = -inverse_right
     # What C_i turns moves by φ_i × itself.
     jacobian[:, rows_v, phi_i] = -so3.wedge((C_i @ acceleration[..., None])[..., 0])
     jacobian[:, rows_p, rho_i] = np.eye(3)
-    # R_ij (l − t_j) turns with φ_i, and t_i, too.
+    # t_i moves by ρ_i + φ_i × t_i. δp = R_ij (l − t_j) − l + t_i − C_i way − Δp: all of it but l
+    # and Δp turns with φ_i, and a × b = −b^ a gives the sign.
     to_imu_j = delta.position + lever - T[first, :3, 3]
     jacobian[:, rows_p, phi_i] = so3.wedge(
         (C_i @ way[..., None])[..., 0] - to_imu_j - T[first, :3, 3]
@@ -337,6 +350,7 @@ def linearized(
     # In R_ij (l − t_j), the turns of C_jᵀ and t_j by φ_j cancel but for that of l.
     jacobian[:, rows_p, rho_j] = -delta.rotation
     jacobian[:, rows_p, phi_j] = delta.rotation @ so3.wedge(lever)
+    # ∂δv/∂v and ∂δp/∂v; δp does not depend on v_j.
     jacobian[:, rows_v, v_i] = -C_i
     jacobian[:, rows_p, v_i] = -dt[..., None] * C_i
     jacobian[:, rows_v, v_j] = C_i
@@ -346,6 +360,7 @@ def linearized(
     inverse_left = np.linalg.inv(so3.left_jacobian(residual[:, :3]))
     jacobian[:, rows_r, bias_i] = -inverse_left @ by_bias[:, rows_r]
     # g = Exp(B δ) ḡ moves by −ḡ^ B δ.
+    # δv has −C_i g T, and δp has −½ C_i g T²: with the minus of −ḡ^ B δ, both columns are positive.
     by_gravity = C_i @ (so3.wedge(gravity) @ states.across)
     jacobian[:, rows_v, -GRAVITY:] = dt[..., None] * by_gravity
     jacobian[:, rows_p, -GRAVITY:] = 0.5 * dt[..., None] ** 2 * by_gravity
@@ -428,6 +443,7 @@ def with_covariance(
     states: InertialStates, system: InertialSystem, cov: FloatArray
 ) -> InertialStates:
     """Return the states with their covariance, given that of poses and rig, [p, p]."""
+    # Block inverse: Σ_ip = −G Σ_pp, Σ_ii = H_ii⁻¹ + G Σ_pp Gᵀ with the gain G = H_ii⁻¹ H_ip.
     cross_cov = -system.gain @ cov
     return replace(states, cov=system.own - cross_cov @ system.gain.T, cross_cov=cross_cov)
 
@@ -464,6 +480,7 @@ def without_first_frame(
     gain = inverse_of(gone) @ hessian[np.ix_(goes, ~goes)]
     rest = hessian[np.ix_(~goes, ~goes)] - hessian[np.ix_(~goes, goes)] @ gain
     rest = 0.5 * (rest + rest.T)
+    # η' = η_r − Λ_rg Λ_gg⁻¹ η_g.
     rest_vector = vector[~goes] - gain.T @ vector[goes]
     # The rest is a prior of all that remains, of which the window holds the part of poses and rig.
     poses = slice(None, p - POSE)
@@ -513,6 +530,7 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     way = way + C_i @ (dt * states.velocity[last] + 0.5 * dt**2 * gravity)
     change = C_i.T @ (factor.velocity + correction[3:6])
     velocity = states.velocity[last] + dt * gravity + change
+    # The IMU is at l in both camera frames: p_prev = R_ij p_curr + s, and R_ij l + s = l + way.
     lever = factor.lever_m
     T_prev_curr = se3.from_parts(rotation, lever + way - rotation @ lever)
     T_curr_prev = se3.inverse(T_prev_curr)
@@ -554,6 +572,7 @@ def _predicted_covariance(
     )
     _, jacobians = linearized(pair, ends, [factor], np.array([0]))
     jacobian = jacobians[0]
+    # Columns of the Jacobian: pose i, pose j, velocity and biases of i, those of j, gravity.
     at_state = GRAVITY + STATE * last
     # New pose and velocity follow from the old states and the noise: from J_u u + J_g g = noise,
     # u = −J_u⁻¹ J_g g + J_u⁻¹ noise. Gravity has the last two columns.

@@ -110,6 +110,7 @@ def preintegrate(
     reason = _reason_against(stamps_ns, start_ns, end_ns)
     if reason:
         return NoPreintegration(reason)
+    # Sub-intervals between knots: start, samples inside, end.
     is_inside = (stamps_ns > start_ns) & (stamps_ns < end_ns)
     # Count from the start of the interval: stamps since 1970 are not exact as floats.
     knots_ns = np.concatenate([[start_ns], stamps_ns[is_inside], [end_ns]]) - start_ns
@@ -152,6 +153,7 @@ def preintegrate(
 
 def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
     """Return why samples with these stamps do not cover an interval; nothing if they do."""
+    # From the last sample at or before the start to the first one at or after the end.
     first = max(int(np.searchsorted(stamps_ns, start_ns, side="right")) - 1, 0)
     covering = stamps_ns[first : int(np.searchsorted(stamps_ns, end_ns, side="left")) + 1]
     between_ns = np.diff(covering)
@@ -165,6 +167,7 @@ def _reason_against(stamps_ns: IntArray, start_ns: int, end_ns: int) -> str:
         )
     if between_ns.min() <= 0:
         return "has samples whose stamps do not ascend"
+    # The longest time without a sample, at either end of the interval as well.
     usual_ns = float(np.median(apart_ns))
     hole_ns = max(
         float(between_ns.max()), float(covering[0] - start_ns), float(end_ns - covering[-1])

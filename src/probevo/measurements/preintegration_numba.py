@@ -82,12 +82,14 @@ def preintegrate_samples(
         dt = samples.steps_s[index]
         rate = samples.rates_rad_s[index]
         force = samples.forces_m_s2[index]
-        # The turn over the sub-interval, and over its first half, with their right Jacobians.
+        # The turn over the sub-interval, Exp(ω dt), and over its first half, with their right
+        # Jacobians.
         fill_exp(rate[0] * dt, rate[1] * dt, rate[2] * dt, whole, jacobian)
         h = 0.5 * dt
         fill_exp(rate[0] * h, rate[1] * h, rate[2] * h, half, half_jacobian)
         middle = np.dot(rotation, half)
-        # A rotation error δ of the middle's axes moves the force by −ΔR_m f^ δ.
+        # ΔR Exp(δφ) Exp((ω − n) h) = ΔR_m Exp(δ) with δ = Exp(ω h)ᵀ δφ − J_r(ω h) h n: such a
+        # rotation error δ of the middle's axes moves the force by −ΔR_m f^ δ.
         wedge = np.array(
             [
                 [0.0, -force[2], force[1]],
@@ -99,7 +101,8 @@ def preintegrate_samples(
         by_rotation = np.dot(turned_by_force, half.T)
         by_rate = np.dot(turned_by_force, half_jacobian)
         # A has the order (δφ, δv, δp) in rows and columns, B has (rate, force) in its columns. The
-        # rate of the first half turns the middle's axes, hence h in its effect on velocity.
+        # rate of the first half turns the middle's axes, hence h in its effect on velocity. The
+        # force moves the velocity by dt and the position by ½ dt².
         for i in range(3):
             for j in range(3):
                 unit = 1.0 if i == j else 0.0
@@ -115,7 +118,8 @@ def preintegrate_samples(
                 B[3 + i, 3 + j] = middle[i, j] * dt
                 B[6 + i, 3 + j] = middle[i, j] * 0.5 * dt * dt
         copy_into(sums.bias_jacobian, np.dot(A, sums.bias_jacobian) - B)
-        # White noise of density σ has the variance σ²/dt in the mean over a sub-interval.
+        # Σ ← A Σ Aᵀ + B N Bᵀ. White noise of density σ has the variance σ²/dt in the mean over a
+        # sub-interval.
         gyro_sigma = gyro_density / math.sqrt(dt)
         accel_sigma = accel_density / math.sqrt(dt)
         for i in range(9):
