@@ -120,6 +120,7 @@ def jitter_effects(
     offset = np.empty((2, AXES))
     moved = np.empty((2, AXES))
     for n in range(len(prev)):
+        # G of the place in the right image, ∂(u_r, v_r)/∂ω, [2, 3]: B = G' L', and G° L°.
         right_offset(camera, curr[n, 2], curr[n, 3], offset)
         _product(offset, curr_root, basis[n])
         right_offset(camera, prev[n, 2], prev[n, 3], offset)
@@ -168,6 +169,7 @@ def jitter_columns(
         X, Y, Z, rho = transfer(T, camera, refined[n])
         if Z < NEAREST:
             continue
+        # q = C m + ρ t moves with (u, v, d) by C e_x/f_u, C e_y/f_v and t/(f_u b).
         x = X / Z
         y = Y / Z
         d = fb * rho / Z
@@ -182,7 +184,8 @@ def jitter_columns(
                     + T[i, 1] * sensitivity[n, 1, k] / fv
                     + T[i, 3] * sensitivity[n, 2, k] / fb
                 ) / Z
-            # u' = f_u q_x/q_z, and d' = d/q_z; u_r' = u' − d' − δ.
+            # u' = f_u q_x/q_z and d' = d/q_z, whose derivatives are those of the numerator over
+            # q_z, less (u', d') ∂q_z/q_z; u_r' = u' − d' − δ.
             u_move = fu * (move[0] - x * move[2])
             v_move = fv * (move[1] - y * move[2])
             d_move = sensitivity[n, 2, k] / Z - d * move[2]
@@ -347,6 +350,7 @@ def _set_jitter(
         q0 = q1 = q2 = 0.0
         if loss.newton:
             bend = robust_bend(loss.kind, loss.parameter[n], loss.squared[n])
+            # (q0, q1, q2) = Fᵀ w Σ⁻¹ e, with the weight in e already.
             g0 = W[0, 0] * e0 + W[0, 1] * e1 + W[0, 2] * e2 + W[0, 3] * e3
             g1 = W[1, 0] * e0 + W[1, 1] * e1 + W[1, 2] * e2 + W[1, 3] * e3
             g2 = W[2, 0] * e0 + W[2, 1] * e1 + W[2, 2] * e2 + W[2, 3] * e3
@@ -413,6 +417,7 @@ def joint_normal_equations(
         newton: whether to take the curvature of the loss into account.
         equations: filled in.
     """
+    # The block of ξ at y' − D η. The other blocks have the robust weights of the same residuals.
     curr = np.empty((len(jitter.curr), 4))
     without_jitter(jitter, at.eta, curr)
     motion = NormalEquations(np.empty((6, 6)), np.empty(6), np.empty(len(curr)))

@@ -104,6 +104,8 @@ class PointPrior:
         """Replace the disparities that the filter knows by its states, independent of u and v."""
         if not len(prior.rows):
             return self
+        # The filter's states have no cross-covariance with (u, v): a track is where it was last
+        # seen.
         point = self.point.copy()
         error = self.error.copy()
         cov = self.cov.copy()

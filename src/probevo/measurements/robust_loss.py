@@ -155,6 +155,7 @@ def _moments(loss: RobustLoss, dof: float) -> tuple[float, float]:
     log_s = (starts[:, None] + 0.5 * (nodes + 1.0)).ravel()
     s = np.exp(log_s)
     nu = min(dof, 1e12)  # Gaussian to rounding
+    # p(x) ∝ (1 + s/ν)^(−(ν + d)/2), and the volume of a shell of log s is ∝ s^(d/2).
     density = np.exp(
         0.5 * (RESIDUAL_DIM * log_s - (nu + RESIDUAL_DIM) * np.log1p(s / nu))
     )  # of log s, up to a factor

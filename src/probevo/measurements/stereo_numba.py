@@ -146,6 +146,7 @@ def propagate_noise(
             information[n] = 0.0
             continue
         iz = 1.0 / Z
+        # q = C m + ρ t is the point in the current frame over its depth in the previous one.
         # What the current left image should show, from the principal point on, and the disparity.
         u = fu * X * iz
         v = fv * Y * iz
@@ -193,7 +194,7 @@ def propagate_noise(
         if not invert_symmetric_4(sigma, information[n], lower):
             information[n] = 0.0
             continue
-        # The refined point: ŝ = s + P Hᵀ Σ⁻¹ e.
+        # The refined point, the Kalman update ŝ = s + P Hᵀ Σ⁻¹ e: row 1 of H P serves v_l and v_r.
         e[0] = curr[n, 0] - (u + cu) - offset[n, 0]
         e[1] = curr[n, 1] - (v + cv) - offset[n, 1]
         e[2] = curr[n, 2] - (u - d + cu) - offset[n, 2]
@@ -309,6 +310,7 @@ def normal_equations(
         v_y = fv * iz
         v_z = -v * iz
         r_z = -(u - d) * iz
+        # (k0, k1, k2) is w Σ⁻¹, its rows folded, times the third column of F, (u_z, v_z, r_z).
         k0 = w00 * u_z + w01 * v_z + w02 * r_z
         k1 = w01 * u_z + w11 * v_z + w12 * r_z
         k2 = w02 * u_z + w12 * v_z + w22 * r_z
@@ -321,7 +323,8 @@ def normal_equations(
         q0 = u_x * (g0 + g2)
         q1 = v_y * g1
         q2 = u_z * g0 + v_z * g1 + r_z * g2
-        # Newton's term 2 w' (Fᵀ Σ⁻¹ e)(Fᵀ Σ⁻¹ e)ᵀ, by the weighted gradient.
+        # Newton's term 2 w' (Fᵀ Σ⁻¹ e)(Fᵀ Σ⁻¹ e)ᵀ, by the weighted gradient: bend is −2 w'/w²,
+        # which is positive as w falls with s.
         if newton:
             bend = robust_bend(kind, parameter[n], s)
             H00 = H00 - bend * q0 * q0
@@ -341,6 +344,8 @@ def normal_equations(
         M20 = Y * H22 - Z * H12
         M21 = Z * H02 - X * H22
         M22 = X * H12 - Y * H02
+        # Sum up the blocks, of the symmetric ones the upper triangle only; the gradients
+        # are ρ Fᵀ w Σ⁻¹ e and q × Fᵀ w Σ⁻¹ e.
         rho_2 = rho * rho
         t00 += rho_2 * H00
         t01 += rho_2 * H01
@@ -522,10 +527,10 @@ def sum_information(
     for n in range(len(jacobians.motion)):
         curvature = weights.curvature[n]
         # Factors of the blocks translation × translation and translation × rotation.
-        of_translation = curvature * (
+        translation_factor = curvature * (
             disparity_share[n] * disparity_share[n] - disparity_noise_share[n]
         )
-        of_mixed = curvature * disparity_share[n]
+        mixed_factor = curvature * disparity_share[n]
         for i in range(6):
             for j in range(i + 1):
                 product = 0.0
@@ -535,9 +540,9 @@ def sum_information(
                 # j ≤ i: translations come first in ξ.
                 factor = curvature
                 if i < 3:
-                    factor = of_translation
+                    factor = translation_factor
                 elif j < 3:
-                    factor = of_mixed
+                    factor = mixed_factor
                 information[i, j] += factor * product
     for i in range(6):
         for j in range(i):

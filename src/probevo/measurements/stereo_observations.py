@@ -268,6 +268,7 @@ class StereoObservations:
         if self.jitter is None:
             return self.points
         points = self.points
+        # V η°, [N, 4]: it moves (u, v, d, δ).
         offset = self.jitter.effects.sensitivity @ values[self.jitter.variable][AXES:]
         return PointPrior(
             point=points.point + offset[:, :3],
@@ -397,8 +398,8 @@ class StereoObservations:
         all disparities are mostly noise; there it distinguishes an unobservable translation from an
         observable one.
         """
-        # The columns were formed with the refined disparity. Where it is zero, so are they, and ∞
-        # makes their shares zero.
+        # The columns were formed with the refined disparity d̂: (d/d̂)² − σ²/d̂² is the factor of
+        # their square. Where d̂ is zero, so are they, and ∞ makes their shares zero.
         refined = self.propagated_noise.refined[:, 2]
         disparity = np.where(np.abs(refined) > 1e-9, refined, np.inf)
         dof = 6 if self.jitter is None else 6 + DOF
@@ -440,8 +441,8 @@ class StereoObservations:
             curvatures, scatters = self.loss.moments(self.noise.dof)
             expected_curvature = float(curvatures.sum()) / count
             expected_scatter = float(scatters.sum()) / count
-        # Bessel's correction: six degrees of freedom were fitted to the residuals; those of the
-        # jitter have a prior.
+        # Σ b over Σ a. Bessel's correction for b: six degrees of freedom were fitted to the
+        # residuals; those of the jitter have a prior.
         spent = count * DIM / max(count * DIM - 6.0, 1.0)
         seen = EXPECTED_FEATURES * expected_scatter + spent * scatter
         return seen / (EXPECTED_FEATURES * expected_curvature + curved)
@@ -471,6 +472,7 @@ def of_both_poses(motion: Linearization, T_curr_prev: FloatArray) -> Linearizati
     unknowns behind ξ stay behind.
     """
     further = len(motion.gradient) - 6
+    # ξ and further unknowns as a linear map of (ξ_prev, ξ_curr, further unknowns).
     lift = np.zeros((6 + further, 12 + further))
     lift[:6, :6] = -se3.adjoint(T_curr_prev)
     lift[:, 6:] = np.eye(6 + further)
