@@ -20,7 +20,8 @@ def log_rotations(C: FloatArray, phi: FloatArray) -> None:
     """Compute φ = Log(C) of N rotations, [N, 3, 3] to [N, 3], rad, by way of the quaternion."""
     for n in range(len(C)):
         # The quaternion (w, x, y, z) up to its scale, from its largest component, which keeps it
-        # accurate at every angle.
+        # accurate at every angle. With v = (x, y, z), the differences (a, b, c) are 4 w v, and the
+        # sums d, e and f are 4 x y, 4 x z and 4 y z.
         xx = C[n, 0, 0]
         yy = C[n, 1, 1]
         zz = C[n, 2, 2]
@@ -58,6 +59,7 @@ def log_rotations(C: FloatArray, phi: FloatArray) -> None:
             y = -y
             z = -z
         length = math.sqrt(x * x + y * y + z * z)
+        # φ = θ v/|v| with θ = 2 atan2(|v|, w), and 2 v/w where that has no direction.
         ratio = 2.0 * math.atan2(length, w) / length if length > 1e-9 * w else 2.0 / w
         phi[n, 0] = ratio * x
         phi[n, 1] = ratio * y
@@ -82,7 +84,7 @@ def log_translations(phi: FloatArray, t: FloatArray, rho: FloatArray) -> None:
         else:
             half = 0.5 * math.sqrt(s)
             k = (1.0 - half * math.cos(half) / math.sin(half)) / s
-        # (u, v, w) = φ × t
+        # (u, v, w) = φ × t, of which φ × (u, v, w) is taken below.
         u = y * t[n, 2] - z * t[n, 1]
         v = z * t[n, 0] - x * t[n, 2]
         w = x * t[n, 1] - y * t[n, 0]

@@ -92,6 +92,7 @@ def left_jacobian(xi: FloatArray) -> FloatArray:
     Args:
         xi: tangent vectors [ρ; φ], [..., 6], m and rad; the angle is a few rad at most.
     """
+    # ad(ξ) = [[φ^, ρ^], [0, φ^]].
     ad = np.zeros((*xi.shape[:-1], 6, 6))
     ad[..., :3, :3] = so3.wedge(xi[..., 3:])
     ad[..., 3:, 3:] = ad[..., :3, :3]

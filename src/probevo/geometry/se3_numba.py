@@ -18,6 +18,7 @@ def perturb(xi: FloatArray, T: FloatArray, T_out: FloatArray) -> None:
     squared = x * x + y * y + z * z
     a, b, c = exp_coefficients(squared)
     wedge = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # φ^ φ^ = φ φᵀ − θ² 1.
     wedge_2 = np.array(
         [
             [x * x - squared, x * y, x * z],
@@ -27,6 +28,8 @@ def perturb(xi: FloatArray, T: FloatArray, T_out: FloatArray) -> None:
     )
     T_out[3, 0] = T_out[3, 1] = T_out[3, 2] = 0.0
     T_out[3, 3] = 1.0
+    # Exp(ξ) = (C_ξ, J ρ), so that C = C_ξ C̄ and t = C_ξ t̄ + J ρ, with C_ξ = 1 + a φ^ + b φ^ φ^
+    # and J = 1 + b φ^ + c φ^ φ^.
     for i in range(3):
         moved = 0.0
         for k in range(3):

@@ -99,6 +99,7 @@ class Direction(VectorMeasurement):
         """Return Bᵀ Log_p(u), [2], rad."""
         predicted = values[self.pose][:3, :3] @ self._in_world(values)
         cosine = float(self.in_camera @ predicted)
+        # Bᵀ u has the length sin θ; Bᵀ Log_p(u) has the same direction and the length θ.
         in_plane = tangent_axes(predicted).T @ self.in_camera
         sine = math.hypot(in_plane[0], in_plane[1])
         if sine < LEAST_SINE:
@@ -124,6 +125,7 @@ class Direction(VectorMeasurement):
             towards = residual / angle
             across = angle / math.tan(min(angle, LARGEST_ANGLE_RAD))
             shrinks = across * np.eye(2) + (1.0 - across) * np.outer(towards, towards)
+        # ∂e/∂p, [2, 3]; p = C d moves by φ × p = −p^ φ.
         of_predicted = -shrinks @ tangent_axes(predicted).T
         of_pose = np.zeros((2, 6))
         of_pose[:, 3:] = -of_predicted @ so3.wedge(predicted)

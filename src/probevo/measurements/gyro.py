@@ -70,6 +70,7 @@ def integrate_gyro(
     """
     steps_s, rates_rad_s = _mean_rates(imu, start_ns, end_ns)
     C_cam_imu = calibration.C_cam_imu
+    # ψ_j, [J, 3], along the axes of the camera, and Ψ_j = Exp(−ψ_j).
     turns_rad = steps_s[:, None] * (rates_rad_s - bias_rad_s) @ C_cam_imu.T
     products = _products_from(so3.exp(-turns_rad))
     # Exp(−(ψ_j + δ)) = Exp(−J(−ψ_j) δ) Ψ_j, and the later Ψ's rotate that error into the frame at
@@ -181,10 +182,10 @@ class GyroBias:
         P = self.cov
         Q = gyro.cov
         J = gyro.bias_jacobian
-        innovation = self.prior(gyro) + cov_rotation if independent else self.prior(gyro)
-        # A pseudo-inverse, so that an interval of zero length, or a gyro without noise and bias,
-        # has no information instead of raising.
-        K = P @ J.T @ np.linalg.pinv(innovation, hermitian=True)
+        innovation_cov = self.prior(gyro) + cov_rotation if independent else self.prior(gyro)
+        # K = P Jᵀ S⁻¹, with S that of the innovation. A pseudo-inverse, so that an interval of zero
+        # length, or a gyro without noise and bias, has no information instead of raising.
+        K = P @ J.T @ np.linalg.pinv(innovation_cov, hermitian=True)
         # The rotation from the gyro's to the solved one, in the frame of the current camera.
         r = so3.log(C_curr_prev_solved @ gyro.C_curr_prev.T)
         # Joseph's form stays positive semi-definite whatever the rounding.

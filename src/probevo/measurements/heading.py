@@ -55,6 +55,8 @@ class Heading(VectorMeasurement):
         """Return ∂e/∂ξ of the pose, [1, 6], and that of the attitude against north, [1, 3]."""
         ahead = self._ahead_in_enu(values)
         level_squared = max(float(ahead[0] ** 2 + ahead[1] ** 2), 1e-12)
+        # e = measured − atan2(east, north), so that ∂e/∂(east, north) = (−north, east)/(east² +
+        # north²).
         of_ahead = np.array([[-ahead[1], ahead[0], 0.0]]) / level_squared
         C_enu_world = attitude_of_enu(self._north(values)).T
         C_enu_cam = C_enu_world @ values[self.pose][:3, :3].T

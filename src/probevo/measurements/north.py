@@ -29,6 +29,7 @@ def jacobian_of_enu(north: FloatArray, in_enu: FloatArray) -> FloatArray:
     jacobian = np.empty((3, 3))
     # The tilt has no component about up: that rotation is the heading.
     jacobian[:, :2] = (-LEVEL @ so3.wedge(tilted) @ so3.left_jacobian(tilt))[:, :2]
+    # e_z × the turned direction: the heading turns it about up.
     jacobian[:, 2] = LEVEL @ so3.exp(tilt) @ np.array([-turned[1], turned[0], 0.0])
     return jacobian
 

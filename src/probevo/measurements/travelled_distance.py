@@ -52,6 +52,8 @@ class TravelledDistance(RelativeMeasurement):
 
     def jacobians(self, values: Values) -> tuple[FloatArray, ...]:
         """Return ∂e/∂ξ of each pose, [1, 6]: ξ moves the position t by ρ + φ × t, or by −C ρ."""
+        # Position −Cᵀ t in the previous frame, with T_curr_prev = (C, t). ξ_curr: t moves by ρ +
+        # φ × t and C by φ^ C, so that −Cᵀ t moves by −Cᵀ ρ. ξ_prev: it moves by ρ + φ × itself.
         C_prev_curr = self.motion(values)[:3, :3].T
         of_curr = np.zeros((1, 6))
         of_curr[0, :3] = self.axis @ C_prev_curr
