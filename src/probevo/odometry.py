@@ -110,6 +110,7 @@ class StereoOdometry:
         """
         state = self._state
         frame, missing = validated(frame, self.camera, prev_frame=state.frame if state else None)
+        # The first camera is the world; there is no motion yet.
         if state is None:
             self._state = self._first_state(frame)
             return MotionEstimate.first(missing)

@@ -135,6 +135,7 @@ class _PointPairs:
 
     def normal_equations(self, T: FloatArray, Gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Σ Eᵀ Γ E, [6, 6], and Σ Eᵀ Γ e, [6], with E = [1, −q^] (PROBE eq. 13)."""
+        # Exp(ξ) moves q = T p by ρ + φ × q = [1, −q^] ξ, and e by minus that.
         q = se3.transform(T, self.prev)
         E = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 3, 3)), -so3.wedge(q)], axis=2)
         weighted = Gamma @ E

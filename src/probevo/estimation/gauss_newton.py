@@ -115,6 +115,7 @@ def minimize(
         max_iterations: 0 keeps the values, and propagates the covariances there.
     """
     layout = _Layout.of(measurements, values, free)
+    # Covariances of measurements are those at the start, until the values have moved far.
     measurements = tuple(measurement.propagated(values) for measurement in measurements)
     if max_iterations == 0:
         return Optimum(values, measurements, iterations=0, converged=True)
@@ -139,8 +140,10 @@ def minimize(
         # only.
         trial_newton = accepted > 1 and damping < NEWTON_BELOW
         trial_system = layout.add_up(measurements, trial, newton=trial_newton)
-        # stepᵀ H step for an undamped step: its squared length in standard deviations.
+        # stepᵀ H step for an undamped step: its squared length in standard deviations, and twice
+        # the decrease of the cost that the quadratic model predicts.
         decrement = float(np.sum(step * system.gradient))
+        # A cost of NaN is rejected, too.
         if not trial_system.cost <= system.cost * (1.0 + 1e-12):
             if not newton and decrement < CONVERGED_BELOW**2:
                 # It is at the optimum; only rounding makes the cost rise, as without noise.
@@ -153,6 +156,7 @@ def minimize(
             else:
                 damping = max(RETRY_DAMPING, 10.0 * damping)
             continue
+        # Accept the step, and damp the next one less.
         values = trial
         system = trial_system
         newton = trial_newton

@@ -172,6 +172,7 @@ def _best_sample(
     # The guess competes: where the motion hardly changes, it is better than a noisy sample.
     best = _truncated_cost(problem, T_start, np.inf, inliers)
     for k in range(len(samples)):
+        # The motion of the sample: Gauss–Newton from the guess, all points exact and L2.
         for i in range(size):
             copy_into(sample.refined[i], problem.points[samples[k, i]])
             copy_into(curr[i], problem.curr[samples[k, i]])

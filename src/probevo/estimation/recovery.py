@@ -97,6 +97,7 @@ class DeadReckonedPath:
     def _grown(
         self, T_curr_prev: FloatArray, cov: FloatArray, path_cross_cov: FloatArray
     ) -> FloatArray:
+        # Σ ← Ad Σ Adᵀ + cov + X + Xᵀ, as of a path (docs/conventions.md).
         adjoint = se3.adjoint(T_curr_prev)
         grown: FloatArray = adjoint @ self.cov @ adjoint.T + cov + path_cross_cov + path_cross_cov.T
         return grown

@@ -150,6 +150,7 @@ def solve_reprojection(
     T_curr_prev = optimum.values[curr]
     propagated = cast(StereoObservations, optimum.measurements[0])
     features = propagated.at(optimum.values)
+    # Over (ξ, η): the motion has the first six rows and columns, a jitter those behind.
     hessian = features.hessian
     information = features.information
     # The features' information is that of an M-estimate; other measurements add their own.

@@ -70,6 +70,7 @@ def update_rig(
         motion_gradient[6:] -= solution.jitter.eta  # of the prior η ~ N(0, I)
     # The Schur complement on b, a₆ and ε, and the step (ξ, η) with these held.
     solved = np.linalg.solve(solution.full_hessian, np.column_stack([C, motion_gradient]))
+    # Gain H⁻¹ C: B − Cᵀ H⁻¹ C, and its gradient g_rig + Cᵀ H⁻¹ g_motion.
     gain = solved[:, :-1]
     step = solved[:, -1].astype(float)
     gradient = gain.T @ motion_gradient + rig_gradient
@@ -104,6 +105,7 @@ def _updated_jitter(jitter: RigJitter, solved: SolvedJitter, step: FloatArray) -
     """
     unknown = solved.unknown
     change = np.hstack([unknown.curr_root, -unknown.prev.root])
+    # ω' − ω° = L' η' − L° η° − m.
     mean = change @ (solved.eta + step) - unknown.prev.mean
     return jitter.with_change(np.outer(mean, mean) + change @ solved.cov[6:, 6:] @ change.T)
 

@@ -28,6 +28,8 @@ def disparity_sensitivities(
         sensitivity: the first four columns are filled in.
     """
     for n in range(len(prev_px)):
+        # e = y' − f(T g(y)): the previous disparity moves f(T g(y)), the current one u_r' = u_l' −
+        # d'.
         for k in range(4):
             before = _disparity_by(k, prev_px[n], camera)
             for i in range(4):
@@ -40,6 +42,8 @@ def _disparity_by(k: int, pixels: FloatArray, camera: Intrinsics) -> float:
     """Return what coefficient k of (b₀, b₁, b₂, a₆) adds to the disparity of an observation."""
     added = 1.0
     if k == 3:
+        # A radial error moves v by a₆ y r², px, and u by a₆ (f_u/f_v) x r², here of the right
+        # image.
         x_right = (pixels[2] - camera.cu) / camera.fu
         y = (pixels[1] - camera.cv) / camera.fv
         added = camera.fu / camera.fv * x_right * (x_right * x_right + y * y)

@@ -153,6 +153,8 @@ class SensorFusion:
         Returns:
             The state after the update, and the outcome of each sensor.
         """
+        # Measurements of the pose by each sensor; ``main.squared`` and ``main.weights`` list them
+        # in the same order, those of one sensor after those of another.
         measured = [
             () if memory.excluded is not None else reading.of_pose(pose)
             for memory, reading in zip(self.memories, readings, strict=True)
@@ -281,6 +283,8 @@ def _tested(
     squares: list[float | None] = []
     weights: list[float] = []
     for measurement in measurements:
+        # All innovations are against the pose before any of these measurements. What fails the gate
+        # is left out; a weight below one enlarges the covariance.
         squared = _innovation_squared(pose_filter, measurement, pose)
         weight = 1.0
         if squared is not None and isinstance(measurement, VectorMeasurement):
@@ -400,6 +404,8 @@ def _suspects(
         at = memory.with_offset.slice_of(variable)
         if at is None:
             continue
+        # The offset against its own covariance, and against that of the sensor: both have to be
+        # exceeded.
         offset = values[variable]
         cov = memory.with_offset.joint_cov[at, at]
         squared = float(offset @ np.linalg.solve(cov, offset))
@@ -481,6 +487,7 @@ def motion_innovations_squared(
         found.append(None)
         if not isinstance(measurement, VectorMeasurement) or measurement.has_own_loss:
             continue
+        # r = R_w (R_w + J P Jᵀ)⁻¹ ν for the innovation ν, with R_w the covariance over the weight.
         jacobian = measurement.jacobians(values)[measurement.variables.index(curr)]
         R = measurement.covariance
         used = R / max(float(measurement.outcome(values).weight[0]), 1e-12)
@@ -489,5 +496,6 @@ def motion_innovations_squared(
             continue  # no other measurement constrains what this one measures
         spread = jacobian @ np.linalg.solve(without, jacobian.T)
         innovation = (used + spread) @ np.linalg.solve(used, measurement.residual(values))
+        # Tested with its own covariance R, not with that over the weight.
         found[-1] = float(innovation @ np.linalg.solve(R + spread, innovation))
     return found

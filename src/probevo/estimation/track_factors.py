@@ -98,6 +98,7 @@ class TrackFactors:
             disparity_prior=history.states,
         )
         pairs = observations.pairs
+        # Covariance of (s, y'): P of the point, and R' + Var δ for u_r'.
         point_cov = pairs.point_cov[:, :3, :3].copy()
         if noise.refers_to == "residual":
             point_cov += EXACT_PX**2 * np.eye(3)

@@ -192,6 +192,7 @@ class TwoFrameEstimator:
     ) -> Estimate:
         """Evaluate the features at the motion, then update the disparities of the inliers."""
         prior = disparities.of_tracks(tracks)
+        # Holding the motion, the solve is over the rig's jitter alone, if there is one.
         observations = self._observations(tracks, noise, prior.states)
         solution = solve_reprojection(observations, guess=T_curr_prev, holds_motion=True)
         weights = feature_weights(solution, noise.dof, self.config.loss)

@@ -235,10 +235,12 @@ class VisualEstimator:
         if not are_enough(consensus.inliers, self._config):
             nothing = np.zeros(len(tracks))
             return VisualMotion(Status.TOO_FEW_TRACKS, nothing, used=nothing.astype(bool))
+        # The motion under the predicted noise, and the residuals of the two frames alone.
         solve = self._solve_with_fitting_noise(tracks, phi, consensus, priors)
         solution = solve.estimate.solution
         two_frames_only = self._two_frames_only(solve, priors)
         clock.lap("solve")
+        # Accept or reject it.
         status = evaluate_status(
             solution,
             solve.estimate.weights,
@@ -246,6 +248,8 @@ class VisualEstimator:
             num_tracks=len(tracks),
             config=self._config,
         )
+        # What the next step needs: the motion for its predictors, and weights of all N tracks, zero
+        # for those that RANSAC rejected.
         T_reference = solution.T_curr_prev
         if self._predicts_from_motion:
             T_reference = self._confirmed(
@@ -280,6 +284,7 @@ class VisualEstimator:
             consensus: the motion that RANSAC found, and its inliers.
             priors: what is known about the step before its tracks are used.
         """
+        # First with the predicted noise.
         used = consensus.inliers
         noise = self._noise.predict(phi[used])
         if priors.jitter_cov is not None:
@@ -291,6 +296,7 @@ class VisualEstimator:
         solve = _Solve(used, inliers, noise, estimate)
         if not self._is_noisier_than_expected(estimate):
             return solve
+        # Then with what all tracks show of the noise, at the motion found.
         solution = estimate.solution
         fitting = self._noise_that_fits(
             tracks, phi, solution.T_curr_prev, jitter_cov=noise.jitter_cov
@@ -395,6 +401,7 @@ class VisualEstimator:
         observations = StereoObservations.of(
             tracks.prev_px, tracks.curr_px, noise, camera=self._camera
         )
+        # Scale by the median of all residuals, of which at least half must be no outliers.
         squared = solve_reprojection(observations, guess=T_curr_prev, max_iterations=0).squared
         dof = np.broadcast_to(noise.dof, (len(tracks),))
         factor = _scale_shown(squared, noise)
@@ -501,6 +508,7 @@ def evaluate_status(
         or rotation_sigma_rad > config.solver.max_rotation_sigma_rad
     ):
         return Status.DEGENERATE
+    # A minority of the tracks has to have more inliers (``FEW``).
     num_inliers = int((weights >= INLIER_FROM).sum())
     is_minority = len(weights) < 0.5 * num_tracks
     if num_inliers < config.solver.min_tracks * (FEW if is_minority else 1):

@@ -487,8 +487,8 @@ def _fill_innovations(count: int, correlation: float, track: _Track) -> None:
     """
     # s = 1/√(1 + ρ); the innovation of the anchor's observation, which none precedes, is √(1 − ρ)
     # a₀. Its square and the ρ²/(1 + ρ) of the next one add up to the first block of Σ⁻¹, 1/(1 + ρ).
-    later = 1.0 / math.sqrt(1.0 + correlation)
-    before = -correlation * later
+    scale = 1.0 / math.sqrt(1.0 + correlation)
+    of_neighbour = -correlation * scale
     for k in range(count):
         own = _share_of_own(k, correlation)
         for n in range(PIXELS):
@@ -497,7 +497,7 @@ def _fill_innovations(count: int, correlation: float, track: _Track) -> None:
         if k > 0:
             for n in range(PIXELS):
                 for j in range(_COMMON):
-                    track.innovation[k, n, j] += before * track.white[k - 1, n, FRAME + j]
+                    track.innovation[k, n, j] += of_neighbour * track.white[k - 1, n, FRAME + j]
     # The transposed map, since aᵀ Σ⁻¹ b = (L a)ᵀ (L b) for the map L to innovations.
     for k in range(count):
         own = _share_of_own(k, correlation)
@@ -507,7 +507,7 @@ def _fill_innovations(count: int, correlation: float, track: _Track) -> None:
         if k + 1 < count:
             for n in range(PIXELS):
                 for j in range(_COMMON):
-                    track.weighted[k, n, j] += before * track.innovation[k + 1, n, j]
+                    track.weighted[k, n, j] += of_neighbour * track.innovation[k + 1, n, j]
 
 
 @compiled
@@ -723,18 +723,18 @@ def _add_motions(
     correlation = problem.noise.correlation
     # Blocks of Σ⁻¹ (above): s_k² + ρ²/(1 + ρ) on the diagonal, the last one without the second
     # term, and −ρ/(1 + ρ) beside it.
-    of_next = correlation * correlation / (1.0 + correlation)
-    with_prev = -correlation / (1.0 + correlation)
+    from_next = correlation * correlation / (1.0 + correlation)
+    off_diagonal = -correlation / (1.0 + correlation)
     for k in range(count):
         # What the columns of ζ_k are multiplied with below: themselves times their block of Σ⁻¹,
         # and those of the rig and of the error times their row of it.
         white = track.white[k]
-        of_own = _share_of_own(k, correlation) ** 2
+        diagonal = _share_of_own(k, correlation) ** 2
         if k + 1 < count:
-            of_own += of_next
+            diagonal += from_next
         for n in range(PIXELS):
             for j in range(FRAME):
-                factors[n, j] = trust.curvature * of_own * white[n, j]
+                factors[n, j] = trust.curvature * diagonal * white[n, j]
             for j in range(RIG):
                 factors[n, _WITH_RIG + j] = trust.curvature * track.weighted[k, n, LANDMARK + j]
             factors[n, _GRADIENT] = trust.weight * track.weighted[k, n, _COMMON - 1]
@@ -746,14 +746,14 @@ def _add_motions(
         for n in range(PIXELS):
             for j in range(FRAME):
                 prev = track.white[k - 1, n, j] if k > 0 and is_next else 0.0
-                factors[n, _WITH_PREV + j] = trust.curvature * with_prev * prev
+                factors[n, _WITH_PREV + j] = trust.curvature * off_diagonal * prev
         if not is_next:
             cross = np.zeros((FRAME, FRAME))
             for n in range(PIXELS):
                 for i in range(FRAME):
                     for j in range(FRAME):
                         product = white[n, i] * track.white[k - 1, n, j]
-                        cross[i, j] += trust.curvature * with_prev * product
+                        cross[i, j] += trust.curvature * off_diagonal * product
             adjoints = problem.adjoints
             _add_neighbours(
                 slot, prev_slot, anchor, cross=cross, adjoints=adjoints, equations=equations
