@@ -116,5 +116,6 @@ def _centroid_motion(tracks: Tracks, camera: StereoCamera, T_predicted: FloatArr
         return T_predicted
     prev_points = camera.triangulate(tracks.prev_px[near])
     curr_points = camera.triangulate(tracks.curr_px[near])
+    # t = p_curr − C p_prev of each point, and the median of each coordinate of it.
     C = T_predicted[:3, :3]
     return se3.from_parts(C, np.median(curr_points - prev_points @ C.T, axis=0))

@@ -67,6 +67,7 @@ def estimate_motion(
     if len(tracks) < MIN_MATCHES:
         return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
 
+    # Inliers and a start by RANSAC, then the solve with the noise of the inliers.
     rng = np.random.default_rng(seed)
     consensus = find_consensus(tracks, camera, rng, guess=start)
     used = consensus.inliers

@@ -111,8 +111,8 @@ class MotionModel:
         T_curr_prev = np.empty((4, 4))
         perturb(self.twist_s * duration_s, np.eye(4), T_curr_prev)  # Exp(ξ), compiled
         velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
-        # Errors of both stamps change the length of the interval, and so the distance. With error
-        # δt of the interval the motion is off by twist · δt, δt of two stamps of variance σ².
+        # Errors of both stamps change the length of the interval, and so the distance. An error
+        # δt of it has the variance 2 σ², and moves the motion by δt times the twist.
         stamp_variance = 2.0 * self.config.stamp_sigma_s**2
         cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist_s, self.twist_s)
         if gyro is not None:
@@ -172,6 +172,7 @@ class MotionModel:
         T_curr_prev = prediction.T_curr_prev
         cov = prediction.cov
         if solution is not None and refused:
+            # ν νᵀ: one standard deviation reaches from the prediction to the solve.
             innovation = prediction.innovation(solution.T_curr_prev)
             cov = cov + np.outer(innovation, innovation)
         if solution is not None and self.speed_is_unknown:

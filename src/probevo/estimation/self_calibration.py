@@ -173,6 +173,8 @@ class SelfCalibratingEstimator:
                 return CalibratedMotion(
                     corrected, visual, rig=rig, common_mode=np.zeros((6, 3)), jitter_cov=jitter_cov
                 )
+            # What the solve shows of the rig; solve again if that is more jitter than the solve
+            # assumed.
             used = corrected.tracks.kept(visual.used)
             updated, common_mode = update_rig(rig, used, visual.two_frames_only, self._camera)
             if not updated.jitter.exceeds(jitter_cov):

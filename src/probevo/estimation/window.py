@@ -84,6 +84,8 @@ class Window:
     @staticmethod
     def at_first_frame(frame: int) -> Window:
         """Return the window of the first frame, which has no landmark yet."""
+        # The joint vector is (pose, rig); the rig's prior is the estimator's, so that its block is
+        # zero.
         information = np.zeros((POSE + RIG, POSE + RIG))
         information[:POSE, :POSE] = np.eye(POSE) / ORIGIN_SIGMA**2
         cov = np.zeros((POSE + RIG, POSE + RIG))

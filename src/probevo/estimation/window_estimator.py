@@ -160,6 +160,7 @@ class WindowEstimator:
                 images; None without a correction.
             measurements: further measurements of the poses of the window.
         """
+        # Without an accepted solve there is no noise of the features to count them with.
         visual = step.visual
         frame = motion.curr.frame
         if visual.status is not Status.OK or visual.noise is None:

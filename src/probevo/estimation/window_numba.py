@@ -285,13 +285,13 @@ def accumulate(
         wide=np.zeros((LANDMARK, FRAME * num_frames + RIG + 1)),
         unit=np.zeros(LANDMARK),
     )
-    # Per landmark: linearise, weigh, add what involves motions and rig, and subtract what the
-    # elimination of the landmark takes away.
     # A landmark moves with the motion from its anchor to a frame. What all landmarks say of one
     # such motion is summed first, so that adjoints are applied once a pair of frames.
     sums = np.zeros((num_frames, num_frames, FRAME, _PAIR))
     factors = np.zeros((PIXELS, _PAIR))
     cost = 0.0
+    # Per landmark: linearise, weigh, add what involves motions and rig, and subtract what the
+    # elimination of the landmark takes away.
     for row in range(len(landmarks.state)):
         squared = _linearize_track(row, problem, track, elimination.squared)
         trust = _trust(row, problem, squared)
@@ -1102,6 +1102,7 @@ def move_landmarks(
         du = abs(moved[row, 0] - first[0])
         dv = abs(moved[row, 1] - first[1])
         dd = abs(moved[row, 2] - (first[0] - first[2]))
+        # Negated, so that a step of NaN is caught, too.
         if not (du < LARGEST_SHIFT_PX and dv < LARGEST_SHIFT_PX and dd < LARGEST_SHIFT_PX):
             moved[row, 0] = first[0]
             moved[row, 1] = first[1]

@@ -59,6 +59,7 @@ def compound_chain(
         T_world_cam after each motion, p_world = T_world_cam p_cam, [K, 4, 4], and the covariances
         of the left perturbations of T_world_cam, [K, 6, 6].
     """
+    # T_world_curr = T_world_prev T_prev_curr is perturbed in the world, T_curr_prev in the camera.
     T_prev_curr, cov_prev_curr = invert(T_curr_prev, cov_curr_prev)
     T_world_cam = np.empty_like(T_prev_curr)
     cov_world_cam = np.empty_like(cov_prev_curr)

@@ -227,7 +227,9 @@ class VectorMeasurement(ABC):
         residual = self.residual(values)
         jacobian = np.hstack(self.jacobians(jacobians_at))
         squared = float(residual @ self._information @ residual)
-        # IRLS: the weight is held, so the Hessian is positive semi-definite even for outliers.
+        # Residuals are measured minus predicted, J = ∂e/∂ξ, so that the descent of ½ w eᵀ Σ⁻¹ e is
+        # −w Jᵀ Σ⁻¹ e. IRLS: the weight is held, so the Hessian is positive semi-definite even for
+        # outliers.
         weighted = self._weight(squared) * jacobian.T @ self._information
         return Linearization(
             cost=self._cost(squared),
@@ -294,7 +296,8 @@ def numeric_jacobians(measurement: VectorMeasurement, values: Values) -> tuple[F
     found = []
     for variable in measurement.variables:
         columns = []
-        # 1e-6 balances the truncation error, ∝ h², and the rounding error, ∝ 1/h.
+        # One column a degree of freedom, (e(+h) − e(−h))/(2 h). 1e-6 balances the truncation error,
+        # ∝ h², and the rounding error, ∝ 1/h.
         for unit in 1e-6 * np.eye(dimension(values[variable])):
             ahead = {**values, variable: retract(values[variable], unit)}
             behind = {**values, variable: retract(values[variable], -unit)}

@@ -486,6 +486,7 @@ def jitter_information(
                 product += J[2, i] * white[2, k] + J[3, i] * white[3, k]
                 cross[i, k] += weight * product
                 curved_cross[i, k] += share * product
+        # η × η: Dᵀ Σ⁻¹ D was formed when the jitter was linearised.
         for k in range(DOF):
             for j in range(k + 1):
                 square[k, j] += weight * jitter.square[n, k, j]

@@ -136,6 +136,7 @@ def preintegrate(
     )
     if not all(np.isfinite(part).all() for part in sums):
         return NoPreintegration("has rates or forces whose integral is not finite")
+    # A random walk of density σ has the variance σ² T after the interval.
     duration_s = 1e-9 * (end_ns - start_ns)
     walks = [calibration.gyro_bias_walk_rad_s2_sqrt_hz, calibration.accel_bias_walk_m_s3_sqrt_hz]
     return Preintegration(
