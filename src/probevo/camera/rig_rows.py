@@ -45,6 +45,7 @@ def fit_row_offsets(
     Returns:
         The coefficients after it, [K], and their information, [K, K].
     """
+    # The prior in information form, to which the normal equations of the frame are added.
     coefficients, prior_information = prior
     prior_gradient = prior_information @ coefficients
     information = prior_information
@@ -67,8 +68,12 @@ def fit_row_offsets(
             coefficients = np.linalg.solve(information, prior_gradient + own_gradient).astype(float)
             at = coefficients
             continue
-        # The coefficients of this frame are a + G ω: normal equations of a and ω, of which ω is
-        # eliminated.
+        # The coefficients of this frame are a + G ω, with N = Σ w B Bᵀ and n = Σ w B (v_r − v_l):
+        #
+        #     [N + prior   N G          ] [a]   [n + prior gradient]
+        #     [Gᵀ N        Gᵀ N G + S⁻¹ ] [ω] = [Gᵀ n              ]
+        #
+        # ω is eliminated by the Schur complement of its block.
         cross = own_information @ of_frame.effect
         random = of_frame.effect.T @ cross + random_information
         random_gradient = of_frame.effect.T @ own_gradient
@@ -77,7 +82,8 @@ def fit_row_offsets(
         information = prior_information + own_information - cross @ gain
         gradient = prior_gradient + own_gradient - gain.T @ random_gradient
         coefficients = np.linalg.solve(information, gradient).astype(float)
-        # Back-substitution: the likeliest ω.
+        # Back-substitution: the likeliest ω. The weights of the next iteration are those of
+        # residuals from a + G ω, the coefficients of this frame.
         change = solved[:, -1] - gain @ coefficients
         at = coefficients + of_frame.effect @ change
     return coefficients, information
