@@ -77,6 +77,7 @@ def _dof_root(mean_log_weight: float) -> float:
         middle = (low * below - high * above) / (below - above)
         if abs(middle - prev_middle) < DOF_TOLERANCE:
             break
+        # The root is between low, where the derivative is positive, and high, where it is negative.
         # Illinois: halve the value at an end that stays for two iterations, so that both converge.
         value = _dof_slope(math.exp(middle)) + mean_log_weight
         if value > 0.0:
@@ -338,23 +339,27 @@ def fit_all(
             if robust:
                 _weigh(rows, b, W, dof=nu, weight=weight)
             log_weights = weighted_log_sum(weight, k, scratch) if learns_dof else 0.0
+            # From here on, weight is k w, or k as published.
             for m in range(len(k)):
                 weight[m] = k[m] * weight[m] if robust else k[m]
-            # M-step for the scale: second moment around the present bias, shrunk to the prior.
+            # M-step for the scale: second moment around the present bias, shrunk to the prior,
+            # Σ ← (Σ k w ((e − b)(e − b)ᵀ + U) + n₀ Σ₀)/(Σ k w + n₀).
             weights = _moments(rows, b, weight, first=mean, second=S)
             for i in range(4):
                 for j in range(i, 4):
                     S[i, j] = S[j, i] = (S[i, j] + prior.counts * prior.scale[i, j]) / (
                         weights + prior.counts
                     )
-            # M-step for the bias, which shrinks to zero.
+            # M-step for the bias, which shrinks to zero: b ← Σ k w e/(Σ k w + n_b). The moment is
+            # around the previous b, hence the second term.
             if has_bias:
                 for i in range(4):
                     b[i] += (
                         mean[i] / (weights + prior.bias_counts)
                         - prior.bias_counts / (weights + prior.bias_counts) * b[i]
                     )
-            # M-step for ν, whose prior counts as errors that have its mean log weight.
+            # M-step for ν, whose prior counts as errors that have its mean log weight: those for
+            # which the prior ν is the root.
             if learns_dof:
                 nu = _dof_root(
                     (log_weights - weights + prior.dof_counts * prior_log_weight)

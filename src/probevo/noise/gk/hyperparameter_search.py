@@ -169,7 +169,7 @@ def choose_shape(
         shape = search.choose(name, values, weights, shape)
     if not published:
         shape = search.choose_dof(weights, shape)
-    # K for all samples again.
+    # K for all samples again: the search had fewer, by the factor whose root is ``ratio``.
     neighbors = fixed.get("neighbors", round(shape.neighbors * ratio))
     return weights, replace(shape, neighbors=neighbors), search.log
 
@@ -218,7 +218,8 @@ class _Search:
             weights = option
             if gains_more:
                 best = gains
-        # Try to halve and to double the weight of each.
+        # Try to halve and to double the weight of each. Unless ρ is given, the K-th
+        # neighbour sets the support, so that only ratios of the weights matter.
         for m, _ in order:
             options = [_with_weight(weights, m, factor) for factor in FACTORS]
             option, gains = self._best_of(options, shape)
@@ -332,6 +333,7 @@ def is_better(gains: FloatArray, prev_gains: FloatArray) -> bool:
 
     The mean difference must exceed both ``MIN_GAIN`` and its own standard error.
     """
+    # Paired: both models are judged by the same errors, whose own scatter cancels.
     more = gains - prev_gains
     standard_error = more.std() / np.sqrt(len(more))
     return bool(more.mean() > max(MIN_GAIN, STANDARD_ERRORS * standard_error))

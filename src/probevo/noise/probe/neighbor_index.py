@@ -47,6 +47,7 @@ class NeighborIndex(NamedTuple):
         cell = _nearest_center(points, centers)
         # The order within a cell is random, so that its first samples represent all of it where
         # not all are visited.
+        # Sorted by cell first (the last key of lexsort), then at random.
         order = np.lexsort((np.random.default_rng(0).permutation(len(points)), cell))
         return NeighborIndex(
             centers=np.ascontiguousarray(centers.T),

@@ -89,6 +89,7 @@ def _mean_of_smallest(squared: SingleArray, value: SingleArray, wanted: int) -> 
     # The first bracket ends at four times the mean; if it holds too few, it is extended to the sum
     # of all, which no distance exceeds.
     total = np.float32(_sum_within(squared, squared, np.float32(np.inf)))
+    # Invariant from the second iteration on: at least ``wanted`` distances are within high.
     low = np.float32(0.0)
     high = np.float32(4.0) * total / np.float32(len(squared))
     for iteration in range(BISECTIONS):
@@ -103,6 +104,7 @@ def _mean_of_smallest(squared: SingleArray, value: SingleArray, wanted: int) -> 
             low = middle
         if below == wanted:
             break
+    # With equal distances, more than ``wanted`` may be within: the mean is over all of these.
     number = _count_within(squared, high)
     return float(_sum_within(squared, value, high) / np.float32(number))
 
