@@ -55,6 +55,7 @@ def thinned(drives: Sequence[DriveOnDisk], seed: int, workers: Workers) -> list[
 
 def _drawn_steps(num_steps: int, share: float, rng: np.random.Generator) -> BoolArray:
     """Draw whole stretches, about as many as make this share of the steps: [num_steps]."""
+    # One draw a stretch; the last one, which may be cut short, counts like the others.
     is_drawn = rng.random(num_steps // STRETCH + 1) < share
     return np.repeat(is_drawn, STRETCH)[:num_steps]
 

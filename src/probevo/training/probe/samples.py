@@ -105,7 +105,8 @@ def fold_of_step(step: IntArray, num_steps: int, drive: int) -> IntArray:
 
 def _relative(alpha: FloatArray, stretch: IntArray, *, is_logarithmic: bool) -> FloatArray:
     """Divide each α by the mean of all α of the same stretch, [N]."""
-    # The mean of the same kind as that over neighbours.
+    # The mean of the same kind as that over neighbours, [U]: arithmetic, or geometric as the mean
+    # of logarithms.
     values = np.log(alpha) if is_logarithmic else alpha
     mean = np.bincount(stretch, values) / np.maximum(np.bincount(stretch), 1)
     relative: FloatArray = (
