@@ -63,7 +63,7 @@ def segment_errors(
     first = np.repeat(starts, len(lengths_m))
     length = np.tile(np.asarray(lengths_m, dtype=np.float64), len(starts))
     last = np.searchsorted(distance, distance[first] + length, side="right")
-    fits = last < len(distance)
+    fits = last < len(distance)  # the path does not end before the segment
     first = first[fits]
     last = last[fits]
     length = length[fits]

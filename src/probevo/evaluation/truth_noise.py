@@ -38,6 +38,7 @@ def truth_noise_ratio(
     if known.sum() < FEWEST_STEPS:
         return None
     ratios = []
+    # Translation, then rotation: σ² of one axis times three in both numerator and denominator
     for part in (slice(0, 3), slice(3, 6)):
         excess = _mean_square(of_truth[known, part]) - _mean_square(of_estimate[known, part])
         claimed = np.median(np.trace(cov[:, part, part], axis1=1, axis2=2))
