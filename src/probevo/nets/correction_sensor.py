@@ -62,6 +62,8 @@ class CorrectionSensor(MotionCorrection):
         found = self.network.estimate(inputs_of(field[None], motion[None], cov[None]))
         if has_nothing_to_say(float(found.widening[0])):
             return NoMeasurement("out of its domain")
+        # Corrected axes have the covariance of what remains of their error; their correlation with
+        # the other axes is unknown after the correction, and set to zero.
         covariance = cov.copy()
         covariance[3:, :3] = 0.0
         covariance[:3, 3:] = 0.0

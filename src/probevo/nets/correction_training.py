@@ -126,7 +126,8 @@ def _train(
     standard = standardised(inputs)
 
     # Units and weights of the loss: the covariance of what the regression leaves of the training
-    # data, since that is what remains to be learned.
+    # data, since that is what remains to be learned. With Σ = L Lᵀ of it, outputs are L⁻¹ ξ, and
+    # the regression is converted to these units.
     wanted = learned.corrections[:, axes]
     in_si = linear_fit(inputs, standard, wanted)
     remaining = wanted - linear_estimates(inputs, standard, in_si)
@@ -144,6 +145,7 @@ def _train(
         learned=(inputs, learned.corrections),
         left_out=(inputs_left_out, joined.corrections),
     )
+    # What the covariance is later widened by, and calibrated on
     networks = trained.networks
     domain = Domain.of(trunk_features(networks, inputs), trunk_features(networks, inputs_left_out))
     first = {
@@ -157,6 +159,7 @@ def _train(
         **run.facts(trained),
     }
     network = calibrated(CorrectionNetwork(networks, domain, first), left_out)
+    # What remains on the recordings left out, against simpler corrections
     constant = np.tile(wanted.mean(axis=0), (len(joined), 1))
     of_linear = linear_estimates(inputs_left_out, standard, in_si)
     of_network = network.estimate(inputs_left_out).xi[:, axes]
@@ -235,6 +238,8 @@ def calibrated(
     """
     axes = network.space.axes
     information = np.linalg.inv(np.asarray(network.space.root) @ np.asarray(network.space.root).T)
+    # gain = Σ êᵀ Σ⁻¹ e / Σ êᵀ Σ⁻¹ ê over blocks of steps, ê estimated and e true corrections: the
+    # regression of e on ê, weighted by the covariance of the training data.
     both = 0.0
     own = 0.0
     for steps in left_out:
@@ -245,6 +250,7 @@ def calibrated(
         both += float(np.einsum("ni,ij,nj->", estimated, information, true))
         own += float(np.einsum("ni,ij,nj->", estimated, information, estimated))
     gain = float(np.clip(both / own, 0.0, 1.0)) if own > 0.0 else 0.0
+    # The covariance is calibrated on what the shrunk corrections leave.
     shrunk = CorrectionNetwork(network.networks, network.domain, {**network.facts, "gain": gain})
     claimed_all = [errors_of(shrunk, steps) for steps in left_out]
     facts = {**shrunk.facts, **calibration(claimed_all).facts()}
@@ -268,6 +274,7 @@ def _rms(xi: FloatArray, xi_true: FloatArray, lengths: list[int]) -> tuple[float
     """Return the RMS of what remains of ten successive steps added up, m and rad."""
     remaining = _remaining(xi, xi_true)
     sums = []
+    # Each recording by itself: no block reaches from one into the next.
     for part in np.split(remaining, np.cumsum(lengths)[:-1]):
         blocks = len(part) // BLOCK
         sums.append(part[: blocks * BLOCK].reshape(blocks, BLOCK, 6).sum(axis=1))

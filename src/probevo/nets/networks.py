@@ -158,6 +158,8 @@ def alpha_dropout(features: jax.Array, rate: float, key: jax.Array | None) -> ja
     """
     if rate == 0.0 or key is None:
         return features
+    # With α' the limit and q = 1 − rate, the mean of what is set and kept is rate α', its variance
+    # q (1 + rate α'²): an affine map takes both back to 0 and 1.
     is_kept = jax.random.bernoulli(key, 1.0 - rate, features.shape)
     scale: float = ((1.0 - rate) * (1.0 + rate * SELU_NEGATIVE**2)) ** -0.5
     return scale * (jnp.where(is_kept, features, SELU_NEGATIVE) - rate * SELU_NEGATIVE)

@@ -192,6 +192,7 @@ def train_task(
         InputError: JAX is missing; a recording is faulty, lacks images or truth, is named twice, or
             sees too little; nothing would remain to learn from; or ``out`` cannot be written to.
     """
+    # Refuse early what cannot succeed.
     require_nets(f"train --kind {task.kind}")
     _check(recordings, settings)
     check_folder(out.parent, "--out")
@@ -213,6 +214,7 @@ def train_task(
             extra=task.extra,
             on_progress=on_progress or _show_nothing,
         )
+        # The work so far is removed only when the network is written.
         samples = _read_all(task, recordings, counts, run)
         network = task.train(samples, run)
         network.save(out)
@@ -233,6 +235,7 @@ def _read_all(
     samples = []
     for number, (sequence, count) in enumerate(zip(recordings, counts, strict=True)):
         done = sum(counts[:number])
+        # The name depends on all that the samples depend on.
         file = run.folder / f"samples-{_digest([run.recordings[number], task.extra])}.npz"
         found = read_samples(file, task.samples)
         if found is None:

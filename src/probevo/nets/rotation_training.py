@@ -115,6 +115,7 @@ def linear_errors(linear: LinearFit, learned: ImagePairs, left_out: ImagePairs) 
     """Return the errors of the linear regression alone, [N, 3], rad, on pairs left out."""
     mean, scale = standardisation(learned.fields)
     flow = np.asarray(pooled_flow((left_out.fields - mean) * scale), np.float64)
+    # Outputs are in units of 0.01 rad; errors are left perturbations, Log(C C_trueᵀ).
     estimated = SPACE.unit_rad * (flow @ linear.weights.T + linear.offset)
     errors: FloatArray = so3.log(so3.exp(estimated) @ so3.exp(-left_out.rotations))
     return errors

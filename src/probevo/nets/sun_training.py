@@ -174,6 +174,7 @@ def calibrated(network: SunNetwork, left_out: Collection[SunViews]) -> SunNetwor
     """
     claimed = [errors_of(network, views) for views in left_out]
     found = calibration(claimed)
+    # How much more blocks ask for once single errors are consistent
     single = [Claimed(each.errors, found.scale_single * each.covariances) for each in claimed]
     with_single = calibration(single)
     angles = np.concatenate([np.linalg.norm(each.errors, axis=1) for each in claimed])

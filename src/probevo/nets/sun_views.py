@@ -81,6 +81,8 @@ class SunViews:
         for _ in range(copies - 1):
             cells = rng.integers(FEWEST_CELLS, MOST_CELLS + 1, len(views))
             cells *= rng.choice([-1, 1], len(views))
+            # Content that moves to larger x has a camera that turns to the left: the sun turns
+            # about +y, from z to x.
             columns = np.arange(views.fields.shape[-1])[None] - cells[:, None]
             columns = np.clip(columns, 0, views.fields.shape[-1] - 1)
             fields = np.take_along_axis(views.fields, columns[:, None, None, :], axis=-1)
