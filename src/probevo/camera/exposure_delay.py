@@ -79,9 +79,9 @@ class ExposureDelay:
     def delay_s(self) -> float:
         """The delay to correct for: τ, shrunk to zero unless it exceeds noise and rectification
         errors."""
-        # Smooth shrinkage: a hard threshold would make the correction jump.
-        # The factor tends to 1 where τ is far above noise and rectification errors, and to 0 with
-        # the fourth power of τ where it is far below.
+        # Smooth shrinkage: a hard threshold would make the correction jump. The factor tends to 1
+        # where τ is far above noise and rectification errors, and to 0 with the fourth power of τ
+        # where it is far below.
         ratio = self.estimate_s**2 / (USUAL_DELAY_S**2 + self.sigma_s**2)
         return self.estimate_s * ratio**2 / (1.0 + ratio**2)
 

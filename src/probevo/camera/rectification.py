@@ -134,6 +134,7 @@ class Rectification:
         """
         _check_pinhole(left, f"{where}: left camera")
         _check_pinhole(right, f"{where}: right camera")
+        # Both rectified cameras have the same K; the maps do not use the fourth column.
         P_rect = np.array(
             [
                 [camera.fu_px, 0.0, camera.cu_px, 0.0],
@@ -207,6 +208,7 @@ def _check_view(camera: StereoCamera, where: str | Path) -> None:
     Raises:
         InputError: the principal point is outside the image.
     """
+    # Wrong distortion or rotation moves the principal point far away.
     width_px, height_px = camera.size_px or (0, 0)
     if not (0.0 <= camera.cu_px <= width_px and 0.0 <= camera.cv_px <= height_px):
         what = (

@@ -109,8 +109,8 @@ class StereoCamera:
         disparity = u_l - u_r
         point = self.triangulate(pixels)
         z = point[..., 2]
-        # All of p scales with the depth, which goes with 1 / disparity: ∂p/∂d = −p/d, and
-        # ∂d/∂y = (1, 0, −1, 0).
+        # All of p scales with the depth, which goes with 1 / disparity: ∂p/∂d = −p/d, and ∂d/∂y =
+        # (1, 0, −1, 0).
         jacobian: FloatArray = (
             -point[..., :, None] / disparity[..., None, None] * np.array([1.0, 0.0, -1.0, 0.0])
         )

@@ -82,10 +82,10 @@ def regress(
         residual = target - design @ beta
         scale = max(float(np.sqrt(np.mean(weight * residual**2))), 1e-12)
     # Sandwich covariance A⁻¹ B A⁻¹ at the estimate.
-    ratio = (residual / scale) ** 2
-    weight = (DOF + 1.0) / (DOF + ratio)
+    squared = (residual / scale) ** 2
+    weight = (DOF + 1.0) / (DOF + squared)
     # A: derivative of the estimating equations; ψ' = (ν + 1)(ν − r²)/(ν + r²)² of ψ = w r.
-    slope = (DOF + 1.0) * (DOF - ratio) / (DOF + ratio) ** 2
+    slope = (DOF + 1.0) * (DOF - squared) / (DOF + squared) ** 2
     bread = np.linalg.inv((design * slope[:, None]).T @ design / scale**2 + prior)
     scores = design * (weight * residual / scale**2)[:, None]
     # B: covariance of the sum of the scores, which are summed over each frame first, [K, P].
@@ -95,7 +95,7 @@ def regress(
     meat = _long_run_covariance(of_frames) * (count / max(count - len(beta), 1)) + prior
     # −ln of N Student-t densities of this scale, and of the Gaussian prior
     cost = (
-        0.5 * (DOF + 1.0) * float(np.log1p(ratio / DOF).sum())
+        0.5 * (DOF + 1.0) * float(np.log1p(squared / DOF).sum())
         + len(target) * float(np.log(scale))
         + 0.5 * float(beta @ prior @ beta)
     )

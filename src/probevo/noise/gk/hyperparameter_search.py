@@ -73,6 +73,7 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
         raise InputError(
             "predictors", "there is no column.", "Without any, StudentT says the same."
         )
+    # Numbers: positive, finite where they count samples, and whole where they count neighbours or centers.
     where = "generalized kernel"
     smallest_positive = np.nextafter(0.0, np.inf)
     lowest = {
@@ -94,6 +95,7 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
             )
         if name in ("neighbors", "centers") and int(value) != value:
             raise InputError(where, f"{name} is {value}, which is no whole number.", "Round it.")
+    # Weights: one a column, not all zero.
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
     in_bounds = bool(((weights >= 0.0) & (weights <= MAX_WEIGHT)).all())
     if weights.shape != (dimension,) or not in_bounds or not weights.any():
@@ -200,7 +202,7 @@ class _Search:
         The first column stays even if it gains nothing: keeping all of them would be worse.
         """
         weights = np.zeros(dimension)
-        best = np.zeros(1)
+        best_gains = np.zeros(1)
         order: list[tuple[int, float]] = []
         varies = np.any(
             [np.ptp(fold.training.coordinates, axis=0) > 0.0 for fold in self.folds], axis=0
@@ -210,22 +212,22 @@ class _Search:
             options = [_with_weight(weights, m, 1.0) for m in free.tolist()]
             option, gains = self._best_of(options, shape)
             self._advance(len(free))
-            gains_more = is_better(gains, best)
+            gains_more = is_better(gains, best_gains)
             if order and not gains_more:
                 break
             added = int(np.flatnonzero(option != weights)[0])
             order.append((added, float(gains.mean())))
             weights = option
             if gains_more:
-                best = gains
-        # Try to halve and to double the weight of each. Unless ρ is given, the K-th
-        # neighbour sets the support, so that only ratios of the weights matter.
+                best_gains = gains
+        # Try to halve and to double the weight of each. Unless ρ is given, the K-th neighbour sets
+        # the support, so that only ratios of the weights matter.
         for m, _ in order:
             options = [_with_weight(weights, m, factor) for factor in FACTORS]
             option, gains = self._best_of(options, shape)
-            if is_better(gains, best):
+            if is_better(gains, best_gains):
                 weights = option
-                best = gains
+                best_gains = gains
         self.log["weights"] = {
             "candidates": [m for m, _ in order],
             "gains": [gain for _, gain in order],

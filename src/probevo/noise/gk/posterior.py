@@ -169,8 +169,8 @@ class KernelPosterior:
         )
         found = np.isfinite(distance)  # [n, K]; nearest first, so that a missing one is last
         # The support is a little wider than the distance of the K-th, so that this one contributes,
-        # and all do where all K lie at the very place.
-        # Support of the kernel of each place, [n, 1]: ρ where fewer than K samples are within it.
+        # and all do where all K lie at the very place. Support of the kernel of each place, [n, 1]:
+        # ρ where fewer than K samples are within it.
         radius = np.where(found[:, -1:], distance[:, -1:], shape.reach)
         support = radius * (1.0 + 1e-3) + 1e-12
         kernel = np.where(found, 1.0 - (np.where(found, distance, 0.0) / support) ** 2, 0.0)
