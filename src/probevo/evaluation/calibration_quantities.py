@@ -81,6 +81,7 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
         sigma = float(found.sigma[k]) * factor
         p_value = found.p_value(value, sigma)
         quantities.append(Quantity(name, value, sigma, "px", p_value=p_value, cure=f"{meaning}."))
+    # The delay of the right image.
     delay_ms = 1e3 * float(found.values[DELAY])
     late = "later" if delay_ms > 0.0 else "earlier"
     cure = (

@@ -144,8 +144,8 @@ class GroundHeights:
         down = np.cross(ahead, aside)
         along_m = (self._points_m + moved_m) @ ahead  # from the previous place of the camera
         height_m = self._points_m @ down
-        # A point counts if the camera has passed its foot on the path in this step, and if it is
-        # in the strip below the camera; a point above the path has a negative height, and fails.
+        # A point counts if the camera has passed its foot on the path in this step, and if it is in
+        # the strip below the camera; a point above the path has a negative height, and fails.
         is_below = np.abs(self._points_m @ aside) < HALF_WIDTH * height_m
         is_passed = (along_m >= 0.0) & (along_m < length_m)
         found = is_passed & is_below

@@ -185,8 +185,8 @@ class _Problem:
             directed = gyro @ so3.exp(values[MOUNTING]).T
             turned = factor * directed
             speed = (after - before)[covered] / (2.0 * _DIFFERENCE_S)
-            # Jacobian by (δ, s − 1, b, τ), [k, 3, 8]: Exp(δ + dδ) = Exp(J_l dδ) Exp(δ), and
-            # Exp(ε) φ ≈ φ − φ^ ε.
+            # Jacobian by (δ, s − 1, b, τ), [k, 3, 8]: Exp(δ + dδ) = Exp(J_l dδ) Exp(δ), and Exp(ε)
+            # φ ≈ φ − φ^ ε.
             by_mounting = -so3.wedge(turned) @ so3.left_jacobian(values[MOUNTING])
             design = np.concatenate(
                 [

@@ -113,6 +113,7 @@ def _train(
     steps: list[EstimatedSteps], run: TrainingRun, *, config: OdometryConfig
 ) -> CorrectionNetwork:
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
+    # The last recordings are left out.
     settings = run.settings
     learned = EstimatedSteps.joined(steps[: run.split])
     left_out = steps[run.split :]
@@ -137,6 +138,7 @@ def _train(
     to_units = np.linalg.inv(root)
     linear = LinearFit(to_units @ in_si.weights, to_units @ in_si.offset)
 
+    # The regression stays as it is; what is trained is added to it.
     method = method_of(settings)
     trained = run.learn(
         method,
@@ -145,7 +147,7 @@ def _train(
         learned=(inputs, learned.corrections),
         left_out=(inputs_left_out, joined.corrections),
     )
-    # What the covariance is later widened by, and calibrated on
+    # Domain, facts, and calibration on what was left out.
     networks = trained.networks
     domain = Domain.of(trunk_features(networks, inputs), trunk_features(networks, inputs_left_out))
     first = {

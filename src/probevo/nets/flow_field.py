@@ -42,8 +42,8 @@ def virtual_view(image: Image, camera: StereoCamera) -> Image:
         InputError: the camera's field of view is smaller than that of the virtual one.
     """
     check_field_of_view(camera)
-    # Affine map from a pixel of the virtual camera to the pixel of the image with the same ray:
-    # u = f_u x + c_u with x = (u_virtual − c_virtual)/FOCAL_PX.
+    # Affine map from a pixel of the virtual camera to the pixel of the image with the same ray: u =
+    # f_u x + c_u with x = (u_virtual − c_virtual)/FOCAL_PX.
     to_source = np.array(
         [
             [camera.fu_px / FOCAL_PX, 0.0, camera.cu_px - camera.fu_px * _center()[0] / FOCAL_PX],

@@ -224,6 +224,7 @@ def _compiled_epoch(
         # Inputs [N, i], targets [N, H, o], and which data the network has, [N]
         inputs, targets, chosen = data
         num_batches = len(chosen) // plan.batch
+        # Batches of the data in a random order; what does not fill the last one is left out.
         key_of_order, key_of_dropout = jax.random.split(key)
         order = chosen
         if plan.shuffle:
@@ -255,6 +256,7 @@ def _compiled_epoch(
     @jax.jit
     def run_epoch(state: LearningState, data: TrainingData, key: jax.Array) -> LearningState:
         """Train all networks for an epoch, and evaluate them on the data left out."""
+        # The keys depend on the seed and the number of the epoch alone.
         epoch_key = jax.random.fold_in(jax.random.fold_in(key, _EPOCHS), state.epoch)
         keys = jax.random.split(epoch_key, data.samples.shape[:2])
         networks, optimizer_state = over_experiments(

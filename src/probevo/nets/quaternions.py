@@ -62,8 +62,8 @@ def log(q: jax.Array) -> jax.Array:
     is_small = sine_sq < SMALL_SQ
 
     # φ = 2 atan2(s, w)/s · vector, with s = sin θ/2 its length and w = cos θ/2. Near s = 0 it is
-    # 2/w (1 − s²/(3 w²)) · vector.
-    # Each case gets arguments for which its derivative is finite, also where it is not chosen.
+    # 2/w (1 − s²/(3 w²)) · vector. Each case gets arguments for which its derivative is finite,
+    # also where it is not chosen.
     scalar_near_one = jnp.where(is_small, scalar, 1.0)
     series = 2.0 / scalar_near_one * (1.0 - sine_sq / (3.0 * scalar_near_one**2))
     sine = jnp.sqrt(jnp.where(is_small, 1.0, sine_sq))

@@ -121,8 +121,8 @@ class AnchorPatches:
             pixels: predicted features (u, v), [N, 2], px.
             motion: predicted motion of the windows since the previous frame.
         """
-        # Bound the predicted magnification: a wrong prediction may have any. A has the growth
-        # as a factor, so that the ratio of bounded and predicted growth scales it.
+        # Bound the predicted magnification: a wrong prediction may have any. A has the growth as a
+        # factor, so that the ratio of bounded and predicted growth scales it.
         bounded = np.clip(motion.growth, 1 / MAX_GROWTH, MAX_GROWTH) / motion.growth
         # Compose the map so far with the predicted motion: anchor → previous → current left image.
         predicted = np.empty((len(self), 2, 2))

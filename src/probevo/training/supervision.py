@@ -137,7 +137,8 @@ def supervision_of(
     Raises:
         InputError: there is no truth, or too little for this kind.
     """
-    # A pose counts as known if all its entries are finite.
+    # Poses of the frames that are used, NaN where unknown; a pose counts as known if all its
+    # entries are finite.
     where = sequence.path
     poses = np.full((num_frames, 4, 4), np.nan)
     if sequence.truth is not None:
@@ -161,6 +162,7 @@ def supervision_of(
             f"only {is_known.sum()} of {len(is_known)} frames have a true pose.",
             "Take --supervision sparse.",
         )
+    # Some of the known frames, at the wanted distance in time; stretches lie between them.
     frames = _spaced(np.flatnonzero(is_known), sequence.stamps_ns, every_s)
     fewest = FEWEST_POSITIONS if kind == "position" else 2
     if len(frames) < fewest:

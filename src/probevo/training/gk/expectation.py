@@ -194,6 +194,7 @@ def solved_steps(
         each step; without a solution if it has too few features, if these do not fix the motion, or
         if the given motion is not known.
     """
+    # ``index`` counts the steps of the drive, over all parts; ``number`` those of the recording.
     estimator: Estimator = TwoFrameEstimator(drive.camera, solver)
     disparities = DisparityFilter.none()
     previous_number = -1
