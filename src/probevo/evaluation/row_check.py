@@ -69,6 +69,8 @@ def check_rows(frames: list[RowSamples], camera: StereoCamera) -> Regression:
     pixels = np.concatenate([frame.pixels for frame in frames])
     speed = np.concatenate([frame.row_speed_px_s for frame in frames])
     number = np.repeat(np.arange(len(frames)), [len(frame.pixels) for frame in frames])
+    # The prior is weaker than that of the odometry: here the rectification is tested, not
+    # corrected.
     return regress(
         np.column_stack([row_basis(pixels, camera), speed]),
         pixels[:, 3] - pixels[:, 1],

@@ -32,6 +32,7 @@ def truth_noise_ratio(
         The larger ratio of translation and rotation; 0 where the truth is at least as smooth as the
         estimate. None if too few successive steps have a truth.
     """
+    # ξ_{k−1} − 2 ξ_k + ξ_{k+1} of the motions, [K − 2, 6]
     of_truth = np.diff(se3.log(T_curr_prev_true), n=2, axis=0)
     of_estimate = np.diff(se3.log(T_curr_prev), n=2, axis=0)
     known = np.isfinite(of_truth).all(axis=1)

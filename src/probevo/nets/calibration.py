@@ -66,6 +66,7 @@ def calibration(left_out: Collection[Claimed]) -> Calibration:
         np.concatenate([block.errors for block in blocks]),
         np.concatenate([block.covariances for block in blocks]),
     )
+    # In both, s = 1/(N d) Σ φᵀ Σ⁻¹ φ.
     scale = max(single, in_blocks)
     nll = negative_log_likelihoods(all_errors, scale * all_covariances)
     return Calibration(

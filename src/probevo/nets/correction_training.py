@@ -131,6 +131,7 @@ def _train(
     # the regression is converted to these units.
     wanted = learned.corrections[:, axes]
     in_si = linear_fit(inputs, standard, wanted)
+    # What the regression leaves, [N, d], m and rad
     remaining = wanted - linear_estimates(inputs, standard, in_si)
     least = np.diag(LEAST_SIGMA[list(axes)] ** 2)
     root = np.linalg.cholesky(np.cov(remaining, rowvar=False) + least)

@@ -41,6 +41,7 @@ def pose_jacobian(xi: jax.Array) -> jax.Array:
     """
     ad = _adjoint(xi)
     angle_sq = xi[3:] @ xi[3:]
+    # J = 1 + Σ aₙ(θ²) ad(ξ)ⁿ, n = 1 … 4
     power = jnp.eye(6, dtype=xi.dtype)
     jacobian = power
     for coefficients in _ADJOINT_SERIES:

@@ -147,6 +147,7 @@ def mirrored(fields: FloatArray) -> FloatArray:
 
     The rotation (φ_x, φ_y, φ_z) of the camera becomes (φ_x, −φ_y, −φ_z).
     """
+    # Columns in reverse order, and the flow along x with the other sign
     flipped = fields[..., ::-1].copy()
     flipped[:, 0] *= -1.0
     return flipped
@@ -180,6 +181,7 @@ def _flow_estimator() -> cv2.DISOpticalFlow:
 
 def cell_means(values: AnyArray) -> FloatArray:
     """Return the mean of each cell, [rows, columns], of values of all pixels."""
+    # [rows, 4, columns, 4], of which the mean is taken within each cell
     parts = values.reshape(CELLS[0], CELL_PX, CELLS[1], CELL_PX)
     means: FloatArray = parts.mean(axis=(1, 3))
     return means

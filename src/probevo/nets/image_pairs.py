@@ -62,6 +62,7 @@ class ImagePairs:
             copies: how often each is there; the first is as it was.
             rng: of the rotations of the others.
         """
+        # Mirror images first, then further rotations of both.
         fields = np.concatenate([self.fields, mirrored(self.fields)])
         rotations = np.concatenate([self.rotations, MIRROR * self.rotations])
         parts = [ImagePairs(fields, rotations)]

@@ -178,6 +178,7 @@ def _initial_state(
     plan: LearningPlan,
 ) -> LearningState:
     """Return the state before the first epoch."""
+    # Initial weights of each network of each experiment, by keys of the seed.
     num_experiments, num_networks = data.samples.shape[:2]
     key = jax.random.fold_in(jax.random.key(plan.seed), _INITIAL)
     keys = jax.random.split(key, (num_experiments, num_networks))
@@ -291,6 +292,7 @@ def _held_out_loss(
 
     def one(network: Network, inputs: jax.Array, targets: jax.Array) -> jax.Array:
         """Return the loss of one network."""
+        # All heads have the same target, [N', 1, o].
         return methods.loss(space, network, inputs, targets[:, None, :], key=key)
 
     over_networks = jax.vmap(one, in_axes=(0, None, None))

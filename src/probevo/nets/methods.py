@@ -100,6 +100,7 @@ def loss(
         outputs, raw = jax.vmap(network, in_axes=(0, None))(inputs, None)
     else:
         outputs, raw = jax.vmap(network)(inputs, jax.random.split(key, len(inputs)))
+    # Errors in the tangent space, [B, H, d]
     errors = space.difference(space.estimate(outputs), targets)
     if raw is None:
         return jnp.mean(space.squared(errors))
@@ -122,6 +123,7 @@ def head_targets(
     Returns:
         Targets [networks, N, H, o].
     """
+    # The same targets for all networks and heads, [networks, N, H, o]; noise makes them differ.
     shape = (method.networks, len(targets), method.heads)
     repeated = np.broadcast_to(targets[None, :, None, :], (*shape, targets.shape[1]))
     if method.target_sigma == 0.0:
@@ -192,6 +194,7 @@ def prediction(space: TargetSpace, found: jax.Array, raw: jax.Array | None) -> P
         found: estimates, [..., N, K, o].
         raw: outputs of covariance heads, [..., N, *, c]; their covariances are averaged.
     """
+    # Mean over the K estimates, [..., N, o]
     mean = space.mean(found)
     errors = np.asarray(space.difference(found, mean[..., None, :]), np.float64)
     num_estimates = errors.shape[-2]

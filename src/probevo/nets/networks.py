@@ -47,6 +47,7 @@ class Network(eqx.Module):
             outputs: jax.Array = head(features, key_of_heads)
             return outputs
 
+        # All heads at once, [H, o]; they share one key, and with it what the dropout drops.
         outputs = eqx.filter_vmap(call)(self.heads)
         if self.covariance_head is None:
             return outputs, None
@@ -129,6 +130,7 @@ class PReluHead(eqx.Module):
     def __call__(self, features: jax.Array, key: jax.Array | None) -> jax.Array:
         """Return the outputs, [o]."""
         hidden = self.first(features)
+        # PReLU, whose slope for negative values is learned
         active = jnp.where(hidden < 0.0, self.slope * hidden, hidden)
         return self.last(plain_dropout(active, self.dropout, key))
 

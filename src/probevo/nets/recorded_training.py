@@ -91,6 +91,7 @@ class TrainingRun:
             left_out: the same of what only says when to stop.
         """
         settings = self.settings
+        # The file's name depends on all that the training depends on.
         key = [self.recordings, settings.model_dump(mode="json"), self.extra]
         trained = learn(
             method,
@@ -136,6 +137,7 @@ def _one_network(
     left_out: tuple[FloatArray, FloatArray],
 ) -> TrainingData:
     """Return the data of one experiment of one network: with leading dimensions of 1."""
+    # Noise of the targets and bootstrap samples are drawn once, by the seed.
     rng = np.random.default_rng(seed)
     inputs, truth = learned
     targets = methods.head_targets(method, space, truth, rng)

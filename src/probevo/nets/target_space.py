@@ -115,6 +115,7 @@ class NumberTargets:
 
     def covariance(self, raw: AnyArray) -> FloatArray:
         """Return the variance, [..., 1, 1]."""
+        # softplus(x) = ln(1 + eˣ), without overflow
         variance = np.logaddexp(0.0, np.asarray(raw, np.float64)) + LEAST_VARIANCE
         return variance[..., None]
 

@@ -226,6 +226,7 @@ def _call(
     method: Method, space: TargetSpace, networks: Network, inputs: jax.Array
 ) -> tuple[jax.Array, jax.Array | None, jax.Array]:
     """Return estimates, outputs of the covariance head, and features."""
+    # A fixed key: the same input always gives the same estimates, with dropout, too.
     found, raw = methods.estimates(
         method, space, networks, inputs, jax.random.key(0), same_dropout=True
     )

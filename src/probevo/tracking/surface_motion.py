@@ -62,6 +62,7 @@ def move_surfaces(
     moved_rays, _ = camera.moved_rays(pixels, T_b_a)
     ahead: BoolArray = moved_rays[2] > LEAST_SCALED_DEPTH
     growth = 1.0 / np.where(ahead, moved_rays[2], 1.0)
+    # Normalised coordinates in b; of points that are not ahead, they mean nothing.
     x = moved_rays[0] * growth
     y = moved_rays[1] * growth
     motion = SurfaceMotion(

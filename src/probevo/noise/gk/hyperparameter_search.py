@@ -73,7 +73,8 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
         raise InputError(
             "predictors", "there is no column.", "Without any, StudentT says the same."
         )
-    # Numbers: positive, finite where they count samples, and whole where they count neighbours or centers.
+    # Numbers: positive, finite where they count samples, and whole where they count neighbours or
+    # centers.
     where = "generalized kernel"
     smallest_positive = np.nextafter(0.0, np.inf)
     lowest = {

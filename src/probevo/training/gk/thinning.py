@@ -40,6 +40,7 @@ def thinned(drives: Sequence[DriveOnDisk], seed: int, workers: Workers) -> list[
     """
     # Thin only where more features would be left than EM draws from.
     num_used = sum(drive.facts.used for drive in drives)
+    # Share of the steps whose features are STEPS_PER_FEATURE times those that are drawn from them
     share = STEPS_PER_FEATURE * MOST_FEATURES / max(num_used, 1)
     if share >= 1.0:
         return list(drives)

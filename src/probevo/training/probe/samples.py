@@ -49,6 +49,7 @@ def gather_samples(
     for number, sampler in enumerate(samplers):
         # All iterations over this drive, one after another.
         sampled = np.concatenate([iteration[number][0] for iteration in iterations])
+        # One entry for each feature of each subset, whose motion gave it its α.
         alpha = np.concatenate([iteration[number][1] for iteration in iterations])
         step = sampler.drive.step_of_feature[sampled]
         # An error that all subsets of a stretch share says nothing about single features.
