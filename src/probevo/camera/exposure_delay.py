@@ -41,6 +41,7 @@ DELAY = 7
 
 
 def _prior_information(row_sigma_px: FloatArray) -> FloatArray:
+    """Return the inverse covariance of the prior of (a₀ … a₆, τ), [8, 8], which is diagonal."""
     information = np.zeros((DELAY + 1, DELAY + 1))
     np.fill_diagonal(information[:DELAY, :DELAY], row_sigma_px**-2.0)
     information[DELAY, DELAY] = DELAY_SIGMA_S**-2.0
@@ -78,7 +79,9 @@ class ExposureDelay:
     def delay_s(self) -> float:
         """The delay to correct for: τ, shrunk to zero unless it exceeds noise and rectification
         errors."""
-        # Smooth shrinkage: a hard threshold would make the correction jump.
+        # Smooth shrinkage: a hard threshold would make the correction jump. The factor tends to 1
+        # where τ is far above noise and rectification errors, and to 0 with the fourth power of τ
+        # where it is far below.
         ratio = self.estimate_s**2 / (USUAL_DELAY_S**2 + self.sigma_s**2)
         return self.estimate_s * ratio**2 / (1.0 + ratio**2)
 
@@ -110,6 +113,7 @@ class ExposureDelay:
             noise: of v_r − v_l.
             jitter_cov: covariance of the rig's jitter, [3, 3], rad².
         """
+        # The model v_r − v_l = basis · a + τ v̇_r is linear in (a, τ): one more column, px/s.
         row_speed_px_s = right_velocity(pixels, twist_s, camera)[:, 1]
         coefficients, information = fit_row_offsets(
             np.column_stack([basis, row_speed_px_s]),
@@ -130,6 +134,8 @@ def _jitter_effect(camera: StereoCamera) -> FloatArray:
     """Return how the rig's jitter (pitch, yaw, roll) of a frame moves a₀ … a₆ and τ, [8, 3], px/rad
     (``rig_jitter``)."""
     # δv_r = f_v (−(1 + y²) ω_x + x y ω_y + x ω_z), where a₀ multiplies 1, a₁ x, a₄ x y and a₅ y².
+    # a₄ has the x of the left image instead of the right one; what that misses, d y ω_y, is
+    # negligible at angles of 10⁻⁴ rad. A jitter leaves τ unchanged: its row is 0.
     effect = np.zeros((DELAY + 1, 3))
     effect[[0, 5], 0] = -camera.fv_px
     effect[4, 1] = camera.fv_px
@@ -191,6 +197,8 @@ def _fill_right_velocity(
         rate_x = wy - wz * y + vx * inverse_depth
         rate_y = wz * x - wx + vy * inverse_depth
         rate_z = wx * y - wy * x + vz * inverse_depth
+        # Quotient rule on u_r = f_u (p_x − b)/p_z + c_u and v_r = f_v p_y/p_z + c_v, b being
+        # constant.
         velocity[k, 0] = fu * (rate_x - x_right * rate_z)
         velocity[k, 1] = fv * (rate_y - y * rate_z)
 

@@ -73,8 +73,10 @@ class FocalLengthEstimate:
             gradient: of the log-likelihood by θ, [3], at the values that the tracks have.
             corrected_by: θ by which the tracks were corrected, [3].
         """
-        # The θ₀ of tracks changes from step to step. Moments about zero can be added up.
+        # The θ₀ of tracks changes from step to step. Moments about zero can be added up: the step
+        # is likeliest at θ₀ + Λ⁻¹ gradient, so that its η = Λ θ₀ + gradient.
         moment = gradient + information @ corrected_by
+        # Add it to the last block, until that is full.
         if self.last_frames < self.block_frames:
             informations = self.information.copy()
             moments = self.moment.copy()
@@ -83,6 +85,7 @@ class FocalLengthEstimate:
             return replace(
                 self, information=informations, moment=moments, last_frames=self.last_frames + 1
             )
+        # Begin a block; if there is no room for it, merge the others in pairs first.
         full = self._with_half_as_many_blocks() if len(self.moment) == MOST_BLOCKS else self
         return FocalLengthEstimate(
             information=np.concatenate([full.information, information[None]]),
@@ -101,13 +104,15 @@ class FocalLengthEstimate:
 
     def error(self) -> FocalLengthError:
         """Return ε and its standard deviation."""
+        # Posterior mean and model covariance of θ, with the information of correlated features.
         prior = np.diag(PRIOR_SIGMA**-2.0)
         information = self.information / CORRELATED
         moment = self.moment / CORRELATED
         cov = np.linalg.inv(information.sum(axis=0) + prior)
         theta = cov @ moment.sum(axis=0)
         # Sandwich: the influence of each block on ε is its gradient at the estimate, times the row
-        # of ε in the covariance.
+        # of ε in the covariance. The sum of their squares is the variance of ε by the scatter of
+        # the blocks; the prior, which is no sample, adds its own share.
         influence = (moment - information @ theta) @ cov[FOCAL]
         shares = np.einsum("i,bij,j->b", cov[FOCAL], information, cov[FOCAL])
         of_prior = float(cov[FOCAL] @ prior @ cov[FOCAL])

@@ -31,6 +31,7 @@ def focal_sensitivity(
             sensitivity[n] = 0.0
             continue
         stretch = 1.0 - T[2, 2] / Z
+        # The residual is observed minus predicted, and u_r = u_l − d: hence the signs.
         u_move = fu * (X / Z * stretch + T[0, 2] / Z)
         v_move = fv * (Y / Z * stretch + T[1, 2] / Z)
         d_move = fb * rho / Z * stretch

@@ -84,6 +84,8 @@ class Rectification:
         C_rect_left, C_rect_right, P_left, P_right = _stereo_rectify(left, right, T_right_left)
 
         # P_right = K [1 | −b e_x] of a horizontal pair; of a vertical one, the offset is along y.
+        # Its fourth column is therefore (−f_u b, 0, 0), from which the baseline follows, with its
+        # sign: it is negative if left and right are exchanged.
         if abs(P_right[1, 3]) > abs(P_right[0, 3]):
             what = "the right camera lies above or below the left one."
             raise InputError(
@@ -132,6 +134,7 @@ class Rectification:
         """
         _check_pinhole(left, f"{where}: left camera")
         _check_pinhole(right, f"{where}: right camera")
+        # Both rectified cameras have the same K; the maps do not use the fourth column.
         P_rect = np.array(
             [
                 [camera.fu_px, 0.0, camera.cu_px, 0.0],
@@ -190,6 +193,7 @@ def _check_pair(
             "Check the extrinsics of both cameras.",
         )
     so3.check_rotation(T_right_left[:3, :3], f"{where}: T_right_left")
+    # The entry is the cosine of the angle between both optical axes.
     if T_right_left[2, 2] <= 0.0:
         what = "the left and right cameras look in opposite directions."
         raise InputError(where, what, "Check the rotation between the cameras.")
@@ -204,6 +208,7 @@ def _check_view(camera: StereoCamera, where: str | Path) -> None:
     Raises:
         InputError: the principal point is outside the image.
     """
+    # Wrong distortion or rotation moves the principal point far away.
     width_px, height_px = camera.size_px or (0, 0)
     if not (0.0 <= camera.cu_px <= width_px and 0.0 <= camera.cv_px <= height_px):
         what = (
@@ -292,7 +297,8 @@ def _pixel_maps(camera: PinholeCamera, C_rect_cam: FloatArray, P_rect: FloatArra
             size=camera.size_px,
             m1type=cv2.CV_32FC1,
         )
-    # Fixed-point maps make cv2.remap faster than pairs of floats.
+    # (u, v) are places in the raw image, px, [height, width] each. Fixed-point maps make cv2.remap
+    # faster than pairs of floats.
     fixed_point, fraction = cv2.convertMaps(u, v, cv2.CV_16SC2)
     return fixed_point, fraction
 

@@ -104,6 +104,7 @@ class RigCalibration:
     @property
     def disparity_cov(self) -> FloatArray:
         """Covariance of (b₀, b₁, b₂), [3, 3], px²."""
+        # b₀ is not estimated, so that it is independent of the others and keeps its prior.
         covariance = np.zeros((3, 3))
         covariance[0, 0] = CONSTANT_SIGMA_PX**2
         covariance[1:, 1:] = np.linalg.inv(self.disparity_information)
@@ -137,7 +138,7 @@ class RigCalibration:
             noise=ROW_NOISE,
             iterations=ROW_ITERATIONS,
         )
-        # b is conditional on a₆: move it along the regression of b on a₆.
+        # b is conditional on a₆: move it along the regression of b on a₆, ∂b/∂a₆ = −Λ_bb⁻¹ Λ_b6.
         change_px = rows[RADIAL] - self.rows[RADIAL]
         moved = np.linalg.solve(self.disparity_information, self.disparity_with_radial * change_px)
         return replace(
@@ -157,6 +158,7 @@ class RigCalibration:
             twist_s: Log(T_curr_prev) per second at that frame, [6], m/s and rad/s.
             camera: the rectified camera.
         """
+        # The delay has row coefficients of its own, which are estimated jointly with it.
         basis = row_basis(pixels, camera)
         updated = self.delay.updated(
             pixels,
@@ -207,6 +209,8 @@ def row_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
 def radial_basis(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
     """Return ∂u_r/∂a₆ of N features, x r² f_u/f_v in the right image, [N]; d decreases by as
     much."""
+    # x in the right image, y in the left one, as in ``fill_row_basis``. The factor f_u/f_v is there
+    # because a₆ is in px of v.
     x, _ = camera.normalized(pixels[:, 2], pixels[:, 3])
     _, y = camera.normalized(pixels[:, 0], pixels[:, 1])
     basis: FloatArray = camera.fu_px / camera.fv_px * x * (x * x + y * y)

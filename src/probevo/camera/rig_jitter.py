@@ -85,6 +85,8 @@ class RigJitter:
         Args:
             second_moment: E[(ω_k − ω_{k−1})(ω_k − ω_{k−1})ᵀ] given the step's residuals, [3, 3].
         """
+        # S ← (1 − n^−0.7) S + n^−0.7 · ½ E[…]: the change has the covariance 2 S, hence the ½. The
+        # last line keeps S symmetric and invertible.
         frames = min(self.frames + 1.0, MOST_FRAMES)
         share = frames**-EM_STEP_EXPONENT
         cov = self.cov + share * (0.5 * second_moment - self.cov)

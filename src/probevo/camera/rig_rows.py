@@ -45,11 +45,12 @@ def fit_row_offsets(
     Returns:
         The coefficients after it, [K], and their information, [K, K].
     """
+    # The prior in information form, to which the normal equations of the frame are added.
     coefficients, prior_information = prior
     prior_gradient = prior_information @ coefficients
     information = prior_information
-    at = coefficients
-    random_information = None if of_frame is None else np.linalg.inv(of_frame.cov)
+    frame_coefficients = coefficients
+    inverse_change_cov = None if of_frame is None else np.linalg.inv(of_frame.cov)
     for _ in range(iterations):
         # Normal equations of this frame, weighted at the coefficients as they were in it.
         own_information = np.zeros_like(prior_information)
@@ -57,27 +58,32 @@ def fit_row_offsets(
         add_row_equations(
             basis,
             offsets,
-            at,
+            frame_coefficients,
             noise=noise,
             information=own_information,
             gradient=own_gradient,
         )
-        if of_frame is None or random_information is None:
+        if of_frame is None or inverse_change_cov is None:
             information = prior_information + own_information
             coefficients = np.linalg.solve(information, prior_gradient + own_gradient).astype(float)
-            at = coefficients
+            frame_coefficients = coefficients
             continue
-        # The coefficients of this frame are a + G ω: normal equations of a and ω, of which ω is
-        # eliminated.
+        # The coefficients of this frame are a + G ω, with N = Σ w B Bᵀ and n = Σ w B (v_r − v_l):
+        #
+        #     [N + prior   N G          ] [a]   [n + prior gradient]
+        #     [Gᵀ N        Gᵀ N G + S⁻¹ ] [ω] = [Gᵀ n              ]
+        #
+        # ω is eliminated by the Schur complement of its block.
         cross = own_information @ of_frame.effect
-        random = of_frame.effect.T @ cross + random_information
-        random_gradient = of_frame.effect.T @ own_gradient
-        solved = np.linalg.solve(random, np.column_stack([cross.T, random_gradient])).astype(float)
+        block = of_frame.effect.T @ cross + inverse_change_cov
+        change_gradient = of_frame.effect.T @ own_gradient
+        solved = np.linalg.solve(block, np.column_stack([cross.T, change_gradient])).astype(float)
         gain = solved[:, :-1]
         information = prior_information + own_information - cross @ gain
-        gradient = prior_gradient + own_gradient - gain.T @ random_gradient
+        gradient = prior_gradient + own_gradient - gain.T @ change_gradient
         coefficients = np.linalg.solve(information, gradient).astype(float)
-        # Back-substitution: the likeliest ω.
+        # Back-substitution: the likeliest ω. The weights of the next iteration are those of
+        # residuals from a + G ω, the coefficients of this frame.
         change = solved[:, -1] - gain @ coefficients
-        at = coefficients + of_frame.effect @ change
+        frame_coefficients = coefficients + of_frame.effect @ change
     return coefficients, information

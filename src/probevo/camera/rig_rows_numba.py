@@ -111,4 +111,5 @@ def correct_observations(
         pixels[n, 2] += aspect * (rows[ROLL] * y - rows[RADIAL] * x_right * squared)
         # The true disparity d = u_l − u_r is larger by b₁ x + b₂ x².
         pixels[n, 2] -= disparity[0] * x + disparity[1] * x * x
+        # The left image is taken for true, so that v_l stays.
         pixels[n, 3] -= row_offset

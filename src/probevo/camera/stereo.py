@@ -96,6 +96,7 @@ class StereoCamera:
             And the inverse depth ρ in a, [N], 1/m, which is 0 (at infinity) where the disparity is
             not positive.
         """
+        # T p over the depth z in a: with p = z m and ρ = 1/z = d/(f_u b), C p + t = z (C m + ρ t).
         rho = np.maximum(pixels[:, 0] - pixels[:, 2], 0.0) / (self.fu_px * self.baseline_m)
         rays = np.empty((3, len(pixels)))
         rays[0], rays[1] = self.normalized(pixels[:, 0], pixels[:, 1])
@@ -108,7 +109,8 @@ class StereoCamera:
         disparity = u_l - u_r
         point = self.triangulate(pixels)
         z = point[..., 2]
-        # All of p scales with the depth, which goes with 1 / disparity.
+        # All of p scales with the depth, which goes with 1 / disparity: ∂p/∂d = −p/d, and ∂d/∂y =
+        # (1, 0, −1, 0).
         jacobian: FloatArray = (
             -point[..., :, None] / disparity[..., None, None] * np.array([1.0, 0.0, -1.0, 0.0])
         )

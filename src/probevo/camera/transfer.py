@@ -54,9 +54,11 @@ def transfer(pixels: FloatArray, T_b_a: FloatArray, camera: StereoCamera) -> Tra
     rays = np.empty((3, len(pixels)))
     rays[0], rays[1] = camera.normalized(u_l, 0.5 * (v_l + v_r))
     rays[2] = 1.0
+    # The moved points over their depths in a, [3, N]
     q = T_b_a[:3, :3] @ rays + T_b_a[:3, 3, None] * inverse_depth_a
 
-    # The disparity shrinks by the same ratio as the depth grows.
+    # The image does not depend on the scale of q. The disparity shrinks by the same ratio as the
+    # depth grows: d' = d/q_z.
     in_front: BoolArray = q[2] >= NEAREST_DEPTH_RATIO
     depth_ratio = np.where(in_front, q[2], np.nan)
     u = camera.fu_px * q[0] / depth_ratio + camera.cu_px

@@ -49,6 +49,7 @@ def transfer(
     q is the point in frame b over its depth in frame a; in pixels relative to the principal point
     it is seen at u' = f_u q_x/q_z and v' = f_v q_y/q_z, with the disparity d' = f_u b ρ/q_z.
     """
+    # The ray m = (mx, my, 1) and the inverse depth in frame a.
     mx = (point[0] - camera.cu) / camera.fu
     my = (point[1] - camera.cv) / camera.fv
     rho = point[2] / camera.fb

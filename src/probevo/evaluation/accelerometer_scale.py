@@ -81,18 +81,21 @@ def accelerometer_scale(
     triples = _triples(stamps_ns, is_ok)
     if len(triples) < FEWEST:
         return None
+    # Attitudes between the frames by a spline; specific force in the axes of the camera, with bias.
     time_s = 1e-9 * (stamps_ns - stamps_ns[0])
     attitude = RotationSpline(time_s, Rotation.from_matrix(T_world_cam[:, :3, :3]))
     sampled_s = 1e-9 * (stream.stamps_ns - stamps_ns[0])
     force = stream.accel_m_s2 @ calibration.C_cam_imu.T
     place_m = T_world_cam[:, :3, 3]
     lever_m = T_world_cam[:, :3, :3] @ calibration.T_cam_imu[:3, 3]
+    # Per pair of intervals: D[p], the integral less D[C l], ∫ w C dt, its begin, and ∫ w dt.
     seen = []
     measured = []
     turns = []
     starts_s = []
     weights = []
     for i, j, k in triples:
+        # Use a pair only if samples cover it without a hole, and no force is implausible.
         inside = slice(*np.searchsorted(sampled_s, [time_s[i], time_s[k]]))
         t_s = sampled_s[inside]
         if len(t_s) < FEWEST_SAMPLES or not (np.abs(force[inside]) < LARGEST_FORCE_M_S2).all():
@@ -102,6 +105,8 @@ def accelerometer_scale(
             continue
         first_s = time_s[j] - time_s[i]
         second_s = time_s[k] - time_s[j]
+        # The triangle w is 0 at both ends of the pair and 1 where the intervals meet: w' = 1/T₁,
+        # then −1/T₂, so that integration by parts of ∫ w p̈ dt leaves D[p].
         w = np.minimum((t_s - time_s[i]) / first_s, (time_s[k] - t_s) / second_s)
         w *= 0.5 * (first_s + second_s) / w.sum()  # its integral, whatever the samples' places
         C_world_cam = attitude(t_s).as_matrix()
@@ -113,6 +118,7 @@ def accelerometer_scale(
         weights.append(0.5 * (first_s + second_s))
     if not seen:
         return None
+    # Number the blocks that have a pair consecutively.
     block = (np.array(starts_s) // BLOCK_S).astype(np.int64)
     _, block = np.unique(block, return_inverse=True)
     return _regressed(
@@ -129,6 +135,7 @@ def _triples(stamps_ns: IntArray, is_ok: BoolArray) -> list[tuple[int, int, int]
     """Return the ends and the middle of successive pairs of intervals with solved steps only."""
     triples: list[tuple[int, int, int]] = []
     length_ns = round(1e9 * INTERVAL_S)
+    # Number of unsolved steps before each frame; a millisecond of tolerance for jittered stamps
     bad_before = np.concatenate([[0], np.cumsum(~is_ok)])
     i = 0
     while True:
@@ -161,6 +168,8 @@ def _regressed(
 ) -> AccelerometerScale | None:
     """Regress D[p], [M, 3], on the accelerometer's integral, gravity of each block, and the
     bias."""
+    # D[p] = (1/s) (integral − D[C l]) + (g/s) ∫ w dt − (∫ w C dt) b/s: linear in 1/s, which is the
+    # ratio wanted, in gravity over s of each block, and in the bias over s.
     count = len(seen)
     num_blocks = int(block.max()) + 1
     num_unknowns = 1 + 3 * num_blocks + 3
@@ -172,6 +181,7 @@ def _regressed(
         design[np.arange(count), axis, 1 + 3 * block + axis] = weight_s
     design[:, :, -3:] = -turns
     rows = design.reshape(-1, num_unknowns)
+    # Least squares in units of the variance of D[p]; only the bias has a prior.
     prior = np.zeros((num_unknowns, num_unknowns))
     values = np.zeros(num_unknowns)
     variance = 1.0
@@ -194,6 +204,7 @@ def _regressed(
     freedom = count - 1 - num_blocks
     factor = 3 * count / (3 * count - num_unknowns)
     ratio = float(values[0])
+    # σ is the larger of the sandwich's, corrected for small samples, and the model's own.
     sandwich = float((bread @ meat @ bread)[0, 0]) * factor
     model = variance * float(bread[0, 0])
     sigma = float(np.sqrt(max(sandwich, model)))

@@ -50,6 +50,8 @@ class Quantity:
 
 def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quantity]:
     """Describe v_r − v_l at the edges of the image, and the delay of the right image."""
+    # What each coefficient would be as an angle or as a ratio of focal lengths, in the text of its
+    # cure: a₀ = f_v · pitch, a₁ = f_v · roll, and a₂ y = (f_r/f_l − 1) f_v y.
     found = check_rows(frames, camera)
     x_edge, y_edge = _edges(camera, frames)
     pitch = float(np.rad2deg(found.values[0] / camera.fv_px))
@@ -72,12 +74,14 @@ def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quant
             "as of lenses that distort differently",
         ),
     )
+    # Each as the error in px that it makes at the edge of the image.
     quantities = []
     for k, (name, factor, meaning) in enumerate(meanings):
         value = float(found.values[k]) * factor
         sigma = float(found.sigma[k]) * factor
         p_value = found.p_value(value, sigma)
         quantities.append(Quantity(name, value, sigma, "px", p_value=p_value, cure=f"{meaning}."))
+    # The delay of the right image.
     delay_ms = 1e3 * float(found.values[DELAY])
     late = "later" if delay_ms > 0.0 else "earlier"
     cure = (
@@ -150,6 +154,7 @@ def scale_quantity(T_world_cam: FloatArray, T_world_cam_true: FloatArray) -> Qua
     true = distances[1][known]
     if len(true) < FEWEST_BLOCKS or not true.sum() > 0.0:
         return None
+    # Sums instead of a mean of ratios: a segment at rest has no ratio.
     ratio = float(estimated.sum() / true.sum())
     count = len(true)
     # Standard deviation of a ratio of sums, by the scatter of the residuals of the segments.
@@ -207,6 +212,7 @@ def gyro_quantities(
     found = check_gyro(between_ns, rotation_rad, stream, calibration)
     if found is None:
         return [], calibration.C_cam_imu
+    # Mounting: three angles.
     regression = found.regression
     quantities = []
     for axis, k in zip("xyz", range(*MOUNTING.indices(8)), strict=True):
@@ -219,6 +225,7 @@ def gyro_quantities(
         p_value = regression.p_value(value, sigma)
         name = f"gyro, mounting about {axis}"
         quantities.append(Quantity(name, value, sigma, "°", p_value=p_value, cure=cure))
+    # Unit: the images' rates are 1 + scale times those of the gyro.
     scale = float(regression.values[SCALE])
     factor = 1.0 / (1.0 + scale) if abs(1.0 + scale) > 1e-9 else np.inf
     cure = f"its rates are {factor:.4g} times those of the images."
@@ -253,6 +260,8 @@ def gravity_quantity(stream: ImuStream, calibration: ImuCalibration) -> Quantity
     if len(force) < FEWEST_BLOCKS:
         return None
     length = float(np.linalg.norm(force, axis=1).mean())
+    # Three independent errors: the bias, gravity at this place, and the scatter of the mean, from
+    # five parts of the recording.
     parts = np.array_split(np.linalg.norm(force, axis=1), FEWEST_BLOCKS)
     scatter = float(np.std([part.mean() for part in parts], ddof=1)) / np.sqrt(FEWEST_BLOCKS)
     sigma = float(

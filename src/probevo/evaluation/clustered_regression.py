@@ -72,6 +72,7 @@ def regress(
     prior = np.diag(prior_sigma**-2.0)
     beta: FloatArray = np.zeros(design.shape[1])
     scale = max(float(np.median(np.abs(target))) / _MEDIAN_OF_ABSOLUTE, 1e-12)
+    # IRLS of a Student-t, by EM: weights, coefficients, scale.
     for _ in range(ITERATIONS):
         residual = target - design @ beta
         weight = (DOF + 1.0) / (DOF + (residual / scale) ** 2)
@@ -80,18 +81,21 @@ def regress(
         beta = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         residual = target - design @ beta
         scale = max(float(np.sqrt(np.mean(weight * residual**2))), 1e-12)
-    ratio = (residual / scale) ** 2
-    weight = (DOF + 1.0) / (DOF + ratio)
+    # Sandwich covariance A⁻¹ B A⁻¹ at the estimate.
+    squared = (residual / scale) ** 2
+    weight = (DOF + 1.0) / (DOF + squared)
     # A: derivative of the estimating equations; ψ' = (ν + 1)(ν − r²)/(ν + r²)² of ψ = w r.
-    slope = (DOF + 1.0) * (DOF - ratio) / (DOF + ratio) ** 2
+    slope = (DOF + 1.0) * (DOF - squared) / (DOF + squared) ** 2
     bread = np.linalg.inv((design * slope[:, None]).T @ design / scale**2 + prior)
     scores = design * (weight * residual / scale**2)[:, None]
+    # B: covariance of the sum of the scores, which are summed over each frame first, [K, P].
     of_frames = _sums(scores, frame)
     count = len(of_frames)
     # As many coefficients as were estimated are missing from the scatter of the scores.
     meat = _long_run_covariance(of_frames) * (count / max(count - len(beta), 1)) + prior
+    # −ln of N Student-t densities of this scale, and of the Gaussian prior
     cost = (
-        0.5 * (DOF + 1.0) * float(np.log1p(ratio / DOF).sum())
+        0.5 * (DOF + 1.0) * float(np.log1p(squared / DOF).sum())
         + len(target) * float(np.log(scale))
         + 0.5 * float(beta @ prior @ beta)
     )
@@ -100,6 +104,7 @@ def regress(
 
 def _sums(scores: FloatArray, frame: IntArray) -> FloatArray:
     """Add up the rows, [N, P], of each frame, [K, P]."""
+    # Rows of a frame are consecutive: a frame begins where the number changes.
     starts = np.flatnonzero(np.r_[True, np.diff(frame) != 0])
     return np.asarray(np.add.reduceat(scores, starts, axis=0))
 
@@ -111,6 +116,7 @@ def _long_run_covariance(of_frames: FloatArray) -> FloatArray:
     definite.
     """
     count = len(of_frames)
+    # Bartlett's weights 1 − k/(L + 1), up to L = 4 (K/100)^(2/9) lags
     lags = int(4.0 * (count / 100.0) ** (2.0 / 9.0))
     total: FloatArray = of_frames.T @ of_frames
     for lag in range(1, min(lags, count - 1) + 1):

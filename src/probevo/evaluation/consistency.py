@@ -158,6 +158,7 @@ def drift_covariances(
     common = np.zeros(common_mode.shape[1:])
     rest = np.zeros((6, 6))
     drift = np.zeros((len(cov) + 1, 6, 6))
+    # The recursion of the docstring; drift[k + 1] is the covariance of the pose after motion k.
     for k, (cov_k, common_k) in enumerate(zip(cov, common_mode, strict=True)):
         common = common_k + adjoints[k] @ common
         rest = (
@@ -176,6 +177,7 @@ def _binomial_quantile(q: float, count: int, probability: FloatArray) -> FloatAr
 
     ``scipy.stats.binom.ppf`` does the same, but takes ten times as long to import.
     """
+    # bdtrik is the root of the distribution function, continued to real k.
     k = np.ceil(bdtrik(q, count, probability))
     # The root above may be rounded up by one too many.
     k_below = np.maximum(k - 1.0, 0.0)

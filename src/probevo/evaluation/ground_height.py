@@ -119,6 +119,7 @@ class GroundHeights:
         median_m = float(np.median(height_m))
         # The variance of a median is that of the mean times π/2, for Gaussian errors.
         of_scatter = np.sqrt(0.5 * np.pi / count) * float(np.std(height_m, ddof=1)) / median_m
+        # An offset δ of all disparities changes y = (v − c_v) b/d by −δ/d of itself.
         of_offset = CONSTANT_SIGMA_PX / float(np.median(disparity_px))
         sigma = float(np.hypot(of_scatter, of_offset))
         if not 0.0 < sigma < LARGEST_SIGMA:
@@ -127,12 +128,15 @@ class GroundHeights:
 
     def _pass_over(self, stamp_ns: int, T_curr_prev: FloatArray) -> None:
         """Move the points to the current frame, and measure those that the camera has passed."""
+        # All of this is in the frame of the current camera, which is at the origin.
         self._points_m = self._points_m @ T_curr_prev[:3, :3].T + T_curr_prev[:3, 3]
         moved_m = -T_curr_prev[:3, 3]  # from the previous place of the camera to the current one
         length_m = float(np.linalg.norm(moved_m))
         if length_m < 1e-6:
             return
         ahead = moved_m / length_m
+        # Axes of the path: ahead, aside (the camera's x without its part along the path), and down,
+        # which complete a right-handed frame as z, x and y of a camera that looks ahead.
         aside = np.array([1.0, 0.0, 0.0]) - ahead[0] * ahead
         if np.linalg.norm(aside) < HALF_WIDTH:  # it moves sideways
             return
@@ -140,12 +144,15 @@ class GroundHeights:
         down = np.cross(ahead, aside)
         along_m = (self._points_m + moved_m) @ ahead  # from the previous place of the camera
         height_m = self._points_m @ down
+        # A point counts if the camera has passed its foot on the path in this step, and if it is in
+        # the strip below the camera; a point above the path has a negative height, and fails.
         is_below = np.abs(self._points_m @ aside) < HALF_WIDTH * height_m
         is_passed = (along_m >= 0.0) & (along_m < length_m)
         found = is_passed & is_below
         if found.any() and not self._block:
             self._start_ns = stamp_ns
         self._block += list(np.column_stack([height_m[found], self._disparity_px[found]]))
+        # One median a block; points that are still ahead are kept for later steps.
         if len(self._block) >= FEWEST_POINTS and stamp_ns - self._start_ns >= BLOCK_NS:
             self._medians.append(np.median(self._block, axis=0))
             self._block = []
@@ -156,6 +163,7 @@ class GroundHeights:
         disparity_px = pixels[:, 0] - pixels[:, 2]
         is_near = disparity_px > 0.0
         points_m = self._camera.triangulate(pixels[is_near])
+        # It fails for points at or above the height of the camera, whose y is not positive.
         is_ground = points_m[:, 2] < FARTHEST * points_m[:, 1]
         near = np.flatnonzero(is_near)[is_ground]
         self._keep(~np.isin(self._ids, ids[near]))

@@ -93,6 +93,7 @@ def check_gyro(
     Returns:
         None if the samples cover fewer than ten steps.
     """
+    # Starts, Gauss–Newton from each, and the solution of the least cost.
     problem = _Problem(between_ns, rotation_rad, stream, calibration)
     by_lag = {float(lag_s): problem.gyro_rotations(float(lag_s)) for lag_s in LAGS_S}
     if max(int(_covered(gyro_rad).sum()) for gyro_rad in by_lag.values()) < FEWEST_STEPS:
@@ -105,6 +106,8 @@ def check_gyro(
     turned = so3.exp(best.values[MOUNTING]) @ calibration.C_cam_imu
     gyro_rad = problem.gyro_rotations(float(np.clip(best.values[LAG], LAGS_S[0], LAGS_S[-1])))
     covered = _covered(gyro_rad)
+    # Regression dilution: variance of the noise, three axes, over that of the rotations without
+    # their median rate.
     swing = _without_mean(gyro_rad[covered], problem.duration_s[covered])
     variance = calibration.gyro_noise_rad_s_sqrt_hz**2 * problem.duration_s[covered]
     attenuation = float(3.0 * variance.sum() / max(float(np.sum(swing**2)), _SAME_RAD**2))
@@ -145,6 +148,7 @@ class _Problem:
                     continue
                 start = np.zeros(8)
                 start[LAG] = lag_s
+                # Without the median rate the bias, which is not known yet, drops out.
                 gyro = _without_mean(gyro_rad[covered], self.duration_s[covered])
                 image = _without_mean(self.rotation_rad[covered], self.duration_s[covered])
                 if sign:
@@ -159,6 +163,7 @@ class _Problem:
 
     def solved(self, start: FloatArray) -> Regression | None:
         """Solve by Gauss–Newton; None if the shifted gyro covers too few steps."""
+        # Prior of (δ, s − 1, b, τ), each around zero.
         values = start
         regression = None
         prior_sigma = np.r_[
@@ -174,12 +179,14 @@ class _Problem:
             covered = _covered(before) & _covered(after)
             if covered.sum() < FEWEST_STEPS:
                 return None
+            # Predicted rotations, and their speed of change by the lag, ∂φ_k/∂τ, rad/s
             gyro = 0.5 * (before + after)[covered]
             factor = 1.0 + values[SCALE]
             directed = gyro @ so3.exp(values[MOUNTING]).T
             turned = factor * directed
             speed = (after - before)[covered] / (2.0 * _DIFFERENCE_S)
-            # Exp(δ + dδ) = Exp(J_l dδ) Exp(δ), and Exp(ε) φ ≈ φ − φ^ ε.
+            # Jacobian by (δ, s − 1, b, τ), [k, 3, 8]: Exp(δ + dδ) = Exp(J_l dδ) Exp(δ), and Exp(ε)
+            # φ ≈ φ − φ^ ε.
             by_mounting = -so3.wedge(turned) @ so3.left_jacobian(values[MOUNTING])
             design = np.concatenate(
                 [
@@ -190,6 +197,8 @@ class _Problem:
                 ],
                 axis=2,
             )
+            # Linearised about the values, with the lag as clipped. The target is such that the
+            # regression gives the new values and not a step: its prior is around zero.
             about = values.copy()
             about[LAG] = lag_s
             predicted = turned + self.duration_s[covered] * values[BIAS]
@@ -219,6 +228,7 @@ def _without_mean(rotation_rad: FloatArray, duration_s: FloatArray) -> FloatArra
 
 def _kabsch(source: FloatArray, target: FloatArray) -> FloatArray:
     """Return the least-squares rotation from vectors, [K, 3], to others (Kabsch)."""
+    # Σ target sourceᵀ = U S Vᵀ, with the last axis reversed where U Vᵀ is a reflection.
     U, _, Vt = np.linalg.svd(target.T @ source)
     U[:, 2] *= np.linalg.det(U @ Vt)
     return np.asarray(U @ Vt)

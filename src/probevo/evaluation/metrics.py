@@ -105,6 +105,7 @@ def evaluate(
             f"has {len(T_world_cam_true)} poses, the estimate has {len(T_world_cam_est)}",
             "Give one true pose a frame, NaN where it is unknown.",
         )
+    # Frames whose true pose is known, [K]; one alone has no motion.
     frames = np.flatnonzero(np.isfinite(T_world_cam_true).all(axis=(1, 2)))
     if len(frames) < 2:
         return Metrics(num_frames=len(frames))
@@ -112,6 +113,7 @@ def evaluate(
     est = T_world_cam_est[frames]
     true = T_world_cam_true[frames]
     e_m = trajectory_errors.position_errors(est, true)
+    # KITTI's segments start at every tenth frame of the recording, not of those known.
     kitti = segments.segment_errors(
         est, true, segments.KITTI_LENGTHS_M, starts=np.flatnonzero(frames % 10 == 0)
     )

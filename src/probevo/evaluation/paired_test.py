@@ -94,11 +94,13 @@ def paired_differences(
     known = np.flatnonzero(np.isfinite(T_world_cam_true).all(axis=(1, 2)))
     if len(known) < 2 or len(first) < _FEWEST_STEPS:
         return {}
+    # The difference A − B of each figure as the runs are
     truth = _Truth(known, T_world_cam_true[known])
     block = mean_block_length(se3.log(first @ se3.inverse(second)))
     as_run = np.zeros((1, len(first)), bool)
     observed = truth.errors(_path(first, second, as_run))
     against = truth.errors(_path(second, first, as_run))
+    # The same after random exchanges of the motions of blocks of steps
     drawn: dict[str, list[FloatArray]] = {name: [] for name in observed}
     for start in range(0, draws, _DRAWS_AT_ONCE):
         count = min(_DRAWS_AT_ONCE, draws - start)
@@ -135,6 +137,8 @@ def random_blocks(count: int, steps: int, block: float, rng: np.random.Generator
     """
     begins = rng.random((count, steps)) < 1.0 / block
     begins[:, 0] = True
+    # Number of the block of each step. Geometric lengths: a block ends after each step with the
+    # probability 1/mean.
     number = np.cumsum(begins, axis=1) - 1
     of_block = rng.random((count, steps)) < 0.5
     return np.take_along_axis(of_block, number, axis=1)
@@ -176,12 +180,14 @@ def _block_length_of(values: FloatArray) -> float:
         lag = int(significant[-1]) + 1 if len(significant) else 1
     # Flat-top lag window of Politis and Romano over 2 m lags.
     bandwidth = min(2 * max(lag, 1), longest)
+    # λ(t) = 1 up to t = ½, then 2 (1 − t), with t = |k|/bandwidth
     lags = np.arange(-bandwidth, bandwidth + 1)
     window = np.clip(2.0 * (1.0 - np.abs(lags) / bandwidth), 0.0, 1.0)
     weighted = window * covariance[np.abs(lags)]
     spectrum = weighted.sum()
     if spectrum <= 0.0:
         return 1.0  # the sum of the series varies less than that of independent values
+    # b = (2 G²/D)^(1/3) K^(1/3), with G = Σ λ |k| R(k), and D = 2 g(0)², g(0) = Σ λ R(k)
     slope = (np.abs(lags) * weighted).sum()
     length = (slope**2 / spectrum**2 * count) ** (1.0 / 3.0)
     return float(np.clip(length, 1.0, count))
@@ -200,6 +206,7 @@ class _Truth:
         """Compute the errors of R paths, [R, N, 4, 4], m: for each figure that is defined, [R]."""
         est = T_world_cam_est[:, self.frames]
         true = self.T_world_cam
+        # The first known poses are made equal, as in ``position_errors``.
         from_first_est = se3.inverse(est[:, :1]) @ est
         from_first_true = se3.inverse(true[:1]) @ true
         distance = np.linalg.norm((from_first_est - from_first_true)[..., :3, 3], axis=-1)

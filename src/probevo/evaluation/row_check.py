@@ -54,7 +54,8 @@ class RowSamples:
                 mean of the steps before and after it.
             camera: the rectified camera.
         """
-        # Transfer the points back by a moment.
+        # Transfer the points back by a moment: C_before_now = Exp(−ω δt), as the rate is that of
+        # C_curr_prev. A rotation alone moves images of points at any depth alike.
         back = so3.exp(-_MOMENT_S * rate_rad_s)
         before = transfer(corrected_px, se3.from_parts(back, np.zeros(3)), camera)
         row = 0.5 * (corrected_px[:, 1] + corrected_px[:, 3])
@@ -68,6 +69,8 @@ def check_rows(frames: list[RowSamples], camera: StereoCamera) -> Regression:
     pixels = np.concatenate([frame.pixels for frame in frames])
     speed = np.concatenate([frame.row_speed_px_s for frame in frames])
     number = np.repeat(np.arange(len(frames)), [len(frame.pixels) for frame in frames])
+    # The prior is weaker than that of the odometry: here the rectification is tested, not
+    # corrected.
     return regress(
         np.column_stack([row_basis(pixels, camera), speed]),
         pixels[:, 3] - pixels[:, 1],

@@ -63,11 +63,12 @@ def segment_errors(
     first = np.repeat(starts, len(lengths_m))
     length = np.tile(np.asarray(lengths_m, dtype=np.float64), len(starts))
     last = np.searchsorted(distance, distance[first] + length, side="right")
-    fits = last < len(distance)
+    fits = last < len(distance)  # the path does not end before the segment
     first = first[fits]
     last = last[fits]
     length = length[fits]
-    # The error is the estimated relative pose, inverted, times the true one.
+    # Relative poses over each segment, [..., S, 4, 4], which do not depend on the world frames. The
+    # error is the estimated one, inverted, times the true one.
     T_first_last_true = se3.inverse(T_world_cam_true[first]) @ T_world_cam_true[last]
     first_est = T_world_cam_est[..., first, :, :]
     last_est = T_world_cam_est[..., last, :, :]

@@ -74,6 +74,8 @@ def rigid_alignment(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
     It minimises the sum of squared distances. Points on a line or in one place leave the rotation
     about them open; one of the minimisers is returned.
     """
+    # The rotation maximises tr(C Σ aᵢ bᵢᵀ) over centred points; with Σ bᵢ aᵢᵀ = U S Vᵀ it is U
+    # diag(1, 1, ±1) Vᵀ.
     center_a = points_a.mean(axis=0)
     center_b = points_b.mean(axis=0)
     U, _, Vt = np.linalg.svd((points_b - center_b).mT @ (points_a - center_a))
@@ -88,14 +90,14 @@ def rpe_rmse(
     """Compute the relative pose error (RPE) from frame to frame (Sturm et al. 2012, as in evo).
 
     Returns the RMS of its translation, m, and of its angle, deg; None without a step whose truth is
-    known at both ends. The truth of KITTI is itself noisy from frame to
-    frame, more so than good stereo odometry, so that this measures the truth as much as the
-    estimate.
+    known at both ends. The truth of KITTI is itself noisy from frame to frame, more so than good
+    stereo odometry, so that this measures the truth as much as the estimate.
     """
     motion_true = relative_motions(T_world_cam_true)
     known = np.isfinite(motion_true).all(axis=(1, 2))
     if not known.any():
         return None
+    # The left perturbation T_true T_est⁻¹, as in the consistency of the covariance
     error = motion_true[known] @ se3.inverse(relative_motions(T_world_cam_est)[known])
     return _rms(error[:, :3, 3]), float(np.rad2deg(_rms(so3.log(error[:, :3, :3]))))
 

@@ -32,12 +32,14 @@ def truth_noise_ratio(
         The larger ratio of translation and rotation; 0 where the truth is at least as smooth as the
         estimate. None if too few successive steps have a truth.
     """
+    # ξ_{k−1} − 2 ξ_k + ξ_{k+1} of the motions, [K − 2, 6]
     of_truth = np.diff(se3.log(T_curr_prev_true), n=2, axis=0)
     of_estimate = np.diff(se3.log(T_curr_prev), n=2, axis=0)
     known = np.isfinite(of_truth).all(axis=1)
     if known.sum() < FEWEST_STEPS:
         return None
     ratios = []
+    # Translation, then rotation: σ² of one axis times three in both numerator and denominator
     for part in (slice(0, 3), slice(3, 6)):
         excess = _mean_square(of_truth[known, part]) - _mean_square(of_estimate[known, part])
         claimed = np.median(np.trace(cov[:, part, part], axis1=1, axis2=2))

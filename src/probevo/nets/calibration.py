@@ -57,6 +57,7 @@ def calibration(left_out: Collection[Claimed]) -> Calibration:
     and each measurement enters with a covariance of its own, so that the sum of ten errors has to
     fit the sum of their covariances, too. The larger of the two factors counts.
     """
+    # No block reaches from one recording into the next.
     blocks = [blocks_of(each) for each in left_out]
     all_errors = np.concatenate([each.errors for each in left_out])
     all_covariances = np.concatenate([each.covariances for each in left_out])
@@ -65,6 +66,7 @@ def calibration(left_out: Collection[Claimed]) -> Calibration:
         np.concatenate([block.errors for block in blocks]),
         np.concatenate([block.covariances for block in blocks]),
     )
+    # In both, s = 1/(N d) Σ φᵀ Σ⁻¹ φ.
     scale = max(single, in_blocks)
     nll = negative_log_likelihoods(all_errors, scale * all_covariances)
     return Calibration(

@@ -76,6 +76,7 @@ class CorrectionNetwork(TrainedNetwork):
             inputs: as ``inputs_of`` gives them, [N, i].
         """
         predicted, widening = self.evaluate(self.space, inputs)
+        # Σ in m and rad, times the calibration and the widening out of the domain
         factor = float(self.facts["scale"]) * widening
         covariance = self.space.in_metres_and_rad(predicted.covariance)
         return Corrections(
@@ -89,6 +90,7 @@ class CorrectionNetwork(TrainedNetwork):
         trunk = jax.tree.map(lambda array: np.asarray(array[0], np.float64), self.networks.trunk)
         outputs = linear_estimates(inputs, trunk.standard, trunk.linear)
         xi = np.zeros((len(inputs), 6))
+        # Outputs o are in units of L: ξ = L o
         xi[:, self.space.axes] = outputs @ np.asarray(self.space.root).T
         return xi
 
@@ -145,6 +147,7 @@ class CorrectionTrunk(eqx.Module):
         """Return the features of one input, [i]: the linear ones, then 64 others."""
         # Statistics of the data, and what was fitted to them, are no weights.
         standard, linear = jax.lax.stop_gradient((self.standard, self.linear))
+        # An input is the field, flattened, then 15 regressors and 6 values of ln σ.
         numbers = (inputs[-NUM_NUMBERS:] - standard.number_mean) * standard.number_scale
         first = linear.weights @ numbers[:NUM_REGRESSORS] + linear.offset
         field = inputs[:-NUM_NUMBERS].reshape(SHAPE)

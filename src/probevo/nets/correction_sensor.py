@@ -58,10 +58,13 @@ class CorrectionSensor(MotionCorrection):
             return NoMeasurement("no image")
         views = view_pair(frame.left, frame.right, self.camera)
         field = stereo_field(virtual_view(prev_frame.left, self.camera), *views)
+        # The same inputs as in training: fields of three views, the motion, and its covariance
         motion = se3.log(T_curr_prev)
         found = self.network.estimate(inputs_of(field[None], motion[None], cov[None]))
         if has_nothing_to_say(float(found.widening[0])):
             return NoMeasurement("out of its domain")
+        # Corrected axes have the covariance of what remains of their error; their correlation with
+        # the other axes is unknown after the correction, and set to zero.
         covariance = cov.copy()
         covariance[3:, :3] = 0.0
         covariance[:3, 3:] = 0.0

@@ -88,6 +88,8 @@ class CorrectionTargets:
         """Return diag(1/σ) U e, and Σ log σ."""
         log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., : self.dof] + _FIRST)
         lower = jnp.tanh(raw[..., self.dof :])
+        # U e row by row; ``lower`` holds the rows of U below its diagonal of ones, one after
+        # another.
         mixed = []
         first = 0
         for row in range(self.dof):
@@ -100,11 +102,13 @@ class CorrectionTargets:
     def covariance(self, raw: AnyArray) -> FloatArray:
         """Return Σ, [..., d, d], in units of L, in float64."""
         raw = np.asarray(raw, np.float64)
+        # A logistic function without overflow, the sigmoid of ``whiten``
         share = 0.5 * (1.0 + np.tanh(0.5 * (raw[..., : self.dof] + _FIRST)))
         sigma = np.exp(_LOG_LEAST + _LOG_RANGE * share)
         rows, columns = np.tril_indices(self.dof, -1)
         unit = np.broadcast_to(np.eye(self.dof), (*raw.shape[:-1], self.dof, self.dof)).copy()
         unit[..., rows, columns] = np.tanh(raw[..., self.dof :])
+        # With Σ⁻¹ = Uᵀ diag(1/σ²) U, the root U⁻¹ diag(σ) of Σ has its columns scaled.
         root = np.linalg.inv(unit) * sigma[..., None, :]
         covariance: FloatArray = root @ root.mT
         return covariance

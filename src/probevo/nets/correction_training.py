@@ -113,6 +113,7 @@ def _train(
     steps: list[EstimatedSteps], run: TrainingRun, *, config: OdometryConfig
 ) -> CorrectionNetwork:
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
+    # The last recordings are left out.
     settings = run.settings
     learned = EstimatedSteps.joined(steps[: run.split])
     left_out = steps[run.split :]
@@ -126,9 +127,11 @@ def _train(
     standard = standardised(inputs)
 
     # Units and weights of the loss: the covariance of what the regression leaves of the training
-    # data, since that is what remains to be learned.
+    # data, since that is what remains to be learned. With Σ = L Lᵀ of it, outputs are L⁻¹ ξ, and
+    # the regression is converted to these units.
     wanted = learned.corrections[:, axes]
     in_si = linear_fit(inputs, standard, wanted)
+    # What the regression leaves, [N, d], m and rad
     remaining = wanted - linear_estimates(inputs, standard, in_si)
     least = np.diag(LEAST_SIGMA[list(axes)] ** 2)
     root = np.linalg.cholesky(np.cov(remaining, rowvar=False) + least)
@@ -136,6 +139,7 @@ def _train(
     to_units = np.linalg.inv(root)
     linear = LinearFit(to_units @ in_si.weights, to_units @ in_si.offset)
 
+    # The regression stays as it is; what is trained is added to it.
     method = method_of(settings)
     trained = run.learn(
         method,
@@ -144,6 +148,7 @@ def _train(
         learned=(inputs, learned.corrections),
         left_out=(inputs_left_out, joined.corrections),
     )
+    # Domain, facts, and calibration on what was left out.
     networks = trained.networks
     domain = Domain.of(trunk_features(networks, inputs), trunk_features(networks, inputs_left_out))
     first = {
@@ -157,6 +162,7 @@ def _train(
         **run.facts(trained),
     }
     network = calibrated(CorrectionNetwork(networks, domain, first), left_out)
+    # What remains on the recordings left out, against simpler corrections
     constant = np.tile(wanted.mean(axis=0), (len(joined), 1))
     of_linear = linear_estimates(inputs_left_out, standard, in_si)
     of_network = network.estimate(inputs_left_out).xi[:, axes]
@@ -235,6 +241,8 @@ def calibrated(
     """
     axes = network.space.axes
     information = np.linalg.inv(np.asarray(network.space.root) @ np.asarray(network.space.root).T)
+    # gain = Σ êᵀ Σ⁻¹ e / Σ êᵀ Σ⁻¹ ê over blocks of steps, ê estimated and e true corrections: the
+    # regression of e on ê, weighted by the covariance of the training data.
     both = 0.0
     own = 0.0
     for steps in left_out:
@@ -245,6 +253,7 @@ def calibrated(
         both += float(np.einsum("ni,ij,nj->", estimated, information, true))
         own += float(np.einsum("ni,ij,nj->", estimated, information, estimated))
     gain = float(np.clip(both / own, 0.0, 1.0)) if own > 0.0 else 0.0
+    # The covariance is calibrated on what the shrunk corrections leave.
     shrunk = CorrectionNetwork(network.networks, network.domain, {**network.facts, "gain": gain})
     claimed_all = [errors_of(shrunk, steps) for steps in left_out]
     facts = {**shrunk.facts, **calibration(claimed_all).facts()}
@@ -268,6 +277,7 @@ def _rms(xi: FloatArray, xi_true: FloatArray, lengths: list[int]) -> tuple[float
     """Return the RMS of what remains of ten successive steps added up, m and rad."""
     remaining = _remaining(xi, xi_true)
     sums = []
+    # Each recording by itself: no block reaches from one into the next.
     for part in np.split(remaining, np.cumsum(lengths)[:-1]):
         blocks = len(part) // BLOCK
         sums.append(part[: blocks * BLOCK].reshape(blocks, BLOCK, 6).sum(axis=1))

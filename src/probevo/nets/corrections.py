@@ -41,6 +41,7 @@ def pose_jacobian(xi: jax.Array) -> jax.Array:
     """
     ad = _adjoint(xi)
     angle_sq = xi[3:] @ xi[3:]
+    # J = 1 + Σ aₙ(θ²) ad(ξ)ⁿ, n = 1 … 4
     power = jnp.eye(6, dtype=xi.dtype)
     jacobian = power
     for coefficients in _ADJOINT_SERIES:
@@ -51,6 +52,8 @@ def pose_jacobian(xi: jax.Array) -> jax.Array:
 
 def correction_error(xi: jax.Array, xi_true: jax.Array) -> jax.Array:
     """Return g = Log(Exp(ξ) Exp(ξ*)⁻¹), [6], of tangent vectors [6], m and rad."""
+    # Exp(ξ) T*⁻¹ has the rotation C C*ᵀ and the translation t − C C*ᵀ t*, with t = J(φ) ρ; its
+    # logarithm inverts the last relation.
     q_error = quaternions.product(quaternions.exp(xi[3:]), _inverse_rotation(xi_true))
     t = rotation_jacobian(xi[3:]) @ xi[:3]
     t_true = rotation_jacobian(xi_true[3:]) @ xi_true[:3]
@@ -77,6 +80,7 @@ def correction_gradient(xi: jax.Array, xi_true: jax.Array, information: jax.Arra
     """Return gᵀ Σ⁻¹ J(g)⁻¹ J(ξ), [6], the derivative of the loss with respect to ξ."""
     error = correction_error(xi, xi_true)
     weighted = information @ error
+    # J(g)⁻ᵀ Σ⁻¹ g by a solve, then the row vector times J(ξ)
     by_error = jnp.linalg.solve(pose_jacobian(error).T, weighted)
     gradient: jax.Array = by_error @ pose_jacobian(xi)
     return gradient

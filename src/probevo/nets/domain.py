@@ -42,6 +42,7 @@ class Domain(NamedTuple):
             np.asarray(information, np.float32),
             np.ones((), np.float32),
         )
+        # The limit is that of data left out, since the network has not adapted to them.
         limit = np.quantile(domain.distance_squared(left_out), USUAL_SHARE)
         return domain._replace(limit=np.asarray(limit, np.float32))
 
@@ -57,5 +58,6 @@ class Domain(NamedTuple):
         Within the domain it is 1. Outside, the standard deviation grows as the squared distance
         does beyond the limit.
         """
+        # σ × beyond, and so Σ × beyond²
         beyond = self.distance_squared(features) / float(self.limit)
         return np.maximum(beyond, 1.0) ** 2

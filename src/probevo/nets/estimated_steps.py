@@ -118,6 +118,8 @@ def read_steps(
             no step that was solved.
     """
     T_world_cam = true_poses(sequence)
+    # A correction is called after the solve, with the motion and its covariance: the recorder notes
+    # both, and leaves the motion as it is.
     recorder = _Recorder()
     odometry = StereoOdometry(sequence.camera, imu=sequence.imu, config=config, sensors=[recorder])
     rows: dict[str, list[FloatArray]] = {name: [] for name in EstimatedSteps.__dataclass_fields__}
@@ -132,6 +134,7 @@ def read_steps(
         k = frame.index
         is_known = k > 0 and np.isfinite(T_world_cam[k - 1 : k + 1]).all()
         if prev_view is not None and is_known and asked is not None:
+            # T_curr_prev of the truth, and T_corr = T_true T_est⁻¹
             T_true = se3.inverse(T_world_cam[k]) @ T_world_cam[k - 1]
             rows["fields"].append(stereo_field(prev_view, left, right))
             rows["motions"].append(se3.log(asked.T_curr_prev))

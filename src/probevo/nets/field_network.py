@@ -83,7 +83,9 @@ class FieldTrunk(eqx.Module):
         # Statistics of the data, and what was fitted to them, are no weights.
         mean, scale, linear = jax.lax.stop_gradient((self.mean, self.scale, self.linear))
         field = (inputs - mean) * scale
+        # The linear features, in the units of the outputs
         first = linear.weights @ pooled_flow(field[None])[0] + linear.offset
+        # [patches, C · 16] → [patches, 32] → [patches, 16], with the same weights for all patches
         features = patches_of(field)
         for layer in self.patch_layers:
             features = jax.nn.relu(jax.vmap(layer)(features))
@@ -179,6 +181,7 @@ def linear_fit(fields: FloatArray, targets: FloatArray, ridge: float = RIDGE) ->
 
 def ridge_fit(inputs: FloatArray, targets: FloatArray, ridge: float = RIDGE) -> LinearFit:
     """Return the ridge regression of targets, [N, o], on standardised inputs, [N, i]."""
+    # (DᵀD + λ N I) w = Dᵀ y, where the offset, the last column of D, is not penalised
     design = np.hstack([inputs, np.ones((len(inputs), 1))])
     normal = design.T @ design
     penalty = ridge * len(design) * np.eye(design.shape[1])
@@ -196,6 +199,7 @@ def standardisation(fields: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def pooled_flow(fields: FloatArray | jax.Array) -> FloatArray | jax.Array:
     """Return the flow of fields, [N, C, rows, columns], as means of 2 × 2 cells, [N, *]."""
+    # [N, 2, rows/2, 2, columns/2, 2], of which the mean is taken over both axes of length 2
     flow = fields[:, :NUM_FLOW]
     count, channels, rows, columns = flow.shape
     shape = (count, channels, rows // POOL, POOL, columns // POOL, POOL)
@@ -205,6 +209,7 @@ def pooled_flow(fields: FloatArray | jax.Array) -> FloatArray | jax.Array:
 def patches_of(field: jax.Array) -> jax.Array:
     """Return the patches of a field [C, rows, columns], [patches, C · 16]."""
     channels, rows, columns = field.shape
+    # [C, rows/4, 4, columns/4, 4] to [rows/4 · columns/4, C · 4 · 4]
     parts = field.reshape(channels, rows // PATCH, PATCH, columns // PATCH, PATCH)
     return parts.transpose(1, 3, 0, 2, 4).reshape(-1, channels * PATCH**2)
 

@@ -42,6 +42,8 @@ def virtual_view(image: Image, camera: StereoCamera) -> Image:
         InputError: the camera's field of view is smaller than that of the virtual one.
     """
     check_field_of_view(camera)
+    # Affine map from a pixel of the virtual camera to the pixel of the image with the same ray: u =
+    # f_u x + c_u with x = (u_virtual − c_virtual)/FOCAL_PX.
     to_source = np.array(
         [
             [camera.fu_px / FOCAL_PX, 0.0, camera.cu_px - camera.fu_px * _center()[0] / FOCAL_PX],
@@ -71,6 +73,7 @@ def check_field_of_view(camera: StereoCamera) -> None:
         raise InputError("camera", "there are no images.", "Networks need images.")
     x, y = (center / FOCAL_PX for center in _center())
     width_px, height_px = camera.size_px
+    # How far the camera sees in each direction, in normalised coordinates
     left = camera.cu_px / camera.fu_px
     right = (width_px - 1 - camera.cu_px) / camera.fu_px
     top = camera.cv_px / camera.fv_px
@@ -102,6 +105,8 @@ def flow_field(prev: Image, curr: Image) -> FloatArray:
     """
     start = np.zeros((*prev.shape, 2), np.float32)  # overwritten
     flow_px = np.asarray(_flow_estimator().calc(prev, curr, start))
+    # The current image as sampled along the flow looks like the previous one where the flow is
+    # right.
     columns, rows = _pixels()
     moved = cv2.remap(curr, columns + flow_px[..., 0], rows + flow_px[..., 1], cv2.INTER_LINEAR)
     difference = np.abs(moved.astype(np.float32) - prev)
@@ -127,6 +132,8 @@ def rotated(fields: FloatArray, rotations: FloatArray) -> FloatArray:
     rays = cell_rays()
     x = rays[0] + fields[:, 0]
     y = rays[1] + fields[:, 1]
+    # Where each ray of the previous image is seen in the current one, as a ray, [N, 3, rows,
+    # columns]. A camera that turns further moves it by C, whatever its depth.
     seen = np.stack([x, y, np.ones_like(x)], axis=1)
     turned = np.einsum("nij,njrc->nirc", rotations, seen)
     moved = fields.copy()
@@ -140,6 +147,7 @@ def mirrored(fields: FloatArray) -> FloatArray:
 
     The rotation (φ_x, φ_y, φ_z) of the camera becomes (φ_x, −φ_y, −φ_z).
     """
+    # Columns in reverse order, and the flow along x with the other sign
     flipped = fields[..., ::-1].copy()
     flipped[:, 0] *= -1.0
     return flipped
@@ -173,6 +181,7 @@ def _flow_estimator() -> cv2.DISOpticalFlow:
 
 def cell_means(values: AnyArray) -> FloatArray:
     """Return the mean of each cell, [rows, columns], of values of all pixels."""
+    # [rows, 4, columns, 4], of which the mean is taken within each cell
     parts = values.reshape(CELLS[0], CELL_PX, CELLS[1], CELL_PX)
     means: FloatArray = parts.mean(axis=(1, 3))
     return means

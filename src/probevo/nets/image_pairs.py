@@ -62,11 +62,13 @@ class ImagePairs:
             copies: how often each is there; the first is as it was.
             rng: of the rotations of the others.
         """
+        # Mirror images first, then further rotations of both.
         fields = np.concatenate([self.fields, mirrored(self.fields)])
         rotations = np.concatenate([self.rotations, MIRROR * self.rotations])
         parts = [ImagePairs(fields, rotations)]
         C_curr_prev = so3.exp(rotations)
         for _ in range(copies - 1):
+            # C' = C C_curr_prev: the copy has turned by C after the step.
             factor = np.exp(rng.normal(0.0, FURTHER_SPREAD, (len(fields), 1)))
             further = factor * rng.normal(0.0, FURTHER_SIGMA_RAD, (len(fields), 3))
             C = so3.exp(np.clip(further, -MOST_FURTHER_RAD, MOST_FURTHER_RAD))
@@ -103,6 +105,7 @@ def read_pairs(
         if prev_left is not None and not is_repeated and is_known[k - 1 : k + 1].all():
             C_world_prev, C_world_curr = T_world_cam[k - 1 : k + 1, :3, :3]
             fields.append(field_of_images(prev_left, frame.left, sequence.camera))
+            # C_curr_prev = C_curr_world C_world_prev
             rotations.append(so3.log(C_world_curr.T @ C_world_prev))
         prev_left = frame.left
         if on_frame is not None:

@@ -122,6 +122,7 @@ def learn(
     optimizer = _optimizer(plan)
     state = _initial_state(method, build, optimizer, data=data, plan=plan)
     facts = {"method": asdict(method), "plan": asdict(plan), "probevo": __version__}
+    # Resume from the file, if it is of the same training.
     if file is not None and file.exists():
         found = read_facts(file)
         if {name: found.get(name) for name in facts} != facts:
@@ -132,6 +133,7 @@ def learn(
             return Learned(networks, found.get("epochs"), found.get("kept_epoch"))
         state = read_network_file(file, state)
 
+    # Epoch by epoch; the next one depends on the state, the data and the seed alone.
     run_epoch = _compiled_epoch(space, _same_epochs(plan))
     while not _is_finished(state, plan):
         state = run_epoch(state, data, jax.random.key(plan.seed))
@@ -140,6 +142,7 @@ def learn(
             write_network_file(file, state, {**facts, "is_finished": False})
         if show is not None:
             show(epoch, plan.epochs)
+    # The best networks count where a loss on data left out says which these are.
     epochs = int(state.epoch)
     learned = Learned(state.networks, epochs, kept_epoch=epochs)
     if plan.patience is not None:
@@ -175,6 +178,7 @@ def _initial_state(
     plan: LearningPlan,
 ) -> LearningState:
     """Return the state before the first epoch."""
+    # Initial weights of each network of each experiment, by keys of the seed.
     num_experiments, num_networks = data.samples.shape[:2]
     key = jax.random.fold_in(jax.random.key(plan.seed), _INITIAL)
     keys = jax.random.split(key, (num_experiments, num_networks))
@@ -218,8 +222,10 @@ def _compiled_epoch(
         network: Network, optimizer_state: Any, data: tuple[jax.Array, ...], key: jax.Array
     ) -> tuple[Network, Any]:
         """Train one network for an epoch."""
+        # Inputs [N, i], targets [N, H, o], and which data the network has, [N]
         inputs, targets, chosen = data
         num_batches = len(chosen) // plan.batch
+        # Batches of the data in a random order; what does not fill the last one is left out.
         key_of_order, key_of_dropout = jax.random.split(key)
         order = chosen
         if plan.shuffle:
@@ -244,12 +250,14 @@ def _compiled_epoch(
         )
         return trained, trained_state
 
+    # Networks of an experiment share its inputs.
     over_networks = jax.vmap(train_one, in_axes=(0, 0, (None, 0, 0), 0))
     over_experiments = jax.vmap(over_networks)
 
     @jax.jit
     def run_epoch(state: LearningState, data: TrainingData, key: jax.Array) -> LearningState:
         """Train all networks for an epoch, and evaluate them on the data left out."""
+        # The keys depend on the seed and the number of the epoch alone.
         epoch_key = jax.random.fold_in(jax.random.fold_in(key, _EPOCHS), state.epoch)
         keys = jax.random.split(epoch_key, data.samples.shape[:2])
         networks, optimizer_state = over_experiments(
@@ -265,6 +273,7 @@ def _compiled_epoch(
             return following
         held_out_key = jax.random.fold_in(key, _HELD_OUT)
         held_out_loss = _held_out_loss(space, networks, data, key=held_out_key)
+        # A loss of NaN is never better. The best networks are those of ``num_worse`` epochs ago.
         is_better = held_out_loss < state.best_loss
         best = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), networks, state.best)
         return following._replace(
@@ -283,6 +292,7 @@ def _held_out_loss(
 
     def one(network: Network, inputs: jax.Array, targets: jax.Array) -> jax.Array:
         """Return the loss of one network."""
+        # All heads have the same target, [N', 1, o].
         return methods.loss(space, network, inputs, targets[:, None, :], key=key)
 
     over_networks = jax.vmap(one, in_axes=(0, None, None))

@@ -100,9 +100,11 @@ def loss(
         outputs, raw = jax.vmap(network, in_axes=(0, None))(inputs, None)
     else:
         outputs, raw = jax.vmap(network)(inputs, jax.random.split(key, len(inputs)))
+    # Errors in the tangent space, [B, H, d]
     errors = space.difference(space.estimate(outputs), targets)
     if raw is None:
         return jnp.mean(space.squared(errors))
+    # One covariance for all heads: raw is [B, c], errors are [B, H, d].
     whitened, half_log_det = space.whiten(raw[:, None, :], errors)
     return jnp.mean(0.5 * jnp.sum(whitened**2, axis=-1) + half_log_det)
 
@@ -121,6 +123,7 @@ def head_targets(
     Returns:
         Targets [networks, N, H, o].
     """
+    # The same targets for all networks and heads, [networks, N, H, o]; noise makes them differ.
     shape = (method.networks, len(targets), method.heads)
     repeated = np.broadcast_to(targets[None, :, None, :], (*shape, targets.shape[1]))
     if method.target_sigma == 0.0:
@@ -175,6 +178,7 @@ def estimates(
     over_inputs = eqx.filter_vmap(one, in_axes=(None, 0, 0))
     over_passes = eqx.filter_vmap(over_inputs, in_axes=(None, None, 0))
     over_networks = eqx.filter_vmap(over_passes, in_axes=(eqx.if_array(0), None, 0))
+    # [networks, passes, N, H, o] of estimates, and [networks, passes, N, c] of covariance heads
     found, *raw = over_networks(networks, inputs, keys)
     by_input = jnp.moveaxis(found, 2, 0).reshape(len(inputs), -1, space.size)
     if not raw:
@@ -190,9 +194,11 @@ def prediction(space: TargetSpace, found: jax.Array, raw: jax.Array | None) -> P
         found: estimates, [..., N, K, o].
         raw: outputs of covariance heads, [..., N, *, c]; their covariances are averaged.
     """
+    # Mean over the K estimates, [..., N, o]
     mean = space.mean(found)
     errors = np.asarray(space.difference(found, mean[..., None, :]), np.float64)
     num_estimates = errors.shape[-2]
+    # 1/(K − 1) Σ φ φᵀ, with φ the errors of the estimates against their mean, [..., N, K, d]
     spread = errors.mT @ errors / max(num_estimates - 1, 1)
     if raw is None:
         learned = np.broadcast_to(space.least_variance * np.eye(space.dof), spread.shape)

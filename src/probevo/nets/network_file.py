@@ -76,6 +76,7 @@ def read_network_file(path: Path, tree: Tree) -> Tree:
     if len(arrays) > len(expected):
         surplus = sorted(set(arrays) - set(expected))[0]
         raise InputError(f"{path}: {surplus}", "is an array that this network lacks.", CURE)
+    # Fill the arrays into the places of the structure that gave them their names.
     leaves, structure = jax.tree_util.tree_flatten_with_path(tree)
     filled = [jax.numpy.asarray(arrays[_name(place)]) for place, _ in leaves]
     restored: Tree = jax.tree_util.tree_unflatten(structure, filled)

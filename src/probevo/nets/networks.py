@@ -47,6 +47,7 @@ class Network(eqx.Module):
             outputs: jax.Array = head(features, key_of_heads)
             return outputs
 
+        # All heads at once, [H, o]; they share one key, and with it what the dropout drops.
         outputs = eqx.filter_vmap(call)(self.heads)
         if self.covariance_head is None:
             return outputs, None
@@ -129,6 +130,7 @@ class PReluHead(eqx.Module):
     def __call__(self, features: jax.Array, key: jax.Array | None) -> jax.Array:
         """Return the outputs, [o]."""
         hidden = self.first(features)
+        # PReLU, whose slope for negative values is learned
         active = jnp.where(hidden < 0.0, self.slope * hidden, hidden)
         return self.last(plain_dropout(active, self.dropout, key))
 
@@ -158,6 +160,8 @@ def alpha_dropout(features: jax.Array, rate: float, key: jax.Array | None) -> ja
     """
     if rate == 0.0 or key is None:
         return features
+    # With α' the limit and q = 1 − rate, the mean of what is set and kept is rate α', its variance
+    # q (1 + rate α'²): an affine map takes both back to 0 and 1.
     is_kept = jax.random.bernoulli(key, 1.0 - rate, features.shape)
     scale: float = ((1.0 - rate) * (1.0 + rate * SELU_NEGATIVE**2)) ** -0.5
     return scale * (jnp.where(is_kept, features, SELU_NEGATIVE) - rate * SELU_NEGATIVE)

@@ -46,6 +46,7 @@ def normalized(vectors: jax.Array) -> jax.Array:
 
 def exp(phi: jax.Array) -> jax.Array:
     """Return q = Exp(φ), [..., 4], of rotation vectors [..., 3], rad."""
+    # (cos θ/2, sin θ/2 · φ/θ): c₀ of (θ/2)² is the cosine, and c₁ the sine over its argument.
     half_sq = jnp.sum(phi**2, axis=-1, keepdims=True) / 4.0
     scalar = stumpff(0, half_sq)
     vector = 0.5 * stumpff(1, half_sq) * phi
@@ -60,7 +61,9 @@ def log(q: jax.Array) -> jax.Array:
     sine_sq = jnp.sum(vector**2, axis=-1, keepdims=True)
     is_small = sine_sq < SMALL_SQ
 
-    # Each case gets arguments for which its derivative is finite, also where it is not chosen.
+    # φ = 2 atan2(s, w)/s · vector, with s = sin θ/2 its length and w = cos θ/2. Near s = 0 it is
+    # 2/w (1 − s²/(3 w²)) · vector. Each case gets arguments for which its derivative is finite,
+    # also where it is not chosen.
     scalar_near_one = jnp.where(is_small, scalar, 1.0)
     series = 2.0 / scalar_near_one * (1.0 - sine_sq / (3.0 * scalar_near_one**2))
     sine = jnp.sqrt(jnp.where(is_small, 1.0, sine_sq))
@@ -90,6 +93,7 @@ def rotate(q: jax.Array, points: jax.Array) -> jax.Array:
     """Return the points C(q) p, [..., 3]."""
     scalar = q[..., :1]
     vector = q[..., 1:]
+    # C(q) p = p + 2 w (v × p) + 2 v × (v × p) of q = (w, v)
     twice = 2.0 * jnp.cross(vector, points)
     return points + scalar * twice + jnp.cross(vector, twice)
 

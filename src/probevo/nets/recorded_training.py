@@ -91,6 +91,7 @@ class TrainingRun:
             left_out: the same of what only says when to stop.
         """
         settings = self.settings
+        # The file's name depends on all that the training depends on.
         key = [self.recordings, settings.model_dump(mode="json"), self.extra]
         trained = learn(
             method,
@@ -136,6 +137,7 @@ def _one_network(
     left_out: tuple[FloatArray, FloatArray],
 ) -> TrainingData:
     """Return the data of one experiment of one network: with leading dimensions of 1."""
+    # Noise of the targets and bootstrap samples are drawn once, by the seed.
     rng = np.random.default_rng(seed)
     inputs, truth = learned
     targets = methods.head_targets(method, space, truth, rng)
@@ -192,6 +194,7 @@ def train_task(
         InputError: JAX is missing; a recording is faulty, lacks images or truth, is named twice, or
             sees too little; nothing would remain to learn from; or ``out`` cannot be written to.
     """
+    # Refuse early what cannot succeed.
     require_nets(f"train --kind {task.kind}")
     _check(recordings, settings)
     check_folder(out.parent, "--out")
@@ -213,6 +216,7 @@ def train_task(
             extra=task.extra,
             on_progress=on_progress or _show_nothing,
         )
+        # The work so far is removed only when the network is written.
         samples = _read_all(task, recordings, counts, run)
         network = task.train(samples, run)
         network.save(out)
@@ -233,6 +237,7 @@ def _read_all(
     samples = []
     for number, (sequence, count) in enumerate(zip(recordings, counts, strict=True)):
         done = sum(counts[:number])
+        # The name depends on all that the samples depend on.
         file = run.folder / f"samples-{_digest([run.recordings[number], task.extra])}.npz"
         found = read_samples(file, task.samples)
         if found is None:

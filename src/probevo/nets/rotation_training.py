@@ -78,6 +78,7 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
 
 def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
+    # The last recordings are left out; only the others are multiplied.
     settings = run.settings
     learned = ImagePairs.joined(pairs[: run.split]).multiplied(
         settings.copies, np.random.default_rng(settings.seed)
@@ -86,6 +87,7 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
     joined = ImagePairs.joined(left_out)
     method = method_of(settings.heads)
     linear = linear_fit(learned.fields, learned.rotations / SPACE.unit_rad)
+    # The regression stays as it is; what is trained is added to it.
     trained = run.learn(
         method,
         SPACE,
@@ -93,6 +95,7 @@ def _train(pairs: list[ImagePairs], run: TrainingRun) -> RotationNetwork:
         learned=(learned.fields, _quaternions(learned.rotations)),
         left_out=(joined.fields, _quaternions(joined.rotations)),
     )
+    # Domain, facts, and calibration on what was left out.
     networks = trained.networks
     domain = Domain.of(
         trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
@@ -115,6 +118,7 @@ def linear_errors(linear: LinearFit, learned: ImagePairs, left_out: ImagePairs) 
     """Return the errors of the linear regression alone, [N, 3], rad, on pairs left out."""
     mean, scale = standardisation(learned.fields)
     flow = np.asarray(pooled_flow((left_out.fields - mean) * scale), np.float64)
+    # Outputs are in units of 0.01 rad; errors are left perturbations, Log(C C_trueᵀ).
     estimated = SPACE.unit_rad * (flow @ linear.weights.T + linear.offset)
     errors: FloatArray = so3.log(so3.exp(estimated) @ so3.exp(-left_out.rotations))
     return errors

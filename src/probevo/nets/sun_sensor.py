@@ -65,6 +65,7 @@ class SunFromImages:
 
     def __call__(self, prev_frame: Frame, frame: Frame) -> list[Direction] | NoMeasurement:
         """Return the direction of the sun with its covariance, or why there is none."""
+        # The first frame of each period measures: stamps decide, so that no state is kept.
         if prev_frame.stamp_ns // PERIOD_NS == frame.stamp_ns // PERIOD_NS:
             return NoMeasurement("not yet again")
         if frame.left is None:
@@ -72,6 +73,8 @@ class SunFromImages:
         found = self.network.estimate(sun_field(frame.left, self.camera)[None])
         if has_nothing_to_say(float(found.widening[0])):
             return NoMeasurement("out of its domain")
+        # Errors of successive measurements are alike: each claims more, so that their sum is
+        # consistent.
         correlated = float(self.network.facts["correlation"])
         measured = Direction(
             pose_of(frame.index),

@@ -50,15 +50,18 @@ class SunTargets:
         u = estimates[..., 0]
         v = estimates[..., 1]
         w = estimates[..., 2]
+        # Parts of the estimate along the tangent vectors at p = (x, y, z), y down: (z, 0, −x)/level
+        # of the azimuth, and (−y x/level, level, −y z/level) of the zenith angle.
         of_azimuth = cosine * u - sine * w
         of_zenith = -y * sine * u + level * v - y * cosine * w
         across = jnp.sqrt(of_azimuth**2 + of_zenith**2 + LEAST_LENGTH)
         along = u * x + v * y + w * z
+        # Log: the angle between both, along the direction of the tangential part
         factor = jnp.arctan2(across, along) / across
         return jnp.stack([factor * of_azimuth, factor * of_zenith], axis=-1)
 
     def perturb(self, targets: jax.Array, errors: jax.Array) -> jax.Array:
-        """Return directions whose azimuth and zenith angle, times its sine, differ by errors."""
+        """Return the directions moved by errors along azimuth and zenith angle, to first order."""
         x = targets[..., 0]
         y = targets[..., 1]
         z = targets[..., 2]

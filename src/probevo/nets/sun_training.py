@@ -82,6 +82,7 @@ def summary(facts: Mapping[str, Any]) -> list[str]:
 
 def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
     """Learn the network: a linear regression in closed form, and what the heads add to it."""
+    # The last recordings are left out; only the others are multiplied.
     settings = run.settings
     learned = SunViews.joined(views[: run.split]).multiplied(
         settings.copies, np.random.default_rng(settings.seed)
@@ -90,6 +91,7 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
     joined = SunViews.joined(left_out)
     method = method_of(settings)
     linear = linear_fit(learned.fields, learned.directions, RIDGE)
+    # The regression stays as it is; what is trained is added to it.
     trained = run.learn(
         method,
         SPACE,
@@ -97,6 +99,7 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
         learned=(learned.fields, learned.directions),
         left_out=(joined.fields, joined.directions),
     )
+    # Domain, facts, and calibration on what was left out.
     networks = trained.networks
     domain = Domain.of(
         trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
@@ -174,6 +177,7 @@ def calibrated(network: SunNetwork, left_out: Collection[SunViews]) -> SunNetwor
     """
     claimed = [errors_of(network, views) for views in left_out]
     found = calibration(claimed)
+    # How much more blocks ask for once single errors are consistent
     single = [Claimed(each.errors, found.scale_single * each.covariances) for each in claimed]
     with_single = calibration(single)
     angles = np.concatenate([np.linalg.norm(each.errors, axis=1) for each in claimed])

@@ -60,6 +60,7 @@ class SunViews:
     def with_mirrored(self) -> SunViews:
         """Return the images and their mirror images, in which the sun is on the other side."""
         fields = self.fields[..., ::-1].copy()
+        # Channel 2 is the gradient along x, which changes its sign as x does.
         fields[:, 2] *= -1.0
         return SunViews(
             np.concatenate([self.fields, fields]),
@@ -81,6 +82,8 @@ class SunViews:
         for _ in range(copies - 1):
             cells = rng.integers(FEWEST_CELLS, MOST_CELLS + 1, len(views))
             cells *= rng.choice([-1, 1], len(views))
+            # Content that moves to larger x has a camera that turns to the left: the sun turns
+            # about +y, from z to x.
             columns = np.arange(views.fields.shape[-1])[None] - cells[:, None]
             columns = np.clip(columns, 0, views.fields.shape[-1] - 1)
             fields = np.take_along_axis(views.fields, columns[:, None, None, :], axis=-1)
@@ -101,6 +104,7 @@ def sun_field(image: Image, camera: StereoCamera) -> FloatArray:
     Raises:
         InputError: the camera's field of view is smaller than that of the virtual one.
     """
+    # In logarithms of grey levels, a factor of the exposure is an offset.
     levels = virtual_view(image, camera).astype(np.float32)
     logs = np.log(levels + LEAST_LEVELS)
     mean = cell_means(levels)
@@ -140,6 +144,7 @@ def read_views(
         C_world_cam = T_world_cam[frame.index, :3, :3]
         if np.isfinite(C_world_cam).all():
             fields.append(sun_field(frame.left, sequence.camera))
+            # The sun is so far away that only the attitude of the camera counts.
             directions.append(C_world_cam.T @ in_world)
         if on_frame is not None:
             on_frame(frame.index + 1)

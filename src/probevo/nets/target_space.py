@@ -115,6 +115,7 @@ class NumberTargets:
 
     def covariance(self, raw: AnyArray) -> FloatArray:
         """Return the variance, [..., 1, 1]."""
+        # softplus(x) = ln(1 + eˣ), without overflow
         variance = np.logaddexp(0.0, np.asarray(raw, np.float64)) + LEAST_VARIANCE
         return variance[..., None]
 
@@ -158,6 +159,7 @@ class RotationTargets:
         """Return diag(1/σ) U φ, and Σ log σ."""
         log_sigma = _LOG_LEAST + _LOG_RANGE * jax.nn.sigmoid(raw[..., :3] + self._first)
         lower = jnp.tanh(raw[..., 3:])
+        # U φ, with U = [[1, 0, 0], [l₀, 1, 0], [l₁, l₂, 1]]; |U| = 1, so that ½ ln |Σ| is Σ ln σ.
         x = errors[..., 0]
         y = errors[..., 1] + lower[..., 0] * errors[..., 0]
         z = errors[..., 2] + lower[..., 1] * errors[..., 0] + lower[..., 2] * errors[..., 1]
@@ -176,6 +178,7 @@ class RotationTargets:
         unit[..., 1, 0] = lower[..., 0]
         unit[..., 2, 0] = lower[..., 1]
         unit[..., 2, 1] = lower[..., 2]
+        # Columns of U⁻¹ times σ: the root U⁻¹ diag(σ) of Σ
         root = np.linalg.inv(unit) * sigma_rad[..., None, :]
         covariance: FloatArray = root @ root.mT
         return covariance

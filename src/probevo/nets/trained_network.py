@@ -205,6 +205,7 @@ def saliency(
         jnp.asarray(fields, jnp.float32),
         jnp.asarray(targets, jnp.float32),
     )
+    # ∂loss/∂(field/σ_channel), [N, C, rows, columns]: summed over channels, averaged over data
     spread = fields.std(axis=(0, 2, 3))[:, None, None]
     found: FloatArray = np.mean(np.sum(np.abs(gradients) * spread, axis=1), axis=0)
     return np.asarray(found, np.float64)
@@ -225,6 +226,7 @@ def _call(
     method: Method, space: TargetSpace, networks: Network, inputs: jax.Array
 ) -> tuple[jax.Array, jax.Array | None, jax.Array]:
     """Return estimates, outputs of the covariance head, and features."""
+    # A fixed key: the same input always gives the same estimates, with dropout, too.
     found, raw = methods.estimates(
         method, space, networks, inputs, jax.random.key(0), same_dropout=True
     )
@@ -233,6 +235,7 @@ def _call(
 
 @eqx.filter_jit
 def _features(networks: Network, inputs: jax.Array) -> jax.Array:
+    # Of an ensemble, the trunk of the first network stands for all.
     first = jax.tree.map(lambda array: array[0], networks)
     features: jax.Array = jax.vmap(lambda one: first.trunk(one, None))(inputs)
     return features

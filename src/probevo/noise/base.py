@@ -87,7 +87,8 @@ class StereoNoise:
 
         The noise of a single feature is broadcast to all residuals.
         """
-        # The compiled loop takes contiguous, writable arrays.
+        # ln t_ν(e; b, Σ) by s = (e − b)ᵀ Σ⁻¹ (e − b) and ln |Σ|. The compiled loop takes
+        # contiguous, writable arrays.
         squared = np.empty(len(residuals))
         log_det = np.empty(len(residuals))
         scale = np.array(np.broadcast_to(self.scale, (len(residuals), 4, 4)), order="C")
@@ -107,7 +108,8 @@ def log_density(squared: FloatArray, log_det: FloatArray, dof: FloatArray) -> Fl
     # (ν + d) log(1 + s/ν) tends to s as ν → ∞; ν = 1 is only a number that stands in there.
     nu = np.where(np.isinf(dof), 1.0, dof)
     exponent = np.where(np.isinf(dof), squared, (nu + 4.0) * np.log1p(squared / nu))
-    # Γ(ν/2 + 2) = (ν/2 + 1) (ν/2) Γ(ν/2), so that no difference of large log-gammas cancels.
+    # Γ(ν/2 + 2) = (ν/2 + 1) (ν/2) Γ(ν/2), so that no difference of large log-gammas cancels. Over
+    # (ν π)² of the density for d = 4, this leaves (1 + 2/ν)/(4 π²).
     density: FloatArray = np.log((1.0 + 2.0 / dof) / (4.0 * np.pi**2)) - 0.5 * (log_det + exponent)
     return density
 

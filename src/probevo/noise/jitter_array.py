@@ -27,6 +27,7 @@ def jitter_cov_of(file: ModelFile) -> FloatArray | None:
     cov = file.arrays.get(NAME)
     if cov is None:
         return None
+    # ``eigvalsh`` reads one triangle only, so that the symmetry is checked apart from it.
     is_matrix = cov.shape == (3, 3) and cov.dtype == np.float64 and bool(np.isfinite(cov).all())
     is_symmetric = is_matrix and np.allclose(cov, cov.T, rtol=1e-9, atol=0.0)
     if not is_symmetric or not np.linalg.eigvalsh(cov)[0] > 0.0:

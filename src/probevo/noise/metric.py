@@ -144,6 +144,7 @@ class Metric:
     def contributing(self, predictors: FloatArray) -> FloatArray:
         """Return the coordinates of the columns with a positive weight only; raises the same."""
         check_defined(predictors, self.columns, self.may_be_undefined)
+        # The distance is the same without the columns of weight 0, and takes less time.
         columns = np.flatnonzero(self.weight)
         return self.kept(columns)._standardised(predictors[:, columns])
 
@@ -158,7 +159,8 @@ class Metric:
         )
 
     def _standardised(self, predictors: FloatArray) -> FloatArray:
-        # Undefined values pass through as NaN until they get their own coordinate.
+        # w_m (φ_m − mean_m)/σ_m. Undefined values pass through as NaN until they get their own
+        # coordinate.
         standard = (predictors - self.mean) / self.spread
         np.clip(standard, -FARTHEST, FARTHEST, out=standard)
         standard[np.isnan(standard)] = UNDEFINED

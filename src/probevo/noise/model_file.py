@@ -147,6 +147,7 @@ def _read_metadata(path: Path, stream: BinaryIO) -> str:
 
     Only the header is read, so that a foreign file of many GB is refused without loading it.
     """
+    # A safetensors file begins with the length of its JSON header, eight bytes, and that header.
     size = int.from_bytes(stream.read(8), "little")
     raw = stream.read(size) if size <= MAX_HEADER_BYTES else b""
     try:
@@ -190,6 +191,7 @@ def _check_envelope(path: Path, text: str) -> dict[str, Any]:
             f" {', '.join(KEYS)}."
         )
         raise InputError(f"{path}: {FORMAT}", what, CURE)
+    # With exactly these keys, each must be of its type.
     for key, kind, name in (
         ("checksum", str, "text"),
         ("facts", dict, "a JSON object"),

@@ -47,8 +47,8 @@ class Moments:
 
     def __add__(self, other: Moments) -> Moments:
         """Combine the moments of two parts (Chan, Golub & LeVeque 1983)."""
-        # The deviations of each part are around its own mean; the last term of the squares moves
-        # them to the common mean.
+        # The deviations of each part are around its own mean; the last term of the squares, shift²
+        # n₁ n₂/(n₁ + n₂), moves them to the common mean.
         count = self.count + other.count
         share = other.count / np.maximum(count, 1)
         shift = other.mean - self.mean

@@ -104,6 +104,7 @@ class StudentT:
         scale = np.broadcast_to(np.asarray(self.scale_, dtype=np.float64), (count, 4, 4))
         time_correlated = None
         if self.time_correlation_ratio:
+            # τ² = κ² σ_d², with σ_d² the variance of the disparity that is new in each frame
             time_correlated = self.time_correlation_ratio**2 * disparity_variance(scale)
         return StereoNoise(
             scale=scale,

@@ -81,6 +81,7 @@ def fit_student_ts(
         dof_counts=float(prior.dof_counts),
         bias_counts=float(prior.bias_counts),
     )
+    # As published there is nothing to iterate: without weights, one M-step is the posterior mean.
     fit_all(
         samples,
         near,
@@ -89,6 +90,7 @@ def fit_student_ts(
         robust=robust,
         fitted=fitted,
     )
+    # Again, since the sums of an M-step are positive semidefinite only up to rounding.
     return fitted._replace(scale=regularized(fitted.scale))
 
 
@@ -111,7 +113,8 @@ def fit_static(
         InputError: there is no error, one is not finite, or a covariance is not.
     """
     check_errors(errors, error_cov)
-    # The median of squares is hardly affected by the tails; for a Gaussian, it is 0.45 σ².
+    # Scale of the prior. The median of squares is hardly affected by the tails; for a Gaussian, it
+    # is 0.45 σ².
     variance = 2.0 * float(np.median(errors**2, axis=0).mean())
     # Fewer than ten errors do not determine a scale matrix. Two pseudo-counts fix its size, and are
     # negligible against 5,000 errors.

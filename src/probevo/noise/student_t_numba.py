@@ -77,6 +77,7 @@ def _dof_root(mean_log_weight: float) -> float:
         middle = (low * below - high * above) / (below - above)
         if abs(middle - prev_middle) < DOF_TOLERANCE:
             break
+        # The root is between low, where the derivative is positive, and high, where it is negative.
         # Illinois: halve the value at an end that stays for two iterations, so that both converge.
         value = _dof_slope(math.exp(middle)) + mean_log_weight
         if value > 0.0:
@@ -314,7 +315,7 @@ def fit_all(
     # Work space for the largest neighbourhood.
     W = np.empty((4, 4))
     lower = np.zeros((4, 4))
-    mean = np.zeros(4)
+    first_moment = np.zeros(4)
     most = 0
     for c in range(len(fitted.dof)):
         most = max(most, near.first[c + 1] - near.first[c])
@@ -330,34 +331,38 @@ def fit_all(
         k = near.kernel[near.first[c] : near.first[c + 1]]
         weight = weight_of[: len(k)]
         _gather(samples, near.members[near.first[c] : near.first[c + 1]], rows)
-        total = k.sum()
-        for _ in range(iterations if total > 0.0 else 0):
+        sum_kernel = k.sum()
+        for _ in range(iterations if sum_kernel > 0.0 else 0):
             if not invert_symmetric_4(S, W, lower):
                 break
             # E-step: the weights, and Σ k ln w, on which the estimate of ν depends.
             if robust:
                 _weigh(rows, b, W, dof=nu, weight=weight)
-            log_weights = weighted_log_sum(weight, k, scratch) if learns_dof else 0.0
+            sum_log_weights = weighted_log_sum(weight, k, scratch) if learns_dof else 0.0
+            # From here on, weight is k w, or k as published.
             for m in range(len(k)):
                 weight[m] = k[m] * weight[m] if robust else k[m]
-            # M-step for the scale: second moment around the present bias, shrunk to the prior.
-            weights = _moments(rows, b, weight, first=mean, second=S)
+            # M-step for the scale: second moment around the present bias, shrunk to the prior, Σ ←
+            # (Σ k w ((e − b)(e − b)ᵀ + U) + n₀ Σ₀)/(Σ k w + n₀).
+            sum_weights = _moments(rows, b, weight, first=first_moment, second=S)
             for i in range(4):
                 for j in range(i, 4):
                     S[i, j] = S[j, i] = (S[i, j] + prior.counts * prior.scale[i, j]) / (
-                        weights + prior.counts
+                        sum_weights + prior.counts
                     )
-            # M-step for the bias, which shrinks to zero.
+            # M-step for the bias, which shrinks to zero: b ← Σ k w e/(Σ k w + n_b). The moment is
+            # around the previous b, hence the second term.
             if has_bias:
                 for i in range(4):
                     b[i] += (
-                        mean[i] / (weights + prior.bias_counts)
-                        - prior.bias_counts / (weights + prior.bias_counts) * b[i]
+                        first_moment[i] / (sum_weights + prior.bias_counts)
+                        - prior.bias_counts / (sum_weights + prior.bias_counts) * b[i]
                     )
-            # M-step for ν, whose prior counts as errors that have its mean log weight.
+            # M-step for ν, whose prior counts as errors that have its mean log weight: those for
+            # which the prior ν is the root.
             if learns_dof:
                 nu = _dof_root(
-                    (log_weights - weights + prior.dof_counts * prior_log_weight)
-                    / (total + prior.dof_counts)
+                    (sum_log_weights - sum_weights + prior.dof_counts * prior_log_weight)
+                    / (sum_kernel + prior.dof_counts)
                 )
         fitted.dof[c] = nu

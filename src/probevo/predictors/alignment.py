@@ -33,9 +33,12 @@ def alignment(tracks: Tracks) -> FloatArray:
     cov_px2 = tracks.alignment_cov_px2
     if cov_px2 is None:
         return np.full((len(tracks), 4), np.nan)
+    # Variances of u and v in the left and in the right image, [N, 2 (image), 2 (u, v)]; what has
+    # nothing in common has a variance of ∞, which is bounded.
     variance = np.minimum(np.diagonal(cov_px2, axis1=2, axis2=3), MOST_PX**2)
     log_sigma = np.log(FLOOR_PX + np.sqrt(variance))
-    # Without a finite covariance, or with a perfect match, no direction differs from another.
+    # C_uv/√(C_uu C_vv) in the left image; without a finite covariance, or with a perfect match, no
+    # direction differs from another, and it is 0.
     product = cov_px2[:, 0, 0, 0] * cov_px2[:, 0, 1, 1]
     has_direction = np.isfinite(product) & (product > 0.0)
     correlation = np.zeros(len(tracks))

@@ -107,6 +107,7 @@ class Step:
 
     def for_all_features(self, values: FloatArray) -> FloatArray:
         """Repeat values that belong to the step as a whole for each feature, [C] → [N, C]."""
+        # A view: the rows share their memory.
         return np.broadcast_to(values, (len(self.tracks), len(values)))
 
 

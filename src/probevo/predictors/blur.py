@@ -55,6 +55,7 @@ def _fill_blur(image: Image, uv: FloatArray, half: int, values: FloatArray) -> N
             for row in range(len(patch)):
                 for column in range(len(patch)):
                     transposed[row, column] = patch[column, row]
+            # The columns of an image are the rows of its transpose
             share = max(_share_kept_along_rows(patch), _share_kept_along_rows(transposed))
             values[n] = share if share >= 0.0 else 1.0
 
@@ -72,6 +73,7 @@ def _share_kept_along_rows(patch: AnyArray) -> float:
             # Difference of two neighbours, before and after the filter, both times TAPS
             sharp = TAPS * abs(patch[v + REACH, u + REACH + 1] - patch[v + REACH, u + REACH])
             blurred = abs(patch[v + REACH, u + TAPS] - patch[v + REACH, u])
+            # The metric is 1 − Σ max(sharp − blurred, 0)/Σ sharp
             total += sharp
             lost += max(sharp - blurred, 0)
     return 1.0 - lost / total if total > 0 else -1.0

@@ -33,6 +33,7 @@ def disparity_change(
         [N], ln(1 + px); always defined.
     """
     _, _, inverse_depth = predicted_place(prev_px, predicted_T_curr_prev, camera)
+    # d̂ = f_u b ρ, with ρ the inverse depth in the current frame
     change: FloatArray = np.abs(
         curr_px[:, 0] - curr_px[:, 2] - camera.fu_px * camera.baseline_m * inverse_depth
     )

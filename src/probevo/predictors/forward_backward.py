@@ -39,6 +39,7 @@ def forward_backward(
     """
     if not len(uv):
         return np.zeros(0)
+    # One level is enough: a good track leads back to where it starts.
     found_uv, status, _ = cv2.calcOpticalFlowPyrLK(
         left,
         previous_left,

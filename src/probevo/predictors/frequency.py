@@ -48,6 +48,8 @@ def _waves() -> FloatArray:
     Returns:
         [4 · BAND, SIZE_PX], scaled such that the transform is unitary.
     """
+    # Numbers of cycles in the patch; a multiple of the side is a full turn, taken off to keep the
+    # angles small
     low = np.arange(BAND)
     high = SIZE_PX // 2 + np.arange(BAND) - BAND // 2
     cycles = np.stack([low, high])[:, :, None] * np.arange(SIZE_PX) % SIZE_PX
@@ -72,6 +74,9 @@ def _fill_frequency(image: Image, uv: FloatArray, waves: FloatArray, values: Flo
             # Transform along u, then along v, at the frequencies of the two bands only
             np.dot(patch, waves_u, along_u)
             np.dot(waves, along_u, spectrum)
+            # The rows and columns of ``spectrum`` are those of ``waves``: cos low, sin low, cos
+            # high, sin high. Of F₀₀, the real part is [0, 0]; the other three parts have a sine of
+            # zero.
             spectrum[0, 0] = 0.0  # brightness is no texture
             values[n, 0] = _log_sum(spectrum, 0) / (BAND * BAND - 1)
             values[n, 1] = _log_sum(spectrum, 2 * BAND) / (BAND * BAND)

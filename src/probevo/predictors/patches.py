@@ -19,6 +19,7 @@ def patch_start(center_px: float, before_px: int, patch_px: int, image_px: int) 
         patch_px: size of the patch.
         image_px: size of the image.
     """
+    # NaN fails both comparisons
     first = np.floor(center_px + 0.5) - before_px
     return int(first) if 0.0 <= first <= image_px - patch_px else -1
 

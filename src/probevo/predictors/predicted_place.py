@@ -30,6 +30,7 @@ def predicted_place(
     """
     # Points over their old depth: the third coordinate is the new depth over the old one
     q, inverse_depth = camera.moved_rays(prev_px, T_curr_prev)
+    # (x, y) = (q_x, q_y)/q_z, and the inverse depth ρ in a becomes ρ/q_z
     depth_ratio = np.maximum(q[2], MIN_DEPTH_RATIO)
     q[2] = inverse_depth
     place: FloatArray = q / depth_ratio

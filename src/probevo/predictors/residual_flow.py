@@ -86,7 +86,9 @@ def _correction(
     du, dv = _deviation(curr_px, place, camera)
     squared = du * du + dv * dv
     weights = 1.0 / (1.0 + squared / max(float(np.median(squared)), MIN_SCALE_PX**2))
-    # Normal equations
+    # Normal equations of (u, v), Λ ξ = Σ w (j_u du + j_v dv) with Λ = Σ w (j_u j_uᵀ + j_v j_vᵀ) +
+    # prior. The prior of each iteration is around zero, and so does not pull back to the
+    # prediction.
     weighted_u = weights * jacobian_u
     weighted_v = weights * jacobian_v
     information = weighted_u @ jacobian_u.T + weighted_v @ jacobian_v.T + PRIOR_INFORMATION

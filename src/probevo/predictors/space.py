@@ -66,6 +66,7 @@ class PredictionSpace:
         """
         self._check_step(step)
         count = len(step.tracks)
+        # Without any predictor φ is [N, 0]; a predictor with one column may give [N].
         parts = [np.zeros((count, 0))]
         for predictor in self.predictors:
             values = predictor.compute(step)

@@ -50,7 +50,7 @@ def _fill_structure(image: Image, uv: FloatArray, half: int, values: FloatArray)
         top = patch_start(uv[n, 1], half + 1, size + 2, image_px=image.shape[0])
         if left >= 0 and top >= 0:
             copy_patch(image, top, left, patch=patch)
-            # Sum the tensor [[a, b], [b, c]] of doubled gradients, in whole numbers
+            # Sum the tensor [[a, b], [b, c]] = Σ ∇I ∇Iᵀ of doubled gradients, in whole numbers
             a = b = c = 0
             for v in range(size):
                 for u in range(size):

@@ -23,7 +23,7 @@ def turn_rate(predicted_T_curr_prev: FloatArray, duration_s: float) -> FloatArra
     Returns:
         (ω_x, ω_y, ω_z, ‖ω‖), [4], rad/s, the same for all features of a step; always defined.
     """
-    # The minus: a camera that turns by ω moves its points by −ω
+    # The minus: a camera that turns by ω moves its points by −ω. C_curr_prev = Exp(−ω Δt)
     rate = -so3.log(predicted_T_curr_prev[:3, :3]) / duration_s
     return np.append(rate, np.linalg.norm(rate))
 

@@ -76,6 +76,8 @@ class AnchorPatches:
         center = np.round(pixels).astype(np.int64)
         patch = np.empty((len(pixels), side + 2, side + 2), np.uint8)
         cut_patches(left, center, patch)
+        # Until it is aligned, a right image is assumed to show the same: a surface that faces the
+        # camera.
         identity = np.tile(np.eye(2), (len(pixels), 1, 1))
         return AnchorPatches(
             patch=patch,
@@ -92,6 +94,7 @@ class AnchorPatches:
     @property
     def disparity_slope(self) -> FloatArray:
         """Derivatives of the disparity by (u, v) around each feature, [N, 2]."""
+        # With u_r = u_l − d, the first row of the map is (1 − ∂d/∂u, −∂d/∂v).
         return np.array([1.0, 0.0]) - self.right_from_left[:, 0]
 
     def subset(self, keep: BoolArray | IntArray) -> AnchorPatches:
@@ -118,9 +121,10 @@ class AnchorPatches:
             pixels: predicted features (u, v), [N, 2], px.
             motion: predicted motion of the windows since the previous frame.
         """
-        # Bound the predicted magnification: a wrong prediction may have any.
+        # Bound the predicted magnification: a wrong prediction may have any. A has the growth as a
+        # factor, so that the ratio of bounded and predicted growth scales it.
         bounded = np.clip(motion.growth, 1 / MAX_GROWTH, MAX_GROWTH) / motion.growth
-        # Compose the map so far with the predicted motion.
+        # Compose the map so far with the predicted motion: anchor → previous → current left image.
         predicted = np.empty((len(self), 2, 2))
         multiply_maps(bounded[:, None, None] * motion.affine, self.affine, predicted)
         perspective = np.empty((len(self), 2))

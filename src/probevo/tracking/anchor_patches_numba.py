@@ -165,6 +165,7 @@ def divide_maps(
         b = inner[n, 0, 1]
         c = inner[n, 1, 0]
         d = inner[n, 1, 1]
+        # inner⁻¹ = [[d, −b], [−c, a]] / det
         inverse_determinant = 1.0 / (a * d - b * c)
         for i in range(2):
             p = product[n, i, 0]
@@ -179,9 +180,8 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Patch
 
     A map takes x, px from the feature, to y = p + A x / (1 + g·x). Each step finds the small map W,
     W(x) = t + (I + S) x, of the patch that fits the image best, and then maps W⁻¹(x) instead of x;
-    g is held. The cost is the sum over the
-    patch of (image(y) − patch(x))² / BRIGHTNESS_NOISE², with the best gain and offset of the patch,
-    plus the prior ‖Â⁻¹ A − I‖² / sigma².
+    g is held. The cost is the sum over the patch of (image(y) − patch(x))² / BRIGHTNESS_NOISE²,
+    with the best gain and offset of the patch, plus the prior ‖Â⁻¹ A − I‖² / sigma².
 
     Args:
         image: [height, width], uint8.
@@ -193,6 +193,7 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Patch
     affine = alignment.affine
     flat_image = image.ravel()
     area = (anchors.patch.shape[1] - 2) * (anchors.patch.shape[2] - 2)
+    # Work space, filled anew for each patch.
     template = Template(
         np.empty((2, area), np.float32),
         np.empty((2, area), np.float32),
@@ -208,7 +209,8 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Patch
     step = np.empty(6)
     last_step = np.empty(6)
     A = np.empty((2, 2))
-    # Everything is in units of BRIGHTNESS_NOISE
+    # Everything is in units of BRIGHTNESS_NOISE: the cost is multiplied by its square, so that the
+    # derivatives of the patch enter as grey levels.
     prior = (BRIGHTNESS_NOISE / sigma) ** 2
     corner_px = 0.5 * (anchors.patch.shape[1] - 2)  # half the side, without the margin
     for n in range(len(anchors.patch)):
@@ -217,9 +219,11 @@ def align_patches(image: Image, anchors: Anchors, sigma: float, alignment: Patch
         copy_into(A, predicted)
         u = pixels[n, 0]
         v = pixels[n, 1]
+        # The patch counts as failed until its alignment converges.
         alignment.difference[n] = np.inf
         alignment.cov_px2[n] = np.nan
-        # Linearize the patch instead of the image: the information matrix is then constant
+        # Linearize the patch instead of the image: the information matrix is then constant, and is
+        # factorised once for all iterations.
         _linearize(anchors.patch[n], anchors.offset_px[n], template, information=information)
         reach_px = _foreshorten(anchors.perspective[n], template)
         # The prior is on the shape S only: the translation t is what the alignment is for.
@@ -279,6 +283,7 @@ def _linearize(
     v = first + np.float32(offset_px[1])
     for row in range(side):
         for column in range(side):
+            # k counts the pixels of the window, ``at`` those of the patch with its margin.
             k = row * side + column
             at = (row + one) * width + column + one
             window[k] = np.float32(brightness[at])
@@ -322,6 +327,7 @@ def _project_out_brightness(template: Template) -> None:
         contrast[i] *= to_unit_length
     for m in range(6):
         derivative = template.steepest_descent[m]
+        # Gram–Schmidt against a constant and the contrast, which are orthogonal to each other.
         offset = np.float32(sum_float32(derivative) / len(derivative))
         gain = dot_float32(derivative, contrast)
         for i in range(len(contrast)):
@@ -352,6 +358,7 @@ def step_scale(
         weight = 1.0 if k < 2 else area
         squared += weight * last_step[k] * last_step[k]
         product += weight * last_step[k] * step[k]
+    # Near zero or negative where the next step is hardly shorter along d, or longer.
     change = squared - product
     if change * MAX_STEP_SCALE <= last_scale * squared:
         return MAX_STEP_SCALE
@@ -407,12 +414,14 @@ def _fill_covariance(
     unit = np.zeros(6)
     column = np.empty(6)
     inverse = np.empty((2, 2))
+    # The block of H⁻¹ that belongs to t: its first two columns solve H x = unit vector.
     for k in range(2):
         unit[k] = 1.0
         substitute(lower, unit, column)
         unit[k] = 0.0
         inverse[0, k] = column[0]
         inverse[1, k] = column[1]
+    # variance · A (H⁻¹)ₜₜ Aᵀ
     for i in range(2):
         for j in range(2):
             total = 0.0
@@ -440,6 +449,7 @@ def _foreshorten(perspective: FloatArray, template: Template) -> tuple[float, fl
     # The patch's corner is less than a pixel farther than its first pixel
     reach_u = abs(x[0, 0]) + 1.0
     reach_v = abs(x[1, 0]) + 1.0
+    # No |g·x| in the patch exceeds this, so that no denominator is below 1 − most.
     most = abs(perspective[0]) * reach_u + abs(perspective[1]) * reach_v
     if not most < MAX_FORESHORTENING:
         copy_into(foreshortened, x)
@@ -521,6 +531,7 @@ def _subtract(
         upper_right = np.float32(flat_image[k + one])
         lower = np.float32(flat_image[k + below])
         lower_right = np.float32(flat_image[k + below + one])
+        # Along both rows first, then from the upper one to the lower one.
         upper += fraction[0, i] * (upper_right - upper)
         lower += fraction[0, i] * (lower_right - lower)
         error[i] = upper + fraction[1, i] * (lower - upper) - brightness[i]
@@ -548,6 +559,7 @@ def _compose_inverse(A: FloatArray, step: FloatArray) -> bool:
     determinant = (1.0 + step[2]) * (1.0 + step[5]) - step[3] * step[4]
     if not determinant > LEAST_STEP_DETERMINANT:
         return False
+    # (I + S)⁻¹ = [[1 + s₃, −s₁], [−s₂, 1 + s₀]] / det, with (s₀, s₁, s₂, s₃) = step[2:]
     for i in range(2):
         a = A[i, 0] / determinant
         b = A[i, 1] / determinant

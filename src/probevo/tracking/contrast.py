@@ -27,6 +27,7 @@ def with_contrast_of(template: Pyramid, image: Pyramid) -> Pyramid:
     """
     if not template:
         return template
+    # Mean and spread of an affine map g I + o of the grey levels are g μ + o and g σ.
     mean, contrast = _mean_and_contrast(image)
     template_mean, template_contrast = _mean_and_contrast(template)
     gain = contrast / template_contrast if template_contrast > 0.0 else 1.0

@@ -50,6 +50,7 @@ class CorrectedTracks:
             return CorrectedTracks(
                 raw, prior_rig=None, simultaneous=raw, tracks=raw, rig=None, delay_s=0.0
             )
+        # What the delay moves depends on the velocity; while that is unknown, nothing is removed.
         delay_s = 0.0
         simultaneous = raw
         if prev_twist_s is not None and curr_twist_s is not None:

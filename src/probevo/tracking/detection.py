@@ -60,6 +60,7 @@ def corners_in_free_cells(
     last_cell = [grid.columns - 1, grid.rows - 1]
     column, row = np.clip(occupied_px // grid.cell_px, 0, last_cell).astype(np.int64).T
     num_cells = grid.rows * grid.columns
+    # Cells are numbered row by row.
     taken = np.bincount(row * grid.columns + column, minlength=num_cells)
     free = FEATURES_PER_CELL - taken.reshape(grid.rows, grid.columns, 1)
     # Fill the cells with their strongest corners
@@ -119,6 +120,7 @@ def corner_grid(shape: tuple[int, int], config: TrackingConfig) -> CornerGrid:
         config: with the number of features.
     """
     height, width = shape
+    # Cells of this side cover the image with num_features / FEATURES_PER_CELL of them.
     cell_px = math.sqrt(FEATURES_PER_CELL * width * height / config.num_features)
     return CornerGrid(
         cell_px=cell_px, rows=math.ceil(height / cell_px), columns=math.ceil(width / cell_px)

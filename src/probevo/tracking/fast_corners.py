@@ -60,6 +60,8 @@ def strongest_of_cells(
     shape = (grid.rows, grid.columns, per_cell)
     strongest = Strongest(strength=np.zeros(shape, np.int64), flat_index=np.full(shape, -1))
     if min(height, width) > 2 * border_px:
+        # Two stages: a cheap bound of each pixel's strength, then the strength itself where the
+        # bound does not rule the pixel out. Pixels that are not usable get the bound of no corner.
         bound = _strength_bound(image)
         if usable is not None:
             bound[~usable[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]] = 0
@@ -104,6 +106,7 @@ def _strength_bound(image: Image) -> Image:
         facing = shifted(-du, -dv)
         cv2.min(brighter, cv2.max(one, facing, dst=of_two), dst=brighter)
         cv2.max(darker, cv2.min(one, facing, dst=of_two), dst=darker)
+    # By how much the nine are brighter, or darker, than the centre; negative bytes become 0.
     cv2.subtract(brighter, center, dst=brighter)
     cv2.subtract(center, darker, dst=darker)
     return np.asarray(cv2.max(brighter, darker, dst=of_two), dtype=np.uint8)

@@ -151,6 +151,7 @@ def _is_local_maximum(image: FlatImage, u: int, v: int, strength: int) -> bool:
     """Tell whether none of the eight neighbours is as strong (non-maximum suppression)."""
     for dv in range(-1, 2):
         for du in range(-1, 2):
+            # The bound rules out most neighbours without computing their strength.
             is_center = du == 0 and dv == 0
             if is_center or image.bound[v + dv - REACH_PX, u + du - REACH_PX] < strength:
                 continue
@@ -170,10 +171,12 @@ def _strength(image: FlatImage, index: int) -> int:
     center = np.int32(image.pixels[np.uint64(index)])
     for k in range(16):
         ring[k] = np.int32(image.pixels[np.uint64(index + image.ring_offsets[k])]) - center
+    # Repeated at its end, the closed ring can be read as a line.
     for k in range(8):
         ring[16 + k] = ring[k]
     strength = np.int32(0)
     for start in range(16):
+        # Positive if all nine are brighter than the centre; −brightest, if all are darker.
         darkest = ring[start]
         brightest = ring[start]
         for k in range(1, 9):

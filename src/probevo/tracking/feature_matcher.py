@@ -33,6 +33,7 @@ class FeatureMatcher:
         common, prev_rows, curr_rows = np.intersect1d(
             state.ids, ids, assume_unique=True, return_indices=True
         )
+        # A feature that the previous frame lacked begins with an age of 1.
         age = np.ones(len(ids), np.int64)
         age[curr_rows] = state.age[prev_rows] + 1
         tracks = Tracks(

@@ -82,6 +82,7 @@ class ImageTracker:
             frame: with both images.
             T_curr_prev: motion that the search starts from, [4, 4].
         """
+        # Old features in the current left image, with their predicted disparity.
         images = prepare_images(frame, self._config)
         rejected: Counter[str] = Counter()
         found = self._find_in_time(state, images, T_curr_prev, rejected=rejected)
@@ -147,7 +148,8 @@ class ImageTracker:
         patches = prev.patches
         if patches is None:
             patches = AnchorPatches.cut(image, np.zeros((0, 2)), self._config.window_px)
-        # Predict where the motion takes them. Lucas–Kanade converges from a few pixels only.
+        # Predict where the motion takes them, and how it warps their windows. Lucas–Kanade
+        # converges from a few pixels only.
         motion = move_surfaces(prev.pixels, patches.disparity_slope, T_curr_prev, self._camera)
         visible = np.flatnonzero(motion.ahead & _inside(motion.pixels, image))
         rejected["left the view"] += len(prev) - len(visible)
@@ -184,7 +186,7 @@ class ImageTracker:
         rejected["met another"] += int((~separate).sum())
         kept = kept[separate]
         prev = prev.subset(kept)
-        # The disparity grows as the depth shrinks. A negative one is noise: at infinity it is zero.
+        # d = f_u b/z grows as the depth shrinks. A negative one is noise: at infinity it is zero.
         prev_disparity_px = np.maximum(prev.pixels[:, 0] - prev.pixels[:, 2], 0.0)
         return _FoundInTime(
             prev=prev,
@@ -219,6 +221,7 @@ class ImageTracker:
         # Lucas–Kanade from the left to the right image, from the predicted disparity.
         left = images.left
         right = images.right
+        # The row stays: the pair is rectified.
         start_px = left_px - np.column_stack([disparity_px, np.zeros(len(left_px))])
         tracked = track_points(
             left, right, left_px, start_px=start_px, config=self._config, near=is_predicted
@@ -253,6 +256,7 @@ class ImageTracker:
         )
         rejected["repeats along its row"] += int((~unique).sum())
         fits[is_new] = unique
+        # ``fits`` is over the similar points; scatter it over all N.
         matched = similar.copy()
         matched[similar] = fits
         return _FoundInStereo(
@@ -279,6 +283,7 @@ def _disparity_of_nearest(
     corners: FloatArray, left_px: FloatArray, disparity: FloatArray
 ) -> FloatArray:
     """Return the disparity [M] to start with at corners [M, 2]: that [N] of the nearest feature."""
+    # Without any feature the search starts at infinity, where the disparity is 0.
     found = np.zeros(len(corners))
     for m in range(len(corners)):
         nearest = np.inf

@@ -46,6 +46,8 @@ class LastResiduals:
         """Return the residuals of features by identity, [N], px; NaN where unknown."""
         if not len(self.ids):
             return np.full(len(ids), np.nan)
+        # Position in the sorted identities; of an identity that is missing, that of another one,
+        # which the comparison below finds out.
         order = np.argsort(self.ids)
         nearest = order[np.minimum(np.searchsorted(self.ids, ids, sorter=order), len(order) - 1)]
         return np.where(self.ids[nearest] == ids, self.size_px[nearest], np.nan)

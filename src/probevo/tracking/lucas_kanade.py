@@ -75,6 +75,7 @@ def track_points(
     # From coarse to fine: each level starts where the coarser one has ended.
     for level in reversed(range(len(template))):
         chosen = everyone if level < LEVELS_IF_NEAR else far
+        # pyrDown keeps pixel (0, 0) in place, so that coordinates only scale.
         scale = np.float32(0.5**level)
         if not len(chosen):
             continue

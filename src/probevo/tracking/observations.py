@@ -40,6 +40,8 @@ class FrameObservations:
         """Return the row of each landmark in ``noise``, [K]; −1 where none was predicted."""
         if self.noise_landmarks is None or not len(self.noise_landmarks):
             return np.full(len(landmarks), -1)
+        # Position in the sorted identities; the comparison at the end finds out those that are
+        # missing.
         order = np.argsort(self.noise_landmarks)
         place = np.searchsorted(self.noise_landmarks, landmarks, sorter=order)
         rows = order[np.minimum(place, len(order) - 1)]

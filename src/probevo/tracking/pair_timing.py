@@ -75,7 +75,8 @@ class PairTiming:
         if len(self._last) < len(OFFSETS) or self._num_frames % EVERY_FRAMES:
             return
         self._num_comparisons += 1
-        # The left image of the middle frame against the right ones of all frames around it
+        # The left image of the middle frame against the right ones of all frames around it, in the
+        # order of OFFSETS: an offset of +1 is best if the right image came one frame late.
         left = self._last[len(OFFSETS) // 2]
         scatters = [row_scatter(left, images.right, self._config) for images in self._last]
         best = _clearly_best(scatters)
@@ -126,9 +127,11 @@ def _scatter(left_px: FloatArray, rows_px: FloatArray) -> float:
     weights = np.ones(len(places))
     residual_px = rows_px
     for _ in range(FIT_ITERATIONS):
+        # Weighted least squares: rows and right-hand side times the root of their weights.
         root = np.sqrt(weights)
         solution = np.linalg.lstsq(design * root[:, None], rows_px * root, rcond=None)[0]
         residual_px = rows_px - design @ solution
+        # Cauchy's weight 1/(1 + (r/c)²), with c three times the median of |r|.
         scale_px = max(float(np.median(np.abs(residual_px))), 1e-3)
         weights = 1.0 / (1.0 + (residual_px / (3.0 * scale_px)) ** 2)
     return float(np.median(np.abs(residual_px)))

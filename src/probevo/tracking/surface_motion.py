@@ -58,9 +58,11 @@ def move_surfaces(
         T_b_a: the motion, [4, 4].
         camera: the rectified camera.
     """
+    # Where the features go: q = C m + ρ t, [3, N]; q_z is the new depth over the old one.
     moved_rays, _ = camera.moved_rays(pixels, T_b_a)
     ahead: BoolArray = moved_rays[2] > LEAST_SCALED_DEPTH
     growth = 1.0 / np.where(ahead, moved_rays[2], 1.0)
+    # Normalised coordinates in b; of points that are not ahead, they mean nothing.
     x = moved_rays[0] * growth
     y = moved_rays[1] * growth
     motion = SurfaceMotion(
@@ -70,7 +72,8 @@ def move_surfaces(
         affine=np.empty((len(pixels), 2, 2)),
         perspective=np.empty((len(pixels), 2)),
     )
-    # The inverse depth is the disparity over f_u and the baseline.
+    # n = ∂ρ/∂m, [N, 2], 1/m: with ρ = d/(f_u b) and m = ((u − c_u)/f_u, (v − c_v)/f_v), it is the
+    # slope of d times (f_u, f_v), over f_u b.
     focal_px = np.array([camera.fu_px, camera.fv_px])
     gradient = slope * focal_px / (camera.fu_px * camera.baseline_m)
     _differentiate(np.column_stack([x, y]), gradient, T_b_a, focal_px, motion=motion)
@@ -101,6 +104,7 @@ def _differentiate(
     for k in range(len(gradient)):
         growth = motion.growth[k]
         for j in range(2):
+            # ∂q₃/∂mⱼ = C₃ⱼ + t₃ nⱼ; over the focal length, the derivative is by pixels.
             depth_change = T_b_a[2, j] + T_b_a[2, 3] * gradient[k, j]
             motion.perspective[k, j] = growth * depth_change / focal_px[j]
             for i in range(2):

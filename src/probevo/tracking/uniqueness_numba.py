@@ -53,6 +53,8 @@ def find_unique(
         last = min(u_right + REACH_PX, width - 1 - half)
         if not rows_inside or u < half or u + half >= width or first > u_right or last < u_right:
             continue
+        # Sum of squared differences of the left window and each window of the row, all windows at a
+        # time: squared[k] is that of the window centred at the column first + k.
         count = last - first + 1
         squared[:count] = 0
         for i in range(-half, half + 1):
@@ -75,6 +77,7 @@ def _is_best(squared: AnyArray, match: int, half: int) -> bool:
         match: index of the match.
         half: half the side of a window.
     """
+    # Places in between share most of their window with the match, and compete with nothing.
     best = np.inf
     second = np.inf
     for k in range(len(squared)):
@@ -83,4 +86,5 @@ def _is_best(squared: AnyArray, match: int, half: int) -> bool:
             best = min(best, squared[k])
         elif distance > half:
             second = min(second, squared[k])
+    # The ratio is one of differences, which are squared here.
     return best <= LARGEST_RATIO**2 * second

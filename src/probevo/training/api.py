@@ -76,11 +76,13 @@ def train_model(
     if is_folder:
         raise InputError("--out", f"{out} is a folder.", "Give the model file another name.")
 
+    # Each frame is gone through once for the recording, and once in each iteration.
     progress = TrainingProgress(
         frames=sum(source.num_frames for source in sources),
         iterations=trainer.num_iterations(settings),
         on_progress=on_progress,
     )
+    # The lock keeps other processes from learning the same file.
     folder = checkpoint_folder(out)
     with locked(folder):
         _train(
@@ -136,6 +138,7 @@ def _train(
     # Standardise the prediction space over the features of all drives.
     moments = reduce(add, (fact.moments for fact in facts))
     metric = Metric.of_moments(moments, space.columns, space.may_be_undefined)
+    # What the model will say of its recordings; thinning where they have more than EM uses.
     described = [
         {"name": name_as_text(source.path), "frames": source.num_frames, "sha256": fact.digest}
         for source, fact in zip(sources, facts, strict=True)

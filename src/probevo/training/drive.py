@@ -65,6 +65,7 @@ class Drive:
 
     def kept(self, steps: BoolArray) -> Drive:
         """Return the drive with the marked steps only, [K − 1]."""
+        # The mask of the steps, spread to their features, [n]
         rows = steps[self.step_of_feature]
         counts = np.diff(self.first_of_step)[steps]
         return Drive(

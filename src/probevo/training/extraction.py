@@ -165,6 +165,8 @@ def _bytes(phi: FloatArray) -> int:
     These are observations, identities, predictors and flags of its features, its motion and its
     index.
     """
+    # Single precision: two observations of four numbers, and φ. Then an int64, a flag; and a motion
+    # of 16 doubles with an index.
     count, columns = map(int, phi.shape)
     return count * (4 * (4 + 4 + columns) + 8 + 1) + 136
 

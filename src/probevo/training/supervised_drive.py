@@ -144,6 +144,7 @@ class DriveOnDisk:
         with damage_reported(path):
             found = json.loads(path.read_text("utf-8"))
             arrays = {name: np.array(value) for name, value in found["moments"].items()}
+            # ``rows`` counts all features, and is the one field that is no array.
             found["moments"] = Moments(**arrays | {"rows": found["features"]})
             return DriveFacts(**found)
 

@@ -93,7 +93,8 @@ class Supervision:
             aligned = se3.transform(T_true_est, positions)
             return np.maximum([armse(aligned - true_positions)], LEAST_ALPHA_M)
 
-        # Otherwise compare the motion over each stretch; a loop is one stretch.
+        # Otherwise compare the motion over each stretch, T_start_end, of which the position counts;
+        # a loop is one stretch.
         last = len(self.frames) - 1
         starts = np.array([0]) if self.kind == "loop" else np.arange(last)
         ends = np.array([last]) if self.kind == "loop" else np.arange(last) + 1
@@ -114,7 +115,8 @@ class Supervision:
         """
         alphas = np.empty(len(self.stretches))
         for number, (first, last) in enumerate(self.stretches.tolist()):
-            # A perturbation of the last pose moves its position by ρ − p∧ φ.
+            # A perturbation of the last pose moves its position by ρ − p∧ φ: Exp(ξ) acts on the
+            # left, so that p becomes p + ρ + φ × p.
             T_start_cam, cov_end = compound_chain(T_curr_prev[first:last], cov[first:last])
             to_position = np.hstack([np.eye(3), -so3.wedge(T_start_cam[-1, :3, 3])])
             alphas[number] = np.sqrt(np.trace(to_position @ cov_end[-1] @ to_position.T) / 3.0)
@@ -135,7 +137,8 @@ def supervision_of(
     Raises:
         InputError: there is no truth, or too little for this kind.
     """
-    # A pose counts as known if all its entries are finite.
+    # Poses of the frames that are used, NaN where unknown; a pose counts as known if all its
+    # entries are finite.
     where = sequence.path
     poses = np.full((num_frames, 4, 4), np.nan)
     if sequence.truth is not None:
@@ -159,6 +162,7 @@ def supervision_of(
             f"only {is_known.sum()} of {len(is_known)} frames have a true pose.",
             "Take --supervision sparse.",
         )
+    # Some of the known frames, at the wanted distance in time; stretches lie between them.
     frames = _spaced(np.flatnonzero(is_known), sequence.stamps_ns, every_s)
     fewest = FEWEST_POSITIONS if kind == "position" else 2
     if len(frames) < fewest:

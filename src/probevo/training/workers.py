@@ -91,6 +91,7 @@ class Workers:
                 losses = 0
                 while losses < MOST_LOSSES and job.missing:
                     num_done = len(job.found)
+                    # A loss after progress may be chance; only losses in a row count.
                     if not job.attempt(run, job.missing):
                         losses = 1 if len(job.found) > num_done else losses + 1
                 # One at a time, so that it shows which task it is that takes down its worker.

@@ -59,6 +59,8 @@ class Leaves(NamedTuple):
         rows = np.full((num_leaves * LEAF, rotated.shape[1]), np.inf, np.float32)
         rows[:count] = rotated[centers]
         by_leaf = rows.reshape(num_leaves, LEAF, -1).transpose(0, 2, 1)
+        # Bounding box of each leaf in the first coordinates, without the positions that are filled
+        # up.
         starts = np.arange(0, count, LEAF)
         heads = rows[:count, :HEAD]
         lowest = np.minimum.reduceat(heads, starts).T
@@ -108,6 +110,7 @@ def _leaf_order(places: SingleArray) -> IntArray:
         # Split at a multiple of LEAF, so that all leaves but the last are full.
         column = int(np.argmax(np.ptp(places[part], axis=0)))
         order = part[np.argsort(places[part, column], kind="stable")]
+        # The part that is popped first is the lower one, so that the short leaf comes last.
         middle = LEAF * -(-len(part) // (2 * LEAF))
         waiting += [order[middle:], order[:middle]]
     return np.concatenate(done)

@@ -59,6 +59,7 @@ def search_leaves(leaves: Leaves, query: SingleArray, found: NearestCenters) -> 
                 outside = below if below > above else above
                 outside = outside if outside > zero else zero
                 bound[leaf] += outside * outside
+        # The leaf with the least bound is visited first.
         least_bits[0] = INFINITE_BITS
         for leaf in range(num_leaves):
             least_bits[0] = min(least_bits[0], bound_bits[leaf])
@@ -73,6 +74,7 @@ def search_leaves(leaves: Leaves, query: SingleArray, found: NearestCenters) -> 
         q5 = query[n, 5]
         q6 = query[n, 6]
         q7 = query[n, 7]
+        # Invariant: no center at ``worst`` or farther is among the nearest; ∞ at the beginning.
         worst = squared[n, last]
         for visit in range(num_leaves):
             # The nearest leaf is visited first, swapped with leaf 0: what it holds rules out more
@@ -96,6 +98,7 @@ def search_leaves(leaves: Leaves, query: SingleArray, found: NearestCenters) -> 
                 second_half = (d4 * d4 + d5 * d5) + (d6 * d6 + d7 * d7)
                 distance[i] = first_half + second_half
                 bits = min(bits, np.float32(first_half + second_half).view(np.int32))
+            # If already the partial distances of all centers exceed that, skip the leaf.
             least_bits[0] = bits
             if least[0] >= worst:
                 continue

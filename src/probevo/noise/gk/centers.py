@@ -94,6 +94,7 @@ class Centers:
             domain_radius=domain_radius,
             mixed=mixed,
         )
+        # Beyond the radius the share of the centers is 0: such a place has the prior.
         return mixed, np.asarray(nearest.squared[:, 0] >= domain_radius**2)
 
     @cached_property

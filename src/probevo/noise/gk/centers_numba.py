@@ -49,7 +49,8 @@ def interpolate(
         b = index[n, 1 % num_nearest]
         c = index[n, 2 % num_nearest]
         d = index[n, 3 % num_nearest]
-        # Share of the centers; that of the prior is the rest.
+        # Share of the centers; that of the prior is the rest. It is 1 up to the distance radius /
+        # DOMAIN_MARGIN, and falls linearly to 0 at the radius.
         share = (
             min(1.0, max(0.0, FADE * (1.0 - math.sqrt(squared[n, 0]) / domain_radius)))
             if total > 0.0
@@ -72,8 +73,9 @@ def interpolate(
         for i in range(4):
             mixed.bias[n, i] = mean[i]
             for j in range(i + 1):
-                factor = mean[4 + i * (i + 1) // 2 + j]
-                lower[i, j] = math.exp(factor) if i == j else factor
+                entry = mean[4 + i * (i + 1) // 2 + j]
+                lower[i, j] = math.exp(entry) if i == j else entry
+        # Σ = L Lᵀ
         for i in range(4):
             for j in range(i + 1):
                 product = 0.0

@@ -45,6 +45,7 @@ def folds_of(samples: KernelSamples, groups: IntArray | None, published: bool) -
     count = len(samples.errors)
     if groups is None:
         groups = np.arange(count) * 2 * FOLDS // max(count, 1)
+    # Groups are dealt to the folds in turn, so that those of a fold are spread over the data.
     fold = np.unique(groups, return_inverse=True)[1] % FOLDS
     folds = []
     for number in np.unique(fold):

@@ -230,6 +230,7 @@ class GeneralizedKernel:
             nu = self.shape_.prior_counts
             dof = nu - DIM + 1.0
             return StudentTs(scale=prior.scale * nu / dof, dof=np.array([dof]), bias=prior.bias)
+        # |Σ|^(1/d), px², of the centers, [C], and of the prior
         sizes = np.exp(np.linalg.slogdet(fitted.scale)[1] / DIM)
         prior_size = np.exp(np.linalg.slogdet(prior.scale)[1] / DIM)[0]
         widening = max(1.0, float(np.quantile(sizes, FAR_QUANTILE) / prior_size))

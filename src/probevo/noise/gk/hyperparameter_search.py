@@ -73,6 +73,8 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
         raise InputError(
             "predictors", "there is no column.", "Without any, StudentT says the same."
         )
+    # Numbers: positive, finite where they count samples, and whole where they count neighbours or
+    # centers.
     where = "generalized kernel"
     smallest_positive = np.nextafter(0.0, np.inf)
     lowest = {
@@ -94,6 +96,7 @@ def check_given(given: Mapping[str, Any], dimension: int, published: bool) -> No
             )
         if name in ("neighbors", "centers") and int(value) != value:
             raise InputError(where, f"{name} is {value}, which is no whole number.", "Round it.")
+    # Weights: one a column, not all zero.
     weights = np.asarray(given.get("weights", np.ones(dimension)), dtype=np.float64)
     in_bounds = bool(((weights >= 0.0) & (weights <= MAX_WEIGHT)).all())
     if weights.shape != (dimension,) or not in_bounds or not weights.any():
@@ -169,7 +172,7 @@ def choose_shape(
         shape = search.choose(name, values, weights, shape)
     if not published:
         shape = search.choose_dof(weights, shape)
-    # K for all samples again.
+    # K for all samples again: the search had fewer, by the factor whose root is ``ratio``.
     neighbors = fixed.get("neighbors", round(shape.neighbors * ratio))
     return weights, replace(shape, neighbors=neighbors), search.log
 
@@ -200,7 +203,7 @@ class _Search:
         The first column stays even if it gains nothing: keeping all of them would be worse.
         """
         weights = np.zeros(dimension)
-        best = np.zeros(1)
+        best_gains = np.zeros(1)
         order: list[tuple[int, float]] = []
         varies = np.any(
             [np.ptp(fold.training.coordinates, axis=0) > 0.0 for fold in self.folds], axis=0
@@ -210,21 +213,22 @@ class _Search:
             options = [_with_weight(weights, m, 1.0) for m in free.tolist()]
             option, gains = self._best_of(options, shape)
             self._advance(len(free))
-            gains_more = is_better(gains, best)
+            gains_more = is_better(gains, best_gains)
             if order and not gains_more:
                 break
             added = int(np.flatnonzero(option != weights)[0])
             order.append((added, float(gains.mean())))
             weights = option
             if gains_more:
-                best = gains
-        # Try to halve and to double the weight of each.
+                best_gains = gains
+        # Try to halve and to double the weight of each. Unless ρ is given, the K-th neighbour sets
+        # the support, so that only ratios of the weights matter.
         for m, _ in order:
             options = [_with_weight(weights, m, factor) for factor in FACTORS]
             option, gains = self._best_of(options, shape)
-            if is_better(gains, best):
+            if is_better(gains, best_gains):
                 weights = option
-                best = gains
+                best_gains = gains
         self.log["weights"] = {
             "candidates": [m for m, _ in order],
             "gains": [gain for _, gain in order],
@@ -332,6 +336,7 @@ def is_better(gains: FloatArray, prev_gains: FloatArray) -> bool:
 
     The mean difference must exceed both ``MIN_GAIN`` and its own standard error.
     """
+    # Paired: both models are judged by the same errors, whose own scatter cancels.
     more = gains - prev_gains
     standard_error = more.std() / np.sqrt(len(more))
     return bool(more.mean() > max(MIN_GAIN, STANDARD_ERRORS * standard_error))

@@ -155,6 +155,7 @@ class KernelPosterior:
         members_of_each = [self.order[own] for own in found]
         first: IntArray = np.cumsum([0, *map(len, members_of_each)])
         members = np.concatenate([np.zeros(0, np.int64), *members_of_each])
+        # The place that each of the members belongs to, and k = 1 − (|φ − φᵢ|/ρ)² there
         place = np.repeat(np.arange(len(places)), np.diff(first))
         squared = np.sum((self.samples.coordinates[members] - places[place]) ** 2, axis=1)
         return Neighborhoods(first=first, members=members, kernel=1.0 - squared / shape.reach**2)
@@ -166,9 +167,10 @@ class KernelPosterior:
         distance, near = map(
             np.asarray, self.tree.query(places, ranks, distance_upper_bound=shape.reach)
         )
-        found = np.isfinite(distance)
+        found = np.isfinite(distance)  # [n, K]; nearest first, so that a missing one is last
         # The support is a little wider than the distance of the K-th, so that this one contributes,
-        # and all do where all K lie at the very place.
+        # and all do where all K lie at the very place. Support of the kernel of each place, [n, 1]:
+        # ρ where fewer than K samples are within it.
         radius = np.where(found[:, -1:], distance[:, -1:], shape.reach)
         support = radius * (1.0 + 1e-3) + 1e-12
         kernel = np.where(found, 1.0 - (np.where(found, distance, 0.0) / support) ** 2, 0.0)
@@ -201,6 +203,7 @@ class KernelPosterior:
         )
         if self.published:
             # The fit is Ψ*/ν*, by eqs. (8) and (9) with Ψ₀ = ν₀ R̂; eq. (12) divides by ν* − d + 1.
+            # prior_counts is ν₀, so that ν* = ν₀ + Σ k.
             nu = shape.prior_counts + counts
             dof = nu - DIM + 1.0
             scale = fitted.scale * (nu / dof)[:, None, None]
@@ -223,6 +226,7 @@ def prior_of(samples: KernelSamples, *, published: bool) -> StudentTs:
         return fit_static(samples.errors, samples.error_cov)
     errors = samples.errors
     added = 0.0 if samples.error_cov is None else samples.error_cov.sum(axis=0)
+    # E[e eᵀ] of an error that is known with the covariance U only is e eᵀ + U.
     mean_square = (errors.T @ errors + added) / len(errors)
     return StudentTs(
         scale=regularized(mean_square)[None], dof=np.array([np.inf]), bias=np.zeros((1, DIM))

@@ -135,6 +135,7 @@ class NearestNeighbors:
     def log_relative_alpha(self, predictors: FloatArray) -> FloatArray:
         """Compute ln(ᾱ_K/ᾱ) at N places [N, M]: [N]."""
         coordinates = self.metric_.coordinates(predictors)
+        # Mean over K of α, or of ln α, [N]
         mean = self.index_.mean_of_nearest(coordinates, np.array([self.neighbors]))[:, 0]
         return self._log_alpha(mean) - self.log_mean_alpha_
 
@@ -150,6 +151,7 @@ class NearestNeighbors:
         undefined = metric.may_be_undefined & (
             coordinates == (UNDEFINED * metric.weight).astype(np.float32)
         )
+        # The inverse of the standardisation
         places = coordinates / metric.weight * metric.spread + metric.mean
         values = self.index_.values.astype(np.float64)
         return np.where(undefined, np.nan, places), self._log_alpha(values) - self.log_mean_alpha_

@@ -45,8 +45,8 @@ class NeighborIndex(NamedTuple):
         num_cells = max(1, round(math.sqrt(len(points))), len(points) // MEAN_CELL_SIZE)
         centers = points[np.linspace(0, len(points) - 1, num_cells).astype(np.int64)]
         cell = _nearest_center(points, centers)
-        # The order within a cell is random, so that its first samples represent all of it where
-        # not all are visited.
+        # The order within a cell is random, so that its first samples represent all of it where not
+        # all are visited. Sorted by cell first (the last key of lexsort), then at random.
         order = np.lexsort((np.random.default_rng(0).permutation(len(points)), cell))
         return NeighborIndex(
             centers=np.ascontiguousarray(centers.T),

@@ -89,22 +89,24 @@ def _mean_of_smallest(squared: SingleArray, value: SingleArray, wanted: int) -> 
     # The first bracket ends at four times the mean; if it holds too few, it is extended to the sum
     # of all, which no distance exceeds.
     total = np.float32(_sum_within(squared, squared, np.float32(np.inf)))
+    # Invariant from the second iteration on: at least ``wanted`` distances are within high.
     low = np.float32(0.0)
     high = np.float32(4.0) * total / np.float32(len(squared))
     for iteration in range(BISECTIONS):
         middle = high if iteration == 0 else np.float32(0.5) * (low + high)
-        below = _count_within(squared, middle)
-        if iteration == 0 and below < wanted:
+        num_within = _count_within(squared, middle)
+        if iteration == 0 and num_within < wanted:
             low = high
             high = total
-        elif below >= wanted:
+        elif num_within >= wanted:
             high = middle
         else:
             low = middle
-        if below == wanted:
+        if num_within == wanted:
             break
-    number = _count_within(squared, high)
-    return float(_sum_within(squared, value, high) / np.float32(number))
+    # With equal distances, more than ``wanted`` may be within: the mean is over all of these.
+    num_averaged = _count_within(squared, high)
+    return float(_sum_within(squared, value, high) / np.float32(num_averaged))
 
 
 @compiled

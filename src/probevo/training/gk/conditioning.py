@@ -83,10 +83,11 @@ def conditioned(
         distance = stretch.distance
         if is_estimated and distance @ information @ distance > MOTIONS_DIFFER_FROM:
             continue
-        # Kalman update of all steps of the stretch.
+        # Kalman update of all steps of the stretch: the truth measures Σ Ad_k ξ_k, with the noise
+        # P.
         steps = slice(stretch.first, stretch.last)
-        # The gain is C_k Ad_kᵀ (M + P)⁻¹. Correlations that the truth makes between steps are not
-        # kept: each step is used by itself.
+        # The gain is C_k Ad_kᵀ (M + P)⁻¹, [m, 6, 6]. Correlations that the truth makes between
+        # steps are not kept: each step is used by itself.
         gain = cov[steps] @ np.swapaxes(stretch.to_end, 1, 2) @ information
         motions[steps] = se3.exp(gain @ distance) @ T_curr_prev[steps]
         posterior[steps] -= gain @ stretch.to_end @ cov[steps]
@@ -112,7 +113,9 @@ def _stretch(
     for k in range(len(motions) - 1, -1, -1):
         to_end[k] = se3.adjoint(T_last_k)
         T_last_k = T_last_k @ motions[k]
-    # The motion of the whole stretch, its covariance, and the distance in the tangent space.
+    # The motion of the whole stretch, its covariance M = Σ Ad_k C_k Ad_kᵀ, and the distance of the
+    # true motion from it. The ends are poses T_world_cam, so that T_true is T_world_last⁻¹
+    # T_world_first.
     M: FloatArray = np.sum(to_end @ cov[first:last] @ np.swapaxes(to_end, 1, 2), axis=0)
     T_true = se3.inverse(ends[1]) @ ends[0]
     distance = se3.log(T_true @ se3.inverse(T_last_k))
@@ -129,9 +132,11 @@ def _estimated_truth_sigma(stretches: Sequence[_Stretch]) -> FloatArray:
     # Translations and rotations apart, [U, 2, 3].
     distances = np.abs([stretch.distance for stretch in stretches]).reshape(-1, 2, 3)
     variances = np.reshape([np.diagonal(stretch.cov) for stretch in stretches], (-1, 2, 3))
-    # 1.4826 times the median of absolute values is the σ of a Gaussian.
+    # 1.4826 times the median of absolute values is the σ of a Gaussian. The median is over
+    # stretches and axes: one number for translations and one for rotations, [2].
     scatter = (1.4826 * np.median(distances, axis=(0, 2))) ** 2
     own = np.median(variances, axis=(0, 2))
     least = own if len(stretches) < FEW_STRETCHES else np.zeros(2)
+    # Variances of truth and features add up in the scatter of their difference.
     sigma: FloatArray = np.repeat(np.sqrt(np.maximum(scatter - own, least)), 3)
     return sigma

@@ -143,7 +143,8 @@ def _samples_of_drive(task: _Task) -> ErrorSamples:
     )
     found = expectation.feature_errors
     num_steps = len(expectation.T_features_only)
-    # Samples of one block of time are left out together in cross-validation.
+    # Samples of one block of time are left out together in cross-validation: features that are
+    # close in time have errors in common.
     block = found.steps * task.blocks // max(num_steps, 1)
     gap_m = _loop_error_m(task.drive.supervision, expectation.T_features_only)
     return ErrorSamples(

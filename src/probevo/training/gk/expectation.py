@@ -22,8 +22,7 @@ from probevo.training.supervised_drive import SupervisedDrive
 UNSOLVED_SIGMA = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 """Standard deviation of the motion of a step whose features do not fix it, m and rad."""
 UNKNOWN_VARIANCE_M2 = UNSOLVED_SIGMA[0] ** 2 / 4.0
-"""Variance in x, m², above which a motion is known neither from the features nor from the truth:
-a
+"""Variance in x, m², above which a motion is known neither from the features nor from the truth: a
 step without a solve has twice that σ, unless the truth lowers it."""
 
 
@@ -147,7 +146,7 @@ def feature_errors(
         is_drawn = rng.random(len(step.phi)) < share
         if step.estimate is not None:
             solution = step.estimate.solution
-            # Features behind the camera have no information.
+            # Features behind the camera have no information: their Σ⁻¹ is set to 0.
             is_in_front = solution.information[:, 0, 0] > 0.0
             kept = np.flatnonzero(is_in_front & is_drawn[step.used])
             common = CommonUnknowns.of(solution, posterior.cov[step.index])
@@ -170,6 +169,7 @@ def feature_errors(
                     jitter_moments=np.reshape(moments, (-1, 3, 3)),
                 )
             )
+        # Features are counted over all steps, solved or not.
         first_feature += len(step.phi)
     if not found:
         return FeatureErrors.none(len(drive.facts.moments.mean))
@@ -194,6 +194,7 @@ def solved_steps(
         each step; without a solution if it has too few features, if these do not fix the motion, or
         if the given motion is not known.
     """
+    # ``index`` counts the steps of the drive, over all parts; ``number`` those of the recording.
     estimator: Estimator = TwoFrameEstimator(drive.camera, solver)
     disparities = DisparityFilter.none()
     previous_number = -1

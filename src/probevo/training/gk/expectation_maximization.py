@@ -103,7 +103,8 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
     Hyperparameters that are not given are chosen in the first iteration and then kept.
     """
     settings = context.settings.gk
-    # The noise model of the first E-step is static.
+    # The noise model of the first E-step is static. The iterations of both are numbered
+    # consecutively, for the checkpoint.
     static = learn_student_t(context)
     previous: Model = static
     model = GeneralizedKernel()
@@ -149,7 +150,8 @@ def learn_kernel(context: TrainingContext) -> GeneralizedKernel:
             }
             model = model.without_samples()
             context.checkpoint.keep_em_model(number, model)
-        # The hyperparameters come from the metadata, so that a resumed training has the same bits.
+        # The hyperparameters of the first iteration are given to all that follow. They come from
+        # the metadata, so that a resumed training has the same bits.
         training = model.training
         hyperparameters = restored_infinity(training["given"])
         hyperparameters["weights"] = np.array(hyperparameters["weights"])

@@ -89,7 +89,8 @@ def errors_of(
         squared=np.empty(count),
         log_det=np.empty(count),
     )
-    # Whitened by Σ, and coloured by R if the noise is that of single observations.
+    # Whitened by Σ, and coloured by R if the noise is that of single observations. EM is then an
+    # iteration to a fixed point: where R is right, R^½ Σ^-½ e has the scale R.
     rescale_errors(features, common.cov, noise.refers_to == "observation", out)
     # The likelihood is that of the residual, not of the rescaled error.
     log_likelihood = log_density(out.squared, out.log_det, noise.dof[chosen])

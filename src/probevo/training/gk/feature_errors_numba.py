@@ -68,7 +68,8 @@ def rescale_errors(
         if not factor(scale[n], 4, root):
             regularize(scale[n])
             factor(scale[n], 4, root)
-        # Whiten e and J by forward substitution.
+        # Whiten e and J by forward substitution: with Σ = L Lᵀ, the column k of ``white`` is L⁻¹
+        # times that of (e, J), and ln |Σ| = 2 Σ ln Lᵢᵢ.
         squares = 0.0
         determinant = 1.0
         for i in range(4):

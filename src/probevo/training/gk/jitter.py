@@ -35,7 +35,8 @@ class CommonUnknowns(NamedTuple):
         """Build them from a solve at a given motion, and the covariance of that motion, [6, 6]."""
         if solution.jitter is None:
             return CommonUnknowns(solution.jacobian, motion_cov)
-        # η = gain ξ + an independent rest: its covariance is that of both.
+        # η = gain ξ + an independent rest. With G the gain, C the covariance of ξ and V that of the
+        # rest, the joint covariance is [[C, C Gᵀ], [G C, V + G C Gᵀ]].
         gain, rest = _given_motion(solution.jitter)
         cross = gain @ motion_cov
         cov = np.block([[motion_cov, cross.T], [cross, rest + cross @ gain.T]])
@@ -44,7 +45,7 @@ class CommonUnknowns(NamedTuple):
     def second_moment(self, jitter: SolvedJitter) -> FloatArray:
         """Return E[(ω' − ω°)(ω' − ω°)ᵀ] of the jitter's change, [3, 3], rad²."""
         unknown = jitter.unknown
-        # ω' − ω° = L' η' − (m + L° η°).
+        # ω' − ω° = L' η' − (m + L° η°), so that E[Δ Δᵀ] is its mean squared plus its covariance.
         change = np.hstack([unknown.curr_root, -unknown.prev.root])
         mean = change @ jitter.eta - unknown.prev.mean
         moment: FloatArray = np.outer(mean, mean)
@@ -71,7 +72,8 @@ def _given_motion(jitter: SolvedJitter) -> tuple[FloatArray, FloatArray]:
     cov = jitter.cov
     if not np.isfinite(cov).all():
         return np.zeros((6, MOTION_DIM)), np.eye(6)
-    # Condition the joint Gaussian on ξ: the gain is Σ_ηξ Σ_ξξ⁻¹.
+    # Condition the joint Gaussian on ξ: the gain is Σ_ηξ Σ_ξξ⁻¹, and what remains of the covariance
+    # is Σ_ηη − Σ_ηξ Σ_ξξ⁻¹ Σ_ξη.
     of_motion = cov[:MOTION_DIM, :MOTION_DIM]
     cross = cov[:MOTION_DIM, MOTION_DIM:]
     gain: FloatArray = np.linalg.solve(of_motion, cross).astype(float).T

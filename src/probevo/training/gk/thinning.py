@@ -40,6 +40,7 @@ def thinned(drives: Sequence[DriveOnDisk], seed: int, workers: Workers) -> list[
     """
     # Thin only where more features would be left than EM draws from.
     num_used = sum(drive.facts.used for drive in drives)
+    # Share of the steps whose features are STEPS_PER_FEATURE times those that are drawn from them
     share = STEPS_PER_FEATURE * MOST_FEATURES / max(num_used, 1)
     if share >= 1.0:
         return list(drives)
@@ -55,6 +56,7 @@ def thinned(drives: Sequence[DriveOnDisk], seed: int, workers: Workers) -> list[
 
 def _drawn_steps(num_steps: int, share: float, rng: np.random.Generator) -> BoolArray:
     """Draw whole stretches, about as many as make this share of the steps: [num_steps]."""
+    # One draw a stretch; the last one, which may be cut short, counts like the others.
     is_drawn = rng.random(num_steps // STRETCH + 1) < share
     return np.repeat(is_drawn, STRETCH)[:num_steps]
 

@@ -53,6 +53,7 @@ def time_correlation_profile(
     direction[:, 2] -= 1.0
     direction *= np.sqrt(variance)[:, None]
 
+    # Σ⁻¹ m of each feature, and from it a and b; s is that of the solution.
     white = np.einsum("nij,nj->ni", information, direction)
     s = solution.squared[chosen]
     a = np.sum(white * e, axis=1)
@@ -82,7 +83,8 @@ def smallest_likely_ratio(profile: FloatArray, tie: float = TIE) -> float:
     bounds = (RATIOS[max(best - 1, 0)], RATIOS[min(best + 1, len(RATIOS) - 1)])
     likeliest = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-3})
 
-    # The smallest κ within the tie.
+    # The smallest κ within the tie, between 0, where the cost is above the limit, and the likeliest
+    # one, where it is below.
     limit = float(likeliest.fun) + tie
     if cost(0.0) <= limit:
         return 0.0

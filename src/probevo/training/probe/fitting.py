@@ -102,6 +102,7 @@ def _log_relative_alphas(
         neighbors: K.
         is_logarithmic: whether the values are logarithms.
     """
+    # Where values are logarithms, the difference of means is the logarithm of a ratio.
     mean_of_all = float(values.mean())
     predicted = []
     for number, sampler in enumerate(samplers):

@@ -49,6 +49,7 @@ def gather_samples(
     for number, sampler in enumerate(samplers):
         # All iterations over this drive, one after another.
         sampled = np.concatenate([iteration[number][0] for iteration in iterations])
+        # One entry for each feature of each subset, whose motion gave it its α.
         alpha = np.concatenate([iteration[number][1] for iteration in iterations])
         step = sampler.drive.step_of_feature[sampled]
         # An error that all subsets of a stretch share says nothing about single features.
@@ -105,7 +106,8 @@ def fold_of_step(step: IntArray, num_steps: int, drive: int) -> IntArray:
 
 def _relative(alpha: FloatArray, stretch: IntArray, *, is_logarithmic: bool) -> FloatArray:
     """Divide each α by the mean of all α of the same stretch, [N]."""
-    # The mean of the same kind as that over neighbours.
+    # The mean of the same kind as that over neighbours, [U]: arithmetic, or geometric as the mean
+    # of logarithms.
     values = np.log(alpha) if is_logarithmic else alpha
     mean = np.bincount(stretch, values) / np.maximum(np.bincount(stretch), 1)
     relative: FloatArray = (

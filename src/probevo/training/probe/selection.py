@@ -120,11 +120,12 @@ def choose_exponent(
         log_relative_alphas: ln(mean of the K nearest α / ᾱ) of every feature of each drive, [n]
             each, learned from other folds than the feature's own.
     """
-    # α of every stretch or step of all drives, for each candidate.
+    # α of every stretch or step of all drives, for each candidate: [candidates, n].
     rows = []
     for gamma in EXPONENTS:
         alphas_of_drives = []
         for sampler, log_alpha in zip(samplers, log_relative_alphas, strict=True):
+            # β = (ᾱ_K/ᾱ)^γ, bounded as in the model
             beta = np.exp(np.clip(gamma * log_alpha, -LARGEST_LOG_WEIGHT, LARGEST_LOG_WEIGHT))
             alphas_of_drives.append(_alphas(sampler, beta))
         rows.append(np.concatenate(alphas_of_drives))
@@ -135,7 +136,8 @@ def choose_exponent(
     if is_solved.any():
         alphas = alphas[:, is_solved]
 
-    # The one-standard-error rule.
+    # The one-standard-error rule. Differences from the best γ are taken pair by pair: how hard a
+    # stretch is affects all candidates alike. The first index that passes is the least γ.
     errors = alphas.mean(axis=1)
     excess = alphas - alphas[np.argmin(errors)]
     standard_error = excess.std(axis=1) / np.sqrt(alphas.shape[1])

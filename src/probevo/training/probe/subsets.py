@@ -86,7 +86,8 @@ class SubsetSampler:
                 self.base.predict(np.zeros((self.subset, 0))),
                 guess=drive.T_curr_prev[step],
             )
-            # Converged or not: solves fail most often where the features are worst.
+            # Converged or not: solves fail most often where the features are worst, and without
+            # them these features would seem better than they are.
             if np.isfinite(solution.cov).all():
                 T_curr_prev[step] = solution.T_curr_prev
                 cov[step] = _predicted_cov(solution)
@@ -95,7 +96,8 @@ class SubsetSampler:
         if not steps:
             return np.zeros(0, np.int64), np.zeros(0)
 
-        # The error over a stretch counts for each feature that took part in it.
+        # The error over a stretch counts for each feature that took part in it. α, [U], is spread
+        # to the steps of each stretch, and from there to the features of each subset.
         alphas = self.supervision.errors(T_curr_prev)
         if self.relative:
             alphas = alphas / self.supervision.predicted_errors(T_curr_prev, cov)
@@ -139,6 +141,7 @@ def _predicted_cov(solution: ReprojectionSolution) -> FloatArray:
 
     It depends on the geometry of the features but not on their residuals.
     """
-    # A pseudo-inverse, since the features of a subset need not fix all of ξ to working precision.
+    # Λ = Σ Jᵀ Σ_i⁻¹ J. A pseudo-inverse, since the features of a subset need not fix all of ξ to
+    # working precision.
     information = sum_products(solution.jacobian, solution.information @ solution.jacobian)
     return np.asarray(np.linalg.pinv(information, hermitian=True), dtype=np.float64)
