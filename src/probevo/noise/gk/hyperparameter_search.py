@@ -336,7 +336,7 @@ def is_better(gains: FloatArray, prev_gains: FloatArray) -> bool:
 
     The mean difference must exceed both ``MIN_GAIN`` and its own standard error.
     """
-    # Paired: both models are judged by the same errors, whose own scatter cancels.
+    # Paired: both likelihoods are of the same errors, whose own scatter cancels.
     more = gains - prev_gains
     standard_error = more.std() / np.sqrt(len(more))
     return bool(more.mean() > max(MIN_GAIN, STANDARD_ERRORS * standard_error))
