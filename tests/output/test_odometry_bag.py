@@ -200,45 +200,40 @@ def test_status_mounting_and_camera_are_read_back(
     assert (right.width, right.height) == CAMERA.size_px
 
 
-@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
-def test_evo_reads_the_trajectory(
-    suffix: str, tmp_path: Path, make_run: Callable[..., RunResult]
-) -> None:
+def read_by_evo(path: Path, topic: str) -> FloatArray:
+    """Read the poses of a topic as evo does, [N, 4, 4]."""
     file_interface = pytest.importorskip("evo.tools.file_interface")
     from rosbags.rosbag1 import Reader as Ros1Reader
     from rosbags.rosbag2 import Reader as Ros2Reader
 
+    with Ros1Reader(path) if path.suffix == ".bag" else Ros2Reader(path) as reader:
+        return np.array(file_interface.read_bag_trajectory(reader, topic).poses_se3)
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_evo_reads_the_trajectory(
+    suffix: str, tmp_path: Path, make_run: Callable[..., RunResult]
+) -> None:
     run = make_run(20)
     path = tmp_path / f"odometry{suffix}"
     write_odometry_bag(path, run, ROS)
-    reader = Ros1Reader(path) if suffix == ".bag" else Ros2Reader(path)
-    with reader:
-        trajectory = file_interface.read_bag_trajectory(reader, "/odometry")
     expected = ros_odometry(run, np.reshape(ROS.T_base_cam, (4, 4)))
-    np.testing.assert_allclose(trajectory.poses_se3, expected.T_odom_base, atol=1e-12)
+    np.testing.assert_allclose(read_by_evo(path, "/odometry"), expected.T_odom_base, atol=1e-12)
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
 def test_live_and_smoothed_poses_are_apart(
     suffix: str, tmp_path: Path, make_run: Callable[..., RunResult]
 ) -> None:
-    file_interface = pytest.importorskip("evo.tools.file_interface")
-    from rosbags.rosbag1 import Reader as Ros1Reader
-    from rosbags.rosbag2 import Reader as Ros2Reader
-
     run = make_run(20)
-    T_base_cam = np.reshape(ROS.T_base_cam, (4, 4))
     later = run.T_world_cam.copy()
     later[1:, 0, 3] += 0.01
     path = tmp_path / f"odometry{suffix}"
     write_odometry_bag(path, replace(run, smoothed=later), ROS)
-    reader = Ros1Reader(path) if suffix == ".bag" else Ros2Reader(path)
-    with reader:
-        live = file_interface.read_bag_trajectory(reader, "/odometry")
-        smoothed = file_interface.read_bag_trajectory(reader, "/smoothed/pose")
-    inverse = np.linalg.inv(T_base_cam)
-    np.testing.assert_allclose(live.poses_se3, T_base_cam @ run.T_world_cam @ inverse, atol=1e-12)
-    np.testing.assert_allclose(smoothed.poses_se3, T_base_cam @ later @ inverse, atol=1e-12)
+    T_base_cam = np.reshape(ROS.T_base_cam, (4, 4))
+    for topic, T_world_cam in (("/odometry", run.T_world_cam), ("/smoothed/pose", later)):
+        expected = T_base_cam @ T_world_cam @ np.linalg.inv(T_base_cam)
+        np.testing.assert_allclose(read_by_evo(path, topic), expected, atol=1e-12)
 
 
 def test_a_stamp_before_1970_is_refused(tmp_path: Path, make_run: Callable[..., RunResult]) -> None:
