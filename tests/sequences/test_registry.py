@@ -20,7 +20,7 @@ from probevo.sequences import (
     registry,
     sequence_formats,
 )
-from probevo.sequences.recordings_below import MOST_LOOKED_AT
+from probevo.sequences.recordings_nearby import MOST_LOOKED_AT
 from probevo.settings import Settings
 from sequences.damage import assert_refused
 from sequences.recordings import write_folder_sequence, write_kitti_odometry, write_tracks

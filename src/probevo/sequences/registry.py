@@ -28,7 +28,7 @@ from probevo.sequences.format_options import (
     RosbagOptions,
     VideoOptions,
 )
-from probevo.sequences.recordings_below import recordings_above, recordings_below, suggestion
+from probevo.sequences.recordings_nearby import recordings_above, recordings_below, suggestion
 from probevo.settings import Settings
 
 if TYPE_CHECKING:
