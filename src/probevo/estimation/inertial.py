@@ -99,9 +99,12 @@ class Inertial:
 
     @property
     def excess(self) -> float:
-        """By how much the variances of the last factors were too small; 1 if they were right.
+        """By how much the variances of the last factors, multiplied by ``noise_factor`` at their
+        time, were still too small; 1 if they were right.
 
-        Data sheets give the noise of a sensor at rest. The median leaves out what is gated.
+        Data sheets give the noise of a sensor at rest. The median leaves out what is gated. Since
+        each factor was already enlarged, this settles at about the root of the excess over the data
+        sheet, where the noise of the factors dominates that of the images.
         """
         if len(self.squared) < FEWEST_TESTED:
             return self.excess_at_start
