@@ -12,6 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.estimation.inertial_noise import (
+    Innovation,
+    estimated_noise_factor,
+    innovation_of,
+    median_excess,
+)
 from probevo.estimation.inertial_start import (
     fit_inertial_states,
     with_gravity_of_known_length,
@@ -45,8 +51,10 @@ from probevo.sequences.imu_calibration import ImuCalibration
 FRAMES_AT_START = 6
 """Least number of frames of which the states are estimated at first."""
 LARGEST_EXCESS = 4.0
-"""Largest χ² over its degrees of freedom at the start: what factors and images together may be
-noisier than they say."""
+"""Largest χ² over its degrees of freedom, at the start and later: what factors and images together
+may be noisier than they say."""
+LARGEST_NOISE_FACTOR = 16.0
+"""Largest factor of the samples' variances: four times the standard deviation of the data sheet."""
 GATE = 22.5
 """Squared Mahalanobis distance, of six dimensions, beyond which a factor counts for little:
 99.9 %."""
@@ -54,8 +62,6 @@ NUM_TESTED = 20
 """Last factors over which the noise is estimated, and those beyond the gate are counted."""
 FEWEST_TESTED = 8
 """Least number of them that says how large the noise is."""
-MEDIAN_SQUARED = 5.348
-"""Median of χ² of six degrees of freedom."""
 MOST_GATED = 6
 """So many of them beyond the gate, and the IMU is left out."""
 MOST_ATTEMPTS = 30
@@ -79,10 +85,10 @@ class Inertial:
     """The motion to the frame that comes; None before the states are known, or without samples."""
     states: InertialStates | None = None
     """None before the IMU has passed its test."""
-    squared: tuple[float, ...] = ()
-    """Squared Mahalanobis distances of the last factors that were tested."""
+    innovations: tuple[Innovation, ...] = ()
+    """How far the last predictions that were tested were off."""
     was_gated: tuple[bool, ...] = ()
-    """Which of these were left out."""
+    """Which of these were beyond the gate."""
     excess_at_start: float = 1.0
     """χ² of the test at the start over its degrees of freedom."""
     attempts: int = 0
@@ -98,33 +104,33 @@ class Inertial:
         return self.states is not None
 
     @property
-    def excess(self) -> float:
-        """By how much the variances of the last factors, multiplied by ``noise_factor`` at their
-        time, were still too small; 1 if they were right.
+    def noise_factor(self) -> float:
+        """What the variances of the samples by the data sheet are multiplied by."""
+        if len(self.innovations) < FEWEST_TESTED:
+            return max(1.0, self.excess_at_start)
+        return estimated_noise_factor(self.innovations, largest=LARGEST_NOISE_FACTOR)
 
-        Data sheets give the noise of a sensor at rest. The median leaves out what is gated. Since
-        each factor was already enlarged, this settles at about the root of the excess over the data
-        sheet, where the noise of the factors dominates that of the images.
-        """
-        if len(self.squared) < FEWEST_TESTED:
-            return self.excess_at_start
-        return float(np.median(self.squared)) / MEDIAN_SQUARED
+    @property
+    def excess(self) -> float:
+        """By how much the covariances of the last innovations, with ``noise_factor``, are still too
+        small in the median; 1 if they are right."""
+        if len(self.innovations) < FEWEST_TESTED:
+            return 1.0
+        return median_excess(self.innovations, self.noise_factor)
 
     @property
     def mean_excess(self) -> float:
-        """By how much the variances of the last factors were too small, those left out included.
+        """By how much they are too small in the mean by the data sheet, those beyond the gate
+        included.
 
         A step that no image has tested may be as wrong as any of these.
         """
-        # The mean of χ² of six degrees of freedom is six.
-        if not self.squared:
+        distances = [innovation.squared_distance(1.0) for innovation in self.innovations]
+        known = [squared for squared in distances if np.isfinite(squared)]
+        if not known:
             return self.excess_at_start
-        return max(1.0, float(np.mean(self.squared)) / POSE)
-
-    @property
-    def noise_factor(self) -> float:
-        """What the variances of the next factor are multiplied by."""
-        return max(1.0, min(self.excess, LARGEST_EXCESS))
+        # The mean of χ² of six degrees of freedom is six.
+        return max(1.0, float(np.mean(known)) / POSE)
 
     def without_states(self, note: str, *, refused: bool) -> Inertial:
         """Return the IMU as before its start, for a reason."""
@@ -135,7 +141,7 @@ class Inertial:
             pending=None,
             note=note,
             refused=refused,
-            squared=(),
+            innovations=(),
             was_gated=(),
             factors=(None,) * len(self.factors) if refused else self.factors,
         )
@@ -220,29 +226,36 @@ def gated(window: Window, seen: RelativePose) -> Window:
     inertial = window.inertial
     if inertial is None or inertial.prediction is None:
         return window
-    # ν = Log(T_seen T_predicted⁻¹), along the axes of the frame that comes, and νᵀ (Σ_seen +
-    # Σ_predicted)⁻¹ ν. The memory keeps the last ``NUM_TESTED``, this one included.
+    # ν = Log(T_seen T_predicted⁻¹), along the axes of the frame that comes. The memory keeps the
+    # last ``NUM_TESTED``, this one included, by the data sheet.
     prediction = inertial.prediction
-    innovation = se3.log(seen.T_curr_prev @ se3.inverse(prediction.T_curr_prev))
-    squared = float(innovation @ np.linalg.solve(seen.covariance + prediction.cov, innovation))
-    is_gated = not squared <= GATE * inertial.noise_factor  # NaN is gated, too
-    was_gated = (*inertial.was_gated[1 - NUM_TESTED :], is_gated)
+    noise_factor = inertial.noise_factor
+    difference = se3.log(seen.T_curr_prev @ se3.inverse(prediction.T_curr_prev))
+    innovation = innovation_of(
+        difference,
+        seen.covariance + prediction.cov_of_states,
+        prediction.cov_of_samples / noise_factor,
+    )
+    squared = innovation.squared_distance(noise_factor)
+    is_gated = squared > GATE
     inertial = replace(
         inertial,
-        squared=(*inertial.squared[1 - NUM_TESTED :], squared),
-        was_gated=was_gated,
+        innovations=(*inertial.innovations[1 - NUM_TESTED :], innovation),
+        was_gated=(*inertial.was_gated[1 - NUM_TESTED :], is_gated),
     )
     # Gated once: the factor counts for little. Too often, or too noisy in the median: for good.
     if is_gated:
         note = f"contradicts the images in this step (χ² {squared:.0f} of 6 degrees of freedom)"
         pending = None
         if inertial.pending is not None and np.isfinite(squared):
-            pending = _as_noisy_as(inertial.pending, innovation)
+            pending = _as_noisy_as(inertial.pending, difference)
         inertial = replace(inertial, pending=pending, prediction=None, note=note)
-    if sum(was_gated) >= MOST_GATED or inertial.excess > LARGEST_EXCESS:
+    num_gated = sum(inertial.was_gated)
+    if num_gated >= MOST_GATED or inertial.excess > LARGEST_EXCESS:
         note = (
-            f"is left out from here on: it contradicted the images in {sum(was_gated)} of the last"
-            f" {len(was_gated)} steps, by {inertial.excess:.1f} times their variances in the median"
+            f"is left out from here on: it contradicted the images in {num_gated} of the last"
+            f" {len(inertial.innovations)} steps, by {inertial.excess:.1f} times their variances in"
+            " the median"
         )
         return without_inertial(replace(window, inertial=inertial), note)
     return replace(window, inertial=inertial)

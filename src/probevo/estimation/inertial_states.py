@@ -505,10 +505,17 @@ class InertialPrediction(NamedTuple):
 
     T_curr_prev: FloatArray
     """[4, 4], m."""
-    cov: FloatArray
-    """Covariance of its left perturbation, [6, 6]."""
+    cov_of_states: FloatArray
+    """Covariance of its left perturbation from pose, velocity, biases and gravity, [6, 6]."""
+    cov_of_samples: FloatArray
+    """The same from the noise of the samples, [6, 6]."""
     velocity: FloatArray
     """Of the IMU at its end, in the world, [3], m/s."""
+
+    @property
+    def cov(self) -> FloatArray:
+        """Covariance of its left perturbation, [6, 6]."""
+        return self.cov_of_states + self.cov_of_samples
 
 
 def predicted(window: Window, states: InertialStates, factor: Preintegration) -> InertialPrediction:
@@ -534,19 +541,21 @@ def predicted(window: Window, states: InertialStates, factor: Preintegration) ->
     lever = factor.lever_m
     T_prev_curr = se3.from_parts(rotation, lever + way - rotation @ lever)
     T_curr_prev = se3.inverse(T_prev_curr)
-    cov = _predicted_covariance(window, states, factor, T_curr_prev=T_curr_prev, velocity=velocity)
-    return InertialPrediction(T_curr_prev, cov, velocity)
+    cov_of_states, cov_of_samples = _predicted_covariances(
+        window, states, factor, T_curr_prev=T_curr_prev, velocity=velocity
+    )
+    return InertialPrediction(T_curr_prev, cov_of_states, cov_of_samples, velocity)
 
 
-def _predicted_covariance(
+def _predicted_covariances(
     window: Window,
     states: InertialStates,
     factor: Preintegration,
     *,
     T_curr_prev: FloatArray,
     velocity: FloatArray,
-) -> FloatArray:
-    """Return the covariance of a predicted motion, [6, 6].
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance of a predicted motion from the states and from the samples, [6, 6].
 
     Args:
         window: K poses with their covariance.
@@ -591,6 +600,10 @@ def _predicted_covariance(
     # The motion is the new pose less the last one: ξ = ξ_new − Ad(T) ξ_last.
     relative = sensitivity[:POSE]
     relative[:, :POSE] -= se3.adjoint(T_curr_prev)
-    noise = (inverse @ factor.cov @ inverse.T)[:POSE, :POSE]
-    motion_cov = relative @ cov @ relative.T + noise
-    return np.asarray(0.5 * (motion_cov + motion_cov.T), np.float64)
+    by_noise = inverse[:POSE]
+    return _symmetric(relative @ cov @ relative.T), _symmetric(by_noise @ factor.cov @ by_noise.T)
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    """Return a covariance without what rounding left of asymmetry."""
+    return np.asarray(0.5 * (matrix + matrix.T), np.float64)
