@@ -18,6 +18,7 @@ from probevo.estimation.inertial import (
     uses_imu,
     with_samples,
 )
+from probevo.estimation.inertial_start import InertialFit
 from probevo.estimation.inertial_states import (
     GRAVITY as GRAVITY_DIMENSIONS,
 )
@@ -393,6 +394,17 @@ def test_an_imu_that_contradicts_the_images_is_not_used(change: Change) -> None:
     assert by.window.inertial is not None
     assert not by.window.inertial.is_used
     assert "check the" in estimates[-1].imu_left_out
+
+
+def test_noise_that_would_explain_the_contradiction_is_named(run: Run) -> None:
+    """χ² of 6.25 per degree of freedom is that of 2.5 times the standard deviation."""
+    fit = InertialFit(
+        states_of(run[2]), squared=625.0, dof=100, gravity_m_s2=9.81, gravity_sigma_m_s2=0.1
+    )
+    assert "noise densities at least 2.5 times as large" in fit.reason_against(4.0)
+    assert not fit.reason_against(7.0)
+    wrong = replace(fit, squared=1e6)
+    assert "noise densities" not in wrong.reason_against(4.0)
 
 
 def test_behind_an_imu_that_is_left_out_landmarks_are_found_again() -> None:

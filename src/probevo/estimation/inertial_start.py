@@ -29,6 +29,8 @@ from probevo.sequences.imu_calibration import ImuCalibration
 
 GRAVITY_TOLERANCE_M_S2 = 0.3
 """By how much gravity may differ from its length beyond 3σ: scale errors of 2 %, and a little."""
+USUAL_FACTOR = 10.0
+"""By how much the noise densities of a sensor on a vehicle may exceed those of its data sheet."""
 _PASSES = 3
 """Weights and the gyro's rotation depend on what is estimated, but little."""
 
@@ -57,10 +59,17 @@ class InertialFit:
         if not np.isfinite(self.squared):
             return "fits the images with no finite residual"
         if self.excess > largest_excess:
-            return (
+            reason = (
                 f"contradicts the images: χ² is {self.squared:.0f} for {self.dof} degrees of"
                 " freedom; check the mounting, the clock, the units and the noise of the IMU"
             )
+            # At least, since the poses have a share in the covariance of the residuals, too.
+            factor = np.sqrt(self.excess)
+            if factor < USUAL_FACTOR:
+                reason += (
+                    f" (noise densities at least {factor:.1f} times as large would explain it)"
+                )
+            return reason
         off_m_s2 = abs(self.gravity_m_s2 - GRAVITY_M_S2)
         if off_m_s2 > 3.0 * self.gravity_sigma_m_s2 + GRAVITY_TOLERANCE_M_S2:
             return (
