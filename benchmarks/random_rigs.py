@@ -3,17 +3,19 @@
     python benchmarks/random_rigs.py [--count 20] [--seed 7000] [--out DIR]
 
 Each recording is a rendered drive of 15 to 80 m. Its image size, field of view, baseline (6 to
-80 cm), frame rate (4 to 30 Hz), sun and effects are drawn independently of each other. There is no
-IMU. Prints for two frames and for the window: steps that were refused, drift and rotation over
-segments of 10 to 50 m, end error, and the mean NEES of a step, divided by its 6 dimensions. With
-``--out``, the rendered drives are kept there, and those that exist are not rendered again. Whoever
-changes the odometry because of what a seed shows takes another seed for the table of the docs.
+80 cm), frame rate (4 to 30 Hz), sun and effects are drawn independently of each other. Prints for
+two frames and for the window, both without IMU, and for the window with it: steps that were
+refused, drift and rotation over segments of 10 to 50 m, end error, and the mean NEES of a step,
+divided by its 6 dimensions. With ``--out``, the rendered drives are kept there, and those that
+exist are not rendered again. Whoever changes the odometry because of what a seed shows takes
+another seed for the table of the docs.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -42,6 +44,8 @@ SIZES_PX = (
 )
 RATES_HZ = (4, 5, 8, 10, 15, 20, 30)
 ROVER_RATES_HZ = (5, 10, 20)
+RUNS = {"two-frame": "two-frame", "window": "window", "window, IMU": "window"}
+"""Estimator of each line."""
 MOST_FAST_FRAMES = 80.0
 """Frames at more than 20 Hz are so many that the drive is shortened."""
 
@@ -93,15 +97,16 @@ def drawn(rng: np.random.Generator, number: int, scene_seed: int) -> SceneConfig
     )
 
 
-def result(sequence: pv.sequences.Sequence, estimator: str) -> str:
+def result(sequence: pv.sequences.Sequence, estimator: str, *, with_imu: bool) -> str:
     """Run an estimator over a recording, and return its figures as cells."""
     truth = sequence.truth.T_world_cam
-    odometry = pv.StereoOdometry(sequence.camera, config={"estimator": estimator})
+    imu = sequence.imu if with_imu else None
+    odometry = pv.StereoOdometry(sequence.camera, imu=imu, config={"estimator": estimator})
     path: list[FloatArray] = []
     squared = []
     refused = 0
     for k, frame in enumerate(sequence):
-        estimate = odometry.step(frame)
+        estimate = odometry.step(frame if with_imu else replace(frame, imu=None))
         path.append(estimate.T_world_cam)
         if k == 0:
             continue
@@ -144,15 +149,16 @@ def main() -> None:
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     rng = np.random.default_rng(arguments.seed)
-    print(f"{'':10}   refused     t, %   r, °/m   end, m   NEES 1")
+    print(f"{'':12}   refused     t, %   r, °/m   end, m   NEES 1")
     with tempfile.TemporaryDirectory() as temporary:
         out = arguments.out or Path(temporary)
         for number in range(arguments.count):
             config = drawn(rng, number, scene_seed=arguments.seed + number)
             folder = write_scene(config, out / f"{number:02}_{config.preset}")
             print(f"{number:02} {described(config)}")
-            for estimator in ("two-frame", "window"):
-                print(f"{estimator:10} {result(pv.open_sequence(folder), estimator)}", flush=True)
+            for label, estimator in RUNS.items():
+                cells = result(pv.open_sequence(folder), estimator, with_imu=label.endswith("IMU"))
+                print(f"{label:12} {cells}", flush=True)
 
 
 if __name__ == "__main__":
