@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ eqx = pytest.importorskip("equinox")
 
 from nets.small_networks import INPUTS, METHODS, build  # noqa: E402
 from probevo.nets import methods  # noqa: E402
+from probevo.nets.covariance_scale import negative_log_likelihoods  # noqa: E402
 from probevo.nets.methods import Method, Prediction  # noqa: E402
 from probevo.nets.networks import SELU_NEGATIVE, alpha_dropout, plain_dropout  # noqa: E402
 from probevo.nets.target_space import LEAST_SIGMA_RAD, NumberTargets, RotationTargets  # noqa: E402
@@ -63,6 +65,29 @@ def test_the_prediction_does_not_depend_on_the_signs_of_the_heads() -> None:
     other = methods.prediction(space, jax.numpy.asarray(signs * found), raw)
     assert other.mean == pytest.approx(one.mean, abs=1e-5)
     assert other.covariance == pytest.approx(one.covariance, abs=1e-5)
+
+
+@each_method
+def test_the_calibrated_loss_is_the_least_of_all_factors(method: Method) -> None:
+    """Of one head, against the covariances as they are predicted, times a factor of a grid; where
+    no covariance is learned, it is the loss."""
+    space = RotationTargets()
+    network = build(replace(method, heads=1), jax.random.key(3))
+    rng = np.random.default_rng(3)
+    inputs = jax.numpy.asarray(rng.normal(size=(40, INPUTS)), "float32")
+    true = space.estimate(jax.numpy.asarray(rng.normal(size=(40, 1, 4)), "float32"))
+    found = methods.calibrated_loss(space, network, inputs, true, None)
+    if not method.learns_covariance:
+        assert found == methods.loss(space, network, inputs, true, None)
+        return
+    outputs, raw = jax.vmap(network, in_axes=(0, None))(inputs, None)
+    errors = np.asarray(space.difference(space.estimate(outputs), true), np.float64)[:, 0]
+    covariances = space.covariance(np.asarray(raw))
+    losses = [
+        np.mean(negative_log_likelihoods(errors, factor * covariances))
+        for factor in np.geomspace(1e-3, 1e6, 2000)
+    ]
+    assert float(found) == pytest.approx(min(losses), abs=1e-4)
 
 
 @each_method

@@ -48,6 +48,9 @@ class LearningPlan:
     patience: int | None = None
     """Epochs without a smaller loss on the data left out after which the training stops; then, and
     at the end, the best networks so far count. None: all epochs, and the last networks count."""
+    calibrated_after: bool = False
+    """Whether the covariances are calibrated after the training: the loss on the data left out is
+    then that with calibrated ones."""
     keep_every: int = 10
     """Epochs between two writings of the file."""
     seed: int = 0
@@ -272,7 +275,8 @@ def _compiled_epoch(
         if plan.patience is None:
             return following
         held_out_key = jax.random.fold_in(key, _HELD_OUT)
-        held_out_loss = _held_out_loss(space, networks, data, key=held_out_key)
+        loss = methods.calibrated_loss if plan.calibrated_after else methods.loss
+        held_out_loss = _held_out_loss(space, networks, data, loss=loss, key=held_out_key)
         # A loss of NaN is never better. The best networks are those of ``num_worse`` epochs ago.
         is_better = held_out_loss < state.best_loss
         best = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), networks, state.best)
@@ -286,14 +290,19 @@ def _compiled_epoch(
 
 
 def _held_out_loss(
-    space: TargetSpace, networks: Network, data: TrainingData, *, key: jax.Array
+    space: TargetSpace,
+    networks: Network,
+    data: TrainingData,
+    *,
+    loss: Callable[..., jax.Array],
+    key: jax.Array,
 ) -> jax.Array:
     """Return the mean loss of all networks on the data left out, whose targets have no noise."""
 
     def one(network: Network, inputs: jax.Array, targets: jax.Array) -> jax.Array:
         """Return the loss of one network."""
         # All heads have the same target, [N', 1, o].
-        return methods.loss(space, network, inputs, targets[:, None, :], key=key)
+        return loss(space, network, inputs, targets[:, None, :], key=key)
 
     over_networks = jax.vmap(one, in_axes=(0, None, None))
     over_experiments = jax.vmap(over_networks)

@@ -96,17 +96,58 @@ def loss(
         targets: of each head, [B, H, o].
         key: of the dropout, which differs from input to input; None for none.
     """
+    errors, raw = _errors(space, network, inputs, targets, key=key)
+    if raw is None:
+        return jnp.mean(space.squared(errors))
+    whitened, half_log_det = space.whiten(raw, errors)
+    return jnp.mean(0.5 * jnp.sum(whitened**2, axis=-1) + half_log_det)
+
+
+def calibrated_loss(
+    space: TargetSpace,
+    network: Network,
+    inputs: jax.Array,
+    targets: jax.Array,
+    key: jax.Array | None,
+) -> jax.Array:
+    """Return the mean loss of one network over data left out, once its covariances are calibrated.
+
+    Calibration multiplies all of them by one factor s, which is the likeliest at
+    s = 1/(N d) Σ φᵀ Σ⁻¹ φ (``covariance_scale``). The loss is then ½ d (1 + ln s) + ½ log|Σ|. By
+    the loss without it a training would stop as soon as the errors that it learns from are smaller
+    than those of data left out, while the estimate is still getting better.
+
+    Args:
+        space: what is regressed.
+        network: the network.
+        inputs: [N, i].
+        targets: true values, [N, 1, o].
+        key: of the dropout; None for none.
+    """
+    errors, raw = _errors(space, network, inputs, targets, key=key)
+    if raw is None:
+        return jnp.mean(space.squared(errors))
+    whitened, half_log_det = space.whiten(raw, errors)
+    scale = jnp.mean(whitened**2)
+    return 0.5 * space.dof * (1.0 + jnp.log(scale)) + jnp.mean(half_log_det)
+
+
+def _errors(
+    space: TargetSpace,
+    network: Network,
+    inputs: jax.Array,
+    targets: jax.Array,
+    *,
+    key: jax.Array | None,
+) -> tuple[jax.Array, jax.Array | None]:
+    """Return the errors of each head in the tangent space, [B, H, d], and the outputs of the
+    covariance head, which all heads have in common, [B, 1, c], or None."""
     if key is None:
         outputs, raw = jax.vmap(network, in_axes=(0, None))(inputs, None)
     else:
         outputs, raw = jax.vmap(network)(inputs, jax.random.split(key, len(inputs)))
-    # Errors in the tangent space, [B, H, d]
     errors = space.difference(space.estimate(outputs), targets)
-    if raw is None:
-        return jnp.mean(space.squared(errors))
-    # One covariance for all heads: raw is [B, c], errors are [B, H, d].
-    whitened, half_log_det = space.whiten(raw[:, None, :], errors)
-    return jnp.mean(0.5 * jnp.sum(whitened**2, axis=-1) + half_log_det)
+    return errors, None if raw is None else raw[:, None, :]
 
 
 def head_targets(

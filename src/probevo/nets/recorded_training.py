@@ -103,6 +103,7 @@ class TrainingRun:
                 batch=settings.batch,
                 learning_rate=settings.learning_rate,
                 patience=settings.patience,
+                calibrated_after=True,
                 keep_every=1,
                 seed=settings.seed,
             ),
