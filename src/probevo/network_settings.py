@@ -11,11 +11,11 @@ from probevo.settings import Settings
 
 MethodName = Literal["hydra-sigma", "dropout", "ensemble"]
 OF_METHODS: Mapping[MethodName, tuple[str, ...]] = {
-    "hydra-sigma": ("heads",),
+    "hydra-sigma": ("heads", "networks"),
     "dropout": ("dropout", "passes"),
     "ensemble": ("networks",),
 }
-"""Settings that only one method takes."""
+"""Settings that not every method takes."""
 
 
 class NetworkSettings(Settings):
@@ -25,7 +25,8 @@ class NetworkSettings(Settings):
         "hydra-sigma",
         description=(
             "Of sun: where the covariance comes from. hydra-sigma learns one, and adds the spread"
-            " of its heads; dropout and ensemble are baselines, which have the spread alone."
+            " of its networks and their heads; dropout and ensemble are baselines, which have the"
+            " spread alone."
         ),
     )
     heads: int = Field(
@@ -48,11 +49,11 @@ class NetworkSettings(Settings):
     )
     networks: int = Field(
         5,
-        ge=2,
+        ge=1,
         le=100,
         description=(
-            "Of the method ensemble: networks trained apart, each on a bootstrap sample, whose"
-            " estimates are averaged."
+            "Of sun, methods hydra-sigma and ensemble: networks trained apart, whose estimates are"
+            " averaged; those of ensemble each on a bootstrap sample."
         ),
     )
     epochs: int = Field(40, ge=1, le=100_000, description="Largest number of passes over the data.")

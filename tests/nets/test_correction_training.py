@@ -258,6 +258,8 @@ def test_settings_of_other_kinds_are_refused(
         ("rotation", ["--nets.method", "dropout"]),
         ("sun", ["--nets.passes", "3"]),
         ("sun", ["--nets.method", "dropout", "--nets.heads", "3"]),
+        ("sun", ["--nets.networks", "1", "--nets.method", "ensemble"]),
+        ("correction", ["--nets.networks", "2"]),
     ):
         assert main(["train", *map(str, walls), "--kind", kind, *flag, "--out", out]) == 2
         assert flag[0].split(".")[0] in capsys.readouterr().err

@@ -15,7 +15,7 @@ eqx = pytest.importorskip("equinox")
 
 from probevo.errors import InputError  # noqa: E402
 from probevo.nets import methods  # noqa: E402
-from probevo.nets.domain import Domain  # noqa: E402
+from probevo.nets.domain import FARTHEST, Domain  # noqa: E402
 from probevo.nets.field_network import linear_fit  # noqa: E402
 from probevo.nets.flow_field import CELLS  # noqa: E402
 from probevo.nets.learning import LearningPlan, TrainingData, learn  # noqa: E402
@@ -30,7 +30,7 @@ from probevo.nets.sun_network import (  # noqa: E402
     method_text,
 )
 from probevo.nets.sun_space import LEAST_SIGMA_RAD  # noqa: E402
-from probevo.nets.sun_views import CHANNELS, SunViews  # noqa: E402
+from probevo.nets.sun_views import CHANNELS, SunViews, image_statistics  # noqa: E402
 from probevo.nets.trained_network import first_facts, saliency, trunk_features  # noqa: E402
 from probevo.network_settings import MethodName, NetworkSettings  # noqa: E402
 
@@ -58,7 +58,7 @@ def untrained(name: str) -> SunNetwork:
     method = method_of(FEWEST[name])
     views = small_views()
     networks = initial_networks(method, views)
-    features = trunk_features(networks, views.fields)
+    features = image_statistics(views.fields)
     facts = {**first_facts("sun", method), "scale": SCALE, "correlation": 1.0}
     return SunNetwork(networks, Domain.of(features, features), facts)
 
@@ -94,6 +94,16 @@ def test_the_covariance_of_two_estimates_is_positive_definite(name: str) -> None
     assert (np.linalg.eigvalsh(found.covariance)[:, 0] > 0.999 * least).all()
     assert (np.linalg.eigvalsh(found.covariance)[:, 1] > 1.01 * least).any()
     np.testing.assert_allclose(np.linalg.norm(found.directions, axis=1), 1.0, atol=1e-6)
+
+
+def test_an_image_of_nothing_or_of_less_contrast_is_out_of_the_domain() -> None:
+    """Others than those that the domain was made of are in it."""
+    learned = image_statistics(small_views(400, seed=1).fields)
+    domain = Domain.of(learned, image_statistics(small_views(400, seed=2).fields))
+    usual = small_views(100, seed=3).fields
+    assert np.mean(domain.widening(image_statistics(usual)) > 1.0) < 0.1
+    for factor in (0.0, 0.1, 3.0):
+        assert (domain.widening(image_statistics(factor * usual)) > FARTHEST).all()
 
 
 @each_method
@@ -239,7 +249,7 @@ def test_a_file_that_asks_for_too_much_is_refused(tmp_path: Path, change: dict[s
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("hydra-sigma", "hydra-sigma, 10 heads"),
+        ("hydra-sigma", "hydra-sigma, 5 networks, 10 heads"),
         ("dropout", "dropout of 50 %, 25 passes"),
         ("ensemble", "ensemble, 5 networks"),
     ],

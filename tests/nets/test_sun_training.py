@@ -26,8 +26,8 @@ from probevo.network_settings import NetworkSettings  # noqa: E402
 from probevo.sequences import open_sequence  # noqa: E402
 
 FRAMES = 13
-SETTINGS = NetworkSettings(epochs=2, batch=8, heads=3)
-FLAGS = ["--nets.epochs", "2", "--nets.batch", "8", "--nets.heads", "3"]
+SETTINGS = NetworkSettings(epochs=2, batch=8, networks=2, heads=3)
+FLAGS = ["--nets.epochs", "2", "--nets.batch", "8", "--nets.networks", "2", "--nets.heads", "3"]
 SUN = np.array([0.6, -0.64, 0.48])
 
 

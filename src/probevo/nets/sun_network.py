@@ -10,12 +10,12 @@ import jax
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.nets.field_network import FEATURES, LinearFit, field_network
+from probevo.nets.field_network import LinearFit, field_network
 from probevo.nets.flow_field import CELLS
 from probevo.nets.methods import Method
 from probevo.nets.networks import Network
 from probevo.nets.sun_space import SunTargets
-from probevo.nets.sun_views import CHANNELS
+from probevo.nets.sun_views import CHANNELS, NUM_STATISTICS, image_statistics
 from probevo.nets.trained_network import (
     TrainedNetwork,
     empty_networks,
@@ -55,6 +55,14 @@ class SunNetwork(TrainedNetwork):
         factor = float(self.facts["scale"]) * widening
         return SunEstimates(predicted.mean, factor[:, None, None] * predicted.covariance, widening)
 
+    def domain_features(self, inputs: FloatArray, of_trunk: FloatArray) -> FloatArray:
+        """Return statistics of the images, [N, 7].
+
+        The trunk is made to see nothing but the sun: to it, night, fog and an even grey may look
+        like any other image.
+        """
+        return image_statistics(inputs)
+
     @staticmethod
     def load(path: Path) -> SunNetwork:
         """Read one. A file holds data only; nothing in it is ever executed.
@@ -64,7 +72,7 @@ class SunNetwork(TrainedNetwork):
         """
         facts = facts_of_kind(path, KIND)
         method = Method(**facts["method"])
-        networks, domain = read_arrays(path, _empty(method), SPACE.num_outputs + FEATURES)
+        networks, domain = read_arrays(path, _empty(method), NUM_STATISTICS)
         return SunNetwork(networks, domain, facts)
 
 
@@ -74,16 +82,21 @@ def method_of(settings: NetworkSettings) -> Method:
         return Method("dropout", passes=settings.passes, dropout=settings.dropout)
     if settings.method == "ensemble":
         return Method("ensemble", networks=settings.networks, bootstrap=True)
-    return Method("hydra-sigma", heads=settings.heads, learns_covariance=True)
+    return Method(
+        "hydra-sigma", networks=settings.networks, heads=settings.heads, learns_covariance=True
+    )
 
 
 def method_text(method: Method) -> str:
     """Return the method and the number of estimates of one image, in words."""
     if method.passes > 1:
         return f"{method.name} of {100.0 * method.dropout:g} %, {method.passes} passes"
+    parts = [method.name]
     if method.networks > 1:
-        return f"{method.name}, {method.networks} networks"
-    return f"{method.name}, {method.heads} heads"
+        parts.append(f"{method.networks} networks")
+    if method.heads > 1:
+        parts.append(f"{method.heads} heads")
+    return ", ".join(parts)
 
 
 def build(method: Method, fields: FloatArray, linear: LinearFit, key: jax.Array) -> Network:

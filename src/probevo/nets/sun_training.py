@@ -20,13 +20,17 @@ from probevo.nets.methods import Method
 from probevo.nets.networks import Network
 from probevo.nets.recorded_training import OnProgress, Task, TrainingRun, train_task
 from probevo.nets.sun_network import KIND, SPACE, SunNetwork, build, method_of, method_text
-from probevo.nets.sun_views import SunViews, check_sun_recording, read_views
+from probevo.nets.sun_views import (
+    SunViews,
+    check_sun_recording,
+    image_statistics,
+    read_views,
+)
 from probevo.nets.trained_network import (
     first_facts,
     kept_lines,
     kept_text,
     saliency,
-    trunk_features,
 )
 from probevo.network_settings import NetworkSettings
 from probevo.sensor_kinds import SensorErrors
@@ -101,9 +105,7 @@ def _train(views: list[SunViews], run: TrainingRun) -> SunNetwork:
     )
     # Domain, facts, and calibration on what was left out.
     networks = trained.networks
-    domain = Domain.of(
-        trunk_features(networks, learned.fields), trunk_features(networks, joined.fields)
-    )
+    domain = Domain.of(image_statistics(learned.fields), image_statistics(joined.fields))
     first = {
         **first_facts(KIND, method),
         "scale": 1.0,

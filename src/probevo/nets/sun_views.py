@@ -32,6 +32,10 @@ CHANNELS = 4
 FEWEST_CELLS = 2
 MOST_CELLS = 8
 """Range of the sideways shift of augmented copies, in cells: rotations of 2.5 to 10°."""
+NUM_STATISTICS = 2 * CHANNELS - 1
+"""Numbers that ``image_statistics`` gives."""
+LEAST_SPREAD = 1e-3
+"""Standard deviation of a channel over the cells that counts as none."""
 BLUR_PX = 1.5
 """Blur of the image before its gradients are taken."""
 
@@ -118,6 +122,21 @@ def sun_field(image: Image, camera: StereoCamera) -> FloatArray:
         CELL_PX * cell_means(along_y),
     ]
     return np.stack(field).astype(np.float32)
+
+
+def image_statistics(fields: FloatArray) -> FloatArray:
+    """Return what tells an image of the day from one at night, in fog or of nothing, [N, 7].
+
+    These are the means of contrast and gradients over the cells, and the logarithms of the standard
+    deviations of all four channels. The mean of the level is zero in every image.
+
+    Args:
+        fields: as ``sun_field`` gives them, [N, 4, rows, columns].
+    """
+    fields = fields.astype(np.float64)
+    means = fields[:, 1:].mean(axis=(2, 3))
+    spreads = fields.std(axis=(2, 3))
+    return np.concatenate([means, np.log(spreads + LEAST_SPREAD)], axis=1)
 
 
 def read_views(

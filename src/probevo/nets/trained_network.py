@@ -58,8 +58,19 @@ class TrainedNetwork:
         found, raw, features = _call(
             self.method, space, self.networks, jnp.asarray(inputs, jnp.float32)
         )
-        widening = self.domain.widening(np.asarray(features, np.float64))
+        widening = self.domain.widening(
+            self.domain_features(inputs, np.asarray(features, np.float64))
+        )
         return Evaluation(methods.prediction(space, found, raw), widening)
+
+    def domain_features(self, inputs: FloatArray, of_trunk: FloatArray) -> FloatArray:
+        """Return the features by which the domain tells whether N inputs are like those learned.
+
+        Args:
+            inputs: [N, ...].
+            of_trunk: what the trunk makes of them, which is what is returned; [N, f].
+        """
+        return of_trunk
 
     def save(self, path: Path) -> None:
         """Write it; the same network gives the same bytes.

@@ -12,6 +12,8 @@ from probevo.training.trainer import trainer_of
 
 OF_SENSORS = ("kind", "nets", "max_frames")
 """Fields of ``TrainSettings`` that the training of a sensor uses."""
+FEWEST_IN_ENSEMBLE = 2
+"""Networks whose estimates have a spread."""
 
 
 def check_settings(settings: TrainSettings) -> None:
@@ -79,11 +81,14 @@ def check_sensor_settings(settings: TrainSettings) -> None:
         if name not in kind.nets and getattr(settings.nets, name) != getattr(default.nets, name):
             flag = "--nets." + name.replace("_", "-")
             raise InputError(flag, f"--kind {kind.name} does not take it.", "Leave it out.")
-    for method, names in OF_METHODS.items():
+    method = settings.nets.method
+    if method == "ensemble" and settings.nets.networks < FEWEST_IN_ENSEMBLE:
+        what = "one network has no spread."
+        raise InputError("--nets.networks", what, f"Give {FEWEST_IN_ENSEMBLE} or more.")
+    for other, names in OF_METHODS.items():
         for name in names:
-            if method != settings.nets.method and getattr(settings.nets, name) != getattr(
-                default.nets, name
-            ):
-                flag = f"--nets.{name}"
-                what = f"the method {settings.nets.method} does not take it."
-                raise InputError(flag, what, f"Leave it out, or take --nets.method {method}.")
+            is_given = getattr(settings.nets, name) != getattr(default.nets, name)
+            if is_given and name not in OF_METHODS[method]:
+                what = f"the method {method} does not take it."
+                cure = f"Leave it out, or take --nets.method {other}."
+                raise InputError(f"--nets.{name}", what, cure)
