@@ -3,7 +3,7 @@
 import pytest
 
 from probevo.camera.focal_length import FocalLengthError
-from probevo.output.run_facts import delay_text, focal_text
+from probevo.output.run_facts import delay_text, focal_text, imu_noise_text
 
 
 @pytest.mark.parametrize(
@@ -19,3 +19,8 @@ def test_the_focal_length_is_said_with_its_sigma() -> None:
     assert "is 1.98 % shorter than calibrated (σ = 0.300 %)" in focal_text(
         FocalLengthError(-0.02, 0.003)
     )
+
+
+def test_noise_of_the_imu_is_told_as_a_factor_of_sigma() -> None:
+    assert imu_noise_text(1.2) == "as calibrated, as far as the images show it"
+    assert imu_noise_text(6.25).startswith("2.5 times as large as calibrated")

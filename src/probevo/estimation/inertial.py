@@ -320,6 +320,14 @@ def reason_not_used(window: Window | None) -> str | None:
     return window.inertial.note or None
 
 
+def noise_factor_of(window: Window | None) -> float | None:
+    """Return by how much the samples' variances exceed those of the calibration; None if a window
+    uses no IMU."""
+    if window is None or window.inertial is None or not window.inertial.is_used:
+        return None
+    return window.inertial.noise_factor
+
+
 def without_inertial(window: Window, note: str, *, refused: bool = True) -> Window:
     """Return the window with its inertial states marginalised.
 

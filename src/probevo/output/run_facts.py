@@ -40,6 +40,9 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         rig["Exposures"] = delay_text(result.right_delay_s)
     if result.focal_length is not None and len(result) > 1:
         rig["Focal length"] = focal_text(result.focal_length)
+    imu = {}
+    if result.imu_noise_factor is not None:
+        imu["Noise of the IMU"] = imu_noise_text(result.imu_noise_factor)
     scale = {}
     found = result.accelerometer_scale
     if found is not None:
@@ -58,6 +61,7 @@ def run_facts(sequence: Sequence, config: RunConfig, result: RunResult) -> dict[
         **({"Masks": mask_text(sequence)} if isinstance(sequence, MaskedRecording) else {}),
         "Noise model": config.noise,
         **rig,
+        **imu,
         **domain,
         **scale,
         **height,
@@ -143,6 +147,14 @@ def focal_text(error: FocalLengthError) -> str:
         f"where the camera turns, images show one that is {readable(abs(error.percent))} %"
         f" {longer} than calibrated (σ = {sigma} %): it is wrong, or lens distortion remains"
     )
+
+
+def imu_noise_text(noise_factor: float) -> str:
+    """Describe the noise of the IMU that the window assumes, by the factor of its variances."""
+    ratio = math.sqrt(noise_factor)
+    if ratio < 1.1:
+        return "as calibrated, as far as the images show it"
+    return f"{ratio:.1f} times as large as calibrated (σ), which is taken into account"
 
 
 def imu_use_text(sequence: Sequence, config: RunConfig) -> str:

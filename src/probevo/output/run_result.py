@@ -126,6 +126,9 @@ class RunResult:
     imu_left_out: str | None = None
     """Why the window did not use the IMU at the end of the run; None if it did, or there was
     none."""
+    imu_noise_factor: float | None = None
+    """By how much the variances of the IMU's samples exceed those of its calibration, as the window
+    assumed at the end; None where it uses no IMU."""
     accelerometer_scale: AccelerometerScale | None = None
     """Length of the path by the images over that by the accelerometer; None if that is not
     known."""

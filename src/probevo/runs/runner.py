@@ -17,7 +17,7 @@ import numpy as np
 from probevo import __version__
 from probevo.arrays import FloatArray
 from probevo.errors import InputError
-from probevo.estimation.inertial import reason_not_used
+from probevo.estimation.inertial import noise_factor_of, reason_not_used
 from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.window import SmoothedPose, Window
 from probevo.evaluation.accelerometer_scale import AccelerometerScale, accelerometer_scale
@@ -272,6 +272,7 @@ class _Records:
             right_late_frames=self.timing.right_late_frames,
             other_camera=other_camera(odometry.noise, sequence.camera),
             imu_left_out=reason_not_used(odometry.window),
+            imu_noise_factor=noise_factor_of(odometry.window),
         )
 
 
