@@ -120,8 +120,8 @@ class Inertial:
 
     @property
     def mean_excess(self) -> float:
-        """By how much they are too small in the mean by the data sheet, those beyond the gate
-        included.
+        """By how much the covariances by the data sheet are too small in the mean, with innovations
+        beyond the gate.
 
         A step that no image has tested may be as wrong as any of these.
         """
