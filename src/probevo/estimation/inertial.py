@@ -89,8 +89,9 @@ class Inertial:
     """How far the last predictions that were tested were off."""
     was_gated: tuple[bool, ...] = ()
     """Which of these were beyond the gate."""
-    excess_at_start: float = 1.0
-    """χ² of the test at the start over its degrees of freedom."""
+    noise_factor: float = 1.0
+    """What the variances of the samples by the data sheet are multiplied by: by the test at the
+    start, and then by the last innovations."""
     attempts: int = 0
     """Frames at which the test at the start was failed."""
     note: str = ""
@@ -102,13 +103,6 @@ class Inertial:
     def is_used(self) -> bool:
         """Whether the window's poses depend on it."""
         return self.states is not None
-
-    @property
-    def noise_factor(self) -> float:
-        """What the variances of the samples by the data sheet are multiplied by."""
-        if len(self.innovations) < FEWEST_TESTED:
-            return max(1.0, self.excess_at_start)
-        return estimated_noise_factor(self.innovations, largest=LARGEST_NOISE_FACTOR)
 
     @property
     def excess(self) -> float:
@@ -128,9 +122,22 @@ class Inertial:
         distances = [innovation.squared_distance(1.0) for innovation in self.innovations]
         known = [squared for squared in distances if np.isfinite(squared)]
         if not known:
-            return self.excess_at_start
+            return self.noise_factor
         # The mean of χ² of six degrees of freedom is six.
         return max(1.0, float(np.mean(known)) / POSE)
+
+    def tested(self, innovation: Innovation, *, is_gated: bool) -> Inertial:
+        """Return the IMU with one more innovation, and the noise that the last of them show."""
+        innovations = (*self.innovations[1 - NUM_TESTED :], innovation)
+        noise_factor = self.noise_factor
+        if len(innovations) >= FEWEST_TESTED:
+            noise_factor = estimated_noise_factor(innovations, largest=LARGEST_NOISE_FACTOR)
+        return replace(
+            self,
+            innovations=innovations,
+            was_gated=(*self.was_gated[1 - NUM_TESTED :], is_gated),
+            noise_factor=noise_factor,
+        )
 
     def without_states(self, note: str, *, refused: bool) -> Inertial:
         """Return the IMU as before its start, for a reason."""
@@ -143,6 +150,7 @@ class Inertial:
             refused=refused,
             innovations=(),
             was_gated=(),
+            noise_factor=1.0,
             factors=(None,) * len(self.factors) if refused else self.factors,
         )
 
@@ -226,8 +234,8 @@ def gated(window: Window, seen: RelativePose) -> Window:
     inertial = window.inertial
     if inertial is None or inertial.prediction is None:
         return window
-    # ν = Log(T_seen T_predicted⁻¹), along the axes of the frame that comes. The memory keeps the
-    # last ``NUM_TESTED``, this one included, by the data sheet.
+    # ν = Log(T_seen T_predicted⁻¹), along the axes of the frame that comes. The prediction has the
+    # noise of the samples times the factor so far; what is remembered has that of the data sheet.
     prediction = inertial.prediction
     noise_factor = inertial.noise_factor
     difference = se3.log(seen.T_curr_prev @ se3.inverse(prediction.T_curr_prev))
@@ -238,11 +246,7 @@ def gated(window: Window, seen: RelativePose) -> Window:
     )
     squared = innovation.squared_distance(noise_factor)
     is_gated = squared > GATE
-    inertial = replace(
-        inertial,
-        innovations=(*inertial.innovations[1 - NUM_TESTED :], innovation),
-        was_gated=(*inertial.was_gated[1 - NUM_TESTED :], is_gated),
-    )
+    inertial = inertial.tested(innovation, is_gated=is_gated)
     # Gated once: the factor counts for little. Too often, or too noisy in the median: for good.
     if is_gated:
         note = f"contradicts the images in this step (χ² {squared:.0f} of 6 degrees of freedom)"
@@ -430,7 +434,7 @@ def started(window: Window) -> Window:
     reason = fit.reason_against(LARGEST_EXCESS)
     if not reason:
         states = with_gravity_of_known_length(fit.states)
-        used = replace(inertial, states=states, excess_at_start=fit.excess, note="")
+        used = replace(inertial, states=states, noise_factor=max(1.0, fit.excess), note="")
         return replace(window, inertial=used)
     # Failed: try again in the next frame, up to ``MOST_ATTEMPTS``.
     attempts = inertial.attempts + 1
