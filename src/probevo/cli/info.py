@@ -202,6 +202,7 @@ def _imu(sequence: Sequence, stream: ImuStream) -> Rows:
     after = np.clip(np.searchsorted(stamps_ns, sequence.stamps_ns), 1, len(stamps_ns) - 1)
     both_ms = (stamps_ns[np.stack([after - 1, after])] - sequence.stamps_ns) * 1e-6
     offset_ms = both_ms[np.abs(both_ms).argmin(axis=0), np.arange(len(after))]
+    offset_ms = np.round(offset_ms, 1) + 0.0  # so that no -0.0 is shown
     offset = (
         f"the nearest sample is {offset_ms.min():+.1f} to {offset_ms.max():+.1f} ms from a frame"
     )
