@@ -1,12 +1,12 @@
 """The sun from images: streets under many suns, learned from, tested on, and fused.
 
-    python benchmarks/sun_streets.py OUT [--scenes 420] [--methods hydra-sigma dropout ensemble]
+    python benchmarks/sun_streets.py OUT [--scenes 800] [--methods hydra-sigma dropout ensemble]
 
 Renders short drives at a quarter of KITTI's resolution, twice a second, each under another sun;
 trains ``--kind sun`` on most of them, calibrates on 60, and tests on the last 50. Then puts streets
 of the test one after the other to about a kilometre, twelve times, with an odometry whose heading
 drifts by 7°, and fuses what the network says of their images. Last, drives of KITTI, where they
-are. About an hour on two cores; what is rendered and trained is kept in OUT. With several methods,
+are. About 40 minutes on two cores; what is rendered and trained is kept in OUT. With several methods,
 it trains a network by each, compares them on the streets of the test, and ends there.
 """
 
@@ -260,7 +260,7 @@ def main() -> None:
     """Render, train, test and fuse."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--scenes", type=int, default=420)
+    parser.add_argument("--scenes", type=int, default=800)
     methods = get_args(MethodName)
     parser.add_argument("--methods", nargs="+", choices=methods, default=[methods[0]])
     arguments = parser.parse_args()
