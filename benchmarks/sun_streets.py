@@ -6,8 +6,8 @@ Renders short drives at a quarter of KITTI's resolution, twice a second, each un
 trains ``--kind sun`` on most of them, calibrates on 60, and tests on the last 50. Then puts streets
 of the test one after the other to about a kilometre, twelve times, with an odometry whose heading
 drifts by 7°, and fuses what the network says of their images. Last, drives of KITTI, where they
-are. About 40 minutes on two cores; what is rendered and trained is kept in OUT. With several methods,
-it trains a network by each, compares them on the streets of the test, and ends there.
+are. About 40 minutes on two cores; what is rendered and trained is kept in OUT. With several
+methods, it trains a network by each, compares them on the streets of the test, and ends there.
 """
 
 from __future__ import annotations
