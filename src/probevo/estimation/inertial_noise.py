@@ -63,7 +63,8 @@ def innovation_of(
 
 def median_excess(innovations: Sequence[Innovation], noise_factor: float) -> float:
     """Return by how much covariances with this noise factor are still too small in the median."""
-    return _median_excess(*_stacked(innovations), noise_factor)
+    squared, noise = _stacked(innovations)
+    return _median_excess(squared, noise, noise_factor)
 
 
 def estimated_noise_factor(innovations: Sequence[Innovation], *, largest: float) -> float:
