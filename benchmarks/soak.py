@@ -51,7 +51,7 @@ from heap import heap_mb
 from memory import SOURCES, back_and_forth, resident_mb
 
 import probevo as pv
-from probevo.allocator import keep_freed_memory
+from probevo.allocator import keep_freed_memory, release_freed_memory
 from probevo.arrays import FloatArray, IntArray
 from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate
@@ -72,6 +72,8 @@ STOP_SHARE = 0.00025
 STALL_S = 0.2
 LONGEST_RUN = 3_000
 """Frames of a run that nothing ends."""
+RELEASE_EVERY = 3_000
+"""Frames after which a process of hours gives freed memory back, as docs/performance.md says."""
 MOST_STEPS = 1_000_000
 EVERY = 100
 """Frames from one sample of memory to the next."""
@@ -258,6 +260,8 @@ class Watch:
         """Take one step; NaN for a time that is not that of a usual step."""
         self.times_ms[self.num_steps] = clock_ms, processor_ms
         self.num_steps += 1
+        if self.num_steps % RELEASE_EVERY == 0:
+            release_freed_memory()
         if self.num_steps % EVERY == 0:
             threads = len(os.listdir("/proc/self/task"))  # noqa: PTH208
             handles = len(os.listdir("/proc/self/fd"))  # noqa: PTH208

@@ -39,3 +39,27 @@ def test_freed_memory_is_kept_for_all_threads() -> None:
     assert int(of_this_thread) < 100
     # A heap of the thread's own would cost these 1,000 of the first five images, 5,000 in all.
     assert int(of_another_thread) < 500
+
+
+HOLES = """
+import numpy as np
+from pathlib import Path
+from probevo.allocator import keep_freed_memory, release_freed_memory
+def resident_mb():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+keep_freed_memory()
+images = list(map(np.ones, [500_000] * 20))  # 4 MB each
+kept = np.ones(10_000)  # behind them: they are not at the end of the heap
+del images
+before_mb = resident_mb()
+print(release_freed_memory(), before_mb - resident_mb())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a setting of glibc")
+def test_freed_memory_is_given_back_on_request() -> None:
+    done = subprocess.run([sys.executable, "-c", HOLES], capture_output=True, text=True, check=True)
+    is_given_back, released_mb = done.stdout.split()
+    if is_given_back == "False":
+        pytest.skip("not glibc")
+    assert float(released_mb) > 70.0  # of the 80 MB of the images

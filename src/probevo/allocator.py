@@ -1,9 +1,11 @@
-"""Settings of the C library that keep the memory of freed images for the next frame."""
+"""Settings of the C library that keep the memory of freed images for the next frame, or not."""
 
 from __future__ import annotations
 
 import ctypes
 import sys
+from collections.abc import Callable
+from functools import cache
 
 _M_TRIM_THRESHOLD = -1
 """Parameter of ``mallopt`` in glibc's malloc.h: keep up to so many free bytes at the top."""
@@ -27,8 +29,26 @@ def keep_freed_memory() -> bool:
     ended, is lost to the others, and memory grows from thread to thread. A thread that has a heap
     of its own by now keeps it: call this at the start.
     """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if mallopt is None:  # another system, or musl instead of glibc
+    mallopt = _of_glibc("mallopt")
+    if mallopt is None:
         return False
     values = {_M_MMAP_THRESHOLD: LARGEST_BYTES, _M_TRIM_THRESHOLD: KEPT_BYTES, _M_ARENA_MAX: 1}
     return all(mallopt(parameter, value) for parameter, value in values.items())
+
+
+def release_freed_memory() -> bool:
+    """Give pages of freed memory back to the system; return whether there were any.
+
+    In a heap that keeps freed memory, small blocks come to lie among the images, and each image
+    that no longer fits anywhere makes the heap larger: a few megabytes in a day of frames. A
+    process that lives so long calls this every few minutes, between two frames. It takes about a
+    millisecond, and the next frame pays for fresh pages.
+    """
+    malloc_trim = _of_glibc("malloc_trim")
+    return malloc_trim is not None and bool(malloc_trim(0))
+
+
+@cache
+def _of_glibc(name: str) -> Callable[..., int] | None:
+    """Return a function of glibc; None on another system, or where musl takes its place."""
+    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
