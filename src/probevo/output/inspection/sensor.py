@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
@@ -164,6 +165,10 @@ def _against_claimed(errors: SensorErrors, kind: _KindOfAxes) -> Figure:
     axes.plot(claimed, found, color=BLUE, marker="o", ms=4, lw=1.5)
     unit = kind.unit.strip()
     axes.set(xlabel=f"claimed σ, {unit}", ylabel=f"RMS error, {unit}", xscale="log", yscale="log")
+    # Plain numbers, also between powers of ten, of which such a narrow range may have none.
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(LogFormatter())
+        axis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
     return figure
 
 
