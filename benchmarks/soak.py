@@ -72,7 +72,7 @@ STOP_SHARE = 0.00025
 STALL_S = 0.2
 LONGEST_RUN = 3_000
 """Frames of a run that nothing ends."""
-RELEASE_EVERY = 3_000
+RELEASE_EVERY = 1_000
 """Frames after which a process of hours gives freed memory back, as docs/performance.md says."""
 MOST_STEPS = 1_000_000
 EVERY = 100

@@ -253,6 +253,7 @@ class StereoOdometry:
                 tracker_for(frame, self.camera, self._tracking),
                 state.tracking,
                 with_prepared_images(frame, self._tracking),
+                prev_frame=state.frame,
                 starts=starts,
                 camera=self.camera,
                 config=self.config,

@@ -229,9 +229,10 @@ class OdometryState:
     def predict(self, frame: Frame, imu: ImuCalibration | None) -> Prediction:
         """Predict the motion to the next frame, from gyro and last velocity (PROBE eqs. 3-4).
 
-        With a window, the gyro predicts nothing until it has been tested, nor once it has failed.
-        If the window uses it, a solve that agrees with the last velocity is accepted although the
-        gyro contradicts it: the window has more data to find out which of the two is wrong.
+        With a window, the gyro predicts nothing once it has failed a test. Until then, and until it
+        has passed one, it is only an alternative to the last velocity. Once the window uses it, the
+        last velocity is the alternative to the gyro: the window has more data to find out which of
+        the two is wrong. A solve that agrees with either is accepted.
 
         Args:
             frame: the next frame.
@@ -259,13 +260,16 @@ class OdometryState:
                     curr=pose_of(frame.index),
                     prev=pose_of(self.frame.index),
                 )
-        # The rotation is the gyro's, the translation that of the last velocity.
-        without_gyro = self.motion_model.predict(duration_s, None)
-        motion = without_gyro
-        if rotation is not None and trusts_gyro(window):
-            motion = self.motion_model.predict(duration_s, rotation)
+        motion = self.motion_model.predict(duration_s, None)
+        if rotation is not None:
+            # The rotation is the gyro's, the translation that of the last velocity.
+            of_gyro = self.motion_model.predict(duration_s, rotation)
             if uses_imu(window):
-                motion = replace(motion, without_gyro=without_gyro)
+                motion = replace(of_gyro, alternative=motion)
+            elif trusts_gyro(window):
+                motion = of_gyro
+            elif window is not None and may_bridge(window):
+                motion = replace(motion, alternative=of_gyro)
         return Prediction(
             state=self,
             frame=frame,

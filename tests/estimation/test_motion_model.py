@@ -1,5 +1,7 @@
 """Constant velocity: its prediction, the covariance of that, and the gate on solves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -220,8 +222,9 @@ def test_what_is_usual_follows_a_slower_recording() -> None:
         [0.0, 0.0, 0.1, 0.0, 0.0, 0.0],
         [0.0, 0.0, -0.15, 0.0, 0.0, 0.01],
         [0.05, 0.05, 0.0, 0.02, -0.02, 0.02],
+        [0.0, 0.0, 0.0, 0.1, 0.25, -0.2],
     ],
-    ids=["brakes with 10 m/s²", "accelerates with 15 m/s²", "turns in"],
+    ids=["brakes with 10 m/s²", "accelerates with 15 m/s²", "turns in", "is turned by a hand"],
 )
 def test_sensible_motions_pass_the_gate(innovation: list[float]) -> None:
     prediction = driving().predict(STEP_S, None)
@@ -233,13 +236,50 @@ def test_sensible_motions_pass_the_gate(innovation: list[float]) -> None:
     [
         [0.0, 0.0, 1.2, 0.0, 0.0, 0.0],
         [0.0, 0.5, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 0.25, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 1.8, 0.0],
     ],
-    ids=["stops at once", "jumps up by half a metre", "turns by 14°"],
+    ids=["stops at once", "jumps up by half a metre", "turns by 103°"],
 )
 def test_implausible_motions_fail_the_gate(innovation: list[float]) -> None:
     prediction = driving().predict(STEP_S, None)
     assert prediction.fails_gate(se3.exp(np.array(innovation)) @ prediction.T_curr_prev, COV)
+
+
+def test_a_gyro_would_have_seen_a_sudden_turn() -> None:
+    gyro = RelativeRotation(so3.exp(STEP_S * TWIST_S[3:]), 1e-8 * np.eye(3), curr=MOTION)
+    prediction = driving().predict(STEP_S, gyro)
+    turned = se3.exp(np.array([0.0, 0.0, 0.0, 0.1, 0.25, -0.2])) @ prediction.T_curr_prev
+    assert prediction.fails_gate(turned, COV)
+
+
+def test_a_motion_that_agrees_with_either_prediction_passes_the_gate() -> None:
+    """Of velocity and gyro, either may be wrong."""
+    turned = so3.exp(np.array([0.1, 0.25, -0.2]))
+    gyro = RelativeRotation(turned, 1e-8 * np.eye(3), curr=MOTION)
+    by_velocity = driving().predict(STEP_S, None)
+    by_gyro = driving().predict(STEP_S, gyro)
+    either = replace(by_gyro, alternative=by_velocity)
+    assert by_gyro.fails_gate(by_velocity.T_curr_prev, COV)
+    assert not either.fails_gate(by_velocity.T_curr_prev, COV)
+    assert not either.fails_gate(by_gyro.T_curr_prev, COV)
+    backwards = se3.exp(np.array([0.0, 0.0, 2.4, 0.0, 0.0, 0.0])) @ by_gyro.T_curr_prev
+    assert either.fails_gate(backwards, COV)
+
+
+def test_a_rig_that_is_shaken_widens_its_own_prediction() -> None:
+    """And dead-reckons with a covariance that covers it."""
+    rng = np.random.default_rng(0)
+    model = driving()
+    rate = np.zeros(3)
+    for _ in range(40):
+        rate = rate + 10.0 * STEP_S * rng.normal(size=3)  # 10 rad/s² instead of 2
+        twist_s = np.concatenate([TWIST_S[:3], rate])
+        model = model.after_solve(STEP_S, se3.exp(STEP_S * twist_s), COV)
+    for shaken, evenly in ((model, driving()), (reckoned(model), reckoned(driving()))):
+        sigma = np.sqrt(np.diagonal(shaken.predict(STEP_S, None).cov))
+        usual = np.sqrt(np.diagonal(evenly.predict(STEP_S, None).cov))
+        assert (sigma[3:] > 3.0 * usual[3:]).all()
+        assert (sigma[3:] < 7.0 * usual[3:]).all()
 
 
 def test_the_gate_is_wider_for_an_uncertain_solve() -> None:

@@ -1,5 +1,7 @@
 """Where tracking starts while the rotation is not known: about where the images say."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from probevo.estimation.search_starts import (
     rotated_starts,
     track_from_best_start,
 )
-from probevo.geometry import se3
+from probevo.geometry import se3, so3
 from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking import Tracked, TrackingState, Tracks
 
@@ -94,6 +96,21 @@ def test_no_more_starts_where_the_rotation_is_known_or_there_is_no_image() -> No
     assert rotated_starts(prediction(0.3), frame(0, None), curr, CAMERA) == []
 
 
+def test_another_prediction_is_a_start_if_it_is_far_enough() -> None:
+    """As that of a gyro, which may turn about the optical axis, too."""
+    prev = frame(0, view(300, 120))
+    curr = frame(1, view(300, 120))
+    likely = prediction(0.001)
+    for yaw_rad, num_starts in ((0.01, 0), (0.1, 1)):
+        T = se3.from_parts(so3.exp(np.array([0.0, yaw_rad, 0.2])), np.zeros(3))
+        either = replace(likely, alternative=replace(likely, T_curr_prev=T))
+        starts = rotated_starts(either, prev, curr, CAMERA)
+        assert len(starts) == num_starts
+        for start in starts:
+            np.testing.assert_array_equal(start[:3, :3], T[:3, :3])
+            np.testing.assert_array_equal(start[:3, 3], [0.0, 0.0, -1.0])
+
+
 class Counting:
     """Finds points at infinity, at rest, from one start; from others nothing."""
 
@@ -118,6 +135,7 @@ def test_each_start_is_tracked_from_once_and_the_best_is_proposed(best: int) -> 
         tracker,
         TrackingState.none(),
         frame(1, view(300, 120)),
+        prev_frame=frame(0, view(300, 120)),
         starts=starts,
         camera=CAMERA,
         config=pv.OdometryConfig(),
@@ -137,8 +155,37 @@ def test_a_single_start_or_given_features_are_tracked_once(has_features: bool) -
         tracker,
         TrackingState.none(),
         shown,
+        prev_frame=frame(0, view(300, 120)),
         starts=starts,
         camera=CAMERA,
         config=pv.OdometryConfig(),
     )
     np.testing.assert_array_equal(tracker.starts, starts[:1])
+
+
+@pytest.mark.parametrize(("num_alive", "is_lost"), [(119, False), (121, True)])
+def test_the_turn_that_images_show_is_a_start_once_most_features_are_lost(
+    num_alive: int, is_lost: bool
+) -> None:
+    """Of so many features alive, 60 are found."""
+    start = se3.from_parts(np.eye(3), np.array([0.0, 0.0, -1.0]))
+    tracker = Counting(start)
+    alive = replace(
+        TrackingState.none(),
+        ids=np.arange(num_alive),
+        pixels=np.zeros((num_alive, 4)),
+        age=np.ones(num_alive, np.int64),
+    )
+    tracked = track_from_best_start(
+        tracker,
+        alive,
+        frame(1, view(250, 120)),
+        prev_frame=frame(0, view(300, 120)),
+        starts=[start],
+        camera=CAMERA,
+        config=pv.OdometryConfig(),
+    )
+    assert len(tracker.starts) == 1 + is_lost
+    assert len(tracked.tracks) == 60
+    if is_lost:
+        assert tracker.starts[1][0, 2] == pytest.approx(50.0 / CAMERA.fu_px, abs=0.01)

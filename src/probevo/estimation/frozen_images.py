@@ -41,7 +41,7 @@ def are_frozen(
         return False
     if _is_repeated(prev_frame, frame):
         return True
-    cannot_rest = prediction.fails_gate(np.eye(4), np.zeros((6, 6)))
+    cannot_rest = prediction.contradicts(np.eye(4), np.zeros((6, 6)))
     return (were_frozen or cannot_rest) and _looks_repeated(prev_frame, frame)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.config import MotionModelConfig
+from probevo.estimation.acceleration_scale import AccelerationScale
 from probevo.estimation.reprojection import ReprojectionSolution
 from probevo.geometry import se3, so3
 from probevo.geometry.se3_numba import perturb
@@ -20,6 +21,11 @@ rejected: about 7σ."""
 
 FASTEST_START = 1.5
 """Fastest forward speed that is tried at the start, in standard deviations of its prior."""
+
+SUDDEN_TURN_RAD_S2 = 20.0
+"""Angular acceleration, a standard deviation, that the gate takes for possible at any time. A
+camera in a hand may be turned like that from rest; and what moves on its own before a camera, such
+as a lorry, looks like a shift of the camera, hardly like a turn."""
 
 MAX_REFUSALS = 3
 """Number of solves in a row that the gate may reject before the motion model itself is reset."""
@@ -45,8 +51,12 @@ class MotionPrediction:
     velocity_sensitivity: FloatArray
     """∂ξ/∂(error of the velocity in standard deviations), [6, 6]. The rows of the rotation are zero
     if it is a gyro's."""
-    without_gyro: MotionPrediction | None = None
-    """The prediction from the last velocity alone. If set, a solve must contradict both
+    sudden_turn_rad: float = 0.0
+    """Standard deviation that a sudden turn adds to the rotation about each axis; 0 if the rotation
+    is a gyro's, which would see it."""
+    alternative: MotionPrediction | None = None
+    """Another prediction: from the last velocity alone where this one is a gyro's, which may be
+    wrong; that of a gyro where it has not been tested. If set, a solve must contradict both
     predictions to be rejected."""
 
     def innovation(self, T_curr_prev: FloatArray) -> FloatArray:
@@ -58,10 +68,17 @@ class MotionPrediction:
         covariances."""
         # The gyro may be the one that is wrong, so reject a solve only if it contradicts the last
         # velocity as well.
-        if self.without_gyro is not None and not self.without_gyro.fails_gate(T_curr_prev, cov):
+        if self.alternative is not None and not self.alternative.fails_gate(T_curr_prev, cov):
             return False
+        with_sudden_turn = cov.copy()
+        with_sudden_turn[3:, 3:] += self.sudden_turn_rad**2 * np.eye(3)
+        return self.contradicts(T_curr_prev, with_sudden_turn)
+
+    def contradicts(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
+        """Return whether a motion of which this is the covariance is far outside of that of the
+        prediction."""
         innovation = self.innovation(T_curr_prev)
-        # Prediction and solve are independent, so their covariances add up.
+        # Both are independent, so their covariances add up.
         squared = innovation @ np.linalg.solve(self.cov + cov, innovation)
         return bool(squared > INNOVATION_GATE)
 
@@ -90,7 +107,7 @@ class MotionModel:
     twist_s: FloatArray
     """Log(T_curr_prev) per second of the last solved motion, [6], m/s and rad/s."""
     twist_sigma_s: FloatArray
-    """Its standard deviation, [6], m/s and rad/s."""
+    """Its standard deviation in that step, [6], m/s and rad/s."""
     usual_step_s: float = 0.0
     """Running mean of the time between frames; 0 before the second."""
     refusals: int = 0
@@ -98,6 +115,10 @@ class MotionModel:
     path_sensitivity: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     """∂(path error)/∂(error of the velocity) since the last solve, along the axes of the current
     camera, [6, 6]."""
+    since_solve_s: float = 0.0
+    """Time of the dead-reckoned steps since the last solve."""
+    acceleration_scale: AccelerationScale = field(default_factory=AccelerationScale)
+    """How large the accelerations of this rig are, against those of the settings."""
 
     @staticmethod
     def at_start(config: MotionModelConfig) -> MotionModel:
@@ -129,7 +150,12 @@ class MotionModel:
             cov[:, 3:] = 0.0
             cov[3:, 3:] = gyro.cov + unmodelled_rad**2 * np.eye(3)
             velocity_sensitivity[3:] = 0.0
-        return MotionPrediction(T_curr_prev, cov, velocity_sensitivity)
+        return MotionPrediction(
+            T_curr_prev,
+            cov,
+            velocity_sensitivity,
+            sudden_turn_rad=0.0 if gyro is not None else SUDDEN_TURN_RAD_S2 * duration_s**2,
+        )
 
     def starts(self, duration_s: float, prediction: MotionPrediction) -> list[FloatArray]:
         """Return the motions, [4, 4] each, to start tracking from.
@@ -150,7 +176,7 @@ class MotionModel:
     @property
     def speed_is_unknown(self) -> bool:
         """Whether there is no estimate of the velocity: at the start, or after a reset."""
-        return bool(self.twist_sigma_s[2] > 0.5 * self.config.start_speed_m_s)
+        return bool(self._drifted_sigma(0.0)[2] > 0.5 * self.config.start_speed_m_s)
 
     @property
     def is_moving(self) -> bool:
@@ -197,11 +223,22 @@ class MotionModel:
         """Return the model after a step that was solved, with T_curr_prev [4, 4] and cov [6, 6]."""
         # The new velocity is independent of earlier dead reckoning, so ``refusals`` and
         # ``path_sensitivity`` are reset.
+        twist_s = se3.log(T_curr_prev) / duration_s
+        twist_sigma_s = np.sqrt(np.diagonal(cov)) / duration_s
+        scale = self.acceleration_scale
+        if not self.speed_is_unknown:
+            scale = scale.after(
+                twist_s - self.twist_s,
+                twist_sigma_s**2 + self.twist_sigma_s**2,
+                accelerations=self._configured_accelerations,
+                duration_s=duration_s + self.since_solve_s,
+            )
         return MotionModel(
             self.config,
-            twist_s=se3.log(T_curr_prev) / duration_s,
-            twist_sigma_s=np.sqrt(np.diagonal(cov)) / duration_s,
+            twist_s=twist_s,
+            twist_sigma_s=twist_sigma_s,
             usual_step_s=self._usual_step_after(duration_s),
+            acceleration_scale=scale,
         )
 
     def after_recovery(
@@ -248,14 +285,14 @@ class MotionModel:
                 twist_s=self.twist_s,
                 usual_step_s=usual_step_s,
                 path_sensitivity=path_sensitivity,
+                acceleration_scale=self.acceleration_scale,
             )
-        return MotionModel(
-            self.config,
-            twist_s=self.twist_s,
-            twist_sigma_s=self._drifted_sigma(duration_s),
+        return replace(
+            self,
             usual_step_s=usual_step_s,
             refusals=refusals,
             path_sensitivity=path_sensitivity,
+            since_solve_s=self.since_solve_s + duration_s,
         )
 
     def _usual_step_after(self, duration_s: float) -> float:
@@ -269,7 +306,12 @@ class MotionModel:
         """Return the standard deviation of the twist after a further time, [6]."""
         # The velocity drifts in proportion to time, not to its square root as in a random walk: a
         # vehicle that brakes keeps braking.
-        acceleration = np.repeat(
+        acceleration = self.acceleration_scale.factors * self._configured_accelerations
+        return self.twist_sigma_s + acceleration * (self.since_solve_s + duration_s)
+
+    @property
+    def _configured_accelerations(self) -> FloatArray:
+        """Standard deviations of the accelerations by the settings, [6], m/s² and rad/s²."""
+        return np.repeat(
             [self.config.acceleration_m_s2, self.config.angular_acceleration_rad_s2], 3
         )
-        return self.twist_sigma_s + acceleration * duration_s

@@ -20,6 +20,9 @@ finds a point."""
 NEAR_PX = 15.0
 """If the coarse rotation is this near to the predicted one, it is no further start. With 30 px, a
 step of raw 0005 was lost when only every fourth frame was used."""
+FEWEST_KEPT = 0.5
+"""Share of the features of the previous frame of which fewer are hardly found by chance of the
+scene."""
 COARSE_PX = 8
 """Factor by which images are reduced for the coarse rotation."""
 
@@ -27,20 +30,34 @@ COARSE_PX = 8
 def rotated_starts(
     prediction: MotionPrediction, prev_frame: Frame, frame: Frame, camera: StereoCamera
 ) -> list[FloatArray]:
-    """Return another start, T_curr_prev [4, 4], with a rotation from the images, or none.
+    """Return further starts, T_curr_prev [4, 4], with a rotation from a gyro or from the images.
 
-    It is needed if the camera may have turned by more than the tracker can follow. Without it and
-    without a gyro, a camera that begins to turn between distant frames is lost for the whole turn.
+    They are needed if the camera may have turned by more than the tracker can follow. Without them,
+    a camera that begins to turn between distant frames is lost for the whole turn.
     """
+    if prev_frame.left is None or frame.left is None:
+        return []
+    rotations = []
+    if prediction.alternative is not None:
+        rotations.append(prediction.alternative.T_curr_prev[:3, :3])
     # σ of the predicted pitch and yaw, as a shift of the image
     sigma_px = np.sqrt(np.diagonal(prediction.cov)[3:5]) * [camera.fv_px, camera.fu_px]
-    if prev_frame.left is None or frame.left is None or sigma_px.max() < REACH_PX:
-        return []
-    C_curr_prev = coarse_rotation(prev_frame.left, frame.left, camera)
-    difference = so3.log(C_curr_prev @ prediction.T_curr_prev[:3, :3].T)[:2]
-    if np.abs(difference * [camera.fv_px, camera.fu_px]).max() < NEAR_PX:
-        return []
-    return [se3.from_parts(C_curr_prev, prediction.T_curr_prev[:3, 3])]
+    if sigma_px.max() >= REACH_PX:
+        rotations.append(coarse_rotation(prev_frame.left, frame.left, camera))
+    return _with_rotations(prediction.T_curr_prev, rotations, camera)
+
+
+def _with_rotations(
+    T_curr_prev: FloatArray, rotations: list[FloatArray], camera: StereoCamera
+) -> list[FloatArray]:
+    """Return a start, [4, 4], with each rotation, [3, 3], in place of its own, but for those that
+    are so near to it that they lead to the same tracks."""
+    starts = []
+    for C_curr_prev in rotations:
+        difference = so3.log(C_curr_prev @ T_curr_prev[:3, :3].T)
+        if np.abs(difference[:2] * [camera.fv_px, camera.fu_px]).max() >= NEAR_PX:
+            starts.append(se3.from_parts(C_curr_prev, T_curr_prev[:3, 3]))
+    return starts
 
 
 def coarse_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> FloatArray:
@@ -66,11 +83,15 @@ def track_from_best_start(
     state: TrackingState,
     frame: Frame,
     *,
+    prev_frame: Frame,
     starts: list[FloatArray],
     camera: StereoCamera,
     config: OdometryConfig,
 ) -> Tracked:
     """Track from each start T_curr_prev, [4, 4], and return the result whose tracks agree best.
+
+    If more than half of the features are lost, the camera may have turned in a way that nobody
+    predicted. The rotation that the images show as a whole is then a further start.
 
     If the camera is fast, Lucas–Kanade finds near points only from about the right start. Started
     from rest, it converges to similar-looking places, such as the next post of a guard rail, which
@@ -78,12 +99,20 @@ def track_from_best_start(
     the view, a larger share of those that are found.
     """
     # Features of a tracks file are matched by identity, whatever the start.
-    if len(starts) == 1 or frame.features is not None:
+    if frame.features is not None:
         return tracker.track(state, frame, starts[0])
-    found = []
+    found = [tracker.track(state, frame, start) for start in starts]
+    most_found = max(len(tracked.tracks) for tracked in found)
+    is_lost = most_found < FEWEST_KEPT * len(state)
+    if is_lost and prev_frame.left is not None and frame.left is not None:
+        coarse = coarse_rotation(prev_frame.left, frame.left, camera)
+        further = _with_rotations(starts[0], [coarse], camera)
+        starts = starts + further
+        found += [tracker.track(state, frame, start) for start in further]
+    if len(found) == 1:
+        return found[0]
     agreement = []
-    for start in starts:
-        tracked = tracker.track(state, frame, start)
+    for start, tracked in zip(starts, found, strict=True):
         consensus = find_consensus(
             tracked.tracks,
             camera,
@@ -93,7 +122,6 @@ def track_from_best_start(
             confidence=config.ransac.confidence,
         )
         # All starts use the same seed, so that only the tracks differ.
-        found.append(tracked)
         num_inliers = int(consensus.inliers.sum())
         agreement.append(num_inliers**2 / max(len(tracked.tracks), 1))  # their number times share
     return found[int(np.argmax(agreement))]

@@ -25,7 +25,7 @@ FORMAT = "probevo-network"
 """Name of the one entry of the metadata, a JSON object: with several, their order would vary."""
 MOST_BYTES = 10_000_000_000
 CURE = "Delete it, and train again."
-OTHER_VERSION_CURE = "It is probably of another version of probevo: train again with this one."
+CURE_OF_VERSION = "It is probably of another version of probevo: train again with this one."
 """Arrays with a right checksum are as they were written."""
 
 Tree = TypeVar("Tree")
@@ -74,10 +74,11 @@ def read_network_file(path: Path, tree: Tree) -> Tree:
         if found is None or found.shape != array.shape or found.dtype != array.dtype:
             has = "is missing" if found is None else f"is {found.dtype} {list(found.shape)}"
             what = f"{has}; expected {array.dtype} {list(array.shape)}."
-            raise InputError(f"{path}: {name}", what, OTHER_VERSION_CURE)
+            raise InputError(f"{path}: {name}", what, CURE_OF_VERSION)
     if len(arrays) > len(expected):
         surplus = sorted(set(arrays) - set(expected))[0]
-        raise InputError(f"{path}: {surplus}", "is an array that this network lacks.", OTHER_VERSION_CURE)
+        what = "is an array that this network lacks."
+        raise InputError(f"{path}: {surplus}", what, CURE_OF_VERSION)
     # Fill the arrays into the places of the structure that gave them their names.
     leaves, structure = jax.tree_util.tree_flatten_with_path(tree)
     filled = [jax.numpy.asarray(arrays[_name(place)]) for place, _ in leaves]
