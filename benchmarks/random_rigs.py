@@ -1,9 +1,11 @@
 """Run the odometry on rigs and scenes drawn at random.
 
-    python benchmarks/random_rigs.py [--count 20] [--seed 7000] [--out DIR]
+    python benchmarks/random_rigs.py [--count 20] [--seed 7000] [--carried] [--out DIR]
 
 Each recording is a rendered drive of 15 to 80 m. Its image size, field of view, baseline (6 to
-80 cm), frame rate (4 to 30 Hz), sun and effects are drawn independently of each other. Prints for
+80 cm), frame rate (4 to 30 Hz), sun and effects are drawn independently of each other. With
+``--carried``, a person or a drone carries the rig through the place, 120 frames long, and swings it
+with 20 to 100 °/s; then baselines are 5 to 20 cm and rates 10 to 30 Hz. Prints for
 two frames and for the window, both without IMU, and for the window with it: steps that were
 refused, drift and rotation over segments of 10 to 50 m, end error, and the mean NEES of a step,
 divided by its 6 dimensions. With ``--out``, the rendered drives are kept there, and those that
@@ -46,6 +48,9 @@ RATES_HZ = (4, 5, 8, 10, 15, 20, 30)
 ROVER_RATES_HZ = (5, 10, 20)
 RUNS = {"two-frame": "two-frame", "window": "window", "window, IMU": "window"}
 """Estimator of each line."""
+CARRIED_RATES_HZ = (10, 15, 20, 30)
+CARRIED_FRAMES = 120
+CARRIED_SPEED_M_S = 1.3
 MOST_FAST_FRAMES = 80.0
 """Frames at more than 20 Hz are so many that the drive is shortened."""
 
@@ -97,6 +102,24 @@ def drawn(rng: np.random.Generator, number: int, scene_seed: int) -> SceneConfig
     )
 
 
+def carried(config: SceneConfig, rng: np.random.Generator) -> SceneConfig:
+    """Draw how a rig of a drawn scene is carried instead of driven."""
+    rate_hz = float(rng.choice(CARRIED_RATES_HZ))
+    baseline_m = float(np.exp(rng.uniform(np.log(0.05), np.log(0.2))))
+    # A shutter that is open for up to 15 ms: longer ones show nothing but streaks.
+    effects = config.effects.model_copy(
+        update={"blur": float(rng.uniform(0.0, 0.3)) if config.effects.blur else 0.0}
+    )
+    return config.model_copy(
+        update={
+            "carried": float(rng.uniform(0.2, 1.0)),
+            "distance_m": CARRIED_SPEED_M_S * CARRIED_FRAMES / rate_hz,
+            "rig": config.rig.model_copy(update={"rate_hz": rate_hz, "baseline_m": baseline_m}),
+            "effects": effects,
+        }
+    )
+
+
 def result(sequence: pv.sequences.Sequence, estimator: str, *, with_imu: bool) -> str:
     """Run an estimator over a recording, and return its figures as cells."""
     truth = sequence.truth.T_world_cam
@@ -132,6 +155,8 @@ def described(config: SceneConfig) -> str:
     effects = [
         f"{name} {value:.1f}" for name, value in config.effects.model_dump().items() if value
     ]
+    if config.carried:
+        effects.insert(0, f"carried {config.carried:.1f}")
     return (
         f"{config.preset}, {rig.width_px}×{rig.height_px}, {field_deg:.0f}°,"
         f" {100.0 * rig.baseline_m:.0f} cm, {rig.rate_hz:.0f} Hz: {', '.join(effects)}"
@@ -145,6 +170,7 @@ def main() -> None:
     )
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=7000)
+    parser.add_argument("--carried", action="store_true")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
@@ -154,6 +180,8 @@ def main() -> None:
         out = arguments.out or Path(temporary)
         for number in range(arguments.count):
             config = drawn(rng, number, scene_seed=arguments.seed + number)
+            if arguments.carried:
+                config = carried(config, rng)
             folder = write_scene(config, out / f"{number:02}_{config.preset}")
             print(f"{number:02} {described(config)}")
             for label, estimator in RUNS.items():

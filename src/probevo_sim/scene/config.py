@@ -137,6 +137,15 @@ class SceneConfig(Settings):
             " this length."
         ),
     )
+    carried: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description=(
+            "How much the rig sways if a person or a drone carries it, at walking pace, instead of"
+            " a vehicle, which is 0; 1 turns it by about 100 °/s rms."
+        ),
+    )
     truth: TruthName = Field(
         "all",
         description=(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +35,12 @@ _HEIGHT_RMS_M = 0.01
 """Motion of the suspension at high speed."""
 _SINES = 4
 """Sine waves that each random motion is the sum of."""
+_SWAY_RMS = np.array([0.12, 0.12, 0.08, *np.deg2rad([15.0, 8.0, 8.0])])
+"""Motion of a rig that a person or a drone swings, of (x, y, z, yaw, pitch, roll), m and rad."""
+_SWAY_HZ = (0.2, 1.8)
+"""Frequencies of this motion."""
+_CARRIED_SPEED_M_S = 1.3
+_CARRIED_HEIGHT_M = 1.5
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,19 @@ class DrivePlan:
     """Amplitude of the suspension's motion.
 
     1 is 0.15° of pitch, 0.1° of roll and 1 cm of height, rms, at high speed."""
+    carried: float = 0.0
+    """How much the rig sways in all directions, carried by a person or a drone; 0 is a vehicle.
+
+    1 is 15° of yaw, 8° of pitch and roll, and 0.1 m, rms, at 0.2 to 1.8 Hz."""
+
+    def carried_by_hand(self, strength: float) -> DrivePlan:
+        """Return the same drive at walking pace and at a person's height, with the rig swaying."""
+        return replace(
+            self,
+            speed_m_s=min(self.speed_m_s, _CARRIED_SPEED_M_S),
+            height_m=_CARRIED_HEIGHT_M,
+            carried=strength,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +104,9 @@ class Trajectory:
         """Drive along a route; another ``rng`` drives the same road a little differently.
 
         The vehicle deviates sideways from the planned path by 0.1 m rms, and its suspension
-        oscillates at 1 to 2 Hz with an amplitude that grows with the speed as v / (v + 2 m/s). At
-        an end at rest the pose is exactly that of the plan.
+        oscillates at 1 to 2 Hz with an amplitude that grows with the speed as v / (v + 2 m/s). A
+        rig that is carried sways in all directions besides. At an end at rest the pose is exactly
+        that of the plan.
 
         Args:
             route: the road.
@@ -133,9 +153,10 @@ class Trajectory:
             plan.pitch_down_rad + pitch,
             roll,
         ]
-        return Trajectory(
-            pace.duration_s, make_interp_spline(t_s, np.stack(coordinates, axis=1), k=5)
-        )
+        places = np.stack(coordinates, axis=1)
+        if plan.carried > 0.0:
+            places += _sway(plan, t_s, pace.speed(t_s), rng=rng)
+        return Trajectory(pace.duration_s, make_interp_spline(t_s, places, k=5))
 
     def T_world_cam(self, t_s: ArrayLike) -> FloatArray:
         """Return the pose of the left camera at times [...], s: [..., 4, 4], m."""
@@ -241,3 +262,15 @@ def _suspension(
     rms = np.array([_PITCH_RMS_RAD, _ROLL_RMS_RAD, _HEIGHT_RMS_M])
     motion: FloatArray = plan.shake * rms[:, None] * sway * (speed_m_s / (speed_m_s + 2.0))
     return motion
+
+
+def _sway(
+    plan: DrivePlan, t_s: FloatArray, speed_m_s: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return what a rig that is carried adds to (x, y, z, yaw, pitch, roll), [J, 6]; 0 at rest."""
+    frequency_hz = rng.uniform(*_SWAY_HZ, (_SINES, 6))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (_SINES, 6))
+    waves = np.sin(2.0 * np.pi * frequency_hz * t_s[:, None, None] + phase).sum(axis=1)
+    fade = speed_m_s / (speed_m_s + 0.1)
+    sway: FloatArray = plan.carried * np.sqrt(2.0 / _SINES) * _SWAY_RMS * waves * fade[:, None]
+    return sway

@@ -32,7 +32,14 @@ def times(trajectory: Trajectory) -> FloatArray:
     return np.linspace(-0.1, trajectory.duration_s + 0.1, 5000)
 
 
-every_drive = pytest.mark.parametrize("trajectory", [drive(ROAD, PLAN), drive(LOOP, ROUND_TRIP)])
+every_drive = pytest.mark.parametrize(
+    "trajectory",
+    [
+        drive(ROAD, PLAN),
+        drive(LOOP, ROUND_TRIP),
+        drive(LOOP, ROUND_TRIP.carried_by_hand(1.0)),
+    ],
+)
 
 
 @every_drive
@@ -161,3 +168,26 @@ def test_another_seed_drives_differently_from_and_to_the_same_place() -> None:
 def test_drive_to_nowhere_is_refused(plan: DrivePlan) -> None:
     with pytest.raises(InputError):
         drive(STRAIGHT, plan)
+
+
+def test_a_rig_that_is_carried_sways_as_much_as_it_says() -> None:
+    """At walking pace: half of 15° of yaw, of 8° of pitch and roll, and of 8 cm of height."""
+    vehicle = DrivePlan(0.0, 200.0, 15.0, shake=0.0)
+    trajectory = drive(STRAIGHT, vehicle.carried_by_hand(0.5))
+    t = times(trajectory)
+    _, _, height, yaw, pitch, roll = np.std(trajectory.coordinates(t), axis=0)
+    np.testing.assert_allclose(
+        [yaw, pitch, roll], 0.5 * 13.0 / 14.0 * np.deg2rad([15.0, 8.0, 8.0]), rtol=0.15
+    )
+    assert height == pytest.approx(0.5 * 13.0 / 14.0 * 0.08, rel=0.15)
+    assert trajectory.duration_s == pytest.approx(200.0 / 1.3, rel=0.02)
+    assert drive(STRAIGHT, vehicle).duration_s < 15.0
+
+
+def test_a_rig_that_is_carried_starts_and_ends_at_rest_at_the_plans_pose() -> None:
+    trajectory = drive(LOOP, ROUND_TRIP.carried_by_hand(1.0))
+    for t_s in (0.0, trajectory.duration_s):
+        coordinates = trajectory.coordinates(t_s)
+        np.testing.assert_allclose(coordinates[1:3], [0.3, 1.5], atol=1e-9)
+        np.testing.assert_allclose(coordinates[4:], [0.1, 0.0], atol=1e-9)
+        np.testing.assert_allclose(trajectory.angular_rate(t_s), 0.0, atol=1e-7)

@@ -83,6 +83,8 @@ def compose(
     """
     effects = config.effects
     parts = [*standing]
+    if config.carried > 0.0:
+        plan = plan.carried_by_hand(config.carried)
 
     # A textureless road: its marks fade into its albedo, and its own contrast falls.
     road_contrast = 1.0 - effects.textureless
