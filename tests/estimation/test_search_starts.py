@@ -101,8 +101,8 @@ def test_another_prediction_is_a_start_if_it_is_far_enough() -> None:
     prev = frame(0, view(300, 120))
     curr = frame(1, view(300, 120))
     likely = prediction(0.001)
-    for yaw_rad, num_starts in ((0.01, 0), (0.1, 1)):
-        T = se3.from_parts(so3.exp(np.array([0.0, yaw_rad, 0.2])), np.zeros(3))
+    for yaw_rad, roll_rad, num_starts in ((0.01, 0.05, 0), (0.1, 0.0, 1), (0.0, 0.2, 1)):
+        T = se3.from_parts(so3.exp(np.array([0.0, yaw_rad, roll_rad])), np.zeros(3))
         either = replace(likely, alternative=replace(likely, T_curr_prev=T))
         starts = rotated_starts(either, prev, curr, CAMERA)
         assert len(starts) == num_starts

@@ -8,6 +8,7 @@ import numpy as np
 from probevo.arrays import FloatArray, Image
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
+from probevo.estimation.matched_rotation import matched_rotation
 from probevo.estimation.motion_model import MotionPrediction
 from probevo.estimation.ransac import InlierThreshold, find_consensus
 from probevo.geometry import se3, so3
@@ -23,6 +24,8 @@ step of raw 0005 was lost when only every fourth frame was used."""
 FEWEST_KEPT = 0.5
 """Share of the features of the previous frame of which fewer are hardly found by chance of the
 scene."""
+NEAR_ROLL_RAD = 0.1
+"""The same for a turn about the optical axis."""
 COARSE_PX = 8
 """Factor by which images are reduced for the coarse rotation."""
 
@@ -55,7 +58,8 @@ def _with_rotations(
     starts = []
     for C_curr_prev in rotations:
         difference = so3.log(C_curr_prev @ T_curr_prev[:3, :3].T)
-        if np.abs(difference[:2] * [camera.fv_px, camera.fu_px]).max() >= NEAR_PX:
+        shift_px = np.abs(difference[:2]) * [camera.fv_px, camera.fu_px]
+        if shift_px.max() >= NEAR_PX or abs(difference[2]) >= NEAR_ROLL_RAD:
             starts.append(se3.from_parts(C_curr_prev, T_curr_prev[:3, 3]))
     return starts
 
@@ -91,7 +95,8 @@ def track_from_best_start(
     """Track from each start T_curr_prev, [4, 4], and return the result whose tracks agree best.
 
     If more than half of the features are lost, the camera may have turned in a way that nobody
-    predicted. The rotation that the images show as a whole is then a further start.
+    predicted. The rotation of matched descriptors is then a further start, or that of the images as
+    a whole.
 
     If the camera is fast, Lucas–Kanade finds near points only from about the right start. Started
     from rest, it converges to similar-looking places, such as the next post of a guard rail, which
@@ -105,8 +110,10 @@ def track_from_best_start(
     most_found = max(len(tracked.tracks) for tracked in found)
     is_lost = most_found < FEWEST_KEPT * len(state)
     if is_lost and prev_frame.left is not None and frame.left is not None:
-        coarse = coarse_rotation(prev_frame.left, frame.left, camera)
-        further = _with_rotations(starts[0], [coarse], camera)
+        shown = matched_rotation(prev_frame.left, frame.left, camera)
+        if shown is None:
+            shown = coarse_rotation(prev_frame.left, frame.left, camera)
+        further = _with_rotations(starts[0], [shown], camera)
         starts = starts + further
         found += [tracker.track(state, frame, start) for start in further]
     if len(found) == 1:

@@ -1,0 +1,85 @@
+"""The rotation between two images from matched descriptors, for a camera that turned anyhow.
+
+Lucas–Kanade follows a feature for a few tens of pixels, and a window that turns by about ten
+degrees. Descriptors (ORB: Rublee et al., ICCV 2011) find it anywhere, turned by any angle, but less
+precisely: they say where tracking starts.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray, Image
+from probevo.camera.stereo import StereoCamera
+
+NUM_FEATURES = 500
+"""Features per image."""
+NUM_SAMPLES = 200
+"""Pairs of matches that are tried: enough to find one of two right ones, with all but certainty, if
+a fifth of them are right."""
+NEAR_RAD = 0.06
+"""Matches that a rotation explains to within this agree with it. They need not lie at infinity: a
+point at 3 m moves by so much when the camera moves by 0.2 m."""
+FEWEST_AGREEING = 12
+"""Matches that have to agree. Wrong ones lie anywhere, of which a percent are near by chance."""
+
+
+def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> FloatArray | None:
+    """Return C_curr_prev, [3, 3], by which most matched features have turned; None if few agree.
+
+    Args:
+        prev_image: previous left image, [height, width], uint8.
+        image: current left image.
+        camera: the rectified camera.
+    """
+    orb = cv2.ORB.create(nfeatures=NUM_FEATURES)
+    prev_found, prev_descriptors = orb.detectAndCompute(prev_image, None)
+    found, descriptors = orb.detectAndCompute(image, None)
+    if prev_descriptors is None or descriptors is None:
+        return None
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(prev_descriptors, descriptors)
+    if len(matches) < FEWEST_AGREEING:
+        return None
+    prev_px = np.array([prev_found[match.queryIdx].pt for match in matches])
+    curr_px = np.array([found[match.trainIdx].pt for match in matches])
+    prev_rays = _rays(prev_px, camera)
+    curr_rays = _rays(curr_px, camera)
+    agreeing = _best_sample(prev_rays, curr_rays)
+    if int(agreeing.sum()) < FEWEST_AGREEING:
+        return None
+    rotation: FloatArray = _rotation_between(prev_rays[agreeing][None], curr_rays[agreeing][None])[
+        0
+    ]
+    return rotation
+
+
+def _rays(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
+    """Return unit vectors towards pixels, [N, 2] to [N, 3]."""
+    rays = np.ones((len(pixels), 3))
+    rays[:, 0] = (pixels[:, 0] - camera.cu_px) / camera.fu_px
+    rays[:, 1] = (pixels[:, 1] - camera.cv_px) / camera.fv_px
+    unit: FloatArray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return unit
+
+
+def _best_sample(prev_rays: FloatArray, curr_rays: FloatArray) -> BoolArray:
+    """Return which of N matches agree with the rotation of the best pair of them, [N]."""
+    rng = np.random.default_rng(0)
+    pairs = rng.integers(len(prev_rays), size=(NUM_SAMPLES, 2))
+    rotations = _rotation_between(prev_rays[pairs], curr_rays[pairs])
+    turned = np.einsum("sij,nj->sni", rotations, prev_rays)
+    near = np.linalg.norm(turned - curr_rays, axis=2) < NEAR_RAD
+    best: BoolArray = near[int(near.sum(axis=1).argmax())]
+    return best
+
+
+def _rotation_between(prev_rays: FloatArray, curr_rays: FloatArray) -> FloatArray:
+    """Return the rotations that bring S sets of n rays nearest to others, [S, n, 3]: [S, 3, 3].
+
+    Wahba's problem, by singular values (Markley, 1988).
+    """
+    left, _, right = np.linalg.svd(curr_rays.mT @ prev_rays)
+    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
+    rotations: FloatArray = left @ right
+    return rotations
