@@ -71,6 +71,12 @@ FIGURES = (
     ),
     Figure("random-rigs", ("docs/accuracy.md",), "python benchmarks/random_rigs.py", minutes=15),
     Figure(
+        "carried-rigs",
+        ("docs/accuracy.md",),
+        "python benchmarks/random_rigs.py --carried --count 12 --seed 7500",
+        minutes=15,
+    ),
+    Figure(
         "plain-odometry",
         ("docs/accuracy.md",),
         "python benchmarks/plain_odometry.py",
@@ -85,6 +91,13 @@ FIGURES = (
         ("docs/window.md",),
         "python benchmarks/window_imu.py",
         minutes=20,
+        needs_data=True,
+    ),
+    Figure(
+        "imu-agreement",
+        ("docs/window.md",),
+        "python benchmarks/imu_agreement.py",
+        minutes=1,
         needs_data=True,
     ),
     Figure(

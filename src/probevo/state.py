@@ -265,7 +265,8 @@ class OdometryState:
             # The rotation is the gyro's, the translation that of the last velocity.
             of_gyro = self.motion_model.predict(duration_s, rotation)
             if uses_imu(window):
-                motion = replace(of_gyro, alternative=motion)
+                # A gyro that has passed its tests would see a sudden turn.
+                motion = replace(of_gyro, alternative=replace(motion, sudden_turn_rad=0.0))
             elif trusts_gyro(window):
                 motion = of_gyro
             elif window is not None and may_bridge(window):

@@ -19,13 +19,13 @@ REACH_PX = 30.0
 """Distance from the prediction within which the tracker, with its three pyramid levels, reliably
 finds a point."""
 NEAR_PX = 15.0
-"""If the coarse rotation is this near to the predicted one, it is no further start. With 30 px, a
-step of raw 0005 was lost when only every fourth frame was used."""
-FEWEST_KEPT = 0.5
-"""Share of the features of the previous frame of which fewer are hardly found by chance of the
-scene."""
+"""If another rotation is this near to the predicted one, it is no further start. With 30 px, a step
+of raw 0005 was lost when only every fourth frame was used."""
 NEAR_ROLL_RAD = 0.1
 """The same for a turn about the optical axis."""
+FEWEST_KEPT = 0.5
+"""If a smaller share of the previous features is found, the search may have started in a wrong
+place."""
 COARSE_PX = 8
 """Factor by which images are reduced for the coarse rotation."""
 
