@@ -7,7 +7,7 @@ import pytest
 
 import probevo as pv
 from probevo.arrays import FloatArray
-from probevo.geometry import se3
+from probevo.geometry import se3, so3
 from probevo.geometry.uncertainty import normalized_error_squared
 from probevo_sim.scene.config import RigConfig, SceneConfig
 from probevo_sim.scene.recording import SceneRecording, open_scene
@@ -45,6 +45,37 @@ def test_no_step_is_refused_and_each_is_as_good_as_claimed(
     assert 1.0 < np.mean(squared) < 9.0
     end = se3.inverse(truth[0]) @ truth[len(frames) - 1]
     assert np.linalg.norm(estimate.T_world_cam[:3, 3] - end[:3, 3]) < 0.02
+
+
+def test_the_gyro_is_an_alternative_until_it_has_been_tested(
+    walk: tuple[SceneRecording, list[pv.Frame]],
+) -> None:
+    """Then the last velocity is, to which no sudden turn is conceded any more."""
+    recording, frames = walk
+    assert recording.truth is not None
+    truth = recording.truth.T_world_cam
+    odometry = pv.StereoOdometry(recording.camera, imu=recording.imu)
+    roles = []
+    for k, frame in enumerate(frames):
+        if k > 1:
+            assert odometry.state is not None
+            first = odometry.state.predict(frame, recording.imu).motion
+            second = first.alternative
+            assert second is not None
+            C_curr_prev = (se3.inverse(truth[k]) @ truth[k - 1])[:3, :3]
+            off_rad = [
+                np.linalg.norm(so3.log(motion.T_curr_prev[:3, :3] @ C_curr_prev.T))
+                for motion in (first, second)
+            ]
+            gyro_is_first = bool(np.argmin(off_rad) == 0)
+            assert off_rad[1 - gyro_is_first] < np.deg2rad(0.2)
+            assert first.sudden_turn_rad == (0.0 if gyro_is_first else pytest.approx(0.05))
+            assert second.sudden_turn_rad == 0.0
+            roles.append(gyro_is_first)
+        odometry.step(frame)
+    assert not roles[0]
+    assert roles[-1]
+    assert np.count_nonzero(np.diff(roles)) == 1
 
 
 def _error_squared(estimate: pv.MotionEstimate, T_curr_prev: FloatArray) -> float:
