@@ -59,6 +59,12 @@ def test_nothing_is_found_where_nothing_matches(image: Image) -> None:
     assert matched_rotation(image, scene(), CAMERA) is None
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (20, 20), (2, 300), (63, 64)])
+def test_small_images_have_no_descriptors(shape: tuple[int, int]) -> None:
+    image = scene()[: shape[0], : shape[1]]
+    assert matched_rotation(image, image, CAMERA) is None
+
+
 def test_the_same_images_give_the_same_bytes() -> None:
     image = turned(scene(), so3.exp(np.array([0.1, 0.1, 0.1])))
     first, second = (matched_rotation(scene(), image, CAMERA) for _ in range(2))

@@ -15,6 +15,8 @@ from probevo.camera.stereo import StereoCamera
 
 NUM_FEATURES = 500
 """Features per image."""
+SMALLEST_PX = 64
+"""Height and width below which an image has no descriptors: a window of one is 31 px wide."""
 NUM_SAMPLES = 200
 """Pairs of matches that are tried: enough to find one of two right ones, with all but certainty, if
 a fifth of them are right."""
@@ -33,6 +35,8 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
         image: current left image.
         camera: the rectified camera.
     """
+    if min(image.shape) < SMALLEST_PX:
+        return None
     orb = cv2.ORB.create(nfeatures=NUM_FEATURES)
     prev_found, prev_descriptors = orb.detectAndCompute(prev_image, None)
     found, descriptors = orb.detectAndCompute(image, None)
