@@ -200,7 +200,12 @@ class MotionModelConfig(Settings):
         5.0, gt=0, description="Standard deviation of the acceleration; a car brakes with 3 to 10."
     )
     angular_acceleration_rad_s2: float = Field(
-        2.0, gt=0, description="Standard deviation of the angular acceleration."
+        2.0,
+        gt=0,
+        description=(
+            "Standard deviation of the angular acceleration of a vehicle; that a rig turns more"
+            " suddenly, or accelerates more, is learned on the way."
+        ),
     )
     start_speed_m_s: float = Field(
         20.0, gt=0, description="Standard deviation of the speed at the start."

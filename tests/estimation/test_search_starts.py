@@ -96,14 +96,16 @@ def test_no_more_starts_where_the_rotation_is_known_or_there_is_no_image() -> No
     assert rotated_starts(prediction(0.3), frame(0, None), curr, CAMERA) == []
 
 
-def test_another_prediction_is_a_start_if_it_is_far_enough() -> None:
-    """As that of a gyro, which may turn about the optical axis, too."""
+def test_the_prediction_of_a_gyro_is_a_start_if_it_is_far_enough() -> None:
+    """Also if it turns about the optical axis; the last velocity is none beside a gyro."""
     prev = frame(0, view(300, 120))
     curr = frame(1, view(300, 120))
     likely = prediction(0.001)
     for yaw_rad, roll_rad, num_starts in ((0.01, 0.05, 0), (0.1, 0.0, 1), (0.0, 0.2, 1)):
         T = se3.from_parts(so3.exp(np.array([0.0, yaw_rad, roll_rad])), np.zeros(3))
-        either = replace(likely, alternative=replace(likely, T_curr_prev=T))
+        other = replace(likely, T_curr_prev=T)
+        assert rotated_starts(replace(likely, alternative=other), prev, curr, CAMERA) == []
+        either = replace(likely, alternative=replace(other, is_of_gyro=True))
         starts = rotated_starts(either, prev, curr, CAMERA)
         assert len(starts) == num_starts
         for start in starts:

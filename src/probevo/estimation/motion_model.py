@@ -51,9 +51,11 @@ class MotionPrediction:
     velocity_sensitivity: FloatArray
     """∂ξ/∂(error of the velocity in standard deviations), [6, 6]. The rows of the rotation are zero
     if it is a gyro's."""
+    is_of_gyro: bool = False
+    """Whether the rotation is a gyro's."""
     sudden_turn_rad: float = 0.0
-    """Standard deviation that a sudden turn adds to the rotation about each axis; 0 if the rotation
-    is a gyro's, which would see it."""
+    """Standard deviation that a sudden turn adds to the rotation about each axis; 0 if a gyro would
+    see it."""
     alternative: MotionPrediction | None = None
     """Another prediction: from the last velocity alone where this one is a gyro's, which may be
     wrong; that of a gyro where it has not been tested. If set, a solve must contradict both
@@ -66,8 +68,7 @@ class MotionPrediction:
     def fails_gate(self, T_curr_prev: FloatArray, cov: FloatArray) -> bool:
         """Return whether a solved motion differs too much from the prediction, given both
         covariances."""
-        # The gyro may be the one that is wrong, so reject a solve only if it contradicts the last
-        # velocity as well.
+        # Either prediction may be the one that is wrong.
         if self.alternative is not None and not self.alternative.fails_gate(T_curr_prev, cov):
             return False
         with_sudden_turn = cov.copy()
@@ -154,6 +155,7 @@ class MotionModel:
             T_curr_prev,
             cov,
             velocity_sensitivity,
+            is_of_gyro=gyro is not None,
             sudden_turn_rad=0.0 if gyro is not None else SUDDEN_TURN_RAD_S2 * duration_s**2,
         )
 
@@ -260,6 +262,8 @@ class MotionModel:
             mean,
             twist_sigma_s=mean._drifted_sigma(0.5 * path_s),
             usual_step_s=self._usual_step_after(duration_s),
+            # A mean velocity tells little of the accelerations.
+            acceleration_scale=self.acceleration_scale,
         )
 
     def after_dead_reckoning(

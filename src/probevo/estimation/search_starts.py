@@ -33,7 +33,8 @@ COARSE_PX = 8
 def rotated_starts(
     prediction: MotionPrediction, prev_frame: Frame, frame: Frame, camera: StereoCamera
 ) -> list[FloatArray]:
-    """Return further starts, T_curr_prev [4, 4], with a rotation from a gyro or from the images.
+    """Return further starts, T_curr_prev [4, 4], with a rotation from a gyro that has not been
+    tested, or from the images.
 
     They are needed if the camera may have turned by more than the tracker can follow. Without them,
     a camera that begins to turn between distant frames is lost for the whole turn.
@@ -41,8 +42,9 @@ def rotated_starts(
     if prev_frame.left is None or frame.left is None:
         return []
     rotations = []
-    if prediction.alternative is not None:
-        rotations.append(prediction.alternative.T_curr_prev[:3, :3])
+    alternative = prediction.alternative
+    if alternative is not None and alternative.is_of_gyro:
+        rotations.append(alternative.T_curr_prev[:3, :3])
     # σ of the predicted pitch and yaw, as a shift of the image
     sigma_px = np.sqrt(np.diagonal(prediction.cov)[3:5]) * [camera.fv_px, camera.fu_px]
     if sigma_px.max() >= REACH_PX:
