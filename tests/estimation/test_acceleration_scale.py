@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probevo.estimation.acceleration_scale import MEMORY_S, AccelerationScale
+from probevo.estimation.acceleration_scale import LARGEST_FACTOR, MEMORY_S, AccelerationScale
 
 STEP_S = 0.05
 CONFIGURED = np.repeat([5.0, 2.0], 3)
@@ -88,3 +88,14 @@ def test_the_change_of_a_longer_step_counts_by_its_time() -> None:
         kept_s = np.exp(-duration_s / MEMORY_S)
         expected = (kept_s + 9.0 * duration_s) / (kept_s + duration_s)
         np.testing.assert_allclose(scale.mean_square, expected, rtol=1e-12)
+
+
+def test_a_wrong_stamp_pretends_no_more_than_the_largest_acceleration() -> None:
+    """Two frames a nanosecond apart, by their stamps."""
+    scale = AccelerationScale().after(
+        np.full(6, 1e7), NO_NOISE, accelerations=CONFIGURED, duration_s=1e-9
+    )
+    np.testing.assert_allclose(scale.factors, 1.0, atol=1e-6)
+    for _ in range(1000):
+        scale = scale.after(np.full(6, 1e7), NO_NOISE, accelerations=CONFIGURED, duration_s=STEP_S)
+    np.testing.assert_allclose(scale.factors, LARGEST_FACTOR, rtol=0.01)

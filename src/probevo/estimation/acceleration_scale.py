@@ -18,6 +18,10 @@ still in between."""
 PRIOR_S = 1.0
 """Time of motion that the settings count for."""
 
+LARGEST_FACTOR = 10.0
+"""No rig is shaken by more than 50 m/s² and 20 rad/s²; a stamp that is wrong pretends any
+acceleration."""
+
 
 @dataclass(frozen=True)
 class AccelerationScale:
@@ -54,7 +58,7 @@ class AccelerationScale:
         """
         # The square of what is measured is that of the change plus the variance of its noise.
         squares = (twist_change**2 - change_variance) / (accelerations * duration_s) ** 2
-        shown = np.maximum(squares.reshape(2, 3).mean(axis=1), 0.0)
+        shown = np.clip(squares.reshape(2, 3).mean(axis=1), 0.0, LARGEST_FACTOR**2)
         kept_s = self.weight_s * np.exp(-duration_s / MEMORY_S)
         weight_s = kept_s + duration_s
         mean_square = (kept_s * np.array(self.mean_square) + duration_s * shown) / weight_s
