@@ -386,6 +386,33 @@ def test_a_bag_that_was_cut_off_is_refused(kind: str, tmp_path: Path) -> None:
         list(open_sequence(path))
 
 
+@pytest.mark.parametrize(
+    ("field", "renamed"),
+    [
+        (b"uint8[] data", b"uint8[] dada"),
+        (b"geometry_msgs/Vector3 angular_velocity", b"geometry_msgs/Vector3 angular_velocitx"),
+        (b"float64[9] k", b"float64[9] q"),
+    ],
+    ids=["image", "imu", "camera info"],
+)
+def test_a_message_without_a_field_of_its_type_is_refused(
+    field: bytes, renamed: bytes, tmp_path: Path
+) -> None:
+    """A bag defines its types by itself; in this one, a name is damaged."""
+    stamps = [k * FRAME_NS for k in range(3)]
+    sample = imu_message(START_NS, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    path = write_messages(
+        tmp_path / "whole", "single mcap", [*stereo_messages(stamps, stamps), sample]
+    )
+    damaged = tmp_path / "damaged.mcap"
+    content = path.read_bytes()
+    assert field in content
+    damaged.write_bytes(content.replace(field, renamed))
+    with pytest.raises(InputError, match=r"has no field|defines no") as refused:
+        list(open_sequence(damaged))
+    assert str(damaged) in str(refused.value)
+
+
 def test_a_file_of_noise_is_refused(tmp_path: Path) -> None:
     for suffix in (".bag", ".mcap", ".db3"):
         path = tmp_path / f"noise{suffix}"

@@ -32,7 +32,13 @@ from probevo.sequences.read_ahead import read_ahead
 from probevo.sequences.recording import ImageRecording
 from probevo.sequences.ros_camera_info import CameraInfo, rectification_of, stereo_camera
 from probevo.sequences.ros_images import gray_of
-from probevo.sequences.rosbag_file import TRANSFORM_TYPES, Decoder, RawMessage, opened_bag
+from probevo.sequences.rosbag_file import (
+    TRANSFORM_TYPES,
+    Decoder,
+    RawMessage,
+    complete_messages,
+    opened_bag,
+)
 from probevo.sequences.rosbag_topics import NamedTopics, StereoTopics, choose_topics
 from probevo.sequences.rosbag_truth import TruthPoses, frame_name, rigid_matrix
 from probevo.sequences.stamp_pairs import StampPairs, pair_stamps
@@ -102,8 +108,9 @@ class BagRecording(ImageRecording):
             InputError: a message is damaged, or its image has another size than the camera.
         """
         start = time.perf_counter()
-        left = self._image(pair.left, pair)
-        right = self._image(pair.right, pair)
+        with complete_messages(self.path):
+            left = self._image(pair.left, pair)
+            right = self._image(pair.right, pair)
         if self.rectification is not None:
             left, right = self.rectification.rectify(left, right)
         imu = self.imu_before(pair.index)
@@ -178,6 +185,12 @@ def open_rosbag(path: Path, options: RosbagOptions) -> BagRecording:
         InputError: the bag is damaged; it has no stereo images, no calibration, or several
             candidates for either (lists the topics); or a value is impossible.
     """
+    with complete_messages(path):
+        return _opened(path, options)
+
+
+def _opened(path: Path, options: RosbagOptions) -> BagRecording:
+    """Open a bag whose messages have the fields of their types."""
     named = NamedTopics(
         left=options.topics_left,
         right=options.topics_right,

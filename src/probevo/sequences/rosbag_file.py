@@ -128,6 +128,24 @@ class OpenBag:
 
 
 @contextmanager
+def complete_messages(path: Path) -> Iterator[None]:
+    """Refuse a message that lacks a field of its type, as the bag defines that type by itself.
+
+    Raises:
+        InputError: a field is missing.
+    """
+    try:
+        yield
+    except AttributeError as error:
+        type_name = getattr(error.obj, "__msgtype__", None)
+        if type_name is None:  # a fault of ours
+            raise
+        what = f"a message of type {type_name} has no field {error.name!r}."
+        cure = "The bag defines its types, and this one is damaged: record or convert it anew."
+        raise InputError(path, what, cure) from error
+
+
+@contextmanager
 def opened_bag(path: Path) -> Iterator[OpenBag]:
     """Open a bag: a file .bag, .mcap or .db3, or a folder of ROS 2.
 
