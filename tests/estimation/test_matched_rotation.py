@@ -41,6 +41,19 @@ def test_any_turn_is_found_to_half_a_degree(angles_deg: tuple[float, float, floa
     assert np.rad2deg(np.linalg.norm(so3.log(found @ truth.T))) < 0.5
 
 
+def test_wide_images_are_reduced_and_give_the_same_turn() -> None:
+    """Three times as wide: the same directions."""
+    truth = so3.exp(np.deg2rad([3.0, -4.0, 20.0]))
+    wide = StereoCamera.centered(1200.0, 0.1, (1440, 1080))
+    prev, curr = (
+        cv2.resize(image, (1440, 1080), interpolation=cv2.INTER_CUBIC)
+        for image in (scene(), turned(scene(), truth))
+    )
+    found = matched_rotation(prev, curr, wide)
+    assert found is not None
+    assert np.rad2deg(np.linalg.norm(so3.log(found @ truth.T))) < 0.7
+
+
 def test_the_turn_of_most_of_the_image_counts() -> None:
     """A third of it is covered by something else."""
     truth = so3.exp(np.deg2rad([4.0, -6.0, 10.0]))

@@ -15,6 +15,9 @@ from probevo.camera.stereo import StereoCamera
 
 NUM_FEATURES = 500
 """Features per image."""
+USUAL_WIDTH_PX = 640
+"""Wider images are reduced to about this width, by a whole factor: half a degree is precise enough
+for a start."""
 SMALLEST_PX = 64
 """Height and width below which an image has no descriptors: a window of one is 31 px wide."""
 NUM_SAMPLES = 200
@@ -35,6 +38,9 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
         image: current left image.
         camera: the rectified camera.
     """
+    reduction = max(1, round(image.shape[1] / USUAL_WIDTH_PX))
+    prev_image = _reduced(prev_image, reduction)
+    image = _reduced(image, reduction)
     if min(image.shape) < SMALLEST_PX:
         return None
     orb = cv2.ORB.create(nfeatures=NUM_FEATURES)
@@ -47,8 +53,10 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
         return None
     prev_px = np.array([prev_found[match.queryIdx].pt for match in matches])
     curr_px = np.array([found[match.trainIdx].pt for match in matches])
-    prev_rays = _rays(prev_px, camera)
-    curr_rays = _rays(curr_px, camera)
+    # Places are those of the centres of pixels, which are at whole numbers.
+    to_middle_px = 0.5 * (reduction - 1)
+    prev_rays = _rays(reduction * prev_px + to_middle_px, camera)
+    curr_rays = _rays(reduction * curr_px + to_middle_px, camera)
     agreeing = _best_sample(prev_rays, curr_rays)
     if int(agreeing.sum()) < FEWEST_AGREEING:
         return None
@@ -56,6 +64,14 @@ def matched_rotation(prev_image: Image, image: Image, camera: StereoCamera) -> F
         0
     ]
     return rotation
+
+
+def _reduced(image: Image, factor: int) -> Image:
+    """Return an image, smaller by a whole factor."""
+    if factor == 1:
+        return image
+    size = image.shape[1] // factor, image.shape[0] // factor
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
 def _rays(pixels: FloatArray, camera: StereoCamera) -> FloatArray:
