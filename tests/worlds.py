@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.image_errors import NUM_ERRORS, ImageErrors
 from probevo.camera.rig_calibration import (
     disparity_basis,
     radial_basis,
@@ -98,6 +99,18 @@ RIG_ROWS_PX = np.array([0.6, -0.4, 0.3, 0.5, 4.0, -0.5, 0.8])
 """True a₀ … a₅ of a bad rectification; a₄ is of the size that KITTI shows."""
 RIG_DISPARITY_PX = np.array([0.4, -1.2])
 """True b₁, b₂ of it."""
+
+
+def image_errors(
+    disparity_px: FloatArray | None = None, distortion_px: FloatArray | None = None
+) -> ImageErrors:
+    """Return the estimate of these errors of the images, the others zero."""
+    mean = np.zeros(NUM_ERRORS)
+    if disparity_px is not None:
+        mean[:2] = disparity_px
+    if distortion_px is not None:
+        mean[2:] = distortion_px
+    return replace(ImageErrors.initial(), mean=mean)
 
 
 def misrectified(

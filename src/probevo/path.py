@@ -8,7 +8,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.errors import InputError, brief
-from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate, Status
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
 
@@ -40,7 +40,7 @@ def compound(motions: Iterable[MotionEstimate]) -> tuple[FloatArray, FloatArray]
     cov = drift_covariances(
         T_curr_prev,
         np.array([step.cov for step in steps]).reshape(-1, 6, 6),
-        np.array([step.common_mode for step in steps]).reshape(-1, 6, 3),
+        np.array([step.common_mode for step in steps]).reshape(-1, 6, COMMON_MODE_COLUMNS),
         path_cross_cov=np.array([step.path_cross_cov for step in steps]).reshape(-1, 6, 6),
     )
     return se3.chain_motions(T_curr_prev), cov

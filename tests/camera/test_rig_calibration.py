@@ -4,22 +4,29 @@ from dataclasses import replace
 
 import numpy as np
 
+from probevo.camera.image_errors import NUM_ERRORS
 from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
-    CORRELATED_FEATURES,
-    DISPARITY_SIGMA_PX,
+    CORRELATED_RESIDUALS,
     ROW_SIGMA_PX,
     RigCalibration,
     row_basis,
 )
 from probevo.camera.rig_rows_numba import RADIAL, ROLL
-from worlds import CAMERA, RIG_DISPARITY_PX, RIG_ROWS_PX, misrectified, seen_twice
+from worlds import (
+    CAMERA,
+    RIG_DISPARITY_PX,
+    RIG_ROWS_PX,
+    image_errors,
+    misrectified,
+    seen_twice,
+)
 
 
 def test_correction_undoes_the_error() -> None:
     """A calibration that is the truth gives back what a flawless pair would show."""
     clean = seen_twice(np.random.default_rng(4), 100)
-    rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, disparity=RIG_DISPARITY_PX)
+    rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, image=image_errors(RIG_DISPARITY_PX))
     for pixels in (clean.prev_px, clean.curr_px):
         corrected = rig.corrected(misrectified(pixels), CAMERA)
         np.testing.assert_allclose(corrected, pixels, atol=1e-10)
@@ -28,7 +35,7 @@ def test_correction_undoes_the_error() -> None:
 def test_correction_leaves_the_left_image_and_its_argument_as_they_are() -> None:
     pixels = misrectified(seen_twice(np.random.default_rng(4), 100).prev_px)
     before = pixels.copy()
-    rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, disparity=RIG_DISPARITY_PX)
+    rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, image=image_errors(RIG_DISPARITY_PX))
     corrected = rig.corrected(pixels, CAMERA)
     np.testing.assert_array_equal(corrected[:, :2], before[:, :2])
     np.testing.assert_array_equal(pixels, before)
@@ -41,7 +48,7 @@ def test_initial_calibration_corrects_nothing() -> None:
 
 def test_tracks_are_corrected_in_both_frames() -> None:
     clean = seen_twice(np.random.default_rng(4), 100)
-    rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, disparity=RIG_DISPARITY_PX)
+    rig = replace(RigCalibration.initial(), rows=RIG_ROWS_PX, image=image_errors(RIG_DISPARITY_PX))
     tracks = replace(
         clean, prev_px=misrectified(clean.prev_px), curr_px=misrectified(clean.curr_px)
     )
@@ -116,47 +123,37 @@ def test_no_matches_teach_nothing() -> None:
     np.testing.assert_array_equal(rig.rows_information, RigCalibration.initial().rows_information)
 
 
-def test_disparity_update_is_that_of_the_normal_equations() -> None:
-    """Two updates in a row are one least-squares problem: prior and both measurements at once."""
-    rng = np.random.default_rng(7)
-    truth = np.array([0.4, -1.2])
-    rig = RigCalibration.initial()
-    total = np.diag(DISPARITY_SIGMA_PX**-2.0)
-    moment = np.zeros(2)
-    for _ in range(2):
-        root = rng.normal(size=(2, 5))
-        information = root @ root.T
-        measured = truth + rng.normal(scale=0.1, size=2)
-        rig = rig.with_disparity(
-            information, information @ (measured - rig.disparity), with_radial=np.zeros(2)
-        )
-        total += information / CORRELATED_FEATURES
-        moment += information / CORRELATED_FEATURES @ measured
-    np.testing.assert_allclose(rig.disparity_information, total, rtol=1e-12)
-    np.testing.assert_allclose(rig.disparity, np.linalg.solve(total, moment), rtol=1e-12)
-
-
-def test_another_radial_error_changes_the_disparity_errors_with_it() -> None:
+def test_another_radial_error_changes_the_image_errors_with_it() -> None:
     """As if all motions so far had been solved with the new a₆: their normal equations say so."""
-    pixels = misrectified(seen_twice(np.random.default_rng(10), 400).curr_px)
-    with_radial = np.array([30.0, -20.0])
-    information = np.array([[200.0, 50.0], [50.0, 300.0]])
-    before = RigCalibration.initial().with_disparity(
-        information, information @ RIG_DISPARITY_PX, with_radial=with_radial
+    rng = np.random.default_rng(10)
+    pixels = misrectified(seen_twice(rng, 400).curr_px)
+    with_radial = rng.normal(scale=30.0, size=NUM_ERRORS)
+    root = rng.normal(size=(NUM_ERRORS, 2 * NUM_ERRORS))
+    information = root @ root.T
+    truth = rng.normal(scale=0.2, size=NUM_ERRORS)
+    before = RigCalibration.initial().with_image_errors(
+        information, information @ truth, with_radial=with_radial
     )
     after = before.with_rows(pixels, CAMERA)
     change_px = after.rows[RADIAL] - before.rows[RADIAL]
     assert abs(change_px) > 0.1
-    gradient = -with_radial / CORRELATED_FEATURES * change_px
-    moved = np.linalg.solve(before.disparity_information, gradient)
-    np.testing.assert_allclose(after.disparity, before.disparity + moved, rtol=1e-12)
-    np.testing.assert_array_equal(after.disparity_information, before.disparity_information)
+    gradient = -with_radial / CORRELATED_RESIDUALS * change_px
+    moved = np.linalg.solve(before.image.information, gradient)
+    np.testing.assert_allclose(after.image.mean, before.image.mean + moved, atol=1e-12)
+    np.testing.assert_array_equal(after.image.information, before.image.information)
+
+
+def test_neighbouring_features_count_for_less_in_the_image_errors() -> None:
+    information = 100.0 * np.eye(NUM_ERRORS)
+    rig = RigCalibration.initial().with_image_errors(
+        information, np.zeros(NUM_ERRORS), with_radial=np.zeros(NUM_ERRORS)
+    )
+    np.testing.assert_allclose(rig.image.seen, information / CORRELATED_RESIDUALS, rtol=1e-12)
 
 
 def test_disparity_covariance_holds_the_constant_that_is_not_estimated() -> None:
-    information = np.array([[4.0, 1.0], [1.0, 9.0]])
-    rig = replace(RigCalibration.initial(), disparity_information=information)
+    rig = RigCalibration.initial()
     expected = np.zeros((3, 3))
     expected[0, 0] = CONSTANT_SIGMA_PX**2
-    expected[1:, 1:] = np.linalg.inv(information)
+    expected[1:, 1:] = rig.image.disparity_cov
     np.testing.assert_allclose(rig.disparity_cov, expected, rtol=1e-12)

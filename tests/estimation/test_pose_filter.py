@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probevo.arrays import FloatArray
-from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate, Status
 from probevo.estimation.pose_filter import LEAST_SIGMA, PoseFilter
 from probevo.evaluation.consistency import drift_covariances
 from probevo.geometry import se3
@@ -56,7 +56,7 @@ def random_covariance(rng: np.random.Generator, dim: int, sigma: float) -> Float
 
 
 def random_motion(rng: np.random.Generator, *, has_cross_cov: bool = True) -> MotionEstimate:
-    common_mode = rng.normal(scale=0.02, size=(6, 3))
+    common_mode = rng.normal(scale=0.02, size=(6, COMMON_MODE_COLUMNS))
     cross_cov = rng.normal(scale=1e-3, size=(6, 6)) if has_cross_cov else np.zeros((6, 6))
     return MotionEstimate(
         T_curr_prev=se3.exp(rng.normal(scale=[0.1, 0.1, 0.8, 0.02, 0.05, 0.02])),
@@ -72,7 +72,7 @@ def random_pose(rng: np.random.Generator) -> PoseFilter:
     return PoseFilter(
         T_world_cam=se3.exp(rng.normal(size=6)),
         own_cov=random_covariance(rng, 6, 0.1),
-        common_mode=rng.normal(scale=0.1, size=(6, 3)),
+        common_mode=rng.normal(scale=0.1, size=(6, COMMON_MODE_COLUMNS)),
     )
 
 

@@ -89,7 +89,7 @@ def test_steps_and_path_are_within_their_covariance(blind: tuple[int, ...], esti
     # The calibration's uncertainty counts though it is exact here, and the motion model allows for
     # more than such a car does: conservative, the latter by far.
     _, high = chi2_interval(6, len(of_pose))
-    assert 1.0 < np.mean(of_pose) < high
+    assert 0.3 < np.mean(of_pose) < high
     assert np.mean(of_step) < high
     assert np.sqrt(np.trace(cov[:3, :3])) < 0.1
 

@@ -8,6 +8,7 @@ import pytest
 
 from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
+from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.output.motions_file import read_motions, write_motions
 from probevo.output.run_result import RunResult
@@ -44,7 +45,7 @@ def test_names_and_types_in_the_file(make_run: Callable[..., RunResult], tmp_pat
         "num_inliers": ((4,), "<i8"),
         "num_used": ((4,), "<i8"),
         "num_out_of_domain": ((4,), "<i8"),
-        "common_mode": ((4, 6, 3), "<f8"),
+        "common_mode": ((4, 6, COMMON_MODE_COLUMNS), "<f8"),
         "path_cross_cov": ((4, 6, 6), "<f8"),
         "total_ms": ((4,), "<f8"),
         "ms_track": ((4,), "<f8"),

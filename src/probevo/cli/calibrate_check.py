@@ -46,8 +46,8 @@ class CalibrateCheckArguments:
     max_frames: int = MOST_FRAMES
     """Frames that are looked at, from the start."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Picture of the errors to write, .png, .svg or .pdf: rows over the image, disparity over its
-    width, and how far each quantity is from zero."""
+    """Picture of the errors to write, .png, .svg or .pdf: rows and lens distortion over the image,
+    disparity over its width, and how far each quantity is from zero."""
     settings: Annotated[ReadSettings, tyro.conf.arg(name="")] = field(default_factory=ReadSettings)
 
 
@@ -100,6 +100,7 @@ def check(sequence: Sequence, max_frames: int) -> Check:
     Raises:
         InputError: the recording is too short or too poor in features to say anything, or faulty.
     """
+    from probevo.camera.distortion_field import root_mean_square_px
     from probevo.evaluation.accelerometer_scale import accelerometer_scale
     from probevo.evaluation.calibration_quantities import (
         SELF_CALIBRATED,
@@ -144,6 +145,11 @@ def check(sequence: Sequence, max_frames: int) -> Check:
         elif any(_is_marked(quantity, len(quantities)) for quantity in gyro[:3]):
             matrix = "; ".join(" ".join(f"{value:+.6f}" for value in row) for row in C_cam_imu)
             notes.append(f"The rotation in T_cam_imu that agrees with the images: {matrix}.")
+    common_px, disparity_px = root_mean_square_px(seen.rig.image.distortion)
+    notes.append(
+        f"Lenses: they move both views of a point by {common_px:.2f} px, and disparities by"
+        f" {disparity_px:.2f} px beyond the bend above (rms over the image). This is corrected."
+    )
     if not any(quantity.name.startswith("scale") for quantity in quantities):
         notes.append("Scale: neither true poses nor an accelerometer tell it.")
     if seen.height is not None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probevo.arrays import FloatArray
-from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate, Status
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement
 from probevo.measurements.relative_pose import RelativePose
@@ -64,7 +64,7 @@ def corrected(motion: MotionEstimate, measurement: Measurement) -> MotionEstimat
         motion,
         T_curr_prev=measurement.T_curr_prev,
         cov=measurement.covariance,
-        common_mode=np.zeros((6, 3)),
+        common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
         path_cross_cov=np.zeros((6, 6)),
     )
 
@@ -91,8 +91,9 @@ def shares_of(of_images: MotionEstimate, motion: MotionEstimate, num_frames: int
 
     The features of a window have common errors. The correction ξ is an estimate of those of this
     step, and they add up over the K frames of the window, while features that are seen in all of
-    them claim a covariance C like that of two frames. In units of C, the covariance of the features
-    is therefore λ = 1 + K² ξᵀ C⁻¹ ξ / 6, and that of the corrected motion κ = tr(C⁻¹ Σ) / 6.
+    them claim a covariance C like that of two frames, without its common-mode part. In units of C,
+    the covariance of the features is therefore λ = 1 + K² ξᵀ C⁻¹ ξ / 6, and that of the corrected
+    motion κ = tr(C⁻¹ Σ) / 6.
 
     Both have errors of the same images in them, with an unknown cross-covariance. By covariance
     intersection, the information of one is multiplied by ω, that of the other by 1 − ω, and the
@@ -106,7 +107,8 @@ def shares_of(of_images: MotionEstimate, motion: MotionEstimate, num_frames: int
     """
     # Both in units of the covariance of the two-frame motion, averaged over the six dimensions
     xi = se3.log(motion.T_curr_prev @ se3.inverse(of_images.T_curr_prev))
-    information = np.linalg.inv(of_images.cov)
+    common_mode = of_images.common_mode
+    information = np.linalg.inv(of_images.cov - common_mode @ common_mode.T)
     of_features = 1.0 + num_frames**2 * float(xi @ information @ xi) / len(xi)
     of_motion = float(np.trace(information @ motion.cov)) / len(xi)
     # Covariance intersection with ω = λ/(λ + κ): λ/(1 − ω) times C, and 1/ω times Σ

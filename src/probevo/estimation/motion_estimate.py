@@ -12,6 +12,12 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 
+COMMON_MODE_COLUMNS = 9
+"""Columns of the common-mode part of a covariance: three for b₀, b₁ and b₂ of the rig
+(``camera.rig_calibration``), and six for its distortion field (``camera.distortion_field``)."""
+DISTORTION_COLUMNS = slice(3, COMMON_MODE_COLUMNS)
+"""Which of them are those of the distortion field."""
+
 
 @dataclass(frozen=True)
 class SensorOutcome:
@@ -63,10 +69,10 @@ class MotionEstimate:
     num_inliers: int = 0
     """Tracks with a weight of at least one half, of 0 to 1 (``estimation.feature_weights``)."""
     iterations: int = 0
-    common_mode: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
+    common_mode: FloatArray = field(default_factory=lambda: np.zeros((6, COMMON_MODE_COLUMNS)))
     """The common-mode part of ``cov``, from the uncertainty of the rig's calibration (Schmidt's
-    consider term): ξ moves along these columns, [6, 3], by the same three numbers of unit variance
-    in every step, and ``cov`` contains common_mode common_modeᵀ."""
+    consider term): ξ moves along these columns, [6, COMMON_MODE_COLUMNS], by the same numbers of
+    unit variance in every step, and ``cov`` contains common_mode common_modeᵀ."""
     path_cross_cov: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     """Cross-covariance of the error of the path before this step, along the axes of the current
     camera, with that of the step, [6, 6]: both depend on the same tracks, or the same velocity. A

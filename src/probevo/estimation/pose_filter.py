@@ -9,7 +9,7 @@ import numpy as np
 
 from probevo.arrays import FloatArray
 from probevo.estimation import gauss_newton
-from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate
 from probevo.geometry import se3
 from probevo.measurements.base import (
     Measurement,
@@ -54,7 +54,8 @@ class PoseFilter:
     """Covariance of the left perturbation ξ = [ρ; φ] of T_cam_world, and of the further states,
     without the common-mode part, [6 + n, 6 + n], m and rad."""
     common_mode: FloatArray
-    """∂(pose, further states)/∂(common-mode errors), [6 + n, 3]; those of all steps add up."""
+    """∂(pose, further states)/∂(common-mode errors), [6 + n, COMMON_MODE_COLUMNS]; those of all
+    steps add up."""
     is_corrected: bool = False
     """Whether a measurement of the pose has corrected it. From then on the cross-covariances of
     steps with the path before them are neglected: they refer to the uncorrected path."""
@@ -64,7 +65,9 @@ class PoseFilter:
     def at_origin() -> PoseFilter:
         """Return the pose of the first camera."""
         return PoseFilter(
-            T_world_cam=np.eye(4), own_cov=np.zeros((6, 6)), common_mode=np.zeros((6, 3))
+            T_world_cam=np.eye(4),
+            own_cov=np.zeros((6, 6)),
+            common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
         )
 
     @property
@@ -103,7 +106,7 @@ class PoseFilter:
         return replace(
             self,
             own_cov=own_cov,
-            common_mode=np.vstack([self.common_mode, np.zeros((len(value), 3))]),
+            common_mode=np.vstack([self.common_mode, np.zeros((len(value), COMMON_MODE_COLUMNS))]),
             further=(*self.further, FurtherState(variable, value)),
         )
 

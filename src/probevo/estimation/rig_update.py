@@ -8,21 +8,36 @@ from dataclasses import replace
 import numpy as np
 
 from probevo.arrays import FloatArray
+from probevo.camera.distortion_field import (
+    COMMON_MODES,
+    DISPARITY_MODES,
+    NUM_COEFFICIENTS,
+    modes_at,
+)
+from probevo.camera.distortion_field_numba import FieldModes, field_sensitivities
 from probevo.camera.focal_length_numba import focal_sensitivity
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter
 from probevo.camera.stereo import StereoCamera
 from probevo.camera.transfer_numba import Intrinsics
+from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.estimation.reprojection import ReprojectionSolution, SolvedJitter, sum_products
 from probevo.estimation.rig_update_numba import disparity_sensitivities, weigh_columns
+from probevo.geometry import se3
 from probevo.tracking.tracks import Tracks
 
-_RADIAL = 3
-"""Index of a₆ among (b₀, b₁, b₂, a₆, ε)."""
-_FOCAL = [1, 2, 4]
-"""Indices of b₁, b₂ and ε among these."""
-_DISPARITY = slice(1, 3)
-"""Those of b₁ and b₂: two frames do not estimate b₀."""
+LEAST_MOTION = 100.0
+"""Squared length of a motion, in units of its covariance, from which on it tells of the errors of
+the images; noise alone has 6. What looks like a motion at rest is noise, and so would be what it
+tells, for as long as a rig stands."""
+_FIELD = slice(3, 3 + NUM_COEFFICIENTS)
+"""Indices of the distortion field's coefficients among (b₀, b₁, b₂, field, a₆, ε)."""
+_IMAGE = slice(1, _FIELD.stop)
+"""Those of c = (b₁, b₂, field): two frames do not estimate b₀."""
+_RADIAL = _FIELD.stop
+"""Index of a₆."""
+_FOCAL = [1, 2, _FIELD.stop + 1]
+"""Indices of b₁, b₂ and ε."""
 
 
 def update_rig(
@@ -31,11 +46,12 @@ def update_rig(
     """Update disparity errors b, jitter and focal-length error ε of the rig, and return how the
     uncertainty of b moves the motion.
 
-    With D = ∂e/∂(b, a₆, ε) and J = −∂e/∂ξ (and −∂e/∂η, if the noise has a jitter), b and ε are
-    estimated from the joint normal equations, from which motion and jitter are eliminated (Schur
-    complement). a₆ is estimated from the rows, and b is conditional on it. The solution need not be
-    at the optimum, but it must use these two frames alone: the disparity filter was fed with
-    observations that were corrected by earlier calibrations, and would confirm these.
+    With D = ∂e/∂(b₀, c, a₆, ε), where c are b₁, b₂ and the distortion field, and J = −∂e/∂ξ (and
+    −∂e/∂η, if the noise has a jitter), c and ε are estimated from the joint normal equations, from
+    which motion and jitter are eliminated (Schur complement). a₆ is estimated from the rows, and c
+    is conditional on it. The solution need not be at the optimum, but it must use these two frames
+    alone: the disparity filter was fed with observations that were corrected by earlier
+    calibrations, and would confirm these.
 
     Args:
         rig: the estimate before this step.
@@ -44,13 +60,13 @@ def update_rig(
         camera: the rectified camera.
 
     Returns:
-        The estimate after the step, and the root of Schmidt's consider term, [6, 3]: ∂ξ/∂(errors
-        of the calibration before the step, whitened). Such an error is the same for all features,
-        so it does not average out, and in all steps, so it adds up along the path. If the features
-        do not determine the motion, nothing is updated.
+        The estimate after the step, and the root of Schmidt's consider term, [6,
+        COMMON_MODE_COLUMNS]: ∂ξ/∂(errors of the calibration before the step, whitened). Such an
+        error is the same for all features, so it does not average out, and in all steps, so it adds
+        up along the path. If the features do not determine the motion, nothing is updated.
     """
     if not np.isfinite(solution.cov).all():
-        return rig, np.zeros((6, 3))
+        return rig, np.zeros((6, COMMON_MODE_COLUMNS))
     # Sensitivities of the residuals to the calibration, and weighted products of both
     D = calibration_sensitivity(tracks, solution, camera)
     jacobian = solution.full_jacobian
@@ -58,8 +74,8 @@ def update_rig(
     columns = np.concatenate([D, solution.residuals[:, :, None]], axis=2)
     weighted = np.empty_like(columns)
     weigh_columns(solution.information, solution.irls_weight, columns, weighted)
-    # Normal equations of (ξ, η) and (b, a₆, ε): [[H, −C], [−Cᵀ, B]], with the gradients of both. C
-    # has a minus since J is the derivative of the prediction, and D that of the residual.
+    # Normal equations of (ξ, η) and (b₀, c, a₆, ε): [[H, −C], [−Cᵀ, B]], with the gradients of
+    # both. C has a minus since J is the derivative of the prediction, and D that of the residual.
     of_motion = sum_products(jacobian, weighted)
     C = of_motion[:, :-1]
     motion_gradient = of_motion[:, -1]
@@ -68,18 +84,20 @@ def update_rig(
     rig_gradient = -of_rig[:, -1]
     if solution.jitter is not None:
         motion_gradient[6:] -= solution.jitter.eta  # of the prior η ~ N(0, I)
-    # The Schur complement on b, a₆ and ε, and the step (ξ, η) with these held.
+    # The Schur complement on b₀, c, a₆ and ε, and the step (ξ, η) with these held.
     solved = np.linalg.solve(solution.full_hessian, np.column_stack([C, motion_gradient]))
     # Gain H⁻¹ C: B − Cᵀ H⁻¹ C, and its gradient g_rig + Cᵀ H⁻¹ g_motion.
     gain = solved[:, :-1]
     step = solved[:, -1].astype(float)
     gradient = gain.T @ motion_gradient + rig_gradient
     information = B - C.T @ gain
-    updated = rig.with_disparity(
-        information[_DISPARITY, _DISPARITY],
-        gradient[_DISPARITY],
-        with_radial=information[_DISPARITY, _RADIAL],
-    )
+    updated = rig
+    if _is_motion(solution):
+        updated = rig.with_image_errors(
+            information[_IMAGE, _IMAGE],
+            gradient[_IMAGE],
+            with_radial=information[_IMAGE, _RADIAL],
+        )
     # Near the optimum, IRLS steps are too short, since the curvature of the loss is less than its
     # weights: scale the information of the focal length to the curvature.
     curvature = float(solution.curvature.sum() / solution.irls_weight.sum())
@@ -93,8 +111,28 @@ def update_rig(
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
     # The consider term: jitter is new in every frame and cannot absorb a constant error, so it is
     # held here.
-    motion_gain = np.linalg.solve(solution.hessian, C[:6, :3])
-    return updated, motion_gain @ np.linalg.cholesky(rig.disparity_cov)
+    motion_gain = np.linalg.solve(solution.hessian, C[:6, : _FIELD.stop])
+    of_disparity = motion_gain[:, :3] @ np.linalg.cholesky(rig.disparity_cov)
+    of_field = _square_root(motion_gain[:, _FIELD] @ np.linalg.cholesky(rig.image.distortion_cov))
+    return updated, np.hstack([of_disparity, of_field])
+
+
+def _is_motion(solution: ReprojectionSolution) -> bool:
+    """Return whether a motion is much more than its noise (``LEAST_MOTION``)."""
+    xi = se3.log(solution.T_curr_prev)
+    return bool(xi @ np.linalg.solve(solution.cov, xi) > LEAST_MOTION)
+
+
+def _square_root(columns: FloatArray) -> FloatArray:
+    """Return the lower triangular root of columns columnsᵀ, [6, 6], with a diagonal ≥ 0.
+
+    As the root of a covariance it is unique. So successive steps, which are alike, have roots that
+    are alike, and an error that is the same in all of them can be added up by these.
+    """
+    upper = np.asarray(np.linalg.qr(columns.T, mode="r"), np.float64)
+    signs = np.where(np.diagonal(upper) < 0.0, -1.0, 1.0)
+    lower: FloatArray = upper.T * signs
+    return lower
 
 
 def _updated_jitter(jitter: RigJitter, solved: SolvedJitter, step: FloatArray) -> RigJitter:
@@ -113,16 +151,34 @@ def _updated_jitter(jitter: RigJitter, solved: SolvedJitter, step: FloatArray) -
 def calibration_sensitivity(
     tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
 ) -> FloatArray:
-    """Return ∂e/∂(b₀, b₁, b₂, a₆, ε), [N, 4, 5]; ε is the error of log f
-    (``camera.focal_length``)."""
-    sensitivity = np.empty((len(tracks), 4, 5))
+    """Return ∂e/∂(b₀, b₁, b₂, field, a₆, ε), [N, 4, 5 + NUM_COEFFICIENTS], where the field has its
+    coefficients and ε is the error of log f (``camera.focal_length``)."""
+    sensitivity = np.empty((len(tracks), 4, 5 + NUM_COEFFICIENTS))
     intrinsics = Intrinsics.of(camera)
+    of_disparity = np.empty((len(tracks), 4, 4))
     disparity_sensitivities(
         solution.disparity_jacobian,
         np.array(tracks.prev_px, order="C"),
         np.array(tracks.curr_px, order="C"),
         camera=intrinsics,
-        sensitivity=sensitivity,
+        sensitivity=of_disparity,
     )
-    focal_sensitivity(solution.T_curr_prev, intrinsics, solution.refined, sensitivity[:, :, 4])
+    sensitivity[:, :, :3] = of_disparity[:, :, :3]
+    sensitivity[:, :, _RADIAL] = of_disparity[:, :, 3]
+    field_sensitivities(
+        solution.T_curr_prev,
+        intrinsics,
+        solution.refined,
+        solution.disparity_jacobian,
+        FieldModes(
+            prev=modes_at(tracks.prev_px, camera),
+            curr=modes_at(tracks.curr_px, camera),
+            of_common=COMMON_MODES,
+            of_disparity=DISPARITY_MODES,
+        ),
+        sensitivity[:, :, _FIELD],
+    )
+    focal_sensitivity(
+        solution.T_curr_prev, intrinsics, solution.refined, sensitivity[:, :, _RADIAL + 1]
+    )
     return sensitivity

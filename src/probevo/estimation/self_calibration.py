@@ -22,7 +22,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation.motion_estimate import MotionEstimate, Status
+from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
 from probevo.estimation.rig_update import update_rig
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion
@@ -44,7 +44,7 @@ class CalibratedMotion:
     rig: RigCalibration | None
     """The calibration after the step; None without self-calibration."""
     common_mode: FloatArray
-    """∂ξ/∂(errors of the calibration before the step, whitened), [6, 3]."""
+    """∂ξ/∂(errors of the calibration before the step, whitened), [6, COMMON_MODE_COLUMNS]."""
     jitter_cov: FloatArray | None
     """Covariance of the rig's jitter that the solve assumed, [3, 3], rad²; None without
     self-calibration."""
@@ -171,7 +171,11 @@ class SelfCalibratingEstimator:
             )
             if rig is None or visual.two_frames_only is None:
                 return CalibratedMotion(
-                    corrected, visual, rig=rig, common_mode=np.zeros((6, 3)), jitter_cov=jitter_cov
+                    corrected,
+                    visual,
+                    rig=rig,
+                    common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
+                    jitter_cov=jitter_cov,
                 )
             # What the solve shows of the rig; solve again if that is more jitter than the solve
             # assumed.

@@ -25,10 +25,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
+from probevo.camera.image_errors import DISPARITY_SIGMA_PX
 from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
     CORRELATED_FEATURES,
-    DISPARITY_SIGMA_PX,
     disparity_basis,
 )
 from probevo.camera.stereo import StereoCamera
@@ -36,7 +36,7 @@ from probevo.config import OdometryConfig
 from probevo.estimation import inertial
 from probevo.estimation.inertial_states import InertialSystem
 from probevo.estimation.motion_correction import Shares
-from probevo.estimation.motion_estimate import Status
+from probevo.estimation.motion_estimate import DISTORTION_COLUMNS, Status
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import MarginalPrior, Window, merged, selected
 from probevo.estimation.window_jitter import JitterElimination, jitter_places, without_jitter
@@ -172,12 +172,12 @@ class WindowEstimator:
             noise = noise.scaled(shares.of_features(visual.weights[visual.used]))
             motion = motion.scaled(shares.motion)
             measurements = [*measurements, motion]
-        # The window estimates the disparity errors of the rig itself, but neither delay nor rows.
+        # The window estimates b of the rig itself, but neither delay, rows nor distortion field.
         rig = step.corrected.rig
         tracks = step.corrected.simultaneous.kept(visual.used)
         if rig is not None:
-            tracks = tracks.with_rows_corrected(rig, self._camera)
-        return self.with_features(
+            tracks = tracks.corrected_for_window(rig, self._camera)
+        after = self.with_features(
             inertial.gated(window, motion),
             frame,
             tracks,
@@ -186,6 +186,7 @@ class WindowEstimator:
             jitter_cov=step.jitter_cov,
             measurements=measurements,
         )
+        return after.with_common_mode(step.common_mode[:, DISTORTION_COLUMNS])
 
     def with_features(
         self,
@@ -206,8 +207,8 @@ class WindowEstimator:
         Args:
             window: K frames.
             frame: index of the new one.
-            tracks: N tracks between a frame of the window and the new one; rows corrected by the
-                rig's calibration, disparities not.
+            tracks: N tracks between a frame of the window and the new one; corrected by the rig's
+                calibration, but not for b.
             noise: of these N tracks.
             two_frames: the motion between these two frames by itself, with its covariance. It
                 counts beside the features only if it is one of the measurements, too.
@@ -384,6 +385,7 @@ class WindowEstimator:
         # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
         # so that the pose may still be linearised anew (``_moved``).
         T_new = T_curr_prev @ window.T_cam_world[prev]
+        common_mode = se3.adjoint(T_curr_prev) @ window.common_mode[prev]
         is_blind = np.append(window.is_blind, len(tracks) == 0)
         is_blind[prev] &= len(tracks) == 0  # features of it may be found again only now
         return replace(
@@ -392,6 +394,7 @@ class WindowEstimator:
             T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
             T_linear=np.concatenate([window.T_linear, T_new[None]]),
             is_blind=is_blind,
+            common_mode=np.concatenate([window.common_mode, common_mode[None]]),
             jitter=np.concatenate([window.jitter, np.zeros((1, JITTER))]),
             prior=with_pose(window.prior),
             ids=np.concatenate([window.ids, tracks.ids[is_new]]),
@@ -500,6 +503,7 @@ class WindowEstimator:
             T_cam_world=window.T_cam_world[1:],
             T_linear=window.T_linear[1:],
             is_blind=window.is_blind[1:],
+            common_mode=window.common_mode[1:],
             jitter=window.jitter[1:],
             prior=kept_positive(prior),
             ids=window.ids[stays],

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from probevo.estimation.motion_estimate import MotionEstimate
+from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate
 from probevo.estimation.pose_filter import PoseFilter
 from probevo.estimation.window import Window
 from probevo.geometry import se3
@@ -77,7 +77,7 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
         motion,
         T_curr_prev=T_curr_prev,
         cov=cov,
-        common_mode=np.zeros((6, 3)),
+        common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
         path_cross_cov=0.5 * (growth - cov),
     )
 
@@ -86,7 +86,9 @@ def live_pose(window: Window) -> PoseFilter:
     """Return the pose of the newest frame; the rig's errors are part of its covariance."""
     newest = window.pose(len(window) - 1)
     return PoseFilter(
-        T_world_cam=newest.T_world_cam, own_cov=newest.cov, common_mode=np.zeros((6, 3))
+        T_world_cam=newest.T_world_cam,
+        own_cov=newest.cov,
+        common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
     )
 
 

@@ -11,6 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from probevo.arrays import FloatArray
+from probevo.camera.distortion_field import (
+    COMMON_MODES,
+    DISPARITY_MODES,
+    modes_at,
+    root_mean_square_px,
+)
+from probevo.camera.image_errors import NUM_ERRORS
 from probevo.camera.rig_calibration import RigCalibration, disparity_basis, row_basis
 from probevo.camera.stereo import StereoCamera
 from probevo.errors import InputError
@@ -24,6 +31,10 @@ SAMPLES = 60
 """Places along each axis of the image at which the errors are drawn."""
 LEAST_SCALE_PX = 0.5
 """Row offset at which the colours end, if none is larger."""
+ARROW_COLUMNS = 22
+"""Arrows across the image that show the distortion field."""
+ARROW_ROWS = 8
+"""Arrows down the image."""
 DPI = 150
 
 
@@ -70,12 +81,13 @@ def write_calibration_picture(
     """
     check_picture_path(path)
     with figure_style():
-        figure = Figure(figsize=(9.0, 3.4 + 0.16 * len(quantities)))
-        heights = (3.0, 0.16 * len(quantities) + 0.4)
-        grid = figure.add_gridspec(2, 2, height_ratios=heights)
+        figure = Figure(figsize=(9.0, 6.2 + 0.16 * len(quantities)))
+        heights = (3.0, 2.6, 0.16 * len(quantities) + 0.4)
+        grid = figure.add_gridspec(3, 2, height_ratios=heights)
         _draw_rows(figure.add_subplot(grid[0, 0]), rig, camera)
         _draw_disparity(figure.add_subplot(grid[0, 1]), rig, camera)
-        _draw_quantities(figure.add_subplot(grid[1, :]), quantities, marked, largest_z)
+        _draw_distortion(figure.add_subplot(grid[1, :]), rig, camera)
+        _draw_quantities(figure.add_subplot(grid[2, :]), quantities, marked, largest_z)
         ending = path.suffix.lower()
         buffer = io.BytesIO()
         figure.savefig(
@@ -118,10 +130,14 @@ def _draw_disparity(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> No
     """Draw by how much true disparities are larger than measured ones, over the image's width."""
     width_px, _ = _image_size_px(camera)
     u = np.linspace(0.0, width_px, SAMPLES)
-    # The first coefficient, a constant, is not estimated from two frames.
-    basis = disparity_basis(_far_points(u, np.full(SAMPLES, camera.cv_px)), camera)[:, 1:]
-    error_px = basis @ rig.disparity
-    cov = rig.disparity_cov[1:, 1:]
+    pixels = _far_points(u, np.full(SAMPLES, camera.cv_px))
+    # The parabola, whose constant is not estimated from two frames, and the field's own modes.
+    errors = rig.image
+    basis = np.zeros((SAMPLES, NUM_ERRORS))
+    basis[:, :2] = disparity_basis(pixels, camera)[:, 1:]
+    basis[:, -len(DISPARITY_MODES) :] = modes_at(pixels, camera)[:, DISPARITY_MODES]
+    error_px = basis @ errors.mean
+    cov = np.linalg.inv(errors.information)
     sigma_px = np.sqrt(np.einsum("ni,ij,nj->n", basis, cov, basis))
     axes.fill_between(u, error_px - 3.0 * sigma_px, error_px + 3.0 * sigma_px, color=BAND)
     axes.plot(u, error_px, color=BLUE)
@@ -129,6 +145,38 @@ def _draw_disparity(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> No
     axes.set_title("Disparity, true minus measured, with ± 3σ")
     axes.set_xlabel("u, px")
     axes.set_ylabel("px")
+
+
+def _draw_distortion(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> None:
+    """Draw how far both views of a point have to be moved, as arrows over the left image."""
+    width_px, height_px = _image_size_px(camera)
+    u, v = np.meshgrid(
+        np.linspace(0.0, width_px, ARROW_COLUMNS), np.linspace(0.0, height_px, ARROW_ROWS)
+    )
+    modes = modes_at(_far_points(u.ravel(), v.ravel()), camera)[:, COMMON_MODES]
+    of_u, of_v = rig.image.distortion[: 2 * len(COMMON_MODES)].reshape(2, -1)
+    moved_u = modes @ of_u
+    moved_v = modes @ of_v
+    longest_px = max(LEAST_SCALE_PX, float(np.hypot(moved_u, moved_v).max()))
+    # The longest arrow is as long as two of them are apart. Image rows count downwards.
+    arrows = axes.quiver(
+        u.ravel(),
+        v.ravel(),
+        moved_u,
+        -moved_v,
+        color=BLUE,
+        scale=longest_px * ARROW_COLUMNS / 2.0,
+        scale_units="width",
+        width=0.0018,
+    )
+    axes.quiverkey(arrows, 0.94, 1.08, LEAST_SCALE_PX, f"{LEAST_SCALE_PX:g} px", labelpos="E")
+    axes.set_xlim(-0.03 * width_px, 1.03 * width_px)
+    axes.set_ylim(1.08 * height_px, -0.08 * height_px)
+    axes.grid(visible=False)
+    common_px, _ = root_mean_square_px(rig.image.distortion)
+    axes.set_title(f"What the lenses' distortion has left in both images, {common_px:.2f} px rms")
+    axes.set_xlabel("u, px")
+    axes.set_ylabel("v, px")
 
 
 def _draw_quantities(

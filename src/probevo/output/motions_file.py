@@ -13,6 +13,7 @@ import numpy as np
 from probevo.arrays import AnyArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
+from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
@@ -114,7 +115,7 @@ def read_motions(path: Path | str) -> RunResult:
         T_world_cam=se3.chain_motions(T_curr_prev)[:n],
         T_curr_prev=T_curr_prev,
         cov=cov,
-        common_mode=_take(path, arrays, "common_mode", shape=(steps, 6, 3)),
+        common_mode=_take(path, arrays, "common_mode", shape=(steps, 6, COMMON_MODE_COLUMNS)),
         path_cross_cov=_take(path, arrays, "path_cross_cov", shape=(steps, 6, 6))
         if "path_cross_cov" in arrays
         else np.zeros((steps, 6, 6)),

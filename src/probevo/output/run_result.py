@@ -14,13 +14,20 @@ import numpy as np
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.focal_length import FocalLengthError
 from probevo.errors import InputError
-from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
+from probevo.estimation.motion_estimate import (
+    COMMON_MODE_COLUMNS,
+    MotionEstimate,
+    SensorOutcome,
+    Status,
+)
 from probevo.evaluation.accelerometer_scale import AccelerometerScale
 from probevo.evaluation.consistency import drift_covariances
 from probevo.evaluation.ground_height import GroundHeight
 from probevo.geometry import se3
 from probevo.output.rows import Rows
 
+_COMMON_MODE = slice(52, 52 + 6 * COMMON_MODE_COLUMNS)
+"""Where the common-mode part lies in what a recorder keeps of a step."""
 SIGMA_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 """Names of the standard deviations of ξ = [ρ; φ] along the axes of the current camera."""
 
@@ -267,7 +274,7 @@ class RunRecorder:
     """
 
     def __init__(self) -> None:
-        self._numbers = Rows(np.float64, 16 + 36 + 18 + 36 + 1)
+        self._numbers = Rows(np.float64, _COMMON_MODE.stop + 36 + 1)
         """T_curr_prev, cov, common_mode, path_cross_cov, wall time of the step."""
         self._counts = Rows(np.int64, 6)
         """Stamp, status, tracks, inliers, used, out of domain (−1 for None)."""
@@ -351,13 +358,13 @@ class RunRecorder:
             T_world_cam=self._path(T_curr_prev)[: len(counts)],
             T_curr_prev=T_curr_prev,
             cov=numbers[:, 16:52].reshape(-1, 6, 6),
-            common_mode=numbers[:, 52:70].reshape(-1, 6, 3),
-            path_cross_cov=numbers[:, 70:106].reshape(-1, 6, 6),
+            common_mode=numbers[:, _COMMON_MODE].reshape(-1, 6, COMMON_MODE_COLUMNS),
+            path_cross_cov=numbers[:, _COMMON_MODE.stop : -1].reshape(-1, 6, 6),
             status=status,
             num_tracks=num_tracks,
             num_inliers=num_inliers,
             stage_ms={name: times_ms.table()[1:, 0] for name, times_ms in self._stage_ms.items()},
-            total_ms=numbers[:, 106].copy(),
+            total_ms=numbers[:, -1].copy(),
             rejected=dict(self._rejected),
             unusable=dict(self._unusable),
             sensors=dict(self._sensors),

@@ -68,12 +68,13 @@ class Tracks:
             ),
         )
 
-    def with_rows_corrected(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:
-        """Return the tracks with only the rows of both observations corrected."""
+    def corrected_for_window(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:
+        """Return the tracks with both observations corrected for all errors of the rig but those of
+        the disparity that the window estimates itself."""
         return replace(
             self,
-            prev_px=rig.with_rows_corrected(self.prev_px, camera),
-            curr_px=rig.with_rows_corrected(self.curr_px, camera),
+            prev_px=rig.corrected_for_window(self.prev_px, camera),
+            curr_px=rig.corrected_for_window(self.curr_px, camera),
         )
 
     def corrected(self, rig: RigCalibration, camera: StereoCamera) -> Tracks:
