@@ -69,6 +69,13 @@ FIGURES = (
         minutes=3,
         needs_data=True,
     ),
+    Figure(
+        "lens-distortion",
+        ("docs/accuracy.md",),
+        "python benchmarks/lens_distortion.py",
+        minutes=6,
+        needs_data=True,
+    ),
     Figure("random-rigs", ("docs/accuracy.md",), "python benchmarks/random_rigs.py", minutes=15),
     Figure(
         "carried-rigs",

@@ -7,7 +7,7 @@ import numpy as np
 from probevo.camera.image_errors import NUM_ERRORS
 from probevo.camera.rig_calibration import (
     CONSTANT_SIGMA_PX,
-    CORRELATED_RESIDUALS,
+    CORRELATED_FEATURES,
     ROW_SIGMA_PX,
     RigCalibration,
     row_basis,
@@ -137,7 +137,7 @@ def test_another_radial_error_changes_the_image_errors_with_it() -> None:
     after = before.with_rows(pixels, CAMERA)
     change_px = after.rows[RADIAL] - before.rows[RADIAL]
     assert abs(change_px) > 0.1
-    gradient = -with_radial / CORRELATED_RESIDUALS * change_px
+    gradient = -with_radial / CORRELATED_FEATURES * change_px
     moved = np.linalg.solve(before.image.information, gradient)
     np.testing.assert_allclose(after.image.mean, before.image.mean + moved, atol=1e-12)
     np.testing.assert_array_equal(after.image.information, before.image.information)
@@ -148,7 +148,7 @@ def test_neighbouring_features_count_for_less_in_the_image_errors() -> None:
     rig = RigCalibration.initial().with_image_errors(
         information, np.zeros(NUM_ERRORS), with_radial=np.zeros(NUM_ERRORS)
     )
-    np.testing.assert_allclose(rig.image.seen, information / CORRELATED_RESIDUALS, rtol=1e-12)
+    np.testing.assert_allclose(rig.image.seen, information / CORRELATED_FEATURES, rtol=1e-12)
 
 
 def test_disparity_covariance_holds_the_constant_that_is_not_estimated() -> None:

@@ -247,7 +247,7 @@ def learn_field(
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_distortion_field_converges_to_the_truth(seed: int) -> None:
-    """Of 45 coefficients the errors are 1.3 of their σ at most in the mean square: five residuals
+    """Of 45 coefficients the errors are 1.3 of their σ at most in the mean square: twenty features
     count as one, and independent ones end inside of it. Motions, noise included, err by a third
     less."""
     rng = np.random.default_rng(20 + seed)

@@ -52,10 +52,12 @@ NUM_COEFFICIENTS = 2 * len(COMMON_MODES) + len(DISPARITY_MODES)
 def image_plane(camera: StereoCamera) -> ImagePlane:
     """Return the extent of a camera's images; where only features are known, the principal point
     is in the middle."""
-    if camera.size_px is None:
-        return ImagePlane(width=2.0 * camera.cu_px, height=2.0 * camera.cv_px)
-    width, height = camera.size_px
-    return ImagePlane(width=width - 1.0, height=height - 1.0)
+    width_px = 2.0 * camera.cu_px
+    height_px = 2.0 * camera.cv_px
+    if camera.size_px is not None:
+        width_px = camera.size_px[0] - 1.0
+        height_px = camera.size_px[1] - 1.0
+    return ImagePlane(width=max(width_px, 1.0), height=max(height_px, 1.0))
 
 
 def modes_at(pixels: FloatArray, camera: StereoCamera) -> FloatArray:

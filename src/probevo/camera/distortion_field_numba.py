@@ -38,7 +38,7 @@ class FieldModes(NamedTuple):
 
 @compiled
 def fill_modes(pixels: FloatArray, plane: ImagePlane, modes: FloatArray) -> None:
-    """Fill P_i(x) P_j(y) at the left observations of N features, [N, 4], px.
+    """Fill P_i(x) P_j(y) at the left observations of N features, [N, ≥ 2], px.
 
     A feature outside of the image has the modes of the nearest place in it: polynomials grow fast
     where nothing holds them.
@@ -100,6 +100,27 @@ def correct_by_field(
         pixels[n, 1] += v_px
         pixels[n, 2] += u_px - d_px
         pixels[n, 3] += v_px
+
+
+@compiled
+def predict_pixels(
+    T: FloatArray, camera: Intrinsics, refined: FloatArray, predicted: FloatArray
+) -> None:
+    """Fill the left pixels (u', v') of N points in the current frame, [N, 2], px.
+
+    Args:
+        T: T_curr_prev, [4, 4].
+        camera: the intrinsics.
+        refined: the points in the previous frame, (u, v, d), [N, 3], px.
+        predicted: filled in; the principal point for what is behind the camera.
+    """
+    for n in range(len(refined)):
+        X, Y, Z, _ = transfer(T, camera, refined[n])
+        predicted[n, 0] = camera.cu
+        predicted[n, 1] = camera.cv
+        if Z >= NEAREST:
+            predicted[n, 0] += camera.fu * X / Z
+            predicted[n, 1] += camera.fv * Y / Z
 
 
 @compiled

@@ -28,6 +28,9 @@ DISPARITY_SIGMA_PX = np.array([1.0, 1.0])
 INITIAL_SIGMA_PX = 0.2
 """τ before anything is seen: the field is then 0.2 px rms over the image, about as much as
 calibrations leave."""
+LARGEST_SIGMA_PX = 0.5
+"""Largest τ. Lenses that are further off have to be calibrated. Where features move by themselves,
+as on a lorry that fills the road, a field of many pixels could explain that."""
 NUM_ERRORS = len(DISPARITY_SIGMA_PX) + NUM_COEFFICIENTS
 _DISTORTION = slice(len(DISPARITY_SIGMA_PX), NUM_ERRORS)
 
@@ -116,7 +119,7 @@ class ImageErrors:
             seen=seen,
             moment=moment,
             with_radial=self.with_radial + with_radial,
-            distortion_sigma_px=math.sqrt(mean_square),
+            distortion_sigma_px=min(math.sqrt(mean_square), LARGEST_SIGMA_PX),
         )
 
     def with_radial_moved(self, change_px: float) -> ImageErrors:

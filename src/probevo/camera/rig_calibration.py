@@ -60,12 +60,8 @@ ROW_SCATTER_PX = 0.2
 freedom."""
 ROW_DOF = 5.0
 CORRELATED_FEATURES = 20.0
-"""Number of row offsets that count as one: neighbours have common errors, and the same points
-return in successive frames."""
-CORRELATED_RESIDUALS = 5.0
-"""Number of residuals of a motion that count as one. By the scores of features in neighbouring
-places, sums vary 1.1 to 2.9 times as much as if features were independent, and errors of a track
-last for several frames. With 20 the distortion field is learned later, and claims are lower."""
+"""Number of features that count as one: neighbours have common errors, and the same points return
+in successive frames."""
 ROW_NOISE = RowOffsetNoise(sigma_px=ROW_SCATTER_PX, dof=ROW_DOF, correlated=CORRELATED_FEATURES)
 ROW_ITERATIONS = 3
 NO_DISPARITY_ERROR_PX = np.zeros(2)
@@ -185,7 +181,8 @@ class RigCalibration:
     ) -> RigCalibration:
         """Update the errors c of the images with the normal equations of a motion's residuals.
 
-        Residuals are correlated, so their information is reduced (``CORRELATED_RESIDUALS``).
+        Residuals of neighbouring features are correlated, so their information is reduced
+        (``CORRELATED_FEATURES``).
 
         Args:
             information: about c, [NUM_ERRORS, NUM_ERRORS], px⁻².
@@ -193,9 +190,9 @@ class RigCalibration:
             with_radial: off-diagonal information between c and a₆, [NUM_ERRORS], px⁻².
         """
         updated = self.image.with_step(
-            information / CORRELATED_RESIDUALS,
-            gradient / CORRELATED_RESIDUALS,
-            with_radial / CORRELATED_RESIDUALS,
+            information / CORRELATED_FEATURES,
+            gradient / CORRELATED_FEATURES,
+            with_radial / CORRELATED_FEATURES,
         )
         return replace(self, image=updated)
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 300
 FEWEST_FRAMES = 12
+NOTICEABLE_PX = 0.05
+"""What the lenses' distortion has to leave to be mentioned."""
 FALSE_ALARMS = 0.01
 """Share of flawless recordings of which any quantity is marked."""
 
@@ -146,10 +148,11 @@ def check(sequence: Sequence, max_frames: int) -> Check:
             matrix = "; ".join(" ".join(f"{value:+.6f}" for value in row) for row in C_cam_imu)
             notes.append(f"The rotation in T_cam_imu that agrees with the images: {matrix}.")
     common_px, disparity_px = root_mean_square_px(seen.rig.image.distortion)
-    notes.append(
-        f"Lenses: they move both views of a point by {common_px:.2f} px, and disparities by"
-        f" {disparity_px:.2f} px beyond the bend above (rms over the image). This is corrected."
-    )
+    if max(common_px, disparity_px) > NOTICEABLE_PX:
+        notes.append(
+            f"Lenses: they move both views of a point by {common_px:.2f} px, and disparities by"
+            f" {disparity_px:.2f} px beyond the bend above (rms over the image). This is corrected."
+        )
     if not any(quantity.name.startswith("scale") for quantity in quantities):
         notes.append("Scale: neither true poses nor an accelerometer tell it.")
     if seen.height is not None:

@@ -14,7 +14,7 @@ from probevo.camera.distortion_field import (
     NUM_COEFFICIENTS,
     modes_at,
 )
-from probevo.camera.distortion_field_numba import FieldModes, field_sensitivities
+from probevo.camera.distortion_field_numba import FieldModes, field_sensitivities, predict_pixels
 from probevo.camera.focal_length_numba import focal_sensitivity
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.rig_jitter import RigJitter
@@ -165,14 +165,19 @@ def calibration_sensitivity(
     )
     sensitivity[:, :, :3] = of_disparity[:, :, :3]
     sensitivity[:, :, _RADIAL] = of_disparity[:, :, 3]
+    # The modes are those at the most likely pixels given both observations. At the observed ones,
+    # the noise of a pixel would be in its modes and in its residual, and bias the field: a field
+    # that pulls the pixels together makes all residuals smaller.
+    predicted_px = np.empty((len(tracks), 2))
+    predict_pixels(solution.T_curr_prev, intrinsics, solution.refined, predicted_px)
     field_sensitivities(
         solution.T_curr_prev,
         intrinsics,
         solution.refined,
         solution.disparity_jacobian,
         FieldModes(
-            prev=modes_at(tracks.prev_px, camera),
-            curr=modes_at(tracks.curr_px, camera),
+            prev=modes_at(solution.refined, camera),
+            curr=modes_at(predicted_px, camera),
             of_common=COMMON_MODES,
             of_disparity=DISPARITY_MODES,
         ),
