@@ -76,6 +76,20 @@ FIGURES = (
         minutes=6,
         needs_data=True,
     ),
+    Figure(
+        "shared-errors",
+        ("docs/accuracy.md",),
+        "python benchmarks/shared_errors.py",
+        minutes=2,
+        needs_data=True,
+    ),
+    Figure(
+        "image-halves",
+        ("docs/accuracy.md",),
+        "python benchmarks/image_halves.py",
+        minutes=2,
+        needs_data=True,
+    ),
     Figure("random-rigs", ("docs/accuracy.md",), "python benchmarks/random_rigs.py", minutes=15),
     Figure(
         "carried-rigs",

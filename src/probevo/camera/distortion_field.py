@@ -2,8 +2,8 @@
 
 A lens has its own distortion, which a model of few coefficients fits to a few tenths of a pixel.
 What is left is the same in every frame and alike for neighbouring features, so it does not average
-out. On KITTI, errors of features in neighbouring places are correlated by 0.05 to 0.3, in one frame
-as in frames ten apart; on rendered images, whose camera is exact, not at all.
+out. On KITTI, errors of features in neighbouring places are correlated by 0.04 to 0.2, in one frame
+and hardly less in frames ten apart; on rendered images, whose camera is exact, not at all.
 
 The errors are three fields over the left image:
 
