@@ -277,8 +277,8 @@ def test_common_mode_error_is_the_spread_over_the_uncertainty() -> None:
     initial = RigCalibration.initial()
     known = np.concatenate([[0.4, 0.6], np.full(NUM_COEFFICIENTS, 1e-6)])
     rig = replace(initial, image=replace(initial.image, information=np.diag(known**-2.0)))
-    _, columns = update_rig(rig, clean, solve(clean, Fixed()), CAMERA)
-    claimed = columns @ columns.T
+    _, common_mode = update_rig(rig, clean, solve(clean, Fixed()), CAMERA)
+    claimed = common_mode.columns @ common_mode.columns.T
     errors = []
     for b in rng.normal(size=(400, 3)) * [CONSTANT_SIGMA_PX, 0.4, 0.6]:
         tracks = misrectified_tracks(clean, np.zeros(7), b[1:], b[0])
@@ -296,8 +296,8 @@ def test_common_mode_error_shrinks_with_the_uncertainty_to_that_of_the_constant(
     certain = replace(initial, image=replace(initial.image, information=1e12 * np.eye(NUM_ERRORS)))
     covs = []
     for rig in (initial, certain):
-        _, columns = update_rig(rig, clean, solution, CAMERA)
-        covs.append(columns @ columns.T)
+        _, common_mode = update_rig(rig, clean, solution, CAMERA)
+        covs.append(common_mode.columns @ common_mode.columns.T)
     assert np.linalg.eigvalsh(covs[0] - covs[1])[0] > -1e-12
     assert np.linalg.matrix_rank(covs[1] / covs[1].max(), tol=1e-6) == 1
 
@@ -309,6 +309,6 @@ def test_features_that_fix_no_motion_teach_nothing() -> None:
     rig = RigCalibration.initial()
     solution = solve(clean, StudentT())
     assert np.isnan(solution.cov).all()
-    after, columns = update_rig(rig, clean, replace(solution, hessian=np.zeros((6, 6))), CAMERA)
+    after, common_mode = update_rig(rig, clean, replace(solution, hessian=np.zeros((6, 6))), CAMERA)
     assert after is rig
-    np.testing.assert_array_equal(columns, 0.0)
+    np.testing.assert_array_equal(common_mode.columns, 0.0)

@@ -72,7 +72,7 @@ def test_a_rig_that_is_as_expected_is_solved_once() -> None:
     assert num_solves == 1
     assert found.visual.status is Status.OK
     assert found.rig is not None
-    assert found.common_mode.any()
+    assert found.common_mode.columns.any()
 
 
 def test_without_self_calibration_there_is_neither_rig_nor_common_mode() -> None:
@@ -80,7 +80,7 @@ def test_without_self_calibration_there_is_neither_rig_nor_common_mode() -> None
     found, num_solves = estimate(tracks, None)
     assert num_solves == 1
     assert found.rig is None
-    assert not found.common_mode.any()
+    assert not found.common_mode.columns.any()
 
 
 def test_more_jitter_than_expected_is_solved_again() -> None:

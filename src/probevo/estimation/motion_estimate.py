@@ -15,8 +15,6 @@ from probevo.arrays import FloatArray
 COMMON_MODE_COLUMNS = 9
 """Columns of the common-mode part of a covariance: three for b₀, b₁ and b₂ of the rig
 (``camera.rig_calibration``), and six for its distortion field (``camera.distortion_field``)."""
-DISTORTION_COLUMNS = slice(3, COMMON_MODE_COLUMNS)
-"""Which of them are those of the distortion field."""
 
 
 @dataclass(frozen=True)

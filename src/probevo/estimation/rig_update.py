@@ -4,6 +4,7 @@ the motion."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,9 +41,23 @@ _FOCAL = [1, 2, _FIELD.stop + 1]
 """Indices of b₁, b₂ and ε."""
 
 
+class CommonMode(NamedTuple):
+    """How errors of the calibration before a step move its motion."""
+
+    columns: FloatArray
+    """Root of Schmidt's consider term, [6, COMMON_MODE_COLUMNS]: ∂ξ/∂(errors, whitened)."""
+    distortion_gain: FloatArray
+    """∂ξ/∂(coefficients of the distortion field), [6, NUM_COEFFICIENTS], m/px and rad/px."""
+
+    @staticmethod
+    def none() -> CommonMode:
+        """Return that of a motion on which no calibration has an influence."""
+        return CommonMode(np.zeros((6, COMMON_MODE_COLUMNS)), np.zeros((6, NUM_COEFFICIENTS)))
+
+
 def update_rig(
     rig: RigCalibration, tracks: Tracks, solution: ReprojectionSolution, camera: StereoCamera
-) -> tuple[RigCalibration, FloatArray]:
+) -> tuple[RigCalibration, CommonMode]:
     """Update disparity errors b, jitter and focal-length error ε of the rig, and return how the
     uncertainty of b moves the motion.
 
@@ -60,13 +75,12 @@ def update_rig(
         camera: the rectified camera.
 
     Returns:
-        The estimate after the step, and the root of Schmidt's consider term, [6,
-        COMMON_MODE_COLUMNS]: ∂ξ/∂(errors of the calibration before the step, whitened). Such an
+        The estimate after the step, and how errors of the one before it move the motion. Such an
         error is the same for all features, so it does not average out, and in all steps, so it adds
         up along the path. If the features do not determine the motion, nothing is updated.
     """
     if not np.isfinite(solution.cov).all():
-        return rig, np.zeros((6, COMMON_MODE_COLUMNS))
+        return rig, CommonMode.none()
     # Sensitivities of the residuals to the calibration, and weighted products of both
     D = calibration_sensitivity(tracks, solution, camera)
     jacobian = solution.full_jacobian
@@ -111,10 +125,11 @@ def update_rig(
         updated = replace(updated, jitter=_updated_jitter(rig.jitter, solution.jitter, step[6:]))
     # The consider term: jitter is new in every frame and cannot absorb a constant error, so it is
     # held here.
-    motion_gain = np.linalg.solve(solution.hessian, C[:6, : _FIELD.stop])
+    motion_gain = np.linalg.solve(solution.hessian, C[:6, : _FIELD.stop]).astype(float)
     of_disparity = motion_gain[:, :3] @ np.linalg.cholesky(rig.disparity_cov)
-    of_field = _square_root(motion_gain[:, _FIELD] @ np.linalg.cholesky(rig.image.distortion_cov))
-    return updated, np.hstack([of_disparity, of_field])
+    distortion_gain = motion_gain[:, _FIELD]
+    of_field = _square_root(distortion_gain @ np.linalg.cholesky(rig.image.distortion_cov))
+    return updated, CommonMode(np.hstack([of_disparity, of_field]), distortion_gain)
 
 
 def _is_motion(solution: ReprojectionSolution) -> bool:

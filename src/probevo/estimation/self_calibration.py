@@ -22,9 +22,9 @@ from probevo.arrays import FloatArray
 from probevo.camera.exposure_delay import is_noticeable
 from probevo.camera.rig_calibration import RigCalibration
 from probevo.camera.stereo import StereoCamera
-from probevo.estimation.motion_estimate import COMMON_MODE_COLUMNS, MotionEstimate, Status
+from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.estimation.motion_model import MotionModel, MotionPrediction
-from probevo.estimation.rig_update import update_rig
+from probevo.estimation.rig_update import CommonMode, update_rig
 from probevo.estimation.visual_motion import MotionPriors, VisualEstimator, VisualMotion
 from probevo.geometry import se3
 from probevo.stage_clock import StageClock
@@ -43,8 +43,8 @@ class CalibratedMotion:
     visual: VisualMotion
     rig: RigCalibration | None
     """The calibration after the step; None without self-calibration."""
-    common_mode: FloatArray
-    """∂ξ/∂(errors of the calibration before the step, whitened), [6, COMMON_MODE_COLUMNS]."""
+    common_mode: CommonMode
+    """How errors of the calibration before the step move its motion."""
     jitter_cov: FloatArray | None
     """Covariance of the rig's jitter that the solve assumed, [3, 3], rad²; None without
     self-calibration."""
@@ -57,16 +57,17 @@ class CalibratedMotion:
         """
         visual = self.visual
         solution = visual.accepted_solution
+        common_mode = self.common_mode.columns
         return MotionEstimate(
             T_curr_prev=solution.T_curr_prev,
             # An error of the calibration is the same for all features and does not average out:
             # add Schmidt's consider term.
-            cov=solution.cov + self.common_mode @ self.common_mode.T,
+            cov=solution.cov + common_mode @ common_mode.T,
             status=visual.status,
             num_tracks=len(self.corrected.tracks),
             num_inliers=visual.num_inliers,
             iterations=visual.num_iterations,
-            common_mode=self.common_mode,
+            common_mode=common_mode,
             path_cross_cov=visual.disparities.path_cross_cov,
             num_used=visual.num_used,
             num_out_of_domain=visual.num_out_of_domain,
@@ -174,7 +175,7 @@ class SelfCalibratingEstimator:
                     corrected,
                     visual,
                     rig=rig,
-                    common_mode=np.zeros((6, COMMON_MODE_COLUMNS)),
+                    common_mode=CommonMode.none(),
                     jitter_cov=jitter_cov,
                 )
             # What the solve shows of the rig; solve again if that is more jitter than the solve

@@ -7,13 +7,14 @@ of poses are absolute: they grow along the path.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from probevo.arrays import BoolArray, FloatArray, IntArray
 from probevo.errors import InputError
+from probevo.estimation.distortion_effect import DistortionEffect
 from probevo.estimation.window_numba import JITTER, POSE, RIG, WindowLandmarks, WindowObservations
 from probevo.geometry import se3
 
@@ -76,10 +77,9 @@ class Window:
     observations: WindowObservations
     cov: FloatArray
     """Joint covariance of the poses' left perturbations and the rig, [6K + 4, 6K + 4]."""
-    common_mode: FloatArray
-    """∂(pose)/∂(what is not known of the distortion field, whitened) of each frame, [K, 6, 6]: an
-    error that is the same in all frames, and that the window does not estimate (Schmidt's consider
-    term). ``cov`` is without it."""
+    distortion: DistortionEffect
+    """How the distortion field of the lenses, which the window does not estimate, moves its poses
+    (Schmidt's consider term). ``cov`` is without it."""
     marginalized: tuple[SmoothedPose, ...] = ()
     """The poses that have left the window in the last step."""
     inertial: Inertial | None = None
@@ -113,7 +113,7 @@ class Window:
                 loss_parameter=np.zeros(0),
             ),
             cov=cov,
-            common_mode=np.zeros((1, POSE, POSE)),
+            distortion=DistortionEffect.none(),
         )
 
     def __len__(self) -> int:
@@ -185,28 +185,21 @@ class Window:
         jacobian = np.zeros((POSE, len(self.cov)))
         jacobian[:, self.pose_slice(slot)] += np.eye(POSE)
         jacobian[:, self.pose_slice(other)] -= se3.adjoint(T)
-        common = self.common_mode[slot] - se3.adjoint(T) @ self.common_mode[other]
-        return T, jacobian @ self.cov @ jacobian.T + common @ common.T
+        between = self.distortion.between(slot, other, se3.adjoint(T))
+        return T, jacobian @ self.cov @ jacobian.T + between
 
     def pose(self, slot: int) -> SmoothedPose:
         """Return the pose at a place of the window, with its covariance; −1 is the last."""
-        at = self.pose_slice(slot % len(self))
-        common = self.common_mode[slot]
         return SmoothedPose(
             frame=int(self.frames[slot]),
             T_world_cam=se3.inverse(self.T_cam_world[slot]),
-            cov=self.cov[at, at] + common @ common.T,
+            cov=self.own_cov(slot) + self.distortion.of_pose(slot),
         )
 
-    def with_common_mode(self, columns: FloatArray) -> Window:
-        """Return the window with the common-mode part of its last step, [6, 6], added.
-
-        The same errors are in all steps, so that their roots add up along the path, not their
-        covariances.
-        """
-        common_mode = self.common_mode.copy()
-        common_mode[-1] += columns
-        return replace(self, common_mode=common_mode)
+    def own_cov(self, slot: int) -> FloatArray:
+        """Return the covariance of a pose, [6, 6], for a distortion field that is known exactly."""
+        at = self.pose_slice(slot % len(self))
+        return self.cov[at, at].copy()  # a view would keep the whole window's alive
 
     def offsets(self) -> FloatArray:
         """Return x of the prior: offsets of the poses, and the rig, [6K + 4]."""

@@ -36,7 +36,7 @@ from probevo.config import OdometryConfig
 from probevo.estimation import inertial
 from probevo.estimation.inertial_states import InertialSystem
 from probevo.estimation.motion_correction import Shares
-from probevo.estimation.motion_estimate import DISTORTION_COLUMNS, Status
+from probevo.estimation.motion_estimate import Status
 from probevo.estimation.self_calibration import CalibratedMotion
 from probevo.estimation.window import MarginalPrior, Window, merged, selected
 from probevo.estimation.window_jitter import JitterElimination, jitter_places, without_jitter
@@ -186,7 +186,15 @@ class WindowEstimator:
             jitter_cov=step.jitter_cov,
             measurements=measurements,
         )
-        return after.with_common_mode(step.common_mode[:, DISTORTION_COLUMNS])
+        if step.corrected.rig is None or step.rig is None:
+            return after
+        # The motion of the step is that of tracks corrected by the field before it.
+        distortion = after.distortion.with_step(
+            step.common_mode.distortion_gain,
+            used_px=step.corrected.rig.image.distortion,
+            errors=step.rig.image,
+        )
+        return replace(after, distortion=distortion)
 
     def with_features(
         self,
@@ -385,7 +393,6 @@ class WindowEstimator:
         # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
         # so that the pose may still be linearised anew (``_moved``).
         T_new = T_curr_prev @ window.T_cam_world[prev]
-        common_mode = se3.adjoint(T_curr_prev) @ window.common_mode[prev]
         is_blind = np.append(window.is_blind, len(tracks) == 0)
         is_blind[prev] &= len(tracks) == 0  # features of it may be found again only now
         return replace(
@@ -394,7 +401,7 @@ class WindowEstimator:
             T_cam_world=np.concatenate([window.T_cam_world, T_new[None]]),
             T_linear=np.concatenate([window.T_linear, T_new[None]]),
             is_blind=is_blind,
-            common_mode=np.concatenate([window.common_mode, common_mode[None]]),
+            distortion=window.distortion.carried_to_new(prev, T_curr_prev),
             jitter=np.concatenate([window.jitter, np.zeros((1, JITTER))]),
             prior=with_pose(window.prior),
             ids=np.concatenate([window.ids, tracks.ids[is_new]]),
@@ -503,7 +510,7 @@ class WindowEstimator:
             T_cam_world=window.T_cam_world[1:],
             T_linear=window.T_linear[1:],
             is_blind=window.is_blind[1:],
-            common_mode=window.common_mode[1:],
+            distortion=window.distortion.kept(slice(1, None)),
             jitter=window.jitter[1:],
             prior=kept_positive(prior),
             ids=window.ids[stays],

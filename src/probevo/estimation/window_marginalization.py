@@ -120,7 +120,7 @@ def without_blind(window: Window, leaving: BoolArray) -> Window:
         T_cam_world=window.T_cam_world[~leaving],
         T_linear=window.T_linear[~leaving],
         is_blind=window.is_blind[~leaving],
-        common_mode=window.common_mode[~leaving],
+        distortion=window.distortion.kept(~leaving),
         jitter=window.jitter[~leaving],
         prior=kept_positive(without_poses(window.prior, leaving)),
         observations=observations._replace(slot=observations.slot - num_before[observations.slot]),

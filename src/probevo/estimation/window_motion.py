@@ -52,11 +52,11 @@ def live_motion(motion: MotionEstimate, before: Window, after: Window) -> Motion
     adjoint = se3.adjoint(T_curr_prev)
     last = len(after) - 1
     prev_before = before.pose(-1).cov
-    prev_after = after.pose(last - 1).cov
     curr_after = after.pose(last).cov
     T_relative, relative_cov = after.relative(last, last - 1)
     # cov(ε): the step after, and the share of the previous pose's error that this step has removed.
-    known_better = prev_before - prev_after
+    # What it has taught of the lenses' distortion removes nothing from that pose.
+    known_better = before.own_cov(-1) - after.own_cov(last - 1)
     if np.diagonal(prev_before)[3:].max() > LARGEST_ATTITUDE_SIGMA_RAD**2:
         oldest = before.slot(int(after.frames[0]))
         _, from_oldest_before = before.relative(len(before) - 1, oldest)

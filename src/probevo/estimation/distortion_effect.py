@@ -1,0 +1,103 @@
+"""What an error of the distortion field does to the poses of a window.
+
+The window is handed tracks that are corrected by the field, and does not estimate it. The field of
+the lenses is c; that of step k was corrected by ĉ_k, so that its motion is off by G_k (c − ĉ_k),
+with the gain G_k = ∂ξ/∂c of its solve. Along the path these errors add up,
+
+    S_k = Ad_k S_{k−1} + G_k,    s_k = Ad_k s_{k−1} + G_k ĉ_k,
+
+and the pose is off by S_k c − s_k. With the newest estimate, c ~ N(ĉ, Σ), its second moment is
+
+    S_k Σ S_kᵀ + (S_k ĉ − s_k)(S_k ĉ − s_k)ᵀ.
+
+So what is learned of the lenses later makes earlier poses more certain, or less, if it is other
+than what they were corrected by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probevo.arrays import BoolArray, FloatArray
+from probevo.camera.distortion_field import NUM_COEFFICIENTS
+from probevo.camera.image_errors import ImageErrors
+from probevo.geometry import se3
+
+POSE = 6
+
+
+@dataclass(frozen=True)
+class DistortionEffect:
+    """How the distortion field moves the poses of K frames."""
+
+    sensitivity: FloatArray
+    """S_k of each, [K, 6, NUM_COEFFICIENTS], m/px and rad/px."""
+    corrected: FloatArray
+    """s_k of each, [K, 6], m and rad."""
+    mean: FloatArray
+    """ĉ, [NUM_COEFFICIENTS], px."""
+    cov: FloatArray
+    """Σ, [NUM_COEFFICIENTS, NUM_COEFFICIENTS], px²."""
+
+    @staticmethod
+    def none() -> DistortionEffect:
+        """Return that of the first frame."""
+        return DistortionEffect(
+            sensitivity=np.zeros((1, POSE, NUM_COEFFICIENTS)),
+            corrected=np.zeros((1, POSE)),
+            mean=np.zeros(NUM_COEFFICIENTS),
+            cov=np.zeros((NUM_COEFFICIENTS, NUM_COEFFICIENTS)),
+        )
+
+    def kept(self, frames: BoolArray | slice) -> DistortionEffect:
+        """Return that of some of the frames."""
+        return replace(self, sensitivity=self.sensitivity[frames], corrected=self.corrected[frames])
+
+    def carried_to_new(self, prev: int, T_curr_prev: FloatArray) -> DistortionEffect:
+        """Return the effect with one more frame, whose motion from another, [4, 4], adds none."""
+        adjoint = se3.adjoint(T_curr_prev)
+        return replace(
+            self,
+            sensitivity=np.concatenate([self.sensitivity, adjoint @ self.sensitivity[prev][None]]),
+            corrected=np.concatenate([self.corrected, (adjoint @ self.corrected[prev])[None]]),
+        )
+
+    def with_step(
+        self, gain: FloatArray, *, used_px: FloatArray, errors: ImageErrors
+    ) -> DistortionEffect:
+        """Return the effect with that of the last step added, and with the newest estimate.
+
+        Args:
+            gain: G of the step, [6, NUM_COEFFICIENTS].
+            used_px: the coefficients by which its tracks were corrected, [NUM_COEFFICIENTS], px.
+            errors: the estimate after the step.
+        """
+        sensitivity = self.sensitivity.copy()
+        sensitivity[-1] += gain
+        corrected = self.corrected.copy()
+        corrected[-1] += gain @ used_px
+        return DistortionEffect(
+            sensitivity=sensitivity,
+            corrected=corrected,
+            mean=errors.distortion,
+            cov=errors.distortion_cov,
+        )
+
+    def of_pose(self, slot: int) -> FloatArray:
+        """Return the second moment of the error of a pose, [6, 6]."""
+        return self._second_moment(self.sensitivity[slot], self.corrected[slot])
+
+    def between(self, slot: int, other: int, adjoint: FloatArray) -> FloatArray:
+        """Return that of the motion between two frames, with its adjoint, [6, 6]."""
+        return self._second_moment(
+            self.sensitivity[slot] - adjoint @ self.sensitivity[other],
+            self.corrected[slot] - adjoint @ self.corrected[other],
+        )
+
+    def _second_moment(self, sensitivity: FloatArray, corrected: FloatArray) -> FloatArray:
+        """Return the second moment of S c − s, [6, 6]."""
+        left = sensitivity @ self.mean - corrected
+        moment: FloatArray = sensitivity @ self.cov @ sensitivity.T + np.outer(left, left)
+        return moment

@@ -1,0 +1,77 @@
+"""How an error of the lenses' distortion moves the poses of a window."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from probevo.arrays import FloatArray
+from probevo.camera.distortion_field import NUM_COEFFICIENTS
+from probevo.camera.image_errors import ImageErrors
+from probevo.estimation.distortion_effect import DistortionEffect
+from probevo.geometry import se3
+from worlds import FORWARD, image_errors
+
+STEPS = 5
+
+
+def walked(
+    rng: np.random.Generator,
+) -> tuple[DistortionEffect, list[FloatArray], list[FloatArray], ImageErrors]:
+    """Return the effect after some steps; the gain of each, what it was corrected by, and the
+    newest estimate."""
+    effect = DistortionEffect.none()
+    gains = [0.01 * rng.normal(size=(6, NUM_COEFFICIENTS)) for _ in range(STEPS)]
+    used = [0.1 * rng.normal(size=NUM_COEFFICIENTS) for _ in range(STEPS)]
+    errors = image_errors(distortion_px=0.1 * rng.normal(size=NUM_COEFFICIENTS))
+    for gain, used_px in zip(gains, used, strict=True):
+        effect = effect.carried_to_new(-1, FORWARD)
+        effect = effect.with_step(gain, used_px=used_px, errors=errors)
+    return effect, gains, used, errors
+
+
+def test_the_second_moment_is_that_of_errors_that_add_up() -> None:
+    """Against errors G_k (c − ĉ_k) of single steps, for 20,000 fields of the newest estimate."""
+    rng = np.random.default_rng(1)
+    effect, gains, used, errors = walked(rng)
+    root = np.linalg.cholesky(errors.distortion_cov)
+    fields = errors.distortion + rng.normal(size=(20_000, NUM_COEFFICIENTS)) @ root.T
+    adjoint = se3.adjoint(FORWARD)
+    of_pose = [np.zeros((len(fields), 6))]
+    for gain, used_px in zip(gains, used, strict=True):
+        of_pose.append(of_pose[-1] @ adjoint.T + (fields - used_px) @ gain.T)
+    last = of_pose[-1]
+    sampled = last.T @ last / len(last)
+    claimed = effect.of_pose(STEPS)
+    sigma = np.sqrt(np.diagonal(claimed))
+    np.testing.assert_allclose(
+        sampled / np.outer(sigma, sigma), claimed / np.outer(sigma, sigma), atol=0.05
+    )
+    # The motion between two frames, by the adjoint over three steps.
+    over_three = np.linalg.matrix_power(adjoint, 3)
+    between = last - of_pose[2] @ over_three.T
+    sampled = between.T @ between / len(between)
+    claimed = effect.between(STEPS, 2, over_three)
+    sigma = np.sqrt(np.diagonal(claimed))
+    np.testing.assert_allclose(
+        sampled / np.outer(sigma, sigma), claimed / np.outer(sigma, sigma), atol=0.05
+    )
+
+
+def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_nothing() -> None:
+    rng = np.random.default_rng(2)
+    errors = image_errors(distortion_px=0.1 * rng.normal(size=NUM_COEFFICIENTS))
+    errors = replace(errors, information=1e18 * np.eye(len(errors.mean)))
+    effect = DistortionEffect.none()
+    for _ in range(STEPS):
+        effect = effect.carried_to_new(-1, FORWARD)
+        gain = 0.01 * rng.normal(size=(6, NUM_COEFFICIENTS))
+        effect = effect.with_step(gain, used_px=errors.distortion, errors=errors)
+    np.testing.assert_allclose(effect.of_pose(STEPS), 0.0, atol=1e-15)
+
+
+def test_frames_are_left_out_by_mask_and_by_slice() -> None:
+    effect, *_ = walked(np.random.default_rng(3))
+    last = effect.of_pose(STEPS)
+    np.testing.assert_array_equal(effect.kept(slice(1, None)).of_pose(STEPS - 1), last)
+    keep = np.array([True, False, True, True, False, True])
+    np.testing.assert_array_equal(effect.kept(keep).of_pose(3), last)
