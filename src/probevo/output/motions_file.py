@@ -24,7 +24,7 @@ from probevo.storage.npz import NO_NPZ, read_npz
 _STAGE = "ms_"
 _REJECTED = "rejected_"
 _UNUSABLE = "unusable_"
-_CURE = "Expected a motions.npz written by `probevo run`."
+_CURE = "Expected a motions.npz written by `probevo run` of this version."
 
 
 def write_motions(path: Path, result: RunResult) -> None:
