@@ -32,7 +32,7 @@ from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_pose import RelativePose
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.noise import StereoNoise, StudentT
-from probevo.sequences.frame import Frame
+from probevo.sequences.frame import Frame, StereoFeatures
 from probevo.tracking.tracks import Tracks
 from worlds import CAMERA, FORWARD, drive, motion_error, tracks_between
 
@@ -639,6 +639,119 @@ def test_correlated_errors_of_different_scales_keep_the_equations_positive() -> 
         window = by.with_frame(window, curr.index, FORWARD, tracks, noise)
         assert np.linalg.eigvalsh(by._system(window).equations.hessian)[0] > 0.0
         window = by.adjusted(window).window
+
+
+def with_standing_factors(window: Window, by: WindowEstimator) -> FloatArray:
+    """Return how far each landmark is trusted to stand still, [L]."""
+    return by._with_standing_factors(window).landmarks.standing
+
+
+def squared_along_velocity(window: Window, row: int, correlation: float) -> tuple[float, float]:
+    """Return s_c of a landmark, and the rest of its squared errors, by the definition."""
+    observations = window.observations
+
+    def white(window: Window, state_step: FloatArray | None = None) -> FloatArray:
+        x = np.zeros(POSE * (len(window) - 1) + RIG + 4 * len(window.ids))
+        if state_step is not None:
+            x[POSE * (len(window) - 1) + RIG + 4 * row :][:4] = state_step
+        found = residuals_of(window, x, correlation)
+        of_landmark = np.repeat(window.landmark_rows == row, 4)
+        of_prior = np.arange(len(window.ids)) == row
+        return found[np.concatenate([of_landmark, of_prior])]
+
+    errors = white(window)
+    step = 1e-5
+    of_state = np.column_stack(
+        [(white(window, step * unit) - white(window, -step * unit)) for unit in np.eye(4)]
+    ) / (2.0 * step)
+    first = observations.start[row]
+    time = observations.slot - observations.slot[first]
+    of_velocity = np.column_stack(
+        [
+            white(
+                replace(
+                    window,
+                    observations=observations._replace(
+                        pixels=observations.pixels - time[:, None] * direction
+                    ),
+                )
+            )
+            - errors
+            for direction in np.array([[1.0, 0, 1, 0], [0, 1, 0, 1], [0, 0, -1, 0]])
+        ]
+    )
+    basis, _ = np.linalg.qr(of_state)
+    basis_of_velocity, _ = np.linalg.qr(of_velocity - basis @ (basis.T @ of_velocity))
+    along = float(np.sum((basis_of_velocity.T @ errors) ** 2))
+    return along, float(errors @ errors) - along
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_the_test_for_a_velocity_is_that_of_its_definition(correlation: float) -> None:
+    dof = 4.0
+    rng = np.random.default_rng(71)
+    frames = _noisy(drive(rng, 7, points=30, sigma_px=0.0), rng, dof=dof, tau_px=TAU_PX)
+    by = estimator(frames=9, correlation=correlation)
+    window = windows_of(frames, by, dof=dof, tau_px=TAU_PX)[-1]
+    found = with_standing_factors(window, by)
+    seen = np.diff(window.observations.start)
+    tested = np.flatnonzero(seen >= 3)
+    assert len(tested) > 20
+    for row in tested:
+        along, others = squared_along_velocity(window, int(row), correlation)
+        # Student-t weights of n errors: (ν + n)/(ν + s).
+        scale = max(1.0, (dof + others) / (dof + 4 * seen[row] - 6))
+        expected = min(1.0, (dof + 3) / (dof + along / scale))
+        assert found[row] == pytest.approx(expected, rel=1e-5)
+    assert found[tested].min() < 0.9  # of thirty, some errors look like a velocity
+    assert (found[seen < 3] == 1.0).all()
+
+
+def test_what_moves_slowly_does_not_lead_the_window() -> None:
+    """A third of the points moves at 0.6 m/s, which single steps hardly show."""
+    moving = se3.exp(0.95 * se3.log(FORWARD))
+    errors_m: dict[bool, list[float]] = {True: [], False: []}
+    factors: dict[bool, list[float]] = {True: [], False: []}
+    for seed in range(6):
+        rng = np.random.default_rng([72, seed])
+        still = drive(rng, 14, points=60, sigma_px=SIGMA_PX)
+        movers = drive(rng, 14, moving, points=30, sigma_px=SIGMA_PX)
+        frames = [_joined(*pair) for pair in zip(still, movers, strict=True)]
+        by = estimator(frames=9)
+        for tests in (True, False):
+            with pytest.MonkeyPatch.context() as patch:
+                if not tests:
+                    patch.setattr(
+                        WindowEstimator, "_with_standing_factors", lambda _, window: window
+                    )
+                window = windows_of(frames, by, dof=4.0)[-1]
+            T, _ = window.relative(8, 0)
+            error = motion_error(T, np.linalg.matrix_power(FORWARD, 8))
+            errors_m[tests].append(float(error[2]))
+            if tests:
+                is_tested = np.diff(window.observations.start) >= 6
+                is_moving = window.ids % 2 == 1
+                for moves in (True, False):
+                    factors[moves] += window.landmarks.standing[
+                        is_tested & (is_moving == moves)
+                    ].tolist()
+    assert np.median(factors[True]) < 0.3
+    assert np.median(factors[False]) > 0.9
+    rms = {tests: float(np.sqrt(np.mean(np.square(e)))) for tests, e in errors_m.items()}
+    assert rms[True] < 0.5 * rms[False]
+
+
+def _joined(still: Frame, movers: Frame) -> Frame:
+    """Return the features of both frames; those of the latter have odd identities."""
+    assert still.features is not None
+    assert movers.features is not None
+    return replace(
+        still,
+        features=StereoFeatures(
+            np.concatenate([2 * still.features.ids, 2 * movers.features.ids + 1]),
+            np.vstack([still.features.pixels, movers.features.pixels]),
+        ),
+    )
 
 
 def test_frames_that_are_not_in_the_window_are_refused() -> None:

@@ -104,7 +104,9 @@ class Window:
             jitter_cov=RIGID_SIGMA_RAD**2 * np.eye(JITTER),
             prior=MarginalPrior(information, np.zeros(POSE + RIG)),
             ids=np.zeros(0, np.int64),
-            landmarks=WindowLandmarks(np.zeros((0, 4)), np.zeros(0)),
+            landmarks=WindowLandmarks(
+                state=np.zeros((0, 4)), error_information=np.zeros(0), standing=np.zeros(0)
+            ),
             observations=WindowObservations(
                 start=np.zeros(1, np.int64),
                 slot=np.zeros(0, np.int64),

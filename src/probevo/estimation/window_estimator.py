@@ -64,6 +64,7 @@ from probevo.estimation.window_numba import (
     accumulate,
     fill_roots,
     move_landmarks,
+    standing_factors,
 )
 from probevo.geometry import se3
 from probevo.measurements.base import Measurement
@@ -129,6 +130,7 @@ class WindowEstimator:
         self._config = config.window
         self._solver = config.solver
         self._loss = RobustLoss.named(config.solver.loss)
+        self._noise = RobustNoise(loss=int(self._loss.kind), correlation=config.window.correlation)
         rig_sigma = RIG_SIGMA if config.self_calibration else FLAWLESS * RIG_SIGMA
         self._rig_information = np.diag(rig_sigma**-2.0)
         self._intrinsics = np.array(
@@ -389,6 +391,7 @@ class WindowEstimator:
                     1.0 / np.maximum(variance[is_new], LEAST_VARIANCE_PX2),
                 ]
             ),
+            standing=np.concatenate([window.landmarks.standing, np.ones(len(first_px))]),
         )
         # T_curr_world = T_curr_prev T_prev_world. The prior gets rows and columns of zeros for it,
         # so that the pose may still be linearised anew (``_moved``).
@@ -415,6 +418,9 @@ class WindowEstimator:
         The rig's errors, whose information is tempered, end elsewhere than where the cost is least,
         so that a step may raise the cost a little.
         """
+        # Which landmarks seem to move by themselves is decided before, so that the cost to minimise
+        # is one and the same in all iterations.
+        window = self._with_standing_factors(window)
         # Levenberg–Marquardt, which is plain Gauss–Newton until a step has raised the cost.
         # ``moved`` is the window to return; it is ahead of ``system`` only after the last, small
         # step.
@@ -538,20 +544,28 @@ class WindowEstimator:
         states[:, 2] += disparity_basis(pixels, camera) @ rig[:LENS]
         return states
 
-    def _system(self, window: Window) -> _System:
-        """Form the normal equations of a window, its prior included."""
-        num_frames = len(window)
-        size = FRAME * num_frames + RIG
-        num_observations = len(window.observations.slot)
-        num_landmarks = len(window.landmarks.state)
-        # The features first: landmarks are eliminated while their equations are summed.
-        geometry = WindowGeometry(
+    def _with_standing_factors(self, window: Window) -> Window:
+        """Return the window with each landmark tested for a motion of its own."""
+        standing = standing_factors(
+            self._geometry(window), window.observations, window.landmarks, self._noise
+        )
+        return replace(window, landmarks=window.landmarks._replace(standing=standing))
+
+    def _geometry(self, window: Window) -> WindowGeometry:
+        return WindowGeometry(
             T_cam_world=window.T_cam_world,
             T_linear=window.T_linear,
             jitter=window.jitter,
             rig=window.rig,
             intrinsics=self._intrinsics,
         )
+
+    def _system(self, window: Window) -> _System:
+        """Form the normal equations of a window, its prior included."""
+        num_frames = len(window)
+        size = FRAME * num_frames + RIG
+        num_observations = len(window.observations.slot)
+        num_landmarks = len(window.landmarks.state)
         # The prior ½ xᵀ Λ x − ηᵀ x has the gradient η − Λ x towards its optimum, and is itself
         # −½ xᵀ (η + η − Λ x).
         x = window.offsets()
@@ -564,11 +578,12 @@ class WindowEstimator:
             gradient=np.empty((num_landmarks, LANDMARK)),
             squared=np.empty(num_observations),
         )
+        # The features first: landmarks are eliminated while their equations are summed.
         cost = accumulate(
-            geometry,
+            self._geometry(window),
             window.observations,
             window.landmarks,
-            noise=RobustNoise(loss=int(self._loss.kind), correlation=self._config.correlation),
+            noise=self._noise,
             equations=equations,
             elimination=elimination,
         )
@@ -691,5 +706,7 @@ def _rows_of(window: Window, ids: IntArray, slot: int) -> IntArray:
 
 def _selected_landmarks(landmarks: WindowLandmarks, keep: BoolArray) -> WindowLandmarks:
     return WindowLandmarks(
-        state=landmarks.state[keep], error_information=landmarks.error_information[keep]
+        state=landmarks.state[keep],
+        error_information=landmarks.error_information[keep],
+        standing=landmarks.standing[keep],
     )

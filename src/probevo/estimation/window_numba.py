@@ -38,6 +38,14 @@ A landmark is trusted as a whole. With K observations and a prior variance τ² 
 observations share one unknown factor of scale, as those of a Student-t in n dimensions do, and so
 the weight (ν + n)/(ν + s). Weights of single observations would trust a landmark that its fit to
 two observations has made look perfect: in Monte Carlo, covariances were then five times too small.
+
+A car or a person that moves is no landmark. Its track contradicts the motion of the camera by c t,
+with t the frames since the anchor, which may be less than the noise in each frame, so that s hardly
+shows it. So each landmark is tested for a velocity c of (u, v, d) in the image (a score test, Rao
+1948). With its white derivatives L by its four states and C by c, of which the part in the span of
+L is projected out, and its white errors e, a velocity explains s_c = eᵀ C (Cᵀ C)⁻¹ Cᵀ e of s. That
+has three degrees of freedom if the landmark stands still. Where it is larger, the landmark is
+trusted less, by the weight that the loss has for three errors, (ν + 3)/(ν + s_c).
 """
 
 from __future__ import annotations
@@ -89,6 +97,12 @@ _WITH_RIG = _WITH_PREV + FRAME
 """Where that between a motion and the rig begins."""
 _GRADIENT = _WITH_RIG + RIG
 """Which of the sums of pairs is the gradient."""
+VELOCITY = 3
+"""Components of a velocity in the image: of u, v and d."""
+_TESTED = LANDMARK + VELOCITY
+"""States of a landmark that is tested for a velocity."""
+FEWEST_TESTED = 3
+"""Observations of a landmark that is tested: two of them show nothing but one velocity."""
 _PAIR = 24
 """Number of sums for each state of a motion, rounded up to whole vectors of the processor."""
 LEAST_DEPTH = 1e-3
@@ -142,6 +156,9 @@ class WindowLandmarks(NamedTuple):
     """(u, v, d, δ), [L, 4], px."""
     error_information: FloatArray
     """Prior information of δ around zero, [L], px⁻²."""
+    standing: FloatArray
+    """Factor of how far each is trusted, [L]: 1, and less for one that seems to move by itself
+    (``standing_factors``)."""
 
 
 class WindowEquations(NamedTuple):
@@ -264,22 +281,8 @@ def accumulate(
         The cost.
     """
     num_frames = len(geometry.T_cam_world)
-    problem = _Problem(
-        geometry=geometry,
-        observations=observations,
-        landmarks=landmarks,
-        noise=noise,
-        T_ka=_relative_poses(geometry.T_cam_world),
-        adjoints=_adjoints(_relative_poses(geometry.T_linear)),
-    )
-    track = _Track(
-        ray=np.zeros(3),
-        raw=np.zeros((num_frames, PIXELS, _COLUMNS)),
-        white=np.zeros((num_frames, PIXELS, _COLUMNS)),
-        innovation=np.zeros((num_frames, PIXELS, _COMMON)),
-        weighted=np.zeros((num_frames, PIXELS, _COMMON)),
-        common=np.zeros((_COMMON, _COMMON)),
-    )
+    problem = _problem_of(geometry, observations, landmarks, noise)
+    track = _empty_track(num_frames)
     work = _Workspace(
         root=np.zeros((LANDMARK, LANDMARK)),
         wide=np.zeros((LANDMARK, FRAME * num_frames + RIG + 1)),
@@ -309,6 +312,150 @@ def accumulate(
         for j in range(i):
             equations.hessian[j, i] = equations.hessian[i, j]
     return cost
+
+
+@compiled
+def standing_factors(
+    geometry: WindowGeometry,
+    observations: WindowObservations,
+    landmarks: WindowLandmarks,
+    noise: RobustNoise,
+) -> FloatArray:
+    """Return the factor of how far each landmark is trusted to stand still, [L].
+
+    One with too few observations for the test keeps the factor that it has.
+
+    Args:
+        geometry: poses and rig.
+        observations: M of them.
+        landmarks: L of them.
+        noise: robust loss and correlation.
+    """
+    problem = _problem_of(geometry, observations, landmarks, noise)
+    track = _empty_track(len(geometry.T_cam_world))
+    white = np.zeros((len(geometry.T_cam_world), PIXELS, VELOCITY))
+    equations = np.zeros((_TESTED, _TESTED + 1))
+    squared = np.zeros(len(observations.slot))
+    factors = landmarks.standing.copy()
+    for row in range(len(factors)):
+        count = observations.start[row + 1] - observations.start[row]
+        if count >= FEWEST_TESTED:
+            error = landmarks.state[row, 3]
+            total = _linearize_track(row, problem, track, squared)
+            total += landmarks.error_information[row] * error * error
+            of_velocity = _velocity_squared(row, problem, track, white, equations)
+            factors[row] = _standing_factor(row, problem, total, of_velocity)
+    return factors
+
+
+@compiled_into_callers
+def _velocity_squared(
+    row: int, problem: _Problem, track: _Track, white: FloatArray, equations: FloatArray
+) -> float:
+    """Return s_c, how much of a landmark's squared errors a velocity in the image would explain.
+
+    Args:
+        row: the landmark.
+        problem: all of them.
+        track: its observations.
+        white: work space for the white derivatives by the velocity, [K, 4, 3].
+        equations: work space for the normal equations of landmark and velocity, [7, 8].
+    """
+    observations = problem.observations
+    first = observations.start[row]
+    count = observations.start[row + 1] - first
+    correlation = problem.noise.correlation
+    of_neighbour = -correlation / math.sqrt(1.0 + correlation)
+    error = _COMMON - 1
+    equations[:] = 0.0
+    tested = np.empty(_TESTED + 1)
+    for k in range(count):
+        # Derivatives of (u_l, v_l, u_r, v_r) by the velocities of u, v and d.
+        m = first + k
+        root = observations.root[m]
+        time = float(observations.slot[m] - observations.slot[first])
+        own = _share_of_own(k, correlation)
+        for i in range(PIXELS):
+            white[k, i, 0] = time * (root[0, i] + root[2, i])
+            white[k, i, 1] = time * (root[1, i] + root[3, i])
+            white[k, i, 2] = -time * root[2, i]
+            # The innovation of the landmark's columns, of these, and of the error.
+            for j in range(LANDMARK):
+                tested[j] = track.innovation[k, i, j]
+            for j in range(VELOCITY):
+                tested[LANDMARK + j] = own * white[k, i, j]
+                if k > 0:
+                    tested[LANDMARK + j] += of_neighbour * white[k - 1, i, j]
+            tested[_TESTED] = track.innovation[k, i, error]
+            for p in range(_TESTED):
+                for q in range(p + 1):
+                    equations[p, q] += tested[p] * tested[q]
+                equations[p, _TESTED] += tested[p] * tested[_TESTED]
+    # The prior of the time-correlated error, δ ~ N(0, τ²).
+    prior = problem.landmarks.error_information[row]
+    equations[3, 3] += prior
+    equations[3, _TESTED] -= prior * problem.landmarks.state[row, 3]
+    # With the Cholesky factor R of all seven states, the components of R⁻¹ g for the last three are
+    # those of the error along the velocity that the landmark's own states do not explain.
+    squared = 0.0
+    for p in range(_TESTED):
+        for q in range(p + 1):
+            rest = equations[p, q]
+            for n in range(q):
+                rest -= equations[p, n] * equations[q, n]
+            equations[p, q] = math.sqrt(max(rest, 1e-12)) if p == q else rest / equations[q, q]
+        rest = equations[p, _TESTED]
+        for n in range(p):
+            rest -= equations[p, n] * equations[n, _TESTED]
+        equations[p, _TESTED] = rest / equations[p, p]
+        if p >= LANDMARK:
+            squared += equations[p, _TESTED] ** 2
+    return squared
+
+
+@compiled_into_callers
+def _standing_factor(row: int, problem: _Problem, total: float, of_velocity: float) -> float:
+    """Return the factor of a landmark with squared errors ``total``, s_c of which a velocity
+    explains."""
+    observations = problem.observations
+    count = observations.start[row + 1] - observations.start[row]
+    loss = problem.noise.loss
+    parameter = _loss_parameter(row, observations)
+    # What a velocity does not explain shows the scale of the landmark's errors, which is taken for
+    # no smaller than the noise model's: few errors may be small by chance.
+    others = PIXELS * count + 1 - LANDMARK - VELOCITY
+    precision = min(1.0, _weight(loss, parameter, others, max(0.0, total - of_velocity)))
+    return min(1.0, _weight(loss, parameter, VELOCITY, precision * of_velocity))
+
+
+@compiled
+def _problem_of(
+    geometry: WindowGeometry,
+    observations: WindowObservations,
+    landmarks: WindowLandmarks,
+    noise: RobustNoise,
+) -> _Problem:
+    return _Problem(
+        geometry=geometry,
+        observations=observations,
+        landmarks=landmarks,
+        noise=noise,
+        T_ka=_relative_poses(geometry.T_cam_world),
+        adjoints=_adjoints(_relative_poses(geometry.T_linear)),
+    )
+
+
+@compiled
+def _empty_track(num_frames: int) -> _Track:
+    """Return work space for the observations of one landmark."""
+    return _Track(
+        ray=np.zeros(3),
+        raw=np.zeros((num_frames, PIXELS, _COLUMNS)),
+        white=np.zeros((num_frames, PIXELS, _COLUMNS)),
+        innovation=np.zeros((num_frames, PIXELS, _COMMON)),
+        weighted=np.zeros((num_frames, PIXELS, _COMMON)),
+        common=np.zeros((_COMMON, _COMMON)),
+    )
 
 
 @compiled
@@ -523,35 +670,52 @@ def _trust(row: int, problem: _Problem, squared: float) -> _Trust:
     """Weigh a landmark by how well it fits all its observations, eᵀ Σ⁻¹ e."""
     observations = problem.observations
     loss = problem.noise.loss
-    first = observations.start[row]
-    end = observations.start[row + 1]
+    count = observations.start[row + 1] - observations.start[row]
+    # s = eᵀ Σ⁻¹ e + δ²/τ².
     error = problem.landmarks.state[row, 3]
     total = squared + problem.landmarks.error_information[row] * error * error
-    # s = eᵀ Σ⁻¹ e + δ²/τ².
-    # One landmark, one ν: the mean of those that its observations have been predicted with.
-    parameter = 0.0
-    for m in range(first, end):
-        parameter += observations.loss_parameter[m] / (end - first)
+    parameter = _loss_parameter(row, observations)
+    standing = problem.landmarks.standing[row]
     # n: residuals and the prior of δ, less the four states of the landmark.
-    free = PIXELS * (end - first) - 3
+    free = PIXELS * count - 3
+    weight = _weight(loss, parameter, free, total)
     if loss == STUDENT_T and parameter < INFINITE_DOF:
         # With s = rᵀ r, the cost ½ (ν + n) log(1 + s/ν) has the Hessian w (I − 2 r rᵀ/(ν + s)) in
         # the white residual r. The curvature is the mean of its n eigenvalues, kept positive.
-        weight = (parameter + free) / (parameter + total)
         share = 1.0 - 2.0 / free * total / (parameter + total)
         return _Trust(
-            cost=0.5 * (parameter + free) * math.log1p(total / parameter),
-            weight=weight,
-            curvature=weight * max(0.25, share),
+            cost=standing * 0.5 * (parameter + free) * math.log1p(total / parameter),
+            weight=standing * weight,
+            curvature=standing * weight * max(0.25, share),
         )
-    # n/4 observations that each have the distance s/(n/4).
-    # Other losses are made for one observation, and take the mean.
     scale = free / PIXELS
     return _Trust(
-        cost=scale * robust_cost(loss, parameter, total / scale),
-        weight=robust_weight(loss, parameter, total / scale),
-        curvature=robust_curvature(loss, parameter, total / scale),
+        cost=standing * scale * robust_cost(loss, parameter, total / scale),
+        weight=standing * weight,
+        curvature=standing * robust_curvature(loss, parameter, total / scale),
     )
+
+
+@compiled_into_callers
+def _loss_parameter(row: int, observations: WindowObservations) -> float:
+    """Return the one ν of a landmark: the mean of those that its observations were predicted
+    with."""
+    first = observations.start[row]
+    end = observations.start[row + 1]
+    parameter = 0.0
+    for m in range(first, end):
+        parameter += observations.loss_parameter[m] / (end - first)
+    return parameter
+
+
+@compiled_into_callers
+def _weight(loss: int, parameter: float, count: int, squared: float) -> float:
+    """Return the IRLS weight of n errors with one common scale, by their squared length s."""
+    if loss == STUDENT_T and parameter < INFINITE_DOF:
+        return (parameter + count) / (parameter + squared)
+    # n/4 observations that each have the distance s/(n/4): other losses are made for one
+    # observation, and take the mean.
+    return robust_weight(loss, parameter, squared / (count / PIXELS))
 
 
 @compiled_into_callers
