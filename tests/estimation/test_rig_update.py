@@ -253,7 +253,7 @@ def test_the_distortion_field_converges_to_the_truth(seed: int) -> None:
     rng = np.random.default_rng(20 + seed)
     truth_px = rng.normal(scale=0.3, size=NUM_COEFFICIENTS)
     rig, errors = learn_field(rng, truth_px, 120)
-    sigma_px = np.sqrt(np.diagonal(np.linalg.inv(rig.image.information)))[2:]
+    sigma_px = np.sqrt(np.diagonal(rig.image.cov))[2:]
     off = (rig.image.distortion - truth_px) / sigma_px
     assert np.sqrt(np.mean(off**2)) < 1.3
     assert 0.15 < rig.image.distortion_sigma_px < 0.45
@@ -276,7 +276,7 @@ def test_common_mode_error_is_the_spread_over_the_uncertainty() -> None:
     clean = seen_twice(rng, 100, depth_m=(4.0, 12.0))
     initial = RigCalibration.initial()
     known = np.concatenate([[0.4, 0.6], np.full(NUM_COEFFICIENTS, 1e-6)])
-    rig = replace(initial, image=replace(initial.image, information=np.diag(known**-2.0)))
+    rig = replace(initial, image=replace(initial.image, cov=np.diag(known**2.0)))
     _, common_mode = update_rig(rig, clean, solve(clean, Fixed()), CAMERA)
     claimed = common_mode.columns @ common_mode.columns.T
     errors = []
@@ -293,7 +293,7 @@ def test_common_mode_error_shrinks_with_the_uncertainty_to_that_of_the_constant(
     clean = seen_twice(np.random.default_rng(12), 100)
     solution = solve(clean, Fixed())
     initial = RigCalibration.initial()
-    certain = replace(initial, image=replace(initial.image, information=1e12 * np.eye(NUM_ERRORS)))
+    certain = replace(initial, image=replace(initial.image, cov=1e-12 * np.eye(NUM_ERRORS)))
     covs = []
     for rig in (initial, certain):
         _, common_mode = update_rig(rig, clean, solution, CAMERA)

@@ -35,10 +35,10 @@ NUM_ERRORS = len(DISPARITY_SIGMA_PX) + NUM_COEFFICIENTS
 _DISTORTION = slice(len(DISPARITY_SIGMA_PX), NUM_ERRORS)
 
 
-def _prior_information(distortion_sigma_px: float) -> FloatArray:
-    """Return P, [NUM_ERRORS, NUM_ERRORS], px⁻²."""
+def _prior_variance(distortion_sigma_px: float) -> FloatArray:
+    """Return the diagonal of P⁻¹, [NUM_ERRORS], px²."""
     sigma_px = np.concatenate([DISPARITY_SIGMA_PX, np.full(NUM_COEFFICIENTS, distortion_sigma_px)])
-    return np.diag(sigma_px**-2.0)
+    return sigma_px**2
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class ImageErrors:
 
     mean: FloatArray
     """c, [NUM_ERRORS], px."""
-    information: FloatArray
-    """Λ + P, its inverse covariance, [NUM_ERRORS, NUM_ERRORS], px⁻²."""
+    cov: FloatArray
+    """Its covariance (Λ + P)⁻¹, [NUM_ERRORS, NUM_ERRORS], px²."""
     seen: FloatArray
     """Λ, [NUM_ERRORS, NUM_ERRORS], px⁻²."""
     moment: FloatArray
@@ -68,7 +68,7 @@ class ImageErrors:
         """
         return ImageErrors(
             mean=np.zeros(NUM_ERRORS),
-            information=_prior_information(distortion_sigma_px),
+            cov=np.diag(_prior_variance(distortion_sigma_px)),
             seen=np.zeros((NUM_ERRORS, NUM_ERRORS)),
             moment=np.zeros(NUM_ERRORS),
             with_radial=np.zeros(NUM_ERRORS),
@@ -88,14 +88,12 @@ class ImageErrors:
     @property
     def disparity_cov(self) -> FloatArray:
         """Covariance of b₁, b₂, [2, 2], px²."""
-        cov = np.linalg.inv(self.information).astype(np.float64, copy=False)
-        return cov[: _DISTORTION.start, : _DISTORTION.start]
+        return self.cov[: _DISTORTION.start, : _DISTORTION.start]
 
     @property
     def distortion_cov(self) -> FloatArray:
         """Covariance of these coefficients, [NUM_COEFFICIENTS, NUM_COEFFICIENTS], px²."""
-        cov = np.linalg.inv(self.information).astype(np.float64, copy=False)
-        return cov[_DISTORTION, _DISTORTION]
+        return self.cov[_DISTORTION, _DISTORTION]
 
     def with_step(
         self, information: FloatArray, gradient: FloatArray, with_radial: FloatArray
@@ -109,13 +107,13 @@ class ImageErrors:
         """
         seen = self.seen + information
         moment = self.moment + information @ self.mean + gradient
-        posterior = seen + _prior_information(self.distortion_sigma_px)
-        cov = np.linalg.inv(posterior)
+        prior = np.diag(1.0 / _prior_variance(self.distortion_sigma_px))
+        cov = np.linalg.inv(seen + prior).astype(np.float64, copy=False)
         mean = cov @ moment
         mean_square = float(np.mean(mean[_DISTORTION] ** 2 + np.diagonal(cov)[_DISTORTION]))
         return ImageErrors(
             mean=mean,
-            information=posterior,
+            cov=cov,
             seen=seen,
             moment=moment,
             with_radial=self.with_radial + with_radial,
@@ -125,5 +123,4 @@ class ImageErrors:
     def with_radial_moved(self, change_px: float) -> ImageErrors:
         """Return the estimate given another a₆: it moves along the regression of c on a₆."""
         moment = self.moment - self.with_radial * change_px
-        mean = np.linalg.solve(self.information, moment).astype(np.float64, copy=False)
-        return replace(self, mean=mean, moment=moment)
+        return replace(self, mean=self.cov @ moment, moment=moment)

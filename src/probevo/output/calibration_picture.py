@@ -14,6 +14,7 @@ from probevo.arrays import FloatArray
 from probevo.camera.distortion_field import (
     COMMON_MODES,
     DISPARITY_MODES,
+    image_plane,
     modes_at,
     root_mean_square_px,
 )
@@ -96,16 +97,9 @@ def write_calibration_picture(
     write_atomically(path, buffer.getvalue())
 
 
-def _image_size_px(camera: StereoCamera) -> tuple[float, float]:
-    """Return width and height; a tracks file does not know them, but where the centre is."""
-    if camera.size_px is not None:
-        return float(camera.size_px[0]), float(camera.size_px[1])
-    return 2.0 * camera.cu_px, 2.0 * camera.cv_px
-
-
 def _draw_rows(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> None:
     """Draw by how much the row of a point differs between the images, over the left one."""
-    width_px, height_px = _image_size_px(camera)
+    width_px, height_px = image_plane(camera)
     u, v = np.meshgrid(np.linspace(0.0, width_px, SAMPLES), np.linspace(0.0, height_px, SAMPLES))
     offset_px = row_basis(_far_points(u.ravel(), v.ravel()), camera) @ rig.rows
     most_px = max(LEAST_SCALE_PX, float(np.abs(offset_px).max()))
@@ -128,7 +122,7 @@ def _draw_rows(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> None:
 
 def _draw_disparity(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> None:
     """Draw by how much true disparities are larger than measured ones, over the image's width."""
-    width_px, _ = _image_size_px(camera)
+    width_px = image_plane(camera).width
     u = np.linspace(0.0, width_px, SAMPLES)
     pixels = _far_points(u, np.full(SAMPLES, camera.cv_px))
     # The parabola, whose constant is not estimated from two frames, and the field's own modes.
@@ -137,8 +131,7 @@ def _draw_disparity(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> No
     basis[:, :2] = disparity_basis(pixels, camera)[:, 1:]
     basis[:, -len(DISPARITY_MODES) :] = modes_at(pixels, camera)[:, DISPARITY_MODES]
     error_px = basis @ errors.mean
-    cov = np.linalg.inv(errors.information)
-    sigma_px = np.sqrt(np.einsum("ni,ij,nj->n", basis, cov, basis))
+    sigma_px = np.sqrt(np.einsum("ni,ij,nj->n", basis, errors.cov, basis))
     axes.fill_between(u, error_px - 3.0 * sigma_px, error_px + 3.0 * sigma_px, color=BAND)
     axes.plot(u, error_px, color=BLUE)
     axes.axhline(0.0, color=GREY, linewidth=0.7)
@@ -149,7 +142,7 @@ def _draw_disparity(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> No
 
 def _draw_distortion(axes: Axes, rig: RigCalibration, camera: StereoCamera) -> None:
     """Draw how far both views of a point have to be moved, as arrows over the left image."""
-    width_px, height_px = _image_size_px(camera)
+    width_px, height_px = image_plane(camera)
     u, v = np.meshgrid(
         np.linspace(0.0, width_px, ARROW_COLUMNS), np.linspace(0.0, height_px, ARROW_ROWS)
     )
