@@ -60,7 +60,7 @@ def test_the_second_moment_is_that_of_errors_that_add_up() -> None:
 def test_a_field_that_is_what_all_steps_were_corrected_by_and_is_known_moves_nothing() -> None:
     rng = np.random.default_rng(2)
     errors = image_errors(distortion_px=0.1 * rng.normal(size=NUM_COEFFICIENTS))
-    errors = replace(errors, information=1e18 * np.eye(len(errors.mean)))
+    errors = replace(errors, cov=1e-18 * np.eye(len(errors.mean)))
     effect = DistortionEffect.none()
     for _ in range(STEPS):
         effect = effect.carried_to_new(-1, FORWARD)
