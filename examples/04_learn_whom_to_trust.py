@@ -25,7 +25,7 @@ def street(seed: int, distance_m: float) -> SceneRecording:
 def step_errors_mm(scene: SceneRecording, noise: pv.noise.NoiseModel) -> np.ndarray:
     """Return the error of the translation of each step.
 
-    With two frames, since PROBE learns from these; the window finds by itself much of what it learns.
+    With two frames, since PROBE learns from these; the window finds much of that by itself.
     """
     config = pv.OdometryConfig(estimator="two-frame")
     odometry = pv.StereoOdometry(scene.camera, noise, scene.imu, config)
