@@ -121,3 +121,12 @@ def test_check_accepts_a_sound_camera() -> None:
 def test_check_refuses_an_impossible_camera(field: str, value: object, message: str) -> None:
     with pytest.raises(InputError, match=rf"calib\.txt: (.|\n)*{message}"):
         check_camera(dataclasses.replace(CAMERA, **{field: value}), "calib.txt")  # type: ignore[arg-type]
+
+
+def test_a_principal_point_a_hundred_focal_lengths_away_is_refused() -> None:
+    """Nothing bounds that of a tracks file, which knows no image size; the fit of the row offsets
+    was singular."""
+    camera = dataclasses.replace(CAMERA, size_px=None)
+    check_camera(dataclasses.replace(camera, cu_px=99.0 * CAMERA.fu_px), "tracks.npz")
+    with pytest.raises(InputError, match=r"tracks\.npz: cu_px is 1e\+09 px, with a focal length"):
+        check_camera(dataclasses.replace(camera, cu_px=1e9), "tracks.npz")

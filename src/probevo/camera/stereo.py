@@ -161,6 +161,10 @@ LARGEST_M = 1e9
 LARGEST_PX = 1e9
 """Largest focal length and coordinate of a principal point; much larger ones would overflow."""
 
+MOST_FOCAL_LENGTHS = 100.0
+"""Largest distance of the principal point from the first pixel, which is so seen at 89.4° from the
+optical axis; rectified images of the widest lenses reach a tenth of it."""
+
 
 def check_intrinsics(
     *,
@@ -175,7 +179,8 @@ def check_intrinsics(
 
     Raises:
         InputError: a value is not finite, a focal length or the image size is not positive, or the
-            principal point is more than half an image outside the image.
+            principal point is more than half an image outside the image or a hundred focal lengths
+            from the first pixel.
     """
     for name, value in {"fu_px": fu_px, "fv_px": fv_px, "cu_px": cu_px, "cv_px": cv_px}.items():
         if not abs(value) <= LARGEST_PX:
@@ -184,6 +189,14 @@ def check_intrinsics(
     for name, focal_px in {"fu_px": fu_px, "fv_px": fv_px}.items():
         if focal_px <= 0:
             raise InputError(where, f"{name} is {focal_px:g} px.", "A focal length is positive.")
+    for name, center_px, focal_px in (("cu_px", cu_px, fu_px), ("cv_px", cv_px, fv_px)):
+        if abs(center_px) > MOST_FOCAL_LENGTHS * focal_px:
+            raise InputError(
+                where,
+                f"{name} is {center_px:g} px, with a focal length of {focal_px:g} px.",
+                f"The principal point is at most {MOST_FOCAL_LENGTHS:g} focal lengths from the"
+                " first pixel.",
+            )
     if size_px is None:
         return
     if max(size_px) > LARGEST_PX:
