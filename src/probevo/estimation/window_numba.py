@@ -45,7 +45,8 @@ shows it. So each landmark is tested for a velocity c of (u, v, d) in the image 
 1948). With its white derivatives L by its four states and C by c, of which the part in the span of
 L is projected out, and its white errors e, a velocity explains s_c = eᵀ C (Cᵀ C)⁻¹ Cᵀ e of s. That
 has three degrees of freedom if the landmark stands still. Where it is larger, the landmark is
-trusted less, by the weight that the loss has for three errors, (ν + 3)/(ν + s_c).
+trusted less, by the weight that the loss has for three errors, (ν + 3)/(ν + s_c). So is a feature
+that slides along an edge.
 """
 
 from __future__ import annotations
