@@ -14,6 +14,7 @@ from probevo.errors import InputError, brief
 from probevo.noise import NoiseModel, StudentT
 from probevo.noise.named import noise_model
 from probevo.run_config import checked_settings
+from probevo.sequences.imu_calibration import ImuCalibration
 
 
 def as_path(value: object, name: str) -> Path:
@@ -38,6 +39,17 @@ def as_camera(camera: object) -> StereoCamera:
         raise InputError("camera", f"is {brief(camera)}.", cure)
     check_camera(camera, "camera")
     return camera
+
+
+def as_imu(imu: object) -> ImuCalibration | None:
+    """Return the calibration of an IMU; None for no IMU.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if imu is None or isinstance(imu, ImuCalibration):
+        return imu
+    raise InputError("imu", f"is {brief(imu)}.", "Give an ImuCalibration, such as sequence.imu.")
 
 
 def as_noise(noise: object) -> NoiseModel:

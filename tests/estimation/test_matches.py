@@ -53,6 +53,36 @@ def test_the_covariance_is_consistent() -> None:
     assert 5.25 < np.mean(squared) < 6.85
 
 
+@pytest.mark.parametrize("step_m", [0.8, 3.0])
+@pytest.mark.parametrize("sigma_px", [0.2, 1.0, 2.0])
+def test_noisy_matches_are_no_outliers(sigma_px: float, step_m: float) -> None:
+    """A front end whose matches are a pixel off gets a covariance that says so."""
+    rng = np.random.default_rng(5)
+    T_curr_prev = se3.exp(np.array([0.0, 0.0, -step_m, 0.0, 0.0, 0.0]))
+    squared = []
+    for _ in range(100):
+        points = rng.uniform([-8.0, -2.0, 6.0], [8.0, 2.0, 30.0], (80, 3))
+        prev, curr = (
+            CAMERA.project(seen) + sigma_px * rng.normal(size=(80, 4))
+            for seen in (points, se3.transform(T_curr_prev, points))
+        )
+        motion = pv.estimate_motion(prev, curr, sigma_px**2 * np.eye(4), CAMERA)
+        assert motion.status is pv.Status.OK
+        assert motion.num_used >= 77
+        squared.append(
+            normalized_error_squared(T_curr_prev[None], motion.T_curr_prev[None], motion.cov[None])
+        )
+    assert 4.9 < np.mean(squared) < 7.2
+
+
+@pytest.mark.parametrize("rotation", [np.diag([-1.0, 1.0, 1.0]), np.triu(np.ones((3, 3)))])
+def test_a_guess_that_is_no_rigid_motion_is_refused(rotation: FloatArray) -> None:
+    guess = np.eye(4)
+    guess[:3, :3] = rotation
+    with pytest.raises(InputError, match=r"^guess: "):
+        pv.estimate_motion(SEEN, SEEN, np.eye(4), CAMERA, guess=guess)
+
+
 def test_outliers_are_left_out() -> None:
     rng = np.random.default_rng(1)
     cov = np.tile(0.1**2 * np.eye(4), (100, 1, 1))
@@ -130,6 +160,7 @@ def test_compounded_motions_are_the_path_of_the_odometry(tmp_path: Path) -> None
         ({"config": {"tracking": {"features": 800}}}, "tracking.features"),
         ({"config": {"seed": "many"}}, "seed is 'many'"),
         ({"camera": {"fu_px": 400.0}}, "Give a StereoCamera"),
+        ({"imu": {"gyro_noise": 1e-3}}, "Give an ImuCalibration"),
     ],
 )
 def test_wrong_arguments_of_the_odometry_are_input_errors(keywords: Any, message: str) -> None:

@@ -13,6 +13,8 @@ REFERENCE_DOF = 5.0
 """Degrees of freedom to which all weights are converted."""
 INLIER_FROM = 0.5
 """Weight from which a track counts as an inlier."""
+LEAST_TAIL = 0.001
+"""Tail probability of a residual below which the track does not agree with the motion."""
 GAUSSIAN_FROM = 1e6
 """Degrees of freedom from which a Student-t is a Gaussian."""
 BISECTIONS = 50

@@ -7,14 +7,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probevo.arrays import FloatArray
+from probevo.arrays import BoolArray, FloatArray
 from probevo.camera.stereo import StereoCamera
 from probevo.config import OdometryConfig
 from probevo.errors import InputError, brief
-from probevo.estimation.feature_weights import INLIER_FROM
+from probevo.estimation.feature_weights import INLIER_FROM, LEAST_TAIL, tail_probability_of
 from probevo.estimation.motion_estimate import MotionEstimate, Status
-from probevo.estimation.ransac import find_consensus
-from probevo.estimation.reprojection import solve_reprojection
+from probevo.estimation.ransac import InlierThreshold, find_consensus
+from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojection
+from probevo.geometry import se3
+from probevo.measurements.stereo_numba import BEHIND
 from probevo.measurements.stereo_observations import StereoObservations
 from probevo.noise import NoiseModel, StereoNoise
 from probevo.python_arguments import as_array, as_camera, as_noise
@@ -23,6 +25,10 @@ from probevo.tracking.tracks import Tracks
 MIN_MATCHES = 3
 """Least number of points that determine a motion."""
 SMALLEST_VARIANCE_PX2 = 1e-12
+MOST_SOLVES = 4
+"""Solves, before which it is judged each time which matches agree."""
+THRESHOLD_SIGMAS = 4.0
+"""Threshold of RANSAC in standard deviations of a usual residual: hardly an inlier is beyond."""
 
 
 def estimate_motion(
@@ -36,8 +42,9 @@ def estimate_motion(
 ) -> MotionEstimate:
     """Estimate the motion between two frames from N stereo matches: T_curr_prev, its covariance.
 
-    RANSAC finds the inliers, and the solver weights each by its noise. Calls are independent of
-    each other, so the covariance contains no error that persists over frames.
+    RANSAC finds a start, and the solver uses the matches that their noise explains there, each
+    weighted by it. Calls are independent of each other, so the covariance contains no error that
+    persists over frames.
 
     Args:
         prev_px: (u_l, v_l, u_r, v_r) in the previous frame, rectified, [N, 4], px.
@@ -55,28 +62,44 @@ def estimate_motion(
 
     Raises:
         InputError: an array has a wrong shape or is not finite, a covariance is not positive
-            definite, the noise depends on predictors, or the camera is impossible.
+            definite, the guess is no rigid motion, the noise depends on predictors, or the camera
+            is impossible.
     """
     camera = as_camera(camera)
     prev = as_array(prev_px, "prev_px", (None, 4))
     curr = as_array(curr_px, "curr_px", (len(prev), 4))
     of_matches = _noise_of(noise, len(prev), camera)
-    start = np.eye(4) if guess is None else as_array(guess, "guess", (4, 4))
+    start = np.eye(4)
+    if guess is not None:
+        start = se3.check_transform(as_array(guess, "guess", (4, 4)), "guess")
     ids = np.arange(len(prev))
     tracks = Tracks(prev_px=prev, curr_px=curr, ids=ids, age=np.full(len(prev), 2))
     if len(tracks) < MIN_MATCHES:
         return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
 
-    # Inliers and a start by RANSAC, then the solve with the noise of the inliers.
-    rng = np.random.default_rng(seed)
-    consensus = find_consensus(tracks, camera, rng, guess=start)
-    used = consensus.inliers
-    if used.sum() < MIN_MATCHES:
-        return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
-    observations = StereoObservations.of(
-        prev[used], curr[used], of_matches.subset(np.flatnonzero(used)), camera=camera
+    # Inliers and a start by RANSAC, with a threshold in px that matches of this noise pass.
+    consensus = find_consensus(
+        tracks,
+        camera,
+        np.random.default_rng(seed),
+        guess=start,
+        threshold=InlierThreshold(_threshold_px(of_matches)),
     )
-    solution = solve_reprojection(observations, guess=consensus.T_curr_prev)
+    # From there each match is judged by its own noise, again and again as the motion improves. If
+    # those within one threshold were kept instead, noisy matches would be cut off, and the
+    # covariance would be too small.
+    used = consensus.inliers
+    T_curr_prev = consensus.T_curr_prev
+    for _ in range(MOST_SOLVES):
+        if used.sum() < MIN_MATCHES:
+            return _failed(Status.TOO_FEW_TRACKS, start, len(tracks))
+        solution = _solved(tracks, of_matches, used, camera, T_curr_prev)
+        T_curr_prev = solution.T_curr_prev
+        used_before = used
+        used = _agree(tracks, of_matches, camera, T_curr_prev)
+        if (used == used_before).all():
+            break
+    used = used_before  # by the last solve
     if not np.isfinite(solution.cov).all():
         return _failed(Status.DEGENERATE, start, len(tracks))
     return MotionEstimate(
@@ -88,6 +111,43 @@ def estimate_motion(
         iterations=solution.iterations,
         num_used=int(used.sum()),
     )
+
+
+def _threshold_px(noise: StereoNoise) -> float:
+    """Return the threshold of RANSAC for matches of this noise, at least that of the odometry."""
+    # A residual has the noise of both observations, of which each coordinate has its own.
+    both = 2.0 if noise.refers_to == "observation" else 1.0
+    largest_px2 = both * np.diagonal(noise.scale, axis1=1, axis2=2).max(axis=1)
+    usual_px = float(np.sqrt(np.median(largest_px2)))
+    return max(InlierThreshold().all_px, THRESHOLD_SIGMAS * usual_px)
+
+
+def _solved(
+    tracks: Tracks,
+    noise: StereoNoise,
+    used: BoolArray,
+    camera: StereoCamera,
+    guess: FloatArray,
+) -> ReprojectionSolution:
+    """Return the motion by some of N matches, [N], from a guess T_curr_prev, [4, 4]."""
+    observations = StereoObservations.of(
+        tracks.prev_px[used],
+        tracks.curr_px[used],
+        noise.subset(np.flatnonzero(used)),
+        camera=camera,
+    )
+    return solve_reprojection(observations, guess=guess)
+
+
+def _agree(
+    tracks: Tracks, noise: StereoNoise, camera: StereoCamera, T_curr_prev: FloatArray
+) -> BoolArray:
+    """Return which matches are as near to a motion as their noise explains, [N]."""
+    observations = StereoObservations.of(tracks.prev_px, tracks.curr_px, noise, camera=camera)
+    at_motion = solve_reprojection(observations, guess=T_curr_prev, max_iterations=0)
+    squared = at_motion.squared
+    dof = np.broadcast_to(noise.dof, (len(tracks),))
+    return (squared < BEHIND) & (tail_probability_of(squared, dof) > LEAST_TAIL)
 
 
 def _noise_of(noise: object, count: int, camera: StereoCamera) -> StereoNoise:

@@ -15,6 +15,7 @@ from probevo.estimation.disparity_filter import DisparityFilter
 from probevo.estimation.feature_weights import (
     GAUSSIAN_FROM,
     INLIER_FROM,
+    LEAST_TAIL,
     OUTLIER_BELOW,
     scale_of_residuals,
     tail_probability_of,
@@ -47,8 +48,6 @@ FEW = 2
 the majority of the tracks: a minority may agree by chance, or on something that moves. It is rare.
 Of 5,500 steps on forty rendered drives (``benchmarks/random_rigs.py``, two seeds) five are such,
 all on one; one of these was 0.4 m off and claimed 9 mm."""
-RAREST = 0.001
-"""Tail probability of a track's residual below which the track does not agree with the motion."""
 MOTIONS_DIFFER_FROM = 22.46
 """Squared Mahalanobis distance beyond which two motions of the same tracks differ significantly:
 the 99.9 % quantile of χ²(6)."""
@@ -405,7 +404,7 @@ class VisualEstimator:
         squared = solve_reprojection(observations, guess=T_curr_prev, max_iterations=0).squared
         dof = np.broadcast_to(noise.dof, (len(tracks),))
         factor = _scale_shown(squared, noise)
-        agree = (squared < BEHIND) & (tail_probability_of(squared / factor, dof) > RAREST)
+        agree = (squared < BEHIND) & (tail_probability_of(squared / factor, dof) > LEAST_TAIL)
         if factor > LARGEST_SCALE:
             agree[:] = False
         return _FittingNoise(agree, noise.scaled(np.full(len(tracks), factor)), factor)
