@@ -516,3 +516,45 @@ def test_tracking_survives_dropped_frames(name: str, data_root: Path) -> None:
     path = se3.chain_motions(estimate.motion.T_curr_prev for estimate in estimates[1:])
     metrics = evaluate(path, sequence.truth.T_world_cam[[estimate.index for estimate in estimates]])
     assert (metrics.short_r_deg_per_m or np.inf) <= 0.021
+
+
+def test_a_frame_whose_imu_was_silent_is_dropped_and_may_fail() -> None:
+    """Its samples are none, which is not None."""
+    frames = drive(np.random.default_rng(0), 4)
+    silent = gyro_stream(frames[:1]).between(0, 1)
+    frames = [frames[0], *(replace(frame, imu=silent) for frame in frames[1:])]
+    calls = iter([None, ZeroDivisionError("once"), None, None])
+
+    def step(frame: Frame) -> pv.MotionEstimate:
+        fault = next(calls)
+        if fault is not None:
+            raise fault
+        return pv.MotionEstimate(np.eye(4), np.eye(6), pv.Status.OK, 0)
+
+    odometry = Gated(step)
+    live = pv.LiveOdometry(odometry, waiting=1)
+    live.push(frames[0])
+    odometry.has_begun(0)
+    live.push(frames[1])
+    live.push(frames[2])  # drops the one before
+    odometry.go.release(9)
+    odometry.has_begun(2)
+    live.push(frames[3])
+    live.close()
+    assert live.num_dropped == 1
+    assert live.num_failed == 1
+    assert indices(live) == [0, 3]
+
+
+def test_refused_frames_do_not_pile_up_imu_samples() -> None:
+    """A front end whose features are wrong from then on, for 40 s."""
+    frames = drive(np.random.default_rng(0), 400, points=20)
+    frames = with_gyro(frames, gyro_stream(frames))
+    with pv.LiveOdometry(free(), waiting=9) as live:
+        live.push(frames[0])
+        for frame in frames[1:]:
+            doubled = replace(frame, features=StereoFeatures(np.array([1, 1]), np.zeros((2, 4))))
+            with pytest.raises(InputError, match="same identity"):
+                live.push(doubled)
+        kept = live._refused_imu
+        assert kept is None or len(kept.stamps_ns) <= 1.1 * 10.0 * 200

@@ -76,17 +76,24 @@ class _Arrival:
 
     def _joined(self, earlier: _Arrival) -> _Arrival:
         """Take over the IMU samples of the earlier frame, unless they become too many."""
-        imu = None
-        if earlier.frame.imu is not None and self.frame.imu is not None:
-            imu = earlier.frame.imu.followed_by(self.frame.imu)
-        if imu is not None and imu.stamps_ns[-1] - imu.stamps_ns[0] > MOST_IMU_NS:
-            imu = None
         return replace(
             self,
-            frame=replace(self.frame, imu=imu),
+            frame=replace(self.frame, imu=_joined_samples(earlier.frame.imu, self.frame.imu)),
             num_dropped=self.num_dropped + earlier.num_dropped,
             num_failed=self.num_failed + earlier.num_failed,
         )
+
+
+def _joined_samples(earlier: ImuSamples | None, later: ImuSamples | None) -> ImuSamples | None:
+    """Return the IMU samples of two intervals in a row; None if either has none, or if both are
+    longer than ``MOST_IMU_NS``."""
+    if earlier is None or later is None:
+        return None
+    joined = earlier.followed_by(later)
+    stamps_ns = joined.stamps_ns
+    if len(stamps_ns) and stamps_ns[-1] - stamps_ns[0] > MOST_IMU_NS:
+        return None
+    return joined
 
 
 class LiveOdometry:
@@ -204,8 +211,8 @@ class LiveOdometry:
                 self._keep_imu(usable_imu(frame))
                 raise
             self._newest = frame
-            if self._refused_imu is not None and frame.imu is not None:
-                frame = replace(frame, imu=self._refused_imu.followed_by(frame.imu))
+            if self._refused_imu is not None:
+                frame = replace(frame, imu=_joined_samples(self._refused_imu, frame.imu))
             self._refused_imu = None
             self._frames.append(_Arrival(frame, time_s))
             if len(self._frames) > self._waiting:
@@ -324,8 +331,8 @@ class LiveOdometry:
 
     def _keep_imu(self, imu: ImuSamples | None) -> None:
         """Keep the samples of a refused frame for the next one."""
-        if imu is not None and self._refused_imu is not None:
-            imu = self._refused_imu.followed_by(imu)
+        if self._refused_imu is not None:
+            imu = _joined_samples(self._refused_imu, imu)
         self._refused_imu = imu
 
     def _count_failure(self, error: Exception) -> None:
