@@ -30,7 +30,7 @@ from probevo.estimation.visual_motion import MotionPriors, VisualEstimator
 from probevo.estimation.window import Window
 from probevo.estimation.window_estimator import WindowEstimator
 from probevo.estimation.window_motion import live_advance, live_motion
-from probevo.measurements.base import Measurement, VectorMeasurement, pose_of
+from probevo.measurements.base import Measurement, pose_of
 from probevo.measurements.correction import MotionCorrection
 from probevo.measurements.gyro import GyroBias
 from probevo.measurements.sensor import Sensor
@@ -38,7 +38,7 @@ from probevo.measurements.sensor_suite import SensorSuite
 from probevo.noise import NoiseModel
 from probevo.noise.jitter_array import learned_jitter_cov
 from probevo.predictors import PredictionSpace, Step, space_for
-from probevo.python_arguments import as_camera, as_config, as_noise
+from probevo.python_arguments import as_camera, as_config, as_imu, as_noise
 from probevo.sequences.frame import Frame
 from probevo.sequences.imu_calibration import ImuCalibration
 from probevo.sequences.validation import validated
@@ -77,7 +77,7 @@ class StereoOdometry:
     ) -> None:
         self.camera = as_camera(camera)
         self.noise = as_noise(noise)
-        self.imu = imu
+        self.imu = as_imu(imu)
         self.config = as_config(config)
         if not self.config.any_camera:
             self.noise.check_camera(camera)
@@ -285,8 +285,6 @@ class StereoOdometry:
         """Collect the measurements of the gyro and of all sensors that are not excluded.
 
         By default the gyro only predicts; with ``gyro.prior`` its rotation is a measurement, too.
-        Measurements of the motion get a bounded loss, so that a wrong one has no influence on the
-        solve.
         """
         state = prediction.state
         frame = prediction.frame
@@ -296,15 +294,13 @@ class StereoOdometry:
             # must not take them for those of the previous stamp.
             prev_frame = replace(prev_frame, left=None, right=None, prepared=None)
         readings = self._suite.read(prev_frame, frame, is_excluded=state.fusion.is_excluded)
-        of_motion: list[Measurement] = []
+        by_gyro: list[Measurement] = []
         if prediction.rotation is not None and self.config.gyro.prior:
-            of_motion.append(prediction.rotation)
+            by_gyro.append(prediction.rotation)
+        of_motion: list[Measurement] = []
         for reading in readings:
-            for measurement in reading.of_motion(pose_of(frame.index)):
-                if isinstance(measurement, VectorMeasurement):
-                    measurement = measurement.bounded()
-                of_motion.append(measurement)
-        return Measured(of_motion, readings)
+            of_motion += reading.of_motion(pose_of(frame.index))
+        return Measured(by_gyro, of_motion, readings)
 
     def _estimate(self, observed: Observed, measured: Measured, clock: StageClock) -> Solved:
         """Estimate the motion from the tracks and from other measurements of it.
@@ -312,7 +308,7 @@ class StereoOdometry:
         If the tracks are lost right after dead-reckoned steps, search for the features of the last
         usable frame instead (``estimation.recovery``).
         """
-        solved = self._solve(observed, measured.of_motion, clock)
+        solved = self._solve(observed, [*measured.by_gyro, *measured.of_motion], clock)
         # Recovery
         usable = observed.prediction.from_last_usable()
         if usable is None or not solved.is_lost:
@@ -395,7 +391,10 @@ class StereoOdometry:
                 self.config.north,
                 motion_squared=solve_innovations_squared(readings, pose, solution),
             )
-        # The estimate and the state. The features keep the motion of the images alone.
+        # The estimate and the state. The features keep the motion of this step by the images alone.
+        T_of_images = of_images.T_curr_prev
+        if solved.recovery is not None:
+            T_of_images = solved.recovery.path.closed(of_images).T_curr_prev
         estimate = replace(
             motion,
             T_world_cam=fusion.pose.T_world_cam,
@@ -409,7 +408,7 @@ class StereoOdometry:
             frame=frame,
             observations=state.observations.with_frame(solved.observations),
             fusion=fusion,
-            step=solved.features(of_images.T_curr_prev),
+            step=solved.features(T_of_images),
             is_frozen=solved.observed.is_frozen,
             window=window,
             last_usable=state.last_usable_after(prediction.duration_s, of_images),
@@ -502,11 +501,16 @@ class StereoOdometry:
         shares = None
         if motion is not of_images:
             shares = shares_of(of_images, motion, self.config.window.frames)
+        measurements = list(measured.of_motion)
+        # The gyro counts once: not beside an IMU of the window, which has its samples, nor beside a
+        # dead-reckoned motion, whose rotation is the gyro's.
+        if window.inertial is None and solved.shows_step:
+            measurements += measured.by_gyro
         return self._window.after_step(
             window,
             solved.calibrated,
             motion_for_window(window, prediction, motion),
             noise_factor=1.0 if solved.recovery is None else solved.recovery.noise_factor,
             shares=shares,
-            measurements=measured.of_motion,
+            measurements=measurements,
         )

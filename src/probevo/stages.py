@@ -37,9 +37,10 @@ class Observed:
 class Measured:
     """The measurements of the gyro and of the user's sensors."""
 
+    by_gyro: list[Measurement]
+    """The gyro's rotation, which enters the solve; only with ``gyro.prior``."""
     of_motion: list[Measurement]
-    """Measurements of the motion, which enter the solve; with ``gyro.prior`` the gyro's
-    rotation."""
+    """The sensors' measurements of the motion, which enter the solve, too."""
     readings: list[Reading]
     """The answer of each sensor, measurements of the pose included."""
 

@@ -10,6 +10,7 @@ import probevo as pv
 from intervals import chi2_interval
 from probevo.arrays import FloatArray
 from probevo.config import NorthConfig
+from probevo.errors import InputError
 from probevo.estimation.motion_estimate import MotionEstimate, SensorOutcome, Status
 from probevo.estimation.sensor_fusion import SensorFusion, motion_innovations_squared
 from probevo.geometry import se3, so3
@@ -18,7 +19,7 @@ from probevo.measurements.direction import Direction, tangent_axes
 from probevo.measurements.heading import Heading
 from probevo.measurements.north import NORTH, attitude_of_enu
 from probevo.measurements.relative_rotation import RelativeRotation
-from probevo.measurements.sensor import NoMeasurement, Reading
+from probevo.measurements.sensor import NoMeasurement, Reading, sensor_names
 from probevo.measurements.travelled_distance import TravelledDistance
 from worlds import CAMERA, FORWARD, blind_frame, drive
 
@@ -307,6 +308,72 @@ def test_wheels_that_lie_are_excluded(estimator: str) -> None:
         sign: np.sqrt(np.mean((np.array(found) - true_m) ** 2)) for sign, found in lengths.items()
     }
     assert error[-1.0] <= 1.05 * error[0.0]
+
+
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+@pytest.mark.parametrize("offset_rad", [0.0, 5e-3])
+def test_a_sensor_surer_than_the_images_is_tested_too(estimator: str, offset_rad: float) -> None:
+    """It claims 0.01 mrad; one that is off by 500 times as much is excluded."""
+    frames = drive(np.random.default_rng(1), 30)
+    rng = np.random.default_rng(5)
+    sigma_rad = 1e-5
+
+    def turns(prev_frame: pv.Frame, frame: pv.Frame) -> list[Measurement]:
+        error = np.array([0.0, offset_rad, 0.0]) + sigma_rad * rng.normal(size=3)
+        turned = so3.exp(error) @ FORWARD[:3, :3]
+        cov = sigma_rad**2 * np.eye(3)
+        return [
+            RelativeRotation(turned, cov, curr=pose_of(frame.index), prev=pose_of(prev_frame.index))
+        ]
+
+    config = {"estimator": estimator, "window": {"frames": 4}}
+    odometry = pv.StereoOdometry(CAMERA, config=config, sensors=[turns])
+    estimates = [odometry.step(frame) for frame in frames]
+    is_excluded = estimates[-1].sensors[0].state == "excluded"
+    assert is_excluded == (offset_rad > 0.0)
+    if not is_excluded:
+        assert all(one.sensors[0].squared is not None for one in estimates[1:])
+
+
+@pytest.mark.parametrize("frames_ago", [1, 3])
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_a_measurement_that_is_not_of_the_current_frame_is_refused(
+    estimator: str, frames_ago: int
+) -> None:
+    """A sensor with a delay would correct the wrong pose. The odometry is as before the call."""
+    frames = drive(np.random.default_rng(1), 6)
+
+    def late(prev_frame: pv.Frame, frame: pv.Frame) -> list[Measurement]:
+        if frame.index < 5:
+            return []
+        first = pose_of(frame.index - frames_ago)
+        if frames_ago == 1:
+            return [
+                Direction(first, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]), np.eye(2))
+            ]
+        return [TravelledDistance(3.6, 0.1, pose_of(frame.index), first)]
+
+    odometry = pv.StereoOdometry(CAMERA, config={"estimator": estimator}, sensors=[late])
+    for frame in frames[:5]:
+        odometry.step(frame)
+    before = odometry.state
+    with pytest.raises(InputError, match=f"sensor late: at frame 5 .* frame .*{5 - frames_ago}"):
+        odometry.step(frames[5])
+    assert odometry.state is before
+
+
+def test_sensors_of_one_name_are_numbered_without_repeating_one() -> None:
+    class Named:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def __call__(self, prev_frame: pv.Frame, frame: pv.Frame) -> list[Measurement]:
+            return []
+
+    names = ("gps 2", "gps", "gps", "sun dial", "sun")
+    assert sensor_names([Named(name) for name in names]) == (
+        *("gps 2", "gps", "gps 3", "sun dial", "sun"),
+    )
 
 
 @pytest.mark.parametrize(("estimator", "state"), [("two-frame", "silent"), ("window", "used")])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+import probevo as pv
 from probevo.arrays import FloatArray
 from probevo.config import SolverConfig
 from probevo.errors import InputError
@@ -16,13 +17,24 @@ from probevo.estimation.reprojection import ReprojectionSolution, solve_reprojec
 from probevo.estimation.two_frame import TwoFrameEstimator
 from probevo.geometry import se3
 from probevo.geometry.uncertainty import normalized_error_squared
-from probevo.measurements.base import pose_of
+from probevo.measurements.base import Measurement, pose_of
 from probevo.measurements.pose_prior import PosePrior
 from probevo.measurements.relative_rotation import RelativeRotation
 from probevo.measurements.stereo_observations import StereoObservations
+from probevo.measurements.travelled_distance import TravelledDistance
 from probevo.noise import Fixed, StereoNoise, StudentT
 from probevo.tracking.tracks import Tracks
-from worlds import CAMERA, FORWARD, motion_error, moved, random_pixels, seen_twice, tracks_of
+from worlds import (
+    CAMERA,
+    FORWARD,
+    TWO_FRAMES,
+    drive,
+    motion_error,
+    moved,
+    random_pixels,
+    seen_twice,
+    tracks_of,
+)
 
 Method = Literal["reprojection", "alignment"]
 METHODS: tuple[Method, ...] = ("reprojection", "alignment")
@@ -113,6 +125,20 @@ def test_alignment_needs_the_noise_of_each_observation() -> None:
     )
     assert "reprojection" in caught.value.cure
     assert solved(tracks, "reprojection", noise).converged
+
+
+def test_alignment_takes_no_sensor_of_the_motion() -> None:
+    """It would say that it used one."""
+    frames = drive(np.random.default_rng(1), 2)
+
+    def wheels(prev_frame: pv.Frame, frame: pv.Frame) -> list[Measurement]:
+        return [TravelledDistance(1.2, 0.1, pose_of(frame.index), pose_of(prev_frame.index))]
+
+    config = TWO_FRAMES | {"solver": {"method": "alignment"}}
+    odometry = pv.StereoOdometry(CAMERA, config=config, sensors=[wheels])
+    odometry.step(frames[0])
+    with pytest.raises(InputError, match="alignment takes no measurement of the motion"):
+        odometry.step(frames[1])
 
 
 def test_without_iterations_the_guess_is_kept() -> None:

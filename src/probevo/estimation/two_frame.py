@@ -300,8 +300,16 @@ class _Alignment:
         reprojection at that motion.
 
         Raises:
-            InputError: the noise does not refer to single observations.
+            InputError: the noise does not refer to single observations, or there are measurements
+                of the motion beside the tracks.
         """
+        if others:
+            raise InputError(
+                "--solver.method",
+                "alignment takes no measurement of the motion beside the features, and a sensor has"
+                " given one.",
+                "Take reprojection.",
+            )
         noise = observations.noise
         if noise.refers_to != "observation":
             raise InputError(

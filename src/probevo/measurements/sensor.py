@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from probevo.errors import InputError
-from probevo.measurements.base import Measurement, Variable
+from probevo.measurements.base import Measurement, Variable, VectorMeasurement, pose_of
 from probevo.measurements.north import NORTH
 from probevo.sequences.frame import Frame
 
@@ -44,8 +45,10 @@ class Reading:
         return tuple(one for one in self.measurements if {pose, NORTH} >= set(one.variables))
 
     def of_motion(self, pose: Variable) -> tuple[Measurement, ...]:
-        """Return the others, which also depend on the previous pose."""
-        return tuple(one for one in self.measurements if not {pose, NORTH} >= set(one.variables))
+        """Return the others, which also depend on the previous pose, with a bounded loss: a wrong
+        one has no influence on the solve."""
+        others = (one for one in self.measurements if not {pose, NORTH} >= set(one.variables))
+        return tuple(one.bounded() if isinstance(one, VectorMeasurement) else one for one in others)
 
     def without_motion(self, pose: Variable) -> Reading:
         """Keep only the measurements of this pose: a dead-reckoned step has no solve for the
@@ -61,8 +64,8 @@ def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> R
     """Call a sensor for a frame, and check its answer.
 
     Raises:
-        InputError: the answer is neither a list of measurements nor a reason. Exceptions of the
-            sensor itself are passed on.
+        InputError: the answer is neither a list of measurements nor a reason, or a measurement is
+            not one of the current pose. Exceptions of the sensor itself are passed on.
     """
     answer = sensor(prev_frame, frame)
     if isinstance(answer, NoMeasurement):
@@ -74,7 +77,24 @@ def read_sensor(name: str, sensor: Sensor, prev_frame: Frame, frame: Frame) -> R
         if not hasattr(measurement, "linearize") or not hasattr(measurement, "variables"):
             what = f"it returned a list with {type(measurement).__name__}."
             raise InputError(f"sensor {name}", what, "Its items are measurements.")
+        _check_poses(measurement, f"sensor {name}", prev_frame, frame)
     return Reading(name, tuple(answer))
+
+
+def _check_poses(measurement: Measurement, where: str, prev_frame: Frame, frame: Frame) -> None:
+    """Refuse a measurement of other poses than those of the current and the previous frame, or of
+    the previous one alone.
+
+    Raises:
+        InputError: it is such a measurement.
+    """
+    curr = pose_of(frame.index)
+    poses = {one for one in measurement.variables if one.kind == curr.kind}
+    if curr not in poses or not poses <= {curr, pose_of(prev_frame.index)}:
+        frames = ", ".join(str(one.frame) for one in sorted(poses)) or "none"
+        what = f"at frame {frame.index} it measured the pose of frame {frames}."
+        cure = "Measure that of the current frame, alone or together with that of the previous one."
+        raise InputError(where, what, cure)
 
 
 def sensor_names(sensors: Sequence[object]) -> tuple[str, ...]:
@@ -93,6 +113,6 @@ def sensor_names(sensors: Sequence[object]) -> tuple[str, ...]:
             raise InputError("sensors", what, cure)
         name = getattr(sensor, "name", None) or getattr(sensor, "__name__", type(sensor).__name__)
         name = str(name)
-        same = sum(known == name or known.startswith(f"{name} ") for known in names)
-        names.append(f"{name} {same + 1}" if same else name)
+        candidates = itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
+        names.append(next(one for one in candidates if one not in names))
     return tuple(names)
