@@ -218,8 +218,8 @@ class MotionModelConfig(Settings):
         ge=0,
         le=1000,
         description=(
-            "Standard deviation of a frame's time stamp; stamps set by the host computer are off by"
-            " 5 to 20 ms."
+            "Standard deviation of a frame's time stamp, at most a twentieth of the time between"
+            " frames; stamps set by the host computer are off by 5 to 20 ms."
         ),
     )
     gap_factor: float = Field(

@@ -65,6 +65,22 @@ def test_noise_of_the_twists_is_no_acceleration(noise: float) -> None:
     assert abs(error.mean()) < (0.4 if noise < 1.0 else 4.0 * noise)
 
 
+def test_at_rest_noise_is_no_acceleration_at_a_high_frame_rate() -> None:
+    """Steps of 1 mm and 0.3 mrad at 200 Hz are changes of eight times what the settings expect."""
+    rng = np.random.default_rng(0)
+    duration_s = 0.005
+    sigma_s = np.repeat([1e-3, 3e-4], 3) / duration_s
+    twists_s = sigma_s * rng.normal(size=(2000, 6))
+    scale = AccelerationScale()
+    largest = []
+    for change in np.diff(twists_s, axis=0):
+        scale = scale.after(
+            change, 2.0 * sigma_s**2, accelerations=CONFIGURED, duration_s=duration_s
+        )
+        largest.append(scale.factors.max())
+    assert np.median(largest) < 2.0
+
+
 def test_what_a_rig_did_long_ago_is_forgotten() -> None:
     shaken = after_steps(AccelerationScale(), 40, times=(4.0, 4.0))
     assert (shaken.factors > 3.0).all()

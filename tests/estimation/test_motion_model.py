@@ -72,6 +72,28 @@ def test_covariance_is_that_of_the_last_motion_of_the_acceleration_and_of_the_st
     )
 
 
+@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 20.0, 60.0, 200.0])
+def test_images_that_stand_still_contradict_a_drive_at_any_frame_rate(rate_hz: float) -> None:
+    """And a stamp that is late by a third of the interval does not."""
+    prediction = driving().predict(1.0 / rate_hz, None)
+    assert prediction.contradicts(np.eye(4), 1e-8 * np.eye(6))
+    for share in (0.67, 1.33):
+        late = se3.exp(share / rate_hz * TWIST_S)
+        assert not prediction.contradicts(late, 1e-8 * np.eye(6))
+
+
+def test_gaps_in_a_row_are_another_frame_rate() -> None:
+    """30 frames a second, and then 10."""
+    model = MotionModel.at_start(CONFIG)
+    for duration_s in [1.0 / 30.0] * 20 + [0.1] * 3:
+        model = model.after_solve(duration_s, se3.exp(duration_s * TWIST_S), COV)
+    assert model.is_gap(0.1)
+    for _ in range(20):
+        model = model.after_solve(0.1, se3.exp(0.1 * TWIST_S), COV)
+    assert not model.is_gap(0.1)
+    assert model.frames_of(0.1) == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0, 60.0])
 def test_the_covariance_of_a_dead_reckoned_path_does_not_depend_on_the_frame_rate(
     rate_hz: float,

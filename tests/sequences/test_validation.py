@@ -98,6 +98,7 @@ def test_unsigned_stamps_of_the_imu_are_compared_as_signed_ones() -> None:
 
 FRAME_CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "index float": ({"index": 1.0}, r"its index is 1\.0"),
+    "index of the frame before": ({"index": 0}, "its index, 0, is not after that of the frame"),
     "index None": ({"index": None}, "its index is None"),
     "stamp 2⁶³": ({"stamp_ns": 2**63}, "its stamp, 9223372036854775808 ns, does not fit"),
     "stamp −2⁶⁴": ({"stamp_ns": -(2**64)}, "does not fit in 64 bits"),

@@ -58,8 +58,10 @@ class AccelerationScale:
         """
         # The square of what is measured is that of the change plus the variance of its noise.
         squares = (twist_change**2 - change_variance) / (accelerations * duration_s) ** 2
-        shown = np.clip(squares.reshape(2, 3).mean(axis=1), 0.0, LARGEST_FACTOR**2)
+        shown = np.clip(squares.reshape(2, 3).mean(axis=1), -(LARGEST_FACTOR**2), LARGEST_FACTOR**2)
         kept_s = self.weight_s * np.exp(-duration_s / MEMORY_S)
         weight_s = kept_s + duration_s
         mean_square = (kept_s * np.array(self.mean_square) + duration_s * shown) / weight_s
+        # Where noise is all that is measured, half of the squares are negative, and average out.
+        mean_square = np.maximum(mean_square, 0.0)
         return AccelerationScale((float(mean_square[0]), float(mean_square[1])), float(weight_s))

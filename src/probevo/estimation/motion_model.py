@@ -19,6 +19,11 @@ INNOVATION_GATE = 60.0
 """Squared Mahalanobis distance of a motion's innovation (six dimensions) beyond which the solve is
 rejected: about 7σ."""
 
+LARGEST_STAMP_SHARE = 0.05
+"""Largest standard deviation of a stamp, as a share of the time between frames. A motion that is up
+to half too long or too short then passes the gate, and none at all does not; with 5 ms at 30 Hz,
+stamps could explain that a driving camera stands still."""
+
 FASTEST_START = 1.5
 """Fastest forward speed that is tried at the start, in standard deviations of its prior."""
 
@@ -26,6 +31,10 @@ SUDDEN_TURN_RAD_S2 = 20.0
 """Angular acceleration, a standard deviation, that the gate takes for possible at any time. A
 camera in a hand may be turned like that from rest; and what moves on its own before a camera, such
 as a lorry, looks like a shift of the camera, hardly like a turn."""
+
+MOST_GAPS = 10
+"""Steps in a row that may be gaps, before their duration is taken for that of another frame
+rate."""
 
 MAX_REFUSALS = 3
 """Number of solves in a row that the gate may reject before the motion model itself is reset."""
@@ -111,6 +120,8 @@ class MotionModel:
     """Its standard deviation in that step, [6], m/s and rad/s."""
     usual_step_s: float = 0.0
     """Running mean of the time between frames; 0 before the second."""
+    gaps: int = 0
+    """Steps in a row that were gaps: many of them are another frame rate."""
     refusals: int = 0
     """Solves that were rejected since the last accepted one."""
     path_sensitivity: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
@@ -135,7 +146,8 @@ class MotionModel:
         velocity_sensitivity = np.diag(self._drifted_sigma(duration_s) * duration_s)
         # Errors of both stamps change the length of the interval, and so the distance. An error
         # δt of it has the variance 2 σ², and moves the motion by δt times the twist.
-        stamp_variance = 2.0 * self.config.stamp_sigma_s**2
+        stamp_sigma_s = min(self.config.stamp_sigma_s, LARGEST_STAMP_SHARE * duration_s)
+        stamp_variance = 2.0 * stamp_sigma_s**2
         cov = velocity_sensitivity**2 + stamp_variance * np.outer(self.twist_s, self.twist_s)
         if gyro is not None:
             # The gyro replaces the predicted rotation. Errors of its mounting and its scale grow
@@ -235,11 +247,13 @@ class MotionModel:
                 accelerations=self._configured_accelerations,
                 duration_s=duration_s + self.since_solve_s,
             )
+        rate = self._with_step(duration_s)
         return MotionModel(
             self.config,
             twist_s=twist_s,
             twist_sigma_s=twist_sigma_s,
-            usual_step_s=self._usual_step_after(duration_s),
+            usual_step_s=rate.usual_step_s,
+            gaps=rate.gaps,
             acceleration_scale=scale,
         )
 
@@ -258,10 +272,12 @@ class MotionModel:
             cov: its covariance, [6, 6].
         """
         mean = self.after_solve(path_s, T_curr_usable, cov)
+        rate = self._with_step(duration_s)
         return replace(
             mean,
             twist_sigma_s=mean._drifted_sigma(0.5 * path_s),
-            usual_step_s=self._usual_step_after(duration_s),
+            usual_step_s=rate.usual_step_s,
+            gaps=rate.gaps,
             # A mean velocity tells little of the accelerations.
             acceleration_scale=self.acceleration_scale,
         )
@@ -280,31 +296,34 @@ class MotionModel:
         refusals = self.refusals + int(refused)
         path_before = se3.adjoint(prediction.T_curr_prev) @ self.path_sensitivity
         path_sensitivity = path_before + prediction.velocity_sensitivity
-        usual_step_s = self._usual_step_after(duration_s)
+        rate = self._with_step(duration_s)
         # The camera was picked up, say, or the first solve was wrong. Solves that contradict the
         # model again and again are right. Keep the twist as a guess, but let it reject nothing.
         if refusals >= MAX_REFUSALS:
             return replace(
                 MotionModel.at_start(self.config),
                 twist_s=self.twist_s,
-                usual_step_s=usual_step_s,
+                usual_step_s=rate.usual_step_s,
+                gaps=rate.gaps,
                 path_sensitivity=path_sensitivity,
                 acceleration_scale=self.acceleration_scale,
             )
         return replace(
-            self,
-            usual_step_s=usual_step_s,
+            rate,
             refusals=refusals,
             path_sensitivity=path_sensitivity,
             since_solve_s=self.since_solve_s + duration_s,
         )
 
-    def _usual_step_after(self, duration_s: float) -> float:
-        if self.is_gap(duration_s):  # missing frames do not change the frame rate
-            return self.usual_step_s
-        if self.usual_step_s == 0.0:
-            return duration_s
-        return 0.9 * self.usual_step_s + 0.1 * duration_s
+    def _with_step(self, duration_s: float) -> MotionModel:
+        """Return the model with the usual step and the gaps after a step of this duration."""
+        if self.is_gap(duration_s) and self.gaps < MOST_GAPS:
+            # Missing frames do not change the frame rate.
+            return replace(self, gaps=self.gaps + 1)
+        usual_step_s = 0.9 * self.usual_step_s + 0.1 * duration_s
+        if self.usual_step_s == 0.0 or self.is_gap(duration_s):
+            usual_step_s = duration_s
+        return replace(self, usual_step_s=usual_step_s, gaps=0)
 
     def _drifted_sigma(self, duration_s: float) -> FloatArray:
         """Return the standard deviation of the twist after a further time, [6]."""

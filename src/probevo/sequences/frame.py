@@ -55,7 +55,7 @@ class Frame:
     """One instant of a stereo recording: two rectified images, or features already tracked."""
 
     index: int
-    """Position in the sequence, from 0."""
+    """Position in the sequence, from 0. It may skip numbers, but not repeat any."""
     stamp_ns: int
     left: Image | None = None
     """Rectified left image, [height, width], uint8. The odometry keeps it until the next frame: do

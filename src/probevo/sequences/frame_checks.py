@@ -132,8 +132,9 @@ def check_order(prev: Frame, curr: Frame) -> float:
     """Check that one frame can follow another, and return the time between them, s.
 
     Raises:
-        InputError: the second frame is not after the first, or is too soon after it; one has
-            images and the other features; their images have different sizes, or share memory.
+        InputError: the second frame is not after the first, by its index or its stamp, or is too
+            soon after it; one has images and the other features; their images have different sizes,
+            or share memory.
     """
     where = f"frame {curr.index}"
     if curr.stamp_ns <= prev.stamp_ns:
@@ -145,6 +146,9 @@ def check_order(prev: Frame, curr: Frame) -> float:
     if curr.stamp_ns - prev.stamp_ns < SHORTEST_STEP_NS:
         what = f"its stamp, {curr.stamp_ns} ns, is less than 1 µs after that of the frame before."
         raise InputError(where, what, "Stamps are nanoseconds, not milliseconds or seconds.")
+    if curr.index <= prev.index:
+        what = f"its index, {curr.index}, is not after that of the frame before, {prev.index}."
+        raise InputError(where, what, "Count the frames: a window tells them by their index.")
     if (curr.features is None) != (prev.features is None):
         what = "one of it and the frame before has images, the other features."
         raise InputError(where, what, "Keep to one kind.")
