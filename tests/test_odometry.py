@@ -276,6 +276,24 @@ def test_a_gyro_that_was_not_there_all_the_time_is_not_asked() -> None:
         np.testing.assert_array_equal(odometry.step(frame).T_curr_prev, motion.T_curr_prev)
 
 
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_a_gyro_whose_signs_are_wrong_does_not_refuse_every_solve(estimator: str) -> None:
+    """It has no accelerometer, so that a window cannot test it, and claims 1 mrad/s/√Hz."""
+    turn = se3.exp(np.array([0.0, 0.0, -1.0, 0.0, -0.03, 0.0]))
+    frames = drive(np.random.default_rng(1), 30, turn)
+    for k in range(1, len(frames)):
+        stamps_ns = np.arange(
+            frames[k - 1].stamp_ns - 10_000_000, frames[k].stamp_ns + 10_000_000, 5_000_000
+        )
+        rates = np.tile([0.0, -0.3, 0.0], (len(stamps_ns), 1))  # it turns by +0.3 rad/s
+        samples = ImuSamples(stamps_ns, rates, np.full((len(stamps_ns), 3), np.nan))
+        frames[k] = replace(frames[k], imu=samples)
+    imu = ImuCalibration(np.eye(4), 1e-3, 0.01)
+    odometry = pv.StereoOdometry(CAMERA, imu=imu, config={"estimator": estimator})
+    statuses = [odometry.step(frame).status for frame in frames]
+    assert sum(status is OK for status in statuses) >= 24
+
+
 def test_a_gyro_without_noise_and_bias_fixes_the_rotation() -> None:
     rng = np.random.default_rng(17)
     frames = turning(drive(rng, 6), np.zeros(3), np.eye(3), rng)

@@ -122,9 +122,11 @@ class Prediction:
         # The features are those of the usable frame; the motion is the path since then and the step
         # predicted. The gyro was integrated over that step only, and does not apply.
         model = self.state.motion_model
+        # Identities that the frames between have given to new features are not given again.
+        tracking = replace(usable.state.tracking, next_id=self.state.tracking.next_id)
         prediction = replace(
             self,
-            state=usable.state,
+            state=replace(usable.state, tracking=tracking),
             duration_s=duration_s,
             motion=usable.path.predicted(self.motion, model.path_sensitivity),
             gyro=None,
@@ -268,7 +270,10 @@ class OdometryState:
                 # A gyro that has passed its tests would see a sudden turn.
                 motion = replace(of_gyro, alternative=replace(motion, sudden_turn_rad=0.0))
             elif trusts_gyro(window):
-                motion = of_gyro
+                # Where the velocity has been given up, since it contradicted solve after solve, the
+                # gyro may be what is wrong.
+                gives_up = self.motion_model.speed_is_unknown
+                motion = replace(of_gyro, alternative=motion if gives_up else None)
             elif window is not None and may_bridge(window):
                 motion = replace(motion, alternative=of_gyro)
         return Prediction(

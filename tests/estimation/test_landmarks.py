@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.stats import chi2
 
@@ -33,6 +35,21 @@ def test_the_covariance_is_that_of_repeated_observations() -> None:
     nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.cov_m2), error)
     low, high = np.asarray(chi2.ppf([0.005, 0.995], 3 * count)) / count
     assert low < nees.mean() < 1.02 * high  # triangulation is not quite linear
+
+
+def test_the_error_of_the_disparity_that_lasts_is_in_it() -> None:
+    """Mean NEES over 3,000 points, each with one such error, χ²(3)."""
+    rng = np.random.default_rng(4)
+    count = 3000
+    true_px = random_pixels(rng, count, depth_m=(5.0, 15.0))
+    noise = replace(noise_of(0.04 * np.eye(4), count), time_correlated=np.full(count, 0.09))
+    seen_px = true_px + 0.2 * rng.normal(size=(count, 4))
+    seen_px[:, 2] += 0.3 * rng.normal(size=count)
+    found = triangulated(np.arange(count), seen_px, noise, CAMERA)
+    error = found.points_m - CAMERA.triangulate(true_px)
+    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.cov_m2), error)
+    low, high = np.asarray(chi2.ppf([0.005, 0.995], 3 * count)) / count
+    assert low < nees.mean() < 1.05 * high  # triangulation is not quite linear
 
 
 def test_a_student_t_has_the_covariance_of_its_degrees_of_freedom() -> None:

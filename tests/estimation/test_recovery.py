@@ -202,3 +202,15 @@ def test_a_window_keeps_no_more_blind_frames_than_others() -> None:
             assert set(window.landmark_rows[ends]) & set(window.landmark_rows[begins])
     assert odometry.window is not None
     assert sorted([*left, *odometry.window.frames]) == list(range(45))
+
+
+@pytest.mark.parametrize("estimator", ["two-frame", "window"])
+def test_behind_blind_frames_the_motion_of_the_images_is_that_of_the_step(estimator: str) -> None:
+    """Not that from the last usable frame, which the solve has found."""
+    frames, true = drive_with_blind_frames(np.random.default_rng(0))
+    odometry = pv.StereoOdometry(CAMERA, config={"estimator": estimator})
+    for frame in frames[: BLIND[-1] + 2]:
+        estimate = odometry.step(frame)
+    assert estimate.status is pv.Status.RECOVERED
+    error = se3.log(true[BLIND[-1]] @ se3.inverse(odometry.T_of_images))
+    assert np.linalg.norm(error[:3]) < 0.2

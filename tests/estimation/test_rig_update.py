@@ -312,3 +312,18 @@ def test_features_that_fix_no_motion_teach_nothing() -> None:
     after, common_mode = update_rig(rig, clean, replace(solution, hessian=np.zeros((6, 6))), CAMERA)
     assert after is rig
     np.testing.assert_array_equal(common_mode.columns, 0.0)
+
+
+def test_features_that_a_loss_has_rejected_teach_nothing() -> None:
+    """An alignment may have a finite covariance where the reprojection has no weight left."""
+    tracks = seen_twice(np.random.default_rng(9), 60)
+    rig = RigCalibration.initial()
+    solution = solve(tracks, StudentT())
+    nothing = replace(
+        solution,
+        irls_weight=np.zeros(60),
+        hessian=np.zeros_like(solution.hessian),
+    )
+    after, common_mode = update_rig(rig, tracks, nothing, CAMERA)
+    assert after is rig
+    np.testing.assert_array_equal(common_mode.columns, 0.0)

@@ -35,17 +35,22 @@ TIGHT = RigJitter.initial(1e-12 * np.eye(3), frames=1.0)
 
 
 class CountedEstimator(VisualEstimator):
-    """Counts how often it is asked."""
+    """Counts how often it is asked, and keeps the jitter that it was told of last."""
 
     num_solves = 0
+    last_jitter_cov: FloatArray | None = None
 
-    def estimate(self, *args: Any, **options: Any) -> Any:
+    def estimate(self, tracks: Tracks, phi: FloatArray, priors: MotionPriors, **more: Any) -> Any:
         self.num_solves += 1
-        return super().estimate(*args, **options)
+        self.last_jitter_cov = priors.jitter_cov
+        return super().estimate(tracks, phi, priors, **more)
 
 
 def estimate(tracks: Tracks, rig: RigCalibration | None) -> tuple[CalibratedMotion, int]:
-    """Return the motion of tracks, and how often it was solved for."""
+    """Return the motion of tracks, and how often it was solved for.
+
+    The jitter that it says the solve assumed is always that of the last one.
+    """
     visual = CountedEstimator(CAMERA, StudentT(), CONFIG, predicts_from_motion=False)
     found = SelfCalibratingEstimator(CAMERA, visual).estimate(
         CorrectedTracks.of(tracks, rig, CAMERA, prev_twist_s=TWIST_S, curr_twist_s=TWIST_S),
@@ -56,6 +61,7 @@ def estimate(tracks: Tracks, rig: RigCalibration | None) -> tuple[CalibratedMoti
         seed=(0, 1),
         clock=StageClock(),
     )
+    assert found.jitter_cov is visual.last_jitter_cov
     return found, visual.num_solves
 
 
@@ -88,6 +94,7 @@ def test_more_jitter_than_expected_is_solved_again() -> None:
     tracks = seen_twice(np.random.default_rng(0), 200, sigma_px=0.1)
     moved = jittered(tracks, np.array([0.0, 1e-3, 0.0]))
     rig = replace(RigCalibration.initial(), jitter=TIGHT)
+    estimate(jittered(tracks, np.array([0.0, 1e-2, 0.0])), rig)  # more than it may solve again for
     found, num_solves = estimate(moved, rig)
     assert 1 < num_solves <= 1 + MOST_REPEATED_SOLVES
     assert found.rig is not None

@@ -66,6 +66,9 @@ def triangulated(
     factor = np.where(dof > 2.0, 1.0 / (1.0 - 2.0 / np.maximum(dof, 2.0 + 1e-9)), 1.0)
     share = 0.5 if noise.refers_to == "residual" else 1.0
     cov_px2 = share * factor[:, None, None] * scale
+    # The error of the disparity that all observations of a point have in common moves u_r.
+    if noise.time_correlated is not None:
+        cov_px2[:, 2, 2] += np.broadcast_to(noise.time_correlated, (len(ahead),))[ahead]
     G = camera.triangulate_jacobian(pixels)
     return Landmarks(
         ids=ids[ahead],

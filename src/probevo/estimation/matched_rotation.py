@@ -88,8 +88,11 @@ def _best_sample(prev_rays: FloatArray, curr_rays: FloatArray) -> BoolArray:
     rng = np.random.default_rng(0)
     pairs = rng.integers(len(prev_rays), size=(NUM_SAMPLES, 2))
     rotations = _rotation_between(prev_rays[pairs], curr_rays[pairs])
-    turned = np.einsum("sij,nj->sni", rotations, prev_rays)
-    near = np.linalg.norm(turned - curr_rays, axis=2) < NEAR_RAD
+    # c · R p = Σ c_i p_j R_ij for each of S rotations and N pairs of rays (p, c): one product of
+    # matrices, [S, 9] by [9, N].
+    outer_products = curr_rays[:, :, None] * prev_rays[:, None, :]
+    cosines = rotations.reshape(-1, 9) @ outer_products.reshape(-1, 9).T
+    near = cosines > np.cos(NEAR_RAD)
     best: BoolArray = near[int(near.sum(axis=1).argmax())]
     return best
 

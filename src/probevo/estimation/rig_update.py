@@ -79,7 +79,8 @@ def update_rig(
         error is the same for all features, so it does not average out, and in all steps, so it adds
         up along the path. If the features do not determine the motion, nothing is updated.
     """
-    if not np.isfinite(solution.cov).all():
+    # A loss that descends to zero may have rejected all features.
+    if not np.isfinite(solution.cov).all() or not solution.irls_weight.any():
         return rig, CommonMode.none()
     # Sensitivities of the residuals to the calibration, and weighted products of both
     D = calibration_sensitivity(tracks, solution, camera)

@@ -162,7 +162,7 @@ class SelfCalibratingEstimator:
         updated."""
         rig = corrected.rig
         jitter_cov = None if rig is None else rig.jitter.cov
-        for _ in range(1 + MOST_REPEATED_SOLVES):
+        for repeats_left in reversed(range(1 + MOST_REPEATED_SOLVES)):
             visual = self._visual.estimate(
                 corrected.tracks,
                 phi,
@@ -182,7 +182,7 @@ class SelfCalibratingEstimator:
             # assumed.
             used = corrected.tracks.kept(visual.used)
             updated, common_mode = update_rig(rig, used, visual.two_frames_only, self._camera)
-            if not updated.jitter.exceeds(jitter_cov):
+            if not repeats_left or not updated.jitter.exceeds(jitter_cov):
                 break
             jitter_cov = updated.jitter.cov
         return CalibratedMotion(
