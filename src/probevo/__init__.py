@@ -57,6 +57,11 @@ _MODULES = ("noise", "predictors")
 __all__ = [*_MODULE_OF, *_MODULES]
 
 
+def __dir__() -> list[str]:
+    """Return the public names, too, those that are not imported yet."""
+    return sorted({*globals(), *__all__})
+
+
 def __getattr__(name: str) -> Any:
     """Import a public name on first use, so that ``probevo --help`` does not wait for SciPy."""
     if name in _MODULES:

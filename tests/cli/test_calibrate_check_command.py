@@ -179,7 +179,7 @@ def test_swapped_images_and_short_recordings_are_refused(world: World) -> None:
     swapped = changed(world, lambda pixels, k: pixels[:, [2, 3, 0, 1]])
     with pytest.raises(InputError, match="Are left and right swapped"):
         check(swapped, FRAMES)
-    with pytest.raises(InputError, match="only 4 of its first 5 frames"):
+    with pytest.raises(InputError, match="it has 5 frames; 12 at least are needed"):
         check(world, 5)
 
 

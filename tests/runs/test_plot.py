@@ -15,6 +15,7 @@ from probevo.estimation.motion_estimate import MotionEstimate, Status
 from probevo.geometry import se3
 from probevo.output.motions_file import write_motions
 from probevo.output.run_result import RunRecorder, RunResult
+from probevo.sequences.frame import GroundTruth
 
 
 def run(count: int, turn_rad: float = 0.02) -> RunResult:
@@ -50,6 +51,8 @@ def test_errors_against_the_truth_are_drawn(tmp_path: Path) -> None:
     figure.savefig(tmp_path / "error.png")
     assert (tmp_path / "error.png").stat().st_size > 5_000
     assert "truth" in legend(pv.plot(good, truth=good.T_world_cam))
+    truth = GroundTruth(np.arange(len(good)), good.T_world_cam)
+    assert "truth" in legend(pv.plot(good, truth=truth))
 
 
 REFUSED: dict[str, tuple[tuple[Any, ...], dict[str, Any], str]] = {
@@ -60,6 +63,7 @@ REFUSED: dict[str, tuple[tuple[Any, ...], dict[str, Any], str]] = {
     "names": ((run(3),), {"names": ("a", "b")}, "names: 2 names for 1 runs"),
     "kind": ((run(3),), {"kind": "map"}, "kind: is 'map'"),
     "truth of another shape": ((run(3),), {"truth": np.eye(4)}, r"truth: has shape \(4, 4\)"),
+    "truth of no numbers": ((run(3),), {"truth": ["a", "b"]}, "truth: is "),
     "truth too short": ((run(3),), {"truth": np.zeros((2, 4, 4))}, "2 poses for 3 frames"),
 }
 

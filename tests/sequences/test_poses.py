@@ -45,9 +45,10 @@ def test_a_pose_at_the_very_time_is_taken_whatever_gaps_are_beside_it() -> None:
     np.testing.assert_array_equal(np.isnan(single).any(axis=(1, 2)), [True, False, True, True])
 
 
-def test_a_motion_goes_on_no_longer_than_it_was_seen() -> None:
-    stamps_ns = np.array([0, 100, 101]) * MS
-    poses = interpolate_poses(stamps_ns, steady_motion(stamps_ns), np.array([102, 103]) * MS)
+def test_a_motion_goes_on_for_half_as_long_as_it_was_seen() -> None:
+    """So that truth that ends earlier than the frames, at their rate, has no pose for the next."""
+    stamps_ns = np.array([0, 100, 102]) * MS
+    poses = interpolate_poses(stamps_ns, steady_motion(stamps_ns), np.array([103, 104]) * MS)
     np.testing.assert_array_equal(np.isnan(poses).any(axis=(1, 2)), [False, True])
 
 

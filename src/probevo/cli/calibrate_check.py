@@ -253,6 +253,9 @@ def _look(sequence: Sequence, max_frames: int) -> _Seen:
             steps.append(_Step(raw, used, rotation_rad, between_ns=(prev_ns, frame.stamp_ns)))
         prev_ns = frame.stamp_ns
     rows = _row_samples(steps, camera)
+    if len(motions) < FEWEST_FRAMES:
+        what = f"it has {len(motions)} frames; {FEWEST_FRAMES} at least are needed."
+        raise InputError(sequence.path, what, "Give a longer recording of the same rig.")
     if len(rows) < FEWEST_FRAMES - 2:
         what = f"only {len(steps)} of its first {len(motions)} frames have a motion that is solved."
         cure = "`probevo info` says whether the images are rectified, sharp and textured."

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from probevo.arrays import FloatArray, IntArray
 from probevo.camera.focal_length import FocalLengthError
@@ -41,11 +42,18 @@ class Quantity:
     cure: str
     """What a non-zero value means, and how to correct the calibration."""
 
+    @property
+    def z(self) -> float:
+        """Distance from zero in σ. Where σ is from few data, it is the one that would be as
+        improbable with a σ that is known, so that z of all quantities can be compared."""
+        if self.p_value == 0.0:  # too improbable for a float
+            return self.value / self.sigma
+        return float(np.copysign(ndtri(0.5 * self.p_value), self.value))
+
     def texts(self, *, is_marked: bool) -> tuple[str, ...]:
         """Return name, value, σ, unit and z, as text."""
         name = f"! {self.name}" if is_marked else f"  {self.name}"
-        z = self.value / self.sigma
-        return (name, f"{self.value:+.3g}", f"{self.sigma:.2g}", self.unit, f"{z:+.1f}")
+        return (name, f"{self.value:+.3g}", f"{self.sigma:.2g}", self.unit, f"{self.z:+.1f}")
 
 
 def row_quantities(frames: list[RowSamples], camera: StereoCamera) -> list[Quantity]:

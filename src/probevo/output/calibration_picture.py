@@ -176,7 +176,7 @@ def _draw_quantities(
     axes: Axes, quantities: Sequence[Quantity], marked: Sequence[Quantity], largest_z: float
 ) -> None:
     """Draw how far each quantity is from zero, in σ; the marked ones in another colour."""
-    z = np.array([quantity.value / quantity.sigma for quantity in quantities])
+    z = np.array([quantity.z for quantity in quantities])
     places = np.arange(len(quantities))[::-1]
     # Far beyond chance it does not matter how far.
     shown = np.clip(z, -4.0 * largest_z, 4.0 * largest_z)

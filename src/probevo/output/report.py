@@ -273,8 +273,8 @@ def _status_note(result: RunResult) -> str:
     note = ""
     if reckoned:
         note = (
-            f"Steps without a solve ({', '.join(reckoned)}) are dead-reckoned from the gyro and the"
-            " last velocity."
+            f"Steps without a solve ({', '.join(reckoned)}) are dead-reckoned from the last"
+            " velocity, and by the IMU where it is used."
         )
     if Status.RECOVERED in found:
         note += " Recovered ones lead from the last frame before, and end that uncertainty."

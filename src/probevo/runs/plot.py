@@ -12,6 +12,7 @@ from probevo.errors import InputError, brief
 from probevo.output.motions_file import read_motions
 from probevo.output.run_result import RunResult
 from probevo.python_arguments import as_path
+from probevo.sequences.frame import GroundTruth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +25,7 @@ KINDS = ("path", "error")
 
 def plot(
     *runs: RunResult | Run | str | Path,
-    truth: FloatArray | None = None,
+    truth: FloatArray | GroundTruth | None = None,
     names: tuple[str, ...] = (),
     kind: Literal["path", "error"] = "path",
 ) -> Figure:
@@ -34,8 +35,8 @@ def plot(
 
     Args:
         runs: results, or folders of ``probevo run``.
-        truth: true poses T_world_cam, [N, 4, 4], m, NaN where unknown; by default those of the
-            first ``Run`` that has them.
+        truth: true poses T_world_cam, [N, 4, 4], m, NaN where unknown, or the truth of a sequence;
+            by default those of the first ``Run`` that has them.
         names: of the runs, for the legend; by default those of their folders, or their numbers.
         kind: ``path`` from above, forward up, over the true one; or ``error``, the distance from
             the true position along the path, beside the 3σ that each run claims.
@@ -59,7 +60,7 @@ def plot(
 
 def _entries(
     runs: tuple[RunResult | Run | str | Path, ...],
-    truth: FloatArray | None,
+    truth: FloatArray | GroundTruth | None,
     names: tuple[str, ...],
 ) -> list[Entry]:
     """Read and check the runs.
@@ -91,9 +92,14 @@ def _entries(
         entries.append(Entry("", names[k] if names else default, result))
     if truth is None:
         return entries
-    true = np.asarray(truth, dtype=np.float64)
+    cure = "Give poses T_world_cam, [N, 4, 4], or the truth of a sequence."
+    poses = truth.T_world_cam if isinstance(truth, GroundTruth) else truth
+    try:
+        true = np.asarray(poses, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("truth", f"is {brief(truth)}.", cure) from error
     if true.ndim != 3 or true.shape[1:] != (4, 4):
-        raise InputError("truth", f"has shape {true.shape}.", "Give poses T_world_cam, [N, 4, 4].")
+        raise InputError("truth", f"has shape {true.shape}.", cure)
     short = [len(entry.result) for entry in entries if len(entry.result) > len(true)]
     if short:
         raise InputError("truth", f"has {len(true)} poses for {short[0]} frames.")

@@ -15,7 +15,8 @@ LONGEST_GAP_NS = 500_000_000
 """Longest gap over which truth is interpolated. The slowest common source, OXTS in sync drives, has
 a pose every 0.1 s."""
 LONGEST_EXTRAPOLATION_NS = 50_000_000
-"""Longest extrapolation beyond the first and last pose: half a period of that source."""
+"""Longest extrapolation beyond the first and last pose, which is half of their own interval:
+half a period of that source."""
 
 
 def check_poses(T: FloatArray, where: str | Path) -> tuple[BoolArray, FloatArray]:
@@ -65,7 +66,7 @@ def interpolate_poses(stamps_ns: IntArray, T: FloatArray, at_ns: IntArray) -> Fl
     """Interpolate poses to other times.
 
     Between two poses, the rotation has a constant rate and the position moves linearly. Beyond the
-    ends, the last motion is extrapolated for as long as it was observed, but for 50 ms at most.
+    ends, the last motion is extrapolated for half as long as it was observed, 50 ms at most.
     Further beyond, and within gaps over 0.5 s, the pose is NaN.
 
     Args:
@@ -93,6 +94,6 @@ def interpolate_poses(stamps_ns: IntArray, T: FloatArray, at_ns: IntArray) -> Fl
     is_at_pose = (at_ns == stamps_ns[start]) | (at_ns == stamps_ns[end])
     is_in_gap = (gap_ns > LONGEST_GAP_NS) & ~is_at_pose
     beyond_ns = np.maximum(stamps_ns[0] - at_ns, at_ns - stamps_ns[-1])
-    is_beyond = beyond_ns > np.minimum(gap_ns, LONGEST_EXTRAPOLATION_NS)
+    is_beyond = beyond_ns > np.minimum(gap_ns // 2, LONGEST_EXTRAPOLATION_NS)
     poses[is_in_gap | is_beyond] = np.nan
     return poses
