@@ -188,7 +188,7 @@ def test_the_command_names_what_is_wrong(
 ) -> None:
     path = write_tracks(tmp_path)
     assert main(["calibrate-check", str(path)]) == 2
-    assert "have a motion that is solved" in capsys.readouterr().err
+    assert "at least are needed" in capsys.readouterr().err
     assert main(["calibrate-check", str(path), "--max-frames", "2"]) == 2
     assert "--max-frames: is 2" in capsys.readouterr().err
 
