@@ -26,6 +26,7 @@ COMMANDS = {
     "eval": "probevo.cli.eval",
     "info": "probevo.cli.info",
     "calibrate-check": "probevo.cli.calibrate_check",
+    "covariance-check": "probevo.cli.covariance_check",
     "convert": "probevo.cli.convert",
     "fetch": "probevo.cli.fetch",
     "simulate": "probevo_sim.command",
@@ -53,6 +54,8 @@ and estimates the covariance of each step.
       describe a recording, check its calibration, and tell what will be used
   probevo calibrate-check SEQUENCE
       say what a recording itself tells of its calibration, with the cure
+  probevo covariance-check SEQUENCE
+      test the claimed covariances on a recording, without any truth
   probevo convert SEQUENCE --out PATH
       write a recording as a folder of images or as a bag, or a run as a bag of its odometry
   probevo fetch NAME

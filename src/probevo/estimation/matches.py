@@ -26,7 +26,7 @@ MIN_MATCHES = 3
 """Least number of points that determine a motion."""
 SMALLEST_VARIANCE_PX2 = 1e-12
 MOST_SOLVES = 4
-"""Solves, before which it is judged each time which matches agree."""
+"""Solves, after each of which all matches are tested again."""
 THRESHOLD_SIGMAS = 4.0
 """Threshold of RANSAC in standard deviations of a usual residual: hardly an inlier is beyond."""
 
@@ -85,7 +85,7 @@ def estimate_motion(
         guess=start,
         threshold=InlierThreshold(_threshold_px(of_matches)),
     )
-    # From there each match is judged by its own noise, again and again as the motion improves. If
+    # From there each match is tested by its own noise, again and again as the motion improves. If
     # those within one threshold were kept instead, noisy matches would be cut off, and the
     # covariance would be too small.
     used = consensus.inliers

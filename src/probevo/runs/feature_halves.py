@@ -1,0 +1,181 @@
+"""A test of the claimed covariances that needs no truth: two halves of the features of a recording.
+
+Each half is followed and solved for by an odometry of its own, without an IMU. As far as the errors
+of both motions come from the features, they are independent, so that their difference has the sum
+of both covariances. Errors that both halves have in common, such as a wrong baseline, do not show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from probevo.arrays import FloatArray, Image
+from probevo.errors import InputError
+from probevo.estimation.motion_estimate import Status
+from probevo.geometry.uncertainty import normalized_error_squared
+from probevo.noise import NoiseModel
+from probevo.odometry import StereoOdometry
+from probevo.sequences import Sequence
+from probevo.sequences.frame import Frame, StereoFeatures
+from probevo.sequences.masked import mask_of_array
+
+SQUARES = 12
+"""Squares of the checkerboard along the width of an image: on KITTI they are 100 px wide, ten times
+as wide as the window of a feature, which has to lie in one of them."""
+SPAN = 8
+"""Frames that a motion within the window spans, beside those over one."""
+WARM_UP = 10
+"""First frames that do not count: nothing is known of the rig yet."""
+FEWEST = 10
+"""Motions below which nothing can be said."""
+DIMENSION = 6
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How the motions of both halves over a number of frames agree."""
+
+    frames: int
+    """That the motions lead over."""
+    squared: FloatArray
+    """Squared difference of each pair of motions in units of the sum of their covariances, [N]."""
+
+    @property
+    def mean(self) -> float:
+        """Mean over the 6 dimensions: 1 if the covariances hold, more if they are too small."""
+        return float(np.mean(self.squared)) / DIMENSION
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the mean. Motions over several frames overlap, and count by so many
+        less."""
+        independent = max(len(self.squared) / self.frames, 1.0)
+        return float(np.std(self.squared)) / DIMENSION / float(np.sqrt(independent))
+
+    def share_inside(self, level: float) -> float:
+        """Return the share of differences inside the region of this probability, 0 to 1."""
+        return float(np.mean(self.squared <= chdtri(DIMENSION, 1.0 - level)))
+
+
+@dataclass(frozen=True)
+class HalvesCompared:
+    """Both halves of a recording, frame by frame."""
+
+    num_frames: int
+    num_solved: int
+    """Frames that both halves have solved."""
+    agreements: tuple[Agreement, ...]
+    """Over one frame, and over ``SPAN`` if the estimator has a window."""
+
+
+def compare_halves(
+    sequence: Sequence,
+    noise: NoiseModel,
+    config: Mapping[str, Any],
+    *,
+    max_frames: int | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> HalvesCompared:
+    """Run two odometries over the halves of a recording's features, and compare their motions.
+
+    Args:
+        sequence: the recording; its IMU is not used.
+        noise: model of the features' noise, in both.
+        config: settings that differ from the defaults.
+        max_frames: frames that are looked at, from the start; all by default.
+        on_progress: is called with the number of frames done, and of all.
+
+    Raises:
+        InputError: fewer than ``FEWEST`` steps are solved by both halves.
+    """
+    total = len(sequence) if max_frames is None else min(max_frames, len(sequence))
+    one = StereoOdometry(sequence.camera, noise, config=config)
+    other = StereoOdometry(sequence.camera, noise, config=config)
+    squared: dict[int, list[float]] = {1: [], SPAN: []}
+    num_solved = 0
+    for done, frame in enumerate(islice(sequence, total)):
+        first, second = halves_of(frame)
+        of_one = one.step(first)
+        of_other = other.step(second)
+        if on_progress is not None:
+            on_progress(done + 1, total)
+        if of_one.status is not Status.OK or of_other.status is not Status.OK:
+            continue
+        num_solved += 1
+        if done < WARM_UP:
+            continue
+        squared[1].append(
+            _difference_squared(
+                (of_one.T_curr_prev, of_one.cov), (of_other.T_curr_prev, of_other.cov)
+            )
+        )
+        earlier = frame.index - SPAN
+        if _has(one, earlier) and _has(other, earlier):
+            squared[SPAN].append(
+                _difference_squared(
+                    one.relative(frame.index, earlier), other.relative(frame.index, earlier)
+                )
+            )
+    if len(squared[1]) < FEWEST:
+        what = (
+            f"only {len(squared[1])} of {total} steps were solved by both halves of the features."
+        )
+        raise InputError(
+            sequence.path, what, f"Give a longer recording: {WARM_UP} frames do not count."
+        )
+    agreements = (Agreement(frames, np.array(found)) for frames, found in squared.items() if found)
+    return HalvesCompared(total, num_solved, tuple(agreements))
+
+
+def halves_of(frame: Frame) -> tuple[Frame, Frame]:
+    """Return a frame twice, without IMU samples: with the white and with the black squares of a
+    checkerboard over the left image, or with every other feature."""
+    frame = replace(frame, imu=None)
+    if frame.features is not None:
+        is_even = frame.features.ids % 2 == 0
+        ids = frame.features.ids
+        pixels = frame.features.pixels
+        return (
+            replace(frame, features=StereoFeatures(ids[is_even], pixels[is_even])),
+            replace(frame, features=StereoFeatures(ids[~is_even], pixels[~is_even])),
+        )
+    if frame.left is None:
+        return frame, frame
+    white = checkerboard(frame.left.shape)
+    black = 255 - white
+    if frame.left_mask is not None:
+        usable = mask_of_array(frame.left_mask, None, "left_mask")
+        white = np.minimum(white, usable)
+        black = np.minimum(black, usable)
+    return replace(frame, left_mask=white), replace(frame, left_mask=black)
+
+
+def checkerboard(shape: tuple[int, int]) -> Image:
+    """Return a board of squares, 0 and 255, [height, width], uint8, for an image of that shape."""
+    height, width = shape
+    side_px = max(width // SQUARES, 1)
+    row = np.arange(height)[:, None] // side_px
+    column = np.arange(width)[None, :] // side_px
+    return np.where((row + column) % 2 == 0, 255, 0).astype(np.uint8)
+
+
+def _has(odometry: StereoOdometry, frame: int) -> bool:
+    """Return whether a frame is in the window of an odometry."""
+    return odometry.window is not None and frame in odometry.window.frames
+
+
+def _difference_squared(
+    one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]
+) -> float:
+    """Return the squared difference of two motions with covariances, in units of their sum."""
+    T_one, cov_one = one
+    T_other, cov_other = other
+    return float(
+        normalized_error_squared(T_one[None], T_other[None], (cov_one + cov_other)[None])[0]
+    )
