@@ -237,7 +237,9 @@ def with_smoothed(result: RunResult, folder: Path) -> RunResult:
     Raises:
         InputError: its file is damaged, or is that of another run.
     """
-    from probevo.runs.runner import SMOOTHED_KITTI
+    import numpy as np
+
+    from probevo.output.files import SMOOTHED_KITTI
     from probevo.sequences.pose_files import read_kitti_poses
 
     path = folder / SMOOTHED_KITTI
@@ -247,4 +249,6 @@ def with_smoothed(result: RunResult, folder: Path) -> RunResult:
     if len(smoothed) != len(result):
         what = f"it has {len(smoothed)} poses, and {MOTIONS} {len(result)} frames."
         raise InputError(path, what, "Are they of one run?")
+    if not np.isfinite(smoothed).all():
+        raise InputError(path, "some of its poses are not known.", "Run `probevo run` again.")
     return replace(result, smoothed=smoothed)

@@ -368,8 +368,7 @@ class RunRecorder:
             num_tracks=num_tracks,
             num_inliers=num_inliers,
             stage_ms={
-                name: times_ms.table()[1:num_frames, 0]
-                for name, times_ms in self._stage_ms.items()
+                name: times_ms.table()[1:num_frames, 0] for name, times_ms in self._stage_ms.items()
             },
             total_ms=numbers[:, -1].copy(),
             rejected=dict(self._rejected),

@@ -31,7 +31,13 @@ from probevo.noise.named import noise_model, other_camera, portable
 from probevo.odometry import StereoOdometry
 from probevo.output.bag_writer import check_bag_path
 from probevo.output.drawing import draw_tracks
-from probevo.output.files import write_json, write_kitti_poses, write_tum
+from probevo.output.files import (
+    SMOOTHED_KITTI,
+    SMOOTHED_TUM,
+    write_json,
+    write_kitti_poses,
+    write_tum,
+)
 from probevo.output.headline import headline_drift
 from probevo.output.motions_file import write_motions
 from probevo.output.rows import Rows
@@ -55,9 +61,6 @@ from probevo.tracking.left_right import (
 from probevo.tracking.pair_timing import PairTiming
 from probevo.tracking.preparation import prepare_ahead
 
-SMOOTHED_TUM = "trajectory.smoothed.tum"
-SMOOTHED_KITTI = "trajectory.smoothed.kitti.txt"
-"""Poses as they left the window, if there is one."""
 NUM_PICTURES = 4
 """Frames that the report shows with their tracks."""
 
@@ -408,9 +411,7 @@ class SmoothedPath:
             for pose in window.marginalized:
                 self._left.add(_smoothed_row(pose))
 
-    def poses(
-        self, window: Window | None, *, num_frames: int | None = None
-    ) -> FloatArray | None:
+    def poses(self, window: Window | None, *, num_frames: int | None = None) -> FloatArray | None:
         """Return T_world_cam of all frames, whether they have left the window or are still in it.
 
         Args:
