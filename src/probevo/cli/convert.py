@@ -79,6 +79,7 @@ def main(words: list[str]) -> None:
         check_bag_path(arguments.out, "--out")
 
     from probevo.sequences import open_sequence
+    from probevo.sequences.masked import MaskedRecording
 
     sequence = open_sequence(arguments.source, settings.format, **settings.format_options())
     num_frames = min(len(sequence), arguments.max_frames or len(sequence))
@@ -87,6 +88,8 @@ def main(words: list[str]) -> None:
     print(f"{num_frames} frames written: {arguments.out}")
     if is_bag and sequence.imu is not None:
         print("The noise of the IMU has no place in a bag: give it with --imu-noise.")
+    if is_bag and isinstance(sequence, MaskedRecording):
+        print("Masks have no place in a bag: give them with --mask-left and --mask-right.")
 
 
 def _check_new(out: Path) -> None:
