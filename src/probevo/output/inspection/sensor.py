@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
-from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
+from probevo.nets.covariance_scale import covariance_scale, coverage
 from probevo.output.inspection.plots import NARROW_IN
 from probevo.output.page import grid, panel, table_panel, write_page
 from probevo.output.svg import BLUE, GREY, figure_style
@@ -39,7 +39,7 @@ def write_sensor_inspection(
     """
     covered = coverage_of(errors)
     rows = [(f"{share:.0%}", f"{found:.0%}") for share, found in zip(SHARES, covered, strict=True)]
-    scale = float(np.mean(squared_of(errors)) / errors.errors.shape[1])
+    scale = covariance_scale(errors.errors, errors.covariances)
     facts = {
         "Recording": recording,
         "Measurements": f"{len(errors.errors):,}",
@@ -80,18 +80,10 @@ def write_sensor_inspection(
     ]
 
 
-def squared_of(errors: SensorErrors) -> FloatArray:
-    """Return φᵀ Σ⁻¹ φ of each measurement, [N]."""
-    weighted = np.linalg.solve(errors.covariances, errors.errors[..., None])[..., 0]
-    squared: FloatArray = np.sum(errors.errors * weighted, axis=-1)
-    return squared
-
-
 def coverage_of(errors: SensorErrors) -> FloatArray:
     """Return the share of errors within the regions that should hold ``SHARES`` of them."""
-    bounds = chi2.ppf(SHARES, errors.errors.shape[1])
-    covered: FloatArray = np.mean(squared_of(errors)[:, None] <= bounds, axis=0)
-    return covered
+    found = [coverage(errors.errors, errors.covariances, float(share)) for share in SHARES]
+    return np.array(found)
 
 
 def claimed_and_found(
