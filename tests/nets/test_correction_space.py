@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -44,7 +46,7 @@ def test_the_gradient_of_the_training_is_the_derived_one() -> None:
     information = np.linalg.inv(root @ root.T)
     with jax.enable_x64(True):
 
-        def loss(estimates: jax.Array) -> jax.Array:
+        def loss(estimates: Any) -> Any:
             """Return the loss of all estimates together."""
             errors = space.difference(estimates, jax.numpy.asarray(true))
             return 0.5 * jax.numpy.sum(space.squared(errors))
