@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
+from scipy.stats import chi2
 
 from probevo.arrays import FloatArray
-from probevo.nets.covariance_scale import covariance_scale, coverage
+from probevo.geometry.uncertainty import squared_distances
 from probevo.output.inspection.plots import NARROW_IN
 from probevo.output.page import grid, panel, table_panel, write_page
 from probevo.output.svg import BLUE, GREY, figure_style
@@ -39,7 +40,8 @@ def write_sensor_inspection(
     """
     covered = coverage_of(errors)
     rows = [(f"{share:.0%}", f"{found:.0%}") for share, found in zip(SHARES, covered, strict=True)]
-    scale = covariance_scale(errors.errors, errors.covariances)
+    squared = squared_distances(errors.errors, errors.covariances)
+    scale = float(np.mean(squared) / errors.errors.shape[1])
     facts = {
         "Recording": recording,
         "Measurements": f"{len(errors.errors):,}",
@@ -82,8 +84,10 @@ def write_sensor_inspection(
 
 def coverage_of(errors: SensorErrors) -> FloatArray:
     """Return the share of errors within the regions that should hold ``SHARES`` of them."""
-    found = [coverage(errors.errors, errors.covariances, float(share)) for share in SHARES]
-    return np.array(found)
+    squared = squared_distances(errors.errors, errors.covariances)
+    bounds = chi2.ppf(SHARES, errors.errors.shape[1])
+    covered: FloatArray = np.mean(squared[:, None] <= bounds, axis=0)
+    return covered
 
 
 def claimed_and_found(
